@@ -1,0 +1,73 @@
+"""What a scan is condensed into: lines and corners with covariances, in the lidar's frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Independent noise of each ray: standard deviation of range (metres) and of bearing (radians)."""
+
+    sigma_range: float
+    sigma_bearing: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lines:
+    """n fitted wall segments, in the order of their bearings.
+
+    A line is u x + v y = 1, so (u, v) = P / |P|^2 with P its point closest to the lidar. Seen from the lidar the
+    segment runs counter-clockwise from `start` to `end`; the lidar is on its left, which is the side the wall is seen from.
+
+    uv          (n, 2) 1/metres
+    covariance  (n, 2, 2) of uv, propagated from the noise of the rays
+    start, end  (n, 2) metres, the end points on the fitted line
+    first, last (n,) indices of the first and last ray; last < first where the segment runs over the end of a full revolution
+    count       (n,) rays fitted
+    chi2        (n,) weighted sum of squared residuals; count - 2 degrees of freedom
+    """
+
+    uv: Floats
+    covariance: Floats
+    start: Floats
+    end: Floats
+    first: Integers
+    last: Integers
+    count: Integers
+    chi2: Floats
+
+    def __len__(self) -> int:
+        return len(self.uv)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Corners:
+    """m intersections of neighbouring lines.
+
+    position    (m, 2) metres
+    covariance  (m, 2, 2)
+    lines       (m, 2) indices into Lines: the line before the corner and the line after it, counter-clockwise
+    """
+
+    position: Floats
+    covariance: Floats
+    lines: Integers
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Features:
+    """The lines and corners of one scan, and the noise they were computed with."""
+
+    lines: Lines
+    corners: Corners
+    noise: Noise
