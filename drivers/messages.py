@@ -64,7 +64,7 @@ class SourceReport:
     messages: int = 0
     skipped: int = 0
     reasons: dict[str, int] = field(default_factory=dict)  # reason -> how often
-    first: str | None = None                               # the first thing skipped, as `file:line: reason`
+    first: str | None = None  # the first thing skipped, as `file:line: reason`
 
 
 @runtime_checkable
