@@ -1,0 +1,136 @@
+"""What can be configured: what the sensors state and which methods are used. What an algorithm tunes is a named constant beside it."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from .errors import ConfigurationError
+
+
+class _Group(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class LidarConfig(_Group):
+    """The lidar, as its data sheet states it."""
+
+    sigma_range: float = Field(
+        0.01,
+        gt=0,
+        lt=1,
+        description="standard deviation of a range, metres; the start of the estimate where it adapts",
+    )
+    sigma_bearing: float = Field(
+        math.radians(0.05), gt=0, lt=0.1, description="standard deviation of a beam's bearing, radians"
+    )
+    adapt_noise: bool = Field(True, description="estimate sigma_range from the residuals of the walls while running")
+    range_min: float = Field(0.05, ge=0, description="shorter ranges are ignored, metres")
+    range_max: float = Field(
+        60.0, gt=0, description="longer ranges are ignored, metres; the recording's own limit holds too"
+    )
+    mount: tuple[float, float, float] | None = Field(
+        None,
+        description="pose of the lidar on the base: x, y in metres, heading in radians; None: as the recording states, else zero",
+    )
+
+
+class OdometryConfig(_Group):
+    """Standard deviations of the wheel odometry's motion from one reading to the next, for what it claims to have moved."""
+
+    translation_per_metre: float = Field(0.05, ge=0)
+    translation_per_radian: float = Field(0.02, ge=0, description="metres per radian turned")
+    rotation_per_metre: float = Field(0.05, ge=0, description="radians per metre driven")
+    rotation_per_radian: float = Field(0.10, ge=0)
+    translation_floor: float = Field(0.01, gt=0, description="metres")
+    rotation_floor: float = Field(math.radians(0.3), gt=0, description="radians")
+
+
+class FeatureConfig(_Group):
+    """How a scan becomes lines."""
+
+    segmentation: Literal["split", "tracking"] = Field("split", description="'tracking' is the paper's line tracking")
+    estimator: Literal["wclm-ml", "wclm", "arras-siegwart", "siadat"] = Field(
+        "wclm-ml", description="'wclm' is the paper's estimator"
+    )
+
+
+class Config(_Group):
+    """All settings. Defaults suit indoor lidars on a wheeled base."""
+
+    lidar: LidarConfig = LidarConfig()
+    odometry: OdometryConfig = OdometryConfig()
+    features: FeatureConfig = FeatureConfig()
+
+
+def load_config(path: Path | None = None, overrides: Iterable[str] = ()) -> Config:
+    """Settings from a TOML file, then from `group.key=value` overrides (values as in TOML; bare words are strings).
+
+    Raises ConfigurationError naming the file or override and the setting.
+    """
+    data: dict[str, Any] = {}
+    if path is not None:
+        try:
+            data = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise ConfigurationError(f"{path}: {error}") from error
+    _validated(data, str(path))
+    for override in overrides:
+        group, _, rest = override.partition(".")
+        key, equals, text = rest.partition("=")
+        if not (group and key and equals):
+            raise ConfigurationError(f"--set {override}: write it as group.key=value")
+        try:
+            value = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            value = text
+        section = data.setdefault(group.strip(), {})
+        if not isinstance(section, dict):
+            raise ConfigurationError(f"--set {override}: {group} is not a group")
+        section[key.strip()] = value
+        _validated(data, f"--set {override}")
+    return _validated(data, str(path))
+
+
+def _validated(data: dict[str, Any], place: str) -> Config:
+    try:
+        return Config.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = ".".join(str(part) for part in first["loc"])
+        known = ""
+        if first["type"] == "extra_forbidden":
+            known = f"; known are {', '.join(_names(first['loc'][:-1]))}"
+        raise ConfigurationError(f"{place}: {name}: {first['msg'].lower()}{known}") from error
+
+
+def _names(location: tuple[int | str, ...]) -> list[str]:
+    model: Any = Config
+    for part in location:
+        model = model.model_fields[part].annotation
+    return list(model.model_fields)
+
+
+def config_to_toml(config: Config) -> str:
+    """The settings as TOML that `load_config` reads back; settings that are None are left out, with a comment."""
+    lines: list[str] = []
+    for group, values in config.model_dump().items():
+        lines.append(f"[{group}]")
+        for key, value in values.items():
+            if value is None:
+                lines.append(f"# {key}: not set")
+            elif isinstance(value, bool):
+                lines.append(f"{key} = {str(value).lower()}")
+            elif isinstance(value, str):
+                lines.append(f'{key} = "{value}"')
+            elif isinstance(value, tuple):
+                lines.append(f"{key} = [{', '.join(repr(float(v)) for v in value)}]")
+            else:
+                lines.append(f"{key} = {value!r}")
+        lines.append("")
+    return "\n".join(lines)

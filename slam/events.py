@@ -1,0 +1,164 @@
+"""What the pipeline tells its listeners. Events are plain data, copied out of the estimate; a sink may keep them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.se2 import Pose
+
+from .segments import CornerPoints, Floats, Segments
+
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapLines:
+    """n walls. `frame` (n, 3) in the map: x along the wall, the side it is seen from at y > 0; known from `low` to `high` along x.
+
+    `identity` (n,) never changes for a wall; `observations` (n,) counts keyframes; `covariance` (n, 2, 2) of the offset
+    across the wall and of its heading at its frame's origin, NaN where it was not asked for.
+    """
+
+    identity: Integers
+    frame: Floats
+    low: Floats
+    high: Floats
+    observations: Integers
+    covariance: Floats
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def end_points(self) -> Floats:
+        """(n, 2, 2): both end points of each wall in the map, metres."""
+        along = np.stack([np.cos(self.frame[:, 2]), np.sin(self.frame[:, 2])], axis=-1)
+        extent = np.stack([self.low, self.high], axis=-1)
+        return np.asarray(self.frame[:, None, :2] + extent[..., None] * along[:, None, :])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapCorners:
+    """m corners: `position` (m, 2) in the map, `covariance` (m, 2, 2) (NaN where not asked for), `lines` (m, 2) identities of their walls."""
+
+    identity: Integers
+    position: Floats
+    covariance: Floats
+    lines: Integers
+    observations: Integers
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanTracked:
+    """A scan was registered: the base's `pose` in the map, what odometry alone says, the share of its wall length that the map explains."""
+
+    stamp: float
+    pose: Pose
+    odometry: Pose
+    explained: float
+    keyframe: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyframeAdded:
+    """A scan became a keyframe. Everything is as the estimate stands after the update.
+
+    points        (p, 2) valid returns in the base's frame, metres
+    line_match    (n,) identity of the wall each segment was associated with; -1: none yet
+    line_gate     (n,) squared Mahalanobis distance of that association; NaN where there was no candidate
+    corner_match, corner_gate  the same for corners
+    new_lines     identities of walls first seen here
+    timings       milliseconds by stage
+    counts        sizes of the graph and map
+    """
+
+    index: int
+    stamp: float
+    pose: Pose
+    pose_covariance: Floats
+    odometry: Pose
+    points: Floats
+    segments: Segments
+    corners: CornerPoints
+    line_match: Integers
+    line_gate: Floats
+    corner_match: Integers
+    corner_gate: Floats
+    new_lines: Integers
+    sigma_range: float
+    timings: dict[str, float]
+    counts: dict[str, int]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapUpdated:
+    """The whole map and path after keyframe `index`; sent every few keyframes and whenever much of it moved.
+
+    `shift` is the largest distance a keyframe moved since the last MapUpdated, metres.
+    """
+
+    index: int
+    stamp: float
+    keyframes: Floats
+    lines: MapLines
+    corners: MapCorners
+    chi2: float
+    shift: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinesMerged:
+    """Two walls turned out to be one: `absorbed` is from now on `kept`."""
+
+    index: int
+    stamp: float
+    kept: int
+    absorbed: int
+    gate: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TruthSeen:
+    """The recording knows the true pose, in the world's frame."""
+
+    stamp: float
+    pose: Pose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Noticed:
+    """Something a person should know: a gap in the data, a jump of the odometry, a scan without features."""
+
+    stamp: float
+    text: str
+    level: str = "WARN"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Finished:
+    """The run is over; the final map with the covariances of its marginals, and the path at every odometry stamp."""
+
+    lines: MapLines
+    corners: MapCorners
+    keyframe_stamps: Floats
+    keyframes: Floats
+    stamps: Floats
+    poses: Floats
+    summary: dict[str, object] = field(default_factory=dict)
+
+
+Event: TypeAlias = ScanTracked | KeyframeAdded | MapUpdated | LinesMerged | TruthSeen | Noticed | Finished
+
+
+class Sink(Protocol):
+    """A listener. It must be quick: it is called in the path of a scan."""
+
+    def handle(self, event: Event) -> None:
+        """Take one event."""
+        ...
