@@ -1,0 +1,1 @@
+"""Where measurements come from: recordings, simulations, devices. Knows nothing of features or SLAM."""

@@ -1,13 +1,16 @@
 """CARMEN logs: text, one message a line, plain or compressed with gzip.
 
     ODOM x y theta tv rv accel ipc_timestamp host logger_timestamp
-    FLASER n r1 .. rn laser_x laser_y laser_theta robot_x robot_y robot_theta ipc_timestamp host logger_timestamp
+    FLASER n r1 .. rn laser_x laser_y laser_theta robot_x robot_y robot_theta
+        ipc_timestamp host logger_timestamp
     RLASER (a second laser that looks back; as FLASER)
-    ROBOTLASER1 type start_angle field_of_view resolution maximum_range accuracy remission_mode n r1 .. rn m e1 .. em
+    ROBOTLASER1 type start_angle field_of_view resolution maximum_range accuracy remission_mode
+        n r1 .. rn m e1 .. em
         laser_x laser_y laser_theta robot_x robot_y robot_theta tv rv forward_safety side_safety turn_axis
         ipc_timestamp host logger_timestamp
 
-Metres and radians; other kinds of lines (PARAM, SYNC, comments, ...) are passed over. The stamp is the ipc_timestamp.
+Metres and radians; other kinds of lines (PARAM, SYNC, comments, ...) are passed over. The stamp is the
+ipc_timestamp.
 """
 
 from __future__ import annotations
@@ -31,13 +34,17 @@ LASERS = (b"FLASER", b"RLASER", b"ROBOTLASER1")
 KINDS = (b"ODOM", *LASERS)
 
 SICK_NO_RETURN = 81.83
-"""Metres. A SICK LMS in centimetre mode says 8183 to 8191 instead of a range: no echo, dazzled, and the like."""
+"""Metres. A SICK LMS in centimetre mode says 8183 to 8191 instead of a range: no echo, dazzled, and the
+like.
+"""
 SICK_NO_RETURN_MM = 8.183
 """The same codes in millimetre mode."""
 SAMPLES = 200
 """Laser lines, spread over the log, from which each laser's mount and no-return value are learnt."""
 RIGID = (0.05, 0.05)
-"""Metres and radians: laser and robot poses that scatter by more are not those of a laser bolted to the robot."""
+"""Metres and radians: laser and robot poses that scatter by more are not those of a laser bolted to the
+robot.
+"""
 
 _TEXT = re.compile(rb"#|[A-Za-z\"][\x20-\x7e\t]*$")
 
@@ -52,7 +59,7 @@ class Laser:
 
 @dataclass(slots=True)
 class LaserLine:
-    """One laser line, parsed. `limit` is the maximum range that the line states, None where it states none."""
+    """One laser line, parsed. `limit` is the maximum range that the line states, None if it states none."""
 
     stamp: float
     readings: Floats
@@ -79,10 +86,11 @@ class _OdometrySoFar:
 
 
 class Carmen(Recording):
-    """A CARMEN log as a `Source`. Bad lines are skipped and counted; a log without one good line raises RecordingError.
+    """A CARMEN log as a `Source`. Bad lines are skipped and counted; a log without one good line raises
+    RecordingError.
 
-    A laser line tells the odometry at its stamp as well: it yields an Odometry just before its Scan, unless an ODOM line just
-    said the same.
+    A laser line tells the odometry at its stamp as well: it yields an Odometry just before its Scan, unless
+    an ODOM line just said the same.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -120,7 +128,7 @@ class Carmen(Recording):
                         yield number, Odometry(parsed.stamp, parsed.poses[3:].copy())
                     yield number, _scan(parsed, lasers[kind])
                 elif line and not _TEXT.match(line.strip()):
-                    raise ValueError("not text")
+                    raise ValueError("line is not text")
             except ValueError as error:
                 self.skip(number, _reason(kind, error))
         if damage:
@@ -197,7 +205,8 @@ def _robotlaser(words: list[bytes]) -> LaserLine:
     poses, stamp = np.array([float(word) for word in rest[:6]]), float(rest[11])
     _check(stamp, *poses)
     readings = np.array([float(word) for word in words[9 : 9 + count]])
-    return LaserLine(stamp, readings, start + resolution * np.arange(count), poses, limit)
+    angles = start + resolution * np.arange(count, dtype=np.float64)
+    return LaserLine(stamp, readings, angles, poses, limit)
 
 
 def _count(words: list[bytes], index: int) -> int:
@@ -218,11 +227,11 @@ def _check(stamp: float, *pose: float) -> None:
 def half_turn(count: int) -> Floats:
     """Angles (count,) of a laser that sees half a turn and does not state them, radians, read-only.
 
-    An odd count has a beam at either end (361: -90 to 90 degrees in steps of half a degree), an even one leaves out the last
-    (180: -90 to 89).
+    An odd count has a beam at either end (361: -90 to 90 degrees in steps of half a degree), an even one
+    leaves out the last (180: -90 to 89).
     """
     steps = count - 1 if count % 2 and count > 1 else count
-    angles = -np.pi / 2 + np.pi / steps * np.arange(count)
+    angles = -np.pi / 2 + np.pi / steps * np.arange(count, dtype=np.float64)
     angles.flags.writeable = False
     return angles
 
@@ -252,10 +261,12 @@ def _calibrate(kind: bytes, lines: list[bytes]) -> Laser:
 
 
 def _mount(poses: Floats) -> se2.Pose | None:
-    """The laser's pose on the robot from (m, 6) pairs of world poses, None where they are not rigidly connected.
+    """The laser's pose on the robot from (m, 6) pairs of world poses, None where they are not rigidly
+    connected.
 
-    Each difference carries the rounding of world coordinates, and on a moving robot the two may stem from slightly different
-    instants; the median over the log does not. It is rounded to the 0.1 mm and 0.1 mrad that the log can support.
+    Each difference carries the rounding of world coordinates, and on a moving robot the two may stem from
+    slightly different instants; the median over the log does not. It is rounded to the 0.1 mm and 0.1 mrad
+    that the log can support.
     """
     mounts = se2.between(poses[:, 3:], poses[:, :3])
     heading = mounts[0, 2] + se2.wrap(mounts[:, 2] - mounts[0, 2])
@@ -273,9 +284,9 @@ def _mount(poses: Floats) -> se2.Pose | None:
 def _no_return(readings: list[Floats]) -> float:
     """The reading (metres) from which on nothing came back.
 
-    The SICK codes are known. Other lasers, and preprocessed logs, repeat some largest value exactly where nothing came back: a
-    value that is the largest of the log and stands in a tenth of the scans, twice or more in a row, is taken as that. Where
-    this is wrong only the very longest readings are lost.
+    The SICK codes are known. Other lasers, and preprocessed logs, repeat some largest value exactly where
+    nothing came back: a value that is the largest of the log and stands in a tenth of the scans, twice or
+    more in a row, is taken as that. Where this is wrong only the very longest readings are lost.
     """
     largest = max((float(np.max(r[np.isfinite(r)], initial=0.0)) for r in readings), default=0.0)
     if largest >= SICK_NO_RETURN or largest <= 0.0:

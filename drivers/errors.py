@@ -6,11 +6,15 @@ from pathlib import Path
 
 
 class SlamError(Exception):
-    """Anything a user can mend. Its text is one line that names the place; the command line prints it and exits with 2."""
+    """Anything a user can mend. Its text is one line that names the place; the command line prints it and
+    exits with 2.
+    """
 
 
 class RecordingError(SlamError):
-    """A recording cannot be read. Carries the `path`, the `line` or message number (1-based, None for the whole file) and the `reason`."""
+    """A recording cannot be read. Carries the `path`, the `line` or message number (1-based, None for the
+    whole file) and the `reason`.
+    """
 
     def __init__(self, path: str | Path, line: int | None, reason: str) -> None:
         self.path, self.line, self.reason = Path(path), line, reason

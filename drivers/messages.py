@@ -23,7 +23,8 @@ class Scan:
     angles        (n,) radians in the lidar's frame, counter-clockwise, increasing
     time_offsets  (n,) seconds from the stamp to each beam; zeros where unknown
     range_min, range_max  metres, what the sensor states (range_max may be inf)
-    mount         [x, y, heading] of the lidar in the base's frame, T_base_lidar; None where the recording does not say
+    mount         [x, y, heading] of the lidar in the base's frame, T_base_lidar; None where the recording
+                  does not say
     """
 
     stamp: float
@@ -45,7 +46,8 @@ class Odometry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundTruth:
-    """The base's true pose [x, y, heading] in the world's frame at a stamp (seconds); simulations and motion capture have it.
+    """The base's true pose [x, y, heading] in the world's frame at a stamp (seconds); simulations and motion
+    capture have it.
 
     It is for evaluation and display only: nothing that estimates reads it.
     """
@@ -59,7 +61,9 @@ Message: TypeAlias = Scan | Odometry | GroundTruth
 
 @dataclass(slots=True)
 class SourceReport:
-    """What a source noticed while it was last read: what was skipped, and why. Complete once iteration has ended."""
+    """What a source noticed while it was last read: what was skipped, and why. Complete once iteration has
+    ended.
+    """
 
     messages: int = 0
     skipped: int = 0
@@ -72,7 +76,8 @@ class Source(Protocol):
     """Anything that yields messages in time order.
 
     A recording or a simulation can be iterated any number of times and gives the same messages each time.
-    Iteration raises RecordingError where nothing sensible can be read; a single bad entry is skipped and counted in `report`.
+    Iteration raises RecordingError where nothing sensible can be read; a single bad entry is skipped and
+    counted in `report`.
     """
 
     name: str

@@ -2,15 +2,17 @@
 
 Real recordings have stamps that run backwards, in three ways that are told apart here:
 
-- *small disorder*: messages are written in the order of arrival, and some took longer to arrive. Within WINDOW they are sorted.
-- *a wrong stamp*: one or a few messages far from their neighbours (zero before the clock was set, a damaged digit). They are
-  skipped, because nothing says when they were measured.
-- *a clock that was set*: from some message on, all stamps are elsewhere. Forwards this is a pause, and the stamps are kept.
-  Backwards the stamps after it are moved on so that time goes on where it stopped: order and durations are right again, and
-  nothing measured is lost; only the offset to the recorded stamps is.
+- *small disorder*: messages are written in the order of arrival, and some took longer to arrive. Within
+  WINDOW they are sorted.
+- *a wrong stamp*: one or a few messages far from their neighbours (zero before the clock was set, a damaged
+  digit). They are skipped, because nothing says when they were measured.
+- *a clock that was set*: from some message on, all stamps are elsewhere. Forwards this is a pause, and the
+  stamps are kept. Backwards the stamps after it are moved on so that time goes on where it stopped: order
+  and durations are right again, and nothing measured is lost; only the offset to the recorded stamps is.
 
-Far means more than WINDOW back or PAUSE ahead. Far messages are held until CONFIRM of them agree with each other, which makes it
-the clock, or until the stream goes on as before, which makes them wrong. Each case is counted in the source's report.
+Far means more than WINDOW back or PAUSE ahead. Far messages are held until CONFIRM of them agree with each
+other, which makes it the clock, or until the stream goes on as before, which makes them wrong. Each case is
+counted in the source's report.
 """
 
 from __future__ import annotations
@@ -23,7 +25,8 @@ from typing import Protocol
 from .messages import Message
 
 WINDOW = 1.0
-"""Seconds. Queues between a sensor and a logger hold tenths of a second; a clock that is set moves by more."""
+"""Seconds. Queues between a sensor and a logger hold tenths of a second; a clock that is set moves by more.
+"""
 PAUSE = 60.0
 """Seconds ahead that are taken without a second look; a longer step needs messages that agree."""
 CONFIRM = 5
@@ -49,14 +52,12 @@ def in_order(numbered: Iterable[Numbered], notebook: Notebook) -> Iterator[Messa
     Takes (line or message number, message) pairs in the recording's order; holds back one WINDOW of time.
     """
     heap: list[tuple[float, int, Message]] = []
-    arrived = 0
     latest = -float("inf")
-    for line, message in _on_one_clock(numbered, notebook):
+    for arrived, (line, message) in enumerate(_on_one_clock(numbered, notebook)):
         if message.stamp < latest:
             notebook.note(line, "stamp runs back by less than a second; sorted")
         latest = max(latest, message.stamp)
         heapq.heappush(heap, (message.stamp, arrived, message))
-        arrived += 1
         while heap[0][0] <= latest - WINDOW:
             yield heapq.heappop(heap)[2]
     while heap:
@@ -64,7 +65,9 @@ def in_order(numbered: Iterable[Numbered], notebook: Notebook) -> Iterator[Messa
 
 
 def _on_one_clock(numbered: Iterable[Numbered], notebook: Notebook) -> Iterator[Numbered]:
-    """The messages without those whose stamps are wrong, on a clock that never steps back by more than WINDOW."""
+    """The messages without those whose stamps are wrong, on a clock that never steps back by more than
+    WINDOW.
+    """
     latest: float | None = None  # the latest stamp that was accepted, on the output's clock
     offset = 0.0  # output's clock minus the recording's clock
     held: list[Numbered] = []  # far from what was accepted, near each other
@@ -106,7 +109,9 @@ def _drop(held: list[Numbered], notebook: Notebook) -> None:
 
 
 def _set_back(held: list[Numbered], latest: float, notebook: Notebook) -> float:
-    """What to add to the stamps from the held messages on (seconds): zero unless they are earlier than `latest`."""
+    """What to add to the stamps from the held messages on (seconds): zero unless they are earlier than
+    `latest`.
+    """
     earliest = min(message.stamp for _, message in held)
     if earliest >= latest:
         return 0.0

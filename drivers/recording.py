@@ -1,4 +1,6 @@
-"""What every reader of recordings shares: a path that exists, a report of what was skipped, messages in the order of time."""
+"""What every reader of recordings shares: a path that exists, a report of what was skipped, messages in the
+order of time.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +24,9 @@ def is_stamp(stamp: float) -> bool:
 class Recording(ABC):
     """A recording in a file or directory: a `Source` that can be read any number of times.
 
-    A subclass yields the messages in the file's order from `_read` and calls `skip` for what it leaves out. Raises
-    RecordingError when constructed with a path where nothing is, and when iteration finds not one scan or odometry.
+    A subclass yields the messages in the file's order from `_read` and calls `skip` for what it leaves out.
+    Raises RecordingError when constructed with a path where nothing is, and when iteration finds not one
+    scan or odometry.
     """
 
     def __init__(self, path: str | Path) -> None:

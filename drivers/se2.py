@@ -1,6 +1,7 @@
 """Rigid motions of the plane as arrays [x, y, heading] (metres, radians), alone or stacked as (..., 3).
 
-`a` then `b` reads `compose(a, b)`: b is expressed in the frame that a places. T_map_base = compose(T_map_odom, T_odom_base).
+`a` then `b` reads `compose(a, b)`: b is expressed in the frame that a places. T_map_base =
+compose(T_map_odom, T_odom_base).
 """
 
 from __future__ import annotations
@@ -35,12 +36,16 @@ def inverse(pose: ArrayLike) -> Pose:
 
 
 def between(first: ArrayLike, second: ArrayLike) -> Pose:
-    """Where `second` stands as seen from `first`, (..., 3): compose(first, between(first, second)) is `second`."""
+    """Where `second` stands as seen from `first`, (..., 3): compose(first, between(first, second)) is
+    `second`.
+    """
     return compose(inverse(first), second)
 
 
 def transform(pose: ArrayLike, points: ArrayLike) -> NDArray[np.float64]:
-    """Points (..., 2) given in the frame that `pose` places, expressed in the frame that the pose is given in."""
+    """Points (..., 2) given in the frame that `pose` places, expressed in the frame that the pose is given
+    in.
+    """
     p, q = np.asarray(pose, dtype=np.float64), np.asarray(points, dtype=np.float64)
     c, s = np.cos(p[..., 2]), np.sin(p[..., 2])
     return np.stack(
