@@ -159,11 +159,7 @@ def _content(path: Path) -> tuple[bytes, str | None]:
 def _reason(kind: bytes, error: ValueError) -> str:
     """A reason without the line's own numbers, so that equal mistakes are counted together."""
     text = str(error)
-    known = (
-        text
-        if not text.startswith(("could not convert", "invalid literal"))
-        else "not a number where one belongs"
-    )
+    known = text if not text.startswith(("could not convert", "invalid literal")) else "not a number where one belongs"
     return f"{kind.decode()} line: {known}" if kind in KINDS else f"line: {known}"
 
 
@@ -255,9 +251,7 @@ def _calibrate(kind: bytes, lines: list[bytes]) -> Laser:
             continue  # it is counted when it is read
     if not parsed:
         return Laser(None, SICK_NO_RETURN)
-    return Laser(
-        _mount(np.array([line.poses for line in parsed])), _no_return([line.readings for line in parsed])
-    )
+    return Laser(_mount(np.array([line.poses for line in parsed])), _no_return([line.readings for line in parsed]))
 
 
 def _mount(poses: Floats) -> se2.Pose | None:

@@ -30,9 +30,7 @@ def inverse(pose: ArrayLike) -> Pose:
     """The motion that undoes `pose`, (..., 3)."""
     p = np.asarray(pose, dtype=np.float64)
     c, s = np.cos(p[..., 2]), np.sin(p[..., 2])
-    return np.stack(
-        [-c * p[..., 0] - s * p[..., 1], s * p[..., 0] - c * p[..., 1], wrap(-p[..., 2])], axis=-1
-    )
+    return np.stack([-c * p[..., 0] - s * p[..., 1], s * p[..., 0] - c * p[..., 1], wrap(-p[..., 2])], axis=-1)
 
 
 def between(first: ArrayLike, second: ArrayLike) -> Pose:
@@ -48,6 +46,4 @@ def transform(pose: ArrayLike, points: ArrayLike) -> NDArray[np.float64]:
     """
     p, q = np.asarray(pose, dtype=np.float64), np.asarray(points, dtype=np.float64)
     c, s = np.cos(p[..., 2]), np.sin(p[..., 2])
-    return np.stack(
-        [p[..., 0] + c * q[..., 0] - s * q[..., 1], p[..., 1] + s * q[..., 0] + c * q[..., 1]], axis=-1
-    )
+    return np.stack([p[..., 0] + c * q[..., 0] - s * q[..., 1], p[..., 1] + s * q[..., 0] + c * q[..., 1]], axis=-1)
