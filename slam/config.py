@@ -1,16 +1,22 @@
-"""What can be configured: what the sensors state and which methods are used. What an algorithm tunes is a named constant beside it."""
+"""What can be configured: what the sensors state and which methods are used.
+
+What an algorithm tunes is a named constant beside the algorithm, with its reason.
+"""
 
 from __future__ import annotations
 
+import json
 import math
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from .errors import ConfigurationError
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class _Group(BaseModel):
@@ -30,25 +36,32 @@ class LidarConfig(_Group):
         math.radians(0.05), gt=0, lt=0.1, description="standard deviation of a beam's bearing, radians"
     )
     adapt_noise: bool = Field(True, description="estimate sigma_range from the residuals of the walls while running")
-    range_min: float = Field(0.05, ge=0, description="shorter ranges are ignored, metres")
+    range_min: Finite = Field(0.05, ge=0, description="shorter ranges are ignored, metres")
     range_max: float = Field(
         60.0, gt=0, description="longer ranges are ignored, metres; the recording's own limit holds too"
     )
-    mount: tuple[float, float, float] | None = Field(
+    mount: tuple[Finite, Finite, Finite] | None = Field(
         None,
-        description="pose of the lidar on the base: x, y in metres, heading in radians; None: as the recording states, else zero",
+        description="pose of the lidar on the base: x, y in metres, heading in radians; "
+        "left out: as the recording states, else zero",
     )
+
+    @model_validator(mode="after")
+    def _range_is_not_empty(self) -> Self:
+        if self.range_min >= self.range_max:
+            raise ValueError(f"range_min ({self.range_min:g}) must be less than range_max ({self.range_max:g})")
+        return self
 
 
 class OdometryConfig(_Group):
-    """Standard deviations of the wheel odometry's motion from one reading to the next, for what it claims to have moved."""
+    """Standard deviations of the wheel odometry's motion from one reading to the next, for what it says it moved."""
 
-    translation_per_metre: float = Field(0.05, ge=0)
-    translation_per_radian: float = Field(0.02, ge=0, description="metres per radian turned")
-    rotation_per_metre: float = Field(0.05, ge=0, description="radians per metre driven")
-    rotation_per_radian: float = Field(0.10, ge=0)
-    translation_floor: float = Field(0.01, gt=0, description="metres")
-    rotation_floor: float = Field(math.radians(0.3), gt=0, description="radians")
+    translation_per_metre: Finite = Field(0.05, ge=0)
+    translation_per_radian: Finite = Field(0.02, ge=0, description="metres per radian turned")
+    rotation_per_metre: Finite = Field(0.05, ge=0, description="radians per metre driven")
+    rotation_per_radian: Finite = Field(0.10, ge=0)
+    translation_floor: Finite = Field(0.01, gt=0, description="metres")
+    rotation_floor: Finite = Field(math.radians(0.3), gt=0, description="radians")
 
 
 class FeatureConfig(_Group):
@@ -77,24 +90,26 @@ def load_config(path: Path | None = None, overrides: Iterable[str] = ()) -> Conf
     if path is not None:
         try:
             data = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise ConfigurationError(f"{path}: {error}") from error
-    _validated(data, str(path))
+        except OSError as error:
+            raise ConfigurationError(f"{path}: {error.strerror or error}") from error
+        except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise ConfigurationError(f"{path}: is not TOML: {error}") from error
+    config = _validated(data, str(path))
     for override in overrides:
-        group, _, rest = override.partition(".")
-        key, equals, text = rest.partition("=")
-        if not (group and key and equals):
-            raise ConfigurationError(f"--set {override}: write it as group.key=value")
-        try:
-            value = tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:
-            value = text
-        section = data.setdefault(group.strip(), {})
-        if not isinstance(section, dict):
-            raise ConfigurationError(f"--set {override}: {group} is not a group")
-        section[key.strip()] = value
-        _validated(data, f"--set {override}")
-    return _validated(data, str(path))
+        name, equals, text = override.partition("=")
+        group, dot, key = name.strip().partition(".")
+        if not (equals and dot and group and key):
+            raise ConfigurationError(f"--set {override}: write it as group.key=value, e.g. lidar.sigma_range=0.02")
+        data.setdefault(group, {})[key] = _value(text)
+        config = _validated(data, f"--set {override}")
+    return config
+
+
+def _value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text.strip()
 
 
 def _validated(data: dict[str, Any], place: str) -> Config:
@@ -103,10 +118,11 @@ def _validated(data: dict[str, Any], place: str) -> Config:
     except ValidationError as error:
         first = error.errors()[0]
         name = ".".join(str(part) for part in first["loc"])
-        known = ""
+        message = first["msg"].removeprefix("Value error, ")
+        reason = message[:1].lower() + message[1:]
         if first["type"] == "extra_forbidden":
-            known = f"; known are {', '.join(_names(first['loc'][:-1]))}"
-        raise ConfigurationError(f"{place}: {name}: {first['msg'].lower()}{known}") from error
+            reason = f"there is no such setting; known are {', '.join(_names(first['loc'][:-1]))}"
+        raise ConfigurationError(f"{place}: {name}: {reason}") from error
 
 
 def _names(location: tuple[int | str, ...]) -> list[str]:
@@ -124,12 +140,8 @@ def config_to_toml(config: Config) -> str:
         for key, value in values.items():
             if value is None:
                 lines.append(f"# {key}: not set")
-            elif isinstance(value, bool):
-                lines.append(f"{key} = {str(value).lower()}")
-            elif isinstance(value, str):
-                lines.append(f'{key} = "{value}"')
-            elif isinstance(value, tuple):
-                lines.append(f"{key} = [{', '.join(repr(float(v)) for v in value)}]")
+            elif isinstance(value, bool | str | tuple):
+                lines.append(f"{key} = {json.dumps(value)}")  # of these, JSON and TOML have the same form
             else:
                 lines.append(f"{key} = {value!r}")
         lines.append("")
