@@ -1,0 +1,284 @@
+"""One scan condensed into lines and corners: the one compiled call behind Extractor."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from .corner import intersect, parallel
+from .rays import MAX_BEARING_GAP, TURN, Rays, accumulate, mark_breaks, select, update_grid
+from .rays import views as ray_views
+from .segmentation import Pieces, segment
+from .segmentation import views as piece_views
+from .types import Floats, Integers
+from .wclm import FASTMATH, GATE, ITERATIONS, fit_wclm, reweighted, solve
+
+MAXIMUM_LIKELIHOOD = 0
+"""Code of the default estimator; it needs no second fit after the gating of rays."""
+
+CLOSEST = 5.0
+"""Least range of a usable ray in units of the range noise; closer, 1/range is far from Gaussian."""
+
+MIN_BEARING_VARIANCE = 10.0
+"""Least variance of a line's bearings in units of the bearing noise; below, noise alone spreads the rays."""
+
+MIN_INLIERS = 0.6
+"""Least share of a piece's rays that its line must explain; bridged rays are few."""
+
+MAX_CHI2 = 4.0
+"""Largest chi-square per degree of freedom of a line: residuals of twice the noise. Clutter fits worse, walls do not."""
+
+CORNER_SIGMAS = 3.0
+CORNER_STEPS = 1.5
+"""Steps of bearing by which a corner may miss the rays next to it."""
+
+CORNER_RANGE = 1.3
+"""Largest range of a corner in units of the range of the farther ray next to it."""
+
+CORNER_RANGE_SIGMAS = 6.0
+CORNER_RAYS = 8
+"""Most rays between the walls of a corner."""
+
+ADAPT_RAYS = 15
+"""Least rays of a line that tells something about the range noise."""
+
+
+class Settings(NamedTuple):
+    """What a scan is condensed with; lengths in metres, standard deviations in metres and radians."""
+
+    sigma_range: float
+    sigma_bearing: float
+    range_min: float
+    range_max: float
+    minimum_count: int
+    minimum_length: float
+    maximum_gap: float
+    penalty: float
+    estimator: int
+    tracking_distance: float  # 0: recursive splitting
+
+
+class Found(NamedTuple):
+    """Features as the compiled call writes them, a row each.
+
+    lines     u, v, Cuu, Cuv, Cuv, Cvv, start x, y, end x, y, chi2
+    spans     first beam, last beam, rays used, first ray, last ray (see rays)
+    corners   x, y, Cxx, Cxy, Cxy, Cyy
+    pairs     line before, line after
+    evidence  range variances that long pieces show
+    """
+
+    lines: Floats
+    spans: Integers
+    corners: Floats
+    pairs: Integers
+    evidence: Floats
+
+
+class Part(NamedTuple):
+    """The rays of one piece side by side."""
+
+    inverse: Floats
+    cos: Floats
+    sin: Floats
+
+
+@njit(cache=True)
+def gather(rays: Rays, count: int, begin: int, end: int, room: Part) -> Part:
+    """Copy rays begin..end-1 into `room`."""
+    for k in range(begin, end):
+        m = k - count if k >= count else k
+        room.inverse[k - begin] = rays.inverse[m]
+        room.cos[k - begin] = rays.cos[m]
+        room.sin[k - begin] = rays.sin[m]
+    return head_of(room, end - begin)
+
+
+@njit(cache=True)
+def head_of(part: Part, size: int) -> Part:
+    """The first `size` rays."""
+    return Part(part.inverse[:size], part.cos[:size], part.sin[:size])
+
+
+@njit(cache=True)
+def lies_on(rays: Rays, m: int, u: float, v: float, settings: Settings) -> bool:
+    """Whether ray m is within the gate of the line; true for a line of NaN."""
+    p, t = u * rays.cos[m] + v * rays.sin[m], v * rays.cos[m] - u * rays.sin[m]
+    residual = rays.inverse[m] - p
+    return not residual * residual > GATE * ((settings.sigma_range * p * p) ** 2 + (settings.sigma_bearing * t) ** 2)
+
+
+@njit(cache=True, fastmath=FASTMATH)
+def shown_variance(part: Part, u: float, v: float, sigma_range: float, sigma_bearing: float) -> float:
+    """Range variance that the residuals of a line show: one scoring step on the likelihood of that variance.
+
+    A residual r has variance s p^4 + q with s the range variance and q = sigma_bearing^2 t^2 known. Its likelihood is
+    stationary in s at sum w^2 p^4 (r^2 - q) / sum w^2 p^8; two of n degrees of freedom went into the line.
+    """
+    range_variance, bearing_variance = sigma_range * sigma_range, sigma_bearing * sigma_bearing
+    above = below = used = 0.0
+    for i in range(len(part.inverse)):
+        p, t = u * part.cos[i] + v * part.sin[i], v * part.cos[i] - u * part.sin[i]
+        residual = part.inverse[i] * (1.0 - range_variance * part.inverse[i] * part.inverse[i]) - p
+        quartic, known = p * p * p * p, bearing_variance * t * t
+        w = 1.0 / (range_variance * quartic + known)
+        inlier = 1.0 if w * residual * residual <= GATE else 0.0
+        wq = inlier * w * w * quartic
+        above += wq * (residual * residual - known)
+        below += wq * quartic
+        used += inlier
+    return above / below * used / max(1.0, used - 2.0) if below > 0.0 else math.nan
+
+
+@njit(cache=True)
+def fit_with(part: Part, u: float, v: float, settings: Settings) -> tuple[float, float, float, float, float]:
+    """(u, v, Cuu, Cuv, Cvv) by the chosen estimator, from the rays that lie on the maximum-likelihood line (u, v)."""
+    range_variance, bearing_variance = settings.sigma_range**2, settings.sigma_bearing**2
+    kept = 0
+    for i in range(len(part.inverse)):
+        p, t = u * part.cos[i] + v * part.sin[i], v * part.cos[i] - u * part.sin[i]
+        residual = part.inverse[i] - p
+        if residual * residual <= GATE * (range_variance * p**4 + bearing_variance * t * t):
+            part.inverse[kept], part.cos[kept], part.sin[kept] = part.inverse[i], part.cos[i], part.sin[i]
+            kept += 1
+    part = head_of(part, kept)
+    return fit_wclm(part.inverse, part.cos, part.sin, settings.sigma_range, settings.sigma_bearing)
+
+
+@njit(cache=True)
+def fit_piece(
+    rays: Rays, count: int, pieces: Pieces, piece: int, room: Part, settings: Settings, found: Found, lines: int
+) -> tuple[bool, float]:
+    """Fit a piece and write it as line `lines` unless it is none; the range variance it shows, or NaN."""
+    begin, end, sums = pieces.begin[piece], pieces.end[piece], pieces.sums[piece]
+    if end - begin < settings.minimum_count:
+        return False, math.nan
+    part = gather(rays, count, begin, end, room)
+    u, v, _ = solve(sums[0], sums[1], sums[2], sums[3], sums[4])
+    cuu = cuv = cvv = chi2 = math.nan
+    used = 0
+    for _ in range(ITERATIONS):
+        u, v, cuu, cuv, cvv, chi2, used = reweighted(
+            part.inverse, part.cos, part.sin, u, v, settings.sigma_range, settings.sigma_bearing, GATE
+        )
+        if used < settings.minimum_count or used < MIN_INLIERS * (end - begin):
+            return False, math.nan
+    variance = math.nan
+    if used >= ADAPT_RAYS:
+        variance = shown_variance(part, u, v, settings.sigma_range, settings.sigma_bearing)
+    spread = 0.25 * (1.0 - (sums[1] ** 2 + sums[2] ** 2) / sums[0] ** 2)
+    if not (chi2 <= MAX_CHI2 * (used - 2) and spread >= MIN_BEARING_VARIANCE * settings.sigma_bearing**2):
+        return False, variance
+    while begin < end - 1 and not lies_on(rays, begin % count, u, v, settings):
+        begin += 1
+    while begin < end - 1 and not lies_on(rays, (end - 1) % count, u, v, settings):
+        end -= 1
+    if settings.estimator != MAXIMUM_LIKELIHOOD:
+        u, v, cuu, cuv, cvv = fit_with(part, u, v, settings)
+    first, last = begin % count, (end - 1) % count
+    line = found.lines[lines]
+    line[0], line[1], line[2], line[3], line[4], line[5] = u, v, cuu, cuv, cuv, cvv
+    for ray, column in ((first, 6), (last, 8)):
+        at = 1.0 / (u * rays.cos[ray] + v * rays.sin[ray])
+        line[column], line[column + 1] = at * rays.cos[ray], at * rays.sin[ray]
+    line[10] = chi2
+    span = found.spans[lines]
+    span[0], span[1], span[2], span[3], span[4] = rays.beam[first], rays.beam[last], used, begin, end - 1
+    return math.hypot(line[8] - line[6], line[9] - line[7]) >= settings.minimum_length, variance
+
+
+@njit(cache=True)
+def find_corner(
+    rays: Rays, count: int, found: Found, before: int, after: int, step: float, settings: Settings, corners: int
+) -> bool:
+    """Write the corner of line `before` with the next line `after` as corner `corners`; False where there is none.
+
+    The corner must appear between the last ray of the one and the first ray of the other line, and no farther than
+    they: a test in bearing, where occlusion happens, accepts more corners than one on distances of end points.
+    """
+    first, second = found.lines[before], found.lines[after]
+    if parallel(first[0], first[1], second[0], second[1]):
+        return False
+    last = found.spans[before, 4] % count
+    next_ray = found.spans[after, 3] % count
+    if (next_ray - last - 1) % count > CORNER_RAYS:
+        return False
+    x, y, cxx, cxy, cyy = intersect(
+        first[0], first[1], first[2:6].reshape(2, 2), second[0], second[1], second[2:6].reshape(2, 2)
+    )
+    distance = math.hypot(x, y)
+    reach = max(rays.range[last], rays.range[next_ray])
+    if not distance < CORNER_RANGE * reach + CORNER_RANGE_SIGMAS * settings.sigma_range:
+        return False
+    across = (y * y * cxx - 2.0 * x * y * cxy + x * x * cyy) / distance**4
+    margin = CORNER_STEPS * step + CORNER_SIGMAS * (settings.sigma_bearing + math.sqrt(across))
+    gap = (rays.bearing[next_ray] - rays.bearing[last]) % TURN
+    bearing = (math.atan2(y, x) - rays.bearing[last] + math.pi) % TURN - math.pi
+    if gap > MAX_BEARING_GAP + step or not -margin <= bearing <= gap + margin:
+        return False
+    corner = found.corners[corners]
+    corner[0], corner[1], corner[2], corner[3], corner[4], corner[5] = x, y, cxx, cxy, cxy, cyy
+    found.pairs[corners, 0], found.pairs[corners, 1] = before, after
+    return True
+
+
+@njit(cache=True)
+def condense(
+    ranges: Floats,
+    angles: Floats,
+    settings: Settings,
+    ray_floats: Floats,
+    ray_integers: Integers,
+    piece_sums: Floats,
+    gains: Floats,
+    piece_integers: Integers,
+    found: Found,
+) -> tuple[int, int, float]:
+    """Numbers of lines and corners written into `found`, and the range variance that the scan shows, or NaN."""
+    grid, rays = ray_views(ray_floats, ray_integers)
+    pieces, stack = piece_views(piece_sums, piece_integers)
+    update_grid(angles, grid)
+    count = select(ranges, max(settings.range_min, CLOSEST * settings.sigma_range), settings.range_max, grid, rays)
+    if count < settings.minimum_count:
+        return 0, 0, math.nan
+    step = abs(angles[-1] - angles[0]) / (len(angles) - 1)
+    if not 0.0 < step < TURN:
+        step = (rays.bearing[count - 1] - rays.bearing[0]) / (count - 1)
+    mark_breaks(rays, count, step, settings.sigma_range, settings.sigma_bearing, settings.maximum_gap)
+    accumulate(rays, count, step, settings.sigma_range, settings.sigma_bearing)
+    made = segment(
+        rays,
+        count,
+        pieces,
+        gains,
+        stack,
+        settings.penalty,
+        settings.maximum_gap,
+        step,
+        settings.sigma_range,
+        settings.sigma_bearing,
+    )
+    # the gains of splits are used up, as are the bearings' sums: their memory holds the rays of one piece at a time
+    room = Part(gains, rays.prefix[0], rays.prefix[1])
+    start = 0
+    for piece in range(1, made):
+        if rays.beam[pieces.begin[piece] % count] < rays.beam[pieces.begin[start] % count]:
+            start = piece
+    lines = shown = 0
+    for k in range(made):
+        piece = start + k if start + k < made else start + k - made
+        is_line, variance = fit_piece(rays, count, pieces, piece, room, settings, found, lines)
+        if is_line:
+            lines += 1
+        if math.isfinite(variance):
+            found.evidence[shown] = variance
+            shown += 1
+    corners = 0
+    for after in range(lines):
+        before = after - 1 if after > 0 else lines - 1
+        if before != after and find_corner(rays, count, found, before, after, step, settings, corners):
+            corners += 1
+    return lines, corners, np.median(found.evidence[:shown]) if shown > 0 else math.nan

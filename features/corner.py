@@ -1,0 +1,51 @@
+"""The corner of two lines, eqs. (36)-(38), and when two neighbouring walls have one."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from .fit import LineFit
+from .types import Floats
+
+MIN_SINE = 0.2
+"""Sine of the smallest angle between two walls that form a corner; the corner's variance grows as 1/sin^2."""
+
+
+@njit(cache=True)
+def intersect(
+    u1: float, v1: float, first: Floats, u2: float, v2: float, second: Floats
+) -> tuple[float, float, float, float, float]:
+    """(x, y, Cxx, Cxy, Cyy) of two lines with the covariances (2, 2) `first` and `second` of their (u, v).
+
+    Equations (36)-(37) with x_Q = u and y_Q = -v. dp/d(u_k, v_k) = -m_k p', so that eq. (38) for independent lines is
+    (p' C1 p) m1 m1' + (p' C2 p) m2 m2' with m1 = (v2, -u2) / det and m2 = (-v1, u1) / det.
+    """
+    determinant = u1 * v2 - u2 * v1
+    if determinant == 0.0:
+        return math.nan, math.nan, math.nan, math.nan, math.nan
+    x, y = (v2 - v1) / determinant, (u1 - u2) / determinant
+    g1 = x * x * first[0, 0] + 2.0 * x * y * first[0, 1] + y * y * first[1, 1]
+    g2 = x * x * second[0, 0] + 2.0 * x * y * second[0, 1] + y * y * second[1, 1]
+    scale = 1.0 / (determinant * determinant)
+    return (
+        x,
+        y,
+        scale * (g1 * v2 * v2 + g2 * v1 * v1),
+        -scale * (g1 * u2 * v2 + g2 * u1 * v1),
+        scale * (g1 * u2 * u2 + g2 * u1 * u1),
+    )
+
+
+def corner(first: LineFit, second: LineFit) -> tuple[Floats, Floats]:
+    """Position (2,) in metres and covariance (2, 2) of the intersection of two lines fitted to different rays."""
+    x, y, cxx, cxy, cyy = intersect(*first.uv, first.covariance, *second.uv, second.covariance)
+    return np.array([x, y]), np.array([[cxx, cxy], [cxy, cyy]])
+
+
+@njit(cache=True)
+def parallel(u1: float, v1: float, u2: float, v2: float) -> bool:
+    """Whether two lines are too nearly parallel for a corner."""
+    return not abs(u1 * v2 - u2 * v1) > MIN_SINE * math.sqrt((u1 * u1 + v1 * v1) * (u2 * u2 + v2 * v2))

@@ -1,0 +1,138 @@
+"""Lines and corners of one scan after the other."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from . import rays, segmentation
+from .condense import Found, Settings, condense
+from .types import Corners, Features, Floats, Lines, Noise
+
+ESTIMATOR_CODES = {"wclm-ml": 0, "wclm": 1}
+
+NOISE_FLOOR = 0.002
+"""Least range noise that adaptation may arrive at, metres; no lidar on a robot is better, and simulations often are."""
+
+NOISE_CEILING = 0.10
+"""Largest range noise that adaptation may arrive at, metres."""
+
+PRIOR_SCANS = 2.0
+"""Scans that the given range noise is worth against those seen."""
+
+SLOWEST_GAIN = 0.03
+"""Least weight of a new scan in the range variance, once many are seen: a memory of about 30 scans."""
+
+
+class Extractor:
+    """Condenses the scans of one lidar into lines and corners.
+
+    noise           standard deviations of a ray's range (metres) and bearing (radians)
+    adapt_noise     learn the standard deviation of range from the residuals of long walls, scan by scan
+    range_min, range_max  metres; returns outside are ignored. Many lidars report "no return" as a range above 80 m.
+    minimum_count   rays of a line. Two parameters are fitted; five leave three degrees of freedom to tell a wall by.
+    minimum_length  metres of a line; shorter ones are furniture and door frames more than walls
+    maximum_gap     metres of opening in a wall beyond which its two parts stay two lines
+    penalty         gain of chi-square that a further break must bring
+    """
+
+    def __init__(
+        self,
+        noise: Noise,
+        *,
+        estimator: str = "wclm-ml",
+        adapt_noise: bool = True,
+        range_min: float = 0.05,
+        range_max: float = 80.0,
+        minimum_count: int = 5,
+        minimum_length: float = 0.25,
+        maximum_gap: float = 0.4,
+        penalty: float = segmentation.PENALTY,
+    ) -> None:
+        if estimator not in ESTIMATOR_CODES:
+            raise ValueError(f"no estimator {estimator!r}; there are {', '.join(ESTIMATOR_CODES)}")
+        if not (noise.sigma_range > 0.0 and noise.sigma_bearing >= 0.0):
+            raise ValueError(f"noise must be positive, is {noise}")
+        self._noise = noise
+        self._adapt = adapt_noise
+        self._scans = PRIOR_SCANS
+        self._settings = Settings(
+            sigma_range=float(noise.sigma_range),
+            sigma_bearing=float(noise.sigma_bearing),
+            range_min=max(float(range_min), 1e-3),
+            range_max=float(range_max),
+            minimum_count=max(int(minimum_count), 3),
+            minimum_length=float(minimum_length),
+            maximum_gap=float(maximum_gap),
+            penalty=float(penalty),
+            estimator=ESTIMATOR_CODES[estimator],
+            tracking_distance=0.0,
+        )
+        self._allocate(1)
+
+    @property
+    def noise(self) -> Noise:
+        """What the next scan will be condensed with."""
+        return self._noise
+
+    def extract(self, ranges: Floats, angles: Floats) -> Features:
+        """Lines and corners of one scan, in the lidar's frame.
+
+        `ranges` (n,) metres, `angles` (n,) radians in increasing order, up to a full revolution or a little more; n may
+        change from scan to scan. Ranges that are not finite, not positive or out of limits are ignored.
+        """
+        ranges = np.ascontiguousarray(ranges, dtype=np.float64)
+        angles = np.ascontiguousarray(angles, dtype=np.float64)
+        if ranges.ndim != 1 or ranges.shape != angles.shape:
+            raise ValueError(f"ranges {ranges.shape} and angles {angles.shape} must be two vectors of one length")
+        if len(ranges) > self._capacity:
+            self._allocate(len(ranges))
+        used = self._noise
+        lines, corners, variance = condense(ranges, angles, self._settings, *self._memory, self._found)
+        if self._adapt and not math.isnan(variance):
+            self._learn(variance)
+        return Features(lines=self._lines(lines), corners=self._corners(corners), noise=used)
+
+    def _allocate(self, beams: int) -> None:
+        """Memory for scans of up to `beams` beams."""
+        self._capacity = beams
+        self._memory = (*rays.allocate(beams), *segmentation.allocate(beams))
+        self._found = Found(
+            lines=np.zeros((beams + 1, 11)),
+            spans=np.zeros((beams + 1, 5), dtype=np.int64),
+            corners=np.zeros((beams + 1, 6)),
+            pairs=np.zeros((beams + 1, 2), dtype=np.int64),
+            evidence=np.zeros(beams + 1),
+        )
+
+    def _learn(self, variance: float) -> None:
+        """Take the range variance that a scan shows into the running mean."""
+        gain = max(1.0 / (self._scans + 1.0), SLOWEST_GAIN)
+        self._scans += 1.0
+        shown = min(max(variance, NOISE_FLOOR**2), NOISE_CEILING**2)
+        mean = (1.0 - gain) * self._noise.sigma_range**2 + gain * shown
+        self._noise = Noise(math.sqrt(mean), self._noise.sigma_bearing)
+        self._settings = self._settings._replace(sigma_range=self._noise.sigma_range)
+
+    def _lines(self, count: int) -> Lines:
+        rows = self._found.lines[:count].copy()
+        spans = self._found.spans[:count].copy()
+        return Lines(
+            uv=rows[:, 0:2],
+            covariance=rows[:, 2:6].reshape(count, 2, 2),
+            start=rows[:, 6:8],
+            end=rows[:, 8:10],
+            first=spans[:, 0],
+            last=spans[:, 1],
+            count=spans[:, 2],
+            chi2=rows[:, 10],
+        )
+
+    def _corners(self, count: int) -> Corners:
+        rows = self._found.corners[:count].copy()
+        return Corners(
+            position=rows[:, 0:2],
+            covariance=rows[:, 2:6].reshape(count, 2, 2),
+            lines=self._found.pairs[:count].copy(),
+        )

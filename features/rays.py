@@ -1,0 +1,194 @@
+"""A scan made ready for segmentation: usable rays in order, their weights, prefix sums, and certain breaks.
+
+Rays are numbered 0..n-1 counter-clockwise from the start that `select` chose; n + k means ray k one revolution later,
+so that a wall across the end of a full revolution is one interval like any other.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from .types import Floats, Integers
+from .wclm import FASTMATH
+
+TURN = 2.0 * math.pi
+
+MAX_BEARING_GAP = 0.1
+"""Radians between neighbouring usable rays beyond which nothing is known about what lies between them: a break."""
+
+GRAZING_SLOPE = math.tan(math.radians(85.0))
+"""Range per metre of arc on a wall seen 5 degrees off grazing; a steeper step of range is a break, not a wall."""
+
+JUMP_SIGMAS = 5.0 * math.sqrt(2.0)
+"""Noise of a difference of two ranges, at five standard deviations, which a step must exceed besides."""
+
+MISSING_STEPS = 2.5
+"""Steps of the bearing grid between two usable rays from which on beams count as missing; one lost beam is tolerated."""
+
+SLOPE_WINDOW = math.radians(2.4)
+"""Span of bearing over which the slope of 1/range is taken: wide against bearing noise, narrow against a wall."""
+
+MAX_SLOPE_RAYS = 6
+MAX_SLOPE = 11.0
+"""Largest slope of 1/range in bearing in units of 1/range: tan 85 degrees; beyond it the slope is a jump's."""
+
+
+class Rays(NamedTuple):
+    """The usable rays of one scan. Arrays are as long as the workspace; the first n entries are valid."""
+
+    range: Floats
+    inverse: Floats
+    cos: Floats
+    sin: Floats
+    bearing: Floats  # radians, increasing, unwrapped
+    beam: Integers  # index of the ray in the scan
+    broken: Integers  # 1 where no wall can continue from ray k - 1 to ray k
+    prefix: Floats  # (6, n + 1) sums over rays before k of W, Re E, Im E, Re H, Im H, K (see wclm)
+
+
+class Grid(NamedTuple):
+    """Bearings of the last scan with their sines and cosines; the next scan mostly has the same."""
+
+    angle: Floats
+    cos: Floats
+    sin: Floats
+
+
+FLOAT_ROWS = 3 + 5 + 6
+INTEGER_ROWS = 2
+
+
+def allocate(beams: int) -> tuple[Floats, Integers]:
+    """Memory for scans of up to `beams` beams."""
+    floats = np.full((FLOAT_ROWS, beams + 1), np.nan)
+    return floats, np.zeros((INTEGER_ROWS, beams + 1), dtype=np.int64)
+
+
+@njit(cache=True)
+def views(floats: Floats, integers: NDArray[np.int64]) -> tuple[Grid, Rays]:
+    """The named parts of the memory that `allocate` gave."""
+    grid = Grid(floats[0], floats[1], floats[2])
+    rays = Rays(floats[3], floats[4], floats[5], floats[6], floats[7], integers[0], integers[1], floats[8:14])
+    return grid, rays
+
+
+@njit(cache=True)
+def update_grid(angles: Floats, grid: Grid) -> None:
+    """Sine and cosine of every bearing, computed only where the bearing differs from the last scan's."""
+    for i in range(len(angles)):
+        if angles[i] != grid.angle[i]:
+            grid.angle[i] = angles[i]
+            grid.cos[i] = math.cos(angles[i])
+            grid.sin[i] = math.sin(angles[i])
+
+
+@njit(cache=True)
+def select(ranges: Floats, range_min: float, range_max: float, grid: Grid, rays: Rays) -> int:
+    """Copy the usable rays, from the start on; their number.
+
+    A beam is usable if its range is within the limits and its bearing above that of the usable beam before; what
+    exceeds one revolution is left out. On a closed revolution the start is the farthest ray. The farthest visible
+    point is a vertex of what is seen, since the distance along a straight wall is convex, so that the start rarely
+    falls within a wall; and it does not depend on where the revolution began.
+    """
+    count = 0
+    farthest = -1
+    for beam in range(len(ranges)):
+        distance, angle = ranges[beam], grid.angle[beam]
+        if not (range_min <= distance <= range_max and math.isfinite(angle)):
+            continue
+        if count > 0:
+            first, last = grid.angle[rays.beam[0]], grid.angle[rays.beam[count - 1]]
+            if angle <= last or angle >= first + TURN - 1e-9:
+                continue
+        if farthest < 0 or distance > ranges[rays.beam[farthest]]:
+            farthest = count
+        rays.beam[count] = beam
+        count += 1
+    if count == 0:
+        return 0
+    seam = grid.angle[rays.beam[0]] + TURN - grid.angle[rays.beam[count - 1]]
+    start = farthest if seam < MAX_BEARING_GAP else 0
+    # broken[] is not in use yet and holds the order in which the beams were found
+    for k in range(count):
+        rays.broken[k] = rays.beam[k]
+    for k in range(count):
+        wrapped = start + k >= count
+        beam = rays.broken[start + k - count if wrapped else start + k]
+        rays.beam[k] = beam
+        rays.range[k] = ranges[beam]
+        rays.inverse[k] = 1.0 / ranges[beam]
+        rays.cos[k] = grid.cos[beam]
+        rays.sin[k] = grid.sin[beam]
+        rays.bearing[k] = grid.angle[beam] + (TURN if wrapped else 0.0)
+    return count
+
+
+@njit(cache=True)
+def mark_breaks(rays: Rays, count: int, step: float, sigma_range: float, sigma_bearing: float, max_gap: float) -> None:
+    """Flag every ray that cannot continue the wall of the ray before it; ray 0 comes after the last one.
+
+    `step` is the grid's spacing of bearings. A break is a gap of bearing, a step of range that no wall up to 85
+    degrees of incidence explains, or missing beams over more than `max_gap` metres.
+    """
+    for k in range(count):
+        before = k - 1 if k > 0 else count - 1
+        gap = rays.bearing[k] - rays.bearing[before]
+        if k == 0:
+            gap += TURN
+        near, far = min(rays.range[k], rays.range[before]), max(rays.range[k], rays.range[before])
+        allowed = near * gap * GRAZING_SLOPE + JUMP_SIGMAS * (sigma_range + 2.0 * sigma_bearing * near)
+        broken = gap > MAX_BEARING_GAP or far - near > allowed
+        if gap > MISSING_STEPS * step and distance_squared(rays, before, k) > max_gap * max_gap:
+            broken = True
+        rays.broken[k] = 1 if broken else 0
+
+
+@njit(cache=True)
+def distance_squared(rays: Rays, first: int, second: int) -> float:
+    """Square of the distance between the end points of two rays, metres^2."""
+    dx = rays.range[first] * rays.cos[first] - rays.range[second] * rays.cos[second]
+    dy = rays.range[first] * rays.sin[first] - rays.range[second] * rays.sin[second]
+    return dx * dx + dy * dy
+
+
+@njit(cache=True, fastmath=FASTMATH)
+def accumulate(rays: Rays, count: int, step: float, sigma_range: float, sigma_bearing: float) -> None:
+    """Prefix sums of the weighted normal equations.
+
+    No line is known yet, so the slope of 1/range in bearing, which the weight of a ray needs, is taken from the rays
+    around it: the smaller one of forward and backward slope, as the other may lead around a corner.
+    """
+    range_variance, bearing_variance = sigma_range * sigma_range, sigma_bearing * sigma_bearing
+    reach = min(MAX_SLOPE_RAYS, max(2, int(math.ceil(SLOPE_WINDOW / step))), max(1, count - 1))
+    weight = er = ei = hr = hi = total = 0.0
+    prefix = rays.prefix
+    for row in range(6):
+        prefix[row, 0] = 0.0
+    for k in range(count):
+        eta, c, s = rays.inverse[k], rays.cos[k], rays.sin[k]
+        slope = MAX_SLOPE * eta
+        if k + reach < count:
+            slope = min(slope, abs((rays.inverse[k + reach] - eta) / (rays.bearing[k + reach] - rays.bearing[k])))
+        if k >= reach:
+            slope = min(slope, abs((eta - rays.inverse[k - reach]) / (rays.bearing[k] - rays.bearing[k - reach])))
+        square = eta * eta
+        w = 1.0 / (range_variance * square * square + bearing_variance * slope * slope)
+        eta *= 1.0 - range_variance * square
+        weight += w
+        er += w * (c * c - s * s)
+        ei += 2.0 * w * c * s
+        hr += w * eta * c
+        hi += w * eta * s
+        total += w * eta * eta
+        prefix[0, k + 1] = weight
+        prefix[1, k + 1] = er
+        prefix[2, k + 1] = ei
+        prefix[3, k + 1] = hr
+        prefix[4, k + 1] = hi
+        prefix[5, k + 1] = total
