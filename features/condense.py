@@ -6,15 +6,15 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from .compiled import compiled, vectorised
 from .corner import intersect, parallel
 from .rays import MAX_BEARING_GAP, TURN, Rays, accumulate, mark_breaks, select, update_grid
 from .rays import views as ray_views
 from .segmentation import Pieces, segment
 from .segmentation import views as piece_views
 from .types import Floats, Integers
-from .wclm import FASTMATH, GATE, ITERATIONS, fit_wclm, reweighted, solve
+from .wclm import GATE, ITERATIONS, fit_wclm, reweighted, solve
 
 MAXIMUM_LIKELIHOOD = 0
 """Code of the default estimator; it needs no second fit after the gating of rays."""
@@ -86,7 +86,7 @@ class Part(NamedTuple):
     sin: Floats
 
 
-@njit(cache=True)
+@compiled
 def gather(rays: Rays, count: int, begin: int, end: int, room: Part) -> Part:
     """Copy rays begin..end-1 into `room`."""
     for k in range(begin, end):
@@ -97,13 +97,13 @@ def gather(rays: Rays, count: int, begin: int, end: int, room: Part) -> Part:
     return head_of(room, end - begin)
 
 
-@njit(cache=True)
+@compiled
 def head_of(part: Part, size: int) -> Part:
     """The first `size` rays."""
     return Part(part.inverse[:size], part.cos[:size], part.sin[:size])
 
 
-@njit(cache=True)
+@compiled
 def lies_on(rays: Rays, m: int, u: float, v: float, settings: Settings) -> bool:
     """Whether ray m is within the gate of the line; true for a line of NaN."""
     p, t = u * rays.cos[m] + v * rays.sin[m], v * rays.cos[m] - u * rays.sin[m]
@@ -111,7 +111,7 @@ def lies_on(rays: Rays, m: int, u: float, v: float, settings: Settings) -> bool:
     return not residual * residual > GATE * ((settings.sigma_range * p * p) ** 2 + (settings.sigma_bearing * t) ** 2)
 
 
-@njit(cache=True, fastmath=FASTMATH)
+@vectorised
 def shown_variance(part: Part, u: float, v: float, sigma_range: float, sigma_bearing: float) -> float:
     """Range variance that the residuals of a line show: one scoring step on the likelihood of that variance.
 
@@ -133,7 +133,7 @@ def shown_variance(part: Part, u: float, v: float, sigma_range: float, sigma_bea
     return above / below * used / max(1.0, used - 2.0) if below > 0.0 else math.nan
 
 
-@njit(cache=True)
+@compiled
 def fit_with(part: Part, u: float, v: float, settings: Settings) -> tuple[float, float, float, float, float]:
     """(u, v, Cuu, Cuv, Cvv) by the chosen estimator, from the rays that lie on the maximum-likelihood line (u, v)."""
     range_variance, bearing_variance = settings.sigma_range**2, settings.sigma_bearing**2
@@ -148,7 +148,7 @@ def fit_with(part: Part, u: float, v: float, settings: Settings) -> tuple[float,
     return fit_wclm(part.inverse, part.cos, part.sin, settings.sigma_range, settings.sigma_bearing)
 
 
-@njit(cache=True)
+@compiled
 def fit_piece(
     rays: Rays, count: int, pieces: Pieces, piece: int, room: Part, settings: Settings, found: Found, lines: int
 ) -> tuple[bool, float]:
@@ -190,7 +190,7 @@ def fit_piece(
     return math.hypot(line[8] - line[6], line[9] - line[7]) >= settings.minimum_length, variance
 
 
-@njit(cache=True)
+@compiled
 def find_corner(
     rays: Rays, count: int, found: Found, before: int, after: int, step: float, settings: Settings, corners: int
 ) -> bool:
@@ -225,7 +225,7 @@ def find_corner(
     return True
 
 
-@njit(cache=True)
+@compiled
 def condense(
     ranges: Floats,
     angles: Floats,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from .compiled import compiled
 from .fit import LineFit
 from .types import Floats
 
@@ -14,7 +14,7 @@ MIN_SINE = 0.2
 """Sine of the smallest angle between two walls that form a corner; the corner's variance grows as 1/sin^2."""
 
 
-@njit(cache=True)
+@compiled
 def intersect(
     u1: float, v1: float, first: Floats, u2: float, v2: float, second: Floats
 ) -> tuple[float, float, float, float, float]:
@@ -45,7 +45,7 @@ def corner(first: LineFit, second: LineFit) -> tuple[Floats, Floats]:
     return np.array([x, y]), np.array([[cxx, cxy], [cxy, cyy]])
 
 
-@njit(cache=True)
+@compiled
 def parallel(u1: float, v1: float, u2: float, v2: float) -> bool:
     """Whether two lines are too nearly parallel for a corner."""
     return not abs(u1 * v2 - u2 * v1) > MIN_SINE * math.sqrt((u1 * u1 + v1 * v1) * (u2 * u2 + v2 * v2))

@@ -10,11 +10,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from .compiled import compiled, vectorised
 from .types import Floats, Integers
-from .wclm import FASTMATH
 
 TURN = 2.0 * math.pi
 
@@ -69,7 +68,7 @@ def allocate(beams: int) -> tuple[Floats, Integers]:
     return floats, np.zeros((INTEGER_ROWS, beams + 1), dtype=np.int64)
 
 
-@njit(cache=True)
+@compiled
 def views(floats: Floats, integers: NDArray[np.int64]) -> tuple[Grid, Rays]:
     """The named parts of the memory that `allocate` gave."""
     grid = Grid(floats[0], floats[1], floats[2])
@@ -77,7 +76,7 @@ def views(floats: Floats, integers: NDArray[np.int64]) -> tuple[Grid, Rays]:
     return grid, rays
 
 
-@njit(cache=True)
+@compiled
 def update_grid(angles: Floats, grid: Grid) -> None:
     """Sine and cosine of every bearing, computed only where the bearing differs from the last scan's."""
     for i in range(len(angles)):
@@ -87,7 +86,7 @@ def update_grid(angles: Floats, grid: Grid) -> None:
             grid.sin[i] = math.sin(angles[i])
 
 
-@njit(cache=True)
+@compiled
 def select(ranges: Floats, range_min: float, range_max: float, grid: Grid, rays: Rays) -> int:
     """Copy the usable rays, from the start on; their number.
 
@@ -129,7 +128,7 @@ def select(ranges: Floats, range_min: float, range_max: float, grid: Grid, rays:
     return count
 
 
-@njit(cache=True)
+@compiled
 def mark_breaks(rays: Rays, count: int, step: float, sigma_range: float, sigma_bearing: float, max_gap: float) -> None:
     """Flag every ray that cannot continue the wall of the ray before it; ray 0 comes after the last one.
 
@@ -149,7 +148,7 @@ def mark_breaks(rays: Rays, count: int, step: float, sigma_range: float, sigma_b
         rays.broken[k] = 1 if broken else 0
 
 
-@njit(cache=True)
+@compiled
 def distance_squared(rays: Rays, first: int, second: int) -> float:
     """Square of the distance between the end points of two rays, metres^2."""
     dx = rays.range[first] * rays.cos[first] - rays.range[second] * rays.cos[second]
@@ -157,7 +156,7 @@ def distance_squared(rays: Rays, first: int, second: int) -> float:
     return dx * dx + dy * dy
 
 
-@njit(cache=True, fastmath=FASTMATH)
+@vectorised
 def accumulate(rays: Rays, count: int, step: float, sigma_range: float, sigma_bearing: float) -> None:
     """Prefix sums of the weighted normal equations.
 

@@ -12,11 +12,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from .compiled import compiled, vectorised
 from .rays import MAX_BEARING_GAP, MISSING_STEPS, TURN, Rays, distance_squared
 from .types import Floats, Integers
-from .wclm import FASTMATH, residual_sum, solve
+from .wclm import residual_sum, solve
 
 PENALTY = 30.0
 """Gain of chi-square that a further break must bring. A break adds two line parameters and a position to choose among
@@ -56,13 +56,13 @@ def allocate(beams: int) -> tuple[Floats, Floats, Integers]:
     return np.zeros((beams + 1, 6)), np.zeros(beams + 1), np.zeros((5, 2 * beams + 2), dtype=np.int64)
 
 
-@njit(cache=True)
+@compiled
 def views(sums: Floats, integers: Integers) -> tuple[Pieces, Integers]:
     """Pieces in the memory that `allocate` gave, and a stack."""
     return Pieces(integers[0], integers[1], integers[2], integers[3], sums), integers[4]
 
 
-@njit(cache=True)
+@compiled
 def chi_square(prefix: Floats, begin: int, end: int) -> float:
     """Chi-square of the best line through rays begin..end-1, end <= n; any two rays fit exactly."""
     if end - begin <= 2:
@@ -77,13 +77,13 @@ def chi_square(prefix: Floats, begin: int, end: int) -> float:
     )
 
 
-@njit(cache=True)
+@compiled
 def chi_square_of(sums: Floats) -> float:
     """Chi-square of the best line from its six sums."""
     return residual_sum(sums[0], sums[1], sums[2], sums[3], sums[4], sums[5])
 
 
-@njit(cache=True)
+@compiled
 def add_rays(prefix: Floats, count: int, begin: int, end: int, sign: float, sums: Floats) -> None:
     """Add (or subtract, by `sign`) the sums of rays begin..end-1 of n = `count`; end may exceed n."""
     for row in range(6):
@@ -93,7 +93,7 @@ def add_rays(prefix: Floats, count: int, begin: int, end: int, sign: float, sums
         sums[row] += sign * total
 
 
-@njit(cache=True, fastmath=FASTMATH)
+@vectorised
 def explained(prefix: Floats, low: int, high: int, origin: Floats, terminus: Floats, gains: Floats) -> None:
     """Into gains[k], k = low..high: what two lines parted at ray k explain of the weighted sum of (1/range)^2.
 
@@ -103,18 +103,21 @@ def explained(prefix: Floats, low: int, high: int, origin: Floats, terminus: Flo
     """
     w0, x0, y0, p0, q0 = origin[0], origin[1], origin[2], origin[3], origin[4]
     w1, x1, y1, p1, q1 = terminus[0], terminus[1], terminus[2], terminus[3], terminus[4]
-    for k in range(low, high + 1):
-        w, x, y, p, q = prefix[0, k], prefix[1, k], prefix[2, k], prefix[3, k], prefix[4, k]
+    # contiguous views indexed from 0, which the compiler can prove to be in range and so vectorises
+    weight, er, ei = prefix[0][low : high + 1], prefix[1][low : high + 1], prefix[2][low : high + 1]
+    hr, hi, values = prefix[3][low : high + 1], prefix[4][low : high + 1], gains[low : high + 1]
+    for k in range(len(values)):
+        w, x, y, p, q = weight[k], er[k], ei[k], hr[k], hi[k]
         wl, xl, yl, pl, ql = w - w0, x - x0, y - y0, p - p0, q - q0
         wr, xr, yr, pr, qr = w1 - w, x1 - x, y1 - y, p1 - p, q1 - q
         dl = wl * wl - xl * xl - yl * yl
         dr = wr * wr - xr * xr - yr * yr
         al = wl * (pl * pl + ql * ql) - xl * (pl * pl - ql * ql) - 2.0 * yl * pl * ql
         ar = wr * (pr * pr + qr * qr) - xr * (pr * pr - qr * qr) - 2.0 * yr * pr * qr
-        gains[k] = 2.0 * (al * dr + ar * dl) / (dl * dr)
+        values[k] = 2.0 * (al * dr + ar * dl) / (dl * dr)
 
 
-@njit(cache=True)
+@compiled
 def largest(values: Floats, low: int, high: int) -> int:
     """Index of the largest of values[low..high], or -1 where none is a number."""
     best, position = -math.inf, -1
@@ -124,7 +127,7 @@ def largest(values: Floats, low: int, high: int) -> int:
     return position
 
 
-@njit(cache=True)
+@compiled
 def best_split(prefix: Floats, begin: int, end: int, penalty: float, gains: Floats) -> int:
     """Where to split begin..end, or -1 where no split gains more than the penalty."""
     if end - begin < 2 * MIN_PIECE:
@@ -141,7 +144,7 @@ def best_split(prefix: Floats, begin: int, end: int, penalty: float, gains: Floa
     return position if whole - parted > penalty else -1
 
 
-@njit(cache=True)
+@compiled
 def append(pieces: Pieces, made: int, begin: int, end: int) -> int:
     """Add the interval begin..end as one piece; the new number of pieces. Its sums are left to the caller."""
     pieces.begin[made], pieces.end[made] = begin, end
@@ -149,7 +152,7 @@ def append(pieces: Pieces, made: int, begin: int, end: int) -> int:
     return made + 1
 
 
-@njit(cache=True)
+@compiled
 def split(rays: Rays, count: int, penalty: float, pieces: Pieces, gains: Floats, stack: Integers) -> int:
     """Split all rays into pieces at the breaks and, between breaks, where two lines fit better; their number."""
     made = 0
@@ -177,13 +180,13 @@ def split(rays: Rays, count: int, penalty: float, pieces: Pieces, gains: Floats,
     return made
 
 
-@njit(cache=True)
+@compiled
 def cost(pieces: Pieces, i: int) -> float:
     """Chi-square of piece i."""
     return chi_square_of(pieces.sums[i]) if pieces.end[i] - pieces.begin[i] > 2 else 0.0
 
 
-@njit(cache=True)
+@compiled
 def joint_line(pieces: Pieces, i: int, j: int) -> tuple[float, float, float]:
     """(u, v, chi-square) of the one line through pieces i and j."""
     first, second = pieces.sums[i], pieces.sums[j]
@@ -193,7 +196,7 @@ def joint_line(pieces: Pieces, i: int, j: int) -> tuple[float, float, float]:
     return u, v, max(0.0, k - u * p - v * q) if math.isfinite(u) else math.inf
 
 
-@njit(cache=True)
+@compiled
 def one_wall(
     rays: Rays, count: int, pieces: Pieces, i: int, j: int, penalty: float, max_gap: float, step: float
 ) -> bool:
@@ -224,7 +227,7 @@ def one_wall(
     return True
 
 
-@njit(cache=True)
+@compiled
 def merge(
     rays: Rays, count: int, pieces: Pieces, made: int, penalty: float, max_gap: float, step: float, bridge: bool
 ) -> int:
@@ -252,7 +255,7 @@ def merge(
     return made
 
 
-@njit(cache=True)
+@compiled
 def absorb(pieces: Pieces, i: int, j: int, adjacent: bool, shift: int) -> None:
     """Make piece i end with piece j, whose rays count `shift` further."""
     if adjacent:
@@ -267,7 +270,7 @@ def absorb(pieces: Pieces, i: int, j: int, adjacent: bool, shift: int) -> None:
         pieces.sums[i, row] += pieces.sums[j, row]
 
 
-@njit(cache=True)
+@compiled
 def copy(pieces: Pieces, source: int, target: int) -> None:
     """Overwrite piece `target` with piece `source`."""
     if source == target:
@@ -278,7 +281,7 @@ def copy(pieces: Pieces, source: int, target: int) -> None:
         pieces.sums[target, row] = pieces.sums[source, row]
 
 
-@njit(cache=True)
+@compiled
 def refine(rays: Rays, count: int, pieces: Pieces, made: int, gains: Floats) -> None:
     """Move every boundary between adjoining pieces to where the two lines together fit best."""
     for i in range(made):
@@ -296,7 +299,7 @@ def refine(rays: Rays, count: int, pieces: Pieces, made: int, gains: Floats) -> 
         rotate(pieces, made, count)
 
 
-@njit(cache=True)
+@compiled
 def best_boundary(
     prefix: Floats, count: int, pieces: Pieces, i: int, j: int, low: int, high: int, gains: Floats
 ) -> int:
@@ -318,7 +321,7 @@ def best_boundary(
     return position
 
 
-@njit(cache=True)
+@compiled
 def rotate(pieces: Pieces, made: int, count: int) -> None:
     """Make the first piece the last, where a boundary moved back over ray 0."""
     copy(pieces, 0, made)
@@ -330,7 +333,7 @@ def rotate(pieces: Pieces, made: int, count: int) -> None:
         copy(pieces, i + 1, i)
 
 
-@njit(cache=True)
+@compiled
 def move_boundary(rays: Rays, count: int, pieces: Pieces, i: int, j: int, position: int, shift: int) -> None:
     """Let piece i end and piece j, which counts `shift` less, begin at ray `position`."""
     boundary = pieces.end[i]
@@ -348,7 +351,7 @@ def move_boundary(rays: Rays, count: int, pieces: Pieces, i: int, j: int, positi
     pieces.begin[j] = position - shift
 
 
-@njit(cache=True)
+@compiled
 def drop_small(pieces: Pieces, made: int) -> int:
     """Leave out the pieces that are too small to be evidence; the number left."""
     kept = 0
@@ -359,7 +362,7 @@ def drop_small(pieces: Pieces, made: int) -> int:
     return kept
 
 
-@njit(cache=True)
+@compiled
 def reaches(rays: Rays, ray: int, u: float, v: float, range_variance: float, bearing_variance: float) -> bool:
     """Whether a ray lies on the line (u, v) within three standard deviations."""
     c, s = rays.cos[ray], rays.sin[ray]
@@ -368,7 +371,7 @@ def reaches(rays: Rays, ray: int, u: float, v: float, range_variance: float, bea
     return residual * residual <= REACH * (range_variance * p * p * p * p + bearing_variance * t * t)
 
 
-@njit(cache=True)
+@compiled
 def extend(rays: Rays, count: int, pieces: Pieces, made: int, sigma_range: float, sigma_bearing: float) -> None:
     """Give the rays of dropped pieces that lie on a neighbouring line to it, from its end outwards."""
     rv, bv = sigma_range * sigma_range, sigma_bearing * sigma_bearing
@@ -392,7 +395,7 @@ def extend(rays: Rays, count: int, pieces: Pieces, made: int, sigma_range: float
         pieces.begin[i] = begin
 
 
-@njit(cache=True)
+@compiled
 def segment(
     rays: Rays,
     count: int,

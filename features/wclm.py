@@ -16,13 +16,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from .compiled import compiled, vectorised
 from .fit import LineFit, rays_of
 from .types import Floats, Noise
-
-FASTMATH = {"reassoc", "contract", "nsz", "arcp"}
-"""Sums may be reordered, so that they run on vector units; NaN and infinity keep their meaning."""
 
 GATE = 25.0
 """Largest squared normalised residual of a ray that takes part in a fit: five standard deviations."""
@@ -31,7 +28,7 @@ ITERATIONS = 2
 """Reweightings of the maximum-likelihood fit; from a least-squares start the first lands within 1 % of the optimum."""
 
 
-@njit(cache=True)
+@compiled
 def solve(weight: float, er: float, ei: float, hr: float, hi: float) -> tuple[float, float, float]:
     """(u, v) of the normal equations from their sums, and D = W^2 - |E|^2, four times their determinant."""
     determinant = weight * weight - er * er - ei * ei
@@ -42,14 +39,14 @@ def solve(weight: float, er: float, ei: float, hr: float, hi: float) -> tuple[fl
     return u, v, determinant
 
 
-@njit(cache=True)
+@compiled
 def residual_sum(weight: float, er: float, ei: float, hr: float, hi: float, k: float) -> float:
     """Weighted sum of squared residuals in 1/rho at the optimum, K - Re(conj(B) H) with B = u + i v; NaN without one."""
     u, v, _ = solve(weight, er, ei, hr, hi)
     return max(0.0, k - u * hr - v * hi) if math.isfinite(u) else math.nan
 
 
-@njit(cache=True, fastmath=FASTMATH)
+@vectorised
 def least_squares(inverse: Floats, cos: Floats, sin: Floats) -> tuple[float, float, float, float, float, float]:
     """(u, v, n, Er, Ei, D) of the unweighted fit to `inverse` = 1/rho: eqs. (18)-(19) with the weights (17)."""
     er = ei = hr = hi = 0.0
@@ -63,7 +60,7 @@ def least_squares(inverse: Floats, cos: Floats, sin: Floats) -> tuple[float, flo
     return u, v, count, er, ei, determinant
 
 
-@njit(cache=True, fastmath=FASTMATH)
+@vectorised
 def fit_wclm(
     inverse: Floats, cos: Floats, sin: Floats, sigma_range: float, sigma_bearing: float
 ) -> tuple[float, float, float, float, float]:
@@ -99,7 +96,7 @@ def fit_wclm(
     return u, v, cuu, cuv, cvv
 
 
-@njit(cache=True, fastmath=FASTMATH)
+@vectorised
 def reweighted(
     inverse: Floats,
     cos: Floats,
