@@ -1,0 +1,8 @@
+"""The review log: what the pipeline did, keyframe by keyframe, as a Rerun recording for people to look at.
+
+Rerun is imported only when a ReviewLog is made.
+"""
+
+from .sink import ReviewLog
+
+__all__ = ["ReviewLog"]
