@@ -1,1 +1,29 @@
-"""Where measurements come from: recordings, simulations, devices. Knows nothing of features or SLAM."""
+"""Where measurements come from: recordings, simulations, devices. Knows nothing of features or SLAM.
+
+`open` turns what a user types into a source of messages::
+
+    for message in drivers.open("intel.clf"):
+        ...
+"""
+
+from __future__ import annotations
+
+from .errors import DriverError, RecordingError, SlamError
+from .inspect import RecordingInfo, inspect
+from .messages import GroundTruth, Message, Odometry, Scan, Source, SourceReport
+from .opening import open
+
+__all__ = [
+    "DriverError",
+    "GroundTruth",
+    "Message",
+    "Odometry",
+    "RecordingError",
+    "RecordingInfo",
+    "Scan",
+    "SlamError",
+    "Source",
+    "SourceReport",
+    "inspect",
+    "open",
+]

@@ -1,0 +1,75 @@
+"""From what a user types to a source of messages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from urllib.parse import parse_qsl
+
+from .errors import RecordingError
+from .messages import Source
+
+READABLE = (
+    "CARMEN logs (.clf, .log, .carmen, .txt, .gz), MCAP files (.mcap), "
+    "bags of ROS 1 (.bag) and ROS 2 (directory or .db3), simulations (sim:WORLD)"
+)
+CARMEN_SUFFIXES = (".clf", ".log", ".carmen", ".gz", ".txt")
+
+
+def open(spec: str | Path) -> Source:
+    """The source that a path or `sim:WORLD?seed=3&duration=60` stands for.
+
+    Raises RecordingError where the path does not exist, or nothing is known that reads it; its content is
+    looked at when the source is iterated. Libraries for other formats than the one asked for are not loaded.
+    """
+    if str(spec).startswith("sim:"):
+        return _simulation(str(spec))
+    path = Path(spec)
+    suffix = path.suffix.lower()
+    if not path.exists():
+        raise RecordingError(path, None, f"no such file or directory; what can be read: {READABLE}")
+    if path.is_dir():
+        return _directory(path)
+    if suffix in CARMEN_SUFFIXES:
+        from .carmen import Carmen
+
+        return Carmen(path)
+    if suffix == ".mcap":
+        from .mcap import Mcap
+
+        return Mcap(path)
+    if suffix in (".bag", ".db3"):
+        from .rosbag import Bag
+
+        return Bag(path)
+    kind = f"the extension {path.suffix}" if path.suffix else "a file without an extension"
+    raise RecordingError(path, None, f"nothing reads {kind}; what can be read: {READABLE}")
+
+
+def _directory(path: Path) -> Source:
+    """A ROS 2 bag; without metadata, because the recorder was killed, its only file."""
+    from .rosbag import Bag
+
+    if (path / "metadata.yaml").exists():
+        return Bag(path)
+    files = sorted(file for file in path.iterdir() if file.suffix in (".mcap", ".db3"))
+    if len(files) == 1:
+        return open(files[0])
+    reason = "no metadata.yaml" if files else "not a ROS 2 bag (no metadata.yaml)"
+    raise RecordingError(path, None, f"the directory is {reason}; what can be read: {READABLE}")
+
+
+def _simulation(spec: str) -> Source:
+    from .simulator import Simulation
+
+    world, _, query = spec.removeprefix("sim:").partition("?")
+    options = dict(parse_qsl(query, keep_blank_values=True))
+    try:
+        seed = int(options.pop("seed", "0"))
+        duration = float(options.pop("duration")) if "duration" in options else None
+        mount = [float(value) for value in options.pop("mount", "0.1,0,0").split(",")]
+    except ValueError as error:
+        raise RecordingError(spec, None, f"not a number: {error}") from error
+    if options:
+        there = "seed, duration and mount=x,y,heading"
+        raise RecordingError(spec, None, f"unknown option {', '.join(options)}; there are {there}")
+    return Simulation(world or "office", seed=seed, duration=duration, mount=mount)
