@@ -9,15 +9,17 @@ import numpy as np
 
 from .compiled import compiled, vectorised
 from .corner import intersect, parallel
-from .rays import MAX_BEARING_GAP, TURN, Rays, accumulate, mark_breaks, select, update_grid
+from .estimators import MAXIMUM_LIKELIHOOD, fit_by_code
+from .merging import drop_small
+from .pieces import Pieces, line
+from .pieces import views as piece_views
+from .rays import MAX_BEARING_GAP, TURN, Rays, accumulate, mark_breaks, select, spacing, update_grid, wrap
 from .rays import views as ray_views
-from .segmentation import Pieces, segment
-from .segmentation import views as piece_views
+from .segmentation import segment
+from .settings import Settings
+from .tracking import track
 from .types import Floats, Integers
-from .wclm import GATE, ITERATIONS, fit_wclm, reweighted, solve
-
-MAXIMUM_LIKELIHOOD = 0
-"""Code of the default estimator; it needs no second fit after the gating of rays."""
+from .wclm import GATE, ITERATIONS, reweighted
 
 CLOSEST = 5.0
 """Least range of a usable ray in units of the range noise; closer, 1/range is far from Gaussian."""
@@ -29,36 +31,21 @@ MIN_INLIERS = 0.6
 """Least share of a piece's rays that its line must explain; bridged rays are few."""
 
 MAX_CHI2 = 4.0
-"""Largest chi-square per degree of freedom of a line: residuals of twice the noise. Clutter fits worse, walls do not."""
+"""Largest chi-square per degree of freedom of a line: residuals of twice the noise. Clutter fits worse than walls."""
 
-CORNER_SIGMAS = 3.0
 CORNER_STEPS = 1.5
-"""Steps of bearing by which a corner may miss the rays next to it."""
+CORNER_SIGMAS = 3.0
+"""Steps, and standard deviations, of bearing by which a corner may miss the rays next to it."""
 
 CORNER_RANGE = 1.3
-"""Largest range of a corner in units of the range of the farther ray next to it."""
-
 CORNER_RANGE_SIGMAS = 6.0
+"""Largest range of a corner: times the range of the farther ray next to it, plus standard deviations of range."""
+
 CORNER_RAYS = 8
 """Most rays between the walls of a corner."""
 
 ADAPT_RAYS = 15
 """Least rays of a line that tells something about the range noise."""
-
-
-class Settings(NamedTuple):
-    """What a scan is condensed with; lengths in metres, standard deviations in metres and radians."""
-
-    sigma_range: float
-    sigma_bearing: float
-    range_min: float
-    range_max: float
-    minimum_count: int
-    minimum_length: float
-    maximum_gap: float
-    penalty: float
-    estimator: int
-    tracking_distance: float  # 0: recursive splitting
 
 
 class Found(NamedTuple):
@@ -104,11 +91,18 @@ def head_of(part: Part, size: int) -> Part:
 
 
 @compiled
-def lies_on(rays: Rays, m: int, u: float, v: float, settings: Settings) -> bool:
-    """Whether ray m is within the gate of the line; true for a line of NaN."""
-    p, t = u * rays.cos[m] + v * rays.sin[m], v * rays.cos[m] - u * rays.sin[m]
-    residual = rays.inverse[m] - p
-    return not residual * residual > GATE * ((settings.sigma_range * p * p) ** 2 + (settings.sigma_bearing * t) ** 2)
+def within_gate(inverse: float, cos: float, sin: float, u: float, v: float, settings: Settings) -> bool:
+    """Whether a ray is within the gate of the line; true for a line of NaN."""
+    p, t = u * cos + v * sin, v * cos - u * sin
+    residual = inverse - p
+    variance = (settings.sigma_range * p * p) ** 2 + (settings.sigma_bearing * t) ** 2
+    return not residual * residual > GATE * variance
+
+
+@compiled
+def lies_on(rays: Rays, ray: int, u: float, v: float, settings: Settings) -> bool:
+    """Whether ray number `ray` is within the gate of the line."""
+    return within_gate(rays.inverse[ray], rays.cos[ray], rays.sin[ray], u, v, settings)
 
 
 @vectorised
@@ -134,18 +128,14 @@ def shown_variance(part: Part, u: float, v: float, sigma_range: float, sigma_bea
 
 
 @compiled
-def fit_with(part: Part, u: float, v: float, settings: Settings) -> tuple[float, float, float, float, float]:
-    """(u, v, Cuu, Cuv, Cvv) by the chosen estimator, from the rays that lie on the maximum-likelihood line (u, v)."""
-    range_variance, bearing_variance = settings.sigma_range**2, settings.sigma_bearing**2
+def inliers(part: Part, u: float, v: float, settings: Settings) -> Part:
+    """The rays within the gate of the line, moved to the front."""
     kept = 0
     for i in range(len(part.inverse)):
-        p, t = u * part.cos[i] + v * part.sin[i], v * part.cos[i] - u * part.sin[i]
-        residual = part.inverse[i] - p
-        if residual * residual <= GATE * (range_variance * p**4 + bearing_variance * t * t):
+        if within_gate(part.inverse[i], part.cos[i], part.sin[i], u, v, settings):
             part.inverse[kept], part.cos[kept], part.sin[kept] = part.inverse[i], part.cos[i], part.sin[i]
             kept += 1
-    part = head_of(part, kept)
-    return fit_wclm(part.inverse, part.cos, part.sin, settings.sigma_range, settings.sigma_bearing)
+    return head_of(part, kept)
 
 
 @compiled
@@ -157,7 +147,7 @@ def fit_piece(
     if end - begin < settings.minimum_count:
         return False, math.nan
     part = gather(rays, count, begin, end, room)
-    u, v, _ = solve(sums[0], sums[1], sums[2], sums[3], sums[4])
+    u, v = line(pieces, piece)
     cuu = cuv = cvv = chi2 = math.nan
     used = 0
     for _ in range(ITERATIONS):
@@ -172,27 +162,29 @@ def fit_piece(
     spread = 0.25 * (1.0 - (sums[1] ** 2 + sums[2] ** 2) / sums[0] ** 2)
     if not (chi2 <= MAX_CHI2 * (used - 2) and spread >= MIN_BEARING_VARIANCE * settings.sigma_bearing**2):
         return False, variance
-    while begin < end - 1 and not lies_on(rays, begin % count, u, v, settings):
+    while begin < end - 1 and not lies_on(rays, wrap(begin, count), u, v, settings):
         begin += 1
-    while begin < end - 1 and not lies_on(rays, (end - 1) % count, u, v, settings):
+    while begin < end - 1 and not lies_on(rays, wrap(end - 1, count), u, v, settings):
         end -= 1
     if settings.estimator != MAXIMUM_LIKELIHOOD:
-        u, v, cuu, cuv, cvv = fit_with(part, u, v, settings)
-    first, last = begin % count, (end - 1) % count
-    line = found.lines[lines]
-    line[0], line[1], line[2], line[3], line[4], line[5] = u, v, cuu, cuv, cuv, cvv
+        part = inliers(part, u, v, settings)
+        u, v, cuu, cuv, cvv = fit_by_code(
+            settings.estimator, part.inverse, part.cos, part.sin, settings.sigma_range, settings.sigma_bearing
+        )
+    row = found.lines[lines]
+    row[0], row[1], row[2], row[3], row[4], row[5], row[10] = u, v, cuu, cuv, cuv, cvv, chi2
+    first, last = wrap(begin, count), wrap(end - 1, count)
     for ray, column in ((first, 6), (last, 8)):
-        at = 1.0 / (u * rays.cos[ray] + v * rays.sin[ray])
-        line[column], line[column + 1] = at * rays.cos[ray], at * rays.sin[ray]
-    line[10] = chi2
+        distance = 1.0 / (u * rays.cos[ray] + v * rays.sin[ray])
+        row[column], row[column + 1] = distance * rays.cos[ray], distance * rays.sin[ray]
     span = found.spans[lines]
     span[0], span[1], span[2], span[3], span[4] = rays.beam[first], rays.beam[last], used, begin, end - 1
-    return math.hypot(line[8] - line[6], line[9] - line[7]) >= settings.minimum_length, variance
+    return math.hypot(row[8] - row[6], row[9] - row[7]) >= settings.minimum_length, variance
 
 
 @compiled
 def find_corner(
-    rays: Rays, count: int, found: Found, before: int, after: int, step: float, settings: Settings, corners: int
+    rays: Rays, count: int, step: float, found: Found, before: int, after: int, settings: Settings, corners: int
 ) -> bool:
     """Write the corner of line `before` with the next line `after` as corner `corners`; False where there is none.
 
@@ -202,27 +194,49 @@ def find_corner(
     first, second = found.lines[before], found.lines[after]
     if parallel(first[0], first[1], second[0], second[1]):
         return False
-    last = found.spans[before, 4] % count
-    next_ray = found.spans[after, 3] % count
-    if (next_ray - last - 1) % count > CORNER_RAYS:
+    last, following = wrap(found.spans[before, 4], count), wrap(found.spans[after, 3], count)
+    between = following - last - 1
+    if between < 0:
+        between += count
+    if between > CORNER_RAYS:
         return False
     x, y, cxx, cxy, cyy = intersect(
         first[0], first[1], first[2:6].reshape(2, 2), second[0], second[1], second[2:6].reshape(2, 2)
     )
     distance = math.hypot(x, y)
-    reach = max(rays.range[last], rays.range[next_ray])
+    reach = max(rays.range[last], rays.range[following])
     if not distance < CORNER_RANGE * reach + CORNER_RANGE_SIGMAS * settings.sigma_range:
         return False
     across = (y * y * cxx - 2.0 * x * y * cxy + x * x * cyy) / distance**4
     margin = CORNER_STEPS * step + CORNER_SIGMAS * (settings.sigma_bearing + math.sqrt(across))
-    gap = (rays.bearing[next_ray] - rays.bearing[last]) % TURN
+    gap = (rays.bearing[following] - rays.bearing[last]) % TURN
     bearing = (math.atan2(y, x) - rays.bearing[last] + math.pi) % TURN - math.pi
     if gap > MAX_BEARING_GAP + step or not -margin <= bearing <= gap + margin:
         return False
-    corner = found.corners[corners]
-    corner[0], corner[1], corner[2], corner[3], corner[4], corner[5] = x, y, cxx, cxy, cxy, cyy
+    row = found.corners[corners]
+    row[0], row[1], row[2], row[3], row[4], row[5] = x, y, cxx, cxy, cxy, cyy
     found.pairs[corners, 0], found.pairs[corners, 1] = before, after
     return True
+
+
+@compiled
+def fit_all(
+    rays: Rays, count: int, pieces: Pieces, made: int, room: Part, settings: Settings, found: Found
+) -> tuple[int, float]:
+    """Fit the pieces in the order of their beams; the number of lines, and the range variance they show, or NaN."""
+    start = 0
+    for piece in range(1, made):
+        if rays.beam[wrap(pieces.begin[piece], count)] < rays.beam[wrap(pieces.begin[start], count)]:
+            start = piece
+    lines = shown = 0
+    for k in range(start, start + made):
+        is_line, variance = fit_piece(rays, count, pieces, wrap(k, made), room, settings, found, lines)
+        if is_line:
+            lines += 1
+        if math.isfinite(variance):
+            found.evidence[shown] = variance
+            shown += 1
+    return lines, np.median(found.evidence[:shown]) if shown > 0 else math.nan
 
 
 @compiled
@@ -241,44 +255,23 @@ def condense(
     grid, rays = ray_views(ray_floats, ray_integers)
     pieces, stack = piece_views(piece_sums, piece_integers)
     update_grid(angles, grid)
-    count = select(ranges, max(settings.range_min, CLOSEST * settings.sigma_range), settings.range_max, grid, rays)
+    closest = max(settings.range_min, CLOSEST * settings.sigma_range)
+    count = select(ranges, closest, settings.range_max, grid, rays)
     if count < settings.minimum_count:
         return 0, 0, math.nan
-    step = abs(angles[-1] - angles[0]) / (len(angles) - 1)
-    if not 0.0 < step < TURN:
-        step = (rays.bearing[count - 1] - rays.bearing[0]) / (count - 1)
-    mark_breaks(rays, count, step, settings.sigma_range, settings.sigma_bearing, settings.maximum_gap)
-    accumulate(rays, count, step, settings.sigma_range, settings.sigma_bearing)
-    made = segment(
-        rays,
-        count,
-        pieces,
-        gains,
-        stack,
-        settings.penalty,
-        settings.maximum_gap,
-        step,
-        settings.sigma_range,
-        settings.sigma_bearing,
-    )
-    # the gains of splits are used up, as are the bearings' sums: their memory holds the rays of one piece at a time
+    step = spacing(angles, rays, count)
+    mark_breaks(rays, count, step, settings)
+    accumulate(rays, count, step, settings)
+    if settings.tracking_distance > 0.0:
+        made = drop_small(pieces, track(rays, count, settings.tracking_distance, pieces))
+    else:
+        made = segment(rays, count, step, pieces, gains, stack, settings)
+    # gains and prefix sums are used up; their memory holds the rays of one piece at a time
     room = Part(gains, rays.prefix[0], rays.prefix[1])
-    start = 0
-    for piece in range(1, made):
-        if rays.beam[pieces.begin[piece] % count] < rays.beam[pieces.begin[start] % count]:
-            start = piece
-    lines = shown = 0
-    for k in range(made):
-        piece = start + k if start + k < made else start + k - made
-        is_line, variance = fit_piece(rays, count, pieces, piece, room, settings, found, lines)
-        if is_line:
-            lines += 1
-        if math.isfinite(variance):
-            found.evidence[shown] = variance
-            shown += 1
+    lines, variance = fit_all(rays, count, pieces, made, room, settings, found)
     corners = 0
     for after in range(lines):
         before = after - 1 if after > 0 else lines - 1
-        if before != after and find_corner(rays, count, found, before, after, step, settings, corners):
+        if before != after and find_corner(rays, count, step, found, before, after, settings, corners):
             corners += 1
-    return lines, corners, np.median(found.evidence[:shown]) if shown > 0 else math.nan
+    return lines, corners, variance

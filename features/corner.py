@@ -41,7 +41,8 @@ def intersect(
 
 def corner(first: LineFit, second: LineFit) -> tuple[Floats, Floats]:
     """Position (2,) in metres and covariance (2, 2) of the intersection of two lines fitted to different rays."""
-    x, y, cxx, cxy, cyy = intersect(*first.uv, first.covariance, *second.uv, second.covariance)
+    (u1, v1), (u2, v2) = first.uv, second.uv
+    x, y, cxx, cxy, cyy = intersect(u1, v1, first.covariance, u2, v2, second.covariance)
     return np.array([x, y]), np.array([[cxx, cxy], [cxy, cyy]])
 
 

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
 
-from . import rays, segmentation
-from .condense import Found, Settings, condense
+from . import pieces, rays, segmentation, tracking
+from .condense import Found, condense
+from .estimators import ESTIMATORS
+from .settings import Settings
 from .types import Corners, Features, Floats, Lines, Noise
 
-ESTIMATOR_CODES = {"wclm-ml": 0, "wclm": 1}
+ROUGHNESS = 0.01
+"""Metres by which a real wall, and ranges along it, stray from a straight line other than by white noise."""
 
 NOISE_FLOOR = 0.002
 """Least range noise that adaptation may arrive at, metres; no lidar on a robot is better, and simulations often are."""
@@ -28,19 +32,24 @@ SLOWEST_GAIN = 0.03
 class Extractor:
     """Condenses the scans of one lidar into lines and corners.
 
+    method          "split": recursive splitting, merging, bridging; "tracking": the paper's line tracking
+    estimator       of the lines, a name in ESTIMATORS
     noise           standard deviations of a ray's range (metres) and bearing (radians)
     adapt_noise     learn the standard deviation of range from the residuals of long walls, scan by scan
     range_min, range_max  metres; returns outside are ignored. Many lidars report "no return" as a range above 80 m.
     minimum_count   rays of a line. Two parameters are fitted; five leave three degrees of freedom to tell a wall by.
     minimum_length  metres of a line; shorter ones are furniture and door frames more than walls
     maximum_gap     metres of opening in a wall beyond which its two parts stay two lines
+    roughness       metres by which real walls stray from straight lines; breaks must stand out from it
     penalty         gain of chi-square that a further break must bring
+    tracking_distance  metres from a tracked line within which a ray belongs to it
     """
 
     def __init__(
         self,
         noise: Noise,
         *,
+        method: Literal["split", "tracking"] = "split",
         estimator: str = "wclm-ml",
         adapt_noise: bool = True,
         range_min: float = 0.05,
@@ -49,9 +58,13 @@ class Extractor:
         minimum_length: float = 0.25,
         maximum_gap: float = 0.4,
         penalty: float = segmentation.PENALTY,
+        roughness: float = ROUGHNESS,
+        tracking_distance: float = tracking.PAPER_DISTANCE,
     ) -> None:
-        if estimator not in ESTIMATOR_CODES:
-            raise ValueError(f"no estimator {estimator!r}; there are {', '.join(ESTIMATOR_CODES)}")
+        if estimator not in ESTIMATORS:
+            raise ValueError(f"no estimator {estimator!r}; there are {', '.join(ESTIMATORS)}")
+        if method not in ("split", "tracking"):
+            raise ValueError(f"no method {method!r}; there are split, tracking")
         if not (noise.sigma_range > 0.0 and noise.sigma_bearing >= 0.0):
             raise ValueError(f"noise must be positive, is {noise}")
         self._noise = noise
@@ -66,8 +79,9 @@ class Extractor:
             minimum_length=float(minimum_length),
             maximum_gap=float(maximum_gap),
             penalty=float(penalty),
-            estimator=ESTIMATOR_CODES[estimator],
-            tracking_distance=0.0,
+            roughness=float(roughness),
+            tracking_distance=float(tracking_distance) if method == "tracking" else 0.0,
+            estimator=ESTIMATORS[estimator].code,
         )
         self._allocate(1)
 
@@ -97,7 +111,7 @@ class Extractor:
     def _allocate(self, beams: int) -> None:
         """Memory for scans of up to `beams` beams."""
         self._capacity = beams
-        self._memory = (*rays.allocate(beams), *segmentation.allocate(beams))
+        self._memory = (*rays.allocate(beams), *pieces.allocate(beams))
         self._found = Found(
             lines=np.zeros((beams + 1, 11)),
             spans=np.zeros((beams + 1, 5), dtype=np.int64),
@@ -113,7 +127,7 @@ class Extractor:
         shown = min(max(variance, NOISE_FLOOR**2), NOISE_CEILING**2)
         mean = (1.0 - gain) * self._noise.sigma_range**2 + gain * shown
         self._noise = Noise(math.sqrt(mean), self._noise.sigma_bearing)
-        self._settings = self._settings._replace(sigma_range=self._noise.sigma_range)
+        self._settings = Settings(self._noise.sigma_range, *self._settings[1:])
 
     def _lines(self, count: int) -> Lines:
         rows = self._found.lines[:count].copy()

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .compiled import compiled, vectorised
+from .settings import Settings
 from .types import Floats, Integers
 
 TURN = 2.0 * math.pi
@@ -27,12 +28,14 @@ JUMP_SIGMAS = 5.0 * math.sqrt(2.0)
 """Noise of a difference of two ranges, at five standard deviations, which a step must exceed besides."""
 
 MISSING_STEPS = 2.5
-"""Steps of the bearing grid between two usable rays from which on beams count as missing; one lost beam is tolerated."""
+"""Steps of the bearing grid between two usable rays beyond which beams count as missing; one lost beam may be."""
 
 SLOPE_WINDOW = math.radians(2.4)
 """Span of bearing over which the slope of 1/range is taken: wide against bearing noise, narrow against a wall."""
 
 MAX_SLOPE_RAYS = 6
+"""Most rays that the window of the slope reaches."""
+
 MAX_SLOPE = 11.0
 """Largest slope of 1/range in bearing in units of 1/range: tan 85 degrees; beyond it the slope is a jump's."""
 
@@ -74,6 +77,12 @@ def views(floats: Floats, integers: NDArray[np.int64]) -> tuple[Grid, Rays]:
     grid = Grid(floats[0], floats[1], floats[2])
     rays = Rays(floats[3], floats[4], floats[5], floats[6], floats[7], integers[0], integers[1], floats[8:14])
     return grid, rays
+
+
+@compiled
+def wrap(k: int, count: int) -> int:
+    """The ray among 0..n-1, n = `count`, that k in 0..2n-1 stands for."""
+    return k - count if k >= count else k
 
 
 @compiled
@@ -129,11 +138,20 @@ def select(ranges: Floats, range_min: float, range_max: float, grid: Grid, rays:
 
 
 @compiled
-def mark_breaks(rays: Rays, count: int, step: float, sigma_range: float, sigma_bearing: float, max_gap: float) -> None:
+def spacing(angles: Floats, rays: Rays, count: int) -> float:
+    """Mean step of bearing from beam to beam; among usable rays only, where the scan's own bearings are unfit."""
+    step = (angles[-1] - angles[0]) / (len(angles) - 1)
+    if not 0.0 < step < TURN:
+        step = (rays.bearing[count - 1] - rays.bearing[0]) / (count - 1)
+    return float(step)
+
+
+@compiled
+def mark_breaks(rays: Rays, count: int, step: float, settings: Settings) -> None:
     """Flag every ray that cannot continue the wall of the ray before it; ray 0 comes after the last one.
 
     `step` is the grid's spacing of bearings. A break is a gap of bearing, a step of range that no wall up to 85
-    degrees of incidence explains, or missing beams over more than `max_gap` metres.
+    degrees of incidence explains, or missing beams over more than the widest gap in a wall.
     """
     for k in range(count):
         before = k - 1 if k > 0 else count - 1
@@ -141,9 +159,11 @@ def mark_breaks(rays: Rays, count: int, step: float, sigma_range: float, sigma_b
         if k == 0:
             gap += TURN
         near, far = min(rays.range[k], rays.range[before]), max(rays.range[k], rays.range[before])
-        allowed = near * gap * GRAZING_SLOPE + JUMP_SIGMAS * (sigma_range + 2.0 * sigma_bearing * near)
+        allowed = near * gap * GRAZING_SLOPE + JUMP_SIGMAS * (
+            settings.sigma_range + 2.0 * settings.sigma_bearing * near
+        )
         broken = gap > MAX_BEARING_GAP or far - near > allowed
-        if gap > MISSING_STEPS * step and distance_squared(rays, before, k) > max_gap * max_gap:
+        if gap > MISSING_STEPS * step and distance_squared(rays, before, k) > settings.maximum_gap**2:
             broken = True
         rays.broken[k] = 1 if broken else 0
 
@@ -153,18 +173,22 @@ def distance_squared(rays: Rays, first: int, second: int) -> float:
     """Square of the distance between the end points of two rays, metres^2."""
     dx = rays.range[first] * rays.cos[first] - rays.range[second] * rays.cos[second]
     dy = rays.range[first] * rays.sin[first] - rays.range[second] * rays.sin[second]
-    return dx * dx + dy * dy
+    return float(dx * dx + dy * dy)
 
 
 @vectorised
-def accumulate(rays: Rays, count: int, step: float, sigma_range: float, sigma_bearing: float) -> None:
+def accumulate(rays: Rays, count: int, step: float, settings: Settings) -> None:
     """Prefix sums of the weighted normal equations.
 
     No line is known yet, so the slope of 1/range in bearing, which the weight of a ray needs, is taken from the rays
     around it: the smaller one of forward and backward slope, as the other may lead around a corner.
     """
-    range_variance, bearing_variance = sigma_range * sigma_range, sigma_bearing * sigma_bearing
-    reach = min(MAX_SLOPE_RAYS, max(2, int(math.ceil(SLOPE_WINDOW / step))), max(1, count - 1))
+    range_variance = settings.sigma_range**2 + settings.roughness**2
+    bearing_variance = settings.sigma_bearing**2
+    reach = 2
+    while reach < MAX_SLOPE_RAYS and reach * step < SLOPE_WINDOW:
+        reach += 1
+    reach = min(reach, count - 1)
     weight = er = ei = hr = hi = total = 0.0
     prefix = rays.prefix
     for row in range(6):

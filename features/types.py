@@ -24,12 +24,12 @@ class Lines:
     """n fitted wall segments, in the order of their bearings.
 
     A line is u x + v y = 1, so (u, v) = P / |P|^2 with P its point closest to the lidar. Seen from the lidar the
-    segment runs counter-clockwise from `start` to `end`; the lidar is on its left, which is the side the wall is seen from.
+    segment runs counter-clockwise from `start` to `end`; the lidar is on its left, the side the wall is seen from.
 
     uv          (n, 2) 1/metres
     covariance  (n, 2, 2) of uv, propagated from the noise of the rays
     start, end  (n, 2) metres, the end points on the fitted line
-    first, last (n,) indices of the first and last ray; last < first where the segment runs over the end of a full revolution
+    first, last (n,) indices of the first and last ray; last < first where it runs over the end of a full revolution
     count       (n,) rays fitted
     chi2        (n,) weighted sum of squared residuals; count - 2 degrees of freedom
     """

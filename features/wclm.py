@@ -34,14 +34,13 @@ def solve(weight: float, er: float, ei: float, hr: float, hi: float) -> tuple[fl
     determinant = weight * weight - er * er - ei * ei
     if not determinant > 0.0:
         return math.nan, math.nan, 0.0
-    u = 2.0 * ((weight - er) * hr - ei * hi) / determinant
-    v = 2.0 * ((weight + er) * hi - ei * hr) / determinant
-    return u, v, determinant
+    scale = 2.0 / determinant
+    return scale * ((weight - er) * hr - ei * hi), scale * ((weight + er) * hi - ei * hr), determinant
 
 
 @compiled
 def residual_sum(weight: float, er: float, ei: float, hr: float, hi: float, k: float) -> float:
-    """Weighted sum of squared residuals in 1/rho at the optimum, K - Re(conj(B) H) with B = u + i v; NaN without one."""
+    """Weighted sum of squared residuals at the optimum, K - Re(conj(B) H) with B = u + i v; NaN without one."""
     u, v, _ = solve(weight, er, ei, hr, hi)
     return max(0.0, k - u * hr - v * hi) if math.isfinite(u) else math.nan
 

@@ -1,0 +1,116 @@
+"""Intervals of rays with the six sums of their lines."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from .compiled import compiled
+from .types import Floats, Integers
+from .wclm import residual_sum, solve
+
+
+class Pieces(NamedTuple):
+    """Intervals of rays in order, none overlapping; the last may run over ray n (see rays)."""
+
+    begin: Integers
+    end: Integers  # one past the last ray
+    head: Integers  # end of the first uninterrupted run of rays
+    tail: Integers  # begin of the last uninterrupted run
+    sums: Floats  # (pieces, 6) of the rays that belong to the piece; bridged rays do not
+
+
+def allocate(beams: int) -> tuple[Floats, Floats, Integers]:
+    """Memory for scans of up to `beams` beams: sums, gains of splits, and integers."""
+    return np.zeros((beams + 1, 6)), np.zeros(beams + 1), np.zeros((5, 2 * beams + 2), dtype=np.int64)
+
+
+@compiled
+def views(sums: Floats, integers: Integers) -> tuple[Pieces, Integers]:
+    """Pieces in the memory that `allocate` gave, and a stack."""
+    return Pieces(integers[0], integers[1], integers[2], integers[3], sums), integers[4]
+
+
+@compiled
+def add_rays(prefix: Floats, count: int, begin: int, end: int, sign: float, sums: Floats) -> None:
+    """Add (or subtract, by `sign`) the sums of rays begin..end-1 of n = `count`; end may exceed n."""
+    for row in range(6):
+        total = prefix[row, min(end, count)] - prefix[row, min(begin, count)]
+        if end > count:
+            total += prefix[row, end - count] - prefix[row, max(begin - count, 0)]
+        sums[row] += sign * total
+
+
+@compiled
+def append(pieces: Pieces, made: int, begin: int, end: int) -> int:
+    """Add the interval begin..end as one piece; the new number of pieces. Its sums are left to the caller."""
+    pieces.begin[made], pieces.end[made] = begin, end
+    pieces.head[made], pieces.tail[made] = end, begin
+    return made + 1
+
+
+@compiled
+def cost(pieces: Pieces, i: int) -> float:
+    """Chi-square of piece i."""
+    if pieces.end[i] - pieces.begin[i] <= 2:
+        return 0.0
+    sums = pieces.sums[i]
+    return residual_sum(sums[0], sums[1], sums[2], sums[3], sums[4], sums[5])
+
+
+@compiled
+def line(pieces: Pieces, i: int) -> tuple[float, float]:
+    """(u, v) of piece i."""
+    sums = pieces.sums[i]
+    u, v, _ = solve(sums[0], sums[1], sums[2], sums[3], sums[4])
+    return u, v
+
+
+@compiled
+def joint_line(pieces: Pieces, i: int, j: int) -> tuple[float, float, float]:
+    """(u, v, chi-square) of the one line through pieces i and j."""
+    first, second = pieces.sums[i], pieces.sums[j]
+    w, x, y = first[0] + second[0], first[1] + second[1], first[2] + second[2]
+    p, q, k = first[3] + second[3], first[4] + second[4], first[5] + second[5]
+    u, v, _ = solve(w, x, y, p, q)
+    return u, v, max(0.0, k - u * p - v * q) if math.isfinite(u) else math.inf
+
+
+@compiled
+def absorb(pieces: Pieces, i: int, j: int, adjacent: bool, shift: int) -> None:
+    """Make piece i end with piece j, whose rays count `shift` further."""
+    if adjacent:
+        if pieces.head[i] == pieces.end[i]:
+            pieces.head[i] = pieces.head[j] + shift
+        if pieces.tail[j] != pieces.begin[j]:
+            pieces.tail[i] = pieces.tail[j] + shift
+    else:
+        pieces.tail[i] = pieces.tail[j] + shift
+    pieces.end[i] = pieces.end[j] + shift
+    for row in range(6):
+        pieces.sums[i, row] += pieces.sums[j, row]
+
+
+@compiled
+def copy(pieces: Pieces, source: int, target: int) -> None:
+    """Overwrite piece `target` with piece `source`."""
+    if source == target:
+        return
+    pieces.begin[target], pieces.end[target] = pieces.begin[source], pieces.end[source]
+    pieces.head[target], pieces.tail[target] = pieces.head[source], pieces.tail[source]
+    for row in range(6):
+        pieces.sums[target, row] = pieces.sums[source, row]
+
+
+@compiled
+def rotate(pieces: Pieces, made: int, count: int) -> None:
+    """Make the first piece the last, where a boundary moved back over ray 0."""
+    copy(pieces, 0, made)
+    pieces.begin[made] += count
+    pieces.end[made] += count
+    pieces.head[made] += count
+    pieces.tail[made] += count
+    for i in range(made):
+        copy(pieces, i + 1, i)

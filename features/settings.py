@@ -1,0 +1,21 @@
+"""What scans are condensed with, as the compiled functions take it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Settings(NamedTuple):
+    """Lengths in metres, standard deviations in metres and radians; explained at Extractor."""
+
+    sigma_range: float
+    sigma_bearing: float
+    range_min: float
+    range_max: float
+    minimum_count: int
+    minimum_length: float
+    maximum_gap: float
+    roughness: float
+    penalty: float
+    tracking_distance: float  # 0: recursive splitting
+    estimator: int  # code, see estimators
