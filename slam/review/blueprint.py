@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import rerun as rr
 import rerun.blueprint as rrb
 
 from ..segments import Floats
@@ -61,24 +62,25 @@ def _map(low: Floats, high: Floats) -> rrb.Spatial3DView:
 
 
 def _close_up() -> rrb.Spatial3DView:
-    eye = _eye_above(np.zeros(2), eye_distance(CLOSE_UP, CLOSE_UP), tracking="world/robot")
+    # The origin moves with the robot and does not turn. An eye that tracks an entity would not stay above it.
     return rrb.Spatial3DView(
-        origin="world",
+        origin="world/here",
+        contents="/world/**",
         name="Close-up of the robot",
-        eye_controls=eye,
+        eye_controls=_eye_above(np.zeros(2), eye_distance(CLOSE_UP, CLOSE_UP)),
         line_grid=_grid(1.0),
         background=BACKGROUND,
+        overrides={"world/map/walls": [rr.LineStrips3D.from_fields(show_labels=True).visualizer()]},
     )
 
 
-def _eye_above(centre: Floats, distance: float, tracking: str | None = None) -> rrb.EyeControls3D:
+def _eye_above(centre: Floats, distance: float) -> rrb.EyeControls3D:
     x, y = float(centre[0]), float(centre[1])
     return rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
         position=[x, y - 1e-3 * distance, distance],  # straight down would leave no way up
         look_target=[x, y, 0.0],
         eye_up=[0.0, 1.0, 0.0],
-        tracking_entity=tracking,
     )
 
 
@@ -103,11 +105,10 @@ def _texts() -> rrb.Vertical:
 
 def _plots(*, truth: bool) -> rrb.Horizontal:
     share = rrb.ScalarAxis(range=(0.0, 1.05), zoom_lock=True)
-    plots = [
+    plots: list[rrb.TimeSeriesView | rrb.Tabs] = [
         _plot("explained", "Explained by the map", axis=share),
         _plot("sigma", "Pose sigma"),
-        _plot("association", "Largest d² of a match"),
-        _plot("chi2", "chi²"),
+        rrb.Tabs(_plot("association", "Largest d² of a match"), _plot("chi2", "chi²"), active_tab=0),
         _plot("time", "Time per keyframe [ms]"),
         _plot("counts", "Counts"),
     ]
@@ -118,4 +119,11 @@ def _plots(*, truth: bool) -> rrb.Horizontal:
 
 def _plot(group: str, name: str, axis: rrb.ScalarAxis | None = None) -> rrb.TimeSeriesView:
     legend = rrb.PlotLegend(rrb.Corner2D.LeftTop)
-    return rrb.TimeSeriesView(origin=f"metrics/{group}", name=name, axis_y=axis, plot_legend=legend)
+    always = rr.TimeRangeBoundary.infinite()
+    return rrb.TimeSeriesView(
+        origin=f"metrics/{group}",
+        name=name,
+        axis_x=rrb.TimeAxis(view_range=rr.TimeRange(start=always, end=always)),
+        axis_y=axis,
+        plot_legend=legend,
+    )

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from ..events import Integers, KeyframeAdded
-from ..segments import Floats
+from ..events import KeyframeAdded
+from .matches import Matches
 
 SUMMARY_PENDING = "The run has not ended, or it ended without a summary."
 
@@ -20,8 +20,8 @@ _LEGEND: tuple[tuple[str, str], ...] = (
     ("green", "true path, where known, from the same start"),
     ("lavender", "this keyframe's scan"),
     ("orange", "segment or corner matched with the map; thin line: to what"),
-    ("pink", "segment that started a new wall"),
-    ("brown", "segment or corner without a match so far"),
+    ("pink", "segment or corner new in the map"),
+    ("brown", "segment or corner left out: ambiguous or unmatched"),
 )
 
 
@@ -57,39 +57,26 @@ def summary(values: Mapping[str, object]) -> str:
 def keyframe(event: KeyframeAdded, position_sigma: float, heading_sigma: float) -> str:
     """One keyframe: where it is, how sure that is, and what became of each feature. Sigmas in metres and radians."""
     x, y, heading = event.pose
+    sigma = f"{1e3 * position_sigma:.0f} mm, {math.degrees(heading_sigma):.2f}°"
+    if math.isnan(position_sigma):
+        sigma = "unknown"
     lines = [
-        f"**Keyframe {event.index}** at {x:.2f} m, {y:.2f} m, {math.degrees(heading):.1f}°; "
-        f"sigma {1e3 * position_sigma:.0f} mm, {math.degrees(heading_sigma):.2f}°",
+        f"**Keyframe {event.index}** at {x:.2f} m, {y:.2f} m, {math.degrees(heading):.1f}°; sigma {sigma}",
         "",
         "| seen | length | matched | d² |",
         "|---|---|---|---|",
     ]
-    new = set(event.new_lines.tolist())
-    for i, half_length in enumerate(event.segments.half_length):
-        matched = match_text("L", event.line_match, i, new)
-        lines.append(f"| segment {i} | {2 * half_length:.2f} m | {matched} | {_gate(event.line_gate[i])} |")
-    for i in range(len(event.corners)):
-        matched = match_text("C", event.corner_match, i, set())
-        lines.append(f"| corner {i} | | {matched} | {_gate(event.corner_gate[i])} |")
+    walls, corners = Matches.of_lines(event), Matches.of_corners(event)
+    lengths = [f"{2 * half_length:.2f} m" for half_length in event.segments.half_length.tolist()]
+    lines += [
+        f"| segment | {length} | {name} | {distance} |"
+        for length, name, distance in zip(lengths, walls.names(), walls.distances(), strict=True)
+    ]
+    lines += [
+        f"| corner | | {name} | {distance} |"
+        for name, distance in zip(corners.names(), corners.distances(), strict=True)
+    ]
     return "\n".join(lines)
-
-
-def match_text(prefix: str, match: Integers, i: int, new: set[int]) -> str:
-    """`L12`, `L12 new`, or `none` for feature i."""
-    identity = int(match[i])
-    if identity < 0:
-        return "none"
-    return f"{prefix}{identity} new" if identity in new else f"{prefix}{identity}"
-
-
-def match_label(prefix: str, match: Integers, gate: Floats, i: int, new: set[int]) -> str:
-    """The label of feature i in the map: `L12 d²=3.1`."""
-    text = match_text(prefix, match, i, new)
-    return text if math.isnan(gate[i]) else f"{text} d²={gate[i]:.1f}"
-
-
-def _gate(value: float) -> str:
-    return "" if math.isnan(value) else f"{value:.1f}"
 
 
 def _table(header: tuple[str, str], values: Mapping[str, object]) -> str:

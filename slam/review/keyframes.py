@@ -9,18 +9,18 @@ import rerun as rr
 
 from drivers import se2
 
-from ..events import Integers, KeyframeAdded, MapCorners, MapLines
-from ..segments import Floats
+from ..events import KeyframeAdded, MapCorners, MapLines
 from . import colours, documents
 from .colours import Colour
+from .matches import Matches
 from .metrics import Metrics
-from .shapes import ROUND_SCAN, Layer, ellipses, lift, segment_ends, wall_links
+from .shapes import ROUND_SCAN, Layer, corner_links, ellipses, lift, segment_ends, wall_links
 
 # An arrow that points ahead, metres.
 ROBOT_OUTLINE = np.array([[0.3, 0.0], [-0.2, 0.2], [-0.1, 0.0], [-0.2, -0.2], [0.3, 0.0]])
 
-_SCAN_SIZE, _CORNER_SIZE = rr.Radius.ui_points(1.4), rr.Radius.ui_points(3.5)
-_THIN, _THICK = rr.Radius.ui_points(0.7), rr.Radius.ui_points(2.2)
+_SCAN_SIZE, _CORNER_SIZE = rr.Radius.ui_points(1.0), rr.Radius.ui_points(3.5)
+_THIN, _THICK = rr.Radius.ui_points(0.7), rr.Radius.ui_points(2.0)
 
 
 class KeyframeLayer:
@@ -39,6 +39,7 @@ class KeyframeLayer:
     def place_robot(self, pose: se2.Pose) -> None:
         """Move the robot, not the scan of its last keyframe."""
         self._stream.log("world/robot", _placed(pose))
+        self._stream.log("world/here", rr.Transform3D(translation=[float(pose[0]), float(pose[1]), 0.0]))
 
     def log(self, event: KeyframeAdded, explained: float, lines: MapLines | None, corners: MapCorners | None) -> None:
         """Log a keyframe.
@@ -76,38 +77,37 @@ class KeyframeLayer:
         return math.sqrt(max(variance, 0.0)), math.sqrt(max(float(covariance[2, 2]), 0.0))
 
     def _log_features(self, event: KeyframeAdded, lines: MapLines | None, corners: MapCorners | None) -> None:
-        new = set(event.new_lines.tolist())
         ends = segment_ends(event.segments, event.pose)
-        labels = [documents.match_label("L", event.line_match, event.line_gate, i, new) for i in range(len(ends))]
+        position = se2.transform(event.pose, event.corners.position.reshape(-1, 2))
+        walls, points = Matches.of_lines(event), Matches.of_corners(event)
         segments = rr.LineStrips3D(
             lift(ends, Layer.FEATURE),
-            colors=_match_colours(event.line_match, new),
-            labels=labels,
+            colors=_match_colours(walls),
+            labels=walls.labels(),
             show_labels=False,
             radii=_THICK,
         )
-        position = se2.transform(event.pose, event.corners.position.reshape(-1, 2))
-        labels = [
-            documents.match_label("C", event.corner_match, event.corner_gate, i, set()) for i in range(len(position))
-        ]
-        points = rr.Points3D(
+        dots = rr.Points3D(
             lift(position, Layer.FEATURE),
-            colors=_match_colours(event.corner_match, set()),
-            labels=labels,
+            colors=_match_colours(points),
+            labels=points.labels(),
             show_labels=False,
             radii=_CORNER_SIZE,
         )
-        links = _links(ends.mean(axis=1), event.line_match, lines, position, event.corner_match, corners)
-        strips = rr.LineStrips3D(lift(links, Layer.LINK), colors=colours.MATCHED, radii=_THIN)
+        found = [np.empty((0, 2, 2))]
+        if lines is not None:
+            found.append(wall_links(ends.mean(axis=1), event.line_match, lines))
+        if corners is not None:
+            found.append(corner_links(position, event.corner_match, corners))
+        links = lift(np.concatenate(found), Layer.LINK)
         self._stream.log("world/features/segments", segments)
-        self._stream.log("world/features/corners", points)
-        self._stream.log("world/features/links", strips)
+        self._stream.log("world/features/corners", dots)
+        self._stream.log("world/features/links", rr.LineStrips3D(links, colors=colours.MATCHED, radii=_THIN))
         self._stream.log("association/lines", rr.AnyValues(match=event.line_match, gate=event.line_gate))
         self._stream.log("association/corners", rr.AnyValues(match=event.corner_match, gate=event.corner_gate))
 
     def _log_metrics(self, event: KeyframeAdded, explained: float, position_sigma: float, heading_sigma: float) -> None:
-        new = np.isin(event.line_match, event.new_lines)
-        gates = event.line_gate[(event.line_match >= 0) & ~new & np.isfinite(event.line_gate)]
+        gates = event.line_gate[(event.line_match >= 0) & np.isfinite(event.line_gate)]
         sigma = {
             "position [cm]": 100 * position_sigma,
             "heading [°]": math.degrees(heading_sigma),
@@ -126,27 +126,8 @@ def _placed(pose: se2.Pose) -> rr.Transform3D:
     return rr.Transform3D(translation=[x, y, 0.0], quaternion=turn)
 
 
-def _match_colours(match: Integers, new: set[int]) -> list[Colour]:
+def _match_colours(matches: Matches) -> list[Colour]:
     return [
-        colours.UNMATCHED if identity < 0 else colours.NEW if identity in new else colours.MATCHED
-        for identity in match.tolist()
+        colours.UNMATCHED if identity < 0 else colours.NEW if new else colours.MATCHED
+        for identity, new in zip(matches.identity.tolist(), matches.new.tolist(), strict=True)
     ]
-
-
-def _links(
-    centres: Floats,
-    line_match: Integers,
-    lines: MapLines | None,
-    position: Floats,
-    corner_match: Integers,
-    corners: MapCorners | None,
-) -> Floats:
-    """(k, 2, 2): from each matched feature to what it was matched with, as far as the map is known."""
-    found = [np.empty((0, 2, 2))]
-    if lines is not None:
-        found.append(wall_links(centres, line_match, lines))
-    if corners is not None:
-        row = {int(identity): i for i, identity in enumerate(corners.identity)}
-        pairs = [(position[i], corners.position[row[k]]) for i, k in enumerate(corner_match.tolist()) if k in row]
-        found.append(np.array(pairs).reshape(-1, 2, 2))
-    return np.concatenate(found)

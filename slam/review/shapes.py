@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from drivers import se2
 
-from ..events import Integers, MapLines
+from ..events import Integers, MapCorners, MapLines
 from ..segments import Floats, Segments
 
 Drawn = NDArray[np.float32]
@@ -27,15 +27,15 @@ ROUND_SCAN = 256.0  # parts of a metre kept of scan points; a third less than un
 class Layer(float, Enum):
     """Heights, metres, from the bottom to the top."""
 
-    ODOMETRY = -0.006
-    TRUTH = -0.004
+    ODOMETRY = -0.004
     SIGMA = -0.002
     WALL = 0.0
-    SCAN = 0.002
-    CORNER = 0.004
-    ESTIMATE = 0.006
-    FEATURE = 0.008
-    LINK = 0.010
+    CORNER = 0.002
+    ESTIMATE = 0.004
+    TRUTH = 0.005  # thin, over the estimate: they should coincide
+    FEATURE = 0.006
+    LINK = 0.008
+    SCAN = 0.010  # over the segments: they show how well those fit
 
 
 def lift(points: ArrayLike, layer: Layer, parts: float = ROUND_ESTIMATE) -> Drawn:
@@ -92,14 +92,24 @@ def wall_links(centres: Floats, match: Integers, lines: MapLines) -> Floats:
 
     Centres without a match, or matched with a wall that `lines` does not hold yet, are left out.
     """
-    row = {int(identity): i for i, identity in enumerate(lines.identity)}
-    pairs = [(i, row[int(wall)]) for i, wall in enumerate(match) if int(wall) in row]
-    if not pairs:
-        return np.empty((0, 2, 2))
-    seen, walls = np.array(pairs).T
+    seen, walls = _known(match, lines.identity)
     on_wall = se2.transform(se2.inverse(lines.frame[walls]), centres[seen])
     on_wall[:, 1] = 0.0
     return np.stack([centres[seen], se2.transform(lines.frame[walls], on_wall)], axis=1)
+
+
+def corner_links(position: Floats, match: Integers, corners: MapCorners) -> Floats:
+    """(k, 2, 2): from each corner seen, (n, 2) in the map, to the one it was matched with, metres; as `wall_links`."""
+    seen, matched = _known(match, corners.identity)
+    return np.stack([position[seen], corners.position[matched].reshape(-1, 2)], axis=1)
+
+
+def _known(match: Integers, identity: Integers) -> tuple[Integers, Integers]:
+    """The features whose match is among the identities, and where among them it is."""
+    row = {known: i for i, known in enumerate(identity.tolist())}
+    pairs = [(i, row[wanted]) for i, wanted in enumerate(match.tolist()) if wanted in row]
+    seen, found = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+    return seen, found
 
 
 def bounds(*points: Floats) -> tuple[Floats, Floats]:

@@ -51,11 +51,16 @@ class ReviewLog:
         self._worker = threading.Thread(target=self._work, name="review log", daemon=True)
         self._worker.start()
 
+    @property
+    def waiting(self) -> int:
+        """Events that are not logged yet."""
+        return self._queue.qsize()
+
     def handle(self, event: Event) -> None:
         """Take one event: microseconds, whatever the log is doing. Events after `close` are ignored."""
         if self._closed:
             return
-        waiting = self._queue.qsize()
+        waiting = self.waiting
         if waiting >= OVERRUN:
             self.lost += 1
             return

@@ -1,0 +1,53 @@
+"""What became of the features of a keyframe: matched with the map, new in it, or neither."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..events import Integers, KeyframeAdded
+from ..segments import Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matches:
+    """n features of one kind.
+
+    prefix    "L" for walls, "C" for corners
+    identity  (n,) in the map; -1: none
+    gate      (n,) squared Mahalanobis distance of the match; NaN where there was no candidate
+    new       (n,) whether the feature was the first to show what it is matched with
+    """
+
+    prefix: str
+    identity: Integers
+    gate: Floats
+    new: NDArray[np.bool_]
+
+    @classmethod
+    def of_lines(cls, event: KeyframeAdded) -> Matches:
+        """Those of the segments."""
+        return cls("L", event.line_match, event.line_gate, np.isin(event.line_match, event.new_lines))
+
+    @classmethod
+    def of_corners(cls, event: KeyframeAdded) -> Matches:
+        """Those of the corners; one that has an identity but had no candidate is new."""
+        return cls("C", event.corner_match, event.corner_gate, (event.corner_match >= 0) & np.isnan(event.corner_gate))
+
+    def names(self) -> list[str]:
+        """`L12`, `L12 new` or `none`, for each feature."""
+        return [
+            "none" if identity < 0 else f"{self.prefix}{identity} new" if new else f"{self.prefix}{identity}"
+            for identity, new in zip(self.identity.tolist(), self.new.tolist(), strict=True)
+        ]
+
+    def distances(self) -> list[str]:
+        """The gate values as text, empty where there is none."""
+        return ["" if np.isnan(gate) else f"{gate:.1f}" for gate in self.gate.tolist()]
+
+    def labels(self) -> list[str]:
+        """`L12 d²=3.1`, for each feature."""
+        pairs = zip(self.names(), self.distances(), strict=True)
+        return [f"{name} d²={distance}" if distance else name for name, distance in pairs]
