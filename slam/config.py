@@ -120,7 +120,9 @@ def _validated(data: dict[str, Any], place: str) -> Config:
         name = ".".join(str(part) for part in first["loc"])
         message = first["msg"].removeprefix("Value error, ")
         reason = message[:1].lower() + message[1:]
-        if first["type"] == "extra_forbidden":
+        if first["type"] == "model_type":
+            reason = "must be a group of settings"
+        elif first["type"] == "extra_forbidden":
             reason = f"there is no such setting; known are {', '.join(_names(first['loc'][:-1]))}"
         raise ConfigurationError(f"{place}: {name}: {reason}") from error
 

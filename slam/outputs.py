@@ -7,6 +7,8 @@ import math
 import os
 import shutil
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -99,6 +101,28 @@ class OutputDirectory:
         except (OSError, OutputError) as error:
             reason = error.strerror if isinstance(error, OSError) else error
             raise OutputError(f"the results stay in {work}, they cannot be moved to {self._shown}: {reason}") from error
+
+
+@contextmanager
+def unfinished_file(path: Path, overwrite: bool = False) -> Iterator[Path]:
+    """A path to write to, a sibling of `path` that is renamed to it when the block ends without an error, else removed.
+
+    Raises OutputError where `path` exists and is not to be overwritten, or cannot be written.
+    """
+    if path.is_dir():
+        raise OutputError(f"{path}: is a directory")
+    if not path.parent.is_dir():
+        raise OutputError(f"{path}: there is no directory {path.parent}")
+    if path.exists() and not overwrite:
+        raise OutputError(f"{path}: exists already; choose another name or add --overwrite")
+    work = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
+    try:
+        yield work
+        work.replace(path)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from error
+    finally:
+        work.unlink(missing_ok=True)
 
 
 def write_results(directory: Path, finished: Finished, config: Config, summary: dict[str, Any]) -> None:

@@ -1,0 +1,88 @@
+"""The command line `wclm`: one file for each command, and what they share in `console`, `session` and `report`.
+
+Commands import what they need when they are called, so that `wclm --help` answers at once.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from drivers.errors import SlamError
+
+from .bench import bench
+from .console import INTERRUPTED, MISTAKE, complain
+from .demo import demo
+from .evaluate import evaluate
+from .features import features
+from .info import info
+from .run import run
+from .simulate import simulate
+
+TERMINATED = 128 + signal.SIGTERM
+
+
+class _Commands(TyperGroup):
+    """Commands whose errors are one line and an exit status; what is not a SlamError is a bug and shows itself."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except SlamError as error:
+            complain(str(error))
+            raise typer.Exit(MISTAKE) from error
+        except KeyboardInterrupt as error:
+            complain("interrupted; nothing was written")
+            raise typer.Exit(INTERRUPTED) from error
+
+
+app = typer.Typer(
+    cls=_Commands,
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from .report import versions
+
+        typer.echo(", ".join(f"{name} {version}" for name, version in versions().items()))
+        raise typer.Exit
+
+
+@app.callback()
+def wclm(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print versions and exit.")
+    ] = False,
+) -> None:
+    """Maps buildings from a 2-D lidar and wheel odometry: walls and corners, with honest uncertainties.
+
+    New here? [bold]wclm demo[/bold] drives a simulated robot through an office and maps it.
+    """
+
+
+app.command()(demo)
+app.command()(run)
+app.command()(info)
+app.command()(simulate)
+app.command("eval")(evaluate)
+app.command()(features)
+app.add_typer(bench, name="bench")
+
+
+def main() -> None:
+    """Entry point of `wclm`. Being told to terminate cleans up just as Ctrl-C does."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))
+    app(prog_name="wclm")
+
+
+__all__ = ["app", "main"]

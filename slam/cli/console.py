@@ -1,0 +1,48 @@
+"""What commands say while they work and when they fail: on stderr, so that stdout holds nothing but results."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Annotated, TypeVar
+
+import typer
+
+MISTAKE = 2
+"""Exit status for what the user can mend; also typer's for wrong usage."""
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as shells have it."""
+EVERY = 20
+"""Items between two looks at the progress bar."""
+
+Item = TypeVar("Item")
+
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="GROUP.KEY=VALUE", help="Change one setting, e.g. lidar.sigma_range=0.02; may be repeated."
+    ),
+]
+OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace results that are there already.")]
+
+
+def complain(text: str) -> None:
+    """One line on stderr, whatever the text is."""
+    typer.echo(f"wclm: {' '.join(text.split())}", err=True)
+
+
+def progress(items: Iterable[Item], total: int, doing: str) -> Iterator[Item]:
+    """The same items, with a progress bar on stderr if that is a terminal; `total` 0 means that nobody knows."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield from items
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task(doing, total=total or None)
+        for count, item in enumerate(items):
+            if count % EVERY == 0:
+                bar.update(task, completed=count)
+            yield item

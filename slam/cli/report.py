@@ -1,0 +1,116 @@
+"""The summary of a run: as data for summary.json, and as the few lines that a person reads."""
+
+from __future__ import annotations
+
+import os
+import platform
+import resource
+import shutil
+import sys
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from drivers.messages import Source
+
+    from ..evaluation import ReferenceScore
+    from ..events import Finished
+    from .session import Outcome, Tally
+
+PACKAGES = ("wclm-slam", "numpy", "numba", "gtsam", "rerun-sdk")
+SHOWN_WARNINGS = 4
+
+
+def versions() -> dict[str, str]:
+    """Versions of this program and of what its results depend on."""
+    return {name: metadata.version(name) for name in PACKAGES} | {"python": platform.python_version()}
+
+
+def peak_memory() -> float:
+    """The most memory this process has had, MiB."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1 << 20 if sys.platform == "darwin" else 1 << 10)
+
+
+def summarise(
+    source: Source,
+    finished: Finished,
+    tally: Tally,
+    notices: list[str],
+    score: ReferenceScore | None,
+    *,
+    seed: int | None,
+    slam_seconds: float,
+    seconds: float,
+) -> dict[str, Any]:
+    """Everything worth knowing about a run: what went in, what came out, how long it took, what was odd."""
+    from ..trajectory import Trajectory
+
+    report = source.report
+    return {
+        "recording": source.name,
+        "seed": seed,
+        "scans": tally.scans,
+        "odometry": len(tally.odometry),
+        "duration": tally.duration,
+        "keyframes": len(finished.keyframes),
+        "walls": len(finished.lines),
+        "corners": len(finished.corners),
+        "path_length": float(Trajectory(finished.stamps, finished.poses).travelled[-1]),
+        "slam_seconds": slam_seconds,
+        "wall_seconds": seconds,
+        "real_time_factor": tally.duration / slam_seconds,
+        "peak_memory_mib": peak_memory(),
+        "truth": None if score is None else score.figures(),
+        "warnings": notices,
+        "skipped": {"messages": report.skipped, "reasons": report.reasons, "first": report.first},
+        "slam": finished.summary,
+        "versions": versions(),
+    }
+
+
+def lines_for_people(outcome: Outcome, out: Path) -> list[str]:
+    """The summary as a few lines."""
+    summary = outcome.summary
+    rows = [
+        ("map", f"{summary['walls']} walls, {summary['corners']} corners, from {summary['keyframes']} keyframes"),
+        ("time", _time(summary)),
+    ]
+    if truth := summary["truth"]:
+        rows.append(
+            ("accuracy", f"{truth['ate_rmse']:.3f} m from the true path (ATE RMSE), at most {truth['ate_max']:.3f} m")
+        )
+    if skipped := summary["skipped"]["messages"]:
+        rows.append(("skipped", f"{skipped} messages, the first: {summary['skipped']['first']}"))
+    rows += [("warning", text) for text in summary["warnings"][:SHOWN_WARNINGS]]
+    if (more := len(summary["warnings"]) - SHOWN_WARNINGS) > 0:
+        rows.append(("", f"and {more} more warnings in summary.json"))
+    rows.append(("results", f"{out}: {', '.join(sorted(entry.name for entry in out.iterdir()))}"))
+    if outcome.review:
+        rows.append(("look at it", " ".join(viewer_command(out))))
+    head = (
+        f"{summary['recording']}: {summary['scans']} scans in {summary['duration']:.1f} s, "
+        f"{summary['path_length']:.1f} m driven"
+    )
+    return [head] + [f"  {name:<11}{text}" for name, text in rows]
+
+
+def viewer_command(out: Path) -> list[str]:
+    """The command that opens the review log in `out`; the viewer is this environment's if there is none on the path."""
+    from ..outputs import REVIEW
+
+    program = "rerun"
+    if shutil.which(program) is None:
+        beside = Path(sys.executable).with_name(program)
+        program = os.path.relpath(beside) if beside.is_relative_to(Path.cwd()) else str(beside)
+    return [program, str(out / REVIEW)]
+
+
+def _time(summary: dict[str, Any]) -> str:
+    factor = summary["real_time_factor"]
+    speed = f"{factor:.0f} times faster than real time" if factor >= 2 else f"{factor:.2f} times real time"
+    return (
+        f"{summary['slam_seconds']:.1f} s for SLAM, {speed}; {summary['wall_seconds']:.1f} s in all, "
+        f"{summary['peak_memory_mib']:.0f} MiB"
+    )

@@ -1,0 +1,69 @@
+import math
+from pathlib import Path
+
+import pytest
+
+from slam.config import Config, config_to_toml, load_config
+from slam.errors import ConfigurationError
+
+
+def test_overrides_come_after_the_file(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text("[lidar]\nsigma_range = 0.02\nrange_max = 8.0\n")
+    config = load_config(tmp_path / "a.toml", ["lidar.range_max=12", "features.estimator=wclm"])
+    assert (config.lidar.sigma_range, config.lidar.range_max) == (0.02, 12.0)
+    assert config.features.estimator == "wclm"
+    assert config.odometry == Config().odometry
+
+
+def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+    config = load_config(overrides=["lidar.mount=[0.1, -1e-9, 3.1]", "lidar.range_max=inf", "lidar.adapt_noise=false"])
+    assert math.isinf(config.lidar.range_max)
+    for name, each in (("a", config), ("b", Config())):
+        (tmp_path / f"{name}.toml").write_text(config_to_toml(each))
+        assert load_config(tmp_path / f"{name}.toml") == each
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("lidar.sigma=1", "--set lidar.sigma=1: lidar.sigma: there is no such setting; known are sigma_range,"),
+        ("laser.sigma_range=1", "laser: there is no such setting; known are lidar, odometry, features"),
+        ("lidar.sigma_range=wide", "lidar.sigma_range: input should be a valid number"),
+        ("lidar.sigma_range=-1", "lidar.sigma_range: input should be greater than 0"),
+        ("lidar.sigma_range=nan", "lidar.sigma_range: "),
+        ("odometry.translation_floor=inf", "odometry.translation_floor: input should be a finite number"),
+        ("lidar.range_max=0.01", "lidar: range_min (0.05) must be less than range_max (0.01)"),
+        ("lidar.mount=[1, 2]", "lidar.mount.2: field required"),
+        ("features.estimator=best", "features.estimator: input should be 'wclm-ml'"),
+        ("lidar=3", "--set lidar=3: write it as group.key=value"),
+        ("sigma_range=3", "write it as group.key=value"),
+        ("lidar.sigma_range", "write it as group.key=value"),
+    ],
+)
+def test_a_wrong_override_is_named(override: str, message: str) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        load_config(overrides=[override])
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"[lidar]\nsigma_rang = 0.02\n", "a.toml: lidar.sigma_rang: there is no such setting"),
+        (b"lidar = 3\n", "a.toml: lidar: must be a group of settings"),
+        (b"[lidar\n", "a.toml: is not TOML: "),
+        (b"\xff\xfe", "a.toml: is not TOML: "),
+    ],
+)
+def test_a_wrong_file_is_named(tmp_path: Path, content: bytes, message: str) -> None:
+    (tmp_path / "a.toml").write_bytes(content)
+    with pytest.raises(ConfigurationError) as caught:
+        load_config(tmp_path / "a.toml")
+    assert message in str(caught.value)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"a\.toml: No such file"):
+        load_config(tmp_path / "a.toml")
+    with pytest.raises(ConfigurationError, match="Is a directory"):
+        load_config(tmp_path)

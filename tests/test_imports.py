@@ -1,0 +1,50 @@
+"""The directions in which imports may go, read from the source: nothing needs to be installed or run for it."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("features", "drivers", "slam")
+FILES = sorted(file for package in PACKAGES for file in (ROOT / package).rglob("*.py"))
+
+CONFINED = {"gtsam": "slam/graph", "rerun": "slam/review", "serial": "drivers"}
+"""Libraries and the one folder that may import them."""
+
+
+def imported(file: Path) -> Iterator[str]:
+    """The absolute dotted names that a file imports, wherever in it."""
+    package = file.relative_to(ROOT).parent.parts
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            above = package[: len(package) - node.level + 1] if node.level else ()
+            yield ".".join([*above, *([node.module] if node.module else [])])
+
+
+def name_of(file: Path) -> str:
+    return file.relative_to(ROOT).as_posix()
+
+
+@pytest.mark.parametrize("file", FILES, ids=name_of)
+def test_imports_go_one_way(file: Path) -> None:
+    package = name_of(file).split("/")[0]
+    others = set(PACKAGES) - {package} if package != "slam" else set()
+    roots = {name.split(".")[0] for name in imported(file)}
+    assert not roots & others, f"{package} knows nothing of {roots & others}"
+
+
+@pytest.mark.parametrize("file", FILES, ids=name_of)
+def test_libraries_stay_where_they_belong(file: Path) -> None:
+    roots = {name.split(".")[0] for name in imported(file)}
+    for library, folder in CONFINED.items():
+        assert library not in roots or name_of(file).startswith(f"{folder}/"), f"{library} belongs into {folder}"
+
+
+def test_relative_imports_are_resolved() -> None:
+    names = set(imported(ROOT / "slam" / "plots" / "map.py"))
+    assert "slam.events" in names
+    assert "slam.plots.style" in names
