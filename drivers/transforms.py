@@ -34,7 +34,7 @@ class TransformTree:
         self._parents: dict[str, _Link] = {}
 
     def add(self, message: Any) -> None:
-        """Take up a TFMessage; of transforms to one frame the first counts. Raises ValueError where one is not rigid."""
+        """Take up a TFMessage; of transforms to one frame the first counts. Raises ValueError where one is none."""
         for stamped in message.transforms:
             child, parent = plain(stamped.child_frame_id), plain(stamped.header.frame_id)
             link = _Link(parent, stamped.transform, _matrix(stamped.transform))
@@ -92,10 +92,10 @@ def _matrix(transform: Any) -> Floats:
     """A geometry_msgs/Transform as a (4, 4) matrix; raises ValueError where its rotation is none."""
     r, t = transform.rotation, transform.translation
     x, y, z, w = np.array([r.x, r.y, r.z, r.w])
-    norm = x * x + y * y + z * z + w * w
-    if not 0.8 < norm < 1.2 or not np.all(np.isfinite([t.x, t.y, t.z])):
+    norm = np.sqrt(x * x + y * y + z * z + w * w)
+    if not 0.9 < norm < 1.1 or not np.all(np.isfinite([t.x, t.y, t.z])):
         raise ValueError("transform is not rigid")
-    x, y, z, w = np.array([x, y, z, w]) / np.sqrt(norm)
+    x, y, z, w = np.array([x, y, z, w]) / norm
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w), t.x],

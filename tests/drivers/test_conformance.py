@@ -1,0 +1,105 @@
+"""What every source promises, whatever it reads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+import drivers
+from drivers import GroundTruth, Message, Odometry, Scan, Source, SourceReport
+
+KINDS = ["carmen", "carmen-gzip", "mcap", "ros1-bag", "ros2-sqlite3", "ros2-mcap", "simulation"]
+
+
+@pytest.fixture(params=KINDS)
+def source(request: pytest.FixtureRequest, recordings: dict[str, str]) -> Source:
+    return drivers.open(recordings[request.param])
+
+
+def test_is_a_source_with_a_name(source: Source) -> None:
+    assert isinstance(source, Source)
+    assert source.name
+    assert isinstance(source.report, SourceReport)
+
+
+def test_gives_the_same_messages_each_time(
+    source: Source, assert_same: Callable[[list[Message], list[Message]], None]
+) -> None:
+    assert_same(list(source), list(source))
+
+
+def test_can_be_read_twice_at_once(source: Source) -> None:
+    for one, other in zip(source, source, strict=True):
+        assert one.stamp == other.stamp
+
+
+def test_stamps_never_decrease(source: Source) -> None:
+    stamps = [message.stamp for message in source]
+    assert all(isinstance(stamp, float) and np.isfinite(stamp) for stamp in stamps)
+    assert stamps == sorted(stamps)
+
+
+def test_holds_the_drive(source: Source) -> None:
+    messages = list(source)
+    assert sum(isinstance(message, Scan) for message in messages) == 29
+    assert sum(isinstance(message, Odometry) for message in messages) >= 76
+    assert len(source) == pytest.approx(len(messages), rel=0.3)
+
+
+def test_scans_are_well_formed(source: Source) -> None:
+    for scan in (message for message in source if isinstance(message, Scan)):
+        n = len(scan.ranges)
+        assert n > 0
+        for values in (scan.ranges, scan.angles, scan.time_offsets):
+            assert values.dtype == np.float64
+            assert values.shape == (n,)
+        assert np.all(np.diff(scan.angles) > 0)
+        assert np.all(np.isfinite(scan.angles))
+        assert np.all(np.isfinite(scan.time_offsets))
+        valid = scan.ranges[~np.isnan(scan.ranges)]
+        assert 0 < len(valid) < n
+        assert np.all((valid >= scan.range_min) & (valid <= scan.range_max) & (valid > 0))
+        assert type(scan.range_min) is float
+        assert type(scan.range_max) is float
+        assert scan.mount is not None
+        assert scan.mount.shape == (3,)
+        assert scan.mount.dtype == np.float64
+
+
+def test_poses_are_well_formed(source: Source) -> None:
+    for message in source:
+        if isinstance(message, Odometry | GroundTruth):
+            assert message.pose.shape == (3,)
+            assert message.pose.dtype == np.float64
+            assert np.all(np.isfinite(message.pose))
+            assert -np.pi <= message.pose[2] <= np.pi
+
+
+def test_report_is_complete_afterwards(source: Source) -> None:
+    messages = list(source)
+    assert source.report.messages == len(messages)
+    assert source.report.skipped == 0
+    assert source.report.first is None
+    list(source)
+    assert source.report.messages == len(messages)
+
+
+def test_messages_cannot_change_each_other(
+    source: Source, assert_same: Callable[[list[Message], list[Message]], None]
+) -> None:
+    """Arrays that messages share are read-only; the others are their own."""
+    first = list(source)
+    for message in first:
+        arrays = (
+            (message.ranges, message.angles, message.time_offsets) if isinstance(message, Scan) else (message.pose,)
+        )
+        for array in arrays:
+            if array.flags.writeable:
+                array[:] = -1.0
+    untouched = list(source)
+    assert all(message.stamp >= 0 for message in untouched)
+    for scan in (message for message in untouched if isinstance(message, Scan)):
+        assert np.all(np.diff(scan.angles) > 0)
+        assert np.all(scan.time_offsets >= 0)
