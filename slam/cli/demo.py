@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from .console import OverwriteOption, complain
+from .console import OverwriteOption
 
 WORLD = "office"
 
@@ -28,30 +25,12 @@ def demo(
     from drivers.simulator import Simulation
 
     from ..config import Config
-    from .report import lines_for_people, viewer_command
+    from .report import lines_for_people
     from .session import map_source
+    from .viewer import has_display, open_viewer, viewer_command
 
     source = Simulation(WORLD, seed=seed)
     outcome = map_source(source, Config(), out, overwrite=overwrite, review=True, picture=True, seed=seed)
     typer.echo("\n".join(lines_for_people(outcome, out)))
     if view and has_display():
         open_viewer(viewer_command(out))
-
-
-def has_display() -> bool:
-    """Whether a window could be opened."""
-    return sys.platform == "darwin" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
-
-
-def open_viewer(command: list[str]) -> None:
-    """Start the viewer and let it live on; that it cannot be started is no failure of the demo."""
-    try:
-        subprocess.Popen(
-            command,
-            start_new_session=True,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-    except OSError as error:
-        complain(f"the viewer cannot be started: {error}")

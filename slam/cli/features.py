@@ -35,6 +35,7 @@ def features(
     lidar = config.lidar
     extractor = Extractor(
         Noise(lidar.sigma_range, lidar.sigma_bearing),
+        method=config.features.segmentation,
         estimator=config.features.estimator,
         adapt_noise=lidar.adapt_noise,
         range_min=lidar.range_min,

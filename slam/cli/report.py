@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import resource
-import shutil
 import sys
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from .viewer import viewer_command
 
 if TYPE_CHECKING:
     from drivers.messages import Source
@@ -94,17 +94,6 @@ def lines_for_people(outcome: Outcome, out: Path) -> list[str]:
         f"{summary['path_length']:.1f} m driven"
     )
     return [head] + [f"  {name:<11}{text}" for name, text in rows]
-
-
-def viewer_command(out: Path) -> list[str]:
-    """The command that opens the review log in `out`; the viewer is this environment's if there is none on the path."""
-    from ..outputs import REVIEW
-
-    program = "rerun"
-    if shutil.which(program) is None:
-        beside = Path(sys.executable).with_name(program)
-        program = os.path.relpath(beside) if beside.is_relative_to(Path.cwd()) else str(beside)
-    return [program, str(out / REVIEW)]
 
 
 def _time(summary: dict[str, Any]) -> str:

@@ -1,0 +1,40 @@
+"""The Rerun viewer, started for or named to the user."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from ..outputs import REVIEW
+from .console import complain
+
+
+def viewer_command(out: Path) -> list[str]:
+    """The command that opens the review log in `out`; the viewer is this environment's if there is none on the path."""
+    program = "rerun"
+    if shutil.which(program) is None:
+        beside = Path(sys.executable).with_name(program)
+        program = os.path.relpath(beside) if beside.is_relative_to(Path.cwd()) else str(beside)
+    return [program, str(out / REVIEW)]
+
+
+def has_display() -> bool:
+    """Whether a window could be opened."""
+    return sys.platform == "darwin" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+
+
+def open_viewer(command: list[str]) -> None:
+    """Start the viewer and let it live on; that it cannot be started is no failure of the demo."""
+    try:
+        subprocess.Popen(
+            command,
+            start_new_session=True,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+    except OSError as error:
+        complain(f"the viewer cannot be started: {error}")
