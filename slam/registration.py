@@ -1,4 +1,4 @@
-"""Where the robot stands in the local map: the segments of a scan laid over the landmarks near the predicted pose.
+"""Where the robot stands in the local map: a scan's segments and corners laid over the landmarks near the predicted pose.
 
 Odometry in turns can be wrong by many degrees, which would pair walls wrongly; so Gauss-Newton with shrinking gates is
 started from several headings around the prediction, and the pose that explains most wall wins.
@@ -11,180 +11,212 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from drivers import se2
 
-from .segments import Floats, Segments
+from .local_map import LocalMap
+from .segments import CornerPoints, Floats, Segments
 
-HEADING_STARTS = np.radians(
-    [0.0, -8.0, 8.0, -16.0, 16.0]
-)  # covers 15 degrees of odometry error; the prediction first, so it wins ties
-OFFSET_GATES = np.array(
-    [0.40, 0.40, 0.30, 0.20, 0.15, 0.10, 0.10, 0.10]
-)  # metres across the wall, one a Gauss-Newton step
+# Starts around the prediction [x, y, heading], nearest first: 15 degrees of odometry error in a turn are covered.
+NEAR_STARTS = np.array([[0.0, 0.0, math.radians(angle)] for angle in (0, -8, 8, -16, 16)])
+# Where the near starts explain little of the scan: wheels that slipped, or odometry that stood still for a second.
+FAR_STARTS = np.array(
+    [
+        [x, y, math.radians(angle)]
+        for x, y in ((0, 0), (0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5), (1, 0), (-1, 0), (0, 1), (0, -1))
+        for angle in range(-60, 61, 10)
+    ]
+)
+OFFSET_GATES = np.array([0.40, 0.40, 0.30, 0.20, 0.15, 0.10, 0.10, 0.10])  # metres across, one a Gauss-Newton step
 HEADING_GATES = np.radians([10.0, 10.0, 9.0, 7.0, 6.0, 5.0, 5.0, 5.0])
+CORNER_HEADING_GATE = math.radians(20.0)  # the walls that make a corner must run alike
 OVERLAP_MARGIN = 0.5  # metres: a segment may lie this far beyond what is known of a wall and still count as seen there
 CAUCHY_SCALE = 3.0  # standard deviations at which an observation counts half
+CLEARLY_MORE = 0.03  # of the scan's wall length: how much more a start farther from the prediction must explain
+EXPLAINED_ENOUGH = 0.5  # share of the scan's wall length below which the far starts are tried
+FAR_EXPLAINED = 0.75  # what a far start must explain to be believed
+FAR_LENGTH = 3.0  # metres of wall that a scan must show for that
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
-    """The outcome: the base's `pose` in the map, its `information` (3, 3) in the base's frame from walls alone,
-    the landmark each segment fell on (`matches` (n,), -1 for none), and the share of the scan's wall length explained."""
+    """The outcome of laying a scan over the local map.
+
+    pose         the base's pose in the map
+    information  (3, 3) in the base's frame, of what the landmarks tell of the pose (without the prediction's own)
+    explained    share of the scan's wall length that fell on known walls
+    recovered    whether it took a start far from the prediction
+    """
 
     pose: se2.Pose
     information: Floats
-    matches: NDArray[np.int64]
     explained: float
-    seen: float
-
-
-@njit(cache=True)
-def _match(pose, frames, halves, covariances, walls, lows, highs, offset_gate, heading_gate, floor, matches):  # type: ignore[no-untyped-def]
-    """Pair each segment with the nearest wall inside the gates, and accumulate the normal equations."""
-    information, gradient = np.zeros((3, 3)), np.zeros(3)
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    explained = 0.0
-    for i in range(len(frames)):
-        matches[i] = -1
-        x = pose[0] + c * frames[i, 0] - s * frames[i, 1]
-        y = pose[1] + s * frames[i, 0] + c * frames[i, 1]
-        syy = covariances[i, 0, 0] + floor[0]
-        stt = covariances[i, 1, 1] + floor[1]
-        syt = covariances[i, 0, 1]
-        determinant = syy * stt - syt * syt
-        wyy, wtt, wyt = stt / determinant, syy / determinant, -syt / determinant
-        best = np.inf
-        overlap = by = bt = 0.0
-        for j in range(len(walls)):
-            turn = pose[2] + frames[i, 2] - walls[j, 2]
-            turn -= 2 * math.pi * math.floor((turn + math.pi) / (2 * math.pi))
-            if abs(turn) > heading_gate:
-                continue
-            wc, ws = math.cos(walls[j, 2]), math.sin(walls[j, 2])
-            dx, dy = x - walls[j, 0], y - walls[j, 1]
-            offset = -ws * dx + wc * dy
-            if abs(offset) > offset_gate:
-                continue
-            along = wc * dx + ws * dy
-            low, high = along - halves[i], along + halves[i]
-            shared = min(high, highs[j] + OVERLAP_MARGIN) - max(low, lows[j] - OVERLAP_MARGIN)
-            if shared <= 0.0:
-                continue
-            distance = (offset / offset_gate) ** 2 + (turn / heading_gate) ** 2
-            if distance < best:
-                best, overlap, by, bt = distance, min(shared, 2 * halves[i]), offset, turn
-                matches[i] = j
-        if matches[i] < 0:
-            continue
-        j = matches[i]
-        wc, ws = math.cos(walls[j, 2]), math.sin(walls[j, 2])
-        chi2 = wyy * by * by + 2 * wyt * by * bt + wtt * bt * bt
-        weight = 1.0 / (1.0 + chi2 / (CAUCHY_SCALE * CAUCHY_SCALE))
-        explained += overlap * (1.0 - 0.5 * best / 2.0)
-        # change of the offset with the base moving (dx, dy) and turning in its own frame
-        jx = -ws * c + wc * s
-        jy = ws * s + wc * c
-        lever_x, lever_y = x - pose[0], y - pose[1]
-        jt = ws * lever_y + wc * lever_x
-        j0, j1, j2 = jx, jy, jt
-        information[0, 0] += weight * wyy * j0 * j0
-        information[0, 1] += weight * wyy * j0 * j1
-        information[1, 1] += weight * wyy * j1 * j1
-        information[0, 2] += weight * (wyy * j0 * j2 + wyt * j0)
-        information[1, 2] += weight * (wyy * j1 * j2 + wyt * j1)
-        information[2, 2] += weight * (wyy * j2 * j2 + 2 * wyt * j2 + wtt)
-        ry, rt = wyy * by + wyt * bt, wyt * by + wtt * bt
-        gradient[0] += weight * j0 * ry
-        gradient[1] += weight * j1 * ry
-        gradient[2] += weight * (j2 * ry + rt)
-    information[1, 0], information[2, 0], information[2, 1] = (
-        information[0, 1],
-        information[0, 2],
-        information[1, 2],
-    )
-    return information, gradient, explained
-
-
-@njit(cache=True)
-def _register(
-    prediction,
-    prior,
-    frames,
-    halves,
-    covariances,
-    walls,
-    lows,
-    highs,
-    starts,
-    offset_gates,
-    heading_gates,
-    floor,
-):  # type: ignore[no-untyped-def]
-    best_pose, best_information = prediction.copy(), np.zeros((3, 3))
-    best_matches = np.full(len(frames), -1)
-    best_explained = -1.0
-    matches = np.full(len(frames), -1)
-    for start in starts:
-        pose = prediction.copy()
-        pose[2] += start
-        information = np.zeros((3, 3))
-        explained = 0.0
-        for step in range(len(offset_gates)):
-            information, gradient, explained = _match(
-                pose,
-                frames,
-                halves,
-                covariances,
-                walls,
-                lows,
-                highs,
-                offset_gates[step],
-                heading_gates[step],
-                floor,
-                matches,
-            )
-            # the prior pulls towards the prediction, weakly: it decides only what walls leave open
-            c, s = math.cos(pose[2]), math.sin(pose[2])
-            ex, ey = pose[0] - prediction[0], pose[1] - prediction[1]
-            error = np.array([c * ex + s * ey, -s * ex + c * ey, pose[2] - prediction[2]])
-            step_taken = np.linalg.solve(information + prior, gradient + prior @ error)
-            pose[0] -= c * step_taken[0] - s * step_taken[1]
-            pose[1] -= s * step_taken[0] + c * step_taken[1]
-            pose[2] -= step_taken[2]
-        if explained > best_explained + 1e-9:
-            best_explained, best_pose, best_information = explained, pose, information
-            best_matches = matches.copy()
-    return best_pose, best_information, best_matches, best_explained
+    recovered: bool
 
 
 def register(
-    prediction: se2.Pose,
-    prior: Floats,
-    segments: Segments,
-    walls: Floats,
-    lows: Floats,
-    highs: Floats,
-    floor: Floats,
+    prediction: se2.Pose, prior: Floats, segments: Segments, corners: CornerPoints, local_map: LocalMap, flatness: float
 ) -> Registration:
-    """Lay `segments` over the walls (m, 3 frames in the map, known from `lows` to `highs` along their x axis).
+    """The base's pose in the map for a scan.
 
-    `prior` (3, 3) is the information of the prediction in the base's frame.
+    `prior` (3, 3) is the information of the predicted pose in the base's frame: it decides what walls leave open.
+    `flatness` is the variance of the walls' unevenness (metres squared).
     """
-    pose, information, matches, explained = _register(
-        prediction,
-        prior,
-        segments.frame,
-        segments.half_length,
-        segments.covariance,
-        walls,
-        lows,
-        highs,
-        HEADING_STARTS,
-        OFFSET_GATES,
-        HEADING_GATES,
-        floor,
-    )
+    seen = float(2 * segments.half_length.sum())
+    if not len(segments) or not len(local_map.walls):
+        return Registration(prediction.copy(), np.zeros((3, 3)), 0.0, False)
+    scan = (segments.frame, segments.half_length, segments.covariance)
+    points = (corners.position, corners.headings, corners.covariance)
+    walls = (local_map.frame, local_map.low, local_map.high, local_map.wall_covariance)
+    known = (local_map.position, local_map.headings, local_map.corner_covariance)
+
+    def best_of(starts: Floats) -> tuple[se2.Pose, Floats, float]:
+        pose, information, length = _register(prediction, prior, starts, CLEARLY_MORE * seen, *scan, *points, *walls, *known, flatness)
+        return pose, information, length / seen
+
+    recovered = False
+    pose, information, explained = best_of(NEAR_STARTS)
+    if explained < EXPLAINED_ENOUGH and seen > FAR_LENGTH:
+        far_pose, far_information, far_explained = best_of(FAR_STARTS)
+        if far_explained > FAR_EXPLAINED:
+            pose, information, explained, recovered = far_pose, far_information, far_explained, True
     pose[2] = se2.wrap(pose[2])
-    return Registration(pose, information, matches, explained, float(2 * segments.half_length.sum()))
+    return Registration(pose, information, explained, recovered)
+
+
+@njit(cache=True)
+def _turn(angle):  # type: ignore[no-untyped-def]
+    return angle - 2 * math.pi * math.floor((angle + math.pi) / (2 * math.pi))
+
+
+@njit(cache=True)
+def _register(  # type: ignore[no-untyped-def]
+    prediction, prior, starts, clearly_more,
+    frames, halves, covariances, points, point_headings, point_covariances,
+    walls, lows, highs, wall_covariances, corners, corner_headings, corner_covariances, flatness,
+):  # fmt: skip
+    """Gauss-Newton from every start; the pose that explains clearly most wall length, its information and that length."""
+    best_pose, best_information, best_explained = prediction.copy(), np.zeros((3, 3)), -1.0
+    information, gradient = np.zeros((3, 3)), np.zeros(3)
+    for start in starts:
+        pose = prediction.copy()
+        c, s = math.cos(prediction[2]), math.sin(prediction[2])
+        pose[0] += c * start[0] - s * start[1]
+        pose[1] += s * start[0] + c * start[1]
+        pose[2] += start[2]
+        explained = 0.0
+        for step in range(len(OFFSET_GATES)):
+            information[:] = 0.0
+            gradient[:] = 0.0
+            explained = _add_walls(
+                pose, frames, halves, covariances, walls, lows, highs, wall_covariances, flatness,
+                OFFSET_GATES[step], HEADING_GATES[step], information, gradient,
+            )  # fmt: skip
+            _add_corners(
+                pose, points, point_headings, point_covariances, corners, corner_headings, corner_covariances, flatness,
+                OFFSET_GATES[step], information, gradient,
+            )  # fmt: skip
+            c, s = math.cos(pose[2]), math.sin(pose[2])
+            ex, ey = pose[0] - prediction[0], pose[1] - prediction[1]
+            error = np.array([c * ex + s * ey, -s * ex + c * ey, pose[2] - prediction[2]])
+            move = np.linalg.solve(information + prior, gradient + prior @ error)
+            pose[0] -= c * move[0] - s * move[1]
+            pose[1] -= s * move[0] + c * move[1]
+            pose[2] -= move[2]
+        if explained > best_explained + clearly_more:
+            best_explained, best_pose, best_information = explained, pose, information.copy()
+    return best_pose, best_information, best_explained
+
+
+@njit(cache=True)
+def _add_walls(  # type: ignore[no-untyped-def]
+    pose, frames, halves, covariances, walls, lows, highs, wall_covariances, flatness,
+    offset_gate, heading_gate, information, gradient,
+):  # fmt: skip
+    """Pair each segment with the nearest wall inside the gates and add its normal equations; the length explained."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    total = 0.0
+    for i in range(len(frames)):
+        x = pose[0] + c * frames[i, 0] - s * frames[i, 1]
+        y = pose[1] + s * frames[i, 0] + c * frames[i, 1]
+        best, match = np.inf, -1
+        overlap = offset = turn = along = 0.0
+        for j in range(len(walls)):
+            angle = _turn(pose[2] + frames[i, 2] - walls[j, 2])
+            if abs(angle) > heading_gate:
+                continue
+            wc, ws = math.cos(walls[j, 2]), math.sin(walls[j, 2])
+            dx, dy = x - walls[j, 0], y - walls[j, 1]
+            across = -ws * dx + wc * dy
+            if abs(across) > offset_gate:
+                continue
+            at = wc * dx + ws * dy
+            shared = min(at + halves[i], highs[j] + OVERLAP_MARGIN) - max(at - halves[i], lows[j] - OVERLAP_MARGIN)
+            distance = (across / offset_gate) ** 2 + (angle / heading_gate) ** 2
+            if shared > 0.0 and distance < best:
+                best, match, overlap, offset, turn, along = distance, j, min(shared, 2 * halves[i]), across, angle, at
+        if match < 0:
+            continue
+        wall = wall_covariances[match]
+        syy = covariances[i, 0, 0] + flatness + wall[0, 0] + 2 * along * wall[0, 1] + along * along * wall[1, 1]
+        syt = covariances[i, 0, 1] + wall[0, 1] + along * wall[1, 1]
+        stt = covariances[i, 1, 1] + 3 * flatness / halves[i] ** 2 + wall[1, 1]
+        determinant = syy * stt - syt * syt
+        wyy, wtt, wyt = stt / determinant, syy / determinant, -syt / determinant
+        chi2 = wyy * offset * offset + 2 * wyt * offset * turn + wtt * turn * turn
+        weight = 1.0 / (1.0 + chi2 / (CAUCHY_SCALE * CAUCHY_SCALE))
+        total += overlap * (1.0 - 0.25 * best)
+        # how the offset changes as the base moves forward, left, and turns
+        wc, ws = math.cos(walls[match, 2]), math.sin(walls[match, 2])
+        j0, j1 = -ws * c + wc * s, ws * s + wc * c
+        j2 = ws * (y - pose[1]) + wc * (x - pose[0])
+        ry, rt = weight * (wyy * offset + wyt * turn), weight * (wyt * offset + wtt * turn)
+        gradient[0] += j0 * ry
+        gradient[1] += j1 * ry
+        gradient[2] += j2 * ry + rt
+        information[0, 0] += weight * wyy * j0 * j0
+        information[1, 1] += weight * wyy * j1 * j1
+        information[2, 2] += weight * (wyy * j2 * j2 + 2 * wyt * j2 + wtt)
+        i01, i02, i12 = weight * wyy * j0 * j1, weight * j0 * (wyy * j2 + wyt), weight * j1 * (wyy * j2 + wyt)
+        information[0, 1] += i01
+        information[1, 0] += i01
+        information[0, 2] += i02
+        information[2, 0] += i02
+        information[1, 2] += i12
+        information[2, 1] += i12
+    return total
+
+
+@njit(cache=True)
+def _add_corners(  # type: ignore[no-untyped-def]
+    pose, points, headings, covariances, corners, corner_headings, corner_covariances, flatness,
+    gate, information, gradient,
+):  # fmt: skip
+    """Pair each corner with the nearest known one inside the gate and add its normal equations."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    rotation = np.array([[c, -s], [s, c]])
+    for i in range(len(points)):
+        lever = rotation @ points[i]
+        best, match = gate * gate, -1
+        for j in range(len(corners)):
+            dx, dy = pose[0] + lever[0] - corners[j, 0], pose[1] + lever[1] - corners[j, 1]
+            distance = dx * dx + dy * dy
+            if (
+                distance < best
+                and abs(_turn(pose[2] + headings[i, 0] - corner_headings[j, 0])) < CORNER_HEADING_GATE
+                and abs(_turn(pose[2] + headings[i, 1] - corner_headings[j, 1])) < CORNER_HEADING_GATE
+            ):
+                best, match = distance, j
+        if match < 0:
+            continue
+        covariance = rotation @ covariances[i] @ rotation.T + corner_covariances[match]
+        covariance[0, 0] += flatness
+        covariance[1, 1] += flatness
+        weights = np.linalg.inv(covariance)
+        residual = np.array([pose[0] + lever[0] - corners[match, 0], pose[1] + lever[1] - corners[match, 1]])
+        chi2 = residual @ weights @ residual
+        jacobian = np.array([[c, -s, -lever[1]], [s, c, lever[0]]])
+        # a corner is made of the ends of two segments that count already: it adds what they cannot say, at half weight
+        weight = 0.5 / (1.0 + chi2 / (CAUCHY_SCALE * CAUCHY_SCALE))
+        information += weight * (jacobian.T @ weights @ jacobian)
+        gradient += weight * (jacobian.T @ (weights @ residual))

@@ -35,6 +35,10 @@ class Segments:
     def __len__(self) -> int:
         return len(self.frame)
 
+    def reach(self) -> float:
+        """Distance of the farthest point of any segment from the base, at most (metres)."""
+        return float(np.max(np.hypot(self.frame[:, 0], self.frame[:, 1]) + self.half_length, initial=0.0))
+
 
 def segments_from_lines(lines: Lines, mount: se2.Pose) -> Segments:
     """Lines in the lidar's frame as segments in the base's frame; `mount` is the lidar's pose in the base's frame.
@@ -58,19 +62,27 @@ def segments_from_lines(lines: Lines, mount: se2.Pose) -> Segments:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CornerPoints:
-    """m corners seen from one pose: `position` (m, 2) and `covariance` (m, 2, 2) in the base's frame, `lines` (m, 2) their segments."""
+    """m corners seen from one pose.
+
+    position    (m, 2) in the base's frame, metres
+    covariance  (m, 2, 2)
+    segments    (m, 2) indices of the segments before and after the corner, counter-clockwise
+    headings    (m, 2) of those segments in the base's frame
+    """
 
     position: Floats
     covariance: Floats
-    lines: NDArray[np.int64]
+    segments: NDArray[np.int64]
+    headings: Floats
 
     def __len__(self) -> int:
         return len(self.position)
 
 
-def corner_points(corners: Corners, mount: se2.Pose) -> CornerPoints:
+def corner_points(corners: Corners, segments: Segments, mount: se2.Pose) -> CornerPoints:
     """Corners in the lidar's frame moved into the base's frame; `mount` is the lidar's pose in the base's frame."""
     c, s = np.cos(mount[2]), np.sin(mount[2])
     rotation = np.array([[c, -s], [s, c]])
     position = se2.transform(mount, corners.position).reshape(-1, 2)
-    return CornerPoints(position, rotation @ corners.covariance @ rotation.T, corners.lines)
+    headings = segments.frame[corners.lines, 2].reshape(-1, 2)
+    return CornerPoints(position, rotation @ corners.covariance @ rotation.T, corners.lines, headings)

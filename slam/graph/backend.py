@@ -1,27 +1,31 @@
 """Keyframes, walls and corners as variables, odometry and observations as factors, solved incrementally by iSAM2.
 
 A wall is a Pose2: a frame on it with x along the wall. An observation is a BetweenFactorPose2 that measures only the
-offset across the wall and its direction; its information along the wall is zero. All arithmetic stays in C++.
+offset across the wall and its direction; its information along the wall is zero. GTSAM's Pose2 uses the full
+exponential map, in which an offset along the wall leaks into the one across it, so the observed frame is placed where
+the wall's own frame is believed to be (its covariance carried along): then the leak is of second order.
+A corner is a Point2 seen by bearing and range with a full covariance. All arithmetic stays in C++.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import C, L, X
 
 from drivers import se2
+from slam.errors import MapError
+from slam.segments import Floats
 
-from ..segments import Floats
-
-RELINEARIZE_THRESHOLD = 0.01  # metres and radians
+RELINEARIZE_THRESHOLD = 0.05  # metres and radians
 RELINEARIZE_SKIP = 10  # updates; a tenth of the cost of relinearising at each update, for the same result
 CAUCHY_SCALE = 3.0  # standard deviations at which an observation counts half
-ODOMETRY_SCALE = 2.0  # the same for odometry: single readings can be grossly wrong
-ALONG_SIGMA = 1.0  # metres; fixes where along a wall its frame lies, once, relative to the keyframe that made it
-FIRST_POSE_SIGMA = (1e-3, 1e-3, 1e-4)
+ODOMETRY_CAUCHY_SCALE = 2.0  # the same for odometry: single readings can be grossly wrong
+ALONG_SIGMA = 1.0  # metres; says once where along a wall its frame lies, which no observation does
+FIRST_POSE_SIGMAS = np.array([1e-3, 1e-3, 1e-4])  # metres, metres, radians: the first keyframe defines the map's frame
+SAME_WALL_SIGMAS = np.array([2e-3, 2e-4])  # metres across, radians: how equal two frames of one wall are
 
 
 def _pose2(pose: se2.Pose) -> gtsam.Pose2:
@@ -33,7 +37,7 @@ def _array(pose: gtsam.Pose2) -> se2.Pose:
 
 
 class FactorGraph:
-    """The map's estimate. Additions are collected and take effect with `update`."""
+    """The estimate of path and map. Additions are collected and take effect with `update`."""
 
     def __init__(self) -> None:
         parameters = gtsam.ISAM2Params()
@@ -42,54 +46,154 @@ class FactorGraph:
         self._isam = gtsam.ISAM2(parameters)
         self._factors = gtsam.NonlinearFactorGraph()
         self._values = gtsam.Values()
-        self._line_kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(CAUCHY_SCALE)
-        self._odometry_kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(ODOMETRY_SCALE)
+        self._observation_kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(CAUCHY_SCALE)
+        self._odometry_kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(ODOMETRY_CAUCHY_SCALE)
         self.factor_count = 0
 
+    # --- additions
+
     def add_first_keyframe(self, pose: se2.Pose) -> None:
-        """The keyframe that defines the map's frame."""
-        noise = gtsam.noiseModel.Diagonal.Sigmas(np.array(FIRST_POSE_SIGMA))
+        """Keyframe 0, which defines the map's frame."""
         self._values.insert(X(0), _pose2(pose))
+        noise = gtsam.noiseModel.Diagonal.Sigmas(FIRST_POSE_SIGMAS)
         self._factors.add(gtsam.PriorFactorPose2(X(0), _pose2(pose), noise))
 
     def add_keyframe(self, index: int, pose: se2.Pose, motion: se2.Pose, covariance: Floats) -> None:
-        """A keyframe near `pose`, reached from keyframe index - 1 by the odometry's `motion` with `covariance` (3, 3)."""
-        noise = gtsam.noiseModel.Robust.Create(self._odometry_kernel, gtsam.noiseModel.Gaussian.Covariance(covariance))
+        """A keyframe near `pose`, reached from keyframe `index - 1` by the odometry's `motion` with its covariance (3, 3)."""
         self._values.insert(X(index), _pose2(pose))
+        noise = gtsam.noiseModel.Robust.Create(
+            self._odometry_kernel, gtsam.noiseModel.Gaussian.Covariance(covariance)
+        )
         self._factors.add(gtsam.BetweenFactorPose2(X(index - 1), X(index), _pose2(motion), noise))
 
-    def add_line(self, line: int, frame: se2.Pose) -> None:
+    def add_wall(self, wall: int, frame: se2.Pose) -> None:
         """A wall whose frame in the map is near `frame`. Its first observation must be made with `anchor=True`."""
-        self._values.insert(L(line), _pose2(frame))
+        self._values.insert(L(wall), _pose2(frame))
 
-    def observe_line(
-        self, keyframe: int, line: int, frame: se2.Pose, covariance: Floats, *, anchor: bool = False
+    def observe_wall(
+        self, keyframe: int, wall: int, frame: se2.Pose, covariance: Floats, *, anchor: bool = False
     ) -> None:
-        """The wall's frame as seen from the keyframe, with the covariance (2, 2) of offset across and direction, at that frame.
+        """The wall's frame as seen from a keyframe; covariance (2, 2) of its offset across and its heading, at that frame.
 
-        `anchor` fixes the frame along the wall, where nothing else does.
+        `anchor` fixes the frame along the wall, weakly.
         """
-        root = np.zeros((3, 3))
-        root[1:, 1:] = np.linalg.cholesky(np.linalg.inv(covariance)).T
+        root = _root_information(covariance)
         if anchor:
             root[0, 0] = 1.0 / ALONG_SIGMA
-        noise = gtsam.noiseModel.Robust.Create(
-            self._line_kernel, gtsam.noiseModel.Gaussian.SqrtInformation(root, False)
-        )
-        self._factors.add(gtsam.BetweenFactorPose2(X(keyframe), L(line), _pose2(frame), noise))
+        noise = gtsam.noiseModel.Gaussian.SqrtInformation(root, False)
+        robust = gtsam.noiseModel.Robust.Create(self._observation_kernel, noise)
+        self._factors.add(gtsam.BetweenFactorPose2(X(keyframe), L(wall), _pose2(frame), robust))
+
+    def add_corner(self, corner: int, position: Floats) -> None:
+        """A corner near `position` in the map."""
+        self._values.insert(C(corner), gtsam.Point2(float(position[0]), float(position[1])))
+
+    def observe_corner(self, keyframe: int, corner: int, position: Floats, covariance: Floats) -> None:
+        """A corner's `position` in a keyframe's frame, with its covariance (2, 2)."""
+        x, y = float(position[0]), float(position[1])
+        reach = float(np.hypot(x, y))
+        to_polar = np.array([[-y / reach**2, x / reach**2], [x / reach, y / reach]])
+        noise = gtsam.noiseModel.Gaussian.Covariance(to_polar @ covariance @ to_polar.T)
+        robust = gtsam.noiseModel.Robust.Create(self._observation_kernel, noise)
+        bearing = gtsam.Rot2.fromAngle(float(np.arctan2(y, x)))
+        self._factors.add(gtsam.BearingRangeFactor2D(X(keyframe), C(corner), bearing, reach, robust))
+
+    def tie_walls(self, wall: int, other: int, along: float) -> None:
+        """Two walls are one: `other`'s frame lies on `wall`, `along` metres from its frame."""
+        noise = gtsam.noiseModel.Gaussian.SqrtInformation(_root_information(np.diag(SAME_WALL_SIGMAS**2)), False)
+        robust = gtsam.noiseModel.Robust.Create(self._observation_kernel, noise)
+        self._factors.add(gtsam.BetweenFactorPose2(L(wall), L(other), gtsam.Pose2(along, 0.0, 0.0), robust))
 
     def update(self) -> None:
-        """Bring everything added since the last update into the estimate."""
+        """Bring everything added since the last update into the estimate.
+
+        Raises MapError where the geometry leaves a variable undetermined.
+        """
         self.factor_count += self._factors.size()
-        self._isam.update(self._factors, self._values)
+        try:
+            self._isam.update(self._factors, self._values)
+        except RuntimeError as error:
+            raise MapError(f"the map cannot be estimated: {str(error).strip().splitlines()[0]}") from error
         self._factors = gtsam.NonlinearFactorGraph()
         self._values = gtsam.Values()
 
+    # --- the estimate
+
     def keyframe_pose(self, index: int) -> se2.Pose:
+        """The base's pose in the map at a keyframe."""
         return _array(self._isam.calculateEstimatePose2(X(index)))
 
-    def keyframe_poses(self, indices: Iterable[int]) -> Floats:
-        return np.array([self.keyframe_pose(k) for k in indices]).reshape(-1, 3)
+    def keyframe_poses(self, count: int) -> Floats:
+        """(count, 3): the poses of the first `count` keyframes."""
+        values = self._isam.calculateEstimate()
+        return np.array([_array(values.atPose2(X(k))) for k in range(count)]).reshape(-1, 3)
 
-    def line_frames(self, lines: Sequence[int]) -> Floats:
-        return np.array([_array(self._isam.calculateEstimatePose2(L(j))) for j in lines]).reshape(-1, 3)
+    def wall_frames(self, walls: Sequence[int]) -> Floats:
+        """(n, 3): the frames of walls in the map."""
+        return np.array([_array(self._isam.calculateEstimatePose2(L(j))) for j in walls]).reshape(-1, 3)
+
+    def corner_positions(self, corners: Sequence[int]) -> Floats:
+        """(n, 2): the positions of corners in the map."""
+        return np.array([self._isam.calculateEstimatePoint2(C(j)) for j in corners]).reshape(-1, 2)
+
+    def chi2(self) -> float:
+        """The robust cost of the whole graph, times two."""
+        return 2.0 * float(self._isam.getFactorsUnsafe().error(self._isam.calculateEstimate()))
+
+    # --- its uncertainty
+
+    def keyframe_covariance(self, index: int) -> Floats:
+        """(3, 3): covariance of a keyframe's pose, in its own frame."""
+        return np.asarray(self._isam.marginalCovariance(X(index)))
+
+    def wall_covariance(self, wall: int) -> Floats:
+        """(2, 2): covariance of a wall's offset across and heading in the map, at its frame."""
+        return np.asarray(self._isam.marginalCovariance(L(wall)))[1:, 1:]
+
+    def corner_covariance(self, corner: int) -> Floats:
+        """(2, 2): covariance of a corner's position in the map."""
+        return np.asarray(self._isam.marginalCovariance(C(corner)))
+
+    def relative_covariances(
+        self, keyframe: int, walls: Sequence[int], corners: Sequence[int]
+    ) -> tuple[Floats, Floats, Floats]:
+        """How well a keyframe is known in the map, and landmarks as seen from it, the uncertainty common to both left out.
+
+        Pose (3, 3), in the map's axes. Walls (n, 2, 2): of the offset across and the heading, at the wall's frame.
+        Corners (m, 2, 2): of the position, in the map's axes. Cheap for the last keyframe and what it observed.
+        """
+        keys = [X(keyframe), *(L(j) for j in walls), *(C(j) for j in corners)]
+        joint = np.asarray(self._isam.jointMarginalCovariance(keys).fullMatrix())
+        pose = self.keyframe_pose(keyframe)
+        own = joint[:3, :3]
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        wall_covariances = np.empty((len(walls), 2, 2))
+        for row, frame in enumerate(self.wall_frames(walls)):
+            at = slice(3 + 3 * row, 6 + 3 * row)
+            carry = _adjoint(se2.between(frame, pose))
+            cross = joint[at, :3] @ carry.T
+            full = joint[at, at] + carry @ own @ carry.T - cross - cross.T
+            wall_covariances[row] = full[1:, 1:]
+        corner_covariances = np.empty((len(corners), 2, 2))
+        first = 3 + 3 * len(walls)
+        for row, position in enumerate(self.corner_positions(corners)):
+            at = slice(first + 2 * row, first + 2 * row + 2)
+            x, y = position - pose[:2]
+            carry = np.array([[1.0, 0.0, -y], [0.0, 1.0, x]]) @ rotation
+            cross = joint[at, :3] @ carry.T
+            corner_covariances[row] = joint[at, at] + carry @ own @ carry.T - cross - cross.T
+        return rotation @ own @ rotation.T, wall_covariances, corner_covariances
+
+
+def _root_information(covariance: Floats) -> Floats:
+    """The upper square root (3, 3) of the information of (along, across, heading): none along."""
+    root = np.zeros((3, 3))
+    root[1:, 1:] = np.linalg.cholesky(np.linalg.inv(covariance)).T
+    return root
+
+
+def _adjoint(pose: se2.Pose) -> Floats:
+    """Moves a small motion [x, y, heading] from the frame that `pose` places to the frame that it is given in."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    return np.array([[c, -s, pose[1]], [s, c, -pose[0]], [0.0, 0.0, 1.0]])

@@ -23,21 +23,25 @@ def eye_distance(width: float, height: float) -> float:
 
 
 def grid_spacing(size: float) -> float:
-    """Metres between the grid's lines for a map of `size` metres: 1, 5, 10, 50, ... so that at most 50 are seen."""
+    """Metres between the grid's lines for a map of `size` metres: 1, 5, 10, 50, ... so that at most 30 are seen."""
     spacing, factors = 1.0, (5.0, 2.0)
     step = 0
-    while size / spacing > 50:
+    while size / spacing > 30:
         spacing *= factors[step % 2]
         step += 1
     return spacing
 
 
-def layout(low: Floats, high: Floats, *, truth: bool) -> rrb.Blueprint:
-    """The layout for a map in the box from `low` (2,) to `high` (2,), metres; `truth` adds a plot of errors."""
+def layout(low: Floats, high: Floats, *, truth: bool, usual_time: float | None = None) -> rrb.Blueprint:
+    """The layout for a map in the box from `low` (2,) to `high` (2,), metres.
+
+    `truth` adds a plot of errors; `usual_time` is what most keyframes take, milliseconds: the plot of times shows twice
+    that, because the first keyframe, which waits for compilers, would flatten all others.
+    """
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(_map(low, high), _close_up(), _texts(), column_shares=[5, 4, 3]),
-            _plots(truth=truth),
+            _plots(truth=truth, usual_time=usual_time),
             row_shares=[3, 1.2],
         ),
         rrb.TimePanel(state="collapsed", timeline="keyframe", play_state="following"),
@@ -103,13 +107,14 @@ def _texts() -> rrb.Vertical:
     )
 
 
-def _plots(*, truth: bool) -> rrb.Horizontal:
+def _plots(*, truth: bool, usual_time: float | None) -> rrb.Horizontal:
     share = rrb.ScalarAxis(range=(0.0, 1.05), zoom_lock=True)
+    times = None if usual_time is None else rrb.ScalarAxis(range=(0.0, 2 * usual_time))
     plots: list[rrb.TimeSeriesView | rrb.Tabs] = [
         _plot("explained", "Explained by the map", axis=share),
         _plot("sigma", "Pose sigma"),
         rrb.Tabs(_plot("association", "Largest d² of a match"), _plot("chi2", "chi²"), active_tab=0),
-        _plot("time", "Time per keyframe [ms]"),
+        _plot("time", "Time per keyframe [ms]", axis=times),
         _plot("counts", "Counts"),
     ]
     if truth:

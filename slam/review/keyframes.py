@@ -19,8 +19,8 @@ from .shapes import ROUND_SCAN, Layer, corner_links, ellipses, lift, segment_end
 # An arrow that points ahead, metres.
 ROBOT_OUTLINE = np.array([[0.3, 0.0], [-0.2, 0.2], [-0.1, 0.0], [-0.2, -0.2], [0.3, 0.0]])
 
-_SCAN_SIZE, _CORNER_SIZE = rr.Radius.ui_points(1.0), rr.Radius.ui_points(3.5)
-_THIN, _THICK = rr.Radius.ui_points(0.7), rr.Radius.ui_points(2.0)
+_SCAN_SIZE, _CORNER_SIZE = rr.Radius.ui_points(0.7), rr.Radius.ui_points(3.5)
+_THIN, _THICK = rr.Radius.ui_points(0.7), rr.Radius.ui_points(2.5)
 
 
 class KeyframeLayer:

@@ -105,7 +105,10 @@ class EventLog:
 
     def close(self) -> None:
         """Fit the layout to the map and write the file's footer."""
-        self._stream.send_blueprint(layout(*self._extent, truth=self._truth.alignment is not None))
+        final = layout(
+            *self._extent, truth=self._truth.alignment is not None, usual_time=self._metrics.usual_top("time")
+        )
+        self._stream.send_blueprint(final)
         self._stream.disconnect()
 
     def _log_documents(self, config: str, recording: str, versions: Mapping[str, str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,7 @@ class Matches:
 
     prefix    "L" for walls, "C" for corners
     identity  (n,) in the map; -1: none
-    gate      (n,) squared Mahalanobis distance of the match; NaN where there was no candidate
+    gate      (n,) squared Mahalanobis distance of the match, or of the nearest candidate; NaN where there was none
     new       (n,) whether the feature was the first to show what it is matched with
     """
 
@@ -37,15 +38,19 @@ class Matches:
         return cls("C", event.corner_match, event.corner_gate, (event.corner_match >= 0) & np.isnan(event.corner_gate))
 
     def names(self) -> list[str]:
-        """`L12`, `L12 new` or `none`, for each feature."""
-        return [
-            "none" if identity < 0 else f"{self.prefix}{identity} new" if new else f"{self.prefix}{identity}"
-            for identity, new in zip(self.identity.tolist(), self.new.tolist(), strict=True)
-        ]
+        """`L12`, `L12 new`, `none`, or `ambiguous` where there was a candidate that was not taken, for each feature."""
+        names = []
+        rows = zip(self.identity.tolist(), self.gate.tolist(), self.new.tolist(), strict=True)
+        for identity, gate, new in rows:
+            name = f"{self.prefix}{identity} new" if new else f"{self.prefix}{identity}"
+            if identity < 0:
+                name = "none" if math.isnan(gate) else "ambiguous"
+            names.append(name)
+        return names
 
     def distances(self) -> list[str]:
         """The gate values as text, empty where there is none."""
-        return ["" if np.isnan(gate) else f"{gate:.1f}" for gate in self.gate.tolist()]
+        return ["" if math.isnan(gate) else f"{gate:.1f}" for gate in self.gate.tolist()]
 
     def labels(self) -> list[str]:
         """`L12 d²=3.1`, for each feature."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
 import rerun as rr
 
 from .colours import SERIES
@@ -15,6 +16,7 @@ class Metrics:
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
         self._names: dict[str, list[str]] = {}
+        self._largest: dict[str, list[float]] = {}
 
     def log(self, group: str, values: Mapping[str, float]) -> None:
         """Log the values of one group at the stream's current time; a name left out is a gap in its series."""
@@ -26,4 +28,11 @@ class Metrics:
             series = rr.SeriesLines(names=names, colors=colours, widths=[1.5] * len(names))
             self._stream.log(f"metrics/{group}", series, static=True)
         nan = float("nan")
+        self._largest.setdefault(group, []).append(max(values.values(), default=nan))
         self._stream.log(f"metrics/{group}", rr.Scalars([float(values.get(name, nan)) for name in names]))
+
+    def usual_top(self, group: str) -> float | None:
+        """The value below which a plot of the group shows all but a few rows; None where nothing is known."""
+        largest = np.array(self._largest.get(group, []))
+        largest = largest[np.isfinite(largest)]
+        return float(np.percentile(largest, 98)) if len(largest) else None

@@ -35,7 +35,7 @@ class Layer(float, Enum):
     TRUTH = 0.005  # thin, over the estimate: they should coincide
     FEATURE = 0.006
     LINK = 0.008
-    SCAN = 0.010  # over the segments: they show how well those fit
+    SCAN = 0.010  # small, over the segments: they show how well those fit
 
 
 def lift(points: ArrayLike, layer: Layer, parts: float = ROUND_ESTIMATE) -> Drawn:

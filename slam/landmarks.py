@@ -1,0 +1,128 @@
+"""The walls and corners known so far."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers import se2
+
+from .segments import Floats
+
+WALL = np.dtype(
+    [
+        ("frame", float, 3),  # in the map: x along the wall, which is seen from y > 0
+        ("low", float),  # metres along x, how far the wall is known
+        ("high", float),
+        ("observations", int),  # keyframes
+        ("last_seen", int),  # keyframe
+        ("covariance", float, (2, 2)),  # of offset and heading at the frame, as seen from the keyframe last_seen
+        ("kept", int),  # the wall that speaks for this one: itself, or the wall that it turned out to be
+        ("in_graph", bool),
+    ]
+)
+
+CORNER = np.dtype(
+    [
+        ("position", float, 2),  # in the map
+        ("headings", float, 2),  # in the map, of the walls before and after it (counter-clockwise as seen)
+        ("walls", int, 2),  # their indices, -1 where not known
+        ("observations", int),
+        ("last_seen", int),
+        ("covariance", float, (2, 2)),  # as seen from the keyframe last_seen, in the map's axes
+        ("in_graph", bool),
+    ]
+)
+
+
+class Table:
+    """Rows of one structured type, growing; an index is an identity for good. `rows` is a view: assigning to it writes."""
+
+    def __init__(self, dtype: np.dtype[np.void]) -> None:
+        self._storage = np.zeros(256, dtype)
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def rows(self) -> NDArray[np.void]:
+        return self._storage[: self._count]
+
+    def append(self, **fields: Any) -> int:
+        """Add a row; returns its index."""
+        if self._count == len(self._storage):
+            self._storage = np.concatenate([self._storage, np.zeros_like(self._storage)])
+        for name, value in fields.items():
+            self._storage[name][self._count] = value
+        self._count += 1
+        return self._count - 1
+
+
+class Landmarks:
+    """All walls and corners, in the map's frame, as the graph last estimated them."""
+
+    def __init__(self) -> None:
+        self.walls = Table(WALL)
+        self.corners = Table(CORNER)
+
+    def add_wall(self, frame: se2.Pose, half_length: float, keyframe: int) -> int:
+        """A wall first seen from a keyframe, its `frame` at its centre. Returns its identity."""
+        identity = len(self.walls)
+        return self.walls.append(
+            frame=frame, low=-half_length, high=half_length, observations=1, last_seen=keyframe, kept=identity
+        )
+
+    def add_corner(self, position: Floats, headings: Floats, walls: Floats, keyframe: int) -> int:
+        """A corner first seen from a keyframe. Returns its identity."""
+        return self.corners.append(
+            position=position, headings=headings, walls=walls, observations=1, last_seen=keyframe
+        )
+
+    def see_wall(self, wall: int, frame: se2.Pose, half_length: float, keyframe: int) -> None:
+        """A known wall seen again as a segment with its centre at `frame` (in the map): it may reach further than known."""
+        row = self.walls.rows[wall]
+        along = se2.between(row["frame"], frame)[0]
+        row["low"] = min(row["low"], along - half_length)
+        row["high"] = max(row["high"], along + half_length)
+        if row["last_seen"] != keyframe:
+            row["observations"] += 1
+            row["last_seen"] = keyframe
+
+    def see_corner(self, corner: int, headings: Floats, keyframe: int) -> None:
+        """A known corner seen again."""
+        row = self.corners.rows[corner]
+        row["headings"] = headings
+        row["observations"] += 1
+        row["last_seen"] = keyframe
+
+    def absorb(self, kept: int, absorbed: int) -> None:
+        """The wall `absorbed` is the wall `kept`: it speaks for both, over the extent of both."""
+        walls = self.walls.rows
+        walls["kept"][walls["kept"] == absorbed] = kept
+        row, other = walls[kept], walls[absorbed]
+        along = se2.between(row["frame"], other["frame"])[0]
+        row["low"] = min(row["low"], along + other["low"])
+        row["high"] = max(row["high"], along + other["high"])
+        row["observations"] += other["observations"]
+        row["last_seen"] = max(row["last_seen"], other["last_seen"])
+
+    def walls_near(self, pose: se2.Pose, radius: float) -> NDArray[np.int64]:
+        """Identities of the walls with a part within `radius` (metres) of the pose, and the pose on the side they are seen from."""
+        walls = self.walls.rows
+        if not len(walls):
+            return np.zeros(0, dtype=np.int64)
+        seen = se2.transform(se2.inverse(walls["frame"]), pose[:2])
+        beyond = np.maximum(0.0, np.maximum(walls["low"] - seen[:, 0], seen[:, 0] - walls["high"]))
+        near = (np.hypot(beyond, seen[:, 1]) < radius) & (seen[:, 1] > -BEHIND_MARGIN)
+        return np.flatnonzero(near & (walls["kept"] == np.arange(len(walls))))
+
+    def corners_near(self, pose: se2.Pose, radius: float) -> NDArray[np.int64]:
+        """Identities of the corners within `radius` (metres) of the pose."""
+        offset = self.corners.rows["position"] - pose[:2]
+        return np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) < radius)
+
+
+BEHIND_MARGIN = 0.5  # metres the robot may stand behind a wall's line and still be about to see it: drift, and the far ends

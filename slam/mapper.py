@@ -1,0 +1,236 @@
+"""Building the map: keyframes, walls and corners go into the factor graph, and come back as the estimate.
+
+The same rays make a corner and the two lines that meet in it. So that they count once, a corner's factor takes a share of
+the information of its two segments, and the segments' factors keep the rest: the sum never exceeds what was measured.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers import se2
+
+from .association import UNMATCHED, Association
+from .flatness import WallFlatness, uneven
+from .graph import FactorGraph
+from .landmarks import Landmarks
+from .local_map import LocalMap
+from .segments import CornerPoints, Floats, Segments
+
+Integers = NDArray[np.int64]
+
+CORNER_SHARE = 0.2  # of its segments' information that a corner's factor takes; measured by consistency in simulation
+CONFIRMING_KEYFRAMES = 2  # keyframes that must see a landmark before it enters the graph: people and noise are seen once
+REACH_MARGIN = 2.0  # metres beyond what the keyframe itself saw, within which the map is compared with the next scans
+WELL_KNOWN_OBSERVATIONS = 4  # keyframes after which a wall can judge the scatter of what is seen of it
+REFRESH_ALL = 20  # keyframes after which the estimate of every landmark is read back, not only of those around
+SMALLEST_REACH = 0.2  # metres: a corner nearer to the base's origin has no bearing to speak of
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyframeView:
+    """What a keyframe saw, and which landmarks that is: identities, -1 for what stays unassigned."""
+
+    segments: Segments
+    corners: CornerPoints
+    walls: Integers
+    corner_landmarks: Integers
+    new_walls: Integers
+
+
+class Mapper:
+    """The map under construction."""
+
+    def __init__(self) -> None:
+        self.graph = FactorGraph()
+        self.landmarks = Landmarks()
+        self.flatness = WallFlatness()
+        self.keyframe_count = 0
+        self._pose_covariances: list[Floats] = []
+        self._waiting_walls: dict[int, list[tuple[int, se2.Pose, Floats]]] = defaultdict(list)
+        self._waiting_corners: dict[int, list[tuple[int, Floats, Floats]]] = defaultdict(list)
+
+    def add_keyframe(
+        self,
+        pose: se2.Pose,
+        motion: tuple[se2.Pose, Floats] | None,
+        segments: Segments,
+        corners: CornerPoints,
+        association: Association,
+        local_map: LocalMap,
+    ) -> KeyframeView:
+        """A keyframe near `pose`, reached by odometry's (motion, covariance) from the one before, with what it sees."""
+        keyframe = self.keyframe_count
+        self.keyframe_count += 1
+        if motion is None:
+            self.graph.add_first_keyframe(pose)
+        else:
+            self.graph.add_keyframe(keyframe, pose, *motion)
+        walls, new_walls = self._name_walls(keyframe, pose, segments, association, local_map)
+        corner_landmarks = self._name_corners(keyframe, pose, corners, walls, association, local_map)
+        self._observe(keyframe, pose, segments, corners, walls, corner_landmarks)
+        self.graph.update()
+        return KeyframeView(segments, corners, walls, corner_landmarks, new_walls)
+
+    def _name_walls(
+        self, keyframe: int, pose: se2.Pose, segments: Segments, association: Association, local_map: LocalMap
+    ) -> tuple[Integers, Integers]:
+        """The identity of the wall each segment shows (-1: ambiguous), walls seen for the first time made; and those."""
+        frames = se2.compose(pose, segments.frame).reshape(-1, 3)
+        named = np.full(len(segments), -1)
+        new = []
+        for i, row in enumerate(association.walls):
+            if row >= 0:
+                named[i] = local_map.walls[row]
+                self.landmarks.see_wall(int(named[i]), frames[i], segments.half_length[i], keyframe)
+            elif row == UNMATCHED:
+                named[i] = self.landmarks.add_wall(frames[i], segments.half_length[i], keyframe)
+                new.append(named[i])
+        return named, np.array(new, dtype=np.int64)
+
+    def _name_corners(
+        self,
+        keyframe: int,
+        pose: se2.Pose,
+        corners: CornerPoints,
+        walls: Integers,
+        association: Association,
+        local_map: LocalMap,
+    ) -> Integers:
+        """The identity of each corner (-1: ambiguous), corners seen for the first time made."""
+        positions = se2.transform(pose, corners.position).reshape(-1, 2)
+        headings = se2.wrap(corners.headings + pose[2])
+        named = np.full(len(corners), -1)
+        for i, row in enumerate(association.corners):
+            if row >= 0:
+                named[i] = local_map.corners[row]
+                self.landmarks.see_corner(int(named[i]), headings[i], keyframe)
+            elif row == UNMATCHED and np.hypot(*corners.position[i]) > SMALLEST_REACH:
+                named[i] = self.landmarks.add_corner(positions[i], headings[i], walls[corners.segments[i]], keyframe)
+        return named
+
+    def _observe(
+        self,
+        keyframe: int,
+        pose: se2.Pose,
+        segments: Segments,
+        corners: CornerPoints,
+        walls: Integers,
+        corner_landmarks: Integers,
+    ) -> None:
+        """Turn what was seen into factors; landmarks that are not confirmed yet keep theirs waiting."""
+        shares = np.zeros(len(segments))
+        np.add.at(shares, corners.segments[corner_landmarks >= 0], CORNER_SHARE)
+        covariances = uneven(segments.covariance, segments.half_length, self.flatness.variance)
+        for i in np.flatnonzero(walls >= 0):
+            self._waiting_walls[int(walls[i])].append((keyframe, segments.frame[i], covariances[i] / (1 - shares[i])))
+        spread = self.flatness.variance * np.eye(2)
+        for i in np.flatnonzero(corner_landmarks >= 0):
+            covariance = (corners.covariance[i] + spread) / CORNER_SHARE
+            self._waiting_corners[int(corner_landmarks[i])].append((keyframe, corners.position[i], covariance))
+        for wall in dict.fromkeys(int(w) for w in walls if w >= 0):
+            if self.landmarks.walls.rows["observations"][wall] >= CONFIRMING_KEYFRAMES:
+                self._send_wall(wall, keyframe, pose)
+        for corner in (int(c) for c in corner_landmarks if c >= 0):
+            if self.landmarks.corners.rows["observations"][corner] >= CONFIRMING_KEYFRAMES:
+                self._send_corner(corner)
+
+    def _send_wall(self, wall: int, keyframe: int, pose: se2.Pose) -> None:
+        """Give the graph all waiting observations of a wall."""
+        row = self.landmarks.walls.rows[wall]
+        anchor = not row["in_graph"]
+        if anchor:
+            self.graph.add_wall(wall, row["frame"])
+            row["in_graph"] = True
+        for seen_from, frame, covariance in self._waiting_walls.pop(wall):
+            viewpoint = pose if seen_from == keyframe else self.graph.keyframe_pose(seen_from)
+            moved, carried = _move_along(frame, covariance, se2.between(viewpoint, row["frame"]))
+            self.graph.observe_wall(seen_from, wall, moved, carried, anchor=anchor)
+            anchor = False
+
+    def _send_corner(self, corner: int) -> None:
+        row = self.landmarks.corners.rows[corner]
+        if not row["in_graph"]:
+            self.graph.add_corner(corner, row["position"])
+            row["in_graph"] = True
+        for seen_from, position, covariance in self._waiting_corners.pop(corner):
+            self.graph.observe_corner(seen_from, corner, position, covariance)
+
+    def refresh(self, view: KeyframeView) -> LocalMap:
+        """Read the estimate back from the graph, and return the part of the map around the last keyframe, of which `view` is."""
+        keyframe = self.keyframe_count - 1
+        pose = self.graph.keyframe_pose(keyframe)
+        reach = REACH_MARGIN + view.segments.reach()
+        near_walls = self.landmarks.walls_near(pose, reach)
+        near_corners = self.landmarks.corners_near(pose, reach)
+        everything = keyframe % REFRESH_ALL == 0
+        walls, corners = self.landmarks.walls.rows, self.landmarks.corners.rows
+        stale_walls = np.arange(len(walls)) if everything else near_walls
+        stale_walls = stale_walls[walls["in_graph"][stale_walls]]
+        stale_corners = np.arange(len(corners)) if everything else near_corners
+        stale_corners = stale_corners[corners["in_graph"][stale_corners]]
+        walls["frame"][stale_walls] = self.graph.wall_frames(stale_walls)
+        corners["position"][stale_corners] = self.graph.corner_positions(stale_corners)
+        self._keep_covariances(keyframe, view)
+        self._learn_flatness(pose, view)
+        return self._local_map(pose, near_walls, near_corners)
+
+    def _keep_covariances(self, keyframe: int, view: KeyframeView) -> None:
+        """Note how well the landmarks just seen are known from here: right after an update this is cheap to ask."""
+        walls, corners = self.landmarks.walls.rows, self.landmarks.corners.rows
+        seen_walls = np.unique(view.walls[view.walls >= 0])
+        seen_walls = seen_walls[walls["in_graph"][seen_walls]]
+        seen_corners = np.unique(view.corner_landmarks[view.corner_landmarks >= 0])
+        seen_corners = seen_corners[corners["in_graph"][seen_corners]]
+        own, of_walls, of_corners = self.graph.relative_covariances(keyframe, seen_walls, seen_corners)
+        walls["covariance"][seen_walls] = of_walls
+        corners["covariance"][seen_corners] = of_corners
+        self._pose_covariances.append(own)
+
+    def _learn_flatness(self, pose: se2.Pose, view: KeyframeView) -> None:
+        """Compare the segments with the walls they were given to, now that the graph has settled both."""
+        rows = self.landmarks.walls.rows
+        known = np.flatnonzero(view.walls >= 0)
+        known = known[rows["observations"][view.walls[known]] >= WELL_KNOWN_OBSERVATIONS]
+        if not len(known):
+            return
+        walls = rows[view.walls[known]]
+        seen = se2.between(walls["frame"], se2.compose(pose, view.segments.frame[known]))
+        self.flatness.add(seen[:, 1:], view.segments.covariance[known], view.segments.half_length[known])
+
+    def _local_map(self, pose: se2.Pose, near_walls: Integers, near_corners: Integers) -> LocalMap:
+        walls, corners = self.landmarks.walls.rows[near_walls], self.landmarks.corners.rows[near_corners]
+        drift = self._drift_since(walls["last_seen"])
+        lever = walls["frame"][:, :2] - pose[:2]
+        c, s = np.cos(walls["frame"][:, 2]), np.sin(walls["frame"][:, 2])
+        jacobian = np.zeros((len(walls), 2, 3))
+        jacobian[:, 0] = np.column_stack([-s, c, c * lever[:, 0] + s * lever[:, 1]])
+        jacobian[:, 1, 2] = 1.0
+        wall_covariance = walls["covariance"] + jacobian @ drift @ jacobian.transpose(0, 2, 1)
+        corner_drift = self._drift_since(corners["last_seen"])[:, :2, :2]
+        return LocalMap(
+            near_walls, walls["frame"], walls["low"], walls["high"], wall_covariance,
+            near_corners, corners["position"], corners["headings"], corners["covariance"] + corner_drift,
+        )  # fmt: skip
+
+    def _drift_since(self, keyframes: Integers) -> Floats:
+        """(n, 3, 3): by how much the robot's own pose has become less certain since each of `keyframes`, in the map's axes.
+
+        The error of a later pose is that of the earlier one and what was added on the way, so the covariance of the
+        difference is about the difference of the covariances; where a closed loop made it smaller, that part is zero.
+        """
+        covariances = np.array([self._pose_covariances[k] for k in keyframes]).reshape(-1, 3, 3)
+        values, vectors = np.linalg.eigh(self._pose_covariances[-1] - covariances)
+        return np.asarray((vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1))
+
+
+def _move_along(frame: se2.Pose, covariance: Floats, towards: se2.Pose) -> tuple[se2.Pose, Floats]:
+    """A segment's frame and covariance, moved along the segment to where it passes the origin of the frame `towards`."""
+    c, s = np.cos(frame[2]), np.sin(frame[2])
+    along = c * (towards[0] - frame[0]) + s * (towards[1] - frame[1])
+    carry = np.array([[1.0, along], [0.0, 1.0]])
+    return np.array([frame[0] + c * along, frame[1] + s * along, frame[2]]), carry @ covariance @ carry.T

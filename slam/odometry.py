@@ -1,0 +1,70 @@
+"""Wheel odometry: where it says the base was at any time, and how far to trust what it says of a motion."""
+
+from __future__ import annotations
+
+import bisect
+
+import numpy as np
+
+from drivers import se2
+from drivers.messages import Odometry
+
+from .config import OdometryConfig
+from .segments import Floats
+
+
+class OdometryHistory:
+    """All odometry of a run, in time order."""
+
+    def __init__(self) -> None:
+        self._stamps: list[float] = []
+        self._poses: list[se2.Pose] = []
+
+    def __len__(self) -> int:
+        return len(self._stamps)
+
+    def add(self, reading: Odometry) -> None:
+        """Append a reading; one with the stamp of the last replaces it."""
+        if self._stamps and reading.stamp <= self._stamps[-1]:
+            self._poses[-1] = reading.pose
+            return
+        self._stamps.append(reading.stamp)
+        self._poses.append(reading.pose)
+
+    @property
+    def latest(self) -> float:
+        """Stamp of the last reading, -inf without one."""
+        return self._stamps[-1] if self._stamps else -np.inf
+
+    @property
+    def stamps(self) -> Floats:
+        """(n,) seconds."""
+        return np.array(self._stamps)
+
+    @property
+    def poses(self) -> Floats:
+        """(n, 3) in the odometry's frame."""
+        return np.array(self._poses).reshape(-1, 3)
+
+    def at(self, stamp: float) -> se2.Pose:
+        """The pose at a stamp, on the motion between the readings around it; held before the first and after the last."""
+        after = bisect.bisect_left(self._stamps, stamp)
+        if after == len(self._stamps):
+            return self._poses[-1]
+        if after == 0 or self._stamps[after] == stamp:
+            return self._poses[after]
+        before = after - 1
+        part = (stamp - self._stamps[before]) / (self._stamps[after] - self._stamps[before])
+        return se2.compose(self._poses[before], part * se2.between(self._poses[before], self._poses[after]))
+
+    def at_each(self, stamps: Floats) -> Floats:
+        """(n, 3): the poses at several stamps that lie close together."""
+        return np.array([self.at(float(stamp)) for stamp in stamps]).reshape(-1, 3)
+
+
+def motion_covariance(motion: se2.Pose, config: OdometryConfig) -> Floats:
+    """(3, 3) covariance of a motion [x, y, heading] that odometry reports, in the frame of its end."""
+    distance, turn = float(np.hypot(motion[0], motion[1])), abs(float(motion[2]))
+    translation = config.translation_floor + config.translation_per_metre * distance + config.translation_per_radian * turn
+    rotation = config.rotation_floor + config.rotation_per_metre * distance + config.rotation_per_radian * turn
+    return np.diag([translation**2, translation**2, rotation**2])

@@ -1,0 +1,55 @@
+"""The driven path: every scan hangs on its keyframe, odometry bridges from the scans to the stamps between them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drivers import se2
+
+from .odometry import OdometryHistory
+from .segments import Floats
+
+
+class Path:
+    """Poses of the scans relative to their keyframes, so that they move with the map when it is corrected."""
+
+    def __init__(self) -> None:
+        self._stamps: list[float] = []
+        self._keyframes: list[int] = []
+        self._relative: list[se2.Pose] = []
+
+    def __len__(self) -> int:
+        return len(self._stamps)
+
+    def add(self, stamp: float, keyframe: int, relative: se2.Pose) -> None:
+        """A scan's pose, relative to the pose of a keyframe."""
+        self._stamps.append(stamp)
+        self._keyframes.append(keyframe)
+        self._relative.append(relative)
+
+    def at_scans(self, keyframe_poses: Floats) -> tuple[Floats, Floats]:
+        """Stamps (n,) and poses (n, 3) of the scans, given the keyframes' poses (k, 3)."""
+        relative = np.array(self._relative).reshape(-1, 3)
+        return np.array(self._stamps), se2.compose(keyframe_poses[self._keyframes], relative).reshape(-1, 3)
+
+    def at_odometry(self, keyframe_poses: Floats, odometry: OdometryHistory) -> tuple[Floats, Floats]:
+        """Stamps (m,) and poses (m, 3) at every odometry reading.
+
+        From the scan before it a reading is reached by odometry; what odometry misses up to the next scan is spread evenly
+        over the time between the two.
+        """
+        stamps, poses = self.at_scans(keyframe_poses)
+        at = odometry.stamps
+        readings = odometry.poses
+        scan_odometry = odometry.at_each(stamps)
+        before = np.clip(np.searchsorted(stamps, at, side="right") - 1, 0, len(stamps) - 1)
+        after = np.minimum(before + 1, len(stamps) - 1)
+        bridged = se2.compose(poses[before], se2.between(scan_odometry[before], readings))
+        arrived = se2.compose(poses[before], se2.between(scan_odometry[before], scan_odometry[after]))
+        missed = poses[after] - arrived
+        missed[:, 2] = se2.wrap(missed[:, 2])
+        span = stamps[after] - stamps[before]
+        part = np.clip((at - stamps[before]) / np.where(span > 0, span, 1.0), 0.0, 1.0)
+        result = bridged + part[:, None] * missed
+        result[:, 2] = se2.wrap(result[:, 2])
+        return at, result
