@@ -19,7 +19,7 @@ from .shapes import ROUND_SCAN, Layer, corner_links, ellipses, lift, segment_end
 # An arrow that points ahead, metres.
 ROBOT_OUTLINE = np.array([[0.3, 0.0], [-0.2, 0.2], [-0.1, 0.0], [-0.2, -0.2], [0.3, 0.0]])
 
-_SCAN_SIZE, _CORNER_SIZE = rr.Radius.ui_points(0.7), rr.Radius.ui_points(3.5)
+_SCAN_SIZE, _CORNER_SIZE = rr.Radius.ui_points(0.9), rr.Radius.ui_points(3.5)
 _THIN, _THICK = rr.Radius.ui_points(0.7), rr.Radius.ui_points(2.5)
 
 

@@ -109,6 +109,7 @@ class EventLog:
             *self._extent, truth=self._truth.alignment is not None, usual_time=self._metrics.usual_top("time")
         )
         self._stream.send_blueprint(final)
+        self._stream.flush()  # raises where the file could not be written, a full disk for one; disconnecting does not
         self._stream.disconnect()
 
     def _log_documents(self, config: str, recording: str, versions: Mapping[str, str]) -> None:
