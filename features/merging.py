@@ -9,6 +9,7 @@ from .compiled import compiled
 from .pieces import Pieces, absorb, add_rays, copy, cost, joint_line, line
 from .rays import MAX_BEARING_GAP, MISSING_STEPS, TURN, Rays, distance_squared, wrap
 from .settings import Settings
+from .types import Integers
 
 MIN_SOLID = 4
 """Rays below which a piece is taken for spurious: two parameters are fitted, so that fewer are no evidence."""
@@ -19,21 +20,25 @@ MAX_BRIDGED = 4
 REACH = 9.0
 """Squared normalised residual up to which a free ray is given to the line beside it: three standard deviations."""
 
+ADJOINING = -1
+"""In place of a number of rays between two pieces: none, and no break either."""
+
 PASSES = 4
 """Sweeps over all neighbours for merging; two settle nearly every scan."""
 
 
 @compiled
-def one_wall(
+def one_line(pieces: Pieces, i: int, j: int, penalty: float) -> bool:
+    """Whether one line explains pieces i and j."""
+    return joint_line(pieces, i, j)[2] - cost(pieces, i) - cost(pieces, j) < penalty
+
+
+@compiled
+def bridgeable(
     rays: Rays, count: int, step: float, pieces: Pieces, i: int, j: int, between: int, settings: Settings
 ) -> bool:
-    """Whether piece j continues the wall of piece i before it, `between` rays having been left out."""
-    u, v, joint = joint_line(pieces, i, j)
-    if not joint - cost(pieces, i) - cost(pieces, j) < settings.penalty:
-        return False
+    """Whether the `between` rays from piece i to piece j leave no opening in the one wall that they may be."""
     last, following = wrap(pieces.end[i] - 1, count), wrap(pieces.begin[j], count)
-    if between == 0 and rays.broken[following] == 0:
-        return True
     gap = rays.bearing[following] - rays.bearing[last]
     if gap < 0.0:
         gap += TURN
@@ -44,50 +49,51 @@ def one_wall(
     # wider than an opening that may be bridged: at grazing incidence a single lost ray may leave that
     if gap > MISSING_STEPS * step:
         return False
+    u, v, _ = joint_line(pieces, i, j)
     for k in range(pieces.end[i], pieces.end[i] + between):
-        m = wrap(k, count)
-        if rays.inverse[m] < u * rays.cos[m] + v * rays.sin[m]:  # the ray passed where the wall should be
+        ray = wrap(k, count)
+        if rays.inverse[ray] < u * rays.cos[ray] + v * rays.sin[ray]:  # it passed where the wall should be
             return False
     return True
 
 
 @compiled
-def merge(rays: Rays, count: int, step: float, pieces: Pieces, made: int, bridge: bool, settings: Settings) -> int:
-    """Join neighbours that are one wall, across spurious rays too if `bridge`; the number of pieces left."""
-    for _ in range(PASSES):
-        before = made
-        kept = 0
-        for i in range(1, made):
-            between = pieces.begin[i] - pieces.end[kept]
-            adjacent = between == 0 and rays.broken[wrap(pieces.begin[i], count)] == 0
-            if (adjacent or (bridge and between <= MAX_BRIDGED)) and one_wall(
-                rays, count, step, pieces, kept, i, between, settings
-            ):
-                absorb(pieces, kept, i, adjacent, 0)
-            else:
-                kept += 1
-                copy(pieces, i, kept)
-        made = merge_ends(rays, count, step, pieces, min(made, kept + 1), bridge, settings)
-        if made == before:
-            break
-    return made
+def left_out(pieces: Pieces, broken: Integers, count: int, i: int, j: int, shift: int) -> int:
+    """Rays from piece i to the next piece j, which count `shift` further; ADJOINING where a wall could just go on."""
+    between = pieces.begin[j] + shift - pieces.end[i]
+    return between if between > 0 or broken[wrap(pieces.begin[j], count)] != 0 else ADJOINING
 
 
 @compiled
-def merge_ends(rays: Rays, count: int, step: float, pieces: Pieces, made: int, bridge: bool, settings: Settings) -> int:
-    """Join the last piece with the first where they are one wall across the start of the revolution."""
-    if made < 2:
-        return made
-    between = pieces.begin[0] + count - pieces.end[made - 1]
-    adjacent = between == 0 and rays.broken[wrap(pieces.begin[0], count)] == 0
-    if not (adjacent or (bridge and between <= MAX_BRIDGED)):
-        return made
-    if not one_wall(rays, count, step, pieces, made - 1, 0, between, settings):
-        return made
-    absorb(pieces, made - 1, 0, adjacent, count)
-    for i in range(1, made):
-        copy(pieces, i, i - 1)
-    return made - 1
+def merge(rays: Rays, count: int, step: float, pieces: Pieces, made: int, bridge: bool, settings: Settings) -> int:
+    """Join neighbours that are one wall, across spurious rays too if `bridge`; the number of pieces left."""
+    most = MAX_BRIDGED if bridge else ADJOINING
+    penalty, broken = settings.penalty, rays.broken
+    for _ in range(PASSES):
+        before = made
+        kept = 0
+        for i in range(1, made + 1):
+            ends = i == made  # the last piece may continue in the first, across the start of the revolution
+            j, shift = (0, count) if ends else (i, 0)
+            if kept == j:
+                break
+            between = left_out(pieces, broken, count, kept, j, shift)
+            one_wall = between <= most and one_line(pieces, kept, j, penalty)
+            if one_wall and between != ADJOINING:
+                one_wall = bridgeable(rays, count, step, pieces, kept, j, between, settings)
+            if one_wall:
+                absorb(pieces, kept, j, between == ADJOINING, shift)
+                if ends:
+                    for k in range(kept):
+                        copy(pieces, k + 1, k)
+                    kept -= 1
+            elif not ends:
+                kept += 1
+                copy(pieces, i, kept)
+        made = min(made, kept + 1)
+        if made == before:
+            break
+    return made
 
 
 @compiled

@@ -56,24 +56,24 @@ def cost(pieces: Pieces, i: int) -> float:
     """Chi-square of piece i."""
     if pieces.end[i] - pieces.begin[i] <= 2:
         return 0.0
-    sums = pieces.sums[i]
-    return residual_sum(sums[0], sums[1], sums[2], sums[3], sums[4], sums[5])
+    s = pieces.sums
+    return residual_sum(s[i, 0], s[i, 1], s[i, 2], s[i, 3], s[i, 4], s[i, 5])
 
 
 @compiled
 def line(pieces: Pieces, i: int) -> tuple[float, float]:
     """(u, v) of piece i."""
-    sums = pieces.sums[i]
-    u, v, _ = solve(sums[0], sums[1], sums[2], sums[3], sums[4])
+    s = pieces.sums
+    u, v, _ = solve(s[i, 0], s[i, 1], s[i, 2], s[i, 3], s[i, 4])
     return u, v
 
 
 @compiled
 def joint_line(pieces: Pieces, i: int, j: int) -> tuple[float, float, float]:
     """(u, v, chi-square) of the one line through pieces i and j."""
-    first, second = pieces.sums[i], pieces.sums[j]
-    w, x, y = first[0] + second[0], first[1] + second[1], first[2] + second[2]
-    p, q, k = first[3] + second[3], first[4] + second[4], first[5] + second[5]
+    s = pieces.sums
+    w, x, y = s[i, 0] + s[j, 0], s[i, 1] + s[j, 1], s[i, 2] + s[j, 2]
+    p, q, k = s[i, 3] + s[j, 3], s[i, 4] + s[j, 4], s[i, 5] + s[j, 5]
     u, v, _ = solve(w, x, y, p, q)
     return u, v, max(0.0, k - u * p - v * q) if math.isfinite(u) else math.inf
 

@@ -29,8 +29,9 @@ def segment(
     made = split(rays, count, settings.penalty, pieces, gains, stack)
     made = merge(rays, count, step, pieces, made, False, settings)
     refine(rays, count, pieces, made, gains)
-    made = drop_small(pieces, made)
-    extend(rays, count, pieces, made, settings)
-    made = merge(rays, count, step, pieces, made, True, settings)
-    refine(rays, count, pieces, made, gains)
-    return made
+    solid = drop_small(pieces, made)
+    if solid < made:
+        extend(rays, count, pieces, solid, settings)
+        solid = merge(rays, count, step, pieces, solid, True, settings)
+        refine(rays, count, pieces, solid, gains)
+    return solid
