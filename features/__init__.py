@@ -1,11 +1,30 @@
 """Lines and corners of 2-D lidar scans, with covariances.
 
-extractor = Extractor(Noise(sigma_range=0.01, sigma_bearing=0.002))
-features = extractor.extract(ranges, angles)
-features.lines.uv, features.corners.position
+    from features import Extractor, Noise, warm_up
+
+    warm_up()
+    extractor = Extractor(Noise(sigma_range=0.01, sigma_bearing=0.002))
+    for ranges, angles in scans:
+        features = extractor.extract(ranges, angles)
+        features.lines.uv, features.lines.covariance, features.corners.position
+
+The estimators of single lines and corners are in ESTIMATORS by name and in modules of their own: `wclm`,
+`arras_siegwart`, `siadat`, `corner`; other parametrisations of a line are in `conversions`.
 """
 
-from .extract import Extractor
+from .estimators import ESTIMATORS, Estimator
+from .extract import Extractor, warm_up
+from .fit import LineFit
 from .types import Corners, Features, Lines, Noise
 
-__all__ = ["Corners", "Extractor", "Features", "Lines", "Noise"]
+__all__ = [
+    "ESTIMATORS",
+    "Corners",
+    "Estimator",
+    "Extractor",
+    "Features",
+    "LineFit",
+    "Lines",
+    "Noise",
+    "warm_up",
+]

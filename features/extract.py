@@ -83,7 +83,8 @@ class Extractor:
             tracking_distance=float(tracking_distance) if method == "tracking" else 0.0,
             estimator=ESTIMATORS[estimator].code,
         )
-        self._allocate(1)
+        self._capacity = 0
+        self._make_room(1)
 
     @property
     def noise(self) -> Noise:
@@ -96,20 +97,25 @@ class Extractor:
         `ranges` (n,) metres, `angles` (n,) radians in increasing order, up to a full revolution or a little more; n may
         change from scan to scan. Ranges that are not finite, not positive or out of limits are ignored.
         """
-        ranges = np.ascontiguousarray(ranges, dtype=np.float64)
-        angles = np.ascontiguousarray(angles, dtype=np.float64)
-        if ranges.ndim != 1 or ranges.shape != angles.shape:
-            raise ValueError(f"ranges {ranges.shape} and angles {angles.shape} must be two vectors of one length")
-        if len(ranges) > self._capacity:
-            self._allocate(len(ranges))
+        count = len(ranges)
+        if len(angles) != count:
+            raise ValueError(f"{count} ranges and {len(angles)} angles; they must be as many")
+        if count != len(self._ranges):
+            self._make_room(count)
+        # copies, as a read-only or otherwise typed array would make the compiler start over
+        self._ranges[:] = ranges
+        self._angles[:] = angles
         used = self._noise
-        lines, corners, variance = condense(ranges, angles, self._settings, *self._memory, self._found)
+        lines, corners, variance = condense(self._ranges, self._angles, self._settings, *self._memory, self._found)
         if self._adapt and not math.isnan(variance):
             self._learn(variance)
         return Features(lines=self._lines(lines), corners=self._corners(corners), noise=used)
 
-    def _allocate(self, beams: int) -> None:
-        """Memory for scans of up to `beams` beams."""
+    def _make_room(self, beams: int) -> None:
+        """Memory for scans of `beams` beams; that of a larger scan stays."""
+        self._ranges, self._angles = np.empty(beams), np.empty(beams)
+        if beams <= self._capacity:
+            return
         self._capacity = beams
         self._memory = (*rays.allocate(beams), *pieces.allocate(beams))
         self._found = Found(
@@ -150,3 +156,10 @@ class Extractor:
             covariance=rows[:, 2:6].reshape(count, 2, 2),
             lines=self._found.pairs[:count].copy(),
         )
+
+
+def warm_up() -> None:
+    """Compile, or load from the cache on disk, all that extraction needs, so that the first scan is as fast as any."""
+    angles = np.linspace(-math.pi, math.pi, 90, endpoint=False)
+    ranges = 2.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))
+    Extractor(Noise(0.01, 0.001)).extract(ranges, angles)
