@@ -1,9 +1,18 @@
-"""What several tests need: a small map, and the paths of folders that tests write into."""
+"""What several tests need: a small map, a pipeline that finds it, and a way to run commands."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner, Result
 
-from slam.events import Finished, MapCorners, MapLines
+from drivers.messages import Message, Odometry, Scan
+from slam.cli import app
+from slam.config import Config
+from slam.events import Finished, MapCorners, MapLines, Noticed
 
 
 @pytest.fixture
@@ -29,3 +38,62 @@ def finished() -> Finished:
     stamps = np.linspace(0, 20, 101)
     poses = np.column_stack([1 + 0.2 * stamps, 2 + np.sin(stamps / 4), np.arctan2(np.cos(stamps / 4) / 4, 0.2)])
     return Finished(lines, corners, stamps[::20], poses[::20], stamps, poses, {"closures": 0})
+
+
+@pytest.fixture
+def fake_slam(monkeypatch: pytest.MonkeyPatch, finished: Finished) -> type:
+    """A pipeline that believes odometry and finds a known room, so that failures can be had at will."""
+
+    class FakeSlam:
+        fails: BaseException | None = None
+        notices = 0
+
+        def __init__(self, config: Config, sinks: Sequence[Any]) -> None:
+            self.sinks = sinks
+            self.odometry: list[Odometry] = []
+
+        def add(self, message: Message) -> None:
+            if isinstance(message, Odometry):
+                self.odometry.append(message)
+            elif isinstance(message, Scan) and self.fails is not None:
+                raise self.fails
+
+        def finish(self) -> Finished:
+            for k in range(self.notices):
+                for sink in self.sinks:
+                    sink.handle(Noticed(float(k), f"oddity number {k}"))
+            return replace(
+                finished,
+                stamps=np.array([o.stamp for o in self.odometry]),
+                poses=np.array([o.pose for o in self.odometry]),
+            )
+
+    monkeypatch.setattr("slam.pipeline.Slam", FakeSlam)
+    return FakeSlam
+
+
+class Wclm:
+    """Runs commands in this process, in an empty directory."""
+
+    def __call__(self, *arguments: object) -> Result:
+        return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+    def refuses(self, *arguments: object, because: Sequence[str]) -> None:
+        """One line on stderr with these words, exit status 2, nothing on stdout."""
+        result = self(*arguments)
+        assert result.exit_code == 2, result.output
+        assert isinstance(result.exception, SystemExit)
+        assert len(result.stderr.splitlines()) == 1, result.stderr
+        assert result.stderr.startswith("wclm: ")
+        assert result.stdout == ""
+        for words in because:
+            assert words in result.stderr
+
+
+@pytest.fixture
+def wclm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Wclm:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    return Wclm()

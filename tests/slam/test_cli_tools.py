@@ -1,0 +1,97 @@
+"""`wclm simulate`, `info`, `features` and `eval`."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+SHORT = "sim:room?duration=3"
+
+
+def test_a_simulation_is_recorded_and_looked_into(wclm: Any, tmp_path: Path) -> None:
+    result = wclm("simulate", "room", "a.mcap", "--duration", "3", "--seed", "2")
+    assert result.exit_code == 0, result.output
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.mcap"]
+    text = wclm("info", "a.mcap").stdout
+    for words in ("29, 10 a second", "76, 25 a second", "920 from -180.0 to 179.6 degrees", "at x 0.100 m"):
+        assert words in text
+    wclm.refuses("simulate", "room", "a.mcap", "--duration", "3", because=["a.mcap: exists already"])
+    assert wclm("simulate", "room", "a.mcap", "--duration", "3", "--overwrite").exit_code == 0
+
+
+def test_wrong_simulations_are_refused(wclm: Any, tmp_path: Path) -> None:
+    wclm.refuses("simulate", "moon", "a.mcap", because=["moon: no such world; there are "])
+    wclm.refuses("simulate", "room", "a.mcap", "--duration", "-1", because=["duration must be positive"])
+    assert wclm("simulate", "room", "a.bag").exit_code == 2
+    assert not list(tmp_path.iterdir())
+
+
+def test_info_tells_what_is_wrong(wclm: Any, tmp_path: Path) -> None:
+    (tmp_path / "a.clf").write_text(
+        "".join(f"ODOM {0.1 * k} 0 0 0 0 0 {1e9 + k / 10} host {k / 10}\n" for k in range(50) if not 10 < k < 40)
+    )
+    text = wclm("info", "a.clf").stdout
+    assert "2001-09-09 01:46:40 UTC" in text
+    assert "warning     no scans" in text
+    assert "a gap in the odometry" in text
+
+
+def test_features_of_a_scan(wclm: Any, tmp_path: Path) -> None:
+    result = wclm("features", "sim:room?duration=3", "--scan", "7", "--plot", "scan.png")
+    assert result.exit_code == 0, result.output
+    assert "sim:room, scan 7 at 0.713 s" in result.stdout
+    assert re.search(r"^ +0 +\d+ +\d+\.\d{3} ", result.stdout, re.MULTILINE)
+    assert (tmp_path / "scan.png").stat().st_size > 10_000
+    wclm.refuses("features", SHORT, "--scan", "29", because=["has 29 scans, counted from 0; there is no scan 29"])
+    assert wclm("features", SHORT, "--scan", "-1").exit_code == 2
+
+
+@pytest.fixture
+def scored(tmp_path: Path) -> None:
+    (tmp_path / "a.tum").write_text("".join(f"{k} {k} {0.01 * (k % 2)} 0 0 0 0 1\n" for k in range(20)))
+    (tmp_path / "truth.tum").write_text("".join(f"{k} {k} 0 0 0 0 0 1\n" for k in range(20)))
+    (tmp_path / "a.relations").write_text("".join(f"{k} {k + 3} 3 0 0 0 0 0\n" for k in range(15)))
+
+
+@pytest.mark.usefixtures("scored")
+def test_relations_are_scored(wclm: Any, tmp_path: Path) -> None:
+    score = ("eval", "a.tum", "--relations", "a.relations")
+    result = wclm(*score, "--json", "--plot", "a.png")
+    assert result.exit_code == 0, result.output
+    figures = json.loads(result.stdout)
+    assert (figures["relations"], figures["trans_mean"], figures["missing"]) == (15, 0.01, 0)
+    assert (tmp_path / "a.png").exists()
+    assert "translation 0.0100 +- 0.0000 m" in wclm(*score).stdout
+
+
+@pytest.mark.usefixtures("scored")
+def test_relations_outside_the_trajectory_make_exit_status_1(wclm: Any, tmp_path: Path) -> None:
+    with (tmp_path / "a.relations").open("a") as file:
+        file.write("18 25 7 0 0 0 0 0\n")
+    result = wclm("eval", "a.tum", "--relations", "a.relations", "--json")
+    assert result.exit_code == 1
+    assert json.loads(result.stdout)["missing"] == 1
+    assert "1 relations lie outside" in result.stderr
+
+
+@pytest.mark.usefixtures("scored")
+def test_a_reference_is_compared_with(wclm: Any, tmp_path: Path) -> None:
+    result = wclm("eval", "a.tum", "--reference", "truth.tum", "--json", "--plot", "a.png")
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["ate_rmse"] == pytest.approx(0.005, rel=0.01)
+    assert (tmp_path / "a.png").exists()
+    assert "20 at common times" in wclm("eval", "a.tum", "--reference", "truth.tum").stdout
+
+
+@pytest.mark.usefixtures("scored")
+def test_wrong_files_for_eval_are_one_line(wclm: Any, tmp_path: Path) -> None:
+    (tmp_path / "bad.tum").write_text("1 2 3\n")
+    (tmp_path / "empty.tum").write_text("")
+    wclm.refuses("eval", "bad.tum", "--reference", "truth.tum", because=["bad.tum:1: expected 8 numbers"])
+    wclm.refuses("eval", "empty.tum", "--relations", "a.relations", because=["empty.tum: holds no line"])
+    wclm.refuses("eval", "none.tum", "--relations", "a.relations", because=["none.tum: No such file"])
+    wclm.refuses("eval", "a.tum", "--relations", "bad.tum", because=["bad.tum:1: expected 8 numbers (t1 t2"])
+    assert wclm("eval", "a.tum").exit_code == 2
+    assert wclm("eval", "a.tum", "--reference", "truth.tum", "--relations", "a.relations").exit_code == 2
