@@ -69,12 +69,12 @@ def _close_up() -> rrb.Spatial3DView:
     # The origin moves with the robot and does not turn. An eye that tracks an entity would not stay above it.
     return rrb.Spatial3DView(
         origin="world/here",
-        contents="/world/**",
+        contents=["/world/**", "- /world/odometry/**"],
         name="Close-up of the robot",
         eye_controls=_eye_above(np.zeros(2), eye_distance(CLOSE_UP, CLOSE_UP)),
         line_grid=_grid(1.0),
         background=BACKGROUND,
-        overrides={"world/map/walls": [rr.LineStrips3D.from_fields(show_labels=True).visualizer()]},
+        overrides={"world/features/segments": [rr.LineStrips3D.from_fields(show_labels=True).visualizer()]},
     )
 
 

@@ -20,7 +20,7 @@ CORNER_SIGMA: Colour = (240, 228, 66, 110)
 
 ESTIMATE: Colour = (86, 180, 233)
 POSE_SIGMA: Colour = (86, 180, 233, 110)
-ODOMETRY: Colour = (125, 125, 125)
+ODOMETRY: Colour = (100, 100, 100)
 TRUTH: Colour = (0, 190, 130)
 
 SCAN: Colour = (165, 140, 255)

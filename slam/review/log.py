@@ -44,7 +44,7 @@ EPOCH_STAMPS = 1e8  # stamps above are seconds since 1970, stamps below count fr
 NOTABLE_SHIFT = 0.1  # metres by which the path moved that are worth a line in the log
 PATH_SPACING = 0.05  # metres between points of the odometry's and the true path
 
-_THIN, _THICK = rr.Radius.ui_points(0.8), rr.Radius.ui_points(1.5)
+_THIN, _THICK = rr.Radius.ui_points(0.7), rr.Radius.ui_points(1.2)
 
 
 class EventLog:

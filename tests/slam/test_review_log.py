@@ -119,6 +119,8 @@ class Corridor:
         match = near.copy()
         match[::7] = -1
         gate = np.where((match < 0) | np.isin(near, new), np.nan, self.rng.chisquare(2, len(near)))
+        if index > 10:
+            gate[match < 0] = 20.5
         frame = local[near] + self.rng.normal(0, [0.01, 0.01, 0.004], (len(near), 3))
         segments = Segments(frame, self.walls[near, 3] * 0.8, np.tile(np.diag([1e-4, 1e-5]), (len(near), 1, 1)))
         corner = se2.transform(se2.inverse(truth), OUTER)
@@ -216,8 +218,9 @@ def test_features_tell_matched_from_new_and_none(corridor):
     assert {label.split()[-1] for label in labels} == {"none", "new"}
     later = of_kind(events, KeyframeAdded)[30]
     labels = rows(path, "/world/features/segments", "LineStrips3D:labels")[30][1]
-    matched = np.flatnonzero(np.isfinite(later.line_gate))[0]
+    matched = np.flatnonzero(later.line_match >= 0)[0]
     assert labels[matched] == f"L{later.line_match[matched]} d²={later.line_gate[matched]:.1f}"
+    assert "ambiguous d²=20.5" in labels
     gates = rows(path, "/association/lines", "gate")[30][1]
     np.testing.assert_allclose(gates, later.line_gate)
 
@@ -253,6 +256,20 @@ def test_true_path_is_laid_over_the_estimate(corridor):
     errors = rows(path, "/metrics/error", "Scalars:scalars")
     assert [k for k, _ in errors] == [event.index for event in of_kind(events, KeyframeAdded)]
     assert max(value[0] for _, value in errors) < 6.0  # centimetres
+
+
+def test_metrics_are_named_and_in_the_units_they_name(corridor):
+    path, events = corridor
+    keyframes = of_kind(events, KeyframeAdded)
+    (_, names), *_ = rows(path, "/metrics/sigma", "SeriesLines:names")
+    assert names == ["position [cm]", "heading [°]", "range [cm]"]
+    values = dict(rows(path, "/metrics/sigma", "Scalars:scalars"))[30]
+    expected = [100 * np.sqrt(keyframes[30].pose_covariance[0, 0]), np.degrees(0.01), 1.1]
+    np.testing.assert_allclose(values, expected, rtol=1e-6)
+    assert dict(rows(path, "/metrics/counts", "Scalars:scalars"))[30] == list(keyframes[30].counts.values())
+    assert dict(rows(path, "/metrics/time", "Scalars:scalars"))[30] == list(keyframes[30].timings.values())
+    assert dict(rows(path, "/metrics/explained", "Scalars:scalars"))[30] == [0.9]
+    assert [k for k, _ in rows(path, "/metrics/chi2", "Scalars:scalars")] == list(range(0, 136, 5))
 
 
 def test_text_and_documents(corridor):
