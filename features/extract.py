@@ -109,7 +109,7 @@ class Extractor:
         lines, corners, variance = condense(self._ranges, self._angles, self._settings, *self._memory, self._found)
         if self._adapt and not math.isnan(variance):
             self._learn(variance)
-        return Features(lines=self._lines(lines), corners=self._corners(corners), noise=used)
+        return Features(self._lines(lines), self._corners(corners), used)
 
     def _make_room(self, beams: int) -> None:
         """Memory for scans of `beams` beams; that of a larger scan stays."""
@@ -139,23 +139,20 @@ class Extractor:
         rows = self._found.lines[:count].copy()
         spans = self._found.spans[:count].copy()
         return Lines(
-            uv=rows[:, 0:2],
-            covariance=rows[:, 2:6].reshape(count, 2, 2),
-            start=rows[:, 6:8],
-            end=rows[:, 8:10],
-            first=spans[:, 0],
-            last=spans[:, 1],
-            count=spans[:, 2],
-            chi2=rows[:, 10],
+            rows[:, 0:2],  # uv
+            rows[:, 2:6].reshape(count, 2, 2),  # covariance
+            rows[:, 6:8],  # start
+            rows[:, 8:10],  # end
+            spans[:, 0],  # first
+            spans[:, 1],  # last
+            spans[:, 2],  # count
+            rows[:, 10],  # chi2
         )
 
     def _corners(self, count: int) -> Corners:
         rows = self._found.corners[:count].copy()
-        return Corners(
-            position=rows[:, 0:2],
-            covariance=rows[:, 2:6].reshape(count, 2, 2),
-            lines=self._found.pairs[:count].copy(),
-        )
+        covariance = rows[:, 2:6].reshape(count, 2, 2)
+        return Corners(rows[:, 0:2], covariance, self._found.pairs[:count].copy())
 
 
 def warm_up() -> None:

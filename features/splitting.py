@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from .compiled import compiled, vectorised
 from .pieces import Pieces, add_rays, append, rotate
 from .rays import Rays, wrap
@@ -117,6 +119,8 @@ def split(rays: Rays, count: int, penalty: float, pieces: Pieces, gains: Floats,
 @compiled
 def refine(rays: Rays, count: int, pieces: Pieces, made: int, gains: Floats) -> None:
     """Move every boundary between adjoining pieces to where the two lines together fit best."""
+    prefix = rays.prefix
+    origin, terminus = np.empty(6), np.empty(6)
     for i in range(made):
         j = i + 1 if i + 1 < made else 0
         shift = count if j == 0 else 0
@@ -125,21 +129,21 @@ def refine(rays: Rays, count: int, pieces: Pieces, made: int, gains: Floats) -> 
             continue
         low = max(pieces.tail[i] + MIN_PIECE, boundary - REFINE_WINDOW)
         high = min(pieces.head[j] + shift - MIN_PIECE, boundary + REFINE_WINDOW)
-        position = best_boundary(rays.prefix, count, pieces, i, j, low, high, gains)
-        if position > 0:
-            move_boundary(rays, count, pieces, i, j, position, shift)
+        for row in range(6):
+            at = prefix[row, min(boundary, count)] + (prefix[row, boundary - count] if boundary > count else 0.0)
+            origin[row], terminus[row] = at - pieces.sums[i, row], at + pieces.sums[j, row]
+        position = best_boundary(prefix, count, low, high, origin, terminus, gains)
+        if position > 0 and position != boundary:
+            move_boundary(prefix, count, pieces, i, j, position, shift)
     if made > 1 and pieces.begin[0] < 0:
         rotate(pieces, made, count)
 
 
 @compiled
 def best_boundary(
-    prefix: Floats, count: int, pieces: Pieces, i: int, j: int, low: int, high: int, gains: Floats
+    prefix: Floats, count: int, low: int, high: int, origin: Floats, terminus: Floats, gains: Floats
 ) -> int:
-    """The ray low..high at which pieces i and j are best parted, or -1; low..high may run over ray n = `count`."""
-    boundary, seam = pieces.end[i], prefix[:, count]
-    at = prefix[:, boundary] if boundary <= count else seam + prefix[:, boundary - count]
-    origin, terminus = at - pieces.sums[i], at + pieces.sums[j]
+    """The ray low..high at which two lines are best parted, or -1; as `explained`, but may run over ray n = `count`."""
     best, position = -math.inf, -1
     if low <= count:
         explained(prefix, low, min(high, count), origin, terminus, gains)
@@ -147,6 +151,7 @@ def best_boundary(
         best = gains[position] if position >= 0 else best
     if high > count:
         first = max(low, count + 1) - count
+        seam = prefix[:, count]
         explained(prefix, first, high - count, origin - seam, terminus - seam, gains)
         beyond = largest(gains, first, high - count)
         if beyond >= 0 and gains[beyond] > best:
@@ -155,15 +160,13 @@ def best_boundary(
 
 
 @compiled
-def move_boundary(rays: Rays, count: int, pieces: Pieces, i: int, j: int, position: int, shift: int) -> None:
+def move_boundary(prefix: Floats, count: int, pieces: Pieces, i: int, j: int, position: int, shift: int) -> None:
     """Let piece i end and piece j, which counts `shift` less, begin at ray `position`."""
     boundary = pieces.end[i]
-    if position == boundary:
-        return
     sign = 1.0 if position > boundary else -1.0
     low, high = min(position, boundary), max(position, boundary)
-    add_rays(rays.prefix, count, low, high, sign, pieces.sums[i])
-    add_rays(rays.prefix, count, low, high, -sign, pieces.sums[j])
+    add_rays(prefix, count, low, high, sign, pieces.sums[i])
+    add_rays(prefix, count, low, high, -sign, pieces.sums[j])
     if pieces.head[i] == boundary:
         pieces.head[i] = position
     if pieces.tail[j] == pieces.begin[j]:
