@@ -1,0 +1,30 @@
+"""2-D SLAM on walls and corners.
+
+import drivers
+from slam import Slam
+
+slam = Slam()
+for message in drivers.open("intel.clf"):
+    slam.add(message)
+result = slam.finish()  # path, walls and corners with covariances
+"""
+
+from typing import TYPE_CHECKING, Any
+
+from .config import Config, load_config
+from .errors import SlamError
+from .events import Event, Finished, MapCorners, MapLines, Sink
+
+if TYPE_CHECKING:
+    from .pipeline import Slam
+
+__all__ = ["Config", "Event", "Finished", "MapCorners", "MapLines", "Sink", "Slam", "SlamError", "load_config"]
+
+
+def __getattr__(name: str) -> Any:
+    # GTSAM and numba take most of a second to load: only who makes maps pays for them
+    if name == "Slam":
+        from .pipeline import Slam
+
+        return Slam
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -25,7 +25,9 @@ WIDEST_OFFSET = 0.30  # metres: two faces of furniture this far apart are not on
 WIDEST_HEADING = math.radians(8.0)
 LARGEST_GAP = 1.0  # metres between what is known of a wall and a segment that continues it
 OVERLAP_IN_SCAN = 0.10  # metres by which two pieces of one wall may seem to overlap in one scan
-AMBIGUOUS_OFFSET = 0.12  # metres: a segment this close to a known wall, yet outside the gate, is neither it nor a new one
+AMBIGUOUS_OFFSET = (
+    0.12  # metres: a segment this close to a known wall, yet outside the gate, is neither it nor a new one
+)
 AMBIGUOUS_HEADING = math.radians(6.0)
 CORNER_HEADING_GATE = math.radians(20.0)
 AMBIGUOUS_CORNER = 0.15  # metres, as above
@@ -127,7 +129,9 @@ def _wall_distances(  # type: ignore[no-untyped-def]
             innovation[1, 1] += 3 * flatness / halves[i] ** 2 + wall[1, 1]
             determinant = innovation[0, 0] * innovation[1, 1] - innovation[0, 1] ** 2
             chi2 = (
-                innovation[1, 1] * offset * offset - 2 * innovation[0, 1] * offset * turn + innovation[0, 0] * turn * turn
+                innovation[1, 1] * offset * offset
+                - 2 * innovation[0, 1] * offset * turn
+                + innovation[0, 0] * turn * turn
             ) / determinant
             close = abs(offset) < AMBIGUOUS_OFFSET and abs(turn) < AMBIGUOUS_HEADING and gap < 0.0
             if chi2 < GATE or close:

@@ -125,4 +125,6 @@ class Landmarks:
         return np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) < radius)
 
 
-BEHIND_MARGIN = 0.5  # metres the robot may stand behind a wall's line and still be about to see it: drift, and the far ends
+BEHIND_MARGIN = (
+    0.5  # metres the robot may stand behind a wall's line and still be about to see it: drift, and the far ends
+)

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers import se2
+
+from .landmarks import Landmarks
 from .segments import Floats
 
 Integers = NDArray[np.int64]
@@ -20,6 +23,7 @@ class LocalMap:
     frame            (n, 3) in the map: x along the wall, which is seen from y > 0
     low, high        (n,) metres along x, how far the wall is known
     wall_covariance  (n, 2, 2) of the offset across and the heading at the frame, as seen from the keyframe
+    observations     (n,) keyframes that saw the wall
     corners          (m,) identities
     position         (m, 2) in the map
     headings         (m, 2) of the walls before and after the corner, in the map
@@ -31,6 +35,7 @@ class LocalMap:
     low: Floats
     high: Floats
     wall_covariance: Floats
+    observations: Integers
     corners: Integers
     position: Floats
     headings: Floats
@@ -39,8 +44,45 @@ class LocalMap:
 
 def empty_local_map() -> LocalMap:
     """What is known before the first scan."""
-    none = np.zeros(0, dtype=np.int64)
+    return local_map_around(Landmarks(), np.zeros(3), 0.0, [np.zeros((3, 3))])
+
+
+def local_map_around(landmarks: Landmarks, pose: se2.Pose, radius: float, pose_covariances: list[Floats]) -> LocalMap:
+    """The landmarks within `radius` (metres) of the pose of the last keyframe.
+
+    `pose_covariances` are those of all keyframes (3, 3), in the map's axes. A landmark's covariance is the one seen
+    when it was last observed, and what the robot's own pose has lost in certainty since then.
+    """
+    near_walls = landmarks.walls_near(pose, radius)
+    near_corners = landmarks.corners_near(pose, radius)
+    walls, corners = landmarks.walls.rows[near_walls], landmarks.corners.rows[near_corners]
+    lever = walls["frame"][:, :2] - pose[:2]
+    c, s = np.cos(walls["frame"][:, 2]), np.sin(walls["frame"][:, 2])
+    jacobian = np.zeros((len(walls), 2, 3))
+    jacobian[:, 0] = np.column_stack([-s, c, c * lever[:, 0] + s * lever[:, 1]])
+    jacobian[:, 1, 2] = 1.0
+    wall_drift = jacobian @ _drift_since(walls["last_seen"], pose_covariances) @ jacobian.transpose(0, 2, 1)
+    corner_drift = _drift_since(corners["last_seen"], pose_covariances)[:, :2, :2]
     return LocalMap(
-        none, np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros((0, 2, 2)),
-        none, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2, 2)),
-    )  # fmt: skip
+        walls=near_walls,
+        frame=walls["frame"],
+        low=walls["low"],
+        high=walls["high"],
+        wall_covariance=walls["covariance"] + wall_drift,
+        observations=walls["observations"],
+        corners=near_corners,
+        position=corners["position"],
+        headings=corners["headings"],
+        corner_covariance=corners["covariance"] + corner_drift,
+    )
+
+
+def _drift_since(keyframes: Integers, pose_covariances: list[Floats]) -> Floats:
+    """(n, 3, 3): by how much the robot's own pose has become less certain since each of `keyframes`, in the map's axes.
+
+    The error of a later pose is that of the earlier one and what was added on the way, so the covariance of the
+    difference is about the difference of the covariances; where a closed loop made it smaller, that part is zero.
+    """
+    then = np.array([pose_covariances[k] for k in keyframes]).reshape(-1, 3, 3)
+    values, vectors = np.linalg.eigh(pose_covariances[-1] - then)
+    return np.asarray((vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1))

@@ -18,13 +18,16 @@ from .association import UNMATCHED, Association
 from .flatness import WallFlatness, uneven
 from .graph import FactorGraph
 from .landmarks import Landmarks
-from .local_map import LocalMap
+from .local_map import LocalMap, local_map_around
+from .merging import LEAST_OBSERVATIONS, find_duplicate
 from .segments import CornerPoints, Floats, Segments
 
 Integers = NDArray[np.int64]
 
 CORNER_SHARE = 0.2  # of its segments' information that a corner's factor takes; measured by consistency in simulation
-CONFIRMING_KEYFRAMES = 2  # keyframes that must see a landmark before it enters the graph: people and noise are seen once
+CONFIRMING_KEYFRAMES = (
+    2  # keyframes that must see a landmark before it enters the graph: people and noise are seen once
+)
 REACH_MARGIN = 2.0  # metres beyond what the keyframe itself saw, within which the map is compared with the next scans
 WELL_KNOWN_OBSERVATIONS = 4  # keyframes after which a wall can judge the scatter of what is seen of it
 REFRESH_ALL = 20  # keyframes after which the estimate of every landmark is read back, not only of those around
@@ -33,13 +36,28 @@ SMALLEST_REACH = 0.2  # metres: a corner nearer to the base's origin has no bear
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyframeView:
-    """What a keyframe saw, and which landmarks that is: identities, -1 for what stays unassigned."""
+    """What a keyframe saw, and which landmarks that is.
+
+    walls (n,) and corner_landmarks (m,) are identities, -1 for what is too ambiguous to be assigned; the distances are
+    squared Mahalanobis distances to the nearest candidate, NaN without one. new_walls are identities.
+    """
 
     segments: Segments
     corners: CornerPoints
     walls: Integers
+    wall_distance: Floats
     corner_landmarks: Integers
+    corner_distance: Floats
     new_walls: Integers
+
+
+@dataclass(frozen=True, slots=True)
+class Merge:
+    """The wall `absorbed` is the wall `kept`, found at a squared Mahalanobis distance."""
+
+    kept: int
+    absorbed: int
+    distance: float
 
 
 class Mapper:
@@ -50,7 +68,8 @@ class Mapper:
         self.landmarks = Landmarks()
         self.flatness = WallFlatness()
         self.keyframe_count = 0
-        self._pose_covariances: list[Floats] = []
+        self.pose = np.zeros(3)  # of the last keyframe
+        self.pose_covariances: list[Floats] = []  # of the keyframes when they were added, (3, 3) in the map's axes
         self._waiting_walls: dict[int, list[tuple[int, se2.Pose, Floats]]] = defaultdict(list)
         self._waiting_corners: dict[int, list[tuple[int, Floats, Floats]]] = defaultdict(list)
 
@@ -74,7 +93,16 @@ class Mapper:
         corner_landmarks = self._name_corners(keyframe, pose, corners, walls, association, local_map)
         self._observe(keyframe, pose, segments, corners, walls, corner_landmarks)
         self.graph.update()
-        return KeyframeView(segments, corners, walls, corner_landmarks, new_walls)
+        self.pose = self.graph.keyframe_pose(keyframe)
+        return KeyframeView(
+            segments,
+            corners,
+            walls,
+            association.wall_distance,
+            corner_landmarks,
+            association.corner_distance,
+            new_walls,
+        )
 
     def _name_walls(
         self, keyframe: int, pose: se2.Pose, segments: Segments, association: Association, local_map: LocalMap
@@ -160,38 +188,61 @@ class Mapper:
         for seen_from, position, covariance in self._waiting_corners.pop(corner):
             self.graph.observe_corner(seen_from, corner, position, covariance)
 
-    def refresh(self, view: KeyframeView) -> LocalMap:
-        """Read the estimate back from the graph, and return the part of the map around the last keyframe, of which `view` is."""
-        keyframe = self.keyframe_count - 1
-        pose = self.graph.keyframe_pose(keyframe)
+    def refresh(self, view: KeyframeView) -> tuple[LocalMap, Merge | None]:
+        """Read the estimate back, learn from it, and return the map around the last keyframe, of which `view` is;
+        and the walls that turned out to be one, if any."""
         reach = REACH_MARGIN + view.segments.reach()
-        near_walls = self.landmarks.walls_near(pose, reach)
-        near_corners = self.landmarks.corners_near(pose, reach)
-        everything = keyframe % REFRESH_ALL == 0
-        walls, corners = self.landmarks.walls.rows, self.landmarks.corners.rows
-        stale_walls = np.arange(len(walls)) if everything else near_walls
-        stale_walls = stale_walls[walls["in_graph"][stale_walls]]
-        stale_corners = np.arange(len(corners)) if everything else near_corners
-        stale_corners = stale_corners[corners["in_graph"][stale_corners]]
-        walls["frame"][stale_walls] = self.graph.wall_frames(stale_walls)
-        corners["position"][stale_corners] = self.graph.corner_positions(stale_corners)
-        self._keep_covariances(keyframe, view)
-        self._learn_flatness(pose, view)
-        return self._local_map(pose, near_walls, near_corners)
+        everything = (self.keyframe_count - 1) % REFRESH_ALL == 0
+        self._read_back(None if everything else reach)
+        self._keep_covariances(view)
+        self._learn_flatness(view)
+        local_map = local_map_around(self.landmarks, self.pose, reach, self.pose_covariances)
+        merge = self._merge(local_map, view)
+        if merge:
+            local_map = local_map_around(self.landmarks, self.pose, reach, self.pose_covariances)
+        return local_map, merge
 
-    def _keep_covariances(self, keyframe: int, view: KeyframeView) -> None:
+    def settle(self) -> None:
+        """Bring the estimate to rest: everything linearised anew, then read back."""
+        self.graph.settle()
+        self.pose = self.graph.keyframe_pose(self.keyframe_count - 1)
+        self._read_back(None)
+
+    def _read_back(self, radius: float | None) -> None:
+        """Take the estimate of the landmarks within `radius` (metres) of the last keyframe, or of all, from the graph."""
+        walls, corners = self.landmarks.walls.rows, self.landmarks.corners.rows
+        near_walls = np.arange(len(walls)) if radius is None else self.landmarks.walls_near(self.pose, radius)
+        near_corners = np.arange(len(corners)) if radius is None else self.landmarks.corners_near(self.pose, radius)
+        near_walls = near_walls[walls["in_graph"][near_walls]]
+        near_corners = near_corners[corners["in_graph"][near_corners]]
+        walls["frame"][near_walls] = self.graph.wall_frames(near_walls)
+        corners["position"][near_corners] = self.graph.corner_positions(near_corners)
+
+    def _merge(self, local_map: LocalMap, view: KeyframeView) -> Merge | None:
+        """Make one of two walls of the local map, if one of them was just seen and they are the same."""
+        rows = self.landmarks.walls.rows[local_map.walls]
+        mature = rows["in_graph"] & (rows["observations"] >= LEAST_OBSERVATIONS)
+        found = find_duplicate(local_map, mature, np.isin(local_map.walls, view.walls), self.flatness.variance)
+        if found is None:
+            return None
+        first, second = int(local_map.walls[found.first]), int(local_map.walls[found.second])
+        self.graph.tie_walls(first, second, found.along)
+        self.landmarks.absorb(first, second)
+        return Merge(first, second, found.distance)
+
+    def _keep_covariances(self, view: KeyframeView) -> None:
         """Note how well the landmarks just seen are known from here: right after an update this is cheap to ask."""
         walls, corners = self.landmarks.walls.rows, self.landmarks.corners.rows
         seen_walls = np.unique(view.walls[view.walls >= 0])
         seen_walls = seen_walls[walls["in_graph"][seen_walls]]
         seen_corners = np.unique(view.corner_landmarks[view.corner_landmarks >= 0])
         seen_corners = seen_corners[corners["in_graph"][seen_corners]]
-        own, of_walls, of_corners = self.graph.relative_covariances(keyframe, seen_walls, seen_corners)
+        own, of_walls, of_corners = self.graph.relative_covariances(self.keyframe_count - 1, seen_walls, seen_corners)
         walls["covariance"][seen_walls] = of_walls
         corners["covariance"][seen_corners] = of_corners
-        self._pose_covariances.append(own)
+        self.pose_covariances.append(own)
 
-    def _learn_flatness(self, pose: se2.Pose, view: KeyframeView) -> None:
+    def _learn_flatness(self, view: KeyframeView) -> None:
         """Compare the segments with the walls they were given to, now that the graph has settled both."""
         rows = self.landmarks.walls.rows
         known = np.flatnonzero(view.walls >= 0)
@@ -199,33 +250,8 @@ class Mapper:
         if not len(known):
             return
         walls = rows[view.walls[known]]
-        seen = se2.between(walls["frame"], se2.compose(pose, view.segments.frame[known]))
+        seen = se2.between(walls["frame"], se2.compose(self.pose, view.segments.frame[known]))
         self.flatness.add(seen[:, 1:], view.segments.covariance[known], view.segments.half_length[known])
-
-    def _local_map(self, pose: se2.Pose, near_walls: Integers, near_corners: Integers) -> LocalMap:
-        walls, corners = self.landmarks.walls.rows[near_walls], self.landmarks.corners.rows[near_corners]
-        drift = self._drift_since(walls["last_seen"])
-        lever = walls["frame"][:, :2] - pose[:2]
-        c, s = np.cos(walls["frame"][:, 2]), np.sin(walls["frame"][:, 2])
-        jacobian = np.zeros((len(walls), 2, 3))
-        jacobian[:, 0] = np.column_stack([-s, c, c * lever[:, 0] + s * lever[:, 1]])
-        jacobian[:, 1, 2] = 1.0
-        wall_covariance = walls["covariance"] + jacobian @ drift @ jacobian.transpose(0, 2, 1)
-        corner_drift = self._drift_since(corners["last_seen"])[:, :2, :2]
-        return LocalMap(
-            near_walls, walls["frame"], walls["low"], walls["high"], wall_covariance,
-            near_corners, corners["position"], corners["headings"], corners["covariance"] + corner_drift,
-        )  # fmt: skip
-
-    def _drift_since(self, keyframes: Integers) -> Floats:
-        """(n, 3, 3): by how much the robot's own pose has become less certain since each of `keyframes`, in the map's axes.
-
-        The error of a later pose is that of the earlier one and what was added on the way, so the covariance of the
-        difference is about the difference of the covariances; where a closed loop made it smaller, that part is zero.
-        """
-        covariances = np.array([self._pose_covariances[k] for k in keyframes]).reshape(-1, 3, 3)
-        values, vectors = np.linalg.eigh(self._pose_covariances[-1] - covariances)
-        return np.asarray((vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1))
 
 
 def _move_along(frame: se2.Pose, covariance: Floats, towards: se2.Pose) -> tuple[se2.Pose, Floats]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,14 +20,25 @@ LEAST_OVERLAP = 0.2  # metres along the wall
 LEAST_OBSERVATIONS = 3
 
 
-def find_duplicate(
-    local_map: LocalMap, mature: NDArray[np.bool_], flatness: float
-) -> tuple[int, int, float, float] | None:
-    """The most certain pair of rows of the local map that show one wall: (row, other row, where the other's frame lies
-    along the first in metres, squared Mahalanobis distance); None where there is none.
+@dataclass(frozen=True, slots=True)
+class Duplicate:
+    """Rows of the local map that show one wall; the second's frame lies `along` the first (metres); squared Mahalanobis
+    distance between them."""
 
-    `mature` (n,) says which walls have been seen often enough. Walls are compared in the middle of their overlap; the
-    covariances are those seen from the robot, so what is uncertain about the robot's own place does not count.
+    first: int
+    second: int
+    along: float
+    distance: float
+
+
+def find_duplicate(
+    local_map: LocalMap, mature: NDArray[np.bool_], seen: NDArray[np.bool_], flatness: float
+) -> Duplicate | None:
+    """The most certain pair of walls of the local map that are one, None where there is none.
+
+    `mature` (n,) says which walls have been observed often enough, `seen` (n,) which were seen just now: a pair must
+    have one of those. Walls are compared in the middle of their overlap, with the covariances as seen from the robot,
+    so what is uncertain about the robot's own place does not count; `flatness` is the variance of their unevenness.
     """
     rows = np.flatnonzero(mature)
     if len(rows) < 2:
@@ -40,16 +52,19 @@ def find_duplicate(
     middle = 0.5 * (start + end)
     offset = other[..., 1] + (middle - along) * np.tan(turn)
     candidate = (np.abs(turn) < WIDEST_HEADING) & (np.abs(offset) < WIDEST_OFFSET) & (end - start > LEAST_OVERLAP)
-    candidate &= np.triu(np.ones_like(candidate), 1)
-    best = None
+    candidate &= np.triu(seen[rows][:, None] | seen[rows][None, :], 1)
+    best: Duplicate | None = None
     for i, j in np.argwhere(candidate):
         at_first = _carried(local_map.wall_covariance[rows[i]], middle[i, j])
         at_second = _carried(local_map.wall_covariance[rows[j]], middle[i, j] - along[i, j])
         overlap = end[i, j] - start[i, j]
         difference = np.array([offset[i, j], turn[i, j]])
-        distance = float(difference @ np.linalg.solve(at_first + at_second + np.diag([flatness, 12 * flatness / overlap**2]), difference))
-        if distance < GATE and (best is None or distance < best[3]):
-            best = (int(rows[i]), int(rows[j]), float(along[i, j]), distance)
+        distance = float(
+            difference
+            @ np.linalg.solve(at_first + at_second + np.diag([flatness, 12 * flatness / overlap**2]), difference)
+        )
+        if distance < GATE and (best is None or distance < best.distance):
+            best = Duplicate(int(rows[i]), int(rows[j]), float(along[i, j]), distance)
     return best
 
 

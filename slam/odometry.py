@@ -65,6 +65,8 @@ class OdometryHistory:
 def motion_covariance(motion: se2.Pose, config: OdometryConfig) -> Floats:
     """(3, 3) covariance of a motion [x, y, heading] that odometry reports, in the frame of its end."""
     distance, turn = float(np.hypot(motion[0], motion[1])), abs(float(motion[2]))
-    translation = config.translation_floor + config.translation_per_metre * distance + config.translation_per_radian * turn
+    translation = (
+        config.translation_floor + config.translation_per_metre * distance + config.translation_per_radian * turn
+    )
     rotation = config.rotation_floor + config.rotation_per_metre * distance + config.rotation_per_radian * turn
     return np.diag([translation**2, translation**2, rotation**2])

@@ -71,7 +71,9 @@ def register(
     known = (local_map.position, local_map.headings, local_map.corner_covariance)
 
     def best_of(starts: Floats) -> tuple[se2.Pose, Floats, float]:
-        pose, information, length = _register(prediction, prior, starts, CLEARLY_MORE * seen, *scan, *points, *walls, *known, flatness)
+        pose, information, length = _register(
+            prediction, prior, starts, CLEARLY_MORE * seen, *scan, *points, *walls, *known, flatness
+        )
         return pose, information, length / seen
 
     recovered = False

@@ -23,6 +23,7 @@ RELINEARIZE_THRESHOLD = 0.05  # metres and radians
 RELINEARIZE_SKIP = 10  # updates; a tenth of the cost of relinearising at each update, for the same result
 CAUCHY_SCALE = 3.0  # standard deviations at which an observation counts half
 ODOMETRY_CAUCHY_SCALE = 2.0  # the same for odometry: single readings can be grossly wrong
+SETTLING_UPDATES = 3  # the first moves by what was left to the threshold, the last by less than a micrometre
 ALONG_SIGMA = 1.0  # metres; says once where along a wall its frame lies, which no observation does
 FIRST_POSE_SIGMAS = np.array([1e-3, 1e-3, 1e-4])  # metres, metres, radians: the first keyframe defines the map's frame
 SAME_WALL_SIGMAS = np.array([2e-3, 2e-4])  # metres across, radians: how equal two frames of one wall are
@@ -61,9 +62,7 @@ class FactorGraph:
     def add_keyframe(self, index: int, pose: se2.Pose, motion: se2.Pose, covariance: Floats) -> None:
         """A keyframe near `pose`, reached from keyframe `index - 1` by the odometry's `motion` with its covariance (3, 3)."""
         self._values.insert(X(index), _pose2(pose))
-        noise = gtsam.noiseModel.Robust.Create(
-            self._odometry_kernel, gtsam.noiseModel.Gaussian.Covariance(covariance)
-        )
+        noise = gtsam.noiseModel.Robust.Create(self._odometry_kernel, gtsam.noiseModel.Gaussian.Covariance(covariance))
         self._factors.add(gtsam.BetweenFactorPose2(X(index - 1), X(index), _pose2(motion), noise))
 
     def add_wall(self, wall: int, frame: se2.Pose) -> None:
@@ -116,6 +115,14 @@ class FactorGraph:
             raise MapError(f"the map cannot be estimated: {str(error).strip().splitlines()[0]}") from error
         self._factors = gtsam.NonlinearFactorGraph()
         self._values = gtsam.Values()
+
+    def settle(self) -> None:
+        """Linearise everything anew until the estimate rests."""
+        parameters = gtsam.ISAM2UpdateParams()
+        parameters.force_relinearize = True
+        for _ in range(SETTLING_UPDATES):
+            self._isam.update(self._factors, self._values, parameters)
+            self._factors = gtsam.NonlinearFactorGraph()
 
     # --- the estimate
 

@@ -26,7 +26,7 @@ TRUTH: Colour = (0, 190, 130)
 SCAN: Colour = (165, 140, 255)
 MATCHED: Colour = (255, 165, 0)
 NEW: Colour = (255, 70, 200)
-UNMATCHED: Colour = (150, 95, 75)
+UNMATCHED: Colour = (190, 130, 100)
 
 # Series of one plot, in this order; a plot's legend names them.
 SERIES: tuple[Colour, ...] = (

@@ -116,7 +116,7 @@ class KeyframeLayer:
         self._metrics.log("explained", {"share of wall length": explained})
         self._metrics.log("sigma", sigma)
         self._metrics.log("association", {"largest d²": float(gates.max()) if len(gates) else math.nan})
-        self._metrics.log("time", event.timings)
+        self._metrics.log("time", {"total": sum(event.timings.values())} | event.timings)
         self._metrics.log("counts", event.counts)
 
 

@@ -1,0 +1,72 @@
+"""Counts and times of a run, for its summary."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+class Clock:
+    """Milliseconds by stage of one scan's work."""
+
+    def __init__(self) -> None:
+        self._last = time.perf_counter()
+        self.laps: dict[str, float] = {}
+
+    def lap(self, stage: str) -> None:
+        """The stage that has just ended took the time since the last one ended."""
+        now = time.perf_counter()
+        self.laps[stage] = 1e3 * (now - self._last)
+        self._last = now
+
+    @property
+    def total(self) -> float:
+        """Milliseconds of all stages."""
+        return sum(self.laps.values())
+
+
+@dataclass(slots=True)
+class RunStatistics:
+    """What a run counted. `health` and `timings` condense it."""
+
+    scans: int = 0
+    empty_scans: int = 0
+    scans_without_odometry: int = 0
+    recovered: int = 0
+    merged_walls: int = 0
+    explained: list[float] = field(default_factory=list)
+    keyframe_times: list[float] = field(default_factory=list)
+    stage_times: dict[str, float] = field(default_factory=dict)
+
+    def add_keyframe(self, clock: Clock) -> None:
+        """Note the times of a scan that became a keyframe."""
+        self.keyframe_times.append(clock.total)
+        for stage, duration in clock.laps.items():
+            self.stage_times[stage] = self.stage_times.get(stage, 0.0) + duration
+
+    def timings(self) -> dict[str, float]:
+        """Milliseconds a keyframe: median, 99th percentile, maximum, and the mean of each stage."""
+        if not self.keyframe_times:
+            return {}
+        times = np.array(self.keyframe_times)
+        result = {
+            "keyframe_median_ms": float(np.median(times)),
+            "keyframe_p99_ms": float(np.percentile(times, 99)),
+            "keyframe_max_ms": float(times.max()),
+        }
+        for stage, total in self.stage_times.items():
+            result[f"{stage.replace(' ', '_')}_mean_ms"] = total / len(times)
+        return {name: round(value, 3) for name, value in result.items()}
+
+    def health(self) -> dict[str, object]:
+        """How well scans fitted the map, and what went wrong."""
+        explained = np.array(self.explained or [0.0])
+        return {
+            "explained_median": round(float(np.median(explained)), 3),
+            "explained_p05": round(float(np.percentile(explained, 5)), 3),
+            "empty_scans": self.empty_scans,
+            "scans_without_odometry": self.scans_without_odometry,
+            "recovered": self.recovered,
+        }
