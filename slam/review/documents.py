@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 from ..events import KeyframeAdded
 from .matches import Matches
@@ -80,13 +80,15 @@ def keyframe(event: KeyframeAdded, position_sigma: float, heading_sigma: float) 
 
 
 def _table(header: tuple[str, str], values: Mapping[str, object]) -> str:
-    rows = "\n".join(f"| {key} | {_value(value)} |" for key, value in values.items())
+    rows = "\n".join(f"| {name} | {text} |" for name, text in _flat(values))
     return f"| {header[0]} | {header[1]} |\n|---|---|\n{rows}"
 
 
-def _value(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    if isinstance(value, Mapping):
-        return ", ".join(f"{key}: {_value(v)}" for key, v in value.items())
-    return str(value).replace("|", "\\|").replace("\n", " ")
+def _flat(values: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Names and values as text; `{"a": {"b": 1}}` is `a.b`, `1`."""
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            text = f"{value:.4g}" if isinstance(value, float) else str(value)
+            yield f"{prefix}{key}", text.replace("|", "\\|").replace("\n", " ")
