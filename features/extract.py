@@ -127,12 +127,12 @@ class Extractor:
         )
 
     def _learn(self, variance: float) -> None:
-        """Take the range variance that a scan shows into the running mean."""
+        """Take the range variance that a scan shows into the running geometric mean, for which 2 and 50 mm are as far."""
         gain = max(1.0 / (self._scans + 1.0), SLOWEST_GAIN)
         self._scans += 1.0
         shown = min(max(variance, NOISE_FLOOR**2), NOISE_CEILING**2)
-        mean = (1.0 - gain) * self._noise.sigma_range**2 + gain * shown
-        self._noise = Noise(math.sqrt(mean), self._noise.sigma_bearing)
+        sigma = self._noise.sigma_range ** (1.0 - gain) * shown ** (0.5 * gain)
+        self._noise = Noise(sigma, self._noise.sigma_bearing)
         self._settings = Settings(self._noise.sigma_range, *self._settings[1:])
 
     def _lines(self, count: int) -> Lines:

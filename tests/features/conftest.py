@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from features import Extractor, Features
+
 
 @dataclass
 class Scan:
@@ -54,7 +56,12 @@ def furnished_room(rng: np.random.Generator, width: float, height: float) -> np.
     outline += [(width, height), (recess + niche, height), (recess + niche, height + depth)]
     outline += [(recess, height + depth), (recess, height), (0, height)]
     boxes = [
-        box(rng.uniform(0.1, 0.8) * width, rng.uniform(0.55, 0.75) * height, *rng.uniform(0.3, 0.7, 2), rng.uniform(0, 3))
+        box(
+            rng.uniform(0.1, 0.8) * width,
+            rng.uniform(0.55, 0.75) * height,
+            *rng.uniform(0.3, 0.7, 2),
+            rng.uniform(0, 3),
+        )
         for _ in range(2)
     ]
     return np.vstack([polygon(outline), *boxes])
@@ -72,7 +79,7 @@ def simulate(
     walls: np.ndarray | None = None,
     position: tuple[float, float] | None = None,
 ) -> Scan:
-    """A scan from within a room, seeded. `outliers`: share of short returns, and then mixed pixels at range edges too."""
+    """A scan from within a room, seeded. `outliers`: share of short returns; then mixed pixels at range edges too."""
     rng = np.random.default_rng(seed)
     if walls is None:
         walls = furnished_room(rng, *size)
@@ -108,8 +115,7 @@ def true_runs(scan: Scan) -> list[tuple[int, np.ndarray]]:
         return [(int(scan.wall[rays[0]]), rays)]
     rays = np.roll(rays, -starts[0])
     return [
-        (int(scan.wall[part[0]]), part)
-        for part in np.split(rays, np.flatnonzero(np.diff(scan.wall[rays]) != 0) + 1)
+        (int(scan.wall[part[0]]), part) for part in np.split(rays, np.flatnonzero(np.diff(scan.wall[rays]) != 0) + 1)
     ]
 
 
@@ -156,7 +162,7 @@ def uv_of_wall(wall: np.ndarray) -> np.ndarray:
     return np.array([y1 - y0, x0 - x1]) / (x0 * y1 - x1 * y0)
 
 
-def score(scan: Scan, features: object, into: Score, sigma_range: float) -> None:
+def score(scan: Scan, features: Features, into: Score, sigma_range: float) -> None:
     """Add one scan: a wall counts from 10 rays and 0.3 m; a line is that wall if their rays overlap by half (IoU)."""
     lines, corners = features.lines, features.corners
     beams = len(scan.ranges)
@@ -200,7 +206,7 @@ def score(scan: Scan, features: object, into: Score, sigma_range: float) -> None
     reach = 0.1 + 3 * sigma_range
     into.corners_there += len(true_corners)
     into.corners_given += len(corners)
-    for point, covariance in zip(corners.position, corners.covariance, strict=True):
+    for point in corners.position:
         near = np.hypot(*(vertices - point).T)
         into.corners_right += bool(near.min() < reach)
     for true in true_corners:
@@ -215,3 +221,18 @@ def score(scan: Scan, features: object, into: Score, sigma_range: float) -> None
 @pytest.fixture(name="simulate")
 def simulate_fixture() -> Callable[..., Scan]:
     return simulate
+
+
+@pytest.fixture
+def score_rooms() -> Callable[..., Score]:
+    """Score an extractor on `scans` rooms, half of them small and half large."""
+
+    def run(extractor: Extractor, scans: int, **noise: float) -> Score:
+        total = Score()
+        for i in range(scans):
+            beams, size = ((1112, (5.0, 3.0)), (884, (12.0, 8.0)))[i % 2]
+            scan = simulate(5000 + i, beams=beams, size=size, **noise)
+            score(scan, extractor.extract(scan.ranges, scan.angles), total, noise["sigma_range"])
+        return total
+
+    return run

@@ -1,0 +1,245 @@
+"""What Extractor promises whatever it is given: no failure, no surprise, invariance, noise it learns by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from features import Extractor, Features, Noise, benchmark, warm_up
+
+NOISE = Noise(0.01, 0.001)
+
+
+def extract(ranges: np.ndarray, angles: np.ndarray, noise: Noise = NOISE, **options: object) -> Features:
+    return Extractor(noise, adapt_noise=False, **options).extract(ranges, angles)
+
+
+def square_room(angles: np.ndarray, noise: float = 0.01, seed: int = 0) -> np.ndarray:
+    """A room of 6 by 4 metres with its lidar at (0.5, -0.3) from the middle."""
+    c, s = np.cos(angles), np.sin(angles)
+    with np.errstate(divide="ignore"):
+        x = np.where(c >= 0, 2.5, -3.5) / c
+        y = np.where(s >= 0, 2.3, -1.7) / s
+    return np.minimum(x, y) + np.random.default_rng(seed).normal(0, noise, len(angles))
+
+
+def check(features: Features, beams: int) -> None:
+    lines, corners = features.lines, features.corners
+    for values in (lines.uv, lines.covariance, lines.start, lines.end, lines.chi2, corners.position):
+        assert np.isfinite(values).all()
+    assert np.isfinite(corners.covariance).all()
+    assert ((lines.first >= 0) & (lines.first < beams) & (lines.last >= 0) & (lines.last < beams)).all()
+    assert ((corners.lines >= 0) & (corners.lines < len(lines))).all()
+    assert (lines.count >= 5).all()
+    if len(lines):
+        assert (np.linalg.eigvalsh(lines.covariance) > 0).all()
+    assert lines.uv.shape == lines.start.shape == lines.end.shape == (len(lines), 2)
+    assert corners.covariance.shape == (len(corners), 2, 2)
+
+
+@pytest.mark.parametrize("beams", [0, 1, 2, 3, 4, 5, 6, 12])
+@pytest.mark.parametrize("method", ["split", "tracking"])
+def test_few_beams(beams: int, method: str) -> None:
+    angles = np.linspace(-0.5, 0.5, beams)
+    check(extract(2.0 / np.cos(angles), angles, method=method), beams)
+
+
+anything = st.floats(allow_nan=True, allow_infinity=True, width=64)
+plausible = st.floats(0.1, 20.0)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    st.integers(0, 60).flatmap(
+        lambda n: st.tuples(
+            hnp.arrays(np.float64, n, elements=st.one_of(anything, plausible)),
+            hnp.arrays(np.float64, n, elements=st.one_of(anything, st.floats(-4, 4))),
+        )
+    ),
+    st.booleans(),
+    st.sampled_from(["split", "tracking"]),
+)
+def test_garbage_never_fails(scan: tuple[np.ndarray, np.ndarray], ordered: bool, method: str) -> None:
+    ranges, angles = scan
+    check(extract(ranges, np.sort(angles) if ordered else angles, method=method), len(ranges))
+
+
+@settings(max_examples=60, deadline=None)
+@given(hnp.arrays(np.float64, 180, elements=st.floats(0.125, 20.0, width=16)))
+def test_coarse_garbage_never_fails(ranges: np.ndarray) -> None:
+    """Ranges on few values make rays coincide, walls concentric and sums degenerate."""
+    check(extract(ranges, np.linspace(-np.pi / 2, np.pi / 2, 180)), 180)
+
+
+@settings(max_examples=40, deadline=None)
+@given(hnp.arrays(bool, 360, elements=st.booleans()), st.sampled_from([np.nan, np.inf, -np.inf, 0.0, -1.0, 81.8]))
+def test_lost_rays_are_ignored(lost: np.ndarray, value: float) -> None:
+    angles = np.linspace(-np.pi, np.pi, 360, endpoint=False)
+    ranges = square_room(angles)
+    ranges[lost] = value
+    features = extract(ranges, angles)
+    check(features, 360)
+    distances = 1 / np.hypot(*features.lines.uv.T)
+    assert all(np.abs(np.array([2.5, 3.5, 2.3, 1.7]) - d).min() < 0.15 for d in distances)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(-7, 7))
+def test_turning_the_bearings_turns_the_features(turn: float) -> None:
+    angles = np.linspace(-2.0, 2.0, 400)
+    ranges = square_room(angles)
+    plain, turned = extract(ranges, angles), extract(ranges, angles + turn)
+    c, s = np.cos(turn), np.sin(turn)
+    rotation = np.array([[c, -s], [s, c]])
+    assert (plain.lines.first == turned.lines.first).all()
+    np.testing.assert_allclose(turned.lines.uv, plain.lines.uv @ rotation.T, atol=1e-7)
+    np.testing.assert_allclose(turned.corners.position, plain.corners.position @ rotation.T, atol=1e-6)
+    np.testing.assert_allclose(
+        turned.lines.covariance,
+        rotation @ plain.lines.covariance @ rotation.T,
+        atol=1e-6 * plain.lines.covariance.max(),
+    )
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(0.5, 3.0))
+def test_scaling_the_scan_scales_the_features(scale: float) -> None:
+    angles = np.linspace(-2.0, 2.0, 400)
+    ranges = square_room(angles)
+    plain = extract(ranges, angles, roughness=0.01)
+    larger = extract(
+        scale * ranges,
+        angles,
+        Noise(scale * NOISE.sigma_range, NOISE.sigma_bearing),
+        roughness=scale * 0.01,
+        maximum_gap=scale * 0.4,
+        minimum_length=scale * 0.25,
+    )
+    np.testing.assert_allclose(scale * larger.lines.uv, plain.lines.uv, atol=1e-7)
+    np.testing.assert_allclose(larger.corners.position, scale * plain.corners.position, atol=1e-6)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 719))
+def test_a_revolution_may_start_anywhere(start: int) -> None:
+    angles = np.linspace(-np.pi, np.pi, 720, endpoint=False)
+    ranges = square_room(angles)
+    plain = extract(ranges, angles)
+    moved = extract(np.roll(ranges, -start), angles[start] + (angles - angles[0]))
+    assert len(plain.lines) == len(moved.lines) == 4
+    assert len(plain.corners) == len(moved.corners) == 4
+    order = [int(np.hypot(*(moved.lines.uv - uv).T).argmin()) for uv in plain.lines.uv]
+    np.testing.assert_allclose(moved.lines.uv[order], plain.lines.uv, atol=1e-9)
+    assert ((moved.lines.first[order] + start) % 720 == plain.lines.first).all()
+    assert ((moved.lines.last[order] + start) % 720 == plain.lines.last).all()
+
+
+def test_more_than_a_revolution_counts_once() -> None:
+    angles = -np.pi + 2 * np.pi / 720 * np.arange(760)
+    ranges = square_room(angles, noise=0.0)
+    features = extract(ranges, angles)
+    assert len(features.lines) == len(features.corners) == 4
+    assert features.lines.count.sum() == 720
+
+
+def test_beam_count_may_change() -> None:
+    extractor = Extractor(NOISE, adapt_noise=False)
+    for beams in (360, 1100, 180, 920, 360):
+        angles = np.linspace(-np.pi, np.pi, beams, endpoint=False)
+        assert len(extractor.extract(square_room(angles), angles).lines) == 4
+
+
+def test_any_kind_of_array_will_do() -> None:
+    angles = np.linspace(-np.pi, np.pi, 360, endpoint=False)
+    ranges = square_room(angles)
+    expected = extract(ranges, angles)
+    sealed = ranges.copy()
+    sealed.flags.writeable = False
+    strided = np.repeat(ranges, 2)[::2]
+    for same in (sealed, strided, ranges.tolist()):
+        np.testing.assert_array_equal(extract(same, angles).lines.uv, expected.lines.uv)
+    assert len(extract(ranges.astype(np.float32), angles).lines) == 4
+
+
+def test_features_outlive_the_next_scan() -> None:
+    extractor = Extractor(NOISE, adapt_noise=False)
+    angles = np.linspace(-np.pi, np.pi, 360, endpoint=False)
+    features = extractor.extract(square_room(angles), angles)
+    kept = features.lines.uv.copy(), features.corners.position.copy()
+    extractor.extract(3 * square_room(angles, seed=5), angles)
+    np.testing.assert_array_equal(features.lines.uv, kept[0])
+    np.testing.assert_array_equal(features.corners.position, kept[1])
+
+
+@pytest.mark.parametrize("given_sigma", [0.002, 0.01, 0.05])
+@pytest.mark.parametrize("true_sigma", [0.005, 0.01, 0.03])
+def test_noise_is_learned(simulate: Callable[..., object], given_sigma: float, true_sigma: float) -> None:
+    extractor = Extractor(Noise(given_sigma, np.radians(0.05)))
+    for seed in range(100):
+        scan = simulate(seed, beams=500, sigma_range=true_sigma, sigma_bearing=np.radians(0.05), outliers=0.01)
+        features = extractor.extract(scan.ranges, scan.angles)
+    assert features.noise.sigma_range == pytest.approx(true_sigma, rel=0.15)
+    assert extractor.noise.sigma_bearing == np.radians(0.05)
+
+
+def test_quantised_ranges_show_their_quantisation(simulate: Callable[..., object]) -> None:
+    extractor = Extractor(Noise(0.02, 0.0005))
+    for seed in range(100):
+        scan = simulate(seed, beams=500, sigma_range=0.002, sigma_bearing=0.0005)
+        extractor.extract(np.round(scan.ranges, 2), scan.angles)
+    assert 0.0025 < extractor.noise.sigma_range < 0.005  # 1 cm / sqrt(12) = 2.9 mm
+
+
+def test_noise_free_ranges_do_not_collapse_the_noise(simulate: Callable[..., object]) -> None:
+    extractor = Extractor(NOISE)
+    for seed in range(200):
+        scan = simulate(seed, beams=500, sigma_range=0.0, sigma_bearing=0.0)
+        features = extractor.extract(scan.ranges, scan.angles)
+        check(features, 500)
+    assert 0.002 <= extractor.noise.sigma_range < 0.004
+
+
+def test_noise_stays_when_told_to() -> None:
+    extractor = Extractor(NOISE, adapt_noise=False)
+    angles = np.linspace(-1, 1, 200)
+    assert extractor.extract(square_room(angles, noise=0.03), angles).noise is NOISE
+    assert extractor.noise is NOISE
+
+
+def test_extraction_is_deterministic(simulate: Callable[..., object]) -> None:
+    scans = [simulate(seed) for seed in range(5)]
+    first, second = (
+        [e.extract(scan.ranges, scan.angles) for scan in scans] for e in (Extractor(NOISE), Extractor(NOISE))
+    )
+    for a, b in zip(first, second, strict=True):
+        np.testing.assert_array_equal(a.lines.uv, b.lines.uv)
+        assert a.noise == b.noise
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"estimator": "ransac"}, {"method": "magic"}, {"noise": Noise(0.0, 0.1)}, {"noise": Noise(float("nan"), 0.1)}],
+)
+def test_wrong_settings_are_refused(wrong: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=r"no estimator|no method|noise"):
+        Extractor(**({"noise": NOISE} | wrong))
+
+
+def test_unequal_lengths_are_refused() -> None:
+    with pytest.raises(ValueError, match="as many"):
+        extract(np.ones(10), np.zeros(9))
+
+
+def test_benchmark_reports_rows() -> None:
+    warm_up()
+    rows = benchmark.run(beams=(180,), scans=3, rounds=1)
+    assert {row.name for row in rows} >= {"split/wclm-ml", "split/siadat", "tracking/wclm"}
+    for row in rows:
+        assert row.beams == 180
+        assert row.lines > 3
+        assert 0 < row.median_us <= row.p99_us

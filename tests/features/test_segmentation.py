@@ -1,0 +1,174 @@
+"""Which rays become walls: simulated rooms, openings, spurious returns, grazing walls, the ends of a revolution."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from features import Extractor, Features, Noise
+
+FINE = Noise(0.01, np.radians(0.05))
+COARSE = Noise(0.05, np.radians(0.196))
+
+
+def scan_of(distance: Callable[[np.ndarray], np.ndarray], angles: np.ndarray, noise: float = 0.005) -> np.ndarray:
+    return distance(angles) + np.random.default_rng(1).normal(0, noise, len(angles))
+
+
+def extract(ranges: np.ndarray, angles: np.ndarray, noise: Noise = FINE, **settings: object) -> Features:
+    return Extractor(noise, adapt_noise=False, **settings).extract(ranges, angles)
+
+
+@pytest.mark.parametrize(
+    ("noise", "outliers", "precision", "recall", "corner_recall", "corner_precision"),
+    [
+        (FINE, 0.0, 0.99, 0.99, 0.98, 0.98),
+        (FINE, 0.01, 0.97, 0.98, 0.96, 0.97),
+        (COARSE, 0.0, 0.97, 0.96, 0.92, 0.95),
+    ],
+)
+def test_rooms(
+    score_rooms: Callable[..., object],
+    noise: Noise,
+    outliers: float,
+    precision: float,
+    recall: float,
+    corner_recall: float,
+    corner_precision: float,
+) -> None:
+    extractor = Extractor(noise, adapt_noise=False)
+    sigmas = {"sigma_range": noise.sigma_range, "sigma_bearing": noise.sigma_bearing}
+    score = score_rooms(extractor, 60, outliers=outliers, **sigmas)
+    assert score.precision > precision
+    assert score.recall > recall
+    assert score.corner_recall > corner_recall
+    assert score.corner_precision > corner_precision
+    # the median of chi-square with two degrees of freedom is 1.39; break points chosen with the data add to it
+    assert 1.2 < np.median(score.line_nees) < 2.0
+    assert 1.1 < np.median(score.corner_nees) < 2.1
+
+
+def test_tracking_needs_little_noise(score_rooms: Callable[..., object]) -> None:
+    """The paper's threshold of 20 mm suits noise well below it, and breaks walls up at 10 mm."""
+    quiet = score_rooms(
+        Extractor(Noise(0.003, np.radians(0.02)), adapt_noise=False, method="tracking"),
+        20,
+        sigma_range=0.003,
+        sigma_bearing=np.radians(0.02),
+    )
+    assert quiet.recall > 0.97
+    loud = score_rooms(
+        Extractor(FINE, adapt_noise=False, method="tracking"), 20, sigma_range=0.01, sigma_bearing=np.radians(0.05)
+    )
+    assert loud.recall < 0.9
+
+
+def test_isolated_returns_are_no_walls() -> None:
+    rng = np.random.default_rng(2)
+    angles = np.linspace(-np.pi, np.pi, 720, endpoint=False)
+    assert len(extract(rng.uniform(0.5, 8.0, 720), angles).lines) == 0
+
+
+def test_mixed_pixels_are_no_walls() -> None:
+    """A post before a wall, with three returns between the two at either edge."""
+    angles = np.radians(np.arange(-45, 45, 0.33))
+    ranges = scan_of(lambda a: 4.0 / np.cos(a), angles)
+    post = np.abs(angles) < 0.12
+    ranges[post] = 1.5 / np.cos(angles[post])
+    edges = np.flatnonzero(np.diff(post.astype(int)))
+    for edge in edges:
+        for k, share in enumerate((0.25, 0.5, 0.75)):
+            ranges[edge - 1 + k] = 1.5 + 2.5 * (share if edge == edges[1] else 1 - share)
+    lines = extract(ranges, angles).lines
+    assert len(lines) == 3
+    np.testing.assert_allclose(1 / np.hypot(*lines.uv.T), [4.0, 1.5, 4.0], atol=0.02)
+
+
+@pytest.mark.parametrize("opening", [0.0, 0.15])
+def test_one_wall_over_a_small_gap(opening: float) -> None:
+    angles = np.radians(np.arange(-60, 60, 1.0))
+    ranges = scan_of(lambda a: 3.0 / np.cos(a), angles)
+    ranges[np.abs(3.0 * np.tan(angles) - 0.7) < opening / 2] = 6.0
+    lines = extract(ranges, angles).lines
+    assert len(lines) == 1
+    assert lines.count[0] > 115
+
+
+@pytest.mark.parametrize("behind", [3.4, 6.0, np.nan, np.inf, 100.0])
+@pytest.mark.parametrize("step", [0.33, 1.0])
+def test_two_walls_beside_an_opening(behind: float, step: float) -> None:
+    angles = np.radians(np.arange(-60, 60, step))
+    ranges = scan_of(lambda a: 3.0 / np.cos(a), angles)
+    opening = np.abs(3.0 * np.tan(angles) - 0.7) < 0.4
+    ranges[opening] = behind / np.cos(angles[opening])
+    lines = extract(ranges, angles).lines
+    at_wall = np.abs(1 / np.hypot(*lines.uv.T) - 3.0) < 0.05
+    assert at_wall.sum() == 2
+    assert len(lines) <= 3
+
+
+def test_spurious_returns_do_not_cut_a_wall() -> None:
+    angles = np.radians(np.arange(-60, 60, 0.5))
+    ranges = scan_of(lambda a: 3.0 / np.cos(a), angles)
+    for ray, length in ((30, 1), (77, 2), (120, 1), (170, 3)):
+        ranges[ray : ray + length] *= 0.6
+    lines = extract(ranges, angles).lines
+    assert len(lines) == 1
+    assert lines.count[0] == len(angles) - 7
+
+
+def test_a_wall_seen_at_grazing_incidence() -> None:
+    """Along a corridor, one degree a beam, neighbouring returns are metres apart on one wall."""
+    angles = np.radians(np.arange(-90, 91, 1.0))
+    with np.errstate(divide="ignore"):
+        ranges = np.minimum(1.0 / np.maximum(np.abs(np.sin(angles)), 1e-9), 15.0 / np.cos(angles))
+    ranges = ranges + np.random.default_rng(4).normal(0, 0.01, len(angles))
+    lines = extract(ranges, angles, Noise(0.01, 0.001)).lines
+    sides = np.flatnonzero(np.abs(1 / np.hypot(*lines.uv.T) - 1.0) < 0.02)
+    assert len(sides) == 2
+    assert (np.hypot(*(lines.end - lines.start)[sides].T) > 10).all()
+
+
+def test_a_wall_across_the_end_of_a_revolution() -> None:
+    angles = np.linspace(-np.pi, np.pi, 720, endpoint=False)
+    ranges = scan_of(lambda a: 2.0 / np.maximum(np.abs(np.cos(a)), np.abs(np.sin(a))), angles)
+    features = extract(ranges, angles)
+    lines = features.lines
+    assert len(lines) == 4
+    assert len(features.corners) == 4
+    assert (np.diff(lines.first) > 0).all()
+    across = np.flatnonzero(lines.last < lines.first)
+    assert list(across) == [3]
+    np.testing.assert_allclose(lines.uv[3], [-0.5, 0.0], atol=0.005)
+    assert lines.count.sum() == 720
+    assert [3, 0] in features.corners.lines.tolist()
+
+
+def test_ends_run_counter_clockwise_with_the_lidar_on_the_left(simulate: Callable[..., object]) -> None:
+    scan = simulate(3)
+    lines = extract(scan.ranges, scan.angles).lines
+    cross = lines.start[:, 0] * lines.end[:, 1] - lines.start[:, 1] * lines.end[:, 0]
+    assert (cross > 0).all()
+    for point in (lines.start, lines.end):
+        np.testing.assert_allclose((lines.uv * point).sum(axis=1), 1.0)
+
+
+@pytest.mark.parametrize("estimator", ["wclm", "arras-siegwart", "siadat"])
+def test_every_estimator_finds_the_same_walls(simulate: Callable[..., object], estimator: str) -> None:
+    scan = simulate(4)
+    expected, found = (extract(scan.ranges, scan.angles, estimator=e) for e in ("wclm-ml", estimator))
+    assert (found.lines.first == expected.lines.first).all()
+    difference = found.lines.uv - expected.lines.uv
+    deviation = np.sqrt(np.einsum("nii->ni", expected.lines.covariance))
+    assert (np.abs(difference) < 3 * deviation).all()
+    np.testing.assert_allclose(found.lines.covariance, expected.lines.covariance, atol=1.0 * deviation.max() ** 2)
+
+
+def test_minimum_length_and_count(simulate: Callable[..., object]) -> None:
+    scan = simulate(6)
+    lines = extract(scan.ranges, scan.angles, minimum_length=1.0, minimum_count=40).lines
+    assert 0 < len(lines) < len(extract(scan.ranges, scan.angles).lines)
+    assert (np.hypot(*(lines.end - lines.start).T) >= 1.0).all()
+    assert (lines.count >= 40).all()
