@@ -14,10 +14,12 @@ def _group() -> None:
 
 @bench.command("features")
 def bench_features() -> None:
-    """Compare the ways to fit lines to a scan: time and accuracy.
+    """Time the ways to find lines in a scan, by the number of beams, on one core.
 
     Example: [bold]wclm bench features[/bold]
     """
-    from features import benchmark
+    from features.benchmark import run
 
-    typer.echo(benchmark.run())
+    typer.echo("method/estimator      beams  lines  median us   99 % us")
+    for row in run():
+        typer.echo(f"{row.name:<21} {row.beams:5d} {row.lines:6.1f} {row.median_us:10.1f} {row.p99_us:9.1f}")

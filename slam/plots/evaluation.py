@@ -26,6 +26,9 @@ from .style import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+LONG_TAIL = 30
+"""Where the largest error is this many times the median, only a logarithmic scale shows both."""
+
 
 def plot_relations(path: Path, score: RelationsScore, *, title: str) -> None:
     """Draw the errors of relations over the time of their first pose, and their distribution. Raises OutputError."""
@@ -46,8 +49,13 @@ def plot_relations(path: Path, score: RelationsScore, *, title: str) -> None:
         over_time.plot(seconds, errors, ".", color=BLUE, markersize=3, markeredgewidth=0, alpha=0.6)
         over_time.axhline(mean, color=VERMILLION, linewidth=1.0)
         over_time.set_ylabel(name, fontsize=9, color=INK)
-        over_time.set_ylim(bottom=0)
         _distribution(shares, errors)
+        for axes in (over_time, shares):
+            if errors.max() > LONG_TAIL * np.median(errors) > 0:
+                axes.set_yscale("log")
+                axes.yaxis.set_major_formatter("{x:g}")
+            else:
+                axes.set_ylim(bottom=0)
         shares.axhline(mean, color=VERMILLION, linewidth=1.0)
         shares.annotate(
             f"mean {mean:.3g} {unit}",
@@ -96,4 +104,3 @@ def _distribution(axes: Axes, errors: Floats) -> None:
     """The errors in order: at p on the x axis, p per cent are smaller."""
     axes.plot(np.linspace(0, 100, len(errors)), np.sort(errors), color=BLUE, linewidth=1.4)
     axes.set_xlim(0, 100)
-    axes.set_ylim(bottom=0)

@@ -25,7 +25,7 @@ from .style import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SIDE = 0.007
+SIDE = 0.0055
 """Width of the band on the side that a wall is seen from, as a share of the picture's larger extent."""
 
 

@@ -77,7 +77,7 @@ def calm(axes: Axes) -> None:
     """A quiet grid behind what is drawn, no box, small labels."""
     axes.set_axisbelow(True)
     axes.grid(True, color=GRID, linewidth=0.7)
-    axes.tick_params(length=0, labelsize=8, labelcolor=MUTED)
+    axes.tick_params(which="both", length=0, labelsize=8, labelcolor=MUTED)
     for spine in axes.spines.values():
         spine.set_visible(False)
 
