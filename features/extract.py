@@ -127,7 +127,7 @@ class Extractor:
         )
 
     def _learn(self, variance: float) -> None:
-        """Take the range variance that a scan shows into the running geometric mean, for which 2 and 50 mm are as far."""
+        """Take the range variance that a scan shows into the running mean, a geometric one: noise errs by factors."""
         gain = max(1.0 / (self._scans + 1.0), SLOWEST_GAIN)
         self._scans += 1.0
         shown = min(max(variance, NOISE_FLOOR**2), NOISE_CEILING**2)
