@@ -58,6 +58,7 @@ def _map(low: Floats, high: Floats) -> rrb.Spatial3DView:
     distance = eye_distance(float(width), float(height))
     return rrb.Spatial3DView(
         origin="world",
+        contents=["$origin/**", "- $origin/map/wall_sigma"],  # the bands would double every wall
         name="Map",
         eye_controls=_eye_above(centre, distance),
         line_grid=_grid(grid_spacing(float(max(width, height)))),

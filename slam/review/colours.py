@@ -14,7 +14,7 @@ GRID: Colour = (255, 255, 255, 16)
 
 WALL: Colour = (238, 238, 238)
 WALL_FRESH: Colour = (150, 150, 158)
-WALL_SIGMA: Colour = (238, 238, 238, 90)
+WALL_SIGMA: Colour = (85, 85, 95)
 CORNER: Colour = (240, 228, 66)
 CORNER_SIGMA: Colour = (240, 228, 66, 110)
 

@@ -12,7 +12,7 @@ SUMMARY_PENDING = "The run has not ended, or it ended without a summary."
 
 # The names of the colours in colours.py.
 _LEGEND: tuple[tuple[str, str], ...] = (
-    ("white", "wall of the map; its band: 3 sigma"),
+    ("white", "wall of the map; outline in the close-up: 3 sigma"),
     ("dim white", "wall seen by fewer than 3 keyframes"),
     ("yellow", "corner of the map; ellipse: 3 sigma"),
     ("sky blue", "robot and its estimated path; ellipse: 3 sigma"),

@@ -389,7 +389,7 @@ def viewer():
         client = ViewerClient.spawn(headless=True, port=port, hide_welcome_screen=True, executable_path=executable)
     except Exception as error:  # the viewer's client does not say which errors it raises
         pytest.skip(f"the viewer does not come up, perhaps there is no Vulkan driver: {error}")
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 10
     while True:
         try:
             client.get_state()
