@@ -81,6 +81,18 @@ def test_run_writes_everything_and_says_where(wclm: Any, fake_slam: type, tmp_pa
     assert "rerun" not in text
 
 
+def test_a_simulated_room_is_really_mapped_and_equally_each_time(wclm: Any, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        result = wclm("run", "sim:room?duration=8", "--out", name, "--no-review")
+        assert result.exit_code == 0, result.output
+    summary = json.loads((tmp_path / "a" / "summary.json").read_text())
+    assert summary["truth"]["ate_rmse"] < 0.01
+    assert summary["walls"] >= 4
+    assert 0 < summary["slam_seconds"] < summary["wall_seconds"]
+    for file in ("trajectory.tum", "map.json"):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+
+
 def test_the_log_is_written_and_how_to_open_it_is_said(wclm: Any, fake_slam: type, tmp_path: Path) -> None:
     result = wclm("run", SHORT, "--out", "out")
     assert result.exit_code == 0, result.output
@@ -94,13 +106,6 @@ def test_warnings_are_shown_but_not_without_end(wclm: Any, fake_slam: Any) -> No
     assert "oddity number 3 (at 3.00 s)" in result.stdout
     assert "oddity number 4" not in result.stdout
     assert "6 more warnings" in result.stdout
-
-
-def test_two_runs_are_equal_byte_for_byte(wclm: Any, fake_slam: type, tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        assert wclm("run", SHORT, "--out", name, "--no-review").exit_code == 0
-    for file in ("trajectory.tum", "map.json", "config.toml"):
-        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
 
 
 def test_existing_results_are_refused_before_the_work_and_replaced_when_asked_for(wclm: Any, fake_slam: Any) -> None:
