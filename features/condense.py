@@ -77,10 +77,10 @@ class Part(NamedTuple):
 def gather(rays: Rays, count: int, begin: int, end: int, room: Part) -> Part:
     """Copy rays begin..end-1 into `room`."""
     for k in range(begin, end):
-        m = k - count if k >= count else k
-        room.inverse[k - begin] = rays.inverse[m]
-        room.cos[k - begin] = rays.cos[m]
-        room.sin[k - begin] = rays.sin[m]
+        ray = wrap(k, count)
+        room.inverse[k - begin] = rays.inverse[ray]
+        room.cos[k - begin] = rays.cos[ray]
+        room.sin[k - begin] = rays.sin[ray]
     return head_of(room, end - begin)
 
 

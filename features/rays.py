@@ -10,7 +10,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .compiled import compiled, vectorised
 from .settings import Settings
@@ -72,7 +71,7 @@ def allocate(beams: int) -> tuple[Floats, Integers]:
 
 
 @compiled
-def views(floats: Floats, integers: NDArray[np.int64]) -> tuple[Grid, Rays]:
+def views(floats: Floats, integers: Integers) -> tuple[Grid, Rays]:
     """The named parts of the memory that `allocate` gave."""
     grid = Grid(floats[0], floats[1], floats[2])
     rays = Rays(floats[3], floats[4], floats[5], floats[6], floats[7], integers[0], integers[1], floats[8:14])
@@ -159,9 +158,8 @@ def mark_breaks(rays: Rays, count: int, step: float, settings: Settings) -> None
         if k == 0:
             gap += TURN
         near, far = min(rays.range[k], rays.range[before]), max(rays.range[k], rays.range[before])
-        allowed = near * gap * GRAZING_SLOPE + JUMP_SIGMAS * (
-            settings.sigma_range + 2.0 * settings.sigma_bearing * near
-        )
+        noise = settings.sigma_range + 2.0 * settings.sigma_bearing * near
+        allowed = near * gap * GRAZING_SLOPE + JUMP_SIGMAS * noise
         broken = gap > MAX_BEARING_GAP or far - near > allowed
         if gap > MISSING_STEPS * step and distance_squared(rays, before, k) > settings.maximum_gap**2:
             broken = True

@@ -172,3 +172,11 @@ def test_minimum_length_and_count(simulate: Callable[..., object]) -> None:
     assert 0 < len(lines) < len(extract(scan.ranges, scan.angles).lines)
     assert (np.hypot(*(lines.end - lines.start).T) >= 1.0).all()
     assert (lines.count >= 40).all()
+
+
+def test_tracking_across_the_end_of_a_revolution() -> None:
+    angles = np.linspace(-np.pi, np.pi, 720, endpoint=False)
+    ranges = scan_of(lambda a: 2.0 / np.maximum(np.abs(np.cos(a)), np.abs(np.sin(a))), angles, noise=0.001)
+    lines = extract(ranges, angles, Noise(0.001, 0.0005), method="tracking").lines
+    assert len(lines) == 4
+    assert (lines.last < lines.first).sum() == 1
