@@ -21,7 +21,8 @@ class Scan:
     stamp         seconds, when the first beam was measured
     ranges        (n,) metres; NaN where a beam returned nothing or nothing valid
     angles        (n,) radians in the lidar's frame, counter-clockwise, increasing
-    time_offsets  (n,) seconds from the stamp to each beam; zeros where unknown
+    time_offsets  (n,) seconds from the stamp to each beam; zeros where unknown. They decrease where the lidar
+                  turns clockwise
     range_min, range_max  metres, what the sensor states (range_max may be inf)
     mount         [x, y, heading] of the lidar in the base's frame, T_base_lidar; None where the recording
                   does not say

@@ -29,6 +29,11 @@ POSE = "geometry_msgs/msg/PoseStamped"
 BEAMS = "std_msgs/msg/Float64MultiArray"
 """Exact beams: range_min, range_max, then all angles, all ranges, all time offsets (seconds), as float64."""
 
+LEAST_STEP = 1e-6
+"""Radians between beams; no lidar has less."""
+MOST_MOVES = 32
+"""Steps of the last bit; a few are enough."""
+
 BASE_FRAME, ODOMETRY_FRAME, WORLD_FRAME = "base_link", "odom", "world"
 
 
@@ -92,11 +97,15 @@ def planar_pose(pose: Any) -> Pose:
 def quaternion_of(heading: float) -> tuple[float, float]:
     """z and w of the quaternion that `heading_of` decodes to this very heading in [-pi, pi).
 
-    The sine and the cosine of the half angle are rounded; where this shows in the last bit of the heading,
-    the smaller of the two, which has bits to spare, is moved until it does not.
+    The sine and the cosine of the half angle are rounded; where this shows in the last bit of the heading, the
+    smaller of the two, which has bits to spare, is moved until it does not. Only headings around 1e-308, whose
+    halves have no bits to spare, come back one bit off.
     """
     z, w = math.sin(heading / 2), math.cos(heading / 2)
-    while (error := heading - 2.0 * math.atan2(z, w)) != 0.0:
+    for _ in range(MOST_MOVES):
+        error = heading - 2.0 * math.atan2(z, w)
+        if error == 0.0:
+            break
         if abs(z) < abs(w):
             z = math.nextafter(z, math.copysign(math.inf, error * w))
         else:
@@ -131,7 +140,7 @@ def scan_of(message: Any, received: int, placing: Placing) -> Scan:
     count, start, step = len(ranges), message.angle_min, message.angle_increment
     if count == 0:
         raise ValueError("no beams")
-    if not (abs(start) < 100.0 and abs(step) * count < 100.0) or (step == 0.0 and count > 1):
+    if not (abs(start) < 100.0 and abs(step) * count < 100.0) or (abs(step) < LEAST_STEP and count > 1):
         raise ValueError("angles are impossible")
     low = message.range_min if message.range_min > 0.0 else 0.0
     high = message.range_max if message.range_max > low else math.inf

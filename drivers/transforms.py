@@ -34,7 +34,9 @@ class TransformTree:
         self._parents: dict[str, _Link] = {}
 
     def add(self, message: Any) -> None:
-        """Take up a TFMessage; of transforms to one frame the first counts. Raises ValueError where one is none."""
+        """Take up a TFMessage; of transforms to one frame the first counts. Raises ValueError where one is
+        none.
+        """
         for stamped in message.transforms:
             child, parent = plain(stamped.child_frame_id), plain(stamped.header.frame_id)
             link = _Link(parent, stamped.transform, _matrix(stamped.transform))

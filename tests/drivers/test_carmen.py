@@ -189,6 +189,17 @@ def test_missing_and_unreadable_files(tmp_path: Path) -> None:
     assert len(Carmen(tmp_path)) == 0
 
 
+def test_file_that_may_not_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "log.clf").write_text(odom(1.0))
+
+    def refuse(*_: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "open", refuse)
+    with pytest.raises(RecordingError, match="cannot be read: Permission denied"):
+        list(Carmen(tmp_path / "log.clf"))
+
+
 LINES = odom(1.0) + flaser(1.1, "1.0 2.0 3.0 4.0") + odom(1.2) + flaser(1.3, "1.0 2.0 3.0 4.0")
 
 

@@ -1,0 +1,101 @@
+"""What is said about a recording, and about what is wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+import drivers
+from drivers import Message, Odometry, RecordingInfo, Scan, SourceReport, inspect
+
+
+class Listed:
+    """Messages from a list, as a source."""
+
+    name = "listed"
+
+    def __init__(self, messages: list[Message]) -> None:
+        self.messages, self.report = messages, SourceReport()
+
+    def __iter__(self) -> Iterator[Message]:
+        return iter(self.messages)
+
+    def __len__(self) -> int:
+        return len(self.messages)
+
+
+def scan(stamp: float, beams: int = 4, valid: int = 4, offset: float = 0.0, mounted: bool = True) -> Scan:
+    ranges = np.where(np.arange(beams) < valid, 1.0, np.nan)
+    mount = np.zeros(3) if mounted else None
+    return Scan(stamp, ranges, np.linspace(-1, 1, beams), np.full(beams, offset), 0.1, 10.0, mount)
+
+
+def odometry(stamp: float, x: float = 0.0) -> Odometry:
+    return Odometry(stamp, np.array([x, 0.0, 0.0]))
+
+
+def drive(until: float = 10.0) -> list[Message]:
+    messages: list[Message] = [odometry(0.1 * i, 0.05 * i) for i in range(round(until * 10) + 1)]
+    messages += [scan(0.05 + 0.1 * i) for i in range(round(until * 10))]
+    return sorted(messages, key=lambda message: message.stamp)
+
+
+def look(messages: list[Message]) -> RecordingInfo:
+    return inspect(Listed(messages))
+
+
+def test_good_recording() -> None:
+    info = look(drive())
+    assert (info.scans, info.odometry, info.ground_truth) == (100, 101, 0)
+    assert info.duration == pytest.approx(10.0)
+    assert info.scan_rate == pytest.approx(10.0)
+    assert info.odometry_rate == pytest.approx(10.0)
+    assert info.beams == (4, 4)
+    assert info.ranges == (1.0, 1.0)
+    assert info.range_limits == (0.1, 10.0)
+    assert info.path_length == pytest.approx(5.0)
+    assert info.mounts == [(0.0, 0.0, 0.0)]
+    assert info.warnings == []
+
+
+@pytest.mark.parametrize(
+    ("messages", "warning"),
+    [
+        ([odometry(0.1 * i) for i in range(9)], "no scans"),
+        ([scan(0.1 * i) for i in range(9)], "no odometry"),
+        ([*drive(), scan(10.1, mounted=False)], "1 scans do not say where"),
+        ([scan(0.0, mounted=False), odometry(0.0)], "does not say where the lidar sits"),
+        ([*drive(), scan(10.1, beams=6)], "number of beams changes between 4 and 6"),
+        ([scan(0.1 * i, valid=1) for i in range(9)], "75% of the beams"),
+        ([*drive(), *[scan(30.0 + 0.1 * i) for i in range(9)]], "a gap in the scans, the longest 20.0 s"),
+        ([*drive(), *[scan(10.1 + 0.1 * i) for i in range(50)]], "scans without odometry for 5.0 s at 10.000"),
+        ([*[scan(-3.0 + 0.1 * i) for i in range(29)], *drive()], "scans without odometry for 3.0 s at -3.000"),
+        ([*drive(), odometry(10.1, x=50.0)], "odometry jumps 1 times"),
+        ([scan(0.1 * i, offset=0.5) for i in range(9)], "longer than a revolution"),
+        ([scan(0.1 * i, offset=-0.5) for i in range(9)], "older than their scan's stamp"),
+    ],
+)
+def test_what_is_wrong_is_said(messages: list[Message], warning: str) -> None:
+    assert any(warning in said for said in look(messages).warnings), look(messages).warnings
+
+
+def test_scans_through_a_hole_in_the_odometry() -> None:
+    messages = [m for m in drive(20.0) if isinstance(m, Scan) or not 5.0 < m.stamp < 14.9]
+    said = look(messages).warnings
+    assert any("scans without odometry for" in warning and "at 5.000" in warning for warning in said)
+
+
+def test_jumps_do_not_count_as_way() -> None:
+    info = look([*drive(), odometry(10.1, x=50.0)])
+    assert info.path_length == pytest.approx(5.0)
+    assert info.odometry_jumps == [10.1]
+
+
+@pytest.mark.parametrize("kind", ["carmen", "mcap", "ros1-bag", "simulation"])
+def test_every_kind_of_source(recordings: dict[str, str], kind: str) -> None:
+    info = inspect(drivers.open(recordings[kind]))
+    assert info.scans == 29
+    assert info.report.messages == info.scans + info.odometry + info.ground_truth
+    assert info.warnings == []

@@ -1,0 +1,61 @@
+"""From what a user types to a source, or one line that says what is wrong."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import drivers
+from drivers import RecordingError
+from drivers.simulator import Simulation
+
+
+def test_simulation_with_options() -> None:
+    source = drivers.open("sim:room?seed=3&duration=12.5&mount=0.1,0.2,-0.5")
+    assert isinstance(source, Simulation)
+    assert (source.seed, source.duration) == (3, 12.5)
+    assert np.array_equal(source.mount, [0.1, 0.2, -0.5])
+    assert source.name == "sim:room"
+
+
+def test_directory_whose_recorder_was_killed(tmp_path: Path, recordings: dict[str, str]) -> None:
+    for file in Path(recordings["ros2-mcap"]).glob("*.mcap"):
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    assert sum(isinstance(message, drivers.Scan) for message in drivers.open(tmp_path)) == 29
+
+
+@pytest.mark.parametrize(
+    ("spec", "reason"),
+    [
+        ("nothing.clf", "no such file"),
+        ("a.xyz", r"extension \.xyz"),
+        ("plain", "without an extension"),
+        ("folder", "not a ROS 2 bag"),
+        ("sim:nowhere", "no such world"),
+        ("sim:room?seed=many", "not a number"),
+        ("sim:room?speed=3", "unknown option speed"),
+        ("sim:room?duration=-3", "duration"),
+    ],
+)
+def test_what_cannot_be_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, spec: str, reason: str) -> None:
+    (tmp_path / "a.xyz").write_text("x")
+    (tmp_path / "plain").write_text("x")
+    (tmp_path / "folder").mkdir()
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(RecordingError, match=reason) as caught:
+        drivers.open(spec)
+    text = str(caught.value)
+    assert "\n" not in text
+    if not spec.startswith("sim:"):
+        assert "CARMEN" in text
+        assert ".mcap" in text
+
+
+def test_importing_loads_no_heavy_library() -> None:
+    heavy = {"numba", "rosbags", "mcap", "pydantic", "gtsam", "rerun"}
+    code = f"import sys, drivers; sys.exit(bool({heavy} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
