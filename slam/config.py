@@ -54,14 +54,13 @@ class LidarConfig(_Group):
 
 
 class OdometryConfig(_Group):
-    """Standard deviations of the wheel odometry's motion from one reading to the next, for what it says it moved."""
+    """How far wheel odometry strays: a random walk over the way driven, and what a single reading is worth."""
 
-    translation_per_metre: Finite = Field(0.05, ge=0)
-    translation_per_radian: Finite = Field(0.02, ge=0, description="metres per radian turned")
-    rotation_per_metre: Finite = Field(0.05, ge=0, description="radians per metre driven")
-    rotation_per_radian: Finite = Field(0.10, ge=0)
-    translation_floor: Finite = Field(0.01, gt=0, description="metres")
-    rotation_floor: Finite = Field(math.radians(0.3), gt=0, description="radians")
+    translation_walk: float = Field(0.05, ge=0, description="standard deviation after one metre of way, metres")
+    rotation_walk: float = Field(0.06, ge=0, description="standard deviation after one metre of way, radians")
+    translation_floor: float = Field(0.01, gt=0, description="standard deviation of a reading, metres")
+    rotation_floor: float = Field(math.radians(0.3), gt=0, description="standard deviation of a reading, radians")
+    learn: bool = Field(True, description="start from the walks above, and learn them by comparing with registration")
 
 
 class FeatureConfig(_Group):

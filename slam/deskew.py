@@ -1,33 +1,88 @@
-"""A scan as if all its beams had been measured at its stamp."""
+"""A scan as if all its beams had been measured at once, in the middle of its sweep.
+
+The motion during the sweep is the odometry's, whose error is common to all beams of about the same time. It must not
+average out over them, so it goes into the covariance of what is made of the scan.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from drivers import se2
 from drivers.messages import Scan
+from features.types import Lines
 
-from .odometry import OdometryHistory
-from .segments import Floats
+from .odometry import OdometryHistory, way_of
+from .segments import CornerPoints, Floats, Segments
 
 KNOTS = 8  # poses along the sweep between which the motion is taken as constant; a revolution of a slow lidar is 0.1 s
+INDEPENDENT_PARTS = 2.0  # the two halves of the sweep err independently, what lies within one errs together
 
 
-def deskew(scan: Scan, odometry: OdometryHistory, mount: se2.Pose) -> tuple[Floats, Floats]:
-    """Ranges and bearings (n,), seen from where the lidar was at the scan's stamp; the motion is the odometry's.
+@dataclass(frozen=True, slots=True, eq=False)
+class Sweep:
+    """A scan seen from where the lidar was at `stamp`.
 
-    Bearings stay in the order of the beams and are unwrapped, so a full turn may cover a little more or less than that.
+    ranges, bearings  (n,); bearings in the order of the beams, unwrapped, so a full turn may cover a little more or less
+    way               (n,) metres the wheels rolled between each beam and the stamp
     """
+
+    stamp: float
+    ranges: Floats
+    bearings: Floats
+    way: Floats
+
+    def points(self) -> Floats:
+        """(p, 2): the valid returns as points in the lidar's frame."""
+        points = np.column_stack([self.ranges * np.cos(self.bearings), self.ranges * np.sin(self.bearings)])
+        return np.asarray(points[np.isfinite(points).all(axis=1)])
+
+
+def middle_of(scan: Scan) -> float:
+    """The stamp in the middle of a scan's sweep, seconds."""
+    return scan.stamp + (0.5 * float(scan.time_offsets[-1]) if len(scan.time_offsets) else 0.0)
+
+
+def deskew(scan: Scan, odometry: OdometryHistory, mount: se2.Pose) -> Sweep:
+    """Move every beam of a scan to the middle of its sweep, with the motion that odometry saw."""
     duration = float(scan.time_offsets[-1]) if len(scan.time_offsets) else 0.0
     if duration <= 0.0 or not len(odometry):
-        return scan.ranges, scan.angles
+        return Sweep(scan.stamp, scan.ranges, scan.angles, np.zeros(len(scan.ranges)))
+    middle = middle_of(scan)
     offsets = np.linspace(0.0, duration, KNOTS)
-    bases = odometry.at_each(scan.stamp + offsets)
-    lidars = se2.between(se2.compose(bases[0], mount), se2.compose(bases, mount))
-    heading = np.interp(scan.time_offsets, offsets, np.unwrap(lidars[:, 2]))
-    x = np.interp(scan.time_offsets, offsets, lidars[:, 0]) + scan.ranges * np.cos(scan.angles + heading)
-    y = np.interp(scan.time_offsets, offsets, lidars[:, 1]) + scan.ranges * np.sin(scan.angles + heading)
-    bearing = np.arctan2(y, x)
-    turned = scan.angles + heading
-    bearing = turned + se2.wrap(np.where(np.isnan(bearing), 0.0, bearing - turned))
-    return np.hypot(x, y), bearing
+    moves = se2.between(odometry.at(middle), odometry.at_each(scan.stamp + offsets))
+    lidars = se2.between(mount, se2.compose(moves, mount))
+    turned = scan.angles + np.interp(scan.time_offsets, offsets, np.unwrap(lidars[:, 2]))
+    x = np.interp(scan.time_offsets, offsets, lidars[:, 0]) + scan.ranges * np.cos(turned)
+    y = np.interp(scan.time_offsets, offsets, lidars[:, 1]) + scan.ranges * np.sin(turned)
+    shift = se2.wrap(np.arctan2(y, x) - turned)
+    way = np.interp(scan.time_offsets, offsets, np.array([way_of(move) for move in moves]))
+    return Sweep(middle, np.hypot(x, y), turned + np.where(np.isfinite(shift), shift, 0.0), way)
+
+
+def loosen(
+    segments: Segments, corners: CornerPoints, lines: Lines, sweep: Sweep, rates: Floats
+) -> tuple[Segments, CornerPoints]:
+    """Add to the covariances what the motion during the sweep leaves uncertain.
+
+    `rates` (2,) are the odometry's variances of translation and rotation per metre of way. The common error of a half
+    sweep is given to each of its segments, enlarged by their number, so that together they cannot beat it.
+    """
+    if not len(segments) or not sweep.way.any():
+        return segments, corners
+    middle = np.where(lines.last >= lines.first, (lines.first + lines.last) // 2, 0)
+    way = sweep.way[middle] * max(1.0, len(segments) / INDEPENDENT_PARTS)
+    across = np.column_stack([-np.sin(segments.frame[:, 2]), np.cos(segments.frame[:, 2])])
+    lever = across[:, 1] * segments.frame[:, 0] - across[:, 0] * segments.frame[:, 1]
+    covariance = segments.covariance.copy()
+    covariance[:, 0, 0] += way * (rates[0] + rates[1] * lever**2)
+    covariance[:, 0, 1] += way * rates[1] * lever
+    covariance[:, 1, 0] += way * rates[1] * lever
+    covariance[:, 1, 1] += way * rates[1]
+    corner_way = way[corners.segments].mean(axis=1)
+    levers = np.column_stack([-corners.position[:, 1], corners.position[:, 0]])
+    turning = rates[1] * levers[:, :, None] * levers[:, None, :]
+    corner_covariance = corners.covariance + corner_way[:, None, None] * (rates[0] * np.eye(2) + turning)
+    return replace(segments, covariance=covariance), replace(corners, covariance=corner_covariance)

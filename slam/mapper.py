@@ -170,15 +170,13 @@ class Mapper:
     def _send_wall(self, wall: int, keyframe: int, pose: se2.Pose) -> None:
         """Give the graph all waiting observations of a wall."""
         row = self.landmarks.walls.rows[wall]
-        anchor = not row["in_graph"]
-        if anchor:
-            self.graph.add_wall(wall, row["frame"])
-            row["in_graph"] = True
         for seen_from, frame, covariance in self._waiting_walls.pop(wall):
             viewpoint = pose if seen_from == keyframe else self.graph.keyframe_pose(seen_from)
             moved, carried = _move_along(frame, covariance, se2.between(viewpoint, row["frame"]))
-            self.graph.observe_wall(seen_from, wall, moved, carried, anchor=anchor)
-            anchor = False
+            if not row["in_graph"]:
+                self.graph.add_wall(seen_from, wall, row["frame"], moved)
+                row["in_graph"] = True
+            self.graph.observe_wall(seen_from, wall, moved, carried)
 
     def _send_corner(self, corner: int) -> None:
         row = self.landmarks.corners.rows[corner]

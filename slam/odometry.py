@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bisect
+from collections import deque
 
 import numpy as np
 
@@ -11,6 +12,12 @@ from drivers.messages import Odometry
 
 from .config import OdometryConfig
 from .segments import Floats
+
+TRACK = 0.25  # metres of way a radian of turning counts for, about half the distance between a robot's wheels and then some
+LEAST_WAY = 0.02  # metres: shorter steps say more of registration than of the wheels
+WINDOW = 400  # steps
+START_COUNT = 20  # steps that the configured values count for
+NORMAL_MEDIAN = 0.4549  # median of a squared standard normal variable
 
 
 class OdometryHistory:
@@ -62,11 +69,44 @@ class OdometryHistory:
         return np.array([self.at(float(stamp)) for stamp in stamps]).reshape(-1, 3)
 
 
-def motion_covariance(motion: se2.Pose, config: OdometryConfig) -> Floats:
-    """(3, 3) covariance of a motion [x, y, heading] that odometry reports, in the frame of its end."""
-    distance, turn = float(np.hypot(motion[0], motion[1])), abs(float(motion[2]))
-    translation = (
-        config.translation_floor + config.translation_per_metre * distance + config.translation_per_radian * turn
-    )
-    rotation = config.rotation_floor + config.rotation_per_metre * distance + config.rotation_per_radian * turn
-    return np.diag([translation**2, translation**2, rotation**2])
+class OdometryNoise:
+    """How far wheel odometry strays, learned by comparing what it says of each step with what registration finds.
+
+    Errors are taken as a random walk over the way of the wheels, so variances grow with it. The median of the squared
+    errors is deaf to single gross ones, which the kernel of the graph's odometry factors has to bear.
+    """
+
+    def __init__(self, config: OdometryConfig) -> None:
+        self._config = config
+        self._start = np.array([config.translation_walk**2, config.rotation_walk**2])
+        self._samples: deque[tuple[float, float]] = deque(maxlen=WINDOW)
+        self._rates = self._start
+
+    @property
+    def rates(self) -> Floats:
+        """(2,): variance of translation (metres squared) and of rotation (radians squared) per metre of way."""
+        return self._rates
+
+    def learn(self, claimed: se2.Pose, found: se2.Pose) -> None:
+        """Take a step [x, y, heading] as the odometry claims it, and as it was found to be."""
+        way = way_of(claimed)
+        if not self._config.learn or way < LEAST_WAY:
+            return
+        error = se2.between(claimed, found)
+        scale = NORMAL_MEDIAN * way
+        self._samples.append(((error[0] ** 2 + error[1] ** 2) / (2 * scale), error[2] ** 2 / scale))
+        observed = np.median(np.array(self._samples), axis=0)
+        count = len(self._samples)
+        self._rates = (count * observed + START_COUNT * self._start) / (count + START_COUNT)
+
+    def covariance(self, motion: se2.Pose) -> Floats:
+        """(3, 3) covariance of a motion [x, y, heading] between two readings, in the frame of its end."""
+        translation, rotation = self._rates * way_of(motion)
+        translation += self._config.translation_floor**2
+        rotation += self._config.rotation_floor**2
+        return np.diag([translation, translation, rotation])
+
+
+def way_of(motion: se2.Pose) -> float:
+    """Metres that the wheels roll in a motion: its length, and what turning takes."""
+    return float(np.hypot(motion[0], motion[1]) + TRACK * abs(motion[2]))

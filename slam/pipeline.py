@@ -14,7 +14,7 @@ from features import Extractor, Noise
 
 from .association import associate
 from .config import Config
-from .deskew import deskew
+from .deskew import deskew, loosen
 from .errors import MapError
 from .events import (
     Event,
@@ -31,7 +31,7 @@ from .events import (
 )
 from .local_map import empty_local_map
 from .mapper import KeyframeView, Mapper, Merge
-from .odometry import OdometryHistory, motion_covariance
+from .odometry import OdometryHistory, OdometryNoise
 from .path import Path
 from .registration import register
 from .segments import CornerPoints, Floats, Segments, corner_points, segments_from_lines
@@ -42,6 +42,7 @@ KEYFRAME_DISTANCE = 0.25  # metres
 KEYFRAME_TURN = math.radians(8.0)
 # Added to the odometry's own uncertainty when predicting a scan's pose: wheels slip and clocks differ. Metres, metres, radians.
 PREDICTION_SIGMAS = np.array([0.05, 0.05, math.radians(4.0)])
+WELL_EXPLAINED = 0.8  # share of a scan's wall length that must fit before the step may judge the odometry
 LONGEST_WAIT = 20  # scans that wait for the odometry to catch up before they are taken without
 MAP_EVENT_INTERVAL = 20  # keyframes between two events with the whole map
 
@@ -68,6 +69,7 @@ class Slam:
             range_max=lidar.range_max,
         )
         self._odometry = OdometryHistory()
+        self._odometry_noise = OdometryNoise(self.config.odometry)
         self._waiting: deque[Scan] = deque()
         self._mapper = Mapper()
         self._local_map = empty_local_map()
@@ -111,35 +113,38 @@ class Slam:
     def _add_scan(self, scan: Scan) -> None:
         clock = Clock()
         mount = self._mount(scan)
-        ranges, bearings = deskew(scan, self._odometry, mount)
-        features = self._extractor.extract(ranges, bearings)
+        sweep = deskew(scan, self._odometry, mount)
+        features = self._extractor.extract(sweep.ranges, sweep.bearings)
         segments = segments_from_lines(features.lines, mount)
         corners = corner_points(features.corners, segments, mount)
+        segments, corners = loosen(segments, corners, features.lines, sweep, self._odometry_noise.rates)
         clock.lap("features")
-        uncertainty = self._track(scan, segments, corners)
+        uncertainty = self._track(sweep.stamp, segments, corners)
         clock.lap("registration")
         if self._mapper.keyframe_count == 0 or self._moved_enough():
             view, merge = self._extend_map(segments, corners, uncertainty, clock)
-            self._keyframe_stamps.append(scan.stamp)
+            self._keyframe_stamps.append(sweep.stamp)
             if self._sinks:
-                self._tell_keyframe(scan.stamp, view, merge, clock, se2.transform(mount, _points(ranges, bearings)))
+                self._tell_keyframe(sweep.stamp, view, merge, clock, se2.transform(mount, sweep.points()))
         keyframe = self._mapper.keyframe_count - 1
-        self._path.add(scan.stamp, keyframe, se2.between(self._mapper.pose, self._pose))
+        self._path.add(sweep.stamp, keyframe, se2.between(self._mapper.pose, self._pose))
 
-    def _track(self, scan: Scan, segments: Segments, corners: CornerPoints) -> Floats:
+    def _track(self, stamp: float, segments: Segments, corners: CornerPoints) -> Floats:
         """Find the base's pose at a scan; returns the pose's covariance (3, 3) against the local map, in its own frame."""
-        odometry = self._odometry.at(scan.stamp)
-        step = np.zeros(3) if self._mapper.keyframe_count == 0 else se2.between(self._scan_odometry, odometry)
-        prior = np.linalg.inv(motion_covariance(step, self.config.odometry) + np.diag(PREDICTION_SIGMAS**2))
-        flatness = self._mapper.flatness.variance
+        odometry, flatness = self._odometry.at(stamp), self._mapper.flatness.variance
+        first = self._mapper.keyframe_count == 0
+        step = np.zeros(3) if first else se2.between(self._scan_odometry, odometry)
+        prior = np.linalg.inv(self._odometry_noise.covariance(step) + np.diag(PREDICTION_SIGMAS**2))
         found = register(se2.compose(self._pose, step), prior, segments, corners, self._local_map, flatness)
+        if found.explained > WELL_EXPLAINED:
+            self._odometry_noise.learn(step, se2.between(self._pose, found.pose))
         self._pose, self._scan_odometry = found.pose, odometry
         self._statistics.explained.append(found.explained)
         if found.recovered:
             self._statistics.recovered += 1
-            self._emit(Noticed(scan.stamp, "odometry was far off; the pose was found again in the map"))
-        self._emit(ScanTracked(scan.stamp, self._pose, odometry, found.explained, self._mapper.keyframe_count - 1))
-        return np.asarray(np.linalg.inv(found.information + prior))
+            self._emit(Noticed(stamp, "odometry was far off; the pose was found again in the map"))
+        self._emit(ScanTracked(stamp, self._pose, odometry, found.explained, self._mapper.keyframe_count - 1))
+        return np.asarray(np.linalg.inv(found.information + prior), dtype=np.float64)
 
     def _extend_map(
         self, segments: Segments, corners: CornerPoints, uncertainty: Floats, clock: Clock
@@ -152,7 +157,7 @@ class Slam:
         motion = None
         if self._mapper.keyframe_count:
             moved = se2.between(self._keyframe_odometry, self._scan_odometry)
-            motion = (moved, motion_covariance(moved, self.config.odometry))
+            motion = (moved, self._odometry_noise.covariance(moved))
         view = self._mapper.add_keyframe(self._pose, motion, segments, corners, association, self._local_map)
         clock.lap("graph")
         self._local_map, merge = self._mapper.refresh(view)
@@ -224,6 +229,7 @@ class Slam:
             "keyframes": self._mapper.keyframe_count,
             "factors": self._mapper.graph.factor_count,
             "merged_walls": self._statistics.merged_walls,
+            "odometry_walk": [round(float(rate) ** 0.5, 5) for rate in self._odometry_noise.rates],
             "sigma_range": round(self._extractor.noise.sigma_range, 5),
             "wall_unevenness": round(math.sqrt(self._mapper.flatness.variance), 5),
             "timings": self._statistics.timings(),
@@ -283,9 +289,3 @@ class Slam:
                 shift=float(np.max(np.hypot(moved[:, 0], moved[:, 1]), initial=0.0)),
             )
         )
-
-
-def _points(ranges: Floats, bearings: Floats) -> Floats:
-    """(p, 2): the valid returns as points in the lidar's frame."""
-    points = np.column_stack([ranges * np.cos(bearings), ranges * np.sin(bearings)])
-    return np.asarray(points[np.isfinite(points).all(axis=1)])

@@ -65,21 +65,18 @@ class FactorGraph:
         noise = gtsam.noiseModel.Robust.Create(self._odometry_kernel, gtsam.noiseModel.Gaussian.Covariance(covariance))
         self._factors.add(gtsam.BetweenFactorPose2(X(index - 1), X(index), _pose2(motion), noise))
 
-    def add_wall(self, wall: int, frame: se2.Pose) -> None:
-        """A wall whose frame in the map is near `frame`. Its first observation must be made with `anchor=True`."""
-        self._values.insert(L(wall), _pose2(frame))
+    def add_wall(self, keyframe: int, wall: int, frame: se2.Pose, seen: se2.Pose) -> None:
+        """A wall whose frame in the map is near `frame`, and which a keyframe sees at `seen`.
 
-    def observe_wall(
-        self, keyframe: int, wall: int, frame: se2.Pose, covariance: Floats, *, anchor: bool = False
-    ) -> None:
-        """The wall's frame as seen from a keyframe; covariance (2, 2) of its offset across and its heading, at that frame.
-
-        `anchor` fixes the frame along the wall, weakly.
+        That keyframe fixes the frame along the wall, weakly: nothing else does. No kernel may loosen this.
         """
-        root = _root_information(covariance)
-        if anchor:
-            root[0, 0] = 1.0 / ALONG_SIGMA
-        noise = gtsam.noiseModel.Gaussian.SqrtInformation(root, False)
+        self._values.insert(L(wall), _pose2(frame))
+        noise = gtsam.noiseModel.Gaussian.SqrtInformation(np.diag([1.0 / ALONG_SIGMA, 0.0, 0.0]), False)
+        self._factors.add(gtsam.BetweenFactorPose2(X(keyframe), L(wall), _pose2(seen), noise))
+
+    def observe_wall(self, keyframe: int, wall: int, frame: se2.Pose, covariance: Floats) -> None:
+        """The wall's frame as seen from a keyframe; covariance (2, 2) of its offset across and its heading, there."""
+        noise = gtsam.noiseModel.Gaussian.SqrtInformation(_root_information(covariance), False)
         robust = gtsam.noiseModel.Robust.Create(self._observation_kernel, noise)
         self._factors.add(gtsam.BetweenFactorPose2(X(keyframe), L(wall), _pose2(frame), robust))
 
