@@ -34,17 +34,13 @@ LASERS = (b"FLASER", b"RLASER", b"ROBOTLASER1")
 KINDS = (b"ODOM", *LASERS)
 
 SICK_NO_RETURN = 81.83
-"""Metres. A SICK LMS in centimetre mode says 8183 to 8191 instead of a range: no echo, dazzled, and the
-like.
-"""
+"""Metres. A SICK LMS in centimetre mode says 8183 to 8191 instead of a range: no echo, dazzled, and the like."""
 SICK_NO_RETURN_MM = 8.183
 """The same codes in millimetre mode."""
 SAMPLES = 200
 """Laser lines, spread over the log, from which each laser's mount and no-return value are learnt."""
 RIGID = (0.05, 0.05)
-"""Metres and radians: laser and robot poses that scatter by more are not those of a laser bolted to the
-robot.
-"""
+"""Metres and radians: laser and robot poses that scatter by more are not those of a laser bolted to the robot."""
 
 _TEXT = re.compile(rb"#|[A-Za-z\"][\x20-\x7e\t]*$")
 
@@ -268,7 +264,7 @@ def _mount(poses: Floats) -> se2.Pose | None:
     if max(scatter[:2]) > RIGID[0] or scatter[2] > RIGID[1]:
         return None
     mount = np.round(median, 4) + 0.0  # + 0.0 turns -0.0 into 0.0
-    mount[2] = np.pi if abs(abs(mount[2]) - np.pi) < 1e-4 else float(se2.wrap(mount[2]))
+    mount[2] = -np.pi if abs(abs(mount[2]) - np.pi) < 1e-4 else float(se2.wrap(mount[2]))
     mount.flags.writeable = False
     return mount
 

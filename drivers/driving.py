@@ -31,12 +31,13 @@ STANDSTILL = 1.0
 class Drive:
     """A differential drive and what is wrong with it.
 
-    rate               odometry readings a second wheelbase          metres between the wheels slip
-    white noise of each wheel's travel, metres per root metre: its variance grows with the way encoder
-    white noise of each reading of a wheel's way, metres: it does not add up scale_bias         standard
-    deviation of the relative error of both wheels' size difference_bias    standard deviation of the
-    relative difference between the two wheels wheelbase_bias     standard deviation of the relative error of
-    the wheelbase
+    rate             odometry readings a second
+    wheelbase        metres between the wheels
+    slip             white noise of each wheel's travel, metres per root metre: its variance grows with the way
+    encoder          white noise of each reading of a wheel's way, metres: it does not add up
+    scale_bias       standard deviation of the relative error of both wheels' size
+    difference_bias  standard deviation of the relative difference between the two wheels
+    wheelbase_bias   standard deviation of the relative error of the wheelbase
 
     The biases are drawn once for each seed; see `Biases`. Zeros make a perfect drive.
     """
@@ -99,18 +100,18 @@ def drive_path(points: Floats, speed: float, duration: float | None = None) -> P
     v = w = 0.0
     poses: list[tuple[float, float, float]] = []
     twists: list[tuple[float, float]] = []
-    limit = math.inf if duration is None else duration
+    limit = _longest(points, speed) if duration is None else duration
     ahead = _way_points(points, endless=duration is not None)
     target = next(ahead)
     following = next(ahead, None)
     standing = round(STANDSTILL / STEP)
     while len(poses) * STEP < limit:
         gap = math.hypot(target[0] - x, target[1] - y)
-        if gap < (REACHED if following else ARRIVED):
-            if following is None:
-                break
+        if following is None and gap < ARRIVED:
+            break
+        if following is not None and gap < REACHED:
             target, following = following, next(ahead, None)
-            continue
+            gap = math.hypot(target[0] - x, target[1] - y)
         if len(poses) >= standing:
             v, w = _steer(v, w, math.atan2(target[1] - y, target[0] - x) - heading, gap, speed, following is None)
         poses.append((x, y, heading))
@@ -122,6 +123,12 @@ def drive_path(points: Floats, speed: float, duration: float | None = None) -> P
     poses += [(x, y, heading)] * rest
     twists += [(0.0, 0.0)] * rest
     return Path(np.array(poses).reshape(-1, 3), np.array(twists).reshape(-1, 2))
+
+
+def _longest(points: Floats, speed: float) -> float:
+    """Seconds after which a robot is not waited for that circles around a way point it cannot reach."""
+    length = np.hypot(*np.diff(points, axis=0).T).sum()
+    return float(60.0 + 10.0 * len(points) + 4.0 * length / speed)
 
 
 def _way_points(points: Floats, endless: bool) -> Iterator[tuple[float, float]]:
@@ -157,9 +164,8 @@ def odometry(path: Path, times: Floats, drive: Drive, biases: Biases, random: np
     true_v, true_w = _travel(path, times)
     offset = np.array([-0.5, 0.5]) * drive.wheelbase
     wheels = true_v[:, None] + true_w[:, None] * offset  # (n - 1, 2) left, right
-    wheels = wheels * [biases.left, biases.right] + drive.slip * np.sqrt(np.abs(wheels)) * random.standard_normal(
-        wheels.shape
-    )
+    slip = drive.slip * np.sqrt(np.abs(wheels)) * random.standard_normal(wheels.shape)
+    wheels = wheels * [biases.left, biases.right] + slip
     readings = np.vstack([np.zeros(2), np.cumsum(wheels, axis=0)])
     readings += drive.encoder * random.standard_normal(readings.shape)
     left, right = np.diff(readings, axis=0).T

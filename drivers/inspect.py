@@ -9,8 +9,8 @@ import numpy as np
 from . import se2
 from .messages import Floats, GroundTruth, Odometry, Scan, Source, SourceReport
 
-GAP = 5.0
-"""A gap is longer than this many median periods, and than LEAST_GAP."""
+GAP = 4.0
+"""A gap is longer than so many times what nine in ten periods are within (bursts are no gaps), and than LEAST_GAP."""
 LEAST_GAP = 0.5
 """Seconds."""
 FASTEST, FASTEST_TURN = 5.0, 10.0
@@ -148,9 +148,9 @@ def _rhythm(stamps: Floats) -> tuple[float | None, list[Gap]]:
     going = periods[periods > 0]
     if not len(going):
         return None, []
-    median = float(np.median(going))
-    long = np.flatnonzero(periods > max(GAP * median, LEAST_GAP))
-    return 1.0 / median, [Gap(float(stamps[i]), float(periods[i])) for i in long]
+    usual = float(np.percentile(going, 90, method="lower"))
+    long = np.flatnonzero(periods > max(GAP * usual, LEAST_GAP))
+    return 1.0 / float(np.median(going)), [Gap(float(stamps[i]), float(periods[i])) for i in long]
 
 
 def _warnings(info: RecordingInfo, scans: _Tally, odometry: Floats) -> list[str]:

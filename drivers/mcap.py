@@ -147,6 +147,8 @@ class McapWriter:
         """
         if not is_stamp(message.stamp):
             raise RecordingError(self.path, None, f"stamp {message.stamp} cannot be recorded")
+        if isinstance(message, Scan) and not len(message.ranges):
+            raise RecordingError(self.path, None, "a scan without beams cannot be recorded")
         try:
             self._write(message, to_nanoseconds(message.stamp))
             if time.monotonic() - self._flushed >= FLUSH_PERIOD:

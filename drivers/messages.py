@@ -62,9 +62,7 @@ Message: TypeAlias = Scan | Odometry | GroundTruth
 
 @dataclass(slots=True)
 class SourceReport:
-    """What a source noticed while it was last read: what was skipped, and why. Complete once iteration has
-    ended.
-    """
+    """What a source noticed while it was last read: what was skipped, and why. Complete once iteration has ended."""
 
     messages: int = 0
     skipped: int = 0

@@ -54,8 +54,9 @@ def _directory(path: Path) -> Source:
     files = sorted(file for file in path.iterdir() if file.suffix in (".mcap", ".db3"))
     if len(files) == 1:
         return open(files[0])
-    reason = "no metadata.yaml" if files else "not a ROS 2 bag (no metadata.yaml)"
-    raise RecordingError(path, None, f"the directory is {reason}; what can be read: {READABLE}")
+    raise RecordingError(
+        path, None, f"the directory is not a ROS 2 bag, it has no metadata.yaml; what can be read: {READABLE}"
+    )
 
 
 def _simulation(spec: str) -> Source:

@@ -25,8 +25,7 @@ from typing import Protocol
 from .messages import Message
 
 WINDOW = 1.0
-"""Seconds. Queues between a sensor and a logger hold tenths of a second; a clock that is set moves by more.
-"""
+"""Seconds. Queues between a sensor and a logger hold tenths of a second; a clock that is set moves by more."""
 PAUSE = 60.0
 """Seconds ahead that are taken without a second look; a longer step needs messages that agree."""
 CONFIRM = 5
@@ -65,9 +64,7 @@ def in_order(numbered: Iterable[Numbered], notebook: Notebook) -> Iterator[Messa
 
 
 def _on_one_clock(numbered: Iterable[Numbered], notebook: Notebook) -> Iterator[Numbered]:
-    """The messages without those whose stamps are wrong, on a clock that never steps back by more than
-    WINDOW.
-    """
+    """The messages without those whose stamps are wrong, on a clock that never steps back by more than WINDOW."""
     latest: float | None = None  # the latest stamp that was accepted, on the output's clock
     offset = 0.0  # output's clock minus the recording's clock
     held: list[Numbered] = []  # far from what was accepted, near each other
@@ -109,9 +106,7 @@ def _drop(held: list[Numbered], notebook: Notebook) -> None:
 
 
 def _set_back(held: list[Numbered], latest: float, notebook: Notebook) -> float:
-    """What to add to the stamps from the held messages on (seconds): zero unless they are earlier than
-    `latest`.
-    """
+    """What to add to the stamps from the held messages on (seconds): zero unless they are earlier than `latest`."""
     earliest = min(message.stamp for _, message in held)
     if earliest >= latest:
         return 0.0

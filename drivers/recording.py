@@ -12,12 +12,12 @@ from .errors import RecordingError
 from .messages import GroundTruth, Message, SourceReport
 from .ordering import in_order
 
-LATEST_STAMP = 9.2e9
-"""Seconds; a later stamp (past the year 2261) does not fit into 64 bits of nanoseconds and is garbage."""
+LATEST_STAMP = 2.0**31
+"""Seconds; a later stamp (past January 2038) does not fit into the 32 bits that ROS has for it."""
 
 
 def is_stamp(stamp: float) -> bool:
-    """Whether a stamp (seconds) can be one: finite, not negative, not past the year 2261."""
+    """Whether a stamp (seconds) can be one: finite, not negative, before LATEST_STAMP."""
     return 0.0 <= stamp < LATEST_STAMP
 
 

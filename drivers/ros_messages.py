@@ -1,6 +1,6 @@
 """Our messages as ROS messages and back: one translation for bags of ROS 1, bags of ROS 2 and MCAP files.
 
-`encode` writes ROS 2 messages in CDR. Reading them back gives the same numbers bit for bit: headings because
+`Encoder` writes ROS 2 messages in CDR. Reading them back gives the same numbers bit for bit: headings because
 their quaternion is chosen so that it decodes to them, scans because what a LaserScan's 32 bits cannot hold
 goes into a second message beside it (BEAMS), stamps where they are whole nanoseconds.
 """
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from rosbags.serde import SerdeError
@@ -37,13 +37,6 @@ MOST_MOVES = 32
 BASE_FRAME, ODOMETRY_FRAME, WORLD_FRAME = "base_link", "odom", "world"
 
 
-class Stamped(Protocol):
-    """A ROS header."""
-
-    stamp: Any
-    frame_id: str
-
-
 @cache
 def type_store(encoding: str) -> Typestore:
     """The standard message definitions for an encoding, `cdr` (ROS 2) or `ros1`.
@@ -67,7 +60,7 @@ def decode(data: bytes, kind: str, encoding: str) -> Any:
         raise ValueError(f"{kind} cannot be decoded") from error
 
 
-def stamp_of(header: Stamped, received: int) -> float:
+def stamp_of(header: Any, received: int) -> float:
     """The header's stamp in seconds; the time of reception (nanoseconds) where it was left at zero."""
     nanoseconds = header.stamp.sec * NANOSECONDS + header.stamp.nanosec
     return to_seconds(nanoseconds or received)
@@ -122,9 +115,7 @@ def _steps(start: float, step: float, count: int) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Placing:
-    """Where a scan's frame is on the robot: the mount, None where unknown, and whether the lidar hangs
-    upside down.
-    """
+    """Where a scan's frame is on the robot: the mount, None where unknown, and whether the lidar hangs upside down."""
 
     mount: Pose | None = None
     upside_down: bool = False
@@ -136,7 +127,8 @@ def scan_of(message: Any, received: int, placing: Placing) -> Scan:
     Ranges outside of the stated limits are NaN. Angles increase: a scan that is measured clockwise, or by a
     lidar that hangs upside down, is turned round, its time offsets with it.
     """
-    ranges = np.asarray(message.ranges, dtype=np.float64)
+    with np.errstate(invalid="ignore"):  # damaged bytes may be NaNs that warn when they are touched
+        ranges = np.asarray(message.ranges, dtype=np.float64)
     count, start, step = len(ranges), message.angle_min, message.angle_increment
     if count == 0:
         raise ValueError("no beams")

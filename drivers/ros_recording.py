@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from .errors import RecordingError
 from .messages import GroundTruth, Message, Odometry
@@ -30,15 +31,13 @@ from .transforms import TransformTree
 TRUTH_TOPIC = "/ground_truth"
 BEAMS_TOPIC = "/scan_beams"
 KINDS = frozenset({LASER_SCAN, ODOMETRY, POSE, BEAMS, TRANSFORMS, OLD_TRANSFORMS})
-MOVING_TRANSFORMS = 1000
+REPEATED_TRANSFORMS = 1000
 """Messages on /tf that are searched for the lidar's mount, which older robots publish there over and over."""
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A message as it is stored: its number (1-based), topic, type, encoding, time of reception (ns) and
-    bytes.
-    """
+    """A message as it is stored: its number (1-based), topic, type, encoding, time of reception (ns) and bytes."""
 
     number: int
     topic: str
@@ -54,11 +53,11 @@ class _Survey:
 
     counts: dict[str, Counter[str]] = field(default_factory=dict)  # type -> topic -> messages
     fixed: TransformTree = field(default_factory=TransformTree)
-    moving: TransformTree = field(default_factory=TransformTree)
+    repeated: TransformTree = field(default_factory=TransformTree)  # with the fixed ones
     base: str | None = None  # the frame that the odometry moves
 
     def placing(self, frame: str) -> Placing:
-        for tree in (self.fixed, self.moving):
+        for tree in (self.fixed, self.repeated):
             exact = tree.planar(frame, self.base)
             if exact is not None:
                 return Placing(exact)
@@ -82,9 +81,7 @@ class RosRecording(Recording):
 
     @abstractmethod
     def _entries(self, final: bool) -> Iterator[Entry]:
-        """The stored messages of KINDS in order. What is damaged is counted in the report on the `final`
-        pass only.
-        """
+        """The stored messages of KINDS in order. What is damaged is counted in the report on the `final` pass only."""
 
     def _read(self) -> Iterator[tuple[int, Message]]:
         survey = self._survey()
@@ -127,11 +124,13 @@ class RosRecording(Recording):
             counts[entry.topic] += 1
             try:
                 if entry.kind in (TRANSFORMS, OLD_TRANSFORMS):
-                    if entry.topic.endswith("tf_static"):
-                        survey.fixed.add(decode(entry.data, entry.kind, entry.encoding))
-                    elif searched < MOVING_TRANSFORMS:
-                        searched += 1
-                        survey.moving.add(decode(entry.data, entry.kind, entry.encoding))
+                    fixed = entry.topic.endswith("tf_static")
+                    searched += not fixed
+                    if fixed or searched <= REPEATED_TRANSFORMS:
+                        message = decode(entry.data, entry.kind, entry.encoding)
+                        survey.repeated.add(message)
+                        if fixed:
+                            survey.fixed.add(message)
                 elif entry.kind == ODOMETRY and survey.base is None:
                     survey.base = decode(entry.data, ODOMETRY, entry.encoding).child_frame_id or None
             except ValueError:
@@ -156,8 +155,8 @@ def _odometry(entry: Entry) -> Odometry:
     return Odometry(_stamp(message.header, entry), planar_pose(message.pose.pose))
 
 
-def _stamp(header: object, entry: Entry) -> float:
-    stamp = stamp_of(header, entry.received)  # type: ignore[arg-type]
+def _stamp(header: Any, entry: Entry) -> float:
+    stamp = stamp_of(header, entry.received)
     if not is_stamp(stamp):
         raise ValueError("stamp is impossible")
     return stamp

@@ -34,16 +34,12 @@ def inverse(pose: ArrayLike) -> Pose:
 
 
 def between(first: ArrayLike, second: ArrayLike) -> Pose:
-    """Where `second` stands as seen from `first`, (..., 3): compose(first, between(first, second)) is
-    `second`.
-    """
+    """Where `second` stands as seen from `first`, (..., 3): compose(first, between(first, second)) is `second`."""
     return compose(inverse(first), second)
 
 
 def transform(pose: ArrayLike, points: ArrayLike) -> NDArray[np.float64]:
-    """Points (..., 2) given in the frame that `pose` places, expressed in the frame that the pose is given
-    in.
-    """
+    """Points (..., 2) given in the frame that `pose` places, expressed in the frame that the pose is given in."""
     p, q = np.asarray(pose, dtype=np.float64), np.asarray(points, dtype=np.float64)
     c, s = np.cos(p[..., 2]), np.sin(p[..., 2])
     return np.stack([p[..., 0] + c * q[..., 0] - s * q[..., 1], p[..., 1] + s * q[..., 0] + c * q[..., 1]], axis=-1)

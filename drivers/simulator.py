@@ -59,10 +59,10 @@ class Simulation:
     lidar, drive  the instruments and their noise
     mount     [x, y, heading] of the lidar on the robot, metres and radians
 
-    At each stamp the GroundTruth comes first, in the world's frame, then Odometry, which starts at [0, 0,
-    0], then a Scan. What floats of 32 bits hold in recordings (ranges, limits, increments of angle and time)
-    is rounded to 32 bits here, so that a simulation is the same when it is read back from one. Raises
-    RecordingError where the world cannot be had.
+    At each stamp the GroundTruth comes first, in the world's frame, then Odometry, which starts at [0, 0, 0], then a
+    Scan. What floats of 32 bits hold in recordings (ranges, limits, increments of angle and time) is rounded to 32 bits
+    here, so that a simulation is the same when it is read back from one. Raises RecordingError where the world cannot
+    be had or an argument is impossible.
     """
 
     def __init__(
@@ -93,6 +93,13 @@ class Simulation:
             raise RecordingError(self.name, None, "the seed must not be negative")
         if lidar.beams < 1 or not lidar.rate > 0 or not drive.rate > 0 or not drive.wheelbase > 0:
             raise RecordingError(self.name, None, "beams, rates and wheelbase must be positive")
+        if not all(0.0 <= share <= 1.0 for share in (lidar.dropouts, lidar.mixed)):
+            raise RecordingError(self.name, None, "shares of beams must be between 0 and 1")
+        biases = (drive.scale_bias, drive.difference_bias, drive.wheelbase_bias)
+        if not all(
+            0.0 <= s < 1.0 for s in (lidar.sigma_range, lidar.sigma_bearing, drive.slip, drive.encoder, *biases)
+        ):
+            raise RecordingError(self.name, None, "noise and biases must be between 0 and 1")
 
     @property
     def parameters(self) -> dict[str, object]:
@@ -186,9 +193,7 @@ class Simulation:
 
 
 def warm_up() -> None:
-    """Compile what the simulator runs, or load it from the cache; the first message comes quickly
-    afterwards.
-    """
+    """Compile what the simulator runs, or load it from the cache; the first message comes quickly afterwards."""
     square = np.array([[-1.0, -1.0, 1.0, -1.0], [1.0, -1.0, 1.0, 1.0]])
     path = np.array([[0.0, 0.0], [1.0, 0.0]])
     world = World("warm-up", "warm-up", square, np.zeros((0, 3)), path, 0.5)

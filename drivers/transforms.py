@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,8 @@ from .se2 import Pose
 
 BASE_FRAMES = ("base_link", "base_footprint", "base")
 """Names of the robot's own frame, tried in this order when the odometry does not name one that is known."""
+FARTHEST = 1e6
+"""Metres; no transform on a robot is longer."""
 
 
 def plain(frame: str) -> str:
@@ -34,9 +37,7 @@ class TransformTree:
         self._parents: dict[str, _Link] = {}
 
     def add(self, message: Any) -> None:
-        """Take up a TFMessage; of transforms to one frame the first counts. Raises ValueError where one is
-        none.
-        """
+        """Take up a TFMessage; of transforms to one frame the first counts. Raises ValueError where one is none."""
         for stamped in message.transforms:
             child, parent = plain(stamped.child_frame_id), plain(stamped.header.frame_id)
             link = _Link(parent, stamped.transform, _matrix(stamped.transform))
@@ -93,11 +94,10 @@ class TransformTree:
 def _matrix(transform: Any) -> Floats:
     """A geometry_msgs/Transform as a (4, 4) matrix; raises ValueError where its rotation is none."""
     r, t = transform.rotation, transform.translation
-    x, y, z, w = np.array([r.x, r.y, r.z, r.w])
-    norm = np.sqrt(x * x + y * y + z * z + w * w)
-    if not 0.9 < norm < 1.1 or not np.all(np.isfinite([t.x, t.y, t.z])):
+    norm = math.sqrt(r.x * r.x + r.y * r.y + r.z * r.z + r.w * r.w)
+    if not 0.9 < norm < 1.1 or not all(abs(way) < FARTHEST for way in (t.x, t.y, t.z)):
         raise ValueError("transform is not rigid")
-    x, y, z, w = np.array([x, y, z, w]) / norm
+    x, y, z, w = (part / norm for part in (r.x, r.y, r.z, r.w))
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w), t.x],

@@ -1,7 +1,8 @@
 """Worlds to simulate in: walls, doors, furniture and round columns from a small TOML file.
 
-    title = "one room with a box" speed = 0.5                                  # metres a second path = [[1,
-    1], [5, 1], [5, 3]]              # way points; the robot starts at the first, heading for the second
+    title = "one room with a box"
+    speed = 0.5                                  # metres a second
+    path = [[1, 1], [5, 1], [5, 3]]              # way points; the robot starts at the first
 
     [[walls]]
     from = [0, 0]

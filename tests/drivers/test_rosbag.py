@@ -132,6 +132,16 @@ def test_mount_from_transforms_that_are_repeated(read: Read) -> None:
     assert only_scan(read(entries)).mount == pytest.approx([0.3, 0, 0])
 
 
+def test_mount_through_fixed_and_repeated_transforms(read: Read) -> None:
+    entries = [
+        transform("base_link", "mast", (0.3, 0, 0), UPRIGHT),
+        transform("mast", "laser", (0.1, 0, 0), UPRIGHT, topic="/tf"),
+        transform("odom", "base_link", (7.0, 0, 0), QUARTER_LEFT, topic="/tf"),
+        laser_scan(1, [1.0, 2.0]),
+    ]
+    assert only_scan(read(entries)).mount == pytest.approx([0.4, 0, 0])
+
+
 def test_damaged_transform_leaves_the_mount_unknown(read: Read) -> None:
     entries = [transform("base_link", "laser", (0.3, 0, 0), (0.0, 0.0, 0.0, 0.0)), laser_scan(1, [1.0, 2.0])]
     assert only_scan(read(entries)).mount is None

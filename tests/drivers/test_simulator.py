@@ -199,6 +199,8 @@ def test_long_durations_go_round_again() -> None:
         {"mount": (0.0, 0.0)},
         {"mount": (np.nan, 0.0, 0.0)},
         {"lidar": Lidar(beams=0)},
+        {"lidar": Lidar(dropouts=2.0)},
+        {"lidar": Lidar(sigma_range=-0.01)},
         {"drive": Drive(rate=0.0)},
     ],
 )
@@ -206,6 +208,12 @@ def test_impossible_arguments_are_refused(arguments: dict[str, object]) -> None:
     with pytest.raises(RecordingError) as caught:
         Simulation(**arguments)  # type: ignore[arg-type]
     assert "\n" not in str(caught.value)
+
+
+def test_way_points_on_top_of_each_other_do_not_hang() -> None:
+    world = replace(square(), path=np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.0], [0.0, 0.0]]))
+    assert Simulation(world, duration=5.0).path.duration == pytest.approx(5.0)
+    assert Simulation(world).path.duration < 10.0
 
 
 def test_world_comes_from_its_file() -> None:
