@@ -1,7 +1,7 @@
 """A scan as if all its beams had been measured at once, in the middle of its sweep.
 
-The motion during the sweep is the odometry's, whose error is common to all beams of about the same time. It must not
-average out over them, so it goes into the covariance of what is made of the scan.
+The motion during the sweep is the odometry's. Its error is common to all beams of about the same time, so it would not
+average out over a wall's rays: it goes into the covariance of what is made of the scan.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from .odometry import OdometryHistory, way_of
 from .segments import CornerPoints, Floats, Segments
 
 KNOTS = 8  # poses along the sweep between which the motion is taken as constant; a revolution of a slow lidar is 0.1 s
-INDEPENDENT_PARTS = 2.0  # the two halves of the sweep err independently, what lies within one errs together
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,13 +66,12 @@ def loosen(
 ) -> tuple[Segments, CornerPoints]:
     """Add to the covariances what the motion during the sweep leaves uncertain.
 
-    `rates` (2,) are the odometry's variances of translation and rotation per metre of way. The common error of a half
-    sweep is given to each of its segments, enlarged by their number, so that together they cannot beat it.
+    `rates` (2,) are the odometry's variances of translation and rotation per metre of way.
     """
     if not len(segments) or not sweep.way.any():
         return segments, corners
     middle = np.where(lines.last >= lines.first, (lines.first + lines.last) // 2, 0)
-    way = sweep.way[middle] * max(1.0, len(segments) / INDEPENDENT_PARTS)
+    way = sweep.way[middle]
     across = np.column_stack([-np.sin(segments.frame[:, 2]), np.cos(segments.frame[:, 2])])
     lever = across[:, 1] * segments.frame[:, 0] - across[:, 0] * segments.frame[:, 1]
     covariance = segments.covariance.copy()

@@ -15,8 +15,8 @@ import numpy as np
 from .segments import Floats
 
 WINDOW = 1000  # numbers, two an observation: some fifty keyframes
-START = 0.003**2  # metres squared; assumed until enough was seen
-START_COUNT = 100  # numbers that the assumption counts for
+START = 0.001**2  # metres squared; assumed at first
+ENOUGH = 200  # numbers after which only what was seen counts
 NORMAL_MEDIAN = 0.4549  # median of a squared standard normal variable
 
 
@@ -37,7 +37,8 @@ class WallFlatness:
         excess[:, 1] *= half_lengths**2 / 3
         self._samples.extend(excess.ravel())
         observed = max(0.0, float(np.median(self._samples)))
-        self.variance = (len(self._samples) * observed + START_COUNT * START) / (len(self._samples) + START_COUNT)
+        trust = min(1.0, len(self._samples) / ENOUGH)
+        self.variance = trust * observed + (1 - trust) * START
 
 
 def uneven(covariances: Floats, half_lengths: Floats, variance: float) -> Floats:

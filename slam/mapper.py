@@ -24,7 +24,7 @@ from .segments import CornerPoints, Floats, Segments
 
 Integers = NDArray[np.int64]
 
-CORNER_SHARE = 0.2  # of its segments' information that a corner's factor takes; measured by consistency in simulation
+CORNER_SHARE = 0.1  # of its segments' information that a corner's factor takes; measured by consistency in simulation
 CONFIRMING_KEYFRAMES = (
     2  # keyframes that must see a landmark before it enters the graph: people and noise are seen once
 )

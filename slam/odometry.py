@@ -14,9 +14,9 @@ from .config import OdometryConfig
 from .segments import Floats
 
 TRACK = 0.25  # metres of way a radian of turning counts for, about half the distance between a robot's wheels and then some
-LEAST_WAY = 0.02  # metres: shorter steps say more of registration than of the wheels
-WINDOW = 400  # steps
-START_COUNT = 20  # steps that the configured values count for
+LEAST_WAY = 0.05  # metres: shorter motions say more of registration than of the wheels
+WINDOW = 200  # motions
+START_COUNT = 10  # motions that the configured values count for
 NORMAL_MEDIAN = 0.4549  # median of a squared standard normal variable
 
 
@@ -70,7 +70,7 @@ class OdometryHistory:
 
 
 class OdometryNoise:
-    """How far wheel odometry strays, learned by comparing what it says of each step with what registration finds.
+    """How far wheel odometry strays, learned by comparing what it says of the motion between keyframes with what registration finds.
 
     Errors are taken as a random walk over the way of the wheels, so variances grow with it. The median of the squared
     errors is deaf to single gross ones, which the kernel of the graph's odometry factors has to bear.
@@ -88,7 +88,7 @@ class OdometryNoise:
         return self._rates
 
     def learn(self, claimed: se2.Pose, found: se2.Pose) -> None:
-        """Take a step [x, y, heading] as the odometry claims it, and as it was found to be."""
+        """Take a motion [x, y, heading] as the odometry claims it, and as it was found to be."""
         way = way_of(claimed)
         if not self._config.learn or way < LEAST_WAY:
             return

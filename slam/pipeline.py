@@ -42,7 +42,6 @@ KEYFRAME_DISTANCE = 0.25  # metres
 KEYFRAME_TURN = math.radians(8.0)
 # Added to the odometry's own uncertainty when predicting a scan's pose: wheels slip and clocks differ. Metres, metres, radians.
 PREDICTION_SIGMAS = np.array([0.05, 0.05, math.radians(4.0)])
-WELL_EXPLAINED = 0.8  # share of a scan's wall length that must fit before the step may judge the odometry
 LONGEST_WAIT = 20  # scans that wait for the odometry to catch up before they are taken without
 MAP_EVENT_INTERVAL = 20  # keyframes between two events with the whole map
 
@@ -136,8 +135,6 @@ class Slam:
         step = np.zeros(3) if first else se2.between(self._scan_odometry, odometry)
         prior = np.linalg.inv(self._odometry_noise.covariance(step) + np.diag(PREDICTION_SIGMAS**2))
         found = register(se2.compose(self._pose, step), prior, segments, corners, self._local_map, flatness)
-        if found.explained > WELL_EXPLAINED:
-            self._odometry_noise.learn(step, se2.between(self._pose, found.pose))
         self._pose, self._scan_odometry = found.pose, odometry
         self._statistics.explained.append(found.explained)
         if found.recovered:
@@ -157,6 +154,7 @@ class Slam:
         motion = None
         if self._mapper.keyframe_count:
             moved = se2.between(self._keyframe_odometry, self._scan_odometry)
+            self._odometry_noise.learn(moved, se2.between(self._mapper.pose, self._pose))
             motion = (moved, self._odometry_noise.covariance(moved))
         view = self._mapper.add_keyframe(self._pose, motion, segments, corners, association, self._local_map)
         clock.lap("graph")

@@ -21,7 +21,7 @@ from slam.segments import Floats
 
 RELINEARIZE_THRESHOLD = 0.05  # metres and radians
 RELINEARIZE_SKIP = 10  # updates; a tenth of the cost of relinearising at each update, for the same result
-CAUCHY_SCALE = 3.0  # standard deviations at which an observation counts half
+CAUCHY_SCALE = 4.0  # standard deviations at which an observation counts half
 ODOMETRY_CAUCHY_SCALE = 2.0  # the same for odometry: single readings can be grossly wrong
 SETTLING_UPDATES = 3  # the first moves by what was left to the threshold, the last by less than a micrometre
 ALONG_SIGMA = 1.0  # metres; says once where along a wall its frame lies, which no observation does
