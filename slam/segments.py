@@ -9,12 +9,15 @@ there it is nearly diagonal, stays Gaussian for short and far segments, and does
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
-from features.types import Corners, Lines
+
+if TYPE_CHECKING:  # the features bring numba along, which takes a second to load
+    from features.types import Corners, Lines
 
 Floats = NDArray[np.float64]
 
