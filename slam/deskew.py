@@ -33,10 +33,18 @@ class Sweep:
     bearings: Floats
     way: Floats
 
-    def points(self) -> Floats:
-        """(p, 2): the valid returns as points in the lidar's frame."""
+    def points(self, lines: Lines) -> tuple[Floats, Floats]:
+        """The valid returns as points (p, 2) in the lidar's frame, and those of them (q, 2) that lie on none of `lines`."""
         points = np.column_stack([self.ranges * np.cos(self.bearings), self.ranges * np.sin(self.bearings)])
-        return np.asarray(points[np.isfinite(points).all(axis=1)])
+        valid = np.isfinite(points).all(axis=1)
+        loose = valid.copy()
+        for first, last in zip(lines.first, lines.last, strict=True):
+            if first <= last:
+                loose[first : last + 1] = False
+            else:  # over the end of a full revolution
+                loose[first:] = False
+                loose[: last + 1] = False
+        return points[valid], points[loose]
 
 
 def middle_of(scan: Scan) -> float:

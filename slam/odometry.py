@@ -13,7 +13,9 @@ from drivers.messages import Odometry
 from .config import OdometryConfig
 from .segments import Floats
 
-TRACK = 0.25  # metres of way a radian of turning counts for, about half the distance between a robot's wheels and then some
+TRACK = (
+    0.25  # metres of way a radian of turning counts for, about half the distance between a robot's wheels and then some
+)
 LEAST_WAY = 0.05  # metres: shorter motions say more of registration than of the wheels
 WINDOW = 200  # motions
 START_COUNT = 10  # motions that the configured values count for
@@ -110,3 +112,17 @@ class OdometryNoise:
 def way_of(motion: se2.Pose) -> float:
     """Metres that the wheels roll in a motion: its length, and what turning takes."""
     return float(np.hypot(motion[0], motion[1]) + TRACK * abs(motion[2]))
+
+
+def fused_motion(
+    claimed: se2.Pose, covariance: Floats, found: se2.Pose, point_information: Floats
+) -> tuple[se2.Pose, Floats]:
+    """The motion between two keyframes, and its covariance (3, 3), from odometry and from points on no wall.
+
+    Walls say nothing along a corridor; door jambs and clutter do, with `point_information` (3, 3). The motion that
+    registration `found` rests on them there. Where they say nothing, the motion stays the odometry's.
+    """
+    fused = np.linalg.inv(np.linalg.inv(covariance) + point_information)
+    correction = found - claimed
+    correction[2] = se2.wrap(correction[2])
+    return claimed + fused @ point_information @ correction, fused

@@ -10,11 +10,11 @@ import numpy as np
 
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry, Scan
-from features import Extractor, Noise
+from features import Extractor, Features, Noise
 
 from .association import associate
 from .config import Config
-from .deskew import deskew, loosen
+from .deskew import Sweep, deskew, loosen
 from .errors import MapError
 from .events import (
     Event,
@@ -31,17 +31,17 @@ from .events import (
 )
 from .local_map import empty_local_map
 from .mapper import KeyframeView, Mapper, Merge
-from .odometry import OdometryHistory, OdometryNoise
+from .odometry import OdometryHistory, OdometryNoise, fused_motion
 from .path import Path
-from .registration import register
-from .segments import CornerPoints, Floats, Segments, corner_points, segments_from_lines
+from .point_field import MOST_POINTS, RecentPoints, ScanPoints, thinned
+from .registration import Registration, ScanFeatures
+from .segments import Floats, corner_points, segments_from_lines
 from .snapshot import map_corners, map_lines
 from .statistics import Clock, RunStatistics
+from .tracking import Hold, Tracker
 
 KEYFRAME_DISTANCE = 0.25  # metres
 KEYFRAME_TURN = math.radians(8.0)
-# Added to the odometry's own uncertainty when predicting a scan's pose: wheels slip and clocks differ. Metres, metres, radians.
-PREDICTION_SIGMAS = np.array([0.05, 0.05, math.radians(4.0)])
 LONGEST_WAIT = 20  # scans that wait for the odometry to catch up before they are taken without
 MAP_EVENT_INTERVAL = 20  # keyframes between two events with the whole map
 
@@ -72,12 +72,14 @@ class Slam:
         self._waiting: deque[Scan] = deque()
         self._mapper = Mapper()
         self._local_map = empty_local_map()
+        self._recent_points = RecentPoints()
+        self._point_field = self._recent_points.field(np.zeros((0, 3)))
+        self._tracker = Tracker(self._odometry_noise)
         self._path = Path()
         self._statistics = RunStatistics()
         self._keyframe_stamps: list[float] = []
         self._told_keyframes = np.zeros((0, 3))
         self._pose = np.zeros(3)
-        self._scan_odometry = np.zeros(3)
         self._keyframe_odometry = np.zeros(3)
 
     # --- what goes in
@@ -114,52 +116,66 @@ class Slam:
         mount = self._mount(scan)
         sweep = deskew(scan, self._odometry, mount)
         features = self._extractor.extract(sweep.ranges, sweep.bearings)
+        seen = self._in_base_frame(sweep, features, mount)
+        clock.lap("features")
+        odometry = self._odometry.at(sweep.stamp)
+        found, hold = self._tracker.track(
+            odometry, seen, self._local_map, self._point_field, self._mapper.flatness.variance
+        )
+        clock.lap("registration")
+        self._note(sweep.stamp, found, hold, odometry)
+        if hold is Hold.NONE:
+            return
+        self._pose = found.pose
+        if hold is Hold.FIRM and (self._mapper.keyframe_count == 0 or self._moved_enough()):
+            view, merge = self._extend_map(seen, found, odometry, clock)
+            self._keyframe_stamps.append(sweep.stamp)
+            if self._sinks:
+                self._tell_keyframe(sweep.stamp, view, merge, clock, seen.points.all)
+        self._path.add(sweep.stamp, self._mapper.keyframe_count - 1, se2.between(self._mapper.pose, self._pose))
+
+    def _in_base_frame(self, sweep: Sweep, features: Features, mount: se2.Pose) -> ScanFeatures:
+        """What a scan shows, moved from the lidar's frame into the base's."""
         segments = segments_from_lines(features.lines, mount)
         corners = corner_points(features.corners, segments, mount)
         segments, corners = loosen(segments, corners, features.lines, sweep, self._odometry_noise.rates)
-        clock.lap("features")
-        uncertainty = self._track(sweep.stamp, segments, corners)
-        clock.lap("registration")
-        if self._mapper.keyframe_count == 0 or self._moved_enough():
-            view, merge = self._extend_map(segments, corners, uncertainty, clock)
-            self._keyframe_stamps.append(sweep.stamp)
-            if self._sinks:
-                self._tell_keyframe(sweep.stamp, view, merge, clock, se2.transform(mount, sweep.points()))
-        keyframe = self._mapper.keyframe_count - 1
-        self._path.add(sweep.stamp, keyframe, se2.between(self._mapper.pose, self._pose))
+        points = [thinned(se2.transform(mount, some), MOST_POINTS) for some in sweep.points(features.lines)]
+        return ScanFeatures(segments, corners, ScanPoints(*points))
 
-    def _track(self, stamp: float, segments: Segments, corners: CornerPoints) -> Floats:
-        """Find the base's pose at a scan; returns the pose's covariance (3, 3) against the local map, in its own frame."""
-        odometry, flatness = self._odometry.at(stamp), self._mapper.flatness.variance
-        first = self._mapper.keyframe_count == 0
-        step = np.zeros(3) if first else se2.between(self._scan_odometry, odometry)
-        prior = np.linalg.inv(self._odometry_noise.covariance(step) + np.diag(PREDICTION_SIGMAS**2))
-        found = register(se2.compose(self._pose, step), prior, segments, corners, self._local_map, flatness)
-        self._pose, self._scan_odometry = found.pose, odometry
+    def _note(self, stamp: float, found: Registration, hold: Hold, odometry: se2.Pose) -> None:
+        """Count how the scan was placed, and tell the listeners."""
         self._statistics.explained.append(found.explained)
-        if found.recovered:
-            self._statistics.recovered += 1
-            self._emit(Noticed(stamp, "odometry was far off; the pose was found again in the map"))
-        self._emit(ScanTracked(stamp, self._pose, odometry, found.explained, self._mapper.keyframe_count - 1))
-        return np.asarray(np.linalg.inv(found.information + prior), dtype=np.float64)
+        if hold is Hold.SEARCHED:
+            self._statistics.searched += 1
+            self._emit(Noticed(stamp, "odometry is far off; the pose was searched for and found in the map"))
+        elif hold is Hold.NONE:
+            self._statistics.unplaced += 1
+            self._emit(Noticed(stamp, "the scan fits nowhere near; left out"))
+        keyframe = self._mapper.keyframe_count - 1
+        self._emit(ScanTracked(stamp, found.pose, odometry, found.explained, keyframe))
 
     def _extend_map(
-        self, segments: Segments, corners: CornerPoints, uncertainty: Floats, clock: Clock
+        self, seen: ScanFeatures, found: Registration, odometry: se2.Pose, clock: Clock
     ) -> tuple[KeyframeView, Merge | None]:
         """Make the scan a keyframe: give its features to landmarks, solve, and see what the map around now looks like."""
+        mapper = self._mapper
+        uncertainty = np.linalg.inv(found.information + found.point_information + self._tracker.prior(odometry))
         association = associate(
-            self._pose, uncertainty, segments, corners, self._local_map, self._mapper.flatness.variance
+            self._pose, uncertainty, seen.segments, seen.corners, self._local_map, mapper.flatness.variance
         )
         clock.lap("association")
         motion = None
-        if self._mapper.keyframe_count:
-            moved = se2.between(self._keyframe_odometry, self._scan_odometry)
-            self._odometry_noise.learn(moved, se2.between(self._mapper.pose, self._pose))
-            motion = (moved, self._odometry_noise.covariance(moved))
-        view = self._mapper.add_keyframe(self._pose, motion, segments, corners, association, self._local_map)
+        if mapper.keyframe_count:
+            claimed, actual = se2.between(self._keyframe_odometry, odometry), se2.between(mapper.pose, self._pose)
+            self._odometry_noise.learn(claimed, actual)
+            motion = fused_motion(claimed, self._odometry_noise.covariance(claimed), actual, found.point_information)
+        view = mapper.add_keyframe(self._pose, motion, seen.segments, seen.corners, association, self._local_map)
         clock.lap("graph")
-        self._local_map, merge = self._mapper.refresh(view)
-        self._pose, self._keyframe_odometry = self._mapper.pose, self._scan_odometry
+        self._local_map, merge = mapper.refresh(view)
+        self._recent_points.add(mapper.keyframe_count - 1, seen.points)
+        self._point_field = self._recent_points.field(mapper.graph.some_poses(self._recent_points.keyframes))
+        self._pose, self._keyframe_odometry = mapper.pose, odometry
+        self._tracker.move_to(self._pose, odometry)
         clock.lap("local map")
         self._statistics.add_keyframe(clock)
         self._statistics.merged_walls += merge is not None
@@ -249,7 +265,7 @@ class Slam:
                 stamp=stamp,
                 pose=mapper.pose,
                 pose_covariance=mapper.pose_covariances[-1],
-                odometry=self._scan_odometry,
+                odometry=self._keyframe_odometry,
                 points=points,
                 segments=view.segments,
                 corners=view.corners,

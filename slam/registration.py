@@ -15,75 +15,74 @@ from numba import njit
 from drivers import se2
 
 from .local_map import LocalMap
+from .point_field import CELL as POINT_CELL
+from .point_field import PointField, ScanPoints
 from .segments import CornerPoints, Floats, Segments
 
 # Starts around the prediction [x, y, heading], nearest first: 15 degrees of odometry error in a turn are covered.
 NEAR_STARTS = np.array([[0.0, 0.0, math.radians(angle)] for angle in (0, -8, 8, -16, 16)])
-# Where the near starts explain little of the scan: wheels that slipped, or odometry that stood still for a second.
-FAR_STARTS = np.array(
-    [
-        [x, y, math.radians(angle)]
-        for x, y in ((0, 0), (0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5), (1, 0), (-1, 0), (0, 1), (0, -1))
-        for angle in range(-60, 61, 10)
-    ]
-)
 OFFSET_GATES = np.array([0.40, 0.40, 0.30, 0.20, 0.15, 0.10, 0.10, 0.10])  # metres across, one a Gauss-Newton step
 HEADING_GATES = np.radians([10.0, 10.0, 9.0, 7.0, 6.0, 5.0, 5.0, 5.0])
 CORNER_HEADING_GATE = math.radians(20.0)  # the walls that make a corner must run alike
 OVERLAP_MARGIN = 0.5  # metres: a segment may lie this far beyond what is known of a wall and still count as seen there
 CAUCHY_SCALE = 3.0  # standard deviations at which an observation counts half
 CLEARLY_MORE = 0.03  # of the scan's wall length: how much more a start farther from the prediction must explain
-EXPLAINED_ENOUGH = 0.5  # share of the scan's wall length below which the far starts are tried
-FAR_EXPLAINED = 0.75  # what a far start must explain to be believed
-FAR_LENGTH = 3.0  # metres of wall that a scan must show for that
+POINT_SIGMA = 0.15  # metres: clutter looks different from elsewhere
+POINT_GATE = 0.25  # metres
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
     """The outcome of laying a scan over the local map.
 
-    pose         the base's pose in the map
-    information  (3, 3) in the base's frame, of what the landmarks tell of the pose (without the prediction's own)
-    explained    share of the scan's wall length that fell on known walls
-    recovered    whether it took a start far from the prediction
+    pose               the base's pose in the map
+    information        (3, 3) in the base's frame, of what the landmarks tell of the pose (without the prediction's own)
+    point_information  (3, 3) likewise, of what the points on no wall tell
+    explained          share of the scan's wall length that fell on known walls
     """
 
     pose: se2.Pose
     information: Floats
+    point_information: Floats
     explained: float
-    recovered: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanFeatures:
+    """What a scan shows, in the base's frame."""
+
+    segments: Segments
+    corners: CornerPoints
+    points: ScanPoints
 
 
 def register(
-    prediction: se2.Pose, prior: Floats, segments: Segments, corners: CornerPoints, local_map: LocalMap, flatness: float
+    prediction: se2.Pose,
+    prior: Floats,
+    starts: Floats,
+    scan: ScanFeatures,
+    local_map: LocalMap,
+    field: PointField,
+    flatness: float,
 ) -> Registration:
     """The base's pose in the map for a scan.
 
     `prior` (3, 3) is the information of the predicted pose in the base's frame: it decides what walls leave open.
+    `starts` (k, 3) are where Gauss-Newton starts, in the prediction's frame, the likeliest first.
     `flatness` is the variance of the walls' unevenness (metres squared).
     """
+    segments, corners = scan.segments, scan.corners
     seen = float(2 * segments.half_length.sum())
-    if not len(segments) or not len(local_map.walls):
-        return Registration(prediction.copy(), np.zeros((3, 3)), 0.0, False)
-    scan = (segments.frame, segments.half_length, segments.covariance)
-    points = (corners.position, corners.headings, corners.covariance)
-    walls = (local_map.frame, local_map.low, local_map.high, local_map.wall_covariance)
-    known = (local_map.position, local_map.headings, local_map.corner_covariance)
-
-    def best_of(starts: Floats) -> tuple[se2.Pose, Floats, float]:
-        pose, information, length = _register(
-            prediction, prior, starts, CLEARLY_MORE * seen, *scan, *points, *walls, *known, flatness
-        )
-        return pose, information, length / seen
-
-    recovered = False
-    pose, information, explained = best_of(NEAR_STARTS)
-    if explained < EXPLAINED_ENOUGH and seen > FAR_LENGTH:
-        far_pose, far_information, far_explained = best_of(FAR_STARTS)
-        if far_explained > FAR_EXPLAINED:
-            pose, information, explained, recovered = far_pose, far_information, far_explained, True
+    pose, information, point_information, length = _register(
+        prediction, prior, starts, CLEARLY_MORE * seen,
+        segments.frame, segments.half_length, segments.covariance,
+        corners.position, corners.headings, corners.covariance,
+        local_map.frame, local_map.low, local_map.high, local_map.wall_covariance,
+        local_map.position, local_map.headings, local_map.corner_covariance, flatness,
+        scan.points.loose, field.points, field.nearest, field.origin,
+    )  # fmt: skip
     pose[2] = se2.wrap(pose[2])
-    return Registration(pose, information, explained, recovered)
+    return Registration(pose, information, point_information, length / seen if seen else 0.0)
 
 
 @njit(cache=True)
@@ -96,10 +95,12 @@ def _register(  # type: ignore[no-untyped-def]
     prediction, prior, starts, clearly_more,
     frames, halves, covariances, points, point_headings, point_covariances,
     walls, lows, highs, wall_covariances, corners, corner_headings, corner_covariances, flatness,
+    loose, known, nearest, origin,
 ):  # fmt: skip
     """Gauss-Newton from every start; the pose that explains clearly most wall length, its information and that length."""
     best_pose, best_information, best_explained = prediction.copy(), np.zeros((3, 3)), -1.0
-    information, gradient = np.zeros((3, 3)), np.zeros(3)
+    best_point_information = np.zeros((3, 3))
+    information, point_information, gradient = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
     for start in starts:
         pose = prediction.copy()
         c, s = math.cos(prediction[2]), math.sin(prediction[2])
@@ -109,6 +110,7 @@ def _register(  # type: ignore[no-untyped-def]
         explained = 0.0
         for step in range(len(OFFSET_GATES)):
             information[:] = 0.0
+            point_information[:] = 0.0
             gradient[:] = 0.0
             explained = _add_walls(
                 pose, frames, halves, covariances, walls, lows, highs, wall_covariances, flatness,
@@ -118,16 +120,18 @@ def _register(  # type: ignore[no-untyped-def]
                 pose, points, point_headings, point_covariances, corners, corner_headings, corner_covariances, flatness,
                 OFFSET_GATES[step], information, gradient,
             )  # fmt: skip
+            _add_points(pose, loose, known, nearest, origin, point_information, gradient)
             c, s = math.cos(pose[2]), math.sin(pose[2])
             ex, ey = pose[0] - prediction[0], pose[1] - prediction[1]
             error = np.array([c * ex + s * ey, -s * ex + c * ey, pose[2] - prediction[2]])
-            move = np.linalg.solve(information + prior, gradient + prior @ error)
+            move = np.linalg.solve(information + point_information + prior, gradient + prior @ error)
             pose[0] -= c * move[0] - s * move[1]
             pose[1] -= s * move[0] + c * move[1]
             pose[2] -= move[2]
         if explained > best_explained + clearly_more:
             best_explained, best_pose, best_information = explained, pose, information.copy()
-    return best_pose, best_information, best_explained
+            best_point_information = point_information.copy()
+    return best_pose, best_information, best_point_information, best_explained
 
 
 @njit(cache=True)
@@ -222,3 +226,33 @@ def _add_corners(  # type: ignore[no-untyped-def]
         weight = 0.5 / (1.0 + chi2 / (CAUCHY_SCALE * CAUCHY_SCALE))
         information += weight * (jacobian.T @ weights @ jacobian)
         gradient += weight * (jacobian.T @ (weights @ residual))
+
+
+@njit(cache=True)
+def _add_points(pose, points, known, nearest, origin, information, gradient):  # type: ignore[no-untyped-def]
+    """Pull each point that lies on no line to the nearest one of those that the last keyframes saw."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    for p in range(len(points)):
+        lever_x, lever_y = c * points[p, 0] - s * points[p, 1], s * points[p, 0] + c * points[p, 1]
+        x, y = pose[0] + lever_x, pose[1] + lever_y
+        i, j = int(math.floor((x - origin[0]) / POINT_CELL)), int(math.floor((y - origin[1]) / POINT_CELL))
+        if i < 0 or j < 0 or i >= nearest.shape[0] or j >= nearest.shape[1] or nearest[i, j] < 0:
+            continue
+        dx, dy = x - known[nearest[i, j], 0], y - known[nearest[i, j], 1]
+        squared = dx * dx + dy * dy
+        if squared > POINT_GATE * POINT_GATE:
+            continue
+        weight = 1.0 / (POINT_SIGMA * POINT_SIGMA * (1.0 + squared / (POINT_SIGMA * POINT_SIGMA)))
+        # the base's own axes: forward (c, s), left (-s, c), and turning, which moves the point across its lever
+        forward, left, across = c * dx + s * dy, -s * dx + c * dy, -lever_y * dx + lever_x * dy
+        turn_forward, turn_left = -points[p, 1], points[p, 0]
+        gradient[0] += weight * forward
+        gradient[1] += weight * left
+        gradient[2] += weight * across
+        information[0, 0] += weight
+        information[1, 1] += weight
+        information[0, 2] += weight * turn_forward
+        information[2, 0] += weight * turn_forward
+        information[1, 2] += weight * turn_left
+        information[2, 1] += weight * turn_left
+        information[2, 2] += weight * (turn_forward * turn_forward + turn_left * turn_left)

@@ -34,7 +34,8 @@ class RunStatistics:
     scans: int = 0
     empty_scans: int = 0
     scans_without_odometry: int = 0
-    recovered: int = 0
+    searched: int = 0
+    unplaced: int = 0
     merged_walls: int = 0
     explained: list[float] = field(default_factory=list)
     keyframe_times: list[float] = field(default_factory=list)
@@ -68,5 +69,6 @@ class RunStatistics:
             "explained_p05": round(float(np.percentile(explained, 5)), 3),
             "empty_scans": self.empty_scans,
             "scans_without_odometry": self.scans_without_odometry,
-            "recovered": self.recovered,
+            "searched": self.searched,
+            "unplaced": self.unplaced,
         }

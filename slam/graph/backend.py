@@ -132,6 +132,10 @@ class FactorGraph:
         values = self._isam.calculateEstimate()
         return np.array([_array(values.atPose2(X(k))) for k in range(count)]).reshape(-1, 3)
 
+    def some_poses(self, keyframes: Sequence[int]) -> Floats:
+        """(n, 3): the poses of some keyframes."""
+        return np.array([self.keyframe_pose(k) for k in keyframes]).reshape(-1, 3)
+
     def wall_frames(self, walls: Sequence[int]) -> Floats:
         """(n, 3): the frames of walls in the map."""
         return np.array([_array(self._isam.calculateEstimatePose2(L(j))) for j in walls]).reshape(-1, 3)

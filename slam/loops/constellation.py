@@ -1,0 +1,82 @@
+"""What is compared when a place may have been seen before: the walls of the last metres, as one rigid body, and the old map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers import se2
+
+from ..landmarks import Landmarks
+from ..segments import Floats
+
+Integers = NDArray[np.int64]
+
+RECENT_WAY = 8.0  # metres of driving whose walls make the constellation, and its radius around the robot
+OLD_WAY = 15.0  # metres of driving after which a wall that was not seen again counts as old
+TRANSLATION_DRIFT = 0.05  # metres of drift to be expected a metre driven: three times what good wheels do
+ROTATION_DRIFT = np.radians(0.2)  # radians a metre
+LEAST_TRANSLATION, MOST_TRANSLATION = 0.6, 10.0  # metres
+LEAST_ROTATION, MOST_ROTATION = np.radians(6.0), np.radians(40.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Constellation:
+    """n walls as finite segments in the map: identities, frames (n, 3) at their middle, half lengths (n,) metres."""
+
+    walls: Integers
+    frame: Floats
+    half_length: Floats
+
+    def __len__(self) -> int:
+        return len(self.walls)
+
+    def length(self) -> float:
+        """Metres of wall."""
+        return float(2 * self.half_length.sum())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OldMap:
+    """Old walls near enough to be met again: a constellation, and per wall how far drift may have carried the robot from it.
+
+    translation (n,) metres, rotation (n,) radians.
+    """
+
+    constellation: Constellation
+    translation: Floats
+    rotation: Floats
+
+
+def recent_and_old(landmarks: Landmarks, pose: se2.Pose, ways: Floats) -> tuple[Constellation, OldMap]:
+    """Split the walls around the robot's pose. `ways` (k,) are the metres driven up to each keyframe."""
+    walls = landmarks.walls.rows
+    active = walls["in_graph"] & (walls["kept"] == np.arange(len(walls)))
+    since_seen = ways[-1] - ways[walls["last_seen"]]
+    recent = np.flatnonzero(active & (since_seen < RECENT_WAY) & (walls["observations"] >= 2))
+    low, high = _clipped(walls["frame"][recent], walls["low"][recent], walls["high"][recent], pose)
+    visible = high - low > 0.2
+    recents = _constellation(recent[visible], walls["frame"][recent[visible]], low[visible], high[visible])
+
+    translation = np.clip(TRANSLATION_DRIFT * since_seen, LEAST_TRANSLATION, MOST_TRANSLATION)
+    rotation = np.clip(ROTATION_DRIFT * since_seen, LEAST_ROTATION, MOST_ROTATION)
+    seen_from = se2.transform(se2.inverse(walls["frame"]), pose[:2])
+    beyond = np.maximum(0.0, np.maximum(walls["low"] - seen_from[:, 0], seen_from[:, 0] - walls["high"]))
+    near = np.hypot(beyond, seen_from[:, 1]) < RECENT_WAY + translation
+    old = np.flatnonzero(active & near & (since_seen > OLD_WAY))
+    olds = _constellation(old, walls["frame"][old], walls["low"][old], walls["high"][old])
+    return recents, OldMap(olds, translation[old], rotation[old])
+
+
+def _clipped(frame: Floats, low: Floats, high: Floats, pose: se2.Pose) -> tuple[Floats, Floats]:
+    """The extent of walls within RECENT_WAY of the robot (empty where high < low)."""
+    seen_from = se2.transform(se2.inverse(frame), pose[:2]).reshape(-1, 2)
+    half_chord = np.sqrt(np.maximum(0.0, RECENT_WAY**2 - seen_from[:, 1] ** 2))
+    return np.maximum(low, seen_from[:, 0] - half_chord), np.minimum(high, seen_from[:, 0] + half_chord)
+
+
+def _constellation(walls: Integers, frame: Floats, low: Floats, high: Floats) -> Constellation:
+    middle = np.column_stack([0.5 * (low + high), np.zeros((len(low), 2))])
+    return Constellation(walls, se2.compose(frame, middle).reshape(-1, 3), 0.5 * (high - low))

@@ -1,0 +1,186 @@
+"""Where the constellation of recent walls may lie on the old map.
+
+Two walls that are not parallel, laid on two old ones, fix a rigid motion. All such pairs vote in a grid of motions within
+what drift allows; the best cells are refined by Gauss-Newton on all walls, and scored by the length of wall they explain.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from drivers import se2
+
+from ..segments import Floats
+from .constellation import Constellation, OldMap
+
+LONGEST = 16  # walls of the constellation that propose motions; the others only judge them
+LEAST_SINE = 0.5  # of the angle between two walls that fix a motion
+SAME_ANGLE = math.radians(4.0)  # by which the angle between two walls may differ from that between the old ones
+CELL, CELL_TURN = 0.4, math.radians(4.0)  # metres and radians of the voting grid
+BEST_CELLS = 24  # refined by Gauss-Newton
+GATES = np.array([0.5, 0.4, 0.3, 0.2, 0.15, 0.15])  # metres across, one a Gauss-Newton step; the last one judges
+TURN_GATES = np.radians([8.0, 7.0, 6.0, 5.0, 4.0, 4.0])
+OFFSET_SIGMA = 0.05  # metres, of how well two walls that are one agree; walls are weighted by their length besides
+OVERLAP_MARGIN = 0.3  # metres beyond an old wall's known end where it may go on
+DISTINCT, DISTINCT_TURN = 0.5, math.radians(10.0)  # motions farther apart than this are different answers
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """A motion of the recent constellation onto the old map.
+
+    motion       [x, y, heading]: a recent thing at p in the map lies at transform(motion, p)
+    explained    share of the constellation's length that falls on old walls
+    information  (3, 3) of the motion from the matched walls, in the map's axes about the robot
+    matches      (n,) row of the old map for each recent wall, -1 for none
+    """
+
+    motion: se2.Pose
+    explained: float
+    information: Floats
+    matches: NDArray[np.int64]
+
+
+def propose(recent: Constellation, old: OldMap, pose: se2.Pose) -> list[Hypothesis]:
+    """Hypotheses, most explaining first; near-equal motions once."""
+    if len(recent) < 3 or len(old.constellation) < 3:
+        return []
+    order = np.argsort(-recent.half_length, kind="stable")[:LONGEST]
+    reach, turn = float(old.translation.max()), float(old.rotation.max())
+    votes = _vote(
+        recent.frame[order], recent.half_length[order], old.constellation.frame, old.constellation.half_length,
+        old.translation, old.rotation, pose[:2], reach, turn,
+    )  # fmt: skip
+    flat = np.argsort(-votes, axis=None, kind="stable")[:BEST_CELLS]
+    flat = flat[votes.ravel()[flat] > 0]
+    cells = np.column_stack(np.unravel_index(flat, votes.shape)).astype(float)
+    starts = np.column_stack([(cells[:, :2] + 0.5) * CELL - reach - CELL, (cells[:, 2] + 0.5) * CELL_TURN - turn])
+    found: list[Hypothesis] = []
+    for start in starts:
+        motion, information, matches, length = _refine(
+            start, recent.frame, recent.half_length, old.constellation.frame, old.constellation.half_length, pose[:2]
+        )
+        hypothesis = Hypothesis(_about_origin(motion, pose), length / recent.length(), information, matches)
+        if not any(not distinct(hypothesis.motion, other.motion, pose) for other in found):
+            found.append(hypothesis)
+        else:
+            for row, other in enumerate(found):
+                if not distinct(hypothesis.motion, other.motion, pose) and hypothesis.explained > other.explained:
+                    found[row] = hypothesis
+                    break
+    return sorted(found, key=lambda hypothesis: -hypothesis.explained)
+
+
+def distinct(motion: se2.Pose, other: se2.Pose, pose: se2.Pose) -> bool:
+    """Whether two motions put the robot at `pose` at different places."""
+    difference = se2.between(se2.compose(motion, pose), se2.compose(other, pose))
+    return bool(np.hypot(difference[0], difference[1]) > DISTINCT or abs(difference[2]) > DISTINCT_TURN)
+
+
+def _about_origin(motion: se2.Pose, pose: se2.Pose) -> se2.Pose:
+    """A motion [shift, turn about the robot] as a motion about the map's origin."""
+    there = np.array([pose[0] + motion[0], pose[1] + motion[1], motion[2]])
+    return se2.compose(there, np.array([-pose[0], -pose[1], 0.0]))
+
+
+@njit(cache=True)
+def _turn(angle):  # type: ignore[no-untyped-def]
+    return angle - 2 * math.pi * math.floor((angle + math.pi) / (2 * math.pi))
+
+
+@njit(cache=True)
+def _vote(frames, halves, olds, old_halves, translations, rotations, centre, reach, turn):  # type: ignore[no-untyped-def]
+    """Votes, in metres of wall, for cells of motions [shift x, shift y, turn about `centre`]."""
+    across = 2 * int(math.ceil((reach + CELL) / CELL)) + 1
+    votes = np.zeros((across, across, 2 * int(math.ceil(turn / CELL_TURN)) + 1))
+    for a in range(len(frames)):
+        for b in range(a + 1, len(frames)):
+            angle = _turn(frames[b, 2] - frames[a, 2])
+            if abs(math.sin(angle)) < LEAST_SINE:
+                continue
+            for c in range(len(olds)):
+                first = _turn(olds[c, 2] - frames[a, 2])
+                if abs(first) > rotations[c]:
+                    continue
+                for d in range(len(olds)):
+                    second = _turn(olds[d, 2] - frames[b, 2])
+                    if d == c or abs(second) > rotations[d] or abs(second - first) > SAME_ANGLE:
+                        continue
+                    rotation = 0.5 * (first + second)
+                    rc, rs = math.cos(rotation), math.sin(rotation)
+                    # offsets of the turned walls' middles from the old walls, along the old walls' normals
+                    nxc, nyc = -math.sin(olds[c, 2]), math.cos(olds[c, 2])
+                    nxd, nyd = -math.sin(olds[d, 2]), math.cos(olds[d, 2])
+                    ax, ay = frames[a, 0] - centre[0], frames[a, 1] - centre[1]
+                    bx, by = frames[b, 0] - centre[0], frames[b, 1] - centre[1]
+                    ax, ay = centre[0] + rc * ax - rs * ay, centre[1] + rs * ax + rc * ay
+                    bx, by = centre[0] + rc * bx - rs * by, centre[1] + rs * bx + rc * by
+                    oc = nxc * (olds[c, 0] - ax) + nyc * (olds[c, 1] - ay)
+                    od = nxd * (olds[d, 0] - bx) + nyd * (olds[d, 1] - by)
+                    determinant = nxc * nyd - nyc * nxd
+                    x, y = (oc * nyd - od * nyc) / determinant, (nxc * od - nxd * oc) / determinant
+                    if math.hypot(x, y) > min(translations[c], translations[d]):
+                        continue
+                    along_c = nyc * (ax + x - olds[c, 0]) - nxc * (ay + y - olds[c, 1])
+                    along_d = nyd * (bx + x - olds[d, 0]) - nxd * (by + y - olds[d, 1])
+                    if abs(along_c) > halves[a] + old_halves[c] or abs(along_d) > halves[b] + old_halves[d]:
+                        continue
+                    i = int((x + reach + CELL) / CELL)
+                    j = int((y + reach + CELL) / CELL)
+                    k = int((rotation + turn) / CELL_TURN)
+                    votes[i, j, k] += min(min(halves[a], old_halves[c]), min(halves[b], old_halves[d]))
+    return votes
+
+
+@njit(cache=True)
+def _refine(start, frames, halves, olds, old_halves, centre):  # type: ignore[no-untyped-def]
+    """Gauss-Newton on [shift x, shift y, turn about centre]; the motion, its information, matches, length explained."""
+    motion = start.copy()
+    matches = np.full(len(frames), -1)
+    information, length = np.zeros((3, 3)), 0.0
+    for step in range(len(GATES)):
+        information, gradient, length = np.eye(3) * 1e-3, np.zeros(3), 0.0
+        c, s = math.cos(motion[2]), math.sin(motion[2])
+        for i in range(len(frames)):
+            x, y = frames[i, 0] - centre[0], frames[i, 1] - centre[1]
+            lever_x, lever_y = c * x - s * y, s * x + c * y
+            x, y = centre[0] + lever_x + motion[0], centre[1] + lever_y + motion[1]
+            best, overlap, offset, turned = np.inf, 0.0, 0.0, 0.0
+            matches[i] = -1
+            for j in range(len(olds)):
+                angle = _turn(frames[i, 2] + motion[2] - olds[j, 2])
+                if abs(angle) > TURN_GATES[step]:
+                    continue
+                oc, os = math.cos(olds[j, 2]), math.sin(olds[j, 2])
+                dx, dy = x - olds[j, 0], y - olds[j, 1]
+                across = -os * dx + oc * dy
+                if abs(across) > GATES[step]:
+                    continue
+                along = oc * dx + os * dy
+                reach = old_halves[j] + OVERLAP_MARGIN
+                shared = min(along + halves[i], reach) - max(along - halves[i], -reach)
+                distance = (across / GATES[step]) ** 2 + (angle / TURN_GATES[step]) ** 2
+                if shared > 0.0 and distance < best:
+                    best, overlap, offset, turned, matches[i] = distance, min(shared, 2 * halves[i]), across, angle, j
+            if matches[i] < 0:
+                continue
+            length += overlap
+            nx, ny = -math.sin(olds[matches[i], 2]), math.cos(olds[matches[i], 2])
+            lever = -nx * lever_y + ny * lever_x
+            row = np.array([nx, ny, lever])
+            weight = overlap / OFFSET_SIGMA**2
+            turn_weight = weight * halves[i] ** 2 / 3.0
+            for p in range(3):
+                gradient[p] += weight * row[p] * offset
+                for q in range(3):
+                    information[p, q] += weight * row[p] * row[q]
+            information[2, 2] += turn_weight
+            gradient[2] += turn_weight * turned
+        if step < len(GATES) - 1:
+            motion = motion - np.linalg.solve(information, gradient)
+    return motion, information, matches, length

@@ -1,0 +1,98 @@
+"""Whether a place is the one it looks like. Every test must hold; the first that fails is the reason for refusing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers import se2
+
+from ..segments import Floats, Segments
+from .constellation import Constellation, OldMap
+from .proposal import Hypothesis, distinct
+
+LEAST_EXPLAINED = 0.6  # share of the constellation's wall length that must fall on old walls
+LEAST_MATCHES = 5  # walls
+WORST_SIGMA = 0.07  # metres: the motion must be determined in every direction, which parallel walls alone never do
+RUNNER_UP = 0.85  # a different motion that explains this share of what the best one does makes the place ambiguous
+MOST_CONTRADICTED = 0.10  # share of seen wall length that could not have been seen through the old walls
+SOLID = 0.4  # metres, half the length from which an old wall counts as blocking the view
+SHORTENED = 0.3  # metres by which views end before what they saw, and by which blocking walls are shortened
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verdict:
+    """What was decided on a hypothesis, and the scores it was decided by."""
+
+    accepted: bool
+    reason: str
+    explained: float
+    matches: int
+    runner_up: float
+    sigma: float
+    contradicted: float
+
+
+def verify(
+    hypotheses: Sequence[Hypothesis],
+    recent: Constellation,
+    old: OldMap,
+    pose: se2.Pose,
+    views: Sequence[tuple[se2.Pose, Segments]],
+) -> Verdict:
+    """Judge the first of several hypotheses. `views` are the last keyframes' poses with the segments seen from them."""
+    best = hypotheses[0]
+    others = [h.explained for h in hypotheses[1:] if distinct(h.motion, best.motion, pose)]
+    runner_up = max(others, default=0.0) / max(best.explained, 1e-9)
+    matches = int((best.matches >= 0).sum())
+    sigma = float(np.sqrt(np.linalg.eigvalsh(np.linalg.inv(best.information)[:2, :2])[-1]))
+    contradicted = contradiction(best.motion, old, views)
+    tests = (
+        (best.explained >= LEAST_EXPLAINED, f"explains {best.explained:.0%} < {LEAST_EXPLAINED:.0%}"),
+        (matches >= LEAST_MATCHES, f"{matches} walls < {LEAST_MATCHES}"),
+        (sigma <= WORST_SIGMA, f"one direction known to {sigma:.2f} m only"),
+        (runner_up <= RUNNER_UP, f"another place explains {runner_up:.0%} as much"),
+        (contradicted <= MOST_CONTRADICTED, f"{contradicted:.0%} was seen through old walls"),
+    )
+    reason = next((text for passed, text in tests if not passed), "")
+    return Verdict(not reason, reason or "all tests passed", best.explained, matches, runner_up, sigma, contradicted)
+
+
+def contradiction(motion: se2.Pose, old: OldMap, views: Sequence[tuple[se2.Pose, Segments]]) -> float:
+    """Share of the wall length seen in `views` that old walls would have hidden, were the robot moved by `motion`."""
+    eyes, targets, weights = _sight_lines(motion, views)
+    solid = old.constellation.half_length > SOLID
+    frame, half = old.constellation.frame[solid], old.constellation.half_length[solid] - SHORTENED
+    if not len(eyes) or not len(frame):
+        return 0.0
+    along = np.stack([np.cos(frame[:, 2]), np.sin(frame[:, 2])], axis=-1)
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=-1)
+    eye_side = np.einsum("rwk,wk->rw", eyes[:, None] - frame[None, :, :2], normal)
+    target_side = np.einsum("rwk,wk->rw", targets[:, None] - frame[None, :, :2], normal)
+    crossing = eye_side * target_side < 0.0
+    part = np.where(crossing, eye_side / np.where(crossing, eye_side - target_side, 1.0), 0.0)
+    point = eyes[:, None] + part[..., None] * (targets - eyes)[:, None]
+    at = np.einsum("rwk,wk->rw", point - frame[None, :, :2], along)
+    blocked = (crossing & (np.abs(at) < half)).any(axis=1)
+    return float(weights[blocked].sum() / weights.sum())
+
+
+def _sight_lines(motion: se2.Pose, views: Sequence[tuple[se2.Pose, Segments]]) -> tuple[Floats, Floats, Floats]:
+    """Eyes (r, 2), targets (r, 2) a little before what was seen, and the wall length (r,) that each stands for."""
+    eyes, targets, weights = [], [], []
+    for pose, segments in views:
+        moved = se2.compose(motion, pose)
+        frames = se2.compose(moved, segments.frame).reshape(-1, 3)
+        along = np.column_stack([np.cos(frames[:, 2]), np.sin(frames[:, 2])])
+        for part in (-0.8, 0.0, 0.8):
+            seen = frames[:, :2] + part * segments.half_length[:, None] * along
+            distance = np.hypot(*(seen - moved[:2]).T)
+            shorter = np.maximum(0.0, 1.0 - SHORTENED / np.maximum(distance, 1e-9))
+            targets.append(moved[:2] + shorter[:, None] * (seen - moved[:2]))
+            eyes.append(np.broadcast_to(moved[:2], seen.shape))
+            weights.append(segments.half_length)
+    if not eyes:
+        return np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)
+    return np.concatenate(eyes), np.concatenate(targets), np.concatenate(weights)
