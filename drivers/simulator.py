@@ -10,6 +10,7 @@ from functools import cached_property
 from pathlib import Path as FilePath
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .clock import NANOSECONDS, to_nanoseconds, to_seconds
 from .driving import Biases, Drive, Path, draw_biases, drive_path, odometry
@@ -22,7 +23,9 @@ from .world import World, load_world
 FIRST_SCAN = 13_000_000
 """Nanoseconds after the start: a lidar's revolutions do not begin when odometry is read."""
 EDGE = 0.1
-"""Metres. Where neighbouring beams differ by more, a beam may hit both surfaces."""
+"""Metres. Where neighbouring beams differ by so much more than the beams around them, a beam may hit both surfaces."""
+STEEPER = 1.5
+"""How much more a step of range grows from beam to beam at an edge than along a wall seen at grazing incidence."""
 
 __all__ = ["Biases", "Drive", "Lidar", "Simulation", "warm_up"]
 
@@ -181,15 +184,30 @@ class Simulation:
         bearings = angles + lidar.sigma_bearing * bearing_noise
         world, path = self.world, self.path
         ranges = sweep(stamp + offsets, bearings, self.mount, path.poses, path.twists, world.segments, world.circles)
-        beside = np.roll(ranges, -1)
-        with np.errstate(invalid="ignore"):  # infinite minus infinite, where neither returns
-            step = beside - ranges
-        mixed = np.isfinite(step) & (np.abs(step) > EDGE) & (is_mixed < lidar.mixed)
+        step = steps(ranges)
+        mixed = at_edge(step) & (is_mixed < lidar.mixed)
         ranges[mixed] += share[mixed] * step[mixed]
         ranges = (ranges + lidar.sigma_range * range_noise).astype(np.float32).astype(np.float64)
         low, high = float(np.float32(lidar.range_min)), float(np.float32(lidar.range_max))
         ranges[~((ranges >= low) & (ranges < high)) | (dropped < lidar.dropouts)] = np.nan
         return Scan(stamp, ranges, angles, offsets, low, high, self.mount)
+
+
+def steps(ranges: Floats) -> Floats:
+    """(n,) by how much each beam of a revolution is shorter than the next, metres; zero where one does not return."""
+    with np.errstate(invalid="ignore"):  # infinite minus infinite, where neither returns
+        step = np.roll(ranges, -1) - ranges
+    return np.where(np.isfinite(step), step, 0.0)
+
+
+def at_edge(step: Floats) -> NDArray[np.bool_]:
+    """(n,) whether a beam and the next lie on surfaces apart, by the `steps` of range of a whole revolution.
+
+    Along a wall at grazing incidence the steps are large too, but grow slowly from beam to beam.
+    """
+    size = np.abs(step)
+    around = np.maximum(np.roll(size, 1), np.roll(size, -1))
+    return np.asarray(size > EDGE + STEEPER * around)
 
 
 def warm_up() -> None:

@@ -124,6 +124,15 @@ def test_mixed_pixels_lie_between_the_surfaces() -> None:
     assert found > len(mixed)
 
 
+def test_a_wall_at_grazing_incidence_has_no_mixed_pixels() -> None:
+    walls = np.array([[-30.0, -0.5, 30.0, -0.5], [30.0, -0.5, 30.0, 1.5], [30.0, 1.5, -30.0, 1.5], [-30, 1.5, -30, -0.5]])
+    hall = replace(square(), segments=walls, path=np.array([[0.0, 0.0], [10.0, 0.0]]))
+    mixed = scans_of(list(Simulation(hall, duration=3.0, lidar=replace(QUIET, mixed=1.0))))
+    clean = scans_of(list(Simulation(hall, duration=3.0, lidar=QUIET)))
+    for a, b in zip(mixed, clean, strict=True):
+        np.testing.assert_array_equal(a.ranges, b.ranges)
+
+
 def test_slip_is_as_stated_and_biases_are_drawn_per_seed() -> None:
     drive = replace(PERFECT, slip=0.01)
     straight = replace(square(100.0), path=np.array([[0.0, 0.0], [40.0, 0.0]]))
