@@ -17,7 +17,8 @@ WALL = np.dtype(
         ("low", float),  # metres along x, how far the wall is known
         ("high", float),
         ("observations", int),  # keyframes
-        ("last_seen", int),  # keyframe
+        ("first_seen", int),  # keyframe
+        ("last_seen", int),
         ("covariance", float, (2, 2)),  # of offset and heading at the frame, as seen from the keyframe last_seen
         ("kept", int),  # the wall that speaks for this one: itself, or the wall that it turned out to be
         ("in_graph", bool),
@@ -72,7 +73,13 @@ class Landmarks:
         """A wall first seen from a keyframe, its `frame` at its centre. Returns its identity."""
         identity = len(self.walls)
         return self.walls.append(
-            frame=frame, low=-half_length, high=half_length, observations=1, last_seen=keyframe, kept=identity
+            frame=frame,
+            low=-half_length,
+            high=half_length,
+            observations=1,
+            first_seen=keyframe,
+            last_seen=keyframe,
+            kept=identity,
         )
 
     def add_corner(self, position: Floats, headings: Floats, walls: Floats, keyframe: int) -> int:
@@ -107,6 +114,7 @@ class Landmarks:
         row["low"] = min(row["low"], along + other["low"])
         row["high"] = max(row["high"], along + other["high"])
         row["observations"] += other["observations"]
+        row["first_seen"] = min(row["first_seen"], other["first_seen"])
         row["last_seen"] = max(row["last_seen"], other["last_seen"])
 
     def walls_near(self, pose: se2.Pose, radius: float) -> NDArray[np.int64]:

@@ -6,7 +6,7 @@ the information of its two segments, and the segments' factors keep the rest: th
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import defaultdict, deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +30,7 @@ CONFIRMING_KEYFRAMES = (
 )
 REACH_MARGIN = 2.0  # metres beyond what the keyframe itself saw, within which the map is compared with the next scans
 WELL_KNOWN_OBSERVATIONS = 4  # keyframes after which a wall can judge the scatter of what is seen of it
+KEPT_VIEWS = 25  # keyframes whose segments are kept for judging loop closures
 REFRESH_ALL = 20  # keyframes after which the estimate of every landmark is read back, not only of those around
 SMALLEST_REACH = 0.2  # metres: a corner nearer to the base's origin has no bearing to speak of
 
@@ -69,6 +70,8 @@ class Mapper:
         self.flatness = WallFlatness()
         self.keyframe_count = 0
         self.pose = np.zeros(3)  # of the last keyframe
+        self.ways = [0.0]  # metres driven up to each keyframe
+        self.views: deque[tuple[int, Segments]] = deque(maxlen=KEPT_VIEWS)
         self.pose_covariances: list[Floats] = []  # of the keyframes when they were added, (3, 3) in the map's axes
         self._waiting_walls: dict[int, list[tuple[int, se2.Pose, Floats]]] = defaultdict(list)
         self._waiting_corners: dict[int, list[tuple[int, Floats, Floats]]] = defaultdict(list)
@@ -89,6 +92,8 @@ class Mapper:
             self.graph.add_first_keyframe(pose)
         else:
             self.graph.add_keyframe(keyframe, pose, *motion)
+            self.ways.append(self.ways[-1] + float(np.hypot(motion[0][0], motion[0][1])))
+        self.views.append((keyframe, segments))
         walls, new_walls = self._name_walls(keyframe, pose, segments, association, local_map)
         corner_landmarks = self._name_corners(keyframe, pose, corners, walls, association, local_map)
         self._observe(keyframe, pose, segments, corners, walls, corner_landmarks)
@@ -189,21 +194,35 @@ class Mapper:
     def refresh(self, view: KeyframeView) -> tuple[LocalMap, Merge | None]:
         """Read the estimate back, learn from it, and return the map around the last keyframe, of which `view` is;
         and the walls that turned out to be one, if any."""
-        reach = REACH_MARGIN + view.segments.reach()
         everything = (self.keyframe_count - 1) % REFRESH_ALL == 0
-        self._read_back(None if everything else reach)
+        self._read_back(None if everything else REACH_MARGIN + view.segments.reach())
         self._keep_covariances(view)
         self._learn_flatness(view)
-        local_map = local_map_around(self.landmarks, self.pose, reach, self.pose_covariances)
+        local_map = self.local_map(view)
         merge = self._merge(local_map, view)
-        if merge:
-            local_map = local_map_around(self.landmarks, self.pose, reach, self.pose_covariances)
-        return local_map, merge
+        return self.local_map(view) if merge else local_map, merge
+
+    def local_map(self, view: KeyframeView) -> LocalMap:
+        """The map around the last keyframe, as far as that keyframe saw and a little farther."""
+        reach = REACH_MARGIN + view.segments.reach()
+        return local_map_around(self.landmarks, self.pose, reach, self.pose_covariances)
+
+    def merge_walls(self, kept: int, absorbed: int) -> None:
+        """Two walls are one. Takes effect in the graph with its next update."""
+        walls = self.landmarks.walls.rows
+        along = float(se2.between(walls["frame"][kept], walls["frame"][absorbed])[0])
+        self.graph.tie_walls(kept, absorbed, along)
+        self.landmarks.absorb(kept, absorbed)
 
     def settle(self) -> None:
         """Bring the estimate to rest: everything linearised anew, then read back."""
         self.graph.settle()
+        self.read_back_all()
+
+    def read_back_all(self) -> None:
+        """Take the whole estimate from the graph."""
         self.pose = self.graph.keyframe_pose(self.keyframe_count - 1)
+        self.pose_covariances[-1] = self.graph.relative_covariances(self.keyframe_count - 1, [], [])[0]
         self._read_back(None)
 
     def _read_back(self, radius: float | None) -> None:
@@ -224,8 +243,7 @@ class Mapper:
         if found is None:
             return None
         first, second = int(local_map.walls[found.first]), int(local_map.walls[found.second])
-        self.graph.tie_walls(first, second, found.along)
-        self.landmarks.absorb(first, second)
+        self.merge_walls(first, second)
         return Merge(first, second, found.distance)
 
     def _keep_covariances(self, view: KeyframeView) -> None:

@@ -30,6 +30,7 @@ from .events import (
     TruthSeen,
 )
 from .local_map import empty_local_map
+from .loops.closer import LoopCloser
 from .mapper import KeyframeView, Mapper, Merge
 from .odometry import OdometryHistory, OdometryNoise, fused_motion
 from .path import Path
@@ -74,6 +75,7 @@ class Slam:
         self._local_map = empty_local_map()
         self._recent_points = RecentPoints()
         self._point_field = self._recent_points.field(np.zeros((0, 3)))
+        self._loops = LoopCloser()
         self._tracker = Tracker(self._odometry_noise)
         self._path = Path()
         self._statistics = RunStatistics()
@@ -172,6 +174,11 @@ class Slam:
         view = mapper.add_keyframe(self._pose, motion, seen.segments, seen.corners, association, self._local_map)
         clock.lap("graph")
         self._local_map, merge = mapper.refresh(view)
+        decision = self._loops.look(mapper)
+        if decision is not None:
+            self._statistics.loops.append(decision)
+            if decision.status == "accepted":
+                self._local_map = mapper.local_map(view)
         self._recent_points.add(mapper.keyframe_count - 1, seen.points)
         self._point_field = self._recent_points.field(mapper.graph.some_poses(self._recent_points.keyframes))
         self._pose, self._keyframe_odometry = mapper.pose, odometry

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .loops.closer import LoopDecision
+
 
 class Clock:
     """Milliseconds by stage of one scan's work."""
@@ -37,6 +39,7 @@ class RunStatistics:
     searched: int = 0
     unplaced: int = 0
     merged_walls: int = 0
+    loops: list[LoopDecision] = field(default_factory=list)
     explained: list[float] = field(default_factory=list)
     keyframe_times: list[float] = field(default_factory=list)
     stage_times: dict[str, float] = field(default_factory=dict)

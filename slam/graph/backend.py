@@ -26,7 +26,7 @@ ODOMETRY_CAUCHY_SCALE = 2.0  # the same for odometry: single readings can be gro
 SETTLING_UPDATES = 3  # the first moves by what was left to the threshold, the last by less than a micrometre
 ALONG_SIGMA = 1.0  # metres; says once where along a wall its frame lies, which no observation does
 FIRST_POSE_SIGMAS = np.array([1e-3, 1e-3, 1e-4])  # metres, metres, radians: the first keyframe defines the map's frame
-SAME_WALL_SIGMAS = np.array([2e-3, 2e-4])  # metres across, radians: how equal two frames of one wall are
+SAME_WALL_SIGMAS = np.array([5e-3, 3e-3])  # metres across, radians: how equal two frames of one wall are
 
 
 def _pose2(pose: se2.Pose) -> gtsam.Pose2:
@@ -100,26 +100,48 @@ class FactorGraph:
         robust = gtsam.noiseModel.Robust.Create(self._observation_kernel, noise)
         self._factors.add(gtsam.BetweenFactorPose2(L(wall), L(other), gtsam.Pose2(along, 0.0, 0.0), robust))
 
-    def update(self) -> None:
-        """Bring everything added since the last update into the estimate.
+    def update(self) -> list[int]:
+        """Bring everything added since the last update into the estimate; returns the numbers of the new factors.
 
         Raises MapError where the geometry leaves a variable undetermined.
         """
-        self.factor_count += self._factors.size()
+        return self._update(gtsam.ISAM2UpdateParams())
+
+    def close_loop(self, old: int, keyframe: int, relative: se2.Pose, sigmas: Floats) -> list[int]:
+        """Pull a keyframe to where it stands relative to an old one (sigmas (3,) in metres and radians), and settle.
+
+        No kernel: after drift the residual is large at first. Returns the numbers of the factors made.
+        """
+        noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+        self._factors.add(gtsam.BetweenFactorPose2(X(old), X(keyframe), _pose2(relative), noise))
+        made = self.update()
+        self.settle()
+        return made
+
+    def remove_factors(self, numbers: Sequence[int]) -> None:
+        """Take factors out again."""
+        parameters = gtsam.ISAM2UpdateParams()
+        parameters.removeFactorIndices = list(numbers)
+        parameters.force_relinearize = True
+        self._update(parameters)
+        self.factor_count -= len(numbers)
+
+    def _update(self, parameters: gtsam.ISAM2UpdateParams) -> list[int]:
         try:
-            self._isam.update(self._factors, self._values)
+            result = self._isam.update(self._factors, self._values, parameters)
         except RuntimeError as error:
             raise MapError(f"the map cannot be estimated: {str(error).strip().splitlines()[0]}") from error
+        self.factor_count += self._factors.size()
         self._factors = gtsam.NonlinearFactorGraph()
         self._values = gtsam.Values()
+        return list(result.getNewFactorsIndices())
 
     def settle(self) -> None:
         """Linearise everything anew until the estimate rests."""
         parameters = gtsam.ISAM2UpdateParams()
         parameters.force_relinearize = True
         for _ in range(SETTLING_UPDATES):
-            self._isam.update(self._factors, self._values, parameters)
-            self._factors = gtsam.NonlinearFactorGraph()
+            self._update(parameters)
 
     # --- the estimate
 

@@ -13,7 +13,7 @@ from ..segments import Floats, Segments
 from .constellation import Constellation, OldMap
 from .proposal import Hypothesis, distinct
 
-LEAST_EXPLAINED = 0.6  # share of the constellation's wall length that must fall on old walls
+LEAST_EXPLAINED = 0.4  # share of the constellation's wall length that must fall on old walls
 LEAST_MATCHES = 5  # walls
 WORST_SIGMA = 0.07  # metres: the motion must be determined in every direction, which parallel walls alone never do
 RUNNER_UP = 0.85  # a different motion that explains this share of what the best one does makes the place ambiguous

@@ -1,0 +1,138 @@
+"""Closing loops: look for old places every few metres, believe what is found twice, and make one map of both passes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drivers import se2
+
+from ..mapper import Mapper
+from ..segments import Floats
+from .constellation import OLD_WAY, recent_and_old
+from .proposal import Hypothesis, propose
+from .verification import Verdict, verify
+
+INTERVAL = 1.5  # metres of driving between two looks
+ANCHORED = (
+    0.5  # share of the constellation that has long been known: the robot is where it was before, nothing to close
+)
+AGREEMENT, AGREEMENT_TURN = 0.3, np.radians(3.0)  # by which two looks at different places may differ
+MEMORY = 12.0  # metres of driving after which a first look no longer counts
+CLOSURE_SIGMAS = np.array([0.03, 0.03, np.radians(0.5)])
+SAME_OFFSET, SAME_HEADING = 0.20, np.radians(6.0)  # what may be left between two walls that are made one
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopDecision:
+    """What was decided about a place that looked known, when and why.
+
+    candidate   running number
+    keyframe    from which it was decided; `old` is a keyframe that saw the place before
+    motion      [x, y, heading] by which the robot would move, in its own frame
+    verdict     of the tests on this look
+    status      "held" (waits for a second look), "accepted", "rejected"
+    merged      pairs (old, recent) of walls that were made one
+    shift       metres by which the last keyframe moved
+    """
+
+    candidate: int
+    keyframe: int
+    old: int
+    motion: se2.Pose
+    verdict: Verdict
+    status: str
+    merged: tuple[tuple[int, int], ...] = ()
+    shift: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _FirstLook:
+    hypothesis: Hypothesis
+    way: float
+
+
+class LoopCloser:
+    """Looks for loops as the map grows."""
+
+    def __init__(self) -> None:
+        self._last_way = 0.0
+        self._first: _FirstLook | None = None
+        self._candidates = 0
+
+    def look(self, mapper: Mapper) -> LoopDecision | None:
+        """Consider the last keyframe; where a loop is closed, the mapper's graph and landmarks are changed."""
+        way = mapper.ways[-1]
+        if way - self._last_way < INTERVAL:
+            return None
+        self._last_way = way
+        ways = np.array(mapper.ways)
+        recent, old = recent_and_old(mapper.landmarks, mapper.pose, ways)
+        known = way - ways[mapper.landmarks.walls.rows["first_seen"][recent.walls]] > OLD_WAY
+        if recent.half_length[known].sum() > ANCHORED * recent.half_length.sum():
+            return None
+        hypotheses = propose(recent, old, mapper.pose)
+        if not hypotheses:
+            return None
+        views = [(mapper.graph.keyframe_pose(k), segments) for k, segments in mapper.views]
+        verdict = verify(hypotheses, recent, old, mapper.pose, views)
+        return self._decide(mapper, hypotheses[0], verdict, recent.walls, old.constellation.walls)
+
+    def _decide(
+        self, mapper: Mapper, best: Hypothesis, verdict: Verdict, recent: Floats, old: Floats
+    ) -> LoopDecision | None:
+        pairs = [(int(old[j]), int(recent[i])) for i, j in enumerate(best.matches) if j >= 0]
+        if not pairs:
+            return None
+        self._candidates += 1
+        seen = mapper.landmarks.walls.rows["last_seen"]
+        old_keyframe = int(np.bincount(seen[[wall for wall, _ in pairs]]).argmax())
+        motion = se2.between(mapper.pose, se2.compose(best.motion, mapper.pose))
+        decision = LoopDecision(self._candidates, mapper.keyframe_count - 1, old_keyframe, motion, verdict, "rejected")
+        if not verdict.accepted:
+            return decision
+        way = mapper.ways[-1]
+        first, self._first = self._first, _FirstLook(best, way)
+        if first is None or way - first.way > MEMORY or not _agree(first.hypothesis.motion, best.motion, mapper.pose):
+            return replace(decision, status="held")
+        self._first = None
+        before = mapper.pose
+        merged = close(mapper, old_keyframe, best, pairs)
+        shift = float(np.hypot(*(mapper.pose - before)[:2]))
+        return replace(decision, status="accepted", merged=tuple(merged), shift=shift)
+
+
+def close(
+    mapper: Mapper, old_keyframe: int, hypothesis: Hypothesis, pairs: list[tuple[int, int]]
+) -> list[tuple[int, int]]:
+    """Bring the last keyframe to where the hypothesis has it, then make one of each pair of walls (old, recent).
+
+    The relative pose only carries the map over: once the walls are one they hold it, and it is taken out again, because
+    it was made of the same observations.
+    """
+    last = mapper.keyframe_count - 1
+    there = se2.compose(hypothesis.motion, mapper.pose)
+    relative = se2.between(mapper.graph.keyframe_pose(old_keyframe), there)
+    carrying = mapper.graph.close_loop(old_keyframe, last, relative, CLOSURE_SIGMAS)
+    mapper.read_back_all()
+    merged = []
+    for old, recent in pairs:
+        rows = mapper.landmarks.walls.rows
+        kept, absorbed = int(rows["kept"][old]), int(rows["kept"][recent])
+        left = se2.between(rows["frame"][kept], rows["frame"][absorbed])
+        middle = 0.5 * (rows["low"][absorbed] + rows["high"][absorbed])
+        if kept != absorbed and abs(left[1] + middle * np.sin(left[2])) < SAME_OFFSET and abs(left[2]) < SAME_HEADING:
+            mapper.merge_walls(kept, absorbed)
+            merged.append((kept, absorbed))
+    mapper.graph.update()
+    mapper.graph.settle()
+    mapper.graph.remove_factors(carrying)
+    mapper.graph.settle()
+    mapper.read_back_all()
+    return merged
+
+
+def _agree(motion: se2.Pose, other: se2.Pose, pose: se2.Pose) -> bool:
+    difference = se2.between(se2.compose(motion, pose), se2.compose(other, pose))
+    return bool(np.hypot(difference[0], difference[1]) < AGREEMENT and abs(difference[2]) < AGREEMENT_TURN)
