@@ -54,13 +54,13 @@ class LidarConfig(_Group):
 
 
 class OdometryConfig(_Group):
-    """How far wheel odometry strays: a random walk over the way driven, and what a single reading is worth."""
+    """How far wheel odometry strays over the way driven, and what a single reading is worth (standard deviations)."""
 
-    translation_walk: float = Field(0.05, ge=0, description="standard deviation after one metre of way, metres")
-    rotation_walk: float = Field(0.06, ge=0, description="standard deviation after one metre of way, radians")
-    translation_floor: float = Field(0.01, gt=0, description="standard deviation of a reading, metres")
-    rotation_floor: float = Field(math.radians(0.3), gt=0, description="standard deviation of a reading, radians")
-    learn: bool = Field(True, description="start from the walks above, and learn them by comparing with registration")
+    translation_error: float = Field(0.1, ge=0, description="metres of translation per metre of way")
+    rotation_walk: float = Field(0.06, ge=0, description="radians of heading after one metre of way; grows with its root")
+    translation_floor: float = Field(0.01, gt=0, description="metres, of a reading")
+    rotation_floor: float = Field(math.radians(0.3), gt=0, description="radians, of a reading")
+    learn: bool = Field(True, description="only start from the values above, and learn from registration while driving")
 
 
 class FeatureConfig(_Group):

@@ -14,7 +14,7 @@ from drivers import se2
 from drivers.messages import Scan
 from features.types import Lines
 
-from .odometry import OdometryHistory, way_of
+from .odometry import OdometryHistory, OdometryNoise, way_of
 from .segments import CornerPoints, Floats, Segments
 
 KNOTS = 8  # poses along the sweep between which the motion is taken as constant; a revolution of a slow lidar is 0.1 s
@@ -70,25 +70,23 @@ def deskew(scan: Scan, odometry: OdometryHistory, mount: se2.Pose) -> Sweep:
 
 
 def loosen(
-    segments: Segments, corners: CornerPoints, lines: Lines, sweep: Sweep, rates: Floats
+    segments: Segments, corners: CornerPoints, lines: Lines, sweep: Sweep, noise: OdometryNoise
 ) -> tuple[Segments, CornerPoints]:
-    """Add to the covariances what the motion during the sweep leaves uncertain.
-
-    `rates` (2,) are the odometry's variances of translation and rotation per metre of way.
-    """
+    """Add to the covariances what the odometry's `noise` leaves uncertain of the motion during the sweep."""
     if not len(segments) or not sweep.way.any():
         return segments, corners
     middle = np.where(lines.last >= lines.first, (lines.first + lines.last) // 2, 0)
-    way = sweep.way[middle]
+    translation, rotation = noise.variances(sweep.way[middle])
     across = np.column_stack([-np.sin(segments.frame[:, 2]), np.cos(segments.frame[:, 2])])
     lever = across[:, 1] * segments.frame[:, 0] - across[:, 0] * segments.frame[:, 1]
     covariance = segments.covariance.copy()
-    covariance[:, 0, 0] += way * (rates[0] + rates[1] * lever**2)
-    covariance[:, 0, 1] += way * rates[1] * lever
-    covariance[:, 1, 0] += way * rates[1] * lever
-    covariance[:, 1, 1] += way * rates[1]
-    corner_way = way[corners.segments].mean(axis=1)
+    covariance[:, 0, 0] += translation + rotation * lever**2
+    covariance[:, 0, 1] += rotation * lever
+    covariance[:, 1, 0] += rotation * lever
+    covariance[:, 1, 1] += rotation
+    shift, turn = (v[corners.segments].mean(axis=1)[:, None, None] for v in (translation, rotation))
     levers = np.column_stack([-corners.position[:, 1], corners.position[:, 0]])
-    turning = rates[1] * levers[:, :, None] * levers[:, None, :]
-    corner_covariance = corners.covariance + corner_way[:, None, None] * (rates[0] * np.eye(2) + turning)
-    return replace(segments, covariance=covariance), replace(corners, covariance=corner_covariance)
+    turning = turn * levers[:, :, None] * levers[:, None, :]
+    return replace(segments, covariance=covariance), replace(
+        corners, covariance=corners.covariance + shift * np.eye(2) + turning
+    )

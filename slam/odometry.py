@@ -72,22 +72,23 @@ class OdometryHistory:
 
 
 class OdometryNoise:
-    """How far wheel odometry strays, learned by comparing what it says of the motion between keyframes with what registration finds.
+    """How far wheel odometry strays, learned by comparing its motion between keyframes with what registration finds.
 
-    Errors are taken as a random walk over the way of the wheels, so variances grow with it. The median of the squared
-    errors is deaf to single gross ones, which the kernel of the graph's odometry factors has to bear.
+    Translation errs in proportion to the way (wheels are larger than believed, and slip), heading as a random walk over
+    it. The median of the squared errors is deaf to single gross ones, which the kernel of the graph's odometry factors
+    has to bear.
     """
 
     def __init__(self, config: OdometryConfig) -> None:
         self._config = config
-        self._start = np.array([config.translation_walk**2, config.rotation_walk**2])
+        self._start = np.array([config.translation_error**2, config.rotation_walk**2])
         self._samples: deque[tuple[float, float]] = deque(maxlen=WINDOW)
         self._rates = self._start
 
     @property
-    def rates(self) -> Floats:
-        """(2,): variance of translation (metres squared) and of rotation (radians squared) per metre of way."""
-        return self._rates
+    def deviations(self) -> Floats:
+        """(2,): standard deviations of translation after one metre of way (metres) and of heading (radians)."""
+        return np.sqrt(self._rates)
 
     def learn(self, claimed: se2.Pose, found: se2.Pose) -> None:
         """Take a motion [x, y, heading] as the odometry claims it, and as it was found to be."""
@@ -95,15 +96,19 @@ class OdometryNoise:
         if not self._config.learn or way < LEAST_WAY:
             return
         error = se2.between(claimed, found)
-        scale = NORMAL_MEDIAN * way
-        self._samples.append(((error[0] ** 2 + error[1] ** 2) / (2 * scale), error[2] ** 2 / scale))
+        squared = (error[0] ** 2 + error[1] ** 2) / 2
+        self._samples.append((squared / (NORMAL_MEDIAN * way**2), error[2] ** 2 / (NORMAL_MEDIAN * way)))
         observed = np.median(np.array(self._samples), axis=0)
         count = len(self._samples)
         self._rates = (count * observed + START_COUNT * self._start) / (count + START_COUNT)
 
+    def variances(self, way: Floats) -> tuple[Floats, Floats]:
+        """Variances (...,) of translation along each axis and of heading after `way` metres (...,)."""
+        return self._rates[0] * way**2, self._rates[1] * way
+
     def covariance(self, motion: se2.Pose) -> Floats:
         """(3, 3) covariance of a motion [x, y, heading] between two readings, in the frame of its end."""
-        translation, rotation = self._rates * way_of(motion)
+        translation, rotation = self.variances(np.asarray(way_of(motion)))
         translation += self._config.translation_floor**2
         rotation += self._config.rotation_floor**2
         return np.diag([translation, translation, rotation])

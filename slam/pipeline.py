@@ -140,7 +140,7 @@ class Slam:
         """What a scan shows, moved from the lidar's frame into the base's."""
         segments = segments_from_lines(features.lines, mount)
         corners = corner_points(features.corners, segments, mount)
-        segments, corners = loosen(segments, corners, features.lines, sweep, self._odometry_noise.rates)
+        segments, corners = loosen(segments, corners, features.lines, sweep, self._odometry_noise)
         points = [thinned(se2.transform(mount, some), MOST_POINTS) for some in sweep.points(features.lines)]
         return ScanFeatures(segments, corners, ScanPoints(*points))
 
@@ -250,7 +250,7 @@ class Slam:
             "keyframes": self._mapper.keyframe_count,
             "factors": self._mapper.graph.factor_count,
             "merged_walls": self._statistics.merged_walls,
-            "odometry_walk": [round(float(rate) ** 0.5, 5) for rate in self._odometry_noise.rates],
+            "odometry_deviation_per_metre": self._odometry_noise.deviations.round(5).tolist(),
             "sigma_range": round(self._extractor.noise.sigma_range, 5),
             "wall_unevenness": round(math.sqrt(self._mapper.flatness.variance), 5),
             "timings": self._statistics.timings(),

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from drivers import se2
+
 from .events import MapCorners, MapLines
 from .graph import FactorGraph
 from .landmarks import Landmarks
+from .segments import Floats
+
+LEAST_SINE = 0.2  # of the angle between two walls that meet in a corner
+STRAYED = 0.1  # metres from a corner beyond which its walls, as they are known now, no longer make it
 
 
 def map_lines(landmarks: Landmarks, graph: FactorGraph, *, covariances: bool) -> MapLines:
@@ -29,20 +35,50 @@ def map_lines(landmarks: Landmarks, graph: FactorGraph, *, covariances: bool) ->
 
 
 def map_corners(landmarks: Landmarks, graph: FactorGraph, *, covariances: bool) -> MapCorners:
-    """The confirmed corners, likewise."""
-    rows = landmarks.corners.rows
+    """The confirmed corners, likewise.
+
+    A corner lies on both of its walls, and the walls carry most of what was measured of it. So where both are in the map
+    the corner is where they meet, with the covariance that follows from theirs; elsewhere it is its own estimate.
+    """
+    rows, walls = landmarks.corners.rows, landmarks.walls.rows
     chosen = np.flatnonzero(rows["in_graph"])
+    lines = np.full((len(chosen), 2), -1)
+    position = rows["position"][chosen].copy()
     covariance = np.full((len(chosen), 2, 2), np.nan)
-    if covariances:
-        for row, corner in enumerate(chosen):
+    for row, corner in enumerate(chosen):
+        named = rows["walls"][corner]
+        lines[row] = np.where(named >= 0, walls["kept"][named], -1)
+        first, second = (int(wall) for wall in lines[row])
+        meeting = None
+        turn = walls["frame"][second, 2] - walls["frame"][first, 2]
+        if min(first, second) >= 0 and abs(np.sin(turn)) > LEAST_SINE and walls["in_graph"][[first, second]].all():
+            meeting, jacobian = _meeting(walls["frame"][first], walls["frame"][second])
+        if meeting is not None and np.hypot(*(meeting - position[row])) < STRAYED:
+            position[row] = meeting
+            if covariances:
+                covariance[row] = jacobian @ graph.walls_covariance(first, second) @ jacobian.T
+        elif covariances:
             covariance[row] = graph.corner_covariance(int(corner))
-    corners = rows[chosen]
-    kept = landmarks.walls.rows["kept"]
-    walls = corners["walls"]
     return MapCorners(
         identity=chosen,
-        position=corners["position"].copy(),
+        position=position,
         covariance=covariance,
-        lines=np.where(walls >= 0, kept[walls] if len(kept) else walls, -1),
-        observations=corners["observations"].copy(),
+        lines=lines,
+        observations=rows["observations"][chosen],
     )
+
+
+def _meeting(first: se2.Pose, second: se2.Pose) -> tuple[Floats, Floats]:
+    """Where two walls meet (2,), and how that moves (2, 4) with the offset and heading of either, at their frames.
+
+    A point p is on a wall with normal n through o where n . (p - o) = 0. Shifting the wall by y across itself and turning
+    it by t moves its line at p by y + s t, with s how far along the wall p is from o.
+    """
+    frames = np.stack([first, second])
+    along = np.column_stack([np.cos(frames[:, 2]), np.sin(frames[:, 2])])
+    normals = np.column_stack([-along[:, 1], along[:, 0]])
+    inverse = np.linalg.inv(normals)
+    point = inverse @ np.einsum("ij,ij->i", normals, frames[:, :2])
+    reach = np.einsum("ij,ij->i", along, point - frames[:, :2])
+    jacobian = np.column_stack([inverse[:, 0], reach[0] * inverse[:, 0], inverse[:, 1], reach[1] * inverse[:, 1]])
+    return point, jacobian

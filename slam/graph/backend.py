@@ -184,6 +184,11 @@ class FactorGraph:
         """(2, 2): covariance of a corner's position in the map."""
         return np.asarray(self._isam.marginalCovariance(C(corner)))
 
+    def walls_covariance(self, wall: int, other: int) -> Floats:
+        """(4, 4): joint covariance of two walls' offset and heading in the map, each at its own frame."""
+        joint = np.asarray(self._isam.jointMarginalCovariance([L(wall), L(other)]).fullMatrix())
+        return joint[np.ix_([1, 2, 4, 5], [1, 2, 4, 5])]
+
     def relative_covariances(
         self, keyframe: int, walls: Sequence[int], corners: Sequence[int]
     ) -> tuple[Floats, Floats, Floats]:
