@@ -9,7 +9,8 @@ A corner is a Point2 seen by bearing and range with a full covariance. All arith
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
 
 import gtsam
 import numpy as np
@@ -50,6 +51,8 @@ class FactorGraph:
         self._observation_kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(CAUCHY_SCALE)
         self._odometry_kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(ODOMETRY_CAUCHY_SCALE)
         self.factor_count = 0
+        self._new_observations: list[tuple[int, int, int]] = []  # wall, keyframe, place among the new factors
+        self._observations: dict[int, list[tuple[int, int]]] = defaultdict(list)  # wall: keyframes, factors' numbers
 
     # --- additions
 
@@ -78,6 +81,7 @@ class FactorGraph:
         """The wall's frame as seen from a keyframe; covariance (2, 2) of its offset across and its heading, there."""
         noise = gtsam.noiseModel.Gaussian.SqrtInformation(_root_information(covariance), False)
         robust = gtsam.noiseModel.Robust.Create(self._observation_kernel, noise)
+        self._new_observations.append((wall, keyframe, self._factors.size()))
         self._factors.add(gtsam.BetweenFactorPose2(X(keyframe), L(wall), _pose2(frame), robust))
 
     def add_corner(self, corner: int, position: Floats) -> None:
@@ -134,7 +138,19 @@ class FactorGraph:
         self.factor_count += self._factors.size()
         self._factors = gtsam.NonlinearFactorGraph()
         self._values = gtsam.Values()
-        return list(result.getNewFactorsIndices())
+        numbers = list(result.getNewFactorsIndices())
+        for wall, keyframe, place in self._new_observations:
+            self._observations[wall].append((keyframe, numbers[place]))
+        self._new_observations = []
+        return numbers
+
+    def forget_observations(self, walls: Iterable[int], since: int) -> None:
+        """Take out what keyframes from `since` on have observed of some walls: it was of others."""
+        numbers: list[int] = []
+        for wall in walls:
+            numbers += [number for keyframe, number in self._observations[wall] if keyframe >= since]
+            self._observations[wall] = [seen for seen in self._observations[wall] if seen[0] < since]
+        self.remove_factors(numbers)
 
     def settle(self) -> None:
         """Linearise everything anew until the estimate rests."""

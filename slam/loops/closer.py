@@ -9,8 +9,7 @@ import numpy as np
 from drivers import se2
 
 from ..mapper import Mapper
-from ..segments import Floats
-from .constellation import OLD_WAY, recent_and_old
+from .constellation import OLD_WAY, Integers, recent_and_old
 from .proposal import Hypothesis, propose
 from .verification import Verdict, verify
 
@@ -21,6 +20,7 @@ ANCHORED = (
 AGREEMENT, AGREEMENT_TURN = 0.3, np.radians(3.0)  # by which two looks at different places may differ
 MEMORY = 12.0  # metres of driving after which a first look no longer counts
 CLOSURE_SIGMAS = np.array([0.03, 0.03, np.radians(0.5)])
+STRANGE_OFFSET, STRANGE_HEADING = 0.10, np.radians(3.0)  # by which a wall that is the same may move across itself
 SAME_OFFSET, SAME_HEADING = 0.20, np.radians(6.0)  # what may be left between two walls that are made one
 
 
@@ -80,7 +80,7 @@ class LoopCloser:
         return self._decide(mapper, hypotheses[0], verdict, recent.walls, old.constellation.walls)
 
     def _decide(
-        self, mapper: Mapper, best: Hypothesis, verdict: Verdict, recent: Floats, old: Floats
+        self, mapper: Mapper, best: Hypothesis, verdict: Verdict, recent: Integers, old: Integers
     ) -> LoopDecision | None:
         pairs = [(int(old[j]), int(recent[i])) for i, j in enumerate(best.matches) if j >= 0]
         if not pairs:
@@ -114,6 +114,7 @@ def close(
     last = mapper.keyframe_count - 1
     there = se2.compose(hypothesis.motion, mapper.pose)
     relative = se2.between(mapper.graph.keyframe_pose(old_keyframe), there)
+    _part_from_strangers(mapper, hypothesis.motion, pairs)
     carrying = mapper.graph.close_loop(old_keyframe, last, relative, CLOSURE_SIGMAS)
     mapper.read_back_all()
     merged = []
@@ -131,6 +132,24 @@ def close(
     mapper.graph.settle()
     mapper.read_back_all()
     return merged
+
+
+def _part_from_strangers(mapper: Mapper, motion: se2.Pose, pairs: list[tuple[int, int]]) -> None:
+    """Drift has let some old walls be taken for others that happened to lie there; such observations would hold the map
+    where it is. A wall seen both before and during this pass must not move across itself with the pass; if it does,
+    what this pass saw was not it.
+    """
+    walls = mapper.landmarks.walls.rows
+    left_old = max(walls["last_seen"][old] for old, _ in pairs)
+    new = [walls["first_seen"][recent] for _, recent in pairs if walls["first_seen"][recent] > left_old]
+    if not new:
+        return
+    since = min(new)
+    both = np.flatnonzero(walls["in_graph"] & (walls["first_seen"] < since) & (walls["last_seen"] >= since))
+    moved = se2.between(walls["frame"][both], se2.compose(motion, walls["frame"][both])).reshape(-1, 3)
+    strangers = both[(np.abs(moved[:, 1]) > STRANGE_OFFSET) | (np.abs(moved[:, 2]) > STRANGE_HEADING)]
+    mapper.graph.forget_observations((int(wall) for wall in strangers), int(since))
+    walls["last_seen"][strangers] = left_old
 
 
 def _agree(motion: se2.Pose, other: se2.Pose, pose: se2.Pose) -> bool:
