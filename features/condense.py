@@ -44,6 +44,10 @@ CORNER_RANGE_SIGMAS = 6.0
 CORNER_RAYS = 8
 """Most rays between the walls of a corner."""
 
+END_RAYS = 1
+"""Rays at either end of a piece that its line is not fitted to: they may lie half beside the wall, or on the jamb
+around its edge, and always pull to the same side, so that no number of scans averages it out."""
+
 ADAPT_RAYS = 15
 """Least rays of a line that tells something about the range noise."""
 
@@ -146,7 +150,8 @@ def fit_piece(
     begin, end, sums = pieces.begin[piece], pieces.end[piece], pieces.sums[piece]
     if end - begin < settings.minimum_count:
         return False, math.nan
-    part = gather(rays, count, begin, end, room)
+    spare = min(END_RAYS, (end - begin - settings.minimum_count) // 2)
+    part = gather(rays, count, begin + spare, end - spare, room)
     u, v = line(pieces, piece)
     cuu = cuv = cvv = chi2 = math.nan
     used = 0
@@ -154,7 +159,7 @@ def fit_piece(
         u, v, cuu, cuv, cvv, chi2, used = reweighted(
             part.inverse, part.cos, part.sin, u, v, settings.sigma_range, settings.sigma_bearing, GATE
         )
-        if used < settings.minimum_count or used < MIN_INLIERS * (end - begin):
+        if used < settings.minimum_count or used < MIN_INLIERS * len(part.inverse):
             return False, math.nan
     variance = math.nan
     if used >= ADAPT_RAYS:
