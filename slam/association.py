@@ -1,4 +1,5 @@
-"""Which landmark each feature of a keyframe belongs to: nearest by Mahalanobis distance with propagated covariances.
+"""Which landmark each feature of a keyframe belongs to: likeliest by Mahalanobis distance with propagated covariances,
+and by how often the landmark was seen.
 
 A landmark takes one feature of a scan, except that pieces of one wall seen past an obstacle, which do not overlap
 along it, all belong to it.
@@ -25,9 +26,8 @@ WIDEST_OFFSET = 0.30  # metres: two faces of furniture this far apart are not on
 WIDEST_HEADING = math.radians(8.0)
 LARGEST_GAP = 1.0  # metres between what is known of a wall and a segment that continues it
 OVERLAP_IN_SCAN = 0.10  # metres by which two pieces of one wall may seem to overlap in one scan
-AMBIGUOUS_OFFSET = (
-    0.12  # metres: a segment this close to a known wall, yet outside the gate, is neither it nor a new one
-)
+# Metres: a segment this close to a known wall, yet outside the gate, is neither it nor a new one.
+AMBIGUOUS_OFFSET = 0.12
 AMBIGUOUS_HEADING = math.radians(6.0)
 CORNER_HEADING_GATE = math.radians(20.0)
 AMBIGUOUS_CORNER = 0.15  # metres, as above
@@ -36,9 +36,11 @@ UNMATCHED, AMBIGUOUS = -1, -2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Association:
-    """For each segment (n,) and corner (m,) the row of the local map it belongs to, UNMATCHED where it shows something new,
-    AMBIGUOUS where it is too close to something known to be new; and the squared Mahalanobis distance to the nearest
-    candidate, NaN without one."""
+    """For each segment (n,) and corner (m,) the row of the local map it belongs to.
+
+    UNMATCHED where it shows something new, AMBIGUOUS where it is too close to something known to be new. The distances
+    are squared Mahalanobis distances to the nearest candidate, NaN without one.
+    """
 
     walls: Integers
     wall_distance: Floats
@@ -54,32 +56,35 @@ def associate(
         pose, covariance, segments.frame, segments.half_length, segments.covariance,
         local_map.frame, local_map.low, local_map.high, local_map.wall_covariance, flatness,
     )  # fmt: skip
-    walls = _take_nearest(distance, low, high)
+    # A wall that was seen more often is the likelier one, by as much. Without that, two landmarks on one wall divide what
+    # is seen of it between them by the sign of its error, and the more they see the surer they are of being two.
+    odds = 2.0 * np.log(np.maximum(local_map.observations, 1))
+    walls = _take_likeliest(distance, distance - odds, low, high)
     corner_distance = _corner_distances(
         pose, covariance, corners.position, corners.headings, corners.covariance,
         local_map.position, local_map.headings, local_map.corner_covariance, flatness,
     )  # fmt: skip
     nowhere = np.zeros_like(corner_distance)
-    corner_rows = _take_nearest(corner_distance, nowhere, nowhere)
+    corner_rows = _take_likeliest(corner_distance, corner_distance, nowhere, nowhere)
     return Association(walls, _nearest(distance), corner_rows, _nearest(corner_distance))
 
 
 def _nearest(distance: Floats) -> Floats:
-    """The smallest finite distance of each row (negative ones mark ambiguity), NaN without one."""
-    size = np.abs(distance)
-    nearest = size.min(axis=1, initial=np.inf)
+    """The smallest finite distance of each row, NaN without one."""
+    nearest = distance.min(axis=1, initial=np.inf)
     return np.where(np.isfinite(nearest), nearest, np.nan)
 
 
-def _take_nearest(distance: Floats, low: Floats, high: Floats) -> Integers:
-    """Give features to landmarks, nearest pair first. A distance beyond the gate says that the pair is ambiguous."""
+def _take_likeliest(distance: Floats, surprise: Floats, low: Floats, high: Floats) -> Integers:
+    """Give features to landmarks, the least surprising pair within the gate first.
+
+    A feature with a finite distance but none within the gate is ambiguous.
+    """
     rows = np.where((np.isfinite(distance)).any(axis=1), AMBIGUOUS, UNMATCHED)
     taken: dict[int, list[tuple[float, float]]] = {}
-    order = np.argsort(distance, axis=None, kind="stable")
-    for flat in order:
+    within = np.flatnonzero(distance < GATE)
+    for flat in within[np.argsort(surprise.ravel()[within], kind="stable")]:
         feature, landmark = divmod(int(flat), distance.shape[1])
-        if not distance[feature, landmark] < GATE:
-            break
         if rows[feature] >= 0:
             continue
         span = (low[feature, landmark], high[feature, landmark])
