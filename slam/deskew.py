@@ -7,15 +7,18 @@ average out over a wall's rays: it goes into the covariance of what is made of t
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from drivers import se2
 from drivers.messages import Scan
-from features.types import Lines
 
 from .odometry import OdometryHistory, OdometryNoise, way_of
 from .segments import CornerPoints, Floats, Segments
+
+if TYPE_CHECKING:
+    from features.types import Lines
 
 KNOTS = 8  # poses along the sweep between which the motion is taken as constant; a revolution of a slow lidar is 0.1 s
 

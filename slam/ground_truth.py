@@ -25,16 +25,14 @@ from .trajectory import Trajectory
 FARTHEST = 0.15  # metres between a mapped thing and the true one it is taken for
 WIDEST = np.radians(15.0)  # the same, of direction; the other face of a wall runs the opposite way
 LEAST_COVERED = 0.5  # of a mapped wall that true walls must cover
-WIDEST_JOINT = 0.15  # metres by which two true walls may miss each other and still have a corner where their lines meet
-LEAST_SINE = 0.17  # of the angle between two walls with a corner
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Nees:
     """NEES of k keyframes (3 degrees of freedom each), n walls and m corners (2 each) of one run.
 
-    Keyframe 0 is left out: it is true by definition. NaN stands for walls and corners that are nothing straight in the
-    world, such as a column. true_walls (n,) and true_corners (m,) are indices into the world's, -1 for none.
+    Keyframe 0 is left out: it is true by definition. NaN stands for walls that are nothing straight in the world, such
+    as those on a round table, and for corners of such.
     """
 
     poses: Floats
@@ -64,7 +62,7 @@ def compare(finished: Finished, covariances: Floats, world: World, truth: Trajec
     return Nees(
         poses=pose_nees(finished.keyframes[1:], covariances[1:], in_map[1:]),
         walls=wall_nees(finished.lines, walls),
-        corners=corner_nees(finished.corners, true_corners(walls)),
+        corners=corner_nees(finished.corners, finished.lines, walls),
     )
 
 
@@ -119,26 +117,27 @@ def wall_nees(lines: MapLines, walls: TrueWalls) -> Floats:
     return result
 
 
-def true_corners(walls: TrueWalls) -> Floats:
-    """(m, 2): where true walls meet, or would if they were a little longer."""
-    heading = walls.frame[:, 2]
-    start = walls.frame[:, :2]
-    along = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-    i, j = np.triu_indices(len(walls.length), 1)
-    sine = along[i, 0] * along[j, 1] - along[i, 1] * along[j, 0]
-    i, j, sine = (part[np.abs(sine) > LEAST_SINE] for part in (i, j, sine))
-    offset = start[j] - start[i]
-    first = (offset[:, 0] * along[j, 1] - offset[:, 1] * along[j, 0]) / sine
-    second = (offset[:, 0] * along[i, 1] - offset[:, 1] * along[i, 0]) / sine
-    meets = (np.abs(first - walls.length[i] / 2) < walls.length[i] / 2 + WIDEST_JOINT) & (
-        np.abs(second - walls.length[j] / 2) < walls.length[j] / 2 + WIDEST_JOINT
-    )
-    return np.unique(np.round(start[i] + first[:, None] * along[i], 9)[meets], axis=0)
+def corner_nees(corners: MapCorners, lines: MapLines, walls: TrueWalls) -> Floats:
+    """(m,) NEES of mapped corners against where the lines of their two true walls meet.
+
+    NaN where one of its walls is not in the map, or nothing true, or where the corner is far from that point.
+    """
+    match = np.append(match_walls(lines, walls), -1)
+    row_of = {int(identity): row for row, identity in enumerate(lines.identity)}
+    rows = np.array([[row_of.get(int(wall), -1) for wall in pair] for pair in corners.lines]).reshape(-1, 2)
+    first, second = match[rows].T
+    known = np.flatnonzero((first >= 0) & (second >= 0))
+    result = np.full(len(corners), np.nan)
+    truth = _meeting(walls.frame[first[known]], walls.frame[second[known]])
+    near = np.hypot(*(corners.position[known] - truth).T) < FARTHEST
+    known, truth = known[near], truth[near]
+    result[known] = point_nees(corners.position[known], corners.covariance[known], truth)
+    return result
 
 
-def corner_nees(corners: MapCorners, truth: Floats) -> Floats:
-    """(m,) NEES of mapped corners against the nearest of the true ones (c, 2), NaN for those that are none."""
-    distance = np.hypot(*(corners.position[:, None] - truth[None]).transpose(2, 0, 1))
-    nearest = distance.argmin(axis=1)
-    values = point_nees(corners.position, corners.covariance, truth[nearest])
-    return np.where(distance[np.arange(len(corners)), nearest] < FARTHEST, values, np.nan)
+def _meeting(first: Floats, second: Floats) -> Floats:
+    """(n, 2): where the x axes of frames (n, 3) meet; infinitely far or not a number where they are parallel."""
+    seen = se2.between(first, second)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along = seen[:, 0] - seen[:, 1] / np.tan(seen[:, 2])
+    return se2.transform(first, np.column_stack([along, np.zeros(len(first))]))
