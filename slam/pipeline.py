@@ -129,7 +129,7 @@ class Slam:
         if hold is Hold.NONE:
             return
         self._pose = found.pose
-        if hold is Hold.FIRM and (self._mapper.keyframe_count == 0 or self._moved_enough()):
+        if self._mapper.keyframe_count == 0 or self._moved_enough():
             view, merge = self._extend_map(seen, found, odometry, clock)
             self._keyframe_stamps.append(sweep.stamp)
             if self._sinks:
@@ -182,7 +182,7 @@ class Slam:
         self._recent_points.add(mapper.keyframe_count - 1, seen.points)
         self._point_field = self._recent_points.field(mapper.graph.some_poses(self._recent_points.keyframes))
         self._pose, self._keyframe_odometry = mapper.pose, odometry
-        self._tracker.move_to(self._pose, odometry)
+        self._tracker.correct(self._pose)
         clock.lap("local map")
         self._statistics.add_keyframe(clock)
         self._statistics.merged_walls += merge is not None

@@ -22,7 +22,7 @@ REACH = 12.0  # metres around the robot that the field covers
 RADIUS = 0.25  # metres from a cell within which its nearest point is known
 SEARCH_SIGMA = 0.10  # metres: a point this far from a known one scores 0.6
 SEARCH_STEP, SEARCH_HALF_WIDTH = 0.15, 1.5  # metres around the prediction
-SEARCH_TURN_STEP, SEARCH_HALF_TURN = math.radians(2.5), math.radians(60.0)
+SEARCH_TURN_STEP, SEARCH_HALF_TURN = math.radians(2.5), math.radians(80.0)
 SEARCH_POINTS = 120  # of the scan, evenly taken
 
 

@@ -1,8 +1,8 @@
 """Keeping hold of the robot's pose from scan to scan, also where odometry fails.
 
-Odometry may slip, stand still for a second and then catch up, or jump. A scan that neither falls on known walls nor on the
-points of the last keyframes is not believed at once, and a pose that had to be searched for is held beside the one that
-odometry tells until the next scan decides between them.
+Odometry may slip, stand still for a second and then catch up, or jump. A scan that falls neither on known walls nor on
+the points of the last keyframes is not believed where odometry puts it: its pose is searched for with the raw points,
+and a few scans that fit nowhere are left out before the place is taken for new.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ PREDICTION_SIGMAS = np.array([0.05, 0.05, np.radians(4.0)])
 EXPLAINED_ENOUGH = 0.5  # share of a scan's wall length on known walls that alone makes a pose believable
 LIKE_ENOUGH = 0.4  # likeness of a scan's points with those of the last keyframes that does
 CLEARLY_LIKER = 0.1  # by which the points must lie better at a searched pose than at the predicted one
-LEAST_EXPLAINED = 0.1  # share of wall length on known walls without which no searched pose is believed
+SEARCHED_LIKE = 0.5  # likeness that a searched pose must reach
 PATIENCE = 4  # scans in a row that may be lost before odometry is believed again: the place is new, then
 
 
@@ -33,8 +33,8 @@ class Hold(Enum):
     """How a scan's pose was found."""
 
     FIRM = "firm"  # it fits the map where odometry led to, give or take
-    SEARCHED = "searched"  # it fits the map elsewhere; the next scan must confirm that
-    NONE = "none"  # it fits nowhere
+    SEARCHED = "searched"  # it fits the map elsewhere
+    NONE = "none"  # it fits nowhere near
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,17 +50,22 @@ class Place:
 
 
 class Tracker:
-    """The last pose that is believed, and one that may replace it."""
+    """The last pose that is believed, and the odometry's at that time."""
 
     def __init__(self, noise: OdometryNoise) -> None:
         self._noise = noise
         self._firm: Place | None = None
-        self._searched: Place | None = None
         self._lost = 0
+        self._caught_up = False  # the last pose was searched for: odometry may make up for what it missed in one step
 
     def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
         """The pose at the last scan is `pose` in the map, as the map is now."""
-        self._firm, self._searched, self._lost = Place(pose, odometry), None, 0
+        self._firm, self._lost, self._caught_up = Place(pose, odometry), 0, False
+
+    def correct(self, pose: se2.Pose) -> None:
+        """The map has changed, and the pose at the last scan with it."""
+        assert self._firm is not None
+        self._firm = Place(pose, self._firm.odometry)
 
     def track(
         self, odometry: se2.Pose, scan: ScanFeatures, local_map: LocalMap, field: PointField, flatness: float
@@ -70,27 +75,26 @@ class Tracker:
             self.move_to(np.zeros(3), odometry)
         assert self._firm is not None
         prior = self.prior(odometry)
-        places = [self._firm] if self._searched is None else [self._firm, self._searched]
+        predictions = [self._firm.predict(odometry)]
+        if self._caught_up:
+            predictions.append(self._firm.pose)
         found = [
-            register(place.predict(odometry), prior, NEAR_STARTS, scan, local_map, field, flatness) for place in places
+            register(prediction, prior, NEAR_STARTS, scan, local_map, field, flatness) for prediction in predictions
         ]
-        best = max(found, key=lambda registration: registration.explained)
-        like = likeness(field, scan.points.all, best.pose)
-        if (
-            best.explained >= EXPLAINED_ENOUGH
-            or like >= LIKE_ENOUGH
-            or self._lost >= PATIENCE
-            or not len(local_map.walls)
-        ):
+        likes = [likeness(field, scan.points.all, registration.pose) for registration in found]
+        fits = [registration.explained + like for registration, like in zip(found, likes, strict=True)]
+        best, like = found[int(np.argmax(fits))], likes[int(np.argmax(fits))]
+        believable = best.explained >= EXPLAINED_ENOUGH or like >= LIKE_ENOUGH
+        if believable or self._lost >= PATIENCE or not len(local_map.walls):
             self.move_to(best.pose, odometry)
             return best, Hold.FIRM
-        self._lost += 1
-        searched, liker = search(field, scan.points.all, places[-1].predict(odometry))
-        if liker >= max(LIKE_ENOUGH, like + CLEARLY_LIKER):
+        searched, liker = search(field, scan.points.all, predictions[-1])
+        if liker >= max(SEARCHED_LIKE, like + CLEARLY_LIKER):
             far = register(searched, prior, NEAR_STARTS[:1], scan, local_map, field, flatness)
-            if far.explained >= LEAST_EXPLAINED:
-                self._searched = Place(far.pose, odometry)
-                return far, Hold.SEARCHED
+            self.move_to(far.pose, odometry)
+            self._caught_up = True
+            return far, Hold.SEARCHED
+        self._lost += 1
         return best, Hold.NONE
 
     def prior(self, odometry: se2.Pose) -> Floats:
