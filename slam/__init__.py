@@ -1,8 +1,9 @@
 """2-D SLAM on walls and corners.
 
 import drivers
-from slam import Slam
+from slam import Slam, warm_up
 
+warm_up()  # live only: compiles the first time, for half a minute, so that no scan has to wait for it
 slam = Slam()
 for message in drivers.open("intel.clf"):
     slam.add(message)
@@ -17,8 +18,20 @@ from .events import Event, Finished, MapCorners, MapLines, Sink
 
 if TYPE_CHECKING:
     from .pipeline import Slam
+    from .warmup import warm_up
 
-__all__ = ["Config", "Event", "Finished", "MapCorners", "MapLines", "Sink", "Slam", "SlamError", "load_config"]
+__all__ = [
+    "Config",
+    "Event",
+    "Finished",
+    "MapCorners",
+    "MapLines",
+    "Sink",
+    "Slam",
+    "SlamError",
+    "load_config",
+    "warm_up",
+]
 
 
 def __getattr__(name: str) -> Any:
@@ -27,4 +40,8 @@ def __getattr__(name: str) -> Any:
         from .pipeline import Slam
 
         return Slam
+    if name == "warm_up":
+        from .warmup import warm_up
+
+        return warm_up
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -56,8 +56,8 @@ def associate(
         pose, covariance, segments.frame, segments.half_length, segments.covariance,
         local_map.frame, local_map.low, local_map.high, local_map.wall_covariance, flatness,
     )  # fmt: skip
-    # A wall that was seen more often is the likelier one, by as much. Without that, two landmarks on one wall divide what
-    # is seen of it between them by the sign of its error, and the more they see the surer they are of being two.
+    # A wall that was seen more often is the likelier one, by as much. Without that, two landmarks on one wall divide
+    # what is seen of it between them by the sign of its error, and the more they see the surer they are of being two.
     odds = 2.0 * np.log(np.maximum(local_map.observations, 1))
     walls = _take_likeliest(distance, distance - odds, low, high)
     corner_distance = _corner_distances(

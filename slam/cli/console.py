@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from threading import Timer
 from typing import Annotated, TypeVar
 
 import typer
@@ -13,6 +15,9 @@ INTERRUPTED = 130
 """Exit status after Ctrl-C, as shells have it."""
 EVERY = 20
 """Items between two looks at the progress bar."""
+
+SLOW = 2.0
+"""Seconds after which a person wants to know what is going on."""
 
 Item = TypeVar("Item")
 
@@ -28,6 +33,18 @@ OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace resu
 def complain(text: str) -> None:
     """One line on stderr, whatever the text is."""
     typer.echo(f"wclm: {' '.join(text.split())}", err=True)
+
+
+@contextmanager
+def say_if_slow(text: str) -> Iterator[None]:
+    """Say `text` on stderr if what is inside the context takes its time."""
+    timer = Timer(SLOW, complain, [text])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def progress(items: Iterable[Item], total: int, doing: str) -> Iterator[Item]:

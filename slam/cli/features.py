@@ -27,20 +27,11 @@ def features(
     import drivers
     from drivers.errors import RecordingError
     from drivers.messages import Scan
-    from features import Extractor, Noise
 
     from ..config import load_config
+    from ..extraction import build_extractor
 
-    config = load_config(None, settings or ())
-    lidar = config.lidar
-    extractor = Extractor(
-        Noise(lidar.sigma_range, lidar.sigma_bearing),
-        method=config.features.segmentation,
-        estimator=config.features.estimator,
-        adapt_noise=lidar.adapt_noise,
-        range_min=lidar.range_min,
-        range_max=lidar.range_max,
-    )
+    extractor = build_extractor(load_config(None, settings or ()))
     source = drivers.open(recording)
     scans = (message for message in source if isinstance(message, Scan))
     count = 0

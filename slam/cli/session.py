@@ -19,11 +19,14 @@ from ..evaluation import ReferenceScore, score_reference
 from ..events import Event, Finished, Noticed
 from ..outputs import PICTURE, REVIEW, OutputDirectory, write_results
 from ..trajectory import Trajectory
-from .console import progress
+from .console import progress, say_if_slow
 from .report import summarise, versions
 
 if TYPE_CHECKING:
     from ..plots.style import Floats
+
+
+COMPILING = "compiling, once after an installation or a change; this takes about half a minute"
 
 
 @dataclass(slots=True)
@@ -84,7 +87,10 @@ def map_source(
     """
     with OutputDirectory(out, overwrite) as directory, ExitStack() as cleanup:
         from ..pipeline import Slam
+        from ..warmup import warm_up
 
+        with say_if_slow(COMPILING):
+            warm_up()
         notices, tally = Notices(), Tally()
         sinks: list[Any] = [notices]
         if review:

@@ -68,6 +68,7 @@ def fake_slam(monkeypatch: pytest.MonkeyPatch, finished: Finished) -> type:
                 poses=np.array([o.pose for o in self.odometry]),
             )
 
+    monkeypatch.setattr("slam.warmup.warm_up", lambda: None)  # first, as it imports the real pipeline
     monkeypatch.setattr("slam.pipeline.Slam", FakeSlam)
     return FakeSlam
 
