@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,9 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from .segments import Floats
+
+BEHIND_MARGIN = 0.5  # metres the robot may stand behind a wall's line and still be about to see it: drift, and far ends
+CELL = 0.1  # metres of wall whose having been seen is remembered together
 
 WALL = np.dtype(
     [
@@ -68,10 +72,12 @@ class Landmarks:
     def __init__(self) -> None:
         self.walls = Table(WALL)
         self.corners = Table(CORNER)
+        self.covered: list[set[int]] = []  # of each wall, the cells of CELL metres along it where it was seen
 
     def add_wall(self, frame: se2.Pose, half_length: float, keyframe: int) -> int:
         """A wall first seen from a keyframe, its `frame` at its centre. Returns its identity."""
         identity = len(self.walls)
+        self.covered.append(_cells(-half_length, half_length))
         return self.walls.append(
             frame=frame,
             low=-half_length,
@@ -94,6 +100,7 @@ class Landmarks:
         along = se2.between(row["frame"], frame)[0]
         row["low"] = min(row["low"], along - half_length)
         row["high"] = max(row["high"], along + half_length)
+        self.covered[wall] |= _cells(along - half_length, along + half_length)
         if row["last_seen"] != keyframe:
             row["observations"] += 1
             row["last_seen"] = keyframe
@@ -113,9 +120,15 @@ class Landmarks:
         along = se2.between(row["frame"], other["frame"])[0]
         row["low"] = min(row["low"], along + other["low"])
         row["high"] = max(row["high"], along + other["high"])
+        shift = round(along / CELL)
+        self.covered[kept] |= {cell + shift for cell in self.covered[absorbed]}
         row["observations"] += other["observations"]
         row["first_seen"] = min(row["first_seen"], other["first_seen"])
         row["last_seen"] = max(row["last_seen"], other["last_seen"])
+
+    def is_covered(self, wall: int, along: float) -> bool:
+        """Whether a wall was seen at a place `along` metres from its frame: between its ends there may be doors."""
+        return math.floor(along / CELL) in self.covered[wall]
 
     def walls_near(self, pose: se2.Pose, radius: float) -> NDArray[np.int64]:
         """Identities of the walls with a part within `radius` (metres) of the pose, and the pose on the side they are seen from."""
@@ -136,3 +149,8 @@ class Landmarks:
 BEHIND_MARGIN = (
     0.5  # metres the robot may stand behind a wall's line and still be about to see it: drift, and the far ends
 )
+
+
+def _cells(low: float, high: float) -> set[int]:
+    """The cells that lie wholly between two places along a wall."""
+    return set(range(math.ceil(low / CELL), math.floor(high / CELL)))

@@ -24,7 +24,7 @@ RELINEARIZE_THRESHOLD = 0.05  # metres and radians
 RELINEARIZE_SKIP = 10  # updates; a tenth of the cost of relinearising at each update, for the same result
 CAUCHY_SCALE = 4.0  # standard deviations at which an observation counts half
 ODOMETRY_CAUCHY_SCALE = 2.0  # the same for odometry: single readings can be grossly wrong
-SETTLING_UPDATES = 3  # the first moves by what was left to the threshold, the last by less than a micrometre
+SETTLING_UPDATES = 5  # the first moves by what was left to the threshold, the last by less than a micrometre
 ALONG_SIGMA = 1.0  # metres; says once where along a wall its frame lies, which no observation does
 FIRST_POSE_SIGMAS = np.array([1e-3, 1e-3, 1e-4])  # metres, metres, radians: the first keyframe defines the map's frame
 SAME_WALL_SIGMAS = np.array([5e-3, 3e-3])  # metres across, radians: how equal two frames of one wall are
@@ -121,6 +121,14 @@ class FactorGraph:
         made = self.update()
         self.settle()
         return made
+
+    def copy(self) -> FactorGraph:
+        """The same estimate, to go back to. Nothing may be waiting for `update`."""
+        other = FactorGraph()
+        other._isam = gtsam.ISAM2(self._isam)
+        other.factor_count = self.factor_count
+        other._observations = defaultdict(list, {wall: list(seen) for wall, seen in self._observations.items()})
+        return other
 
     def remove_factors(self, numbers: Sequence[int]) -> None:
         """Take factors out again."""

@@ -19,7 +19,8 @@ ANCHORED = (
 )
 AGREEMENT, AGREEMENT_TURN = 0.3, np.radians(3.0)  # by which two looks at different places may differ
 MEMORY = 12.0  # metres of driving after which a first look no longer counts
-CLOSURE_SIGMAS = np.array([0.03, 0.03, np.radians(0.5)])
+CARRYING_SIGMAS = np.array([0.01, 0.01, np.radians(0.2)])  # of the relative pose that only carries the map over
+LEAST_MERGED = 0.5  # share of the matched walls that must come together
 STRANGE_OFFSET, STRANGE_HEADING = 0.10, np.radians(3.0)  # by which a wall that is the same may move across itself
 SAME_OFFSET, SAME_HEADING = 0.20, np.radians(6.0)  # what may be left between two walls that are made one
 
@@ -76,7 +77,7 @@ class LoopCloser:
         if not hypotheses:
             return None
         views = [(mapper.graph.keyframe_pose(k), segments) for k, segments in mapper.views]
-        verdict = verify(hypotheses, recent, old, mapper.pose, views)
+        verdict = verify(hypotheses, recent, old, mapper.landmarks, mapper.pose, views)
         return self._decide(mapper, hypotheses[0], verdict, recent.walls, old.constellation.walls)
 
     def _decide(
@@ -99,6 +100,9 @@ class LoopCloser:
         self._first = None
         before = mapper.pose
         merged = close(mapper, old_keyframe, best, pairs)
+        if not merged:
+            refused = replace(verdict, accepted=False, reason="the map does not come together")
+            return replace(decision, verdict=refused)
         shift = float(np.hypot(*(mapper.pose - before)[:2]))
         return replace(decision, status="accepted", merged=tuple(merged), shift=shift)
 
@@ -109,29 +113,39 @@ def close(
     """Bring the last keyframe to where the hypothesis has it, then make one of each pair of walls (old, recent).
 
     The relative pose only carries the map over: once the walls are one they hold it, and it is taken out again, because
-    it was made of the same observations.
+    it was made of the same observations. Returns the walls merged; where too few of them come together, the map is left
+    as it was, and there are none.
     """
+    graph = mapper.graph.copy()
     last = mapper.keyframe_count - 1
     there = se2.compose(hypothesis.motion, mapper.pose)
     relative = se2.between(mapper.graph.keyframe_pose(old_keyframe), there)
     _part_from_strangers(mapper, hypothesis.motion, pairs)
-    carrying = mapper.graph.close_loop(old_keyframe, last, relative, CLOSURE_SIGMAS)
+    carrying = mapper.graph.close_loop(old_keyframe, last, relative, CARRYING_SIGMAS)
     mapper.read_back_all()
-    merged = []
-    for old, recent in pairs:
-        rows = mapper.landmarks.walls.rows
-        kept, absorbed = int(rows["kept"][old]), int(rows["kept"][recent])
-        left = se2.between(rows["frame"][kept], rows["frame"][absorbed])
-        middle = 0.5 * (rows["low"][absorbed] + rows["high"][absorbed])
-        if kept != absorbed and abs(left[1] + middle * np.sin(left[2])) < SAME_OFFSET and abs(left[2]) < SAME_HEADING:
-            mapper.merge_walls(kept, absorbed)
-            merged.append((kept, absorbed))
+    rows = mapper.landmarks.walls.rows
+    pairs = list(dict.fromkeys((int(rows["kept"][old]), int(rows["kept"][recent])) for old, recent in pairs))
+    together = [(old, recent) for old, recent in pairs if old != recent and _together(rows[old], rows[recent])]
+    if len(together) < LEAST_MERGED * len(pairs):
+        mapper.graph = graph
+        mapper.read_back_all()
+        return []
+    for old, recent in together:
+        if rows["kept"][old] == old and rows["kept"][recent] == recent:
+            mapper.merge_walls(old, recent)
     mapper.graph.update()
     mapper.graph.settle()
     mapper.graph.remove_factors(carrying)
     mapper.graph.settle()
     mapper.read_back_all()
-    return merged
+    return together
+
+
+def _together(wall: np.void, other: np.void) -> bool:
+    """Whether two walls lie on one line, in the middle of the second."""
+    left = se2.between(wall["frame"], other["frame"])
+    offset = left[1] + 0.5 * (other["low"] + other["high"]) * np.sin(left[2])
+    return bool(abs(offset) < SAME_OFFSET and abs(left[2]) < SAME_HEADING)
 
 
 def _part_from_strangers(mapper: Mapper, motion: se2.Pose, pairs: list[tuple[int, int]]) -> None:

@@ -14,7 +14,7 @@ from ..segments import Floats
 
 Integers = NDArray[np.int64]
 
-RECENT_WAY = 8.0  # metres of driving whose walls make the constellation, and its radius around the robot
+RECENT_WAY = 6.0  # metres of driving whose walls make the constellation, and its radius around the robot
 OLD_WAY = 15.0  # metres of driving after which a wall that was not seen again counts as old
 TRANSLATION_DRIFT = 0.05  # metres of drift to be expected a metre driven: three times what good wheels do
 ROTATION_DRIFT = np.radians(0.2)  # radians a metre

@@ -9,6 +9,7 @@ import numpy as np
 
 from drivers import se2
 
+from ..landmarks import Landmarks
 from ..segments import Floats, Segments
 from .constellation import Constellation, OldMap
 from .proposal import Hypothesis, distinct
@@ -19,8 +20,7 @@ LEAST_LENGTH = 6.0  # metres of wall that must fall on old walls
 WORST_SIGMA = 0.07  # metres: the motion must be determined in every direction, which parallel walls alone never do
 RUNNER_UP = 0.85  # a different motion that explains this share of what the best one does makes the place ambiguous
 MOST_CONTRADICTED = 0.10  # share of seen wall length that could not have been seen through the old walls
-SOLID = 0.4  # metres, half the length from which an old wall counts as blocking the view
-SHORTENED = 0.3  # metres by which views end before what they saw, and by which blocking walls are shortened
+SHORTENED = 0.3  # metres by which views end before what they saw, and by which old walls are shortened
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,6 +40,7 @@ def verify(
     hypotheses: Sequence[Hypothesis],
     recent: Constellation,
     old: OldMap,
+    landmarks: Landmarks,
     pose: se2.Pose,
     views: Sequence[tuple[se2.Pose, Segments]],
 ) -> Verdict:
@@ -50,7 +51,7 @@ def verify(
     matches = int((best.matches >= 0).sum())
     length = best.explained * recent.length()
     sigma = float(np.sqrt(np.linalg.eigvalsh(np.linalg.inv(best.information)[:2, :2])[-1]))
-    contradicted = contradiction(best.motion, old, views)
+    contradicted = contradiction(best.motion, old, landmarks, views)
     tests = (
         (best.explained >= LEAST_EXPLAINED, f"explains {best.explained:.0%} < {LEAST_EXPLAINED:.0%}"),
         (length >= LEAST_LENGTH, f"{length:.1f} m of wall < {LEAST_LENGTH:.0f} m"),
@@ -63,13 +64,15 @@ def verify(
     return Verdict(not reason, reason or "all tests passed", best.explained, matches, runner_up, sigma, contradicted)
 
 
-def contradiction(motion: se2.Pose, old: OldMap, views: Sequence[tuple[se2.Pose, Segments]]) -> float:
+def contradiction(
+    motion: se2.Pose, old: OldMap, landmarks: Landmarks, views: Sequence[tuple[se2.Pose, Segments]]
+) -> float:
     """Share of the wall length seen in `views` that old walls would have hidden, were the robot moved by `motion`."""
     eyes, targets, weights = _sight_lines(motion, views)
-    solid = old.constellation.half_length > SOLID
-    frame, half = old.constellation.frame[solid], old.constellation.half_length[solid] - SHORTENED
-    if not len(eyes) or not len(frame):
+    walls = old.constellation.walls
+    if not len(eyes) or not len(walls):
         return 0.0
+    frame = landmarks.walls.rows["frame"][walls]
     along = np.stack([np.cos(frame[:, 2]), np.sin(frame[:, 2])], axis=-1)
     normal = np.stack([-along[:, 1], along[:, 0]], axis=-1)
     eye_side = np.einsum("rwk,wk->rw", eyes[:, None] - frame[None, :, :2], normal)
@@ -78,7 +81,11 @@ def contradiction(motion: se2.Pose, old: OldMap, views: Sequence[tuple[se2.Pose,
     part = np.where(crossing, eye_side / np.where(crossing, eye_side - target_side, 1.0), 0.0)
     point = eyes[:, None] + part[..., None] * (targets - eyes)[:, None]
     at = np.einsum("rwk,wk->rw", point - frame[None, :, :2], along)
-    blocked = (crossing & (np.abs(at) < half)).any(axis=1)
+    ends = landmarks.walls.rows[["low", "high"]][walls]
+    crossing &= (at > ends["low"] + SHORTENED) & (at < ends["high"] - SHORTENED)
+    blocked = np.zeros(len(eyes), dtype=bool)
+    for ray, row in np.argwhere(crossing):
+        blocked[ray] |= landmarks.is_covered(int(walls[row]), float(at[ray, row]))
     return float(weights[blocked].sum() / weights.sum())
 
 
