@@ -27,6 +27,7 @@ GATES = np.array([0.5, 0.4, 0.3, 0.2, 0.15, 0.15])  # metres across, one a Gauss
 TURN_GATES = np.radians([8.0, 7.0, 6.0, 5.0, 4.0, 4.0])
 OFFSET_SIGMA = 0.05  # metres, of how well two walls that are one agree; walls are weighted by their length besides
 OVERLAP_MARGIN = 0.3  # metres beyond an old wall's known end where it may go on
+KNOWN_AROUND = 1.0  # metres around an old wall where the old map has been
 DISTINCT, DISTINCT_TURN = 0.5, math.radians(10.0)  # motions farther apart than this are different answers
 
 
@@ -35,19 +36,21 @@ class Hypothesis:
     """A motion of the recent constellation onto the old map.
 
     motion       [x, y, heading]: a recent thing at p in the map lies at transform(motion, p)
-    explained    share of the constellation's length that falls on old walls
+    explained    share of the constellation's length that falls on old walls, of what lies where the old map has been
+    length       metres of it that do
     information  (3, 3) of the motion from the matched walls, in the map's axes about the robot
     matches      (n,) row of the old map for each recent wall, -1 for none
     """
 
     motion: se2.Pose
     explained: float
+    length: float
     information: Floats
     matches: NDArray[np.int64]
 
 
 def propose(recent: Constellation, old: OldMap, pose: se2.Pose) -> list[Hypothesis]:
-    """Hypotheses, most explaining first; near-equal motions once."""
+    """Hypotheses, those that explain most length first; near-equal motions once."""
     if len(recent) < 3 or len(old.constellation) < 3:
         return []
     order = np.argsort(-recent.half_length, kind="stable")[:LONGEST]
@@ -62,18 +65,19 @@ def propose(recent: Constellation, old: OldMap, pose: se2.Pose) -> list[Hypothes
     starts = np.column_stack([(cells[:, :2] + 0.5) * CELL - reach - CELL, (cells[:, 2] + 0.5) * CELL_TURN - turn])
     found: list[Hypothesis] = []
     for start in starts:
-        motion, information, matches, length = _refine(
+        motion, information, matches, length, covered = _refine(
             start, recent.frame, recent.half_length, old.constellation.frame, old.constellation.half_length, pose[:2]
         )
-        hypothesis = Hypothesis(_about_origin(motion, pose), length / recent.length(), information, matches)
+        share = length / covered if covered else 0.0
+        hypothesis = Hypothesis(_about_origin(motion, pose), share, length, information, matches)
         if not any(not distinct(hypothesis.motion, other.motion, pose) for other in found):
             found.append(hypothesis)
         else:
             for row, other in enumerate(found):
-                if not distinct(hypothesis.motion, other.motion, pose) and hypothesis.explained > other.explained:
+                if not distinct(hypothesis.motion, other.motion, pose) and hypothesis.length > other.length:
                     found[row] = hypothesis
                     break
-    return sorted(found, key=lambda hypothesis: -hypothesis.explained)
+    return sorted(found, key=lambda hypothesis: -hypothesis.length)
 
 
 def distinct(motion: se2.Pose, other: se2.Pose, pose: se2.Pose) -> bool:
@@ -139,34 +143,35 @@ def _vote(frames, halves, olds, old_halves, translations, rotations, centre, rea
 
 @njit(cache=True)
 def _refine(start, frames, halves, olds, old_halves, centre):  # type: ignore[no-untyped-def]
-    """Gauss-Newton on [shift x, shift y, turn about centre]; the motion, its information, matches, length explained."""
+    """Gauss-Newton on [shift x, shift y, turn about centre]; the motion, its information, matches, the length explained
+    and the length of the walls that lie where the old map has been."""
     motion = start.copy()
     matches = np.full(len(frames), -1)
-    information, length = np.zeros((3, 3)), 0.0
+    information, length, covered = np.zeros((3, 3)), 0.0, 0.0
     for step in range(len(GATES)):
-        information, gradient, length = np.eye(3) * 1e-3, np.zeros(3), 0.0
+        information, gradient, length, covered = np.eye(3) * 1e-3, np.zeros(3), 0.0, 0.0
         c, s = math.cos(motion[2]), math.sin(motion[2])
         for i in range(len(frames)):
             x, y = frames[i, 0] - centre[0], frames[i, 1] - centre[1]
             lever_x, lever_y = c * x - s * y, s * x + c * y
             x, y = centre[0] + lever_x + motion[0], centre[1] + lever_y + motion[1]
-            best, overlap, offset, turned = np.inf, 0.0, 0.0, 0.0
+            best, overlap, offset, turned, known = np.inf, 0.0, 0.0, 0.0, False
             matches[i] = -1
             for j in range(len(olds)):
-                angle = _turn(frames[i, 2] + motion[2] - olds[j, 2])
-                if abs(angle) > TURN_GATES[step]:
-                    continue
                 oc, os = math.cos(olds[j, 2]), math.sin(olds[j, 2])
                 dx, dy = x - olds[j, 0], y - olds[j, 1]
-                across = -os * dx + oc * dy
-                if abs(across) > GATES[step]:
+                across, along = -os * dx + oc * dy, oc * dx + os * dy
+                known = known or math.hypot(across, max(0.0, abs(along) - old_halves[j])) < KNOWN_AROUND
+                angle = _turn(frames[i, 2] + motion[2] - olds[j, 2])
+                if abs(angle) > TURN_GATES[step] or abs(across) > GATES[step]:
                     continue
-                along = oc * dx + os * dy
                 reach = old_halves[j] + OVERLAP_MARGIN
                 shared = min(along + halves[i], reach) - max(along - halves[i], -reach)
                 distance = (across / GATES[step]) ** 2 + (angle / TURN_GATES[step]) ** 2
                 if shared > 0.0 and distance < best:
                     best, overlap, offset, turned, matches[i] = distance, min(shared, 2 * halves[i]), across, angle, j
+            if known:
+                covered += 2 * halves[i]
             if matches[i] < 0:
                 continue
             length += overlap
@@ -183,4 +188,4 @@ def _refine(start, frames, halves, olds, old_halves, centre):  # type: ignore[no
             gradient[2] += turn_weight * turned
         if step < len(GATES) - 1:
             motion = motion - np.linalg.solve(information, gradient)
-    return motion, information, matches, length
+    return motion, information, matches, length, max(covered, length)

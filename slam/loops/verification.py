@@ -14,7 +14,7 @@ from ..segments import Floats, Segments
 from .constellation import Constellation, OldMap
 from .proposal import Hypothesis, distinct
 
-LEAST_EXPLAINED = 0.4  # share of the constellation's wall length that must fall on old walls
+LEAST_EXPLAINED = 0.5  # share of the wall length seen where the old map has been that must fall on old walls
 LEAST_MATCHES = 4  # walls
 LEAST_LENGTH = 6.0  # metres of wall that must fall on old walls
 WORST_SIGMA = 0.07  # metres: the motion must be determined in every direction, which parallel walls alone never do
@@ -46,15 +46,14 @@ def verify(
 ) -> Verdict:
     """Judge the first of several hypotheses. `views` are the last keyframes' poses with the segments seen from them."""
     best = hypotheses[0]
-    others = [h.explained for h in hypotheses[1:] if distinct(h.motion, best.motion, pose)]
-    runner_up = max(others, default=0.0) / max(best.explained, 1e-9)
+    others = [h.length for h in hypotheses[1:] if distinct(h.motion, best.motion, pose)]
+    runner_up = max(others, default=0.0) / max(best.length, 1e-9)
     matches = int((best.matches >= 0).sum())
-    length = best.explained * recent.length()
     sigma = float(np.sqrt(np.linalg.eigvalsh(np.linalg.inv(best.information)[:2, :2])[-1]))
     contradicted = contradiction(best.motion, old, landmarks, views)
     tests = (
         (best.explained >= LEAST_EXPLAINED, f"explains {best.explained:.0%} < {LEAST_EXPLAINED:.0%}"),
-        (length >= LEAST_LENGTH, f"{length:.1f} m of wall < {LEAST_LENGTH:.0f} m"),
+        (best.length >= LEAST_LENGTH, f"{best.length:.1f} m of wall < {LEAST_LENGTH:.0f} m"),
         (matches >= LEAST_MATCHES, f"{matches} walls < {LEAST_MATCHES}"),
         (sigma <= WORST_SIGMA, f"one direction known to {sigma:.2f} m only"),
         (runner_up <= RUNNER_UP, f"another place explains {runner_up:.0%} as much"),
