@@ -14,9 +14,7 @@ from .proposal import Hypothesis, propose
 from .verification import Verdict, verify
 
 INTERVAL = 1.5  # metres of driving between two looks
-ANCHORED = (
-    0.5  # share of the constellation that has long been known: the robot is where it was before, nothing to close
-)
+LEAST_NEW = 4.0  # metres of new wall in the constellation: where all has long been known, there is nothing to close
 AGREEMENT, AGREEMENT_TURN = 0.3, np.radians(3.0)  # by which two looks at different places may differ
 MEMORY = 12.0  # metres of driving after which a first look no longer counts
 CARRYING_SIGMAS = np.array([0.01, 0.01, np.radians(0.2)])  # of the relative pose that only carries the map over
@@ -71,19 +69,19 @@ class LoopCloser:
         ways = np.array(mapper.ways)
         recent, old = recent_and_old(mapper.landmarks, mapper.pose, ways)
         known = way - ways[mapper.landmarks.walls.rows["first_seen"][recent.walls]] > OLD_WAY
-        if recent.half_length[known].sum() > ANCHORED * recent.half_length.sum():
+        if 2 * recent.half_length[~known].sum() < LEAST_NEW:
             return None
         hypotheses = propose(recent, old, mapper.pose)
-        if not hypotheses:
+        if len(hypotheses) < 2:
             return None
         views = [(mapper.graph.keyframe_pose(k), segments) for k, segments in mapper.views]
         verdict = verify(hypotheses, recent, old, mapper.landmarks, mapper.pose, views)
-        return self._decide(mapper, hypotheses[0], verdict, recent.walls, old.constellation.walls)
+        return self._decide(mapper, hypotheses[1], verdict, recent.walls, old.constellation.walls)
 
     def _decide(
         self, mapper: Mapper, best: Hypothesis, verdict: Verdict, recent: Integers, old: Integers
     ) -> LoopDecision | None:
-        pairs = [(int(old[j]), int(recent[i])) for i, j in enumerate(best.matches) if j >= 0]
+        pairs = [(int(old[j]), int(recent[i])) for i, j in enumerate(best.matches) if j >= 0 and old[j] != recent[i]]
         if not pairs:
             return None
         self._candidates += 1
@@ -154,8 +152,9 @@ def _part_from_strangers(mapper: Mapper, motion: se2.Pose, pairs: list[tuple[int
     what this pass saw was not it.
     """
     walls = mapper.landmarks.walls.rows
-    left_old = max(walls["last_seen"][old] for old, _ in pairs)
-    new = [walls["first_seen"][recent] for _, recent in pairs if walls["first_seen"][recent] > left_old]
+    ways = np.array(mapper.ways)
+    new = [walls["first_seen"][recent] for _, recent in pairs]
+    new = [keyframe for keyframe in new if ways[-1] - ways[keyframe] < OLD_WAY]
     if not new:
         return
     since = min(new)
@@ -163,7 +162,7 @@ def _part_from_strangers(mapper: Mapper, motion: se2.Pose, pairs: list[tuple[int
     moved = se2.between(walls["frame"][both], se2.compose(motion, walls["frame"][both])).reshape(-1, 3)
     strangers = both[(np.abs(moved[:, 1]) > STRANGE_OFFSET) | (np.abs(moved[:, 2]) > STRANGE_HEADING)]
     mapper.graph.forget_observations((int(wall) for wall in strangers), int(since))
-    walls["last_seen"][strangers] = left_old
+    walls["last_seen"][strangers] = since - 1
 
 
 def _agree(motion: se2.Pose, other: se2.Pose, pose: se2.Pose) -> bool:

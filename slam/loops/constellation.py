@@ -15,7 +15,7 @@ from ..segments import Floats
 Integers = NDArray[np.int64]
 
 RECENT_WAY = 6.0  # metres of driving whose walls make the constellation, and its radius around the robot
-OLD_WAY = 15.0  # metres of driving after which a wall that was not seen again counts as old
+OLD_WAY = 15.0  # metres of driving after which a wall belongs to the old map
 TRANSLATION_DRIFT = 0.05  # metres of drift to be expected a metre driven: three times what good wheels do
 ROTATION_DRIFT = np.radians(0.2)  # radians a metre
 LEAST_TRANSLATION, MOST_TRANSLATION = 0.6, 10.0  # metres
@@ -42,16 +42,21 @@ class Constellation:
 class OldMap:
     """Old walls near enough to be met again: a constellation, and per wall how far drift may have carried the robot from it.
 
-    translation (n,) metres, rotation (n,) radians.
+    left (n,) whether a wall has not been seen lately; translation (n,) metres, rotation (n,) radians.
     """
 
     constellation: Constellation
+    left: NDArray[np.bool_]
     translation: Floats
     rotation: Floats
 
 
 def recent_and_old(landmarks: Landmarks, pose: se2.Pose, ways: Floats) -> tuple[Constellation, OldMap]:
-    """Split the walls around the robot's pose. `ways` (k,) are the metres driven up to each keyframe."""
+    """The walls around the robot's pose seen lately, and those that have long been known.
+
+    A wall can be both: seen again, it speaks for where the robot is believed to be, as others may speak against it.
+    `ways` (k,) are the metres driven up to each keyframe.
+    """
     walls = landmarks.walls.rows
     active = walls["in_graph"] & (walls["kept"] == np.arange(len(walls)))
     since_seen = ways[-1] - ways[walls["last_seen"]]
@@ -60,14 +65,15 @@ def recent_and_old(landmarks: Landmarks, pose: se2.Pose, ways: Floats) -> tuple[
     visible = high - low > 0.2
     recents = _constellation(recent[visible], walls["frame"][recent[visible]], low[visible], high[visible])
 
-    translation = np.clip(TRANSLATION_DRIFT * since_seen, LEAST_TRANSLATION, MOST_TRANSLATION)
-    rotation = np.clip(ROTATION_DRIFT * since_seen, LEAST_ROTATION, MOST_ROTATION)
+    old = active & (ways[-1] - ways[walls["first_seen"]] > OLD_WAY)
+    gone = np.where(since_seen > RECENT_WAY, since_seen, np.max(since_seen[old], initial=0.0))
+    translation = np.clip(TRANSLATION_DRIFT * gone, LEAST_TRANSLATION, MOST_TRANSLATION)
+    rotation = np.clip(ROTATION_DRIFT * gone, LEAST_ROTATION, MOST_ROTATION)
     seen_from = se2.transform(se2.inverse(walls["frame"]), pose[:2])
     beyond = np.maximum(0.0, np.maximum(walls["low"] - seen_from[:, 0], seen_from[:, 0] - walls["high"]))
-    near = np.hypot(beyond, seen_from[:, 1]) < RECENT_WAY + translation
-    old = np.flatnonzero(active & near & (since_seen > OLD_WAY))
-    olds = _constellation(old, walls["frame"][old], walls["low"][old], walls["high"][old])
-    return recents, OldMap(olds, translation[old], rotation[old])
+    near = np.flatnonzero(old & (np.hypot(beyond, seen_from[:, 1]) < RECENT_WAY + translation))
+    olds = _constellation(near, walls["frame"][near], walls["low"][near], walls["high"][near])
+    return recents, OldMap(olds, since_seen[near] > RECENT_WAY, translation[near], rotation[near])
 
 
 def _clipped(frame: Floats, low: Floats, high: Floats, pose: se2.Pose) -> tuple[Floats, Floats]:

@@ -28,6 +28,7 @@ TURN_GATES = np.radians([8.0, 7.0, 6.0, 5.0, 4.0, 4.0])
 OFFSET_SIGMA = 0.05  # metres, of how well two walls that are one agree; walls are weighted by their length besides
 OVERLAP_MARGIN = 0.3  # metres beyond an old wall's known end where it may go on
 KNOWN_AROUND = 1.0  # metres around an old wall where the old map has been
+MOVED, MOVED_TURN = 0.2, math.radians(4.0)  # a motion smaller than this leaves the robot where it is
 DISTINCT, DISTINCT_TURN = 0.5, math.radians(10.0)  # motions farther apart than this are different answers
 
 
@@ -50,7 +51,7 @@ class Hypothesis:
 
 
 def propose(recent: Constellation, old: OldMap, pose: se2.Pose) -> list[Hypothesis]:
-    """Hypotheses, those that explain most length first; near-equal motions once."""
+    """First that the robot is where it is believed to be; then other hypotheses, those that explain most length first."""
     if len(recent) < 3 or len(old.constellation) < 3:
         return []
     order = np.argsort(-recent.half_length, kind="stable")[:LONGEST]
@@ -63,27 +64,34 @@ def propose(recent: Constellation, old: OldMap, pose: se2.Pose) -> list[Hypothes
     flat = flat[votes.ravel()[flat] > 0]
     cells = np.column_stack(np.unravel_index(flat, votes.shape)).astype(float)
     starts = np.column_stack([(cells[:, :2] + 0.5) * CELL - reach - CELL, (cells[:, 2] + 0.5) * CELL_TURN - turn])
+    stay = _refined(np.zeros(3), recent, old, pose, first=len(GATES) - 1)
     found: list[Hypothesis] = []
     for start in starts:
-        motion, information, matches, length, covered = _refine(
-            start, recent.frame, recent.half_length, old.constellation.frame, old.constellation.half_length, pose[:2]
-        )
-        share = length / covered if covered else 0.0
-        hypothesis = Hypothesis(_about_origin(motion, pose), share, length, information, matches)
-        if not any(not distinct(hypothesis.motion, other.motion, pose) for other in found):
+        hypothesis = _refined(start, recent, old, pose)
+        if not distinct(hypothesis.motion, stay.motion, pose, by=MOVED, turn=MOVED_TURN):
+            continue
+        equal = [row for row, other in enumerate(found) if not distinct(hypothesis.motion, other.motion, pose)]
+        if not equal:
             found.append(hypothesis)
-        else:
-            for row, other in enumerate(found):
-                if not distinct(hypothesis.motion, other.motion, pose) and hypothesis.length > other.length:
-                    found[row] = hypothesis
-                    break
-    return sorted(found, key=lambda hypothesis: -hypothesis.length)
+        elif hypothesis.length > found[equal[0]].length:
+            found[equal[0]] = hypothesis
+    return [stay, *sorted(found, key=lambda hypothesis: -hypothesis.length)]
 
 
-def distinct(motion: se2.Pose, other: se2.Pose, pose: se2.Pose) -> bool:
+def _refined(start: Floats, recent: Constellation, old: OldMap, pose: se2.Pose, first: int = 0) -> Hypothesis:
+    motion, information, matches, length, covered = _refine(
+        start, recent.frame, recent.half_length, old.constellation.frame, old.constellation.half_length, pose[:2], first
+    )
+    share = length / covered if covered else 0.0
+    return Hypothesis(_about_origin(motion, pose), share, length, information, matches)
+
+
+def distinct(
+    motion: se2.Pose, other: se2.Pose, pose: se2.Pose, by: float = DISTINCT, turn: float = DISTINCT_TURN
+) -> bool:
     """Whether two motions put the robot at `pose` at different places."""
     difference = se2.between(se2.compose(motion, pose), se2.compose(other, pose))
-    return bool(np.hypot(difference[0], difference[1]) > DISTINCT or abs(difference[2]) > DISTINCT_TURN)
+    return bool(np.hypot(difference[0], difference[1]) > by or abs(difference[2]) > turn)
 
 
 def _about_origin(motion: se2.Pose, pose: se2.Pose) -> se2.Pose:
@@ -142,13 +150,13 @@ def _vote(frames, halves, olds, old_halves, translations, rotations, centre, rea
 
 
 @njit(cache=True)
-def _refine(start, frames, halves, olds, old_halves, centre):  # type: ignore[no-untyped-def]
+def _refine(start, frames, halves, olds, old_halves, centre, first):  # type: ignore[no-untyped-def]
     """Gauss-Newton on [shift x, shift y, turn about centre]; the motion, its information, matches, the length explained
     and the length of the walls that lie where the old map has been."""
     motion = start.copy()
     matches = np.full(len(frames), -1)
     information, length, covered = np.zeros((3, 3)), 0.0, 0.0
-    for step in range(len(GATES)):
+    for step in range(first, len(GATES)):
         information, gradient, length, covered = np.eye(3) * 1e-3, np.zeros(3), 0.0, 0.0
         c, s = math.cos(motion[2]), math.sin(motion[2])
         for i in range(len(frames)):

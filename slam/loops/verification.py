@@ -16,6 +16,7 @@ from .proposal import Hypothesis, distinct
 
 LEAST_EXPLAINED = 0.5  # share of the wall length seen where the old map has been that must fall on old walls
 LEAST_MATCHES = 4  # walls
+LEAST_GAIN = 3.0  # metres of wall that must fall on old walls more than if nothing moved
 LEAST_LENGTH = 6.0  # metres of wall that must fall on old walls
 WORST_SIGMA = 0.07  # metres: the motion must be determined in every direction, which parallel walls alone never do
 RUNNER_UP = 0.85  # a different motion that explains this share of what the best one does makes the place ambiguous
@@ -44,9 +45,13 @@ def verify(
     pose: se2.Pose,
     views: Sequence[tuple[se2.Pose, Segments]],
 ) -> Verdict:
-    """Judge the first of several hypotheses. `views` are the last keyframes' poses with the segments seen from them."""
-    best = hypotheses[0]
-    others = [h.length for h in hypotheses[1:] if distinct(h.motion, best.motion, pose)]
+    """Judge the second of several hypotheses; the first is that nothing has to move.
+
+    `views` are the last keyframes' poses with the segments seen from them.
+    """
+    best = hypotheses[1]
+    others = [h.length for h in hypotheses[2:] if distinct(h.motion, best.motion, pose)]
+    gain = best.length - hypotheses[0].length
     runner_up = max(others, default=0.0) / max(best.length, 1e-9)
     matches = int((best.matches >= 0).sum())
     sigma = float(np.sqrt(np.linalg.eigvalsh(np.linalg.inv(best.information)[:2, :2])[-1]))
@@ -54,6 +59,7 @@ def verify(
     tests = (
         (best.explained >= LEAST_EXPLAINED, f"explains {best.explained:.0%} < {LEAST_EXPLAINED:.0%}"),
         (best.length >= LEAST_LENGTH, f"{best.length:.1f} m of wall < {LEAST_LENGTH:.0f} m"),
+        (gain >= LEAST_GAIN, f"{gain:.1f} m of wall more than staying < {LEAST_GAIN:.0f} m"),
         (matches >= LEAST_MATCHES, f"{matches} walls < {LEAST_MATCHES}"),
         (sigma <= WORST_SIGMA, f"one direction known to {sigma:.2f} m only"),
         (runner_up <= RUNNER_UP, f"another place explains {runner_up:.0%} as much"),
@@ -68,7 +74,7 @@ def contradiction(
 ) -> float:
     """Share of the wall length seen in `views` that old walls would have hidden, were the robot moved by `motion`."""
     eyes, targets, weights = _sight_lines(motion, views)
-    walls = old.constellation.walls
+    walls = old.constellation.walls[old.left]
     if not len(eyes) or not len(walls):
         return 0.0
     frame = landmarks.walls.rows["frame"][walls]
