@@ -21,13 +21,16 @@ if TYPE_CHECKING:
     from features.types import Lines
 
 KNOTS = 8  # poses along the sweep between which the motion is taken as constant; a revolution of a slow lidar is 0.1 s
+# Of the variance of heading that the odometry's random walk has over a sweep. The walk is learned from keyframe to
+# keyframe, ten times as far, and part of it grows with the way itself; with this share simulations are consistent.
+SWEEP_TURN_SHARE = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sweep:
     """A scan seen from where the lidar was at `stamp`.
 
-    ranges, bearings  (n,); bearings in the order of the beams, unwrapped, so a full turn may cover a little more or less
+    ranges, bearings  (n,); bearings in the order of the beams, unwrapped: a full turn may cover a little more or less
     way               (n,) metres the wheels rolled between each beam and the stamp
     """
 
@@ -37,9 +40,9 @@ class Sweep:
     way: Floats
 
     def points(self, lines: Lines) -> tuple[Floats, Floats]:
-        """The valid returns as points (p, 2) in the lidar's frame, and those of them (q, 2) that lie on none of `lines`."""
+        """The valid returns as points (p, 2) in the lidar's frame, and those (q, 2) that lie on none of `lines`."""
         points = np.column_stack([self.ranges * np.cos(self.bearings), self.ranges * np.sin(self.bearings)])
-        valid = np.isfinite(points).all(axis=1)
+        valid = np.asarray(np.isfinite(points).all(axis=1))
         loose = valid.copy()
         for first, last in zip(lines.first, lines.last, strict=True):
             if first <= last:
@@ -80,6 +83,7 @@ def loosen(
         return segments, corners
     middle = np.where(lines.last >= lines.first, (lines.first + lines.last) // 2, 0)
     translation, rotation = noise.variances(sweep.way[middle])
+    rotation = SWEEP_TURN_SHARE * rotation
     across = np.column_stack([-np.sin(segments.frame[:, 2]), np.cos(segments.frame[:, 2])])
     lever = across[:, 1] * segments.frame[:, 0] - across[:, 0] * segments.frame[:, 1]
     covariance = segments.covariance.copy()
