@@ -26,6 +26,7 @@ EXPLAINED_ENOUGH = 0.5  # share of a scan's wall length on known walls that alon
 LIKE_ENOUGH = 0.4  # likeness of a scan's points with those of the last keyframes that does
 CLEARLY_LIKER = 0.1  # by which the points must lie better at a searched pose than at the predicted one
 SEARCHED_LIKE = 0.5  # likeness that a searched pose must reach
+SEARCHED_POINTS = 30  # points that a scan must have for that: few of them lie well nearly everywhere
 PATIENCE = 4  # scans in a row that may be lost before odometry is believed again: the place is new, then
 
 
@@ -89,7 +90,7 @@ class Tracker:
             self.move_to(best.pose, odometry)
             return best, Hold.FIRM
         searched, liker = search(field, scan.points.all, predictions[-1])
-        if liker >= max(SEARCHED_LIKE, like + CLEARLY_LIKER):
+        if len(scan.points.all) >= SEARCHED_POINTS and liker >= max(SEARCHED_LIKE, like + CLEARLY_LIKER):
             far = register(searched, prior, NEAR_STARTS[:1], scan, local_map, field, flatness)
             self.move_to(far.pose, odometry)
             self._caught_up = True

@@ -1,0 +1,230 @@
+"""The whole pipeline on simulated drives, and on messages that are late, missing, empty or strange."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers import se2
+from drivers.messages import GroundTruth, Message, Odometry, Scan
+from drivers.simulator import Simulation
+from slam import Config, Slam
+from slam.errors import MapError
+from slam.evaluation import score_reference
+from slam.events import Event, Finished, KeyframeAdded, MapUpdated, ScanTracked, TruthSeen
+from slam.trajectory import Trajectory
+
+
+class Listener:
+    """Keeps every event."""
+
+    def __init__(self) -> None:
+        self.events: list[Event] = []
+
+    def handle(self, event: Event) -> None:
+        self.events.append(event)
+
+    def of(self, kind: type) -> list[Any]:
+        return [event for event in self.events if isinstance(event, kind)]
+
+
+def run(messages: Iterable[Message], config: Config | None = None, listener: Listener | None = None) -> Finished:
+    slam = Slam(config, [listener] if listener else [])
+    for message in messages:
+        slam.add(message)
+    return slam.finish()
+
+
+def error(finished: Finished, messages: Iterable[Message]) -> float:
+    """Root mean square distance from the true path, metres."""
+    truth = [message for message in messages if isinstance(message, GroundTruth)]
+    reference = Trajectory(np.array([t.stamp for t in truth]), np.array([t.pose for t in truth]))
+    return score_reference(Trajectory(finished.stamps, finished.poses), reference).figures()["ate_rmse"]
+
+
+def measured(messages: Iterable[Message]) -> list[Message]:
+    return [message for message in messages if not isinstance(message, GroundTruth)]
+
+
+@pytest.fixture(scope="module")
+def drive() -> list[Message]:
+    return list(Simulation("room", seed=3, duration=16.0))
+
+
+@pytest.fixture(scope="module")
+def drive_result(drive: list[Message]) -> Finished:
+    return run(drive)
+
+
+@pytest.mark.parametrize(("world", "duration", "bound"), [("room", 30.0, 0.006), ("office", 30.0, 0.015)])
+def test_simulated_drives_are_tracked_to_millimetres(world: str, duration: float, bound: float) -> None:
+    messages = list(Simulation(world, seed=1, duration=duration))
+    finished = run(messages)
+    assert error(finished, messages) < bound
+    odometry = [message.stamp for message in messages if isinstance(message, Odometry)]
+    np.testing.assert_array_equal(finished.stamps, odometry)
+    assert np.isfinite(finished.poses).all()
+    for covariance in (finished.lines.covariance, finished.corners.covariance):
+        assert np.linalg.eigvalsh(covariance).min() > 0
+    assert (finished.lines.high > finished.lines.low).all()
+
+
+@pytest.mark.xfail(reason="frames of walls slide along them, held by no more than a metre, and take their ends along")
+def test_a_room_has_its_walls_and_corners(drive_result: Finished) -> None:
+    length = drive_result.lines.high - drive_result.lines.low
+    long = np.sort(length[length > 3.5])
+    np.testing.assert_allclose(long, [4.2, 4.2, 6.4, 6.4], atol=0.1)
+    assert 4 <= len(drive_result.lines) <= 12
+    assert len(drive_result.corners) >= 4
+
+
+def test_events_tell_the_story_in_order(drive: list[Message]) -> None:
+    listener = Listener()
+    finished = run(drive, listener=listener)
+    scans = [message for message in drive if isinstance(message, Scan)]
+    keyframes, tracked = listener.of(KeyframeAdded), listener.of(ScanTracked)
+    assert [event.index for event in keyframes] == list(range(len(finished.keyframes)))
+    assert [event.stamp for event in keyframes] == list(finished.keyframe_stamps)
+    assert len(tracked) == len(scans)
+    assert (np.diff([event.stamp for event in tracked]) > 0).all()
+    assert len(listener.of(TruthSeen)) == sum(isinstance(message, GroundTruth) for message in drive)
+    assert listener.events[-1] is finished
+    assert listener.of(MapUpdated)[0].index == 0
+    seen: set[int] = set()
+    for event in keyframes:
+        assert len(event.line_match) == len(event.line_gate) == len(event.segments)
+        assert len(event.corner_match) == len(event.corner_gate) == len(event.corners)
+        assert not seen & set(event.new_lines)
+        seen |= set(event.new_lines)
+        assert set(event.line_match[event.line_match >= 0]) <= seen
+        assert np.linalg.eigvalsh(event.pose_covariance).min() > 0
+        assert len(event.points) > 0
+        assert np.isfinite(event.points).all()
+    assert set(finished.lines.identity) <= seen
+
+
+def test_listening_and_repeating_change_nothing(drive: list[Message], drive_result: Finished) -> None:
+    again = run(drive, listener=Listener())
+    assert again.poses.tobytes() == drive_result.poses.tobytes()
+    assert again.lines.frame.tobytes() == drive_result.lines.frame.tobytes()
+    assert again.lines.covariance.tobytes() == drive_result.lines.covariance.tobytes()
+    assert again.corners.position.tobytes() == drive_result.corners.position.tobytes()
+
+
+def test_truth_is_not_looked_at(drive: list[Message], drive_result: Finished) -> None:
+    assert run(measured(drive)).poses.tobytes() == drive_result.poses.tobytes()
+
+
+def test_scans_may_come_before_their_odometry(drive: list[Message], drive_result: Finished) -> None:
+    messages = measured(drive)
+    late = sorted(messages, key=lambda message: message.stamp + (0.15 if isinstance(message, Odometry) else 0.0))
+    assert run(late).poses.tobytes() == drive_result.poses.tobytes()
+
+
+def test_without_scans_or_odometry_there_is_no_map(drive: list[Message]) -> None:
+    with pytest.raises(MapError, match="no laser scan in it"):
+        run([])
+    with pytest.raises(MapError, match="no laser scan in it"):
+        run(message for message in drive if isinstance(message, Odometry))
+    with pytest.raises(MapError, match="scans, but no odometry"):
+        run(message for message in drive if isinstance(message, Scan))
+
+
+def test_duplicate_stamps_do_no_harm(drive: list[Message]) -> None:
+    assert error(run(message for message in measured(drive) for _ in range(2)), drive) < 0.01
+
+
+@pytest.mark.parametrize("kind", ["no returns", "no beams", "one beam", "infinite", "behind the wall"])
+def test_strange_scans_in_between_do_no_harm(drive: list[Message], kind: str) -> None:
+    def strange(scan: Scan) -> Scan:
+        nothing = np.zeros(0)
+        match kind:
+            case "no returns":
+                return replace(scan, ranges=np.full_like(scan.ranges, np.nan))
+            case "infinite":
+                return replace(scan, ranges=np.full_like(scan.ranges, np.inf))
+            case "no beams":
+                return replace(scan, ranges=nothing, angles=nothing, time_offsets=nothing)
+            case "one beam":
+                return replace(scan, ranges=np.ones(1), angles=np.zeros(1), time_offsets=np.zeros(1))
+        return replace(scan, ranges=np.where(np.arange(len(scan.ranges)) % 7 == 0, 0.02, scan.ranges))
+
+    count = 0
+    messages: list[Message] = []
+    for message in drive:
+        if isinstance(message, Scan):
+            count += 1
+            message = strange(message) if count % 5 == 0 else message
+        messages.append(message)
+    finished = run(messages)
+    assert error(finished, drive) < 0.012
+    assert np.isfinite(finished.poses).all()
+
+
+def test_a_run_of_empty_scans_is_bridged_by_odometry(drive: list[Message]) -> None:
+    messages = [
+        replace(message, ranges=np.full_like(message.ranges, np.nan))
+        if isinstance(message, Scan) and 6.0 < message.stamp < 7.5
+        else message
+        for message in drive
+    ]
+    finished = run(messages)
+    assert error(finished, drive) < 0.03
+    health = finished.summary["health"]
+    assert isinstance(health, dict)
+    assert health["empty_scans"] == 15
+
+
+def test_only_empty_scans_leave_the_odometry(drive: list[Message]) -> None:
+    messages = [
+        replace(message, ranges=np.full_like(message.ranges, np.nan)) if isinstance(message, Scan) else message
+        for message in measured(drive)
+    ]
+    finished = run(messages)
+    told = np.array([message.pose for message in messages if isinstance(message, Odometry)])
+    assert len(finished.lines) == len(finished.corners) == 0
+    moved = se2.between(finished.poses[0], finished.poses)
+    np.testing.assert_allclose(moved[:, :2], se2.between(told[0], told)[:, :2], atol=0.02)
+
+
+def test_the_number_of_beams_may_change(drive: list[Message]) -> None:
+    messages: list[Message] = []
+    for k, message in enumerate(drive):
+        if isinstance(message, Scan):
+            part = slice(None, None, 1 + k % 3)
+            message = replace(
+                message,
+                ranges=message.ranges[part],
+                angles=message.angles[part],
+                time_offsets=message.time_offsets[part],
+            )
+        messages.append(message)
+    assert error(run(messages), drive) < 0.012
+
+
+def test_the_mount_may_be_configured() -> None:
+    mount = (0.2, -0.1, 1.8)
+    messages = list(Simulation("room", seed=3, duration=10.0, mount=mount))
+    unknown = [replace(message, mount=None) if isinstance(message, Scan) else message for message in messages]
+    config = Config.model_validate({"lidar": {"mount": mount}})
+    finished = run(unknown, config)
+    assert finished.poses.tobytes() == run(messages).poses.tobytes()
+    assert error(finished, messages) < 0.01
+
+
+def test_the_map_can_be_looked_at_while_driving(drive: list[Message]) -> None:
+    slam = Slam()
+    assert len(slam.walls) == len(slam.corners) == 0
+    np.testing.assert_array_equal(slam.pose, np.zeros(3))
+    for message in drive:
+        slam.add(message)
+    assert len(slam.walls) >= 4
+    assert np.isnan(slam.walls.covariance).all()
+    pose = slam.pose
+    pose[:] = 99.0
+    assert np.abs(slam.pose).max() < 10.0
+    assert slam.keyframe_covariance(3).shape == (3, 3)
