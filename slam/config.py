@@ -56,12 +56,12 @@ class LidarConfig(_Group):
 class OdometryConfig(_Group):
     """How far wheel odometry strays over the way driven, and what a single reading is worth (standard deviations)."""
 
-    translation_error: float = Field(0.1, ge=0, description="metres of translation per metre of way")
-    rotation_walk: float = Field(
+    translation_error: Finite = Field(0.1, ge=0, description="metres of translation per metre of way")
+    rotation_walk: Finite = Field(
         0.06, ge=0, description="radians of heading after one metre of way; grows with its root"
     )
-    translation_floor: float = Field(0.01, gt=0, description="metres, of a reading")
-    rotation_floor: float = Field(math.radians(0.3), gt=0, description="radians, of a reading")
+    translation_floor: Finite = Field(0.01, gt=0, description="metres, of a reading")
+    rotation_floor: Finite = Field(math.radians(0.3), gt=0, description="radians, of a reading")
     learn: bool = Field(True, description="only start from the values above, and learn from registration while driving")
 
 

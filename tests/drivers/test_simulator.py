@@ -125,7 +125,8 @@ def test_mixed_pixels_lie_between_the_surfaces() -> None:
 
 
 def test_a_wall_at_grazing_incidence_has_no_mixed_pixels() -> None:
-    walls = np.array([[-30.0, -0.5, 30.0, -0.5], [30.0, -0.5, 30.0, 1.5], [30.0, 1.5, -30.0, 1.5], [-30, 1.5, -30, -0.5]])
+    corners = np.array([[-30.0, -0.5], [30.0, -0.5], [30.0, 1.5], [-30.0, 1.5]])
+    walls = np.hstack([corners, np.roll(corners, -1, axis=0)])
     hall = replace(square(), segments=walls, path=np.array([[0.0, 0.0], [10.0, 0.0]]))
     mixed = scans_of(list(Simulation(hall, duration=3.0, lidar=replace(QUIET, mixed=1.0))))
     clean = scans_of(list(Simulation(hall, duration=3.0, lidar=QUIET)))
