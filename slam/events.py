@@ -17,7 +17,7 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapLines:
-    """n walls. `frame` (n, 3) in the map: x along the wall, the side it is seen from at y > 0; known from `low` to `high` along x.
+    """n walls. `frame` (n, 3) in the map: x along the wall, seen from y > 0; known from `low` to `high` along x.
 
     `identity` (n,) never changes for a wall; `observations` (n,) counts keyframes; `covariance` (n, 2, 2) of the offset
     across the wall and of its heading at its frame's origin, NaN where it was not asked for.
@@ -42,7 +42,8 @@ class MapLines:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapCorners:
-    """m corners: `position` (m, 2) in the map, `covariance` (m, 2, 2) (NaN where not asked for), `lines` (m, 2) identities of their walls."""
+    """m corners: `position` (m, 2) in the map, `covariance` (m, 2, 2), NaN where not asked for, and
+    `lines` (m, 2), the identities of their walls, -1 where unknown."""
 
     identity: Integers
     position: Floats
@@ -56,7 +57,8 @@ class MapCorners:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanTracked:
-    """A scan was registered: the base's `pose` in the map, what odometry alone says, the share of its wall length that the map explains."""
+    """A scan was registered: the base's `pose` in the map, what odometry alone says, and the share of the scan's wall
+    length that the map explains."""
 
     stamp: float
     pose: Pose
@@ -69,6 +71,7 @@ class ScanTracked:
 class KeyframeAdded:
     """A scan became a keyframe. Everything is as the estimate stands after the update.
 
+    pose_covariance (3, 3) in the keyframe's own frame
     points        (p, 2) valid returns in the base's frame, metres
     line_match    (n,) identity of the wall each segment was associated with; -1: none yet
     line_gate     (n,) squared Mahalanobis distance of that association; NaN where there was no candidate

@@ -1,9 +1,9 @@
 """How flat the building's walls are: what real walls add to the noise that was propagated from the rays.
 
-A fit to a hundred rays claims a millimetre; plaster, skirting boards and the lidar's own systematic errors are worse than
-that, in some buildings more than in others. So the scatter of observations about their walls is watched while driving,
-and what the propagated covariance does not explain is added to it: unevenness of variance f at either end of a segment
-of length l moves it by f across and turns it by 12 f / l^2 (both variances).
+A fit to a hundred rays claims a millimetre; plaster, skirting boards and the lidar's own systematic errors are worse
+than that, in some buildings more than in others. So the scatter of observations about their walls is watched while
+driving, and what the propagated covariance does not explain is added to it: unevenness of variance f at either end
+of a segment of length l moves it by f across and turns it by 12 f / l^2 (both variances).
 """
 
 from __future__ import annotations

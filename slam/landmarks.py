@@ -43,7 +43,7 @@ CORNER = np.dtype(
 
 
 class Table:
-    """Rows of one structured type, growing; an index is an identity for good. `rows` is a view: assigning to it writes."""
+    """Rows of one structured type, growing; an index is an identity for good."""
 
     def __init__(self, dtype: np.dtype[np.void]) -> None:
         self._storage = np.zeros(256, dtype)
@@ -54,6 +54,7 @@ class Table:
 
     @property
     def rows(self) -> NDArray[np.void]:
+        """The rows in use, as a view: assigning to it writes."""
         return self._storage[: self._count]
 
     def append(self, **fields: Any) -> int:
@@ -95,7 +96,7 @@ class Landmarks:
         )
 
     def see_wall(self, wall: int, frame: se2.Pose, half_length: float, keyframe: int) -> None:
-        """A known wall seen again as a segment with its centre at `frame` (in the map): it may reach further than known."""
+        """A known wall seen again, as a segment with its centre at `frame` in the map; it may reach further now."""
         row = self.walls.rows[wall]
         along = se2.between(row["frame"], frame)[0]
         row["low"] = min(row["low"], along - half_length)
@@ -131,7 +132,7 @@ class Landmarks:
         return math.floor(along / CELL) in self.covered[wall]
 
     def walls_near(self, pose: se2.Pose, radius: float) -> NDArray[np.int64]:
-        """Identities of the walls with a part within `radius` (metres) of the pose, and the pose on the side they are seen from."""
+        """Identities of the walls with a part within `radius` (metres) of the pose that may be seen from there."""
         walls = self.walls.rows
         if not len(walls):
             return np.zeros(0, dtype=np.int64)

@@ -1,7 +1,7 @@
 """Building the map: keyframes, walls and corners go into the factor graph, and come back as the estimate.
 
-The same rays make a corner and the two lines that meet in it. So that they count once, a corner's factor takes a share of
-the information of its two segments, and the segments' factors keep the rest: the sum never exceeds what was measured.
+The same rays make a corner and the two lines that meet in it. So that they count once, a corner's factor takes a share
+of the information of its two segments, and their factors keep the rest: the sum never exceeds what was measured.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class Mapper:
     def _name_walls(
         self, keyframe: int, pose: se2.Pose, segments: Segments, association: Association, local_map: LocalMap
     ) -> tuple[Integers, Integers]:
-        """The identity of the wall each segment shows (-1: ambiguous), walls seen for the first time made; and those."""
+        """The identity of the wall each segment shows, -1 where ambiguous, making new walls; and the new ones."""
         frames = se2.compose(pose, segments.frame).reshape(-1, 3)
         named = np.full(len(segments), -1)
         new = []
@@ -226,7 +226,7 @@ class Mapper:
         self._read_back(None)
 
     def _read_back(self, radius: float | None) -> None:
-        """Take the estimate of the landmarks within `radius` (metres) of the last keyframe, or of all, from the graph."""
+        """Take the estimate of the landmarks within `radius` (metres) of the last keyframe, or all, from the graph."""
         walls, corners = self.landmarks.walls.rows, self.landmarks.corners.rows
         near_walls = np.arange(len(walls)) if radius is None else self.landmarks.walls_near(self.pose, radius)
         near_corners = np.arange(len(corners)) if radius is None else self.landmarks.corners_near(self.pose, radius)
@@ -271,7 +271,7 @@ class Mapper:
 
 
 def _move_along(frame: se2.Pose, covariance: Floats, towards: se2.Pose) -> tuple[se2.Pose, Floats]:
-    """A segment's frame and covariance, moved along the segment to where it passes the origin of the frame `towards`."""
+    """A segment's frame and covariance, moved along the segment to where it passes the origin of `towards`."""
     c, s = np.cos(frame[2]), np.sin(frame[2])
     along = c * (towards[0] - frame[0]) + s * (towards[1] - frame[1])
     carry = np.array([[1.0, along], [0.0, 1.0]])

@@ -13,7 +13,7 @@ from drivers import se2
 from .local_map import LocalMap
 from .segments import Floats
 
-GATE = 5.99  # squared Mahalanobis distance, chi-square with 2 degrees of freedom at 95 %: they must agree, not just be close
+GATE = 5.99  # squared Mahalanobis distance, chi-square with 2 degrees of freedom at 95 %: they must agree
 WIDEST_OFFSET = 0.10  # metres between two walls that may be one, where they overlap
 WIDEST_HEADING = math.radians(4.0)
 LEAST_OVERLAP = 0.2  # metres along the wall

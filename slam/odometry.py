@@ -56,7 +56,7 @@ class OdometryHistory:
         return np.array(self._poses).reshape(-1, 3)
 
     def at(self, stamp: float) -> se2.Pose:
-        """The pose at a stamp, on the motion between the readings around it; held before the first and after the last."""
+        """The pose at a stamp, between the readings around it; held before the first and after the last."""
         after = bisect.bisect_left(self._stamps, stamp)
         if after == len(self._stamps):
             return self._poses[-1]
@@ -88,7 +88,7 @@ class OdometryNoise:
     @property
     def deviations(self) -> Floats:
         """(2,): standard deviations of translation after one metre of way (metres) and of heading (radians)."""
-        return np.sqrt(self._rates)
+        return np.asarray(np.sqrt(self._rates))
 
     def learn(self, claimed: se2.Pose, found: se2.Pose) -> None:
         """Take a motion [x, y, heading] as the odometry claims it, and as it was found to be."""
@@ -127,7 +127,7 @@ def fused_motion(
     Walls say nothing along a corridor; door jambs and clutter do, with `point_information` (3, 3). The motion that
     registration `found` rests on them there. Where they say nothing, the motion stays the odometry's.
     """
-    fused = np.linalg.inv(np.linalg.inv(covariance) + point_information)
+    fused: Floats = np.asarray(np.linalg.inv(np.linalg.inv(covariance) + point_information), dtype=np.float64)
     correction = found - claimed
     correction[2] = se2.wrap(correction[2])
     return claimed + fused @ point_information @ correction, fused

@@ -35,8 +35,8 @@ class Path:
     def at_odometry(self, keyframe_poses: Floats, odometry: OdometryHistory) -> tuple[Floats, Floats]:
         """Stamps (m,) and poses (m, 3) at every odometry reading.
 
-        From the scan before it a reading is reached by odometry; what odometry misses up to the next scan is spread evenly
-        over the time between the two.
+        From the scan before it a reading is reached by odometry; what odometry misses up to the next scan is spread
+        evenly over the time between the two.
         """
         stamps, poses = self.at_scans(keyframe_poses)
         at = odometry.stamps

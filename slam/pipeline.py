@@ -1,4 +1,4 @@
-"""The story of a scan: measured, straightened, condensed into walls and corners, laid over the map, and made part of it."""
+"""The story of a scan: straightened, condensed into walls and corners, laid over the map, and made part of it."""
 
 from __future__ import annotations
 
@@ -159,11 +159,16 @@ class Slam:
     def _extend_map(
         self, seen: ScanFeatures, found: Registration, odometry: se2.Pose, clock: Clock
     ) -> tuple[KeyframeView, Merge | None]:
-        """Make the scan a keyframe: give its features to landmarks, solve, and see what the map around now looks like."""
+        """Make the scan a keyframe: give its features to landmarks, solve, close loops, see the map around anew."""
         mapper = self._mapper
-        uncertainty = np.linalg.inv(found.information + found.point_information + self._tracker.prior(odometry))
+        information = found.information + found.point_information + self._tracker.prior(odometry)
         association = associate(
-            self._pose, uncertainty, seen.segments, seen.corners, self._local_map, mapper.flatness.variance
+            self._pose,
+            np.asarray(np.linalg.inv(information), dtype=np.float64),
+            seen.segments,
+            seen.corners,
+            self._local_map,
+            mapper.flatness.variance,
         )
         clock.lap("association")
         motion = None
@@ -271,7 +276,7 @@ class Slam:
                 index=index,
                 stamp=stamp,
                 pose=mapper.pose,
-                pose_covariance=mapper.pose_covariances[-1],
+                pose_covariance=mapper.graph.keyframe_covariance(index),
                 odometry=self._keyframe_odometry,
                 points=points,
                 segments=view.segments,

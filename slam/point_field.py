@@ -97,7 +97,7 @@ def _spread(points, origin, squared, nearest):  # type: ignore[no-untyped-def]
     cells, span = len(squared), int(RADIUS / CELL)
     for index in range(len(points)):
         x, y = points[index, 0] - origin[0], points[index, 1] - origin[1]
-        row, column = int(math.floor(x / CELL)), int(math.floor(y / CELL))
+        row, column = math.floor(x / CELL), math.floor(y / CELL)
         if row < span or column < span or row >= cells - span or column >= cells - span:
             continue
         for i in range(row - span, row + span + 1):

@@ -1,4 +1,4 @@
-"""Where the robot stands in the local map: a scan's segments and corners laid over the landmarks near the predicted pose.
+"""Where the robot stands in the local map: what a scan shows, laid over the landmarks near the predicted pose.
 
 Odometry in turns can be wrong by many degrees, which would pair walls wrongly; so Gauss-Newton with shrinking gates is
 started from several headings around the prediction, and the pose that explains most wall wins.
@@ -97,7 +97,7 @@ def _register(  # type: ignore[no-untyped-def]
     walls, lows, highs, wall_covariances, corners, corner_headings, corner_covariances, flatness,
     loose, known, nearest, origin,
 ):  # fmt: skip
-    """Gauss-Newton from every start; the pose that explains clearly most wall length, its information and that length."""
+    """Gauss-Newton from every start; the pose that explains clearly most wall length, its information, that length."""
     best_pose, best_information, best_explained = prediction.copy(), np.zeros((3, 3)), -1.0
     best_point_information = np.zeros((3, 3))
     information, point_information, gradient = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
@@ -235,7 +235,7 @@ def _add_points(pose, points, known, nearest, origin, information, gradient):  #
     for p in range(len(points)):
         lever_x, lever_y = c * points[p, 0] - s * points[p, 1], s * points[p, 0] + c * points[p, 1]
         x, y = pose[0] + lever_x, pose[1] + lever_y
-        i, j = int(math.floor((x - origin[0]) / POINT_CELL)), int(math.floor((y - origin[1]) / POINT_CELL))
+        i, j = math.floor((x - origin[0]) / POINT_CELL), math.floor((y - origin[1]) / POINT_CELL)
         if i < 0 or j < 0 or i >= nearest.shape[0] or j >= nearest.shape[1] or nearest[i, j] < 0:
             continue
         dx, dy = x - known[nearest[i, j], 0], y - known[nearest[i, j], 1]

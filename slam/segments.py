@@ -3,7 +3,7 @@
 A segment is a frame on the wall: origin at the segment's centre, x along the wall so that the robot is on the left
 (y > 0 is the side the wall is seen from). What a line tells of that frame is its offset across the wall and its
 direction; along the wall it tells nothing. So a segment carries the covariance of (y, heading) in its own frame:
-there it is nearly diagonal, stays Gaussian for short and far segments, and does not depend on where the lidar is mounted.
+there it is nearly diagonal, stays Gaussian for short and far segments, and does not depend on the lidar's mount.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ STRAYED = 0.1  # metres from a corner beyond which its walls, as they are known 
 
 
 def map_lines(landmarks: Landmarks, graph: FactorGraph, *, covariances: bool) -> MapLines:
-    """The confirmed walls; with the covariances of their marginals if asked for, which takes about a millisecond each."""
+    """The confirmed walls; with the covariances of their marginals if asked for, about a millisecond each."""
     rows = landmarks.walls.rows
     chosen = np.flatnonzero(rows["in_graph"] & (rows["kept"] == np.arange(len(rows))))
     covariance = np.full((len(chosen), 2, 2), np.nan)
@@ -37,7 +37,7 @@ def map_lines(landmarks: Landmarks, graph: FactorGraph, *, covariances: bool) ->
 def map_corners(landmarks: Landmarks, graph: FactorGraph, *, covariances: bool) -> MapCorners:
     """The confirmed corners, likewise.
 
-    A corner lies on both of its walls, and the walls carry most of what was measured of it. So where both are in the map
+    A corner lies on both of its walls, and they carry most of what was measured of it. So where both are in the map
     the corner is where they meet, with the covariance that follows from theirs; elsewhere it is its own estimate.
     """
     rows, walls = landmarks.corners.rows, landmarks.walls.rows
@@ -71,8 +71,8 @@ def map_corners(landmarks: Landmarks, graph: FactorGraph, *, covariances: bool) 
 def _meeting(first: se2.Pose, second: se2.Pose) -> tuple[Floats, Floats]:
     """Where two walls meet (2,), and how that moves (2, 4) with the offset and heading of either, at their frames.
 
-    A point p is on a wall with normal n through o where n . (p - o) = 0. Shifting the wall by y across itself and turning
-    it by t moves its line at p by y + s t, with s how far along the wall p is from o.
+    A point p is on a wall with normal n through o where n . (p - o) = 0. Shifting the wall by y across itself and
+    turning it by t moves its line at p by y + s t, with s how far along the wall p is from o.
     """
     frames = np.stack([first, second])
     along = np.column_stack([np.cos(frames[:, 2]), np.sin(frames[:, 2])])

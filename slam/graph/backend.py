@@ -63,7 +63,7 @@ class FactorGraph:
         self._factors.add(gtsam.PriorFactorPose2(X(0), _pose2(pose), noise))
 
     def add_keyframe(self, index: int, pose: se2.Pose, motion: se2.Pose, covariance: Floats) -> None:
-        """A keyframe near `pose`, reached from keyframe `index - 1` by the odometry's `motion` with its covariance (3, 3)."""
+        """A keyframe near `pose`, reached from the one before by odometry's `motion` with its covariance (3, 3)."""
         self._values.insert(X(index), _pose2(pose))
         noise = gtsam.noiseModel.Robust.Create(self._odometry_kernel, gtsam.noiseModel.Gaussian.Covariance(covariance))
         self._factors.add(gtsam.BetweenFactorPose2(X(index - 1), X(index), _pose2(motion), noise))
@@ -86,7 +86,7 @@ class FactorGraph:
 
     def add_corner(self, corner: int, position: Floats) -> None:
         """A corner near `position` in the map."""
-        self._values.insert(C(corner), gtsam.Point2(float(position[0]), float(position[1])))
+        self._values.insert(C(corner), np.asarray(position, dtype=np.float64))
 
     def observe_corner(self, keyframe: int, corner: int, position: Floats, covariance: Floats) -> None:
         """A corner's `position` in a keyframe's frame, with its covariance (2, 2)."""
@@ -216,7 +216,7 @@ class FactorGraph:
     def relative_covariances(
         self, keyframe: int, walls: Sequence[int], corners: Sequence[int]
     ) -> tuple[Floats, Floats, Floats]:
-        """How well a keyframe is known in the map, and landmarks as seen from it, the uncertainty common to both left out.
+        """How well a keyframe is known in the map, and landmarks as seen from it, what is common to both left out.
 
         Pose (3, 3), in the map's axes. Walls (n, 2, 2): of the offset across and the heading, at the wall's frame.
         Corners (m, 2, 2): of the position, in the map's axes. Cheap for the last keyframe and what it observed.

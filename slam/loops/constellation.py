@@ -1,4 +1,4 @@
-"""What is compared when a place may have been seen before: the walls of the last metres, as one rigid body, and the old map."""
+"""What is compared when a place may have been seen before: the walls of the last metres, rigid, and the old map."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Constellation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OldMap:
-    """Old walls near enough to be met again: a constellation, and per wall how far drift may have carried the robot from it.
+    """Old walls near enough to be met again, and for each how far drift may have carried the robot from it.
 
     left (n,) whether a wall has not been seen lately; translation (n,) metres, rotation (n,) radians.
     """

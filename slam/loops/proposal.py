@@ -1,7 +1,8 @@
 """Where the constellation of recent walls may lie on the old map.
 
-Two walls that are not parallel, laid on two old ones, fix a rigid motion. All such pairs vote in a grid of motions within
-what drift allows; the best cells are refined by Gauss-Newton on all walls, and scored by the length of wall they explain.
+Two walls that are not parallel, laid on two old ones, fix a rigid motion. All such pairs vote in a grid of motions
+within what drift allows; the best cells are refined by Gauss-Newton on all walls, and scored by the length of wall
+they explain.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ class Hypothesis:
 
 
 def propose(recent: Constellation, old: OldMap, pose: se2.Pose) -> list[Hypothesis]:
-    """First that the robot is where it is believed to be; then other hypotheses, those that explain most length first."""
+    """First that the robot is where it is believed to be; then others, those that explain most length first."""
     if len(recent) < 3 or len(old.constellation) < 3:
         return []
     order = np.argsort(-recent.half_length, kind="stable")[:LONGEST]
@@ -106,10 +107,12 @@ def _turn(angle):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _vote(frames, halves, olds, old_halves, translations, rotations, centre, reach, turn):  # type: ignore[no-untyped-def]
+def _vote(  # type: ignore[no-untyped-def]
+    frames, halves, olds, old_halves, translations, rotations, centre, reach, turn
+):
     """Votes, in metres of wall, for cells of motions [shift x, shift y, turn about `centre`]."""
-    across = 2 * int(math.ceil((reach + CELL) / CELL)) + 1
-    votes = np.zeros((across, across, 2 * int(math.ceil(turn / CELL_TURN)) + 1))
+    across = 2 * math.ceil((reach + CELL) / CELL) + 1
+    votes = np.zeros((across, across, 2 * math.ceil(turn / CELL_TURN) + 1))
     for a in range(len(frames)):
         for b in range(a + 1, len(frames)):
             angle = _turn(frames[b, 2] - frames[a, 2])

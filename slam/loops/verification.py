@@ -20,8 +20,8 @@ LEAST_GAIN = 3.0  # metres of wall that must fall on old walls more than if noth
 LEAST_LENGTH = 6.0  # metres of wall that must fall on old walls
 WORST_SIGMA = 0.07  # metres: the motion must be determined in every direction, which parallel walls alone never do
 RUNNER_UP = 0.85  # a different motion that explains this share of what the best one does makes the place ambiguous
-# Share of the wall length seen that could not have been seen through the old walls. Doors open and walls are moved: what
-# contradicts staying put as much says nothing against moving.
+# Share of the wall length seen that could not have been seen through the old walls. Doors open and things are moved:
+# what contradicts staying put as much says nothing against moving.
 MOST_CONTRADICTED = 0.10
 SHORTENED = 0.3  # metres by which views end before what they saw, and by which old walls are shortened
 
