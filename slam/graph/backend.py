@@ -25,7 +25,7 @@ RELINEARIZE_SKIP = 10  # updates; a tenth of the cost of relinearising at each u
 CAUCHY_SCALE = 4.0  # standard deviations at which an observation counts half
 ODOMETRY_CAUCHY_SCALE = 2.0  # the same for odometry: single readings can be grossly wrong
 SETTLING_UPDATES = 5  # the first moves by what was left to the threshold, the last by less than a micrometre
-ALONG_SIGMA = 1.0  # metres; says once where along a wall its frame lies, which no observation does
+ALONG_SIGMA = 0.1  # metres; says once where along a wall its frame lies, which no observation does
 FIRST_POSE_SIGMAS = np.array([1e-3, 1e-3, 1e-4])  # metres, metres, radians: the first keyframe defines the map's frame
 SAME_WALL_SIGMAS = np.array([5e-3, 3e-3])  # metres across, radians: how equal two frames of one wall are
 
@@ -99,10 +99,12 @@ class FactorGraph:
         self._factors.add(gtsam.BearingRangeFactor2D(X(keyframe), C(corner), bearing, reach, robust))
 
     def tie_walls(self, wall: int, other: int, along: float) -> None:
-        """Two walls are one: `other`'s frame lies on `wall`, `along` metres from its frame."""
+        """Two walls are one: `other`'s frame lies on `wall`, `along` metres from its frame.
+
+        No kernel: whether they are one was decided before.
+        """
         noise = gtsam.noiseModel.Gaussian.SqrtInformation(_root_information(np.diag(SAME_WALL_SIGMAS**2)), False)
-        robust = gtsam.noiseModel.Robust.Create(self._observation_kernel, noise)
-        self._factors.add(gtsam.BetweenFactorPose2(L(wall), L(other), gtsam.Pose2(along, 0.0, 0.0), robust))
+        self._factors.add(gtsam.BetweenFactorPose2(L(wall), L(other), gtsam.Pose2(along, 0.0, 0.0), noise))
 
     def update(self) -> list[int]:
         """Bring everything added since the last update into the estimate; returns the numbers of the new factors.
