@@ -127,6 +127,39 @@ class LinesMerged:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class LoopDecided:
+    """What was decided about a place that looked known, after keyframe `index`.
+
+    candidate     running number
+    old           a keyframe that saw the place before
+    motion        [x, y, heading] by which the robot would have to move, in its own frame
+    status        "held" (it waits for a second look), "accepted" or "rejected"; `reason` says why
+    explained     share of the wall length seen lately, where the old map has been, that would fall on old walls
+    matches       walls that would
+    runner_up     how much another motion explains, relative to this one
+    sigma         metres, in the direction in which the motion is known worst
+    contradicted  share of the wall length that old walls would have hidden
+    merged        pairs of identities (old, recent) of walls that were made one
+    shift         metres by which the keyframe moved
+    """
+
+    index: int
+    stamp: float
+    candidate: int
+    old: int
+    motion: Pose
+    status: str
+    reason: str
+    explained: float
+    matches: int
+    runner_up: float
+    sigma: float
+    contradicted: float
+    merged: tuple[tuple[int, int], ...]
+    shift: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class TruthSeen:
     """The recording knows the true pose, in the world's frame."""
 
@@ -156,7 +189,7 @@ class Finished:
     summary: dict[str, object] = field(default_factory=dict)
 
 
-Event: TypeAlias = ScanTracked | KeyframeAdded | MapUpdated | LinesMerged | TruthSeen | Noticed | Finished
+Event: TypeAlias = ScanTracked | KeyframeAdded | MapUpdated | LinesMerged | LoopDecided | TruthSeen | Noticed | Finished
 
 
 class Sink(Protocol):

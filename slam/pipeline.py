@@ -10,32 +10,30 @@ import numpy as np
 
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry, Scan
-from features import Extractor, Features, Noise
+from features import Features
 
 from .association import associate
 from .config import Config
 from .deskew import Sweep, deskew, loosen
 from .errors import MapError
 from .events import (
-    Event,
     Finished,
-    KeyframeAdded,
-    LinesMerged,
     MapCorners,
     MapLines,
-    MapUpdated,
     Noticed,
     ScanTracked,
     Sink,
     TruthSeen,
 )
+from .extraction import build_extractor
 from .local_map import empty_local_map
 from .loops.closer import LoopCloser
-from .mapper import KeyframeView, Mapper, Merge
+from .mapper import Mapper
 from .odometry import OdometryHistory, OdometryNoise, fused_motion
 from .path import Path
 from .point_field import MOST_POINTS, RecentPoints, ScanPoints, thinned
 from .registration import Registration, ScanFeatures
+from .reporting import Extension, Reporter
 from .segments import Floats, corner_points, segments_from_lines
 from .snapshot import map_corners, map_lines
 from .statistics import Clock, RunStatistics
@@ -44,7 +42,6 @@ from .tracking import Hold, Tracker
 KEYFRAME_DISTANCE = 0.25  # metres
 KEYFRAME_TURN = math.radians(8.0)
 LONGEST_WAIT = 20  # scans that wait for the odometry to catch up before they are taken without
-MAP_EVENT_INTERVAL = 20  # keyframes between two events with the whole map
 
 
 class Slam:
@@ -58,16 +55,8 @@ class Slam:
 
     def __init__(self, config: Config | None = None, sinks: Sequence[Sink] = ()) -> None:
         self.config = config or Config()
-        self._sinks = tuple(sinks)
-        lidar = self.config.lidar
-        self._extractor = Extractor(
-            Noise(lidar.sigma_range, lidar.sigma_bearing),
-            method=self.config.features.segmentation,
-            estimator=self.config.features.estimator,
-            adapt_noise=lidar.adapt_noise,
-            range_min=lidar.range_min,
-            range_max=lidar.range_max,
-        )
+        self._reporter = Reporter(sinks)
+        self._extractor = build_extractor(self.config)
         self._odometry = OdometryHistory()
         self._odometry_noise = OdometryNoise(self.config.odometry)
         self._waiting: deque[Scan] = deque()
@@ -80,7 +69,6 @@ class Slam:
         self._path = Path()
         self._statistics = RunStatistics()
         self._keyframe_stamps: list[float] = []
-        self._told_keyframes = np.zeros((0, 3))
         self._pose = np.zeros(3)
         self._keyframe_odometry = np.zeros(3)
 
@@ -94,7 +82,7 @@ class Slam:
             case Scan():
                 self._take_scan(message)
             case GroundTruth():
-                self._emit(TruthSeen(message.stamp, message.pose))
+                self._reporter.tell(TruthSeen(message.stamp, message.pose))
         while self._waiting and (self._covered(self._waiting[0]) or len(self._waiting) > LONGEST_WAIT):
             self._add_scan(self._waiting.popleft())
 
@@ -130,10 +118,12 @@ class Slam:
             return
         self._pose = found.pose
         if self._mapper.keyframe_count == 0 or self._moved_enough():
-            view, merge = self._extend_map(seen, found, odometry, clock)
+            extension = self._extend_map(seen, found, odometry, clock)
             self._keyframe_stamps.append(sweep.stamp)
-            if self._sinks:
-                self._tell_keyframe(sweep.stamp, view, merge, clock, seen.points.all)
+            sigma_range, laps = self._extractor.noise.sigma_range, dict(clock.laps)
+            self._reporter.tell_keyframe(
+                sweep.stamp, self._mapper, extension, odometry, seen.points.all, sigma_range, laps
+            )
         self._path.add(sweep.stamp, self._mapper.keyframe_count - 1, se2.between(self._mapper.pose, self._pose))
 
     def _in_base_frame(self, sweep: Sweep, features: Features, mount: se2.Pose) -> ScanFeatures:
@@ -149,16 +139,14 @@ class Slam:
         self._statistics.explained.append(found.explained)
         if hold is Hold.SEARCHED:
             self._statistics.searched += 1
-            self._emit(Noticed(stamp, "odometry is far off; the pose was searched for and found in the map"))
+            self._reporter.tell(Noticed(stamp, "odometry is far off; the pose was searched for and found in the map"))
         elif hold is Hold.NONE:
             self._statistics.unplaced += 1
-            self._emit(Noticed(stamp, "the scan fits nowhere near; left out"))
+            self._reporter.tell(Noticed(stamp, "the scan fits nowhere near; left out"))
         keyframe = self._mapper.keyframe_count - 1
-        self._emit(ScanTracked(stamp, found.pose, odometry, found.explained, keyframe))
+        self._reporter.tell(ScanTracked(stamp, found.pose, odometry, found.explained, keyframe))
 
-    def _extend_map(
-        self, seen: ScanFeatures, found: Registration, odometry: se2.Pose, clock: Clock
-    ) -> tuple[KeyframeView, Merge | None]:
+    def _extend_map(self, seen: ScanFeatures, found: Registration, odometry: se2.Pose, clock: Clock) -> Extension:
         """Make the scan a keyframe: give its features to landmarks, solve, close loops, see the map around anew."""
         mapper = self._mapper
         information = found.information + found.point_information + self._tracker.prior(odometry)
@@ -191,7 +179,7 @@ class Slam:
         clock.lap("local map")
         self._statistics.add_keyframe(clock)
         self._statistics.merged_walls += merge is not None
-        return view, merge
+        return Extension(view, merge, decision)
 
     def _moved_enough(self) -> bool:
         moved = se2.between(self._mapper.pose, self._pose)
@@ -242,7 +230,7 @@ class Slam:
             poses=poses,
             summary=self._summary(),
         )
-        self._emit(result)
+        self._reporter.tell(result)
         return result
 
     def keyframe_covariance(self, index: int) -> Floats:
@@ -255,63 +243,10 @@ class Slam:
             "keyframes": self._mapper.keyframe_count,
             "factors": self._mapper.graph.factor_count,
             "merged_walls": self._statistics.merged_walls,
+            "loops": self._statistics.loop_counts(),
             "odometry_deviation_per_metre": self._odometry_noise.deviations.round(5).tolist(),
             "sigma_range": round(self._extractor.noise.sigma_range, 5),
             "wall_unevenness": round(math.sqrt(self._mapper.flatness.variance), 5),
             "timings": self._statistics.timings(),
             "health": self._statistics.health(),
         }
-
-    def _emit(self, event: Event) -> None:
-        for sink in self._sinks:
-            sink.handle(event)
-
-    def _tell_keyframe(
-        self, stamp: float, view: KeyframeView, merge: Merge | None, clock: Clock, points: Floats
-    ) -> None:
-        """Tell the listeners of the last keyframe, and of the whole map every so often."""
-        mapper, index = self._mapper, self._mapper.keyframe_count - 1
-        self._emit(
-            KeyframeAdded(
-                index=index,
-                stamp=stamp,
-                pose=mapper.pose,
-                pose_covariance=mapper.graph.keyframe_covariance(index),
-                odometry=self._keyframe_odometry,
-                points=points,
-                segments=view.segments,
-                corners=view.corners,
-                line_match=view.walls,
-                line_gate=view.wall_distance,
-                corner_match=view.corner_landmarks,
-                corner_gate=view.corner_distance,
-                new_lines=view.new_walls,
-                sigma_range=self._extractor.noise.sigma_range,
-                timings=dict(clock.laps),
-                counts={
-                    "walls": len(mapper.landmarks.walls),
-                    "corners": len(mapper.landmarks.corners),
-                    "factors": mapper.graph.factor_count,
-                },
-            )
-        )
-        if merge is not None:
-            self._emit(LinesMerged(index, stamp, merge.kept, merge.absorbed, merge.distance))
-        if index % MAP_EVENT_INTERVAL == 0:
-            self._tell_map(stamp)
-
-    def _tell_map(self, stamp: float) -> None:
-        keyframes = self._mapper.graph.keyframe_poses(self._mapper.keyframe_count)
-        moved = keyframes[: len(self._told_keyframes), :2] - self._told_keyframes[:, :2]
-        self._told_keyframes = keyframes
-        self._emit(
-            MapUpdated(
-                index=len(keyframes) - 1,
-                stamp=stamp,
-                keyframes=keyframes,
-                lines=self.walls,
-                corners=self.corners,
-                chi2=self._mapper.graph.chi2(),
-                shift=float(np.max(np.hypot(moved[:, 0], moved[:, 1]), initial=0.0)),
-            )
-        )

@@ -50,6 +50,11 @@ class RunStatistics:
         for stage, duration in clock.laps.items():
             self.stage_times[stage] = self.stage_times.get(stage, 0.0) + duration
 
+    def loop_counts(self) -> dict[str, int]:
+        """How many places looked known, and what became of them; "held" ones waited for a second look in vain."""
+        decided = [decision.status for decision in self.loops]
+        return {"proposed": len(decided), **{name: decided.count(name) for name in ("accepted", "held", "rejected")}}
+
     def timings(self) -> dict[str, float]:
         """Milliseconds a keyframe: median, 99th percentile, maximum, and the mean of each stage."""
         if not self.keyframe_times:

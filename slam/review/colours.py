@@ -1,7 +1,4 @@
-"""The colours of the review log, on a dark ground: one meaning each, after the colour-blind safe ones of Okabe and Ito.
-
-Vermillion (213, 94, 0) is left free for what was rejected.
-"""
+"""The colours of the review log, on a dark ground: one meaning each, safe for colour-blind people."""
 
 from __future__ import annotations
 
@@ -27,6 +24,9 @@ SCAN: Colour = (165, 140, 255)
 MATCHED: Colour = (255, 165, 0)
 NEW: Colour = (255, 70, 200)
 UNMATCHED: Colour = (190, 130, 100)
+
+CLOSURE: Colour = (120, 255, 90)
+REFUSED: Colour = (213, 94, 0)
 
 # Series of one plot, in this order; a plot's legend names them.
 SERIES: tuple[Colour, ...] = (

@@ -18,6 +18,8 @@ _LEGEND: tuple[tuple[str, str], ...] = (
     ("sky blue", "robot and its estimated path; ellipse: 3 sigma"),
     ("grey", "path by odometry alone, from the same start"),
     ("green", "true path, where known, from the same start"),
+    ("bright green", "loop closed: the keyframe and one that saw the place before"),
+    ("vermillion", "last place that looked known, held or refused; the log says why"),
     ("lavender", "this keyframe's scan"),
     ("orange", "segment or corner matched with the map; thin line: to what"),
     ("pink", "segment or corner new in the map"),

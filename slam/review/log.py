@@ -21,6 +21,7 @@ from ..events import (
     Finished,
     KeyframeAdded,
     LinesMerged,
+    LoopDecided,
     MapCorners,
     MapLines,
     MapUpdated,
@@ -33,6 +34,7 @@ from . import colours, documents
 from .blueprint import layout
 from .colours import Colour
 from .keyframes import KeyframeLayer
+from .loops import LoopLayer
 from .maps import log_corners, log_lines
 from .metrics import Metrics
 from .paths import GrowingPath
@@ -66,6 +68,8 @@ class EventLog:
             raise OutputError(f"{path}: cannot write the review log: {error}") from error
         self._log_documents(config, recording, versions)
         self._metrics = Metrics(self._stream)
+        self._loops = LoopLayer(self._stream)
+        self._pose = np.zeros(3)  # of the last keyframe
         self._keyframes = KeyframeLayer(self._stream, self._metrics)
         self._odometry, self._true_path = GrowingPath(PATH_SPACING), GrowingPath(PATH_SPACING)
         self._odometry_start: se2.Pose | None = None  # T_map_odom by the first keyframe
@@ -90,6 +94,10 @@ class EventLog:
             case LinesMerged():
                 self._at(event.index, event.stamp)
                 self._say(f"L{event.absorbed} is the same wall as L{event.kept}: merged, d²={event.gate:.1f}", "INFO")
+            case LoopDecided():
+                self._at(event.index, event.stamp)
+                self._say(*self._loops.describe(event))
+                self._loops.log(event, self._pose)
             case TruthSeen():
                 self._write_truth(event)
             case Noticed():
@@ -146,7 +154,7 @@ class EventLog:
         self._keyframes.place_robot(event.pose)
 
     def _write_keyframe(self, event: KeyframeAdded) -> None:
-        self._index, self._stamp = event.index, event.stamp
+        self._index, self._stamp, self._pose = event.index, event.stamp, event.pose
         self._at(event.index, event.stamp)
         self._keyframes.log(event, self._explained, self._lines, self._corners)
         self._recent.append(event.pose)
@@ -164,6 +172,7 @@ class EventLog:
         self._at(event.index, event.stamp)
         self._lines, self._corners = event.lines, event.corners
         self._log_map(event.lines, event.corners, event.keyframes)
+        self._loops.log_accepted(event.keyframes)
         self._recent = [event.keyframes[-1]] if len(event.keyframes) else []
         self._metrics.log("chi2", {"chi²": event.chi2})
         if event.shift > NOTABLE_SHIFT:

@@ -1,0 +1,122 @@
+"""Telling the listeners what happened: events made of copies, and none made where nobody listens."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers import se2
+
+from .events import Event, KeyframeAdded, LinesMerged, LoopDecided, MapUpdated, Sink
+from .loops.closer import LoopDecision
+from .mapper import KeyframeView, Mapper, Merge
+from .segments import Floats
+from .snapshot import map_corners, map_lines
+
+MAP_INTERVAL = 20  # keyframes between two events with the whole map
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Extension:
+    """What a keyframe did to the map: what it saw, the walls found to be one and the loop decided on, if any."""
+
+    view: KeyframeView
+    merge: Merge | None
+    loop: LoopDecision | None
+
+
+class Reporter:
+    """Sends events to sinks."""
+
+    def __init__(self, sinks: Sequence[Sink]) -> None:
+        self._sinks = tuple(sinks)
+        self._told_keyframes = np.zeros((0, 3))
+
+    def tell(self, event: Event) -> None:
+        """Send an event that is cheap to make."""
+        for sink in self._sinks:
+            sink.handle(event)
+
+    def tell_keyframe(
+        self,
+        stamp: float,
+        mapper: Mapper,
+        extension: Extension,
+        odometry: se2.Pose,
+        points: Floats,
+        sigma_range: float,
+        timings: dict[str, float],
+    ) -> None:
+        """Tell of the last keyframe, of what it changed, and of the whole map every so often."""
+        if not self._sinks:
+            return
+        view, index = extension.view, mapper.keyframe_count - 1
+        self.tell(
+            KeyframeAdded(
+                index=index,
+                stamp=stamp,
+                pose=mapper.pose,
+                pose_covariance=mapper.graph.keyframe_covariance(index),
+                odometry=odometry,
+                points=points,
+                segments=view.segments,
+                corners=view.corners,
+                line_match=view.walls,
+                line_gate=view.wall_distance,
+                corner_match=view.corner_landmarks,
+                corner_gate=view.corner_distance,
+                new_lines=view.new_walls,
+                sigma_range=sigma_range,
+                timings=timings,
+                counts={
+                    "walls": len(mapper.landmarks.walls),
+                    "corners": len(mapper.landmarks.corners),
+                    "factors": mapper.graph.factor_count,
+                },
+            )
+        )
+        if extension.merge is not None:
+            merge = extension.merge
+            self.tell(LinesMerged(index, stamp, merge.kept, merge.absorbed, merge.distance))
+        if extension.loop is not None:
+            self.tell(_loop_event(extension.loop, stamp))
+        if index % MAP_INTERVAL == 0 or (extension.loop is not None and extension.loop.merged):
+            self._tell_map(stamp, mapper)
+
+    def _tell_map(self, stamp: float, mapper: Mapper) -> None:
+        keyframes = mapper.graph.keyframe_poses(mapper.keyframe_count)
+        moved = keyframes[: len(self._told_keyframes), :2] - self._told_keyframes[:, :2]
+        self._told_keyframes = keyframes
+        self.tell(
+            MapUpdated(
+                index=len(keyframes) - 1,
+                stamp=stamp,
+                keyframes=keyframes,
+                lines=map_lines(mapper.landmarks, mapper.graph, covariances=False),
+                corners=map_corners(mapper.landmarks, mapper.graph, covariances=False),
+                chi2=mapper.graph.chi2(),
+                shift=float(np.max(np.hypot(moved[:, 0], moved[:, 1]), initial=0.0)),
+            )
+        )
+
+
+def _loop_event(decision: LoopDecision, stamp: float) -> LoopDecided:
+    verdict = decision.verdict
+    return LoopDecided(
+        index=decision.keyframe,
+        stamp=stamp,
+        candidate=decision.candidate,
+        old=decision.old,
+        motion=decision.motion,
+        status=decision.status,
+        reason=verdict.reason,
+        explained=verdict.explained,
+        matches=verdict.matches,
+        runner_up=verdict.runner_up,
+        sigma=verdict.sigma,
+        contradicted=verdict.contradicted,
+        merged=decision.merged,
+        shift=decision.shift,
+    )
