@@ -73,7 +73,6 @@ def test_simulated_drives_are_tracked_to_millimetres(world: str, duration: float
     assert (finished.lines.high > finished.lines.low).all()
 
 
-@pytest.mark.xfail(reason="frames of walls slide along them, held by no more than a metre, and take their ends along")
 def test_a_room_has_its_walls_and_corners(drive_result: Finished) -> None:
     length = drive_result.lines.high - drive_result.lines.low
     long = np.sort(length[length > 3.5])
