@@ -20,6 +20,7 @@ LEAST_WAY = 0.05  # metres: shorter motions say more of registration than of the
 WINDOW = 200  # motions
 START_COUNT = 10  # motions that the configured values count for
 NORMAL_MEDIAN = 0.4549  # median of a squared standard normal variable
+PLANE_MEDIAN = 1.3863  # of the sum of two
 
 
 class OdometryHistory:
@@ -96,8 +97,8 @@ class OdometryNoise:
         if not self._config.learn or way < LEAST_WAY:
             return
         error = se2.between(claimed, found)
-        squared = (error[0] ** 2 + error[1] ** 2) / 2
-        self._samples.append((squared / (NORMAL_MEDIAN * way**2), error[2] ** 2 / (NORMAL_MEDIAN * way)))
+        squared = error[0] ** 2 + error[1] ** 2
+        self._samples.append((squared / (PLANE_MEDIAN * way**2), error[2] ** 2 / (NORMAL_MEDIAN * way)))
         observed = np.median(np.array(self._samples), axis=0)
         count = len(self._samples)
         self._rates = (count * observed + START_COUNT * self._start) / (count + START_COUNT)

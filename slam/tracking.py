@@ -15,7 +15,7 @@ import numpy as np
 from drivers import se2
 
 from .local_map import LocalMap
-from .odometry import OdometryNoise
+from .odometry import OdometryNoise, way_of
 from .point_field import PointField, likeness, search
 from .registration import NEAR_STARTS, Registration, ScanFeatures, register
 from .segments import Floats
@@ -27,6 +27,8 @@ LIKE_ENOUGH = 0.4  # likeness of a scan's points with those of the last keyframe
 CLEARLY_LIKER = 0.1  # by which the points must lie better at a searched pose than at the predicted one
 SEARCHED_LIKE = 0.5  # likeness that a searched pose must reach
 SEARCHED_POINTS = 30  # points that a scan must have for that: few of them lie well nearly everywhere
+LARGE_STEP = 0.8  # metres of way between two scans, from which on odometry may be making up for what it missed
+CLEARLY_BETTER = 0.3  # by which the scan must then fit better where the robot last was
 PATIENCE = 4  # scans in a row that may be lost before odometry is believed again: the place is new, then
 
 
@@ -77,14 +79,15 @@ class Tracker:
         assert self._firm is not None
         prior = self.prior(odometry)
         predictions = [self._firm.predict(odometry)]
-        if self._caught_up:
+        if self._caught_up or way_of(se2.between(self._firm.odometry, odometry)) > LARGE_STEP:
             predictions.append(self._firm.pose)
         found = [
             register(prediction, prior, NEAR_STARTS, scan, local_map, field, flatness) for prediction in predictions
         ]
         likes = [likeness(field, scan.points.all, registration.pose) for registration in found]
         fits = [registration.explained + like for registration, like in zip(found, likes, strict=True)]
-        best, like = found[int(np.argmax(fits))], likes[int(np.argmax(fits))]
+        choice = len(fits) - 1 if fits[-1] > fits[0] + (0.0 if self._caught_up else CLEARLY_BETTER) else 0
+        best, like = found[choice], likes[choice]
         believable = best.explained >= EXPLAINED_ENOUGH or like >= LIKE_ENOUGH
         if believable or self._lost >= PATIENCE or not len(local_map.walls):
             self.move_to(best.pose, odometry)

@@ -1,0 +1,189 @@
+"""Loop closure: what is proposed, what is refused and why, and what closing does to the map."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers import se2
+from slam.association import UNMATCHED, Association
+from slam.landmarks import Landmarks
+from slam.local_map import empty_local_map
+from slam.loops.closer import close
+from slam.loops.constellation import OLD_WAY, recent_and_old
+from slam.loops.proposal import Hypothesis, propose
+from slam.loops.verification import verify
+from slam.mapper import Mapper
+from slam.segments import CornerPoints, Floats, Segments
+
+# A room with unequal sides and a niche: walls as frames with x along them, seen from the room, and half their lengths.
+ROOM = np.array(
+    [
+        [3.0, 0.0, 0.0, 3.0],
+        [6.0, 2.0, np.pi / 2, 2.0],
+        [4.5, 4.0, np.pi, 1.5],
+        [3.0, 4.75, np.pi / 2, 0.75],
+        [1.5, 5.5, np.pi, 1.5],
+        [0.0, 2.75, -np.pi / 2, 2.75],
+    ]
+)
+INSIDE = np.array([2.0, 2.0, 0.3])
+
+
+def add(landmarks: Landmarks, walls: Floats, keyframe: int, moved: se2.Pose | None = None) -> list[int]:
+    """Walls (n, 4) seen twice from a keyframe, moved as a whole; their identities."""
+    identities = []
+    for wall in walls:
+        frame = wall[:3] if moved is None else se2.compose(moved, wall[:3])
+        identity = landmarks.add_wall(frame, wall[3], keyframe)
+        landmarks.walls.rows["in_graph"][identity] = True
+        landmarks.walls.rows["observations"][identity] = 2
+        identities.append(identity)
+    return identities
+
+
+def seen_again(walls: Floats, drift: se2.Pose, way: float = 60.0) -> tuple[Landmarks, se2.Pose, Floats]:
+    """Walls mapped at first, and once more after `way` metres when everything seen is off by `drift`."""
+    landmarks = Landmarks()
+    add(landmarks, walls, 0)
+    add(landmarks, walls, 1, drift)
+    return landmarks, se2.compose(drift, INSIDE), np.array([0.0, way])
+
+
+def hypotheses_of(landmarks: Landmarks, pose: se2.Pose, ways: Floats) -> list[Hypothesis]:
+    recent, old = recent_and_old(landmarks, pose, ways)
+    return propose(recent, old, pose)
+
+
+def views_from(pose: se2.Pose, walls: Floats) -> list[tuple[se2.Pose, Segments]]:
+    """All walls, as seen from one place."""
+    frames = se2.between(pose, walls[:, :3])
+    return [(pose, Segments(frames, walls[:, 3], np.tile(np.eye(2) * 1e-4, (len(walls), 1, 1))))]
+
+
+@pytest.mark.parametrize("drift", [[0.9, -0.7, 0.12], [-1.5, 0.4, -0.1], [0.3, 0.25, 0.0]])
+def test_the_drift_of_a_room_seen_again_is_found(drift: list[float]) -> None:
+    landmarks, pose, ways = seen_again(ROOM, np.array(drift))
+    stay, best, *_ = hypotheses_of(landmarks, pose, ways)
+    assert stay.explained < 0.6 * best.explained
+    assert best.explained == pytest.approx(1.0, abs=0.02)
+    np.testing.assert_allclose(se2.compose(best.motion, pose), INSIDE, atol=5e-3)
+    assert sorted(best.matches) == list(range(len(ROOM)))
+
+
+def test_a_room_seen_again_passes_all_tests() -> None:
+    drift = np.array([0.9, -0.7, 0.12])
+    landmarks, pose, ways = seen_again(ROOM, drift)
+    recent, old = recent_and_old(landmarks, pose, ways)
+    found = propose(recent, old, pose)
+    moved = np.column_stack([se2.compose(drift, ROOM[:, :3]), ROOM[:, 3]])
+    verdict = verify(found, recent, old, landmarks, pose, views_from(pose, moved))
+    assert verdict.accepted, verdict.reason
+    assert verdict.contradicted == 0.0
+
+
+def test_drift_beyond_what_was_driven_is_not_considered() -> None:
+    landmarks, pose, ways = seen_again(ROOM, np.array([3.0, 0.0, 0.0]), way=OLD_WAY + 1.0)
+    for hypothesis in hypotheses_of(landmarks, pose, ways):
+        assert np.hypot(*(se2.compose(hypothesis.motion, pose) - pose)[:2]) < 1.5
+
+
+def test_parallel_walls_alone_never_close_a_loop() -> None:
+    corridor = np.array([[x, y, h, 4.0] for x in (-4.0, 4.0, 12.0) for y, h in ((0.0, 0.0), (4.0, np.pi))])
+    landmarks, pose, ways = seen_again(corridor, np.array([0.0, 0.8, 0.0]))
+    assert len(hypotheses_of(landmarks, pose, ways)) == 1  # to stay
+
+
+def test_a_corridor_with_equal_doors_is_ambiguous() -> None:
+    jambs = [[x, y, np.pi / 2, 0.3] for x in np.arange(0.0, 20.0, 2.0) for y in (0.0, 2.0)]
+    corridor = np.array([*jambs, [10.0, -0.3, 0.0, 10.0], [10.0, 2.3, np.pi, 10.0]])
+    landmarks, pose, ways = seen_again(corridor, np.array([0.9, 0.3, 0.0]), way=100.0)
+    recent, old = recent_and_old(landmarks, pose, ways)
+    verdict = verify(propose(recent, old, pose), recent, old, landmarks, pose, [])
+    assert not verdict.accepted
+    assert "another place" in verdict.reason
+
+
+def test_walls_that_would_have_hidden_what_was_seen_speak_against_a_place() -> None:
+    landmarks, pose, ways = seen_again(ROOM, np.array([0.9, -0.7, 0.12]))
+    add(landmarks, np.array([[4.0, 2.0, np.pi / 2, 1.8]]), 0)  # the old room had a partition where now the view is free
+    recent, old = recent_and_old(landmarks, pose, ways)
+    found = propose(recent, old, pose)
+    moved = np.column_stack([se2.compose(np.array([0.9, -0.7, 0.12]), ROOM[:, :3]), ROOM[:, 3]])
+    verdict = verify(found, recent, old, landmarks, pose, views_from(pose, moved[1:2]))
+    assert verdict.contradicted > 0.3
+
+
+def test_seen_through_a_door_is_no_contradiction() -> None:
+    landmarks = Landmarks()
+    left, right = np.array([1.0, 0.0, 0.0, 1.0]), np.array([4.0, 0.0, 0.0, 1.0])
+    wall = landmarks.add_wall(left[:3], 1.0, 0)
+    landmarks.see_wall(wall, right[:3], 1.0, 0)
+    assert landmarks.is_covered(wall, 0.5)
+    assert landmarks.is_covered(wall, 3.0)
+    assert not landmarks.is_covered(wall, 1.5)
+
+
+def observe(mapper: Mapper, pose: se2.Pose, motion: se2.Pose, walls: Floats, known: list[int] | None) -> list[int]:
+    """A keyframe that sees all walls, as new ones or as the known ones; returns their identities."""
+    frames = se2.between(pose, walls[:, :3])
+    segments = Segments(frames, walls[:, 3], np.tile(np.diag([0.01, 0.01]) ** 2, (len(walls), 1, 1)))
+    corners = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)))
+    rows = np.full(len(walls), UNMATCHED) if known is None else np.arange(len(walls))
+    local = empty_local_map()
+    if known is not None:
+        local = type(local)(**{**{name: getattr(local, name) for name in local.__slots__}, "walls": np.array(known)})
+    none = np.zeros(0)
+    association = Association(rows, np.zeros(len(walls)), none.astype(int), none)
+    covariance = np.diag([0.05, 0.05, 0.03]) ** 2
+    first = mapper.keyframe_count == 0
+    view = mapper.add_keyframe(pose, None if first else (motion, covariance), segments, corners, association, local)
+    mapper.refresh(view)
+    return [int(wall) for wall in view.walls]
+
+
+def drifted_mapper(drift: se2.Pose) -> tuple[Mapper, list[int], list[int]]:
+    """A map with the room in it twice: seen at first, and after a tour whose odometry was off by `drift` in all."""
+    mapper = Mapper()
+    first = observe(mapper, INSIDE, np.zeros(3), ROOM, None)
+    step = np.array([0.05, 0.0, 0.0])
+    pose = se2.compose(INSIDE, step)
+    observe(mapper, pose, step, ROOM, first)
+    none = ROOM[:0]
+    for _ in range(8):  # out of sight of everything
+        motion = se2.between(pose, se2.compose(pose, np.array([drift[0] / 8, drift[1] / 8, drift[2] / 8])))
+        pose = se2.compose(pose, motion)
+        observe(mapper, pose, motion, none, None)
+    there = se2.between(se2.compose(INSIDE, step), pose)
+    moved = np.column_stack(
+        [se2.compose(se2.compose(pose, se2.inverse(se2.compose(INSIDE, step))), ROOM[:, :3]), ROOM[:, 3]]
+    )
+    second = observe(mapper, pose, np.zeros(3), moved, None)
+    observe(mapper, pose, np.zeros(3), moved, second)
+    assert np.hypot(*there[:2]) > 0.5
+    return mapper, first, second
+
+
+def test_closing_brings_the_robot_back_and_makes_one_map_of_two() -> None:
+    mapper, first, second = drifted_mapper(np.array([1.6, -1.0, 0.2]))
+    back = se2.compose(INSIDE, np.array([0.05, 0.0, 0.0]))
+    motion = se2.compose(back, se2.inverse(mapper.pose))
+    hypothesis = Hypothesis(motion, 1.0, 20.0, np.eye(3), np.arange(len(ROOM)))
+    factors = mapper.graph.factor_count
+    merged = close(mapper, 1, hypothesis, list(zip(first, second, strict=True)))
+    assert len(merged) == len(ROOM)
+    np.testing.assert_allclose(mapper.pose, back, atol=0.01)
+    kept = mapper.landmarks.walls.rows["kept"]
+    assert [kept[wall] for wall in second] == first
+    assert mapper.graph.factor_count == factors + len(ROOM)  # the ties; what carried the map over is gone
+
+
+def test_a_closure_that_does_not_come_together_leaves_no_trace() -> None:
+    mapper, first, second = drifted_mapper(np.array([1.6, -1.0, 0.2]))
+    before, factors = mapper.graph.keyframe_poses(mapper.keyframe_count), mapper.graph.factor_count
+    wrong = se2.compose(np.array([0.0, 3.0, 0.9]), mapper.pose)
+    hypothesis = Hypothesis(se2.compose(wrong, se2.inverse(mapper.pose)), 1.0, 20.0, np.eye(3), np.arange(len(ROOM)))
+    assert close(mapper, 1, hypothesis, list(zip(first, second, strict=True))) == []
+    np.testing.assert_allclose(mapper.graph.keyframe_poses(mapper.keyframe_count), before, atol=1e-9)
+    assert mapper.graph.factor_count == factors
+    assert list(mapper.landmarks.walls.rows["kept"][second]) == second
