@@ -217,6 +217,7 @@ class Mapper:
     def settle(self) -> None:
         """Bring the estimate to rest: everything linearised anew, then read back."""
         self.graph.settle()
+        self.graph.rebuild()
         self.read_back_all()
 
     def read_back_all(self) -> None:

@@ -23,7 +23,7 @@ from .segments import Floats
 # Added to the odometry's own uncertainty when predicting a scan's pose: wheels slip, clocks differ. Metres and radians.
 PREDICTION_SIGMAS = np.array([0.05, 0.05, np.radians(4.0)])
 EXPLAINED_ENOUGH = 0.5  # share of a scan's wall length on known walls that alone makes a pose believable
-LIKE_ENOUGH = 0.4  # likeness of a scan's points with those of the last keyframes that does
+FITS_ENOUGH = 0.6  # the same, and the likeness of its points with those of the last keyframes, that together do
 CLEARLY_LIKER = 0.1  # by which the points must lie better at a searched pose than at the predicted one
 SEARCHED_LIKE = 0.5  # likeness that a searched pose must reach
 SEARCHED_POINTS = 30  # points that a scan must have for that: few of them lie well nearly everywhere
@@ -59,11 +59,13 @@ class Tracker:
         self._noise = noise
         self._firm: Place | None = None
         self._lost = 0
-        self._caught_up = False  # the last pose was searched for: odometry may make up for what it missed in one step
+        # Where the robot was before its last pose was searched for: odometry may make up for what it missed in a step,
+        # and the search may have been wrong.
+        self._left: Place | None = None
 
     def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
         """The pose at the last scan is `pose` in the map, as the map is now."""
-        self._firm, self._lost, self._caught_up = Place(pose, odometry), 0, False
+        self._firm, self._lost, self._left = Place(pose, odometry), 0, None
 
     def correct(self, pose: se2.Pose) -> None:
         """The map has changed, and the pose at the last scan with it."""
@@ -79,24 +81,28 @@ class Tracker:
         assert self._firm is not None
         prior = self.prior(odometry)
         predictions = [self._firm.predict(odometry)]
-        if self._caught_up or way_of(se2.between(self._firm.odometry, odometry)) > LARGE_STEP:
+        if self._left is not None:
+            predictions += [self._firm.pose, self._left.predict(odometry)]
+        elif way_of(se2.between(self._firm.odometry, odometry)) > LARGE_STEP:
             predictions.append(self._firm.pose)
         found = [
             register(prediction, prior, NEAR_STARTS, scan, local_map, field, flatness) for prediction in predictions
         ]
         likes = [likeness(field, scan.points.all, registration.pose) for registration in found]
         fits = [registration.explained + like for registration, like in zip(found, likes, strict=True)]
-        choice = len(fits) - 1 if fits[-1] > fits[0] + (0.0 if self._caught_up else CLEARLY_BETTER) else 0
+        other = int(np.argmax(fits))
+        choice = other if self._left is not None or fits[other] > fits[0] + CLEARLY_BETTER else 0
         best, like = found[choice], likes[choice]
-        believable = best.explained >= EXPLAINED_ENOUGH or like >= LIKE_ENOUGH
+        believable = best.explained >= EXPLAINED_ENOUGH or best.explained + like >= FITS_ENOUGH
         if believable or self._lost >= PATIENCE or not len(local_map.walls):
             self.move_to(best.pose, odometry)
             return best, Hold.FIRM
         searched, liker = search(field, scan.points.all, predictions[-1])
         if len(scan.points.all) >= SEARCHED_POINTS and liker >= max(SEARCHED_LIKE, like + CLEARLY_LIKER):
             far = register(searched, prior, NEAR_STARTS[:1], scan, local_map, field, flatness)
+            left = self._firm
             self.move_to(far.pose, odometry)
-            self._caught_up = True
+            self._left = left
             return far, Hold.SEARCHED
         self._lost += 1
         return best, Hold.NONE

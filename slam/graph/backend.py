@@ -24,10 +24,18 @@ RELINEARIZE_THRESHOLD = 0.05  # metres and radians
 RELINEARIZE_SKIP = 10  # updates; a tenth of the cost of relinearising at each update, for the same result
 CAUCHY_SCALE = 4.0  # standard deviations at which an observation counts half
 ODOMETRY_CAUCHY_SCALE = 2.0  # the same for odometry: single readings can be grossly wrong
+REBUILDS = 3  # Gauss-Newton steps on everything
 SETTLING_UPDATES = 5  # the first moves by what was left to the threshold, the last by less than a micrometre
 ALONG_SIGMA = 0.1  # metres; says once where along a wall its frame lies, which no observation does
 FIRST_POSE_SIGMAS = np.array([1e-4, 1e-4, 1e-5])  # metres, metres, radians: the first keyframe defines the map's frame
 SAME_WALL_SIGMAS = np.array([5e-3, 3e-3])  # metres across, radians: how equal two frames of one wall are
+
+
+def _parameters() -> gtsam.ISAM2Params:
+    parameters = gtsam.ISAM2Params()
+    parameters.setRelinearizeThreshold(RELINEARIZE_THRESHOLD)
+    parameters.relinearizeSkip = RELINEARIZE_SKIP
+    return parameters
 
 
 def _pose2(pose: se2.Pose) -> gtsam.Pose2:
@@ -42,10 +50,7 @@ class FactorGraph:
     """The estimate of path and map. Additions are collected and take effect with `update`."""
 
     def __init__(self) -> None:
-        parameters = gtsam.ISAM2Params()
-        parameters.setRelinearizeThreshold(RELINEARIZE_THRESHOLD)
-        parameters.relinearizeSkip = RELINEARIZE_SKIP
-        self._isam = gtsam.ISAM2(parameters)
+        self._isam = gtsam.ISAM2(_parameters())
         self._factors = gtsam.NonlinearFactorGraph()
         self._values = gtsam.Values()
         self._observation_kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(CAUCHY_SCALE)
@@ -168,6 +173,23 @@ class FactorGraph:
         parameters.force_relinearize = True
         for _ in range(SETTLING_UPDATES):
             self._update(parameters)
+
+    def rebuild(self) -> None:
+        """Solve everything afresh from the present estimate, at the end of a run.
+
+        Incremental solving linearises only what moves by more than a threshold, and what it did not is weighted as it
+        was then. Factors get new numbers: none can be taken out afterwards.
+        """
+        solved = self._isam.getFactorsUnsafe()
+        graph = gtsam.NonlinearFactorGraph()
+        for factor in (solved.at(number) for number in range(solved.size())):
+            if factor is not None:  # else it was taken out
+                graph.add(factor)
+        for _ in range(REBUILDS):
+            values = self._isam.calculateEstimate()
+            self._isam = gtsam.ISAM2(_parameters())
+            self._isam.update(graph, values)
+        self._observations.clear()
 
     # --- the estimate
 

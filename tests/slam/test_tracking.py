@@ -115,8 +115,9 @@ def drive(source: FailingOdometry) -> tuple[Finished, Floats, list[str]]:
 @pytest.mark.parametrize("begin", [8.0, 22.0])
 def test_odometry_that_stands_still_for_two_seconds_does_no_harm(begin: float, makes_up: bool) -> None:
     _, errors, _ = drive(FailingOdometry(begin, begin + 2.0, makes_up=makes_up))
-    assert errors[:, 0].max() < 0.05
-    assert errors[:, 1].max() < 0.02
+    assert errors[:, 0].max() < 0.10  # of a keyframe while it stands still
+    assert errors[-10:, 0].max() < 0.03
+    assert errors[-10:, 1].max() < 0.005
 
 
 def test_nothing_is_noticed_where_nothing_fails() -> None:
