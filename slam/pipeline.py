@@ -65,6 +65,7 @@ class Slam:
         self._recent_points = RecentPoints()
         self._point_field = self._recent_points.field(np.zeros((0, 3)))
         self._loops = LoopCloser()
+        self._searched: tuple[float, int, se2.Pose] | None = None  # a scan that the next one must bear out
         self._tracker = Tracker(self._odometry_noise)
         self._path = Path()
         self._statistics = RunStatistics()
@@ -114,9 +115,16 @@ class Slam:
         )
         clock.lap("registration")
         self._note(sweep.stamp, found, hold, odometry)
-        if hold is Hold.NONE:
+        if hold is not Hold.NONE:
+            self._pose = found.pose
+        relative = se2.between(self._mapper.pose, self._pose)
+        if hold is not Hold.FIRM:
+            searched = (sweep.stamp, self._mapper.keyframe_count - 1, relative)
+            self._searched = searched if hold is Hold.SEARCHED else None
             return
-        self._pose = found.pose
+        if self._searched is not None and self._tracker.search_held:
+            self._path.add(*self._searched)
+        self._searched = None
         if self._mapper.keyframe_count == 0 or self._moved_enough():
             extension = self._extend_map(seen, found, odometry, clock)
             self._keyframe_stamps.append(sweep.stamp)

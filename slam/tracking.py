@@ -36,7 +36,9 @@ class Hold(Enum):
     """How a scan's pose was found."""
 
     FIRM = "firm"  # it fits the map where odometry led to, give or take
-    SEARCHED = "searched"  # it fits the map elsewhere
+    SEARCHED = (
+        "searched"  # it fits the map elsewhere; the next scan must show that before anything is mapped from there
+    )
     NONE = "none"  # it fits nowhere near
 
 
@@ -62,6 +64,7 @@ class Tracker:
         # Where the robot was before its last pose was searched for: odometry may make up for what it missed in a step,
         # and the search may have been wrong.
         self._left: Place | None = None
+        self.search_held = False  # whether the last scan bore out the pose that was searched for one scan earlier
 
     def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
         """The pose at the last scan is `pose` in the map, as the map is now."""
@@ -95,15 +98,17 @@ class Tracker:
         best, like = found[choice], likes[choice]
         believable = best.explained >= EXPLAINED_ENOUGH or best.explained + like >= FITS_ENOUGH
         if believable or self._lost >= PATIENCE or not len(local_map.walls):
+            self.search_held = self._left is not None and choice < len(predictions) - 1
             self.move_to(best.pose, odometry)
             return best, Hold.FIRM
         searched, liker = search(field, scan.points.all, predictions[-1])
         if len(scan.points.all) >= SEARCHED_POINTS and liker >= max(SEARCHED_LIKE, like + CLEARLY_LIKER):
             far = register(searched, prior, NEAR_STARTS[:1], scan, local_map, field, flatness)
+            self.search_held = self._left is not None  # the second in a row
             left = self._firm
             self.move_to(far.pose, odometry)
             self._left = left
-            return far, Hold.SEARCHED
+            return far, Hold.FIRM if self.search_held else Hold.SEARCHED
         self._lost += 1
         return best, Hold.NONE
 
