@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from drivers import se2
 
+from .angles import turn_of
 from .local_map import LocalMap
 from .segments import CornerPoints, Floats, Segments
 
@@ -98,11 +99,6 @@ def _take_likeliest(distance: Floats, surprise: Floats, low: Floats, high: Float
 
 
 @njit(cache=True)
-def _turn(angle):  # type: ignore[no-untyped-def]
-    return angle - 2 * math.pi * math.floor((angle + math.pi) / (2 * math.pi))
-
-
-@njit(cache=True)
 def _wall_distances(  # type: ignore[no-untyped-def]
     pose, pose_covariance, frames, halves, covariances, walls, lows, highs, wall_covariances, flatness
 ):
@@ -116,7 +112,7 @@ def _wall_distances(  # type: ignore[no-untyped-def]
         lever_x = c * frames[i, 0] - s * frames[i, 1]
         lever_y = s * frames[i, 0] + c * frames[i, 1]
         for j in range(len(walls)):
-            turn = _turn(pose[2] + frames[i, 2] - walls[j, 2])
+            turn = turn_of(pose[2] + frames[i, 2] - walls[j, 2])
             if abs(turn) > WIDEST_HEADING:
                 continue
             wc, ws = math.cos(walls[j, 2]), math.sin(walls[j, 2])
@@ -160,9 +156,9 @@ def _corner_distances(  # type: ignore[no-untyped-def]
             residual = np.array([pose[0] + lever[0] - corners[j, 0], pose[1] + lever[1] - corners[j, 1]])
             if max(abs(residual[0]), abs(residual[1])) > WIDEST_OFFSET:
                 continue
-            if abs(_turn(pose[2] + headings[i, 0] - corner_headings[j, 0])) > CORNER_HEADING_GATE:
+            if abs(turn_of(pose[2] + headings[i, 0] - corner_headings[j, 0])) > CORNER_HEADING_GATE:
                 continue
-            if abs(_turn(pose[2] + headings[i, 1] - corner_headings[j, 1])) > CORNER_HEADING_GATE:
+            if abs(turn_of(pose[2] + headings[i, 1] - corner_headings[j, 1])) > CORNER_HEADING_GATE:
                 continue
             innovation = own + corner_covariances[j]
             innovation[0, 0] += flatness

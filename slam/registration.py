@@ -14,6 +14,7 @@ from numba import njit
 
 from drivers import se2
 
+from .angles import turn_of
 from .local_map import LocalMap
 from .point_field import CELL as POINT_CELL
 from .point_field import PointField, ScanPoints
@@ -86,11 +87,6 @@ def register(
 
 
 @njit(cache=True)
-def _turn(angle):  # type: ignore[no-untyped-def]
-    return angle - 2 * math.pi * math.floor((angle + math.pi) / (2 * math.pi))
-
-
-@njit(cache=True)
 def _register(  # type: ignore[no-untyped-def]
     prediction, prior, starts, clearly_more,
     frames, halves, covariances, points, point_headings, point_covariances,
@@ -148,7 +144,7 @@ def _add_walls(  # type: ignore[no-untyped-def]
         best, match = np.inf, -1
         overlap = offset = turn = along = 0.0
         for j in range(len(walls)):
-            angle = _turn(pose[2] + frames[i, 2] - walls[j, 2])
+            angle = turn_of(pose[2] + frames[i, 2] - walls[j, 2])
             if abs(angle) > heading_gate:
                 continue
             wc, ws = math.cos(walls[j, 2]), math.sin(walls[j, 2])
@@ -209,8 +205,8 @@ def _add_corners(  # type: ignore[no-untyped-def]
             distance = dx * dx + dy * dy
             if (
                 distance < best
-                and abs(_turn(pose[2] + headings[i, 0] - corner_headings[j, 0])) < CORNER_HEADING_GATE
-                and abs(_turn(pose[2] + headings[i, 1] - corner_headings[j, 1])) < CORNER_HEADING_GATE
+                and abs(turn_of(pose[2] + headings[i, 0] - corner_headings[j, 0])) < CORNER_HEADING_GATE
+                and abs(turn_of(pose[2] + headings[i, 1] - corner_headings[j, 1])) < CORNER_HEADING_GATE
             ):
                 best, match = distance, j
         if match < 0:

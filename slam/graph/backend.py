@@ -168,7 +168,7 @@ class FactorGraph:
         self.remove_factors(numbers)
 
     def settle(self) -> None:
-        """Linearise everything anew until the estimate rests."""
+        """Update until the estimate rests; what has moved by more than the threshold is linearised anew."""
         parameters = gtsam.ISAM2UpdateParams()
         parameters.force_relinearize = True
         for _ in range(SETTLING_UPDATES):

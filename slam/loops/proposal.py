@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from drivers import se2
 
+from ..angles import turn_of
 from ..segments import Floats
 from .constellation import Constellation, OldMap
 
@@ -102,11 +103,6 @@ def _about_origin(motion: se2.Pose, pose: se2.Pose) -> se2.Pose:
 
 
 @njit(cache=True)
-def _turn(angle):  # type: ignore[no-untyped-def]
-    return angle - 2 * math.pi * math.floor((angle + math.pi) / (2 * math.pi))
-
-
-@njit(cache=True)
 def _vote(  # type: ignore[no-untyped-def]
     frames, halves, olds, old_halves, translations, rotations, centre, reach, turn
 ):
@@ -115,15 +111,15 @@ def _vote(  # type: ignore[no-untyped-def]
     votes = np.zeros((across, across, 2 * math.ceil(turn / CELL_TURN) + 1))
     for a in range(len(frames)):
         for b in range(a + 1, len(frames)):
-            angle = _turn(frames[b, 2] - frames[a, 2])
+            angle = turn_of(frames[b, 2] - frames[a, 2])
             if abs(math.sin(angle)) < LEAST_SINE:
                 continue
             for c in range(len(olds)):
-                first = _turn(olds[c, 2] - frames[a, 2])
+                first = turn_of(olds[c, 2] - frames[a, 2])
                 if abs(first) > rotations[c]:
                     continue
                 for d in range(len(olds)):
-                    second = _turn(olds[d, 2] - frames[b, 2])
+                    second = turn_of(olds[d, 2] - frames[b, 2])
                     if d == c or abs(second) > rotations[d] or abs(second - first) > SAME_ANGLE:
                         continue
                     rotation = 0.5 * (first + second)
@@ -173,7 +169,7 @@ def _refine(start, frames, halves, olds, old_halves, centre, first):  # type: ig
                 dx, dy = x - olds[j, 0], y - olds[j, 1]
                 across, along = -os * dx + oc * dy, oc * dx + os * dy
                 known = known or math.hypot(across, max(0.0, abs(along) - old_halves[j])) < KNOWN_AROUND
-                angle = _turn(frames[i, 2] + motion[2] - olds[j, 2])
+                angle = turn_of(frames[i, 2] + motion[2] - olds[j, 2])
                 if abs(angle) > TURN_GATES[step] or abs(across) > GATES[step]:
                     continue
                 reach = old_halves[j] + OVERLAP_MARGIN
