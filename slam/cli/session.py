@@ -104,14 +104,17 @@ def map_source(
         started = time.perf_counter()
         slam = Slam(config, sinks)
         busy = 0.0
-        for message in progress(source, len(source), source.name):
-            tally.add(message)
+        try:
+            for message in progress(source, len(source), source.name):
+                tally.add(message)
+                before = time.perf_counter()
+                slam.add(message)
+                busy += time.perf_counter() - before
             before = time.perf_counter()
-            slam.add(message)
+            finished = slam.finish()
             busy += time.perf_counter() - before
-        before = time.perf_counter()
-        finished = slam.finish()
-        busy += time.perf_counter() - before
+        except MapError as error:  # the pipeline knows no recording
+            raise MapError(f"{source.name}: {error}") from error
         cleanup.close()
         score = score_against_truth(finished, tally)
         if picture:

@@ -119,7 +119,7 @@ def test_existing_results_are_refused_before_the_work_and_replaced_when_asked_fo
 @pytest.mark.parametrize("review", ["--review", "--no-review"])
 def test_nothing_is_left_of_a_run_that_fails(wclm: Any, fake_slam: Any, tmp_path: Path, review: str) -> None:
     fake_slam.fails = MapError("the map is lost")
-    wclm.refuses("run", SHORT, "--out", "out", review, because=["wclm: the map is lost"])
+    wclm.refuses("run", SHORT, "--out", "out", review, because=["wclm: sim:room: the map is lost"])
     assert not list(tmp_path.iterdir())
 
 
