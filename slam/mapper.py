@@ -25,9 +25,7 @@ from .segments import CornerPoints, Floats, Segments
 Integers = NDArray[np.int64]
 
 CORNER_SHARE = 0.1  # of its segments' information that a corner's factor takes; measured by consistency in simulation
-CONFIRMING_KEYFRAMES = (
-    2  # keyframes that must see a landmark before it enters the graph: people and noise are seen once
-)
+CONFIRMING_KEYFRAMES = 2  # that must see a landmark before it enters the graph: people and noise are seen once
 REACH_MARGIN = 2.0  # metres beyond what the keyframe itself saw, within which the map is compared with the next scans
 WELL_KNOWN_OBSERVATIONS = 4  # keyframes after which a wall can judge the scatter of what is seen of it
 KEPT_VIEWS = 25  # keyframes whose segments are kept for judging loop closures

@@ -117,22 +117,23 @@ class Slam:
         self._note(sweep.stamp, found, hold, odometry)
         if hold is not Hold.NONE:
             self._pose = found.pose
-        relative = se2.between(self._mapper.pose, self._pose)
-        if hold is not Hold.FIRM:
-            searched = (sweep.stamp, self._mapper.keyframe_count - 1, relative)
-            self._searched = searched if hold is Hold.SEARCHED else None
-            return
-        if self._searched is not None and self._tracker.search_held:
-            self._path.add(*self._searched)
-        self._searched = None
-        if self._mapper.keyframe_count == 0 or self._moved_enough():
+        if hold is Hold.FIRM and (self._mapper.keyframe_count == 0 or self._moved_enough()):
             extension = self._extend_map(seen, found, odometry, clock)
             self._keyframe_stamps.append(sweep.stamp)
             sigma_range, laps = self._extractor.noise.sigma_range, dict(clock.laps)
             self._reporter.tell_keyframe(
                 sweep.stamp, self._mapper, extension, odometry, seen.points.all, sigma_range, laps
             )
-        self._path.add(sweep.stamp, self._mapper.keyframe_count - 1, se2.between(self._mapper.pose, self._pose))
+        self._hang_on_path(sweep.stamp, hold)
+
+    def _hang_on_path(self, stamp: float, hold: Hold) -> None:
+        """Make the scan's pose part of the path; one that was searched for, once the next scan has borne it out."""
+        place = (stamp, self._mapper.keyframe_count - 1, se2.between(self._mapper.pose, self._pose))
+        if self._searched is not None and hold is Hold.FIRM and self._tracker.search_held:
+            self._path.add(*self._searched)
+        self._searched = place if hold is Hold.SEARCHED else None
+        if hold is Hold.FIRM:
+            self._path.add(*place)
 
     def _in_base_frame(self, sweep: Sweep, features: Features, mount: se2.Pose) -> ScanFeatures:
         """What a scan shows, moved from the lidar's frame into the base's."""

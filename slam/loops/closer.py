@@ -114,7 +114,7 @@ def close(
     it was made of the same observations. Returns the walls merged; where too few of them come together, the map is left
     as it was, and there are none.
     """
-    graph = mapper.graph.copy()
+    graph, last_seen = mapper.graph.copy(), mapper.landmarks.walls.rows["last_seen"].copy()
     last = mapper.keyframe_count - 1
     there = se2.compose(hypothesis.motion, mapper.pose)
     relative = se2.between(mapper.graph.keyframe_pose(old_keyframe), there)
@@ -126,6 +126,7 @@ def close(
     together = [(old, recent) for old, recent in pairs if old != recent and _together(rows[old], rows[recent])]
     if len(together) < LEAST_MERGED * len(pairs):
         mapper.graph = graph
+        rows["last_seen"] = last_seen
         mapper.read_back_all()
         return []
     for old, recent in together:
