@@ -103,8 +103,11 @@ class KeyframeLayer:
         self._stream.log("world/features/segments", segments)
         self._stream.log("world/features/corners", dots)
         self._stream.log("world/features/links", rr.LineStrips3D(links, colors=colours.MATCHED, radii=_THIN))
-        self._stream.log("association/lines", rr.AnyValues(match=event.line_match, gate=event.line_gate))
-        self._stream.log("association/corners", rr.AnyValues(match=event.corner_match, gate=event.corner_gate))
+        # Of empty arrays Rerun cannot tell the type, if they are the first.
+        if len(event.line_match):
+            self._stream.log("association/lines", rr.AnyValues(match=event.line_match, gate=event.line_gate))
+        if len(event.corner_match):
+            self._stream.log("association/corners", rr.AnyValues(match=event.corner_match, gate=event.corner_gate))
 
     def _log_metrics(self, event: KeyframeAdded, explained: float, position_sigma: float, heading_sigma: float) -> None:
         gates = event.line_gate[(event.line_match >= 0) & np.isfinite(event.line_gate)]
