@@ -36,9 +36,7 @@ class Hold(Enum):
     """How a scan's pose was found."""
 
     FIRM = "firm"  # it fits the map where odometry led to, give or take
-    SEARCHED = (
-        "searched"  # it fits the map elsewhere; the next scan must show that before anything is mapped from there
-    )
+    SEARCHED = "searched"  # it fits the map elsewhere; nothing enters the path before the next scan bears it out
     NONE = "none"  # it fits nowhere near
 
 

@@ -188,7 +188,9 @@ class FactorGraph:
         for _ in range(REBUILDS):
             values = self._isam.calculateEstimate()
             self._isam = gtsam.ISAM2(_parameters())
-            self._isam.update(graph, values)
+            self._factors, self._values = gtsam.NonlinearFactorGraph(graph), values
+            self.factor_count = 0
+            self.update()
         self._observations.clear()
 
     # --- the estimate
