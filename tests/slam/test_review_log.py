@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from dataclasses import replace
+from glob import glob
 from pathlib import Path
 
 import numpy as np
@@ -378,6 +379,8 @@ def test_rerun_is_imported_only_for_a_log():
 
 def viewer():
     """A real viewer without a window. It needs a Vulkan driver; a software one does (mesa-vulkan-drivers)."""
+    if sys.platform == "linux" and not any(glob(f"{folder}/vulkan/icd.d/*.json") for folder in ("/usr/share", "/etc")):
+        pytest.skip("no Vulkan driver is installed")  # the viewer would come up, and die when it draws
     import rerun_cli
     from rerun.experimental import ViewerClient
 
