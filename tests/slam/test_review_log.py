@@ -10,7 +10,6 @@ import sys
 import threading
 import time
 from dataclasses import replace
-from glob import glob
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +37,7 @@ from slam.segments import CornerPoints, Segments
 OUTER = np.array([[0.0, 0.0], [24.0, 0.0], [24.0, 16.0], [0.0, 16.0]])
 INNER = np.array([[3.0, 3.0], [3.0, 13.0], [21.0, 13.0], [21.0, 3.0]])
 WAY = np.array([[1.5, 1.5], [22.5, 1.5], [22.5, 14.5], [1.5, 14.5], [1.5, 1.5]])
+VULKAN_DRIVERS = (Path("/usr/share/vulkan/icd.d"), Path("/etc/vulkan/icd.d"))
 PIECE = 3.0  # metres; walls are split as doors split them
 EMPTY_SEGMENTS = Segments(np.empty((0, 3)), np.empty(0), np.empty((0, 2, 2)))
 
@@ -379,7 +379,8 @@ def test_rerun_is_imported_only_for_a_log():
 
 def viewer():
     """A real viewer without a window. It needs a Vulkan driver; a software one does (mesa-vulkan-drivers)."""
-    if sys.platform == "linux" and not any(glob(f"{folder}/vulkan/icd.d/*.json") for folder in ("/usr/share", "/etc")):
+    drivers = [folder for folder in VULKAN_DRIVERS if any(folder.glob("*.json"))]
+    if sys.platform == "linux" and not drivers:
         pytest.skip("no Vulkan driver is installed")  # the viewer would come up, and die when it draws
     import rerun_cli
     from rerun.experimental import ViewerClient
