@@ -3,28 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from drivers import se2
-
+from .estimator import Extension
 from .events import Event, KeyframeAdded, LinesMerged, LoopDecided, MapUpdated, Sink
+from .front_end import Sighting
 from .loops.closer import LoopDecision
-from .mapper import KeyframeView, Mapper, Merge
-from .segments import Floats
+from .mapper import Mapper
 from .snapshot import map_corners, map_lines
 
 MAP_INTERVAL = 20  # keyframes between two events with the whole map
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Extension:
-    """What a keyframe did to the map: what it saw, the walls found to be one and the loop decided on, if any."""
-
-    view: KeyframeView
-    merge: Merge | None
-    loop: LoopDecision | None
 
 
 class Reporter:
@@ -41,26 +30,24 @@ class Reporter:
 
     def tell_keyframe(
         self,
-        stamp: float,
+        sighting: Sighting,
         mapper: Mapper,
         extension: Extension,
-        odometry: se2.Pose,
-        points: Floats,
         sigma_range: float,
         timings: dict[str, float],
     ) -> None:
         """Tell of the last keyframe, of what it changed, and of the whole map every so often."""
         if not self._sinks:
             return
-        view, index = extension.view, mapper.keyframe_count - 1
+        view, index, stamp = extension.view, mapper.keyframe_count - 1, sighting.stamp
         self.tell(
             KeyframeAdded(
                 index=index,
                 stamp=stamp,
                 pose=mapper.pose,
                 pose_covariance=mapper.graph.keyframe_covariance(index),
-                odometry=odometry,
-                points=points,
+                odometry=sighting.odometry,
+                points=sighting.seen.points.all,
                 segments=view.segments,
                 corners=view.corners,
                 line_match=view.walls,
@@ -94,8 +81,8 @@ class Reporter:
                 index=len(keyframes) - 1,
                 stamp=stamp,
                 keyframes=keyframes,
-                lines=map_lines(mapper.landmarks, mapper.graph, covariances=False),
-                corners=map_corners(mapper.landmarks, mapper.graph, covariances=False),
+                lines=map_lines(mapper, covariances=False),
+                corners=map_corners(mapper, covariances=False),
                 chi2=mapper.graph.chi2(),
                 shift=float(np.max(np.hypot(moved[:, 0], moved[:, 1]), initial=0.0)),
             )

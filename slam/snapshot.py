@@ -7,22 +7,21 @@ import numpy as np
 from drivers import se2
 
 from .events import MapCorners, MapLines
-from .graph import FactorGraph
-from .landmarks import Landmarks
+from .mapper import Mapper
 from .segments import Floats
 
 LEAST_SINE = 0.2  # of the angle between two walls that meet in a corner
 STRAYED = 0.1  # metres from a corner beyond which its walls, as they are known now, no longer make it
 
 
-def map_lines(landmarks: Landmarks, graph: FactorGraph, *, covariances: bool) -> MapLines:
+def map_lines(mapper: Mapper, *, covariances: bool) -> MapLines:
     """The confirmed walls; with the covariances of their marginals if asked for, about a millisecond each."""
-    rows = landmarks.walls.rows
+    rows = mapper.landmarks.walls.rows
     chosen = np.flatnonzero(rows["in_graph"] & (rows["kept"] == np.arange(len(rows))))
     covariance = np.full((len(chosen), 2, 2), np.nan)
     if covariances:
         for row, wall in enumerate(chosen):
-            covariance[row] = graph.wall_covariance(int(wall))
+            covariance[row] = mapper.graph.wall_covariance(int(wall))
     walls = rows[chosen]
     return MapLines(
         identity=chosen,
@@ -34,13 +33,13 @@ def map_lines(landmarks: Landmarks, graph: FactorGraph, *, covariances: bool) ->
     )
 
 
-def map_corners(landmarks: Landmarks, graph: FactorGraph, *, covariances: bool) -> MapCorners:
+def map_corners(mapper: Mapper, *, covariances: bool) -> MapCorners:
     """The confirmed corners, likewise.
 
     A corner lies on both of its walls, and they carry most of what was measured of it. So where both are in the map
     the corner is where they meet, with the covariance that follows from theirs; elsewhere it is its own estimate.
     """
-    rows, walls = landmarks.corners.rows, landmarks.walls.rows
+    rows, walls = mapper.landmarks.corners.rows, mapper.landmarks.walls.rows
     chosen = np.flatnonzero(rows["in_graph"])
     lines = np.full((len(chosen), 2), -1)
     position = rows["position"][chosen].copy()
@@ -56,9 +55,9 @@ def map_corners(landmarks: Landmarks, graph: FactorGraph, *, covariances: bool) 
         if meeting is not None and np.hypot(*(meeting - position[row])) < STRAYED:
             position[row] = meeting
             if covariances:
-                covariance[row] = jacobian @ graph.walls_covariance(first, second) @ jacobian.T
+                covariance[row] = jacobian @ mapper.graph.walls_covariance(first, second) @ jacobian.T
         elif covariances:
-            covariance[row] = graph.corner_covariance(int(corner))
+            covariance[row] = mapper.graph.corner_covariance(int(corner))
     return MapCorners(
         identity=chosen,
         position=position,

@@ -33,11 +33,9 @@ class Clock:
 class RunStatistics:
     """What a run counted. `health` and `timings` condense it."""
 
-    scans: int = 0
-    empty_scans: int = 0
-    scans_without_odometry: int = 0
     searched: int = 0
     unplaced: int = 0
+    blind: int = 0
     merged_walls: int = 0
     loops: list[LoopDecision] = field(default_factory=list)
     explained: list[float] = field(default_factory=list)
@@ -75,8 +73,7 @@ class RunStatistics:
         return {
             "explained_median": round(float(np.median(explained)), 3),
             "explained_p05": round(float(np.percentile(explained, 5)), 3),
-            "empty_scans": self.empty_scans,
-            "scans_without_odometry": self.scans_without_odometry,
             "searched": self.searched,
             "unplaced": self.unplaced,
+            "blind": self.blind,
         }

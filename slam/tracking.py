@@ -2,7 +2,7 @@
 
 Odometry may slip, stand still for a second and then catch up, or jump. A scan that falls neither on known walls nor on
 the points of the last keyframes is not believed where odometry puts it: its pose is searched for with the raw points,
-and a few scans that fit nowhere are left out before the place is taken for new.
+and a few scans that fit nowhere are left out before the robot is taken for lost.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ SEARCHED_LIKE = 0.5  # likeness that a searched pose must reach
 SEARCHED_POINTS = 30  # points that a scan must have for that: few of them lie well nearly everywhere
 LARGE_STEP = 0.8  # metres of way between two scans, from which on odometry may be making up for what it missed
 CLEARLY_BETTER = 0.3  # by which the scan must then fit better where the robot last was
-PATIENCE = 4  # scans in a row that may be lost before odometry is believed again: the place is new, then
+PATIENCE = 4  # scans in a row that may fit nowhere
+LEAST_WALL = 0.5  # metres of wall that a scan must show, or SEARCHED_POINTS, for its pose to be found by it
 
 
 class Hold(Enum):
@@ -38,6 +39,26 @@ class Hold(Enum):
     FIRM = "firm"  # it fits the map where odometry led to, give or take
     SEARCHED = "searched"  # it fits the map elsewhere; nothing enters the path before the next scan bears it out
     NONE = "none"  # it fits nowhere near
+    BLIND = "blind"  # it shows too little to be placed by
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placement:
+    """Where a scan was taken.
+
+    covariance        (3, 3) of the pose in the map as it stands, in the base's frame
+    bears_out_search  whether this scan confirms the pose that was searched for one scan earlier
+    """
+
+    registration: Registration
+    hold: Hold
+    covariance: Floats
+    bears_out_search: bool = False
+
+    @property
+    def pose(self) -> se2.Pose:
+        """The base's pose in the map."""
+        return self.registration.pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,65 +73,122 @@ class Place:
         return se2.compose(self.pose, se2.between(self.odometry, odometry))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Surroundings:
+    """What a scan is compared with: landmarks, the points of the last keyframes, the variance of walls' unevenness."""
+
+    landmarks: LocalMap
+    points: PointField
+    flatness: float
+
+    def lay(self, scan: ScanFeatures, prediction: se2.Pose, prior: Floats, starts: Floats = NEAR_STARTS) -> _Fit:
+        """Lay a scan over them near a predicted pose."""
+        registration = register(prediction, prior, starts, scan, self.landmarks, self.points, self.flatness)
+        return _Fit(registration, likeness(self.points, scan.points.all, registration.pose))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """How a scan lies on walls (`registration.explained`) and on the points of the last keyframes (`like`)."""
+
+    registration: Registration
+    like: float
+
+    @property
+    def both(self) -> float:
+        return self.registration.explained + self.like
+
+    @property
+    def believable(self) -> bool:
+        return self.registration.explained >= EXPLAINED_ENOUGH or self.both >= FITS_ENOUGH
+
+
 class Tracker:
     """The last pose that is believed, and the odometry's at that time."""
 
     def __init__(self, noise: OdometryNoise) -> None:
         self._noise = noise
         self._firm: Place | None = None
-        self._lost = 0
+        self._misfits = 0  # scans in a row
         # Where the robot was before its last pose was searched for: odometry may make up for what it missed in a step,
         # and the search may have been wrong.
         self._left: Place | None = None
-        self.search_held = False  # whether the last scan bore out the pose that was searched for one scan earlier
 
     def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
-        """The pose at the last scan is `pose` in the map, as the map is now."""
-        self._firm, self._lost, self._left = Place(pose, odometry), 0, None
+        """The base is at `pose` in the map, as the map is now, when odometry is at `odometry`."""
+        self._firm, self._misfits, self._left = Place(pose, odometry), 0, None
 
     def correct(self, pose: se2.Pose) -> None:
         """The map has changed, and the pose at the last scan with it."""
         assert self._firm is not None
         self._firm = Place(pose, self._firm.odometry)
 
-    def track(
-        self, odometry: se2.Pose, scan: ScanFeatures, local_map: LocalMap, field: PointField, flatness: float
-    ) -> tuple[Registration, Hold]:
-        """The base's pose at a scan taken when odometry was at `odometry`, and how it was found."""
+    def predict(self, odometry: se2.Pose) -> se2.Pose:
+        """Where the base is in the map when odometry is at `odometry`."""
+        return np.zeros(3) if self._firm is None else self._firm.predict(odometry)
+
+    @property
+    def lost(self) -> bool:
+        """Whether too many scans in a row fitted nowhere for the last pose to be still of use."""
+        return self._misfits >= PATIENCE
+
+    def track(self, odometry: se2.Pose, scan: ScanFeatures, around: Surroundings) -> Placement:
+        """Where the base was at a scan taken when odometry was at `odometry`."""
         if self._firm is None:
             self.move_to(np.zeros(3), odometry)
         assert self._firm is not None
-        prior = self.prior(odometry)
+        prior = self._prior(odometry)
+        after_search = self._left is not None
+        predictions = self._predictions(odometry)
+        fits = [around.lay(scan, prediction, prior) for prediction in predictions]
+        best = int(np.argmax([fit.both for fit in fits]))
+        if not after_search and fits[best].both <= fits[0].both + CLEARLY_BETTER:
+            best = 0
+        fit = fits[best]
+        if _shows_too_little(scan):
+            return _placement(fit.registration, Hold.BLIND, prior)
+        if fit.believable or self.lost or not len(around.landmarks.walls):
+            self.move_to(fit.registration.pose, odometry)
+            return _placement(fit.registration, Hold.FIRM, prior, after_search and best < len(predictions) - 1)
+        searched = self._search(scan, around, predictions[-1], fit.like)
+        if searched is None:
+            self._misfits += 1
+            return _placement(fit.registration, Hold.NONE, prior)
+        far = around.lay(scan, searched, prior, NEAR_STARTS[:1]).registration
+        left = self._firm
+        self.move_to(far.pose, odometry)
+        self._left = left
+        return _placement(far, Hold.FIRM if after_search else Hold.SEARCHED, prior, after_search)
+
+    def _predictions(self, odometry: se2.Pose) -> list[se2.Pose]:
+        """Where the base may be: as odometry has it; where it was, if odometry may just be making up for what it
+        missed; and, if the last pose was searched for, as odometry has it from where the robot was before."""
+        assert self._firm is not None
         predictions = [self._firm.predict(odometry)]
         if self._left is not None:
-            predictions += [self._firm.pose, self._left.predict(odometry)]
-        elif way_of(se2.between(self._firm.odometry, odometry)) > LARGE_STEP:
+            return [*predictions, self._firm.pose, self._left.predict(odometry)]
+        if way_of(se2.between(self._firm.odometry, odometry)) > LARGE_STEP:
             predictions.append(self._firm.pose)
-        found = [
-            register(prediction, prior, NEAR_STARTS, scan, local_map, field, flatness) for prediction in predictions
-        ]
-        likes = [likeness(field, scan.points.all, registration.pose) for registration in found]
-        fits = [registration.explained + like for registration, like in zip(found, likes, strict=True)]
-        other = int(np.argmax(fits))
-        choice = other if self._left is not None or fits[other] > fits[0] + CLEARLY_BETTER else 0
-        best, like = found[choice], likes[choice]
-        believable = best.explained >= EXPLAINED_ENOUGH or best.explained + like >= FITS_ENOUGH
-        if believable or self._lost >= PATIENCE or not len(local_map.walls):
-            self.search_held = self._left is not None and choice < len(predictions) - 1
-            self.move_to(best.pose, odometry)
-            return best, Hold.FIRM
-        searched, liker = search(field, scan.points.all, predictions[-1])
-        if len(scan.points.all) >= SEARCHED_POINTS and liker >= max(SEARCHED_LIKE, like + CLEARLY_LIKER):
-            far = register(searched, prior, NEAR_STARTS[:1], scan, local_map, field, flatness)
-            self.search_held = self._left is not None  # the second in a row
-            left = self._firm
-            self.move_to(far.pose, odometry)
-            self._left = left
-            return far, Hold.FIRM if self.search_held else Hold.SEARCHED
-        self._lost += 1
-        return best, Hold.NONE
+        return predictions
 
-    def prior(self, odometry: se2.Pose) -> Floats:
+    def _search(self, scan: ScanFeatures, around: Surroundings, near: se2.Pose, like: float) -> se2.Pose | None:
+        """A pose where the scan's points lie clearly better than they do (`like`) where it was expected."""
+        if len(scan.points.all) < SEARCHED_POINTS:
+            return None
+        searched, liker = search(around.points, scan.points.all, near)
+        return searched if liker >= max(SEARCHED_LIKE, like + CLEARLY_LIKER) else None
+
+    def _prior(self, odometry: se2.Pose) -> Floats:
         """(3, 3): information of the pose predicted with `odometry`, in the base's frame."""
-        step = np.zeros(3) if self._firm is None else se2.between(self._firm.odometry, odometry)
+        assert self._firm is not None
+        step = se2.between(self._firm.odometry, odometry)
         return np.asarray(np.linalg.inv(self._noise.covariance(step) + np.diag(PREDICTION_SIGMAS**2)))
+
+
+def _placement(registration: Registration, hold: Hold, prior: Floats, bears_out_search: bool = False) -> Placement:
+    information = registration.information + registration.point_information + prior
+    return Placement(registration, hold, np.asarray(np.linalg.inv(information)), bears_out_search)
+
+
+def _shows_too_little(scan: ScanFeatures) -> bool:
+    return 2 * scan.segments.half_length.sum() < LEAST_WALL and len(scan.points.all) < SEARCHED_POINTS

@@ -1,0 +1,95 @@
+"""From messages to sightings: a scan waits until the odometry covers its sweep, is straightened, and condensed."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers import se2
+from drivers.messages import Odometry, Scan
+from features import Features
+
+from .config import Config
+from .deskew import Sweep, deskew, loosen
+from .extraction import build_extractor
+from .odometry import OdometryHistory, OdometryNoise
+from .point_field import MOST_POINTS, ScanPoints, thinned
+from .registration import ScanFeatures
+from .segments import corner_points, segments_from_lines
+
+LONGEST_WAIT = 20  # scans that wait for the odometry to catch up before they are taken without
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sighting:
+    """What one scan shows, in the base's frame, as if seen all at once at `stamp`, when odometry was at `odometry`."""
+
+    stamp: float
+    odometry: se2.Pose
+    seen: ScanFeatures
+
+
+class FrontEnd:
+    """Takes scans and odometry, gives sightings."""
+
+    def __init__(self, config: Config) -> None:
+        self._mount = None if config.lidar.mount is None else np.array(config.lidar.mount)
+        self._extractor = build_extractor(config)
+        self._waiting: deque[Scan] = deque()
+        self.odometry = OdometryHistory()
+        self.scans = 0
+        self.empty_scans = 0
+        self.scans_without_odometry = 0
+
+    @property
+    def sigma_range(self) -> float:
+        """Standard deviation of a range as it is estimated now, metres."""
+        return self._extractor.noise.sigma_range
+
+    def add(self, message: Odometry | Scan) -> None:
+        """Take a message."""
+        if isinstance(message, Odometry):
+            self.odometry.add(message)
+            return
+        self.scans += 1
+        self.empty_scans += not np.isfinite(message.ranges).any()
+        self._waiting.append(message)
+        if not len(self.odometry) and len(self._waiting) > LONGEST_WAIT:
+            self._waiting.popleft()
+            self.scans_without_odometry += 1
+
+    def next_scan(self, *, last: bool = False) -> Scan | None:
+        """The oldest scan that waits, if odometry covers it or cannot be waited for: there are many, or no more comes
+        (`last`)."""
+        if not self._waiting or not len(self.odometry):
+            return None
+        ready = last or self._covered(self._waiting[0]) or len(self._waiting) > LONGEST_WAIT
+        return self._waiting.popleft() if ready else None
+
+    def _covered(self, scan: Scan) -> bool:
+        sweep = float(scan.time_offsets[-1]) if len(scan.time_offsets) else 0.0
+        return scan.stamp + sweep <= self.odometry.latest
+
+    def sight(self, scan: Scan, odometry_noise: OdometryNoise) -> Sighting:
+        """Straighten a scan and condense it into walls and corners, and points that are on neither."""
+        mount = self._mount_of(scan)
+        sweep = deskew(scan, self.odometry, mount)
+        features = self._extractor.extract(sweep.ranges, sweep.bearings)
+        seen = _in_base_frame(sweep, features, mount, odometry_noise)
+        return Sighting(sweep.stamp, self.odometry.at(sweep.stamp), seen)
+
+    def _mount_of(self, scan: Scan) -> se2.Pose:
+        if self._mount is not None:
+            return self._mount
+        return np.zeros(3) if scan.mount is None else scan.mount
+
+
+def _in_base_frame(sweep: Sweep, features: Features, mount: se2.Pose, odometry_noise: OdometryNoise) -> ScanFeatures:
+    """What a scan shows, moved from the lidar's frame into the base's."""
+    segments = segments_from_lines(features.lines, mount)
+    corners = corner_points(features.corners, segments, mount)
+    segments, corners = loosen(segments, corners, features.lines, sweep, odometry_noise)
+    points = [thinned(se2.transform(mount, some), MOST_POINTS) for some in sweep.points(features.lines)]
+    return ScanFeatures(segments, corners, ScanPoints(*points))
