@@ -145,7 +145,7 @@ class Tracker:
         if not after_search and fits[best].both <= fits[0].both + CLEARLY_BETTER:
             best = 0
         fit = fits[best]
-        if _shows_too_little(scan):
+        if _shows_too_little(scan) and len(around.landmarks.walls):
             return _placement(fit.registration, Hold.BLIND, prior)
         if fit.believable or self.lost or not len(around.landmarks.walls):
             self.move_to(fit.registration.pose, odometry)
