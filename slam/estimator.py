@@ -1,117 +1,62 @@
-"""Where the robot is, the way it came and the map it made: all that sightings change, in one object.
-
-It can be copied, to go back to: a closure that turns out to be wrong is undone by taking the state before it and the
-sightings since.
-"""
+"""How a belief grows by sightings, with loops closed on trial, and taken back where what follows contradicts them."""
 
 from __future__ import annotations
 
-import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-import numpy as np
-
-from drivers import se2
-
-from .association import associate
-from .config import OdometryConfig
+from .belief import Belief, Extension
 from .front_end import Sighting
-from .local_map import empty_local_map
-from .loops.closer import LoopCloser, LoopDecision
-from .mapper import KeyframeView, Mapper, Merge
-from .odometry import OdometryNoise, fused_motion
-from .path import Path
-from .point_field import RecentPoints
-from .registration import Registration
-from .segments import Floats
+from .loops.closer import LoopDecision
+from .loops.probation import Probation
+from .mapper import KeyframeView
 from .statistics import Clock
-from .tracking import Hold, Placement, Surroundings, Tracker
-
-KEYFRAME_DISTANCE = 0.25  # metres
-KEYFRAME_TURN = np.radians(8.0)
+from .tracking import Placement
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Extension:
-    """What a keyframe did to the map: what it saw, the walls found to be one and the loop decided on, if any."""
+class Step:
+    """What a sighting did: where it was taken, how it extended the map if it became a keyframe, and the closure that
+    had to be taken back after it, if any."""
 
-    view: KeyframeView
-    merge: Merge | None
-    loop: LoopDecision | None
+    placement: Placement
+    extension: Extension | None
+    retracted: LoopDecision | None
 
 
 class Estimator:
-    """The estimate of everything, extended by one sighting after the other."""
+    """Changes a belief as sightings come."""
 
-    def __init__(self, config: OdometryConfig) -> None:
-        self.mapper = Mapper()
-        self.odometry_noise = OdometryNoise(config)
-        self.path = Path()
-        self.keyframe_stamps: list[float] = []
-        self.pose = np.zeros(3)  # of the base in the map, at the last sighting
-        self._tracker = Tracker(self.odometry_noise)
-        self._loops = LoopCloser()
-        self._local_map = empty_local_map()
-        self._recent_points = RecentPoints()
-        self._point_field = self._recent_points.field(np.zeros((0, 3)))
-        self._keyframe_odometry = np.zeros(3)
-        self._searched: tuple[float, int, se2.Pose] | None = None  # to be borne out by the next scan
+    def __init__(self, belief: Belief) -> None:
+        self.belief = belief
+        self._probation = Probation()
 
-    def copy(self) -> Estimator:
-        """The same estimate, to go back to."""
-        return copy.deepcopy(self)
+    def take(self, sighting: Sighting, clock: Clock) -> Step:
+        """Place a sighting, let the map grow, close a loop or take one back."""
+        placement, extension = self.belief.take(sighting, clock)
+        if extension is not None and extension.loop is not None and extension.loop.status == "agreed":
+            extension = replace(extension, loop=self._close(extension.view, extension.loop))
+            clock.lap("closing")
+        self._probation.remember(sighting)
+        return Step(placement, extension, self._doubt())
 
-    def take(self, sighting: Sighting, clock: Clock) -> tuple[Placement, Extension | None]:
-        """Find where the robot was, and let the map grow if it has moved on."""
-        around = Surroundings(self._local_map, self._point_field, self.mapper.flatness.variance)
-        placement = self._tracker.track(sighting.odometry, sighting.seen, around)
-        clock.lap("registration")
-        if placement.hold in (Hold.FIRM, Hold.SEARCHED):
-            self.pose = placement.pose
-        extension = None
-        if placement.hold is Hold.FIRM and (self.mapper.keyframe_count == 0 or self._moved_enough()):
-            extension = self._extend_map(sighting, placement, clock)
-        self._hang_on_path(sighting.stamp, placement)
-        return placement, extension
+    def _close(self, view: KeyframeView, decision: LoopDecision) -> LoopDecision:
+        """Close the loop that two looks agree on, on a copy, and see whether the map comes together."""
+        if self._probation.contradicts(decision):
+            return decision
+        trial = self.belief.copy()
+        decision = trial.close_loop(view, decision)
+        if decision.status == "accepted":
+            self._probation.begin(self.belief, decision)
+            self.belief = trial
+        return decision
 
-    def _moved_enough(self) -> bool:
-        moved = se2.between(self.mapper.pose, self.pose)
-        return bool(np.hypot(moved[0], moved[1]) > KEYFRAME_DISTANCE or abs(moved[2]) > KEYFRAME_TURN)
-
-    def _hang_on_path(self, stamp: float, placement: Placement) -> None:
-        """Make the pose part of the path; one that was searched for, once the next sighting has borne it out."""
-        place = (stamp, self.mapper.keyframe_count - 1, se2.between(self.mapper.pose, self.pose))
-        if self._searched is not None and placement.bears_out_search:
-            self.path.add(*self._searched)
-        self._searched = place if placement.hold is Hold.SEARCHED else None
-        if placement.hold is Hold.FIRM:
-            self.path.add(*place)
-
-    def _extend_map(self, sighting: Sighting, placement: Placement, clock: Clock) -> Extension:
-        """Make the sighting a keyframe: give its features to landmarks, solve, close loops, see the map around anew."""
-        mapper, seen = self.mapper, sighting.seen
-        association = associate(
-            self.pose, placement.covariance, seen.segments, seen.corners, self._local_map, mapper.flatness.variance
-        )
-        clock.lap("association")
-        motion = self._motion(sighting.odometry, placement.registration) if mapper.keyframe_count else None
-        view = mapper.add_keyframe(self.pose, motion, seen.segments, seen.corners, association, self._local_map)
-        self.keyframe_stamps.append(sighting.stamp)
-        clock.lap("graph")
-        self._local_map, merge = mapper.refresh(view)
-        decision = self._loops.look(mapper)
-        if decision is not None and decision.status == "accepted":
-            self._local_map = mapper.local_map(view)
-        clock.lap("loops")
-        self._recent_points.add(mapper.keyframe_count - 1, seen.points)
-        self._point_field = self._recent_points.field(mapper.graph.some_poses(self._recent_points.keyframes))
-        self.pose, self._keyframe_odometry = mapper.pose, sighting.odometry
-        self._tracker.correct(self.pose)
-        clock.lap("local map")
-        return Extension(view, merge, decision)
-
-    def _motion(self, odometry: se2.Pose, found: Registration) -> tuple[se2.Pose, Floats]:
-        """The motion since the last keyframe and its covariance; what was found teaches how good odometry is."""
-        claimed, actual = se2.between(self._keyframe_odometry, odometry), se2.between(self.mapper.pose, self.pose)
-        self.odometry_noise.learn(claimed, actual)
-        return fused_motion(claimed, self.odometry_noise.covariance(claimed), actual, found.point_information)
+    def _doubt(self) -> LoopDecision | None:
+        """Take back a closure that was contradicted since: the belief before it takes all sightings since again."""
+        case = self._probation.examine(self.belief.mapper, lost=self.belief.lost)
+        if case is None:
+            return None
+        self.belief = case.checkpoint
+        self.belief.loops.refuse(case.decision)
+        for sighting in case.since:
+            self.belief.take(sighting, Clock())
+        return case.decision

@@ -133,7 +133,8 @@ class LoopDecided:
     candidate     running number
     old           a keyframe that saw the place before
     motion        [x, y, heading] by which the robot would have to move, in its own frame
-    status        "held" (it waits for a second look), "accepted" or "rejected"; `reason` says why
+    status        "held" (it waits for a second look), "accepted", "rejected", or "retracted": accepted before, and
+                  contradicted by what was seen since; `reason` says why
     explained     share of the wall length seen lately, where the old map has been, that would fall on old walls
     matches       walls that would
     runner_up     how much another motion explains, relative to this one
@@ -177,6 +178,16 @@ class Noticed:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class StateChanged:
+    """How well the robot's place is known from now on: "OK", "DEGENERATE" (along `direction`, radians in the map, by
+    odometry alone) or "LOST"."""
+
+    stamp: float
+    state: str
+    direction: float | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Finished:
     """The run is over; the final map with the covariances of its marginals, and the path at every odometry stamp."""
 
@@ -189,7 +200,9 @@ class Finished:
     summary: dict[str, object] = field(default_factory=dict)
 
 
-Event: TypeAlias = ScanTracked | KeyframeAdded | MapUpdated | LinesMerged | LoopDecided | TruthSeen | Noticed | Finished
+Event: TypeAlias = (
+    ScanTracked | KeyframeAdded | MapUpdated | LinesMerged | LoopDecided | StateChanged | TruthSeen | Noticed | Finished
+)
 
 
 class Sink(Protocol):

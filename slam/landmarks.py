@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from typing import Any
 
@@ -73,7 +74,14 @@ class Landmarks:
     def __init__(self) -> None:
         self.walls = Table(WALL)
         self.corners = Table(CORNER)
-        self.covered: list[set[int]] = []  # of each wall, the cells of CELL metres along it where it was seen
+        # of each wall, the cells of CELL metres along it where it was seen
+        self.covered: list[frozenset[int]] = []
+
+    def __deepcopy__(self, memo: dict[int, object]) -> Landmarks:
+        other = Landmarks()
+        other.walls, other.corners = copy.deepcopy(self.walls), copy.deepcopy(self.corners)
+        other.covered = list(self.covered)  # of what never changes
+        return other
 
     def add_wall(self, frame: se2.Pose, half_length: float, keyframe: int) -> int:
         """A wall first seen from a keyframe, its `frame` at its centre. Returns its identity."""
@@ -122,7 +130,7 @@ class Landmarks:
         row["low"] = min(row["low"], along + other["low"])
         row["high"] = max(row["high"], along + other["high"])
         shift = round(along / CELL)
-        self.covered[kept] |= {cell + shift for cell in self.covered[absorbed]}
+        self.covered[kept] |= frozenset(cell + shift for cell in self.covered[absorbed])
         row["observations"] += other["observations"]
         row["first_seen"] = min(row["first_seen"], other["first_seen"])
         row["last_seen"] = max(row["last_seen"], other["last_seen"])
@@ -147,11 +155,6 @@ class Landmarks:
         return np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) < radius)
 
 
-BEHIND_MARGIN = (
-    0.5  # metres the robot may stand behind a wall's line and still be about to see it: drift, and the far ends
-)
-
-
-def _cells(low: float, high: float) -> set[int]:
+def _cells(low: float, high: float) -> frozenset[int]:
     """The cells that lie wholly between two places along a wall."""
-    return set(range(math.ceil(low / CELL), math.floor(high / CELL)))
+    return frozenset(range(math.ceil(low / CELL), math.floor(high / CELL)))

@@ -202,8 +202,11 @@ class Mapper:
 
     def local_map(self, view: KeyframeView) -> LocalMap:
         """The map around the last keyframe, as far as that keyframe saw and a little farther."""
-        reach = REACH_MARGIN + view.segments.reach()
-        return local_map_around(self.landmarks, self.pose, reach, self.pose_covariances)
+        return self.local_map_at(self.pose, REACH_MARGIN + view.segments.reach())
+
+    def local_map_at(self, pose: se2.Pose, reach: float) -> LocalMap:
+        """The map within `reach` (metres) of a pose, as certain as it is seen from the last keyframe."""
+        return local_map_around(self.landmarks, pose, reach, self.pose_covariances)
 
     def merge_walls(self, kept: int, absorbed: int) -> None:
         """Two walls are one. Takes effect in the graph with its next update."""

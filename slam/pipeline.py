@@ -10,15 +10,18 @@ import numpy as np
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Scan
 
+from .belief import Belief, Extension
 from .config import Config
 from .errors import MapError
-from .estimator import Estimator, Extension
-from .events import Finished, MapCorners, MapLines, Noticed, ScanTracked, Sink, TruthSeen
+from .estimator import Estimator
+from .events import Finished, MapCorners, MapLines, Noticed, ScanTracked, Sink, StateChanged, TruthSeen
 from .front_end import FrontEnd, Sighting
 from .mapper import Mapper
+from .recovery import Excursion
 from .reporting import Reporter
 from .segments import Floats
 from .snapshot import map_corners, map_lines
+from .state import State, StateWatch
 from .statistics import Clock, RunStatistics
 from .tracking import Hold, Placement
 
@@ -36,7 +39,9 @@ class Slam:
         self.config = config or Config()
         self._reporter = Reporter(sinks)
         self._front_end = FrontEnd(self.config)
-        self._estimator = Estimator(self.config.odometry)
+        self._estimator = Estimator(Belief(self.config.odometry))
+        self._excursion: Excursion | None = None  # while the robot is lost
+        self._state = StateWatch()
         self._statistics = RunStatistics()
 
     # --- what goes in
@@ -54,12 +59,39 @@ class Slam:
 
     def _add_scan(self, scan: Scan) -> None:
         clock = Clock()
-        sighting = self._front_end.sight(scan, self._estimator.odometry_noise)
+        sighting = self._front_end.sight(scan, self._belief.odometry_noise)
         clock.lap("features")
-        placement, extension = self._estimator.take(sighting, clock)
-        self._note(sighting, placement)
-        if extension is not None:
-            self._tell_keyframe(sighting, extension, clock)
+        if self._excursion is not None:
+            self._look_for_the_way_back(self._excursion, sighting)
+            return
+        step = self._estimator.take(sighting, clock)
+        self._note(sighting, step.placement)
+        if step.extension is not None:
+            self._tell_keyframe(sighting, step.extension, clock)
+        if step.retracted is not None:
+            self._statistics.loops.append(step.retracted)
+            self._reporter.tell_loop(step.retracted, sighting.stamp, self._mapper)
+        if self._belief.lost:
+            self._excursion = Excursion(self.config.odometry, self._belief)
+            self._tell_state(sighting.stamp, self._state.lose())
+
+    def _look_for_the_way_back(self, excursion: Excursion, sighting: Sighting) -> None:
+        """The robot is lost: see whether what it has seen since is somewhere on the map."""
+        excursion.add(sighting)
+        self._statistics.lost += 1
+        found = excursion.recognised()
+        if found is not None:
+            self._go_on_from(found, sighting.stamp, "found again in the map")
+
+    def _go_on_from(self, estimator: Estimator, stamp: float, text: str) -> None:
+        self._estimator, self._excursion = estimator, None
+        self._reporter.tell(Noticed(stamp, text))
+        self._reporter.tell_map(stamp, self._mapper)
+        self._tell_state(stamp, self._state.find())
+
+    def _tell_state(self, stamp: float, state: State) -> None:
+        self._statistics.states.append((stamp, state))
+        self._reporter.tell(StateChanged(stamp, state.condition.value, state.direction))
 
     def _note(self, sighting: Sighting, placement: Placement) -> None:
         """Count how the scan was placed, and tell the listeners."""
@@ -73,6 +105,9 @@ class Slam:
             self._reporter.tell(Noticed(stamp, "the scan fits nowhere near; left out"))
         elif placement.hold is Hold.BLIND:
             self._statistics.blind += 1
+        state = self._state.update(placement)
+        if state is not None:
+            self._tell_state(stamp, state)
         keyframe = self._mapper.keyframe_count - 1
         self._reporter.tell(ScanTracked(stamp, placement.pose, sighting.odometry, explained, keyframe))
 
@@ -87,13 +122,22 @@ class Slam:
     # --- what comes out
 
     @property
+    def _belief(self) -> Belief:
+        return self._estimator.belief
+
+    @property
     def _mapper(self) -> Mapper:
-        return self._estimator.mapper
+        return self._belief.mapper
 
     @property
     def pose(self) -> se2.Pose:
-        """The base's pose [x, y, heading] in the map at the last scan."""
-        return self._estimator.pose.copy()
+        """The base's pose [x, y, heading] in the map at the last scan; see `state` for how well it is known."""
+        return (self._belief if self._excursion is None else self._excursion).pose.copy()
+
+    @property
+    def state(self) -> State:
+        """Whether the robot knows where it is."""
+        return self._state.state
 
     @property
     def walls(self) -> MapLines:
@@ -116,13 +160,16 @@ class Slam:
             raise MapError(f"{self._front_end.scans} scans, but no odometry; SLAM needs both")
         while (scan := self._front_end.next_scan(last=True)) is not None:
             self._add_scan(scan)
+        if self._excursion is not None:
+            last = self._excursion.sightings[-1].stamp
+            self._go_on_from(self._excursion.joined(), last, "never found again in the map; odometry has to do")
         self._mapper.settle()
         keyframes = self._mapper.graph.keyframe_poses(self._mapper.keyframe_count)
-        stamps, poses = self._estimator.path.at_odometry(keyframes, self._front_end.odometry)
+        stamps, poses = self._belief.path.at_odometry(keyframes, self._front_end.odometry)
         result = Finished(
             lines=map_lines(self._mapper, covariances=True),
             corners=map_corners(self._mapper, covariances=True),
-            keyframe_stamps=np.array(self._estimator.keyframe_stamps),
+            keyframe_stamps=np.array(self._belief.keyframe_stamps),
             keyframes=keyframes,
             stamps=stamps,
             poses=poses,
@@ -142,7 +189,7 @@ class Slam:
             "factors": self._mapper.graph.factor_count,
             "merged_walls": self._statistics.merged_walls,
             "loops": self._statistics.loop_counts(),
-            "odometry_deviation_per_metre": self._estimator.odometry_noise.deviations.round(5).tolist(),
+            "odometry_deviation_per_metre": self._belief.odometry_noise.deviations.round(5).tolist(),
             "sigma_range": round(self._front_end.sigma_range, 5),
             "wall_unevenness": round(math.sqrt(self._mapper.flatness.variance), 5),
             "timings": self._statistics.timings(),

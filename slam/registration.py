@@ -47,6 +47,11 @@ class Registration:
     point_information: Floats
     explained: float
 
+    @property
+    def held_by(self) -> Floats:
+        """(3, 3): information of the pose from everything that was seen, in the base's frame."""
+        return self.information + self.point_information
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanFeatures:

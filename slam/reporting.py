@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .estimator import Extension
+from .belief import Extension
 from .events import Event, KeyframeAdded, LinesMerged, LoopDecided, MapUpdated, Sink
 from .front_end import Sighting
 from .loops.closer import LoopDecision
@@ -70,9 +70,17 @@ class Reporter:
         if extension.loop is not None:
             self.tell(_loop_event(extension.loop, stamp))
         if index % MAP_INTERVAL == 0 or (extension.loop is not None and extension.loop.merged):
-            self._tell_map(stamp, mapper)
+            self.tell_map(stamp, mapper)
 
-    def _tell_map(self, stamp: float, mapper: Mapper) -> None:
+    def tell_loop(self, decision: LoopDecision, stamp: float, mapper: Mapper) -> None:
+        """Tell of a closure that was taken back, and of the map as it is without it."""
+        self.tell(_loop_event(decision, stamp))
+        self.tell_map(stamp, mapper)
+
+    def tell_map(self, stamp: float, mapper: Mapper) -> None:
+        """Tell of the whole map."""
+        if not self._sinks:
+            return
         keyframes = mapper.graph.keyframe_poses(mapper.keyframe_count)
         moved = keyframes[: len(self._told_keyframes), :2] - self._told_keyframes[:, :2]
         self._told_keyframes = keyframes

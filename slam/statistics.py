@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .loops.closer import LoopDecision
+from .state import State
 
 
 class Clock:
@@ -36,6 +37,8 @@ class RunStatistics:
     searched: int = 0
     unplaced: int = 0
     blind: int = 0
+    lost: int = 0
+    states: list[tuple[float, State]] = field(default_factory=list)
     merged_walls: int = 0
     loops: list[LoopDecision] = field(default_factory=list)
     explained: list[float] = field(default_factory=list)
@@ -51,7 +54,10 @@ class RunStatistics:
     def loop_counts(self) -> dict[str, int]:
         """How many places looked known, and what became of them; "held" ones waited for a second look in vain."""
         decided = [decision.status for decision in self.loops]
-        return {"proposed": len(decided), **{name: decided.count(name) for name in ("accepted", "held", "rejected")}}
+        return {
+            "proposed": len(decided),
+            **{name: decided.count(name) for name in ("accepted", "held", "rejected", "retracted")},
+        }
 
     def timings(self) -> dict[str, float]:
         """Milliseconds a keyframe: median, 99th percentile, maximum, and the mean of each stage."""
@@ -76,4 +82,5 @@ class RunStatistics:
             "searched": self.searched,
             "unplaced": self.unplaced,
             "blind": self.blind,
+            "lost": self.lost,
         }

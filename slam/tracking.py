@@ -147,7 +147,7 @@ class Tracker:
         fit = fits[best]
         if _shows_too_little(scan) and len(around.landmarks.walls):
             return _placement(fit.registration, Hold.BLIND, prior)
-        if fit.believable or self.lost or not len(around.landmarks.walls):
+        if fit.believable or not len(around.landmarks.walls):
             self.move_to(fit.registration.pose, odometry)
             return _placement(fit.registration, Hold.FIRM, prior, after_search and best < len(predictions) - 1)
         searched = self._search(scan, around, predictions[-1], fit.like)
@@ -186,7 +186,7 @@ class Tracker:
 
 
 def _placement(registration: Registration, hold: Hold, prior: Floats, bears_out_search: bool = False) -> Placement:
-    information = registration.information + registration.point_information + prior
+    information = registration.held_by + prior
     return Placement(registration, hold, np.asarray(np.linalg.inv(information)), bears_out_search)
 
 

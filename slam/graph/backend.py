@@ -129,8 +129,8 @@ class FactorGraph:
         self.settle()
         return made
 
-    def copy(self) -> FactorGraph:
-        """The same estimate, to go back to. Nothing may be waiting for `update`."""
+    def __deepcopy__(self, memo: dict[int, object]) -> FactorGraph:
+        """The same estimate, to go back to or to try something on. Nothing may be waiting for `update`."""
         other = FactorGraph()
         other._isam = gtsam.ISAM2(self._isam)
         other.factor_count = self.factor_count

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,8 +32,10 @@ class LoopDecision:
     keyframe    from which it was decided; `old` is a keyframe that saw the place before
     motion      [x, y, heading] by which the robot would move, in its own frame
     verdict     of the tests on this look
-    status      "held" (waits for a second look), "accepted", "rejected"
-    merged      pairs (old, recent) of walls that were made one
+    status      "rejected", "held" (waits for a second look), "agreed" (two looks say the same), then "accepted" or, if
+                the map does not come together, "rejected"; "retracted" if what was seen later contradicts it
+    hypothesis  where the recent walls lie on the old map, and `pairs` (old, recent) of walls that are one by it
+    merged      those of them that were made one
     shift       metres by which the last keyframe moved
     """
 
@@ -42,6 +45,8 @@ class LoopDecision:
     motion: se2.Pose
     verdict: Verdict
     status: str
+    hypothesis: Hypothesis
+    pairs: tuple[tuple[int, int], ...]
     merged: tuple[tuple[int, int], ...] = ()
     shift: float = 0.0
 
@@ -59,9 +64,10 @@ class LoopCloser:
         self._last_way = 0.0
         self._first: _FirstLook | None = None
         self._candidates = 0
+        self._refused: list[se2.Pose] = []  # motions that proved wrong
 
     def look(self, mapper: Mapper) -> LoopDecision | None:
-        """Consider the last keyframe; where a loop is closed, the mapper's graph and landmarks are changed."""
+        """Consider the last keyframe. Nothing is changed: to `close` what two looks agree on is for whoever asked."""
         way = mapper.ways[-1]
         if way - self._last_way < INTERVAL:
             return None
@@ -78,57 +84,56 @@ class LoopCloser:
         verdict = verify(hypotheses, recent, old, mapper.landmarks, mapper.pose, views)
         return self._decide(mapper, hypotheses[1], verdict, recent.walls, old.constellation.walls)
 
+    def refuse(self, decision: LoopDecision) -> None:
+        """A closure proved wrong: it is not to be found again."""
+        self._refused.append(decision.hypothesis.motion)
+
     def _decide(
         self, mapper: Mapper, best: Hypothesis, verdict: Verdict, recent: Integers, old: Integers
     ) -> LoopDecision | None:
-        pairs = [(int(old[j]), int(recent[i])) for i, j in enumerate(best.matches) if j >= 0 and old[j] != recent[i]]
+        pairs = tuple(
+            (int(old[j]), int(recent[i])) for i, j in enumerate(best.matches) if j >= 0 and old[j] != recent[i]
+        )
         if not pairs:
             return None
         self._candidates += 1
         seen = mapper.landmarks.walls.rows["last_seen"]
         old_keyframe = int(np.bincount(seen[[wall for wall, _ in pairs]]).argmax())
         motion = se2.between(mapper.pose, se2.compose(best.motion, mapper.pose))
-        decision = LoopDecision(self._candidates, mapper.keyframe_count - 1, old_keyframe, motion, verdict, "rejected")
-        if not verdict.accepted:
-            return decision
-        way = mapper.ways[-1]
-        first, self._first = self._first, _FirstLook(best, way)
-        if first is None or way - first.way > MEMORY or not _agree(first.hypothesis.motion, best.motion, mapper.pose):
-            return replace(decision, status="held")
-        self._first = None
-        before = mapper.pose
-        merged = close(mapper, old_keyframe, best, pairs)
-        if not merged:
-            refused = replace(verdict, accepted=False, reason="the map does not come together")
-            return replace(decision, verdict=refused)
-        shift = float(np.hypot(*(mapper.pose - before)[:2]))
-        return replace(decision, status="accepted", merged=tuple(merged), shift=shift)
+        if any(_agree(refused, best.motion, mapper.pose) for refused in self._refused):
+            verdict = replace(verdict, accepted=False, reason="has proved wrong before")
+        status = "rejected"
+        if verdict.accepted:
+            way = mapper.ways[-1]
+            first, self._first = self._first, _FirstLook(best, way)
+            if first and way - first.way <= MEMORY and _agree(first.hypothesis.motion, best.motion, mapper.pose):
+                status, self._first = "agreed", None
+            else:
+                status = "held"
+        return LoopDecision(
+            self._candidates, mapper.keyframe_count - 1, old_keyframe, motion, verdict, status, best, pairs
+        )
 
 
-def close(
-    mapper: Mapper, old_keyframe: int, hypothesis: Hypothesis, pairs: list[tuple[int, int]]
-) -> list[tuple[int, int]]:
-    """Bring the last keyframe to where the hypothesis has it, then make one of each pair of walls (old, recent).
+def close(mapper: Mapper, decision: LoopDecision) -> LoopDecision:
+    """Bring the last keyframe to where the decision has it, then make one of each pair of walls.
 
     The relative pose only carries the map over: once the walls are one they hold it, and it is taken out again, because
-    it was made of the same observations. Returns the walls merged; where too few of them come together, the map is left
-    as it was, and there are none.
+    it was made of the same observations. Where too few of them come together the decision is a rejection, and the
+    mapper is of no more use.
     """
-    graph, last_seen = mapper.graph.copy(), mapper.landmarks.walls.rows["last_seen"].copy()
-    last = mapper.keyframe_count - 1
-    there = se2.compose(hypothesis.motion, mapper.pose)
-    relative = se2.between(mapper.graph.keyframe_pose(old_keyframe), there)
-    _part_from_strangers(mapper, hypothesis.motion, pairs)
-    carrying = mapper.graph.close_loop(old_keyframe, last, relative, CARRYING_SIGMAS)
+    before, last = mapper.pose, mapper.keyframe_count - 1
+    there = se2.compose(decision.hypothesis.motion, mapper.pose)
+    relative = se2.between(mapper.graph.keyframe_pose(decision.old), there)
+    _part_from_strangers(mapper, decision.hypothesis.motion, decision.pairs)
+    carrying = mapper.graph.close_loop(decision.old, last, relative, CARRYING_SIGMAS)
     mapper.read_back_all()
     rows = mapper.landmarks.walls.rows
-    pairs = list(dict.fromkeys((int(rows["kept"][old]), int(rows["kept"][recent])) for old, recent in pairs))
+    pairs = list(dict.fromkeys((int(rows["kept"][old]), int(rows["kept"][recent])) for old, recent in decision.pairs))
     together = [(old, recent) for old, recent in pairs if old != recent and _together(rows[old], rows[recent])]
     if len(together) < LEAST_MERGED * len(pairs):
-        mapper.graph = graph
-        rows["last_seen"] = last_seen
-        mapper.read_back_all()
-        return []
+        refused = replace(decision.verdict, accepted=False, reason="the map does not come together")
+        return replace(decision, status="rejected", verdict=refused)
     for old, recent in together:
         if rows["kept"][old] == old and rows["kept"][recent] == recent:
             mapper.merge_walls(old, recent)
@@ -137,7 +142,8 @@ def close(
     mapper.graph.remove_factors(carrying)
     mapper.graph.settle()
     mapper.read_back_all()
-    return together
+    shift = float(np.hypot(*(mapper.pose - before)[:2]))
+    return replace(decision, status="accepted", merged=tuple(together), shift=shift)
 
 
 def _together(wall: np.void, other: np.void) -> bool:
@@ -147,7 +153,7 @@ def _together(wall: np.void, other: np.void) -> bool:
     return bool(abs(offset) < SAME_OFFSET and abs(left[2]) < SAME_HEADING)
 
 
-def _part_from_strangers(mapper: Mapper, motion: se2.Pose, pairs: list[tuple[int, int]]) -> None:
+def _part_from_strangers(mapper: Mapper, motion: se2.Pose, pairs: Sequence[tuple[int, int]]) -> None:
     """Drift has let some old walls be taken for others that happened to lie there; such observations would hold the map
     where it is. A wall seen both before and during this pass must not move across itself with the pass; if it does,
     what this pass saw was not it.

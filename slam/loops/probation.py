@@ -1,0 +1,92 @@
+"""Closures are believed on probation: what is seen in the next metres may contradict one, and it is taken back.
+
+To take it back means to return to the estimate before it and to take the sightings since again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..mapper import Mapper
+from .closer import LoopDecision
+from .constellation import recent_and_old
+from .proposal import DISTINCT, DISTINCT_TURN
+from .verification import contradiction
+
+if TYPE_CHECKING:
+    from ..belief import Belief
+    from ..front_end import Sighting
+
+WAY = 15.0  # metres of driving that a closure is on probation
+INTERVAL = 1.5  # metres between two examinations
+MOST_SEEN_THROUGH = 0.15  # share of the wall length seen since then that old walls would have hidden
+IN_A_ROW = 2  # examinations that must say so: a door opens, a person stands somewhere
+
+
+@dataclass(slots=True, eq=False)
+class Case:
+    """A closure on probation, the estimate before it, and what was seen since."""
+
+    checkpoint: Belief
+    decision: LoopDecision
+    way: float
+    examined: float
+    since: list[Sighting] = field(default_factory=list)
+    against: int = 0
+    reason: str = ""
+
+
+class Probation:
+    """The closures of the last metres."""
+
+    def __init__(self) -> None:
+        self._cases: list[Case] = []
+
+    def begin(self, checkpoint: Belief, decision: LoopDecision) -> None:
+        """Watch a closure from now on; `checkpoint` is the estimate right before it."""
+        way = checkpoint.mapper.ways[-1]
+        self._cases.append(Case(checkpoint, decision, way, way))
+
+    def remember(self, sighting: Sighting) -> None:
+        """What has been seen would have to be taken again."""
+        for case in self._cases:
+            case.since.append(sighting)
+
+    def contradicts(self, decision: LoopDecision) -> bool:
+        """Whether a closure that is about to be made shows that the last one was wrong: had that brought the robot to
+        its place, nothing would have to move again so soon."""
+        if not self._cases or (np.hypot(*decision.motion[:2]) < DISTINCT and abs(decision.motion[2]) < DISTINCT_TURN):
+            return False
+        self._cases[-1].reason = "another closure, found twice, contradicts it"
+        return True
+
+    def examine(self, mapper: Mapper, *, lost: bool) -> Case | None:
+        """The oldest closure on probation that cannot be right, its decision taken back; the case ends here.
+
+        `lost` is whether tracking has failed since.
+        """
+        way = mapper.ways[-1]
+        self._cases = [case for case in self._cases if way - case.way <= WAY]
+        for position, case in enumerate(self._cases):
+            case.reason = case.reason or ("the robot got lost after it" if lost else _seen_through(case, mapper))
+            if case.reason:
+                del self._cases[position:]  # those after it rest on it
+                verdict = replace(case.decision.verdict, accepted=False, reason=case.reason)
+                case.decision = replace(case.decision, status="retracted", verdict=verdict)
+                return case
+        return None
+
+
+def _seen_through(case: Case, mapper: Mapper) -> str:
+    """Says so if what was seen since a closure could not have been seen past the old walls, were it right."""
+    if mapper.ways[-1] - case.examined < INTERVAL:
+        return ""
+    case.examined = mapper.ways[-1]
+    _, old = recent_and_old(mapper.landmarks, mapper.pose, np.array(mapper.ways))
+    views = [(mapper.graph.keyframe_pose(k), seen) for k, seen in mapper.views if k > case.decision.keyframe]
+    share = contradiction(np.zeros(3), old, mapper.landmarks, views)
+    case.against = case.against + 1 if share > MOST_SEEN_THROUGH else 0
+    return f"{share:.0%} of what was seen since lies behind old walls" if case.against >= IN_A_ROW else ""

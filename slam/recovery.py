@@ -1,0 +1,84 @@
+"""Finding the way back: a lost robot maps what is around it by itself, until that is recognised in its old map.
+
+It may have been carried away, or have seen nothing for so long that odometry has led astray. Nothing enters the old map
+in the meantime. Once the place is recognised, the sightings since are taken as if the robot had known it all along.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from drivers import se2
+
+from .belief import Belief
+from .config import OdometryConfig
+from .estimator import Estimator
+from .front_end import Sighting
+from .loops.relocalisation import fragment_of, index_map, relocalise
+from .statistics import Clock
+from .tracking import Hold
+
+LOOK_KEYFRAMES, LOOK_WAY = 3, 1.0  # keyframes and metres of driving between two looks
+LEAST_PLACED = 0.8  # share of the sightings since getting lost that must fit the map where they are believed to belong
+
+
+class Excursion:
+    """The sightings since the robot got lost, and the small map of its own that they make.
+
+    `whole` is the belief before that. It is never changed; what comes of the excursion is a new one.
+    """
+
+    def __init__(self, config: OdometryConfig, whole: Belief) -> None:
+        self._config = config
+        self._whole = whole
+        self._index = index_map(whole.mapper)
+        self._start(whole.unplaced)
+
+    def _start(self, sightings: Sequence[Sighting]) -> None:
+        self._estimator = Estimator(Belief(self._config))
+        self._looked_keyframe, self._looked_way = 0, -LOOK_WAY
+        self.sightings: list[Sighting] = []
+        for sighting in sightings:
+            self.add(sighting)
+
+    def add(self, sighting: Sighting) -> None:
+        """Take a sighting. If the last ones do not fit those before, the robot got lost again: all starts anew."""
+        self._estimator.take(sighting, Clock())
+        self.sightings.append(sighting)
+        if self._estimator.belief.lost:
+            self._start(self._estimator.belief.unplaced)
+
+    @property
+    def pose(self) -> se2.Pose:
+        """Where odometry has the base in the old map, which is all that is known."""
+        return self._whole.predict(self.sightings[-1].odometry)
+
+    def recognised(self) -> Estimator | None:
+        """The old map with the excursion's sightings where they belong on it; None if that is not known yet."""
+        mapper = self._estimator.belief.mapper
+        count, way = mapper.keyframe_count, mapper.ways[-1]
+        if count - self._looked_keyframe < LOOK_KEYFRAMES or way - self._looked_way < LOOK_WAY:
+            return None
+        self._looked_keyframe, self._looked_way = count, way
+        found = relocalise(fragment_of(mapper), self._index)
+        if found is None or not found.verdict.accepted:
+            return None
+        belief = self._whole.copy()
+        belief.move_to(found.motion, self.sightings[0].odometry)  # the excursion's frame is its first sighting's
+        recovered, placed = self._taken_from(belief)
+        fitting = sum(hold is not Hold.NONE for hold in placed)
+        return recovered if fitting >= LEAST_PLACED * len(placed) and not recovered.belief.lost else None
+
+    def joined(self) -> Estimator:
+        """The old map with the excursion's sightings where odometry has them, for want of anything better.
+
+        The uncertainty of that is in the covariances.
+        """
+        belief = self._whole.copy()
+        belief.start_anew(self.sightings[0].odometry)
+        return self._taken_from(belief)[0]
+
+    def _taken_from(self, belief: Belief) -> tuple[Estimator, list[Hold]]:
+        """The excursion's sightings taken from a belief on, and how each was placed."""
+        estimator = Estimator(belief)
+        return estimator, [estimator.take(sighting, Clock()).placement.hold for sighting in self.sightings]

@@ -1,0 +1,72 @@
+"""Whether the robot knows where it is: in every direction, in all but one, or not at all."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from drivers import se2
+
+from .segments import Floats
+from .tracking import Hold, Placement
+
+LOOSE_SIGMA = 0.3  # metres: a direction in which walls, corners and points hold a scan worse than this is free
+IN_A_ROW = 3  # scans that must say so before the state changes
+
+
+class Condition(Enum):
+    """How well the robot's place in the map is known."""
+
+    OK = "OK"
+    DEGENERATE = "DEGENERATE"  # along one direction, say of a bare corridor, by odometry alone
+    LOST = "LOST"  # the robot is not where it was believed to be
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """A condition, and if it is DEGENERATE the direction in the map (radians, between 0 and pi) that is not known."""
+
+    condition: Condition
+    direction: float | None = None
+
+
+class StateWatch:
+    """Follows the placements of scans."""
+
+    def __init__(self) -> None:
+        self.state = State(Condition.OK)
+        self._streak = 0  # scans in a row that say the other thing
+
+    def lose(self) -> State:
+        """The robot is lost until it is found."""
+        self.state, self._streak = State(Condition.LOST), 0
+        return self.state
+
+    def find(self) -> State:
+        """The robot knows again where it is."""
+        self.state, self._streak = State(Condition.OK), 0
+        return self.state
+
+    def update(self, placement: Placement) -> State | None:
+        """Take a scan's placement; the new state, where it has changed."""
+        if placement.hold is not Hold.FIRM:
+            return None
+        direction = free_direction(placement.pose, placement.registration.held_by)
+        condition = Condition.OK if direction is None else Condition.DEGENERATE
+        self._streak = 0 if condition is self.state.condition else self._streak + 1
+        if self._streak < IN_A_ROW:
+            return None
+        self.state, self._streak = State(condition, direction), 0
+        return self.state
+
+
+def free_direction(pose: se2.Pose, information: Floats) -> float | None:
+    """The direction in the map along which `information` (3, 3), in the frame of `pose`, leaves the position open."""
+    covariance = np.linalg.inv(information + 1e-6 * np.eye(3))[:2, :2]
+    variances, directions = np.linalg.eigh(covariance)
+    if variances[-1] <= LOOSE_SIGMA**2:
+        return None
+    return float((pose[2] + math.atan2(directions[1, -1], directions[0, -1])) % math.pi)
