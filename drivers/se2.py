@@ -43,3 +43,10 @@ def transform(pose: ArrayLike, points: ArrayLike) -> NDArray[np.float64]:
     p, q = np.asarray(pose, dtype=np.float64), np.asarray(points, dtype=np.float64)
     c, s = np.cos(p[..., 2]), np.sin(p[..., 2])
     return np.stack([p[..., 0] + c * q[..., 0] - s * q[..., 1], p[..., 1] + s * q[..., 0] + c * q[..., 1]], axis=-1)
+
+
+def adjoint(pose: ArrayLike) -> NDArray[np.float64]:
+    """(3, 3): takes a small motion [x, y, heading] from the frame that `pose` places to the frame it is given in."""
+    p = np.asarray(pose, dtype=np.float64)
+    c, s = np.cos(p[2]), np.sin(p[2])
+    return np.array([[c, -s, p[1]], [s, c, -p[0]], [0.0, 0.0, 1.0]])

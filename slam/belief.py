@@ -18,7 +18,7 @@ from .config import OdometryConfig
 from .front_end import Sighting
 from .local_map import empty_local_map
 from .loops.closer import LoopCloser, LoopDecision, close
-from .mapper import KeyframeView, Mapper, Merge
+from .mapper import REACH_MARGIN, KeyframeView, Mapper, Merge, Motion
 from .odometry import OdometryNoise, fused_motion
 from .path import Path
 from .point_field import RecentPoints
@@ -29,8 +29,22 @@ from .tracking import Hold, Placement, Surroundings, Tracker
 
 KEYFRAME_DISTANCE = 0.25  # metres
 KEYFRAME_TURN = np.radians(8.0)
+# A place is familiar that keyframes so near were made of on so many visits, where so much of what is seen is known.
+FAMILIAR_VISITS, FAMILIAR_DISTANCE, FAMILIAR_TURN, FAMILIAR_EXPLAINED = 2, 0.3, np.radians(10.0), 0.8
+VISIT_GAP = 20  # keyframes made elsewhere between two visits
 CARRIED_SIGMAS = np.array([10.0, 10.0, 3.0])  # metres, metres, radians: what is known of a motion that no wheel made
 CARRIED_REACH = 12.0  # metres of map around a robot that was just found again
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Anchor:
+    """A place on the way that what comes next is measured from: `relative` to a keyframe, known from there with
+    `covariance` (3, 3) in its own frame, and passed when odometry was at `odometry`."""
+
+    keyframe: int
+    relative: se2.Pose
+    covariance: Floats
+    odometry: se2.Pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,9 +69,9 @@ class Belief:
         self._tracker = Tracker(self.odometry_noise)
         self._local_map = empty_local_map()
         self._recent_points = RecentPoints()
-        self._point_field = self._recent_points.field(np.zeros((0, 3)))
-        self._keyframe_odometry = np.zeros(3)
-        self._carried = False  # whether the robot has been moved since the last keyframe without odometry's knowing
+        self._point_field = self._recent_points.field(np.zeros((0, 3)), self.pose)
+        self._anchor: Anchor | None = None
+        self._carried = False  # whether the robot has been moved since then without odometry's knowing
         self.unplaced: list[Sighting] = []  # the last in a row that fit nowhere
         self._searched: tuple[float, int, se2.Pose] | None = None  # to be borne out by the next scan
 
@@ -79,18 +93,53 @@ class Belief:
         if placement.hold in (Hold.FIRM, Hold.SEARCHED):
             self.pose = placement.pose
         extension = None
-        if placement.hold is Hold.FIRM and (self.mapper.keyframe_count == 0 or self._moved_enough()):
-            extension = self._extend_map(sighting, placement, clock)
+        if placement.hold is Hold.FIRM and self._moved_enough():
+            familiar = self._familiar_keyframe(placement)
+            if familiar is None:
+                extension = self._extend_map(sighting, placement, clock)
+            else:
+                self._pass_by(familiar, sighting, placement)
         self._hang_on_path(sighting.stamp, placement)
         return placement, extension
 
+    @property
+    def _anchor_pose(self) -> se2.Pose:
+        """Of the anchor in the map as it stands; where there is none yet, the origin."""
+        if self._anchor is None:
+            return np.zeros(3)
+        return se2.compose(self.mapper.trail[self._anchor.keyframe], self._anchor.relative)
+
     def _moved_enough(self) -> bool:
-        moved = se2.between(self.mapper.pose, self.pose)
-        return bool(np.hypot(moved[0], moved[1]) > KEYFRAME_DISTANCE or abs(moved[2]) > KEYFRAME_TURN)
+        moved = se2.between(self._anchor_pose, self.pose)
+        far = np.hypot(moved[0], moved[1]) > KEYFRAME_DISTANCE or abs(moved[2]) > KEYFRAME_TURN
+        return self._anchor is None or bool(far)
+
+    def _familiar_keyframe(self, placement: Placement) -> int | None:
+        """The nearest of the keyframes at a place that has been visited often enough for nothing new to be learned, and
+        where what is seen is what was seen before; None elsewhere.
+
+        So the graph grows with the size of the place and not with the time spent there.
+        """
+        if self._carried or placement.registration.explained < FAMILIAR_EXPLAINED:
+            return None
+        near = self.mapper.keyframes_near(self.pose, FAMILIAR_DISTANCE, FAMILIAR_TURN)
+        visits = 1 + np.count_nonzero(np.diff(np.sort(near)) > VISIT_GAP)
+        return int(near[0]) if len(near) and visits >= FAMILIAR_VISITS else None
+
+    def _pass_by(self, keyframe: int, sighting: Sighting, placement: Placement) -> None:
+        """Go through a familiar place: the way goes on from there, the map stays as it is."""
+        relative = se2.between(self.mapper.trail[keyframe], self.pose)
+        self._anchor = Anchor(keyframe, relative, placement.covariance, sighting.odometry)
+        self._local_map = self.mapper.local_map_at(self.pose, REACH_MARGIN + sighting.seen.segments.reach())
+        self._recent_points.add(keyframe, sighting.seen.points.seen_from(relative))
+        self._point_field = self._recent_points.field(self.mapper.poses_of(self._recent_points.keyframes), self.pose)
 
     def _hang_on_path(self, stamp: float, placement: Placement) -> None:
         """Make the pose part of the path; one that was searched for, once the next sighting has borne it out."""
-        place = (stamp, self.mapper.keyframe_count - 1, se2.between(self.mapper.pose, self.pose))
+        if self._anchor is None:
+            return
+        keyframe = self._anchor.keyframe
+        place = (stamp, keyframe, se2.between(self.mapper.trail[keyframe], self.pose))
         if self._searched is not None and placement.bears_out_search:
             self.path.add(*self._searched)
         self._searched = place if placement.hold is Hold.SEARCHED else None
@@ -104,12 +153,12 @@ class Belief:
             self.pose, placement.covariance, seen.segments, seen.corners, self._local_map, mapper.flatness.variance
         )
         clock.lap("association")
-        motion = self._motion(sighting.odometry, placement.registration) if mapper.keyframe_count else None
+        motion = None if self._anchor is None else self._motion(self._anchor, sighting.odometry, placement.registration)
         view = mapper.add_keyframe(self.pose, motion, seen.segments, seen.corners, association, self._local_map)
         self.keyframe_stamps.append(sighting.stamp)
         clock.lap("graph")
         self._local_map, merge = mapper.refresh(view)
-        self._keyframe_odometry = sighting.odometry
+        self._anchor = Anchor(mapper.keyframe_count - 1, np.zeros(3), np.zeros((3, 3)), sighting.odometry)
         self._recent_points.add(mapper.keyframe_count - 1, seen.points)
         self._look_around()
         clock.lap("local map")
@@ -119,8 +168,8 @@ class Belief:
 
     def _look_around(self) -> None:
         """Take the last keyframe's pose, and the points around it, from the map as it is now."""
-        self._point_field = self._recent_points.field(self.mapper.graph.some_poses(self._recent_points.keyframes))
         self.pose = self.mapper.pose
+        self._point_field = self._recent_points.field(self.mapper.poses_of(self._recent_points.keyframes), self.pose)
         self._tracker.correct(self.pose)
 
     def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
@@ -147,11 +196,17 @@ class Belief:
             self._look_around()
         return decision
 
-    def _motion(self, odometry: se2.Pose, found: Registration) -> tuple[se2.Pose, Floats]:
-        """The motion since the last keyframe and its covariance; what was found teaches how good odometry is."""
-        claimed, actual = se2.between(self._keyframe_odometry, odometry), se2.between(self.mapper.pose, self.pose)
+    def _motion(self, anchor: Anchor, odometry: se2.Pose, found: Registration) -> Motion:
+        """The motion since the last anchor; what was found teaches how good odometry is."""
+        claimed, actual = se2.between(anchor.odometry, odometry), se2.between(self._anchor_pose, self.pose)
+        covariance = np.diag(CARRIED_SIGMAS**2)
         if self._carried:
-            self._carried = False
-            return actual, np.diag(CARRIED_SIGMAS**2)
-        self.odometry_noise.learn(claimed, actual)
-        return fused_motion(claimed, self.odometry_noise.covariance(claimed), actual, found.point_information)
+            claimed = actual
+        else:
+            self.odometry_noise.learn(claimed, actual)
+            covariance = self.odometry_noise.covariance(claimed)
+            claimed, covariance = fused_motion(claimed, covariance, actual, found.point_information)
+        self._carried = False
+        carry = se2.adjoint(se2.inverse(claimed))
+        covariance = covariance + carry @ anchor.covariance @ carry.T
+        return Motion(anchor.keyframe, se2.compose(anchor.relative, claimed), covariance)

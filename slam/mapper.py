@@ -7,6 +7,7 @@ of the information of its two segments, and their factors keep the rest: the sum
 from __future__ import annotations
 
 from collections import defaultdict, deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,6 +51,15 @@ class KeyframeView:
     new_walls: Integers
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """The motion [x, y, heading] from an earlier keyframe to a new one, covariance (3, 3) in the new one's frame."""
+
+    start: int
+    motion: se2.Pose
+    covariance: Floats
+
+
 @dataclass(frozen=True, slots=True)
 class Merge:
     """The wall `absorbed` is the wall `kept`, found at a squared Mahalanobis distance."""
@@ -67,36 +77,52 @@ class Mapper:
         self.landmarks = Landmarks()
         self.flatness = WallFlatness()
         self.keyframe_count = 0
-        self.pose = np.zeros(3)  # of the last keyframe
+        self.trail: Floats = np.zeros((0, 3))  # the keyframes' poses, those long past as they were lately read back
         self.ways = [0.0]  # metres driven up to each keyframe
         self.views: deque[tuple[int, Segments]] = deque(maxlen=KEPT_VIEWS)
         self.pose_covariances: list[Floats] = []  # of the keyframes when they were added, (3, 3) in the map's axes
         self._waiting_walls: dict[int, list[tuple[int, se2.Pose, Floats]]] = defaultdict(list)
         self._waiting_corners: dict[int, list[tuple[int, Floats, Floats]]] = defaultdict(list)
 
+    @property
+    def pose(self) -> se2.Pose:
+        """Of the last keyframe."""
+        return np.zeros(3) if not len(self.trail) else self.trail[-1]
+
+    def poses_of(self, keyframes: Sequence[int]) -> Floats:
+        """(n, 3): the poses of some keyframes as the graph has them now."""
+        self.trail[list(keyframes)] = self.graph.some_poses(keyframes)
+        return self.trail[list(keyframes)]
+
+    def keyframes_near(self, pose: se2.Pose, distance: float, turn: float) -> Integers:
+        """Keyframes within a distance (metres) and turn (radians) of a pose, the nearest first."""
+        apart = np.hypot(*(self.trail[:, :2] - pose[:2]).T)
+        near = np.flatnonzero((apart < distance) & (np.abs(se2.wrap(self.trail[:, 2] - pose[2])) < turn))
+        return near[np.argsort(apart[near], kind="stable")]
+
     def add_keyframe(
         self,
         pose: se2.Pose,
-        motion: tuple[se2.Pose, Floats] | None,
+        motion: Motion | None,
         segments: Segments,
         corners: CornerPoints,
         association: Association,
         local_map: LocalMap,
     ) -> KeyframeView:
-        """A keyframe near `pose`, reached by odometry's (motion, covariance) from the one before, with what it sees."""
+        """A keyframe near `pose`, reached by a motion from an earlier one (None for the first), with what it sees."""
         keyframe = self.keyframe_count
         self.keyframe_count += 1
         if motion is None:
             self.graph.add_first_keyframe(pose)
         else:
-            self.graph.add_keyframe(keyframe, pose, *motion)
-            self.ways.append(self.ways[-1] + float(np.hypot(motion[0][0], motion[0][1])))
+            self.graph.add_keyframe(keyframe, pose, motion.start, motion.motion, motion.covariance)
+            self.ways.append(self.ways[-1] + float(np.hypot(motion.motion[0], motion.motion[1])))
         self.views.append((keyframe, segments))
         walls, new_walls = self._name_walls(keyframe, pose, segments, association, local_map)
         corner_landmarks = self._name_corners(keyframe, pose, corners, walls, association, local_map)
         self._observe(keyframe, pose, segments, corners, walls, corner_landmarks)
         self.graph.update()
-        self.pose = self.graph.keyframe_pose(keyframe)
+        self.trail = np.vstack([self.trail, self.graph.keyframe_pose(keyframe)])
         return KeyframeView(
             segments,
             corners,
@@ -223,12 +249,13 @@ class Mapper:
 
     def read_back_all(self) -> None:
         """Take the whole estimate from the graph."""
-        self.pose = self.graph.keyframe_pose(self.keyframe_count - 1)
         self.pose_covariances[-1] = self.graph.relative_covariances(self.keyframe_count - 1, [], [])[0]
         self._read_back(None)
 
     def _read_back(self, radius: float | None) -> None:
-        """Take the estimate of the landmarks within `radius` (metres) of the last keyframe, or all, from the graph."""
+        """Take the estimate of the landmarks within `radius` (metres) of the last keyframe, or everything, from the graph."""
+        if radius is None:
+            self.trail = self.graph.keyframe_poses(self.keyframe_count)
         walls, corners = self.landmarks.walls.rows, self.landmarks.corners.rows
         near_walls = np.arange(len(walls)) if radius is None else self.landmarks.walls_near(self.pose, radius)
         near_corners = np.arange(len(corners)) if radius is None else self.landmarks.corners_near(self.pose, radius)

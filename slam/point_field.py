@@ -33,6 +33,10 @@ class ScanPoints:
     all: Floats
     loose: Floats
 
+    def seen_from(self, pose: se2.Pose) -> ScanPoints:
+        """The same points where the base stands at `pose`, in the frame that this is given in."""
+        return ScanPoints(se2.transform(pose, self.all), se2.transform(pose, self.loose))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointField:
@@ -69,13 +73,12 @@ class RecentPoints:
         """Keep the points of a keyframe, and forget the oldest."""
         self._scans.append((keyframe, points))
 
-    def field(self, poses: Floats) -> PointField:
-        """The field around the last keyframe; `poses` (k, 3) are those of `keyframes` in the map."""
+    def field(self, poses: Floats, centre: se2.Pose) -> PointField:
+        """The field around `centre`; `poses` (k, 3) are those of `keyframes` in the map."""
         everything = [se2.transform(pose, scan.all) for pose, (_, scan) in zip(poses, self._scans, strict=True)]
         loose = [se2.transform(pose, scan.loose) for pose, (_, scan) in zip(poses, self._scans, strict=True)]
-        centre = poses[-1, :2] if len(poses) else np.zeros(2)
         return make_field(
-            np.concatenate(everything or [np.zeros((0, 2))]), np.concatenate(loose or [np.zeros((0, 2))]), centre
+            np.concatenate(everything or [np.zeros((0, 2))]), np.concatenate(loose or [np.zeros((0, 2))]), centre[:2]
         )
 
 

@@ -67,11 +67,11 @@ class FactorGraph:
         noise = gtsam.noiseModel.Diagonal.Sigmas(FIRST_POSE_SIGMAS)
         self._factors.add(gtsam.PriorFactorPose2(X(0), _pose2(pose), noise))
 
-    def add_keyframe(self, index: int, pose: se2.Pose, motion: se2.Pose, covariance: Floats) -> None:
-        """A keyframe near `pose`, reached from the one before by odometry's `motion` with its covariance (3, 3)."""
+    def add_keyframe(self, index: int, pose: se2.Pose, start: int, motion: se2.Pose, covariance: Floats) -> None:
+        """A keyframe near `pose`, reached from the keyframe `start` by a `motion` with its covariance (3, 3)."""
         self._values.insert(X(index), _pose2(pose))
         noise = gtsam.noiseModel.Robust.Create(self._odometry_kernel, gtsam.noiseModel.Gaussian.Covariance(covariance))
-        self._factors.add(gtsam.BetweenFactorPose2(X(index - 1), X(index), _pose2(motion), noise))
+        self._factors.add(gtsam.BetweenFactorPose2(X(start), X(index), _pose2(motion), noise))
 
     def add_wall(self, keyframe: int, wall: int, frame: se2.Pose, seen: se2.Pose) -> None:
         """A wall whose frame in the map is near `frame`, and which a keyframe sees at `seen`.
@@ -256,7 +256,7 @@ class FactorGraph:
         wall_covariances = np.empty((len(walls), 2, 2))
         for row, frame in enumerate(self.wall_frames(walls)):
             at = slice(3 + 3 * row, 6 + 3 * row)
-            carry = _adjoint(se2.between(frame, pose))
+            carry = se2.adjoint(se2.between(frame, pose))
             cross = joint[at, :3] @ carry.T
             full = joint[at, at] + carry @ own @ carry.T - cross - cross.T
             wall_covariances[row] = full[1:, 1:]
@@ -276,9 +276,3 @@ def _root_information(covariance: Floats) -> Floats:
     root = np.zeros((3, 3))
     root[1:, 1:] = np.linalg.cholesky(np.linalg.inv(covariance)).T
     return root
-
-
-def _adjoint(pose: se2.Pose) -> Floats:
-    """Moves a small motion [x, y, heading] from the frame that `pose` places to the frame that it is given in."""
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    return np.array([[c, -s, pose[1]], [s, c, -pose[0]], [0.0, 0.0, 1.0]])

@@ -69,7 +69,7 @@ def graph_of(world: World, strays: float = 0.01) -> FactorGraph:
         if k == 0:
             graph.add_first_keyframe(start)
         else:
-            graph.add_keyframe(k, start, world.motions[k - 1], ODOMETRY)
+            graph.add_keyframe(k, start, k - 1, world.motions[k - 1], ODOMETRY)
         for _, j, frame, covariance in (view for view in world.wall_views if view[0] == k):
             near = world.walls[j]
             moved, carried = _move_along(frame, covariance, se2.between(start, near))
