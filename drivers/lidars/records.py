@@ -97,9 +97,8 @@ class Counters:
 
 
 class Decoder(Protocol):
-    """Bytes in, measurements out. Any bytes are taken, in any chunks; none make it raise or hold more than a few packets.
-
-    The samples are the same whatever the chunks.
+    """Bytes in, measurements out. Any bytes are taken, in any chunks; none make it raise, or hold more than a few
+    packets. The samples are the same whatever the chunks.
     """
 
     counters: Counters

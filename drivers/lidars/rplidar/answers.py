@@ -88,7 +88,7 @@ class AnswerReader:
         return None
 
     def _wanted(self) -> int | None:
-        """Pass what comes before a fitting descriptor; the length of the payload after it, None where there is none yet."""
+        """Pass what comes before a fitting descriptor; the length of the payload after it, None where none is there."""
         at = self._held.find(START)
         while at >= 0 and at + DESCRIPTOR_SIZE <= len(self._held):
             if (size := self._fits(self._held[at : at + DESCRIPTOR_SIZE])) is not None:
@@ -118,8 +118,8 @@ class AnswerReader:
 
 @dataclass(frozen=True, slots=True)
 class Info:
-    """Who answers: model (see `models`), firmware as (major, minor), hardware revision, serial number in the order of the
-    wire, in hexadecimal.
+    """Who answers: model (see `models`), firmware as (major, minor), hardware revision, serial number in hexadecimal,
+    in the order of the wire.
     """
 
     model: int

@@ -1,5 +1,5 @@
-"""What the capsule formats have in common: the head's angle at each capsule's beginning, and samples spread evenly up to
-the next one's.
+"""What the capsule formats have in common: the head's angle where a capsule begins, and samples spread evenly up to
+where the next one does.
 """
 
 from __future__ import annotations
@@ -36,8 +36,9 @@ were lost, or that the head seemed to turn back."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Returns:
-    """What (m) capsules of N samples hold: `ranges` (m, N) metres, NaN where invalid; `quality` (m, N) or None where the
-    format has none; `correction` (m, N) degrees to subtract from the head's angle, or None where there is nothing to.
+    """What (m) capsules of N samples hold: `ranges` (m, N) metres, NaN where invalid; `quality` (m, N) or None where
+    the format has none; `correction` (m, N) degrees to subtract from the head's angle, or None where there is nothing
+    to.
     """
 
     ranges: Floats
@@ -174,5 +175,3 @@ def whole_millimetres(ranges: Floats, largest: int) -> Integers:
     """Ranges in metres as whole millimetres; 0 where there is none or it exceeds what the format can tell."""
     told = np.round(np.nan_to_num(ranges, nan=0.0, posinf=0.0, neginf=0.0) * 1e3)
     return np.where((told > 0) & (told <= largest), told, 0).astype(np.int64)
-
-

@@ -107,7 +107,9 @@ def echo(request: Request) -> bytes:
 
 
 def answer_to(request: Request, modes: Modes, rotation: tuple[int, int] = (600, 660)) -> bytes | None:
-    """The payload with which a device of these modes answers a request for configuration; None if it does not know it."""
+    """The payload with which a device of these modes answers a request for configuration; None if it does not know
+    it.
+    """
     entry = struct.unpack("<I", request.payload[:4])[0] if len(request.payload) >= 4 else -1
     number = struct.unpack("<H", request.payload[4:6])[0] if len(request.payload) >= 6 else -1
     mode = next((mode for mode in modes.modes if mode.id == number), None)

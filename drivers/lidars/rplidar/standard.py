@@ -1,9 +1,9 @@
 """The standard format, answer 0x81: a node of 5 bytes for every sample, with three check bits and no checksum.
 
 A byte lost or gained shifts all that follows, and shifted nodes often look right: a quarter of them pass their check
-bits. So nodes are believed by what comes after them. Where a node is wrong, the decoder looks for the alignment in which
-the next nodes are right and go on turning, then follows that alignment back to where it begins to be right; bytes that
-both alignments claim are given to neither.
+bits. So nodes are believed by what comes after them. Where a node is wrong, the decoder looks for the alignment in
+which the next nodes are right and go on turning, then follows that alignment back to where it begins to be right;
+bytes that both alignments claim are given to neither.
 """
 
 from __future__ import annotations
@@ -39,17 +39,18 @@ LOCK = 16
 LOST = 32 * SIZE
 """Bytes after a fault beyond which the head's angle is no longer predicted."""
 STEP_BACK, STEP_ON = 16 * 64, 24 * 64
-"""Steps of angle between nodes that are plausible, 1/64 degree. Triangulating lidars correct each angle by -6 to 8 degrees
-with the distance."""
+"""Steps of angle between nodes that are plausible, 1/64 degree. Triangulating lidars correct each angle by -6 to 8
+degrees with the distance."""
 STEADY_BACK, STEADY_ON = 16, 3 * 64
-"""The same where nothing corrects the angles: they jitter, and 15 turns a second of 2 000 samples step by 2.7 degrees."""
+"""The same where nothing corrects the angles: they jitter, and 15 turns a second of 2 000 samples step by 2.7
+degrees."""
 SLICE = 1 << 15
 """Bytes taken on at once; bounds the memory of a search however much is fed."""
 
 
 def checked(nodes: Records) -> Flags:
-    """Whether nodes (n,) of NODE show their check bits: the start flag differs from its inverse beside it, the lowest bit
-    of the angle is set, and the angle is one.
+    """Whether nodes (n,) of NODE show their check bits: the start flag differs from its inverse beside it, the lowest
+    bit of the angle is set, and the angle is one.
     """
     flags, angle = nodes["flags"], nodes["angle"]
     return np.asarray((((flags ^ (flags >> 1)) & 1) == 1) & ((angle & 1) == 1) & ((angle >> 1) < TURN_Q6 + 64))

@@ -1,7 +1,7 @@
 """The ultra format, answer 0x84 (Boost, Sensitivity, Stability): 96 samples in 132 bytes.
 
-A cabin of 32 bits holds the distance of its first sample (`major`, 12 bits on a scale that coarsens with distance) and two
-small differences: of the second sample to the first, and of the third to the next cabin's first.
+A cabin of 32 bits holds the distance of its first sample (`major`, 12 bits on a scale that coarsens with distance) and
+two small differences: of the second sample to the first, and of the third to the next cabin's first.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ def compress(distances: Integers) -> Integers:
     """Majors nearest to distances in millimetres."""
     level = np.searchsorted(FIRST_DISTANCE, distances, side="right") - 1
     half = (1 << level) >> 1
-    return np.minimum(FIRST_MAJOR[level] + ((distances - FIRST_DISTANCE[level] + half) >> level), 0xFFF)
+    majors = FIRST_MAJOR[level] + ((distances - FIRST_DISTANCE[level] + half) >> level)
+    return np.asarray(np.minimum(majors, 0xFFF))
 
 
 def correction(distances: Integers) -> Floats:

@@ -1,7 +1,7 @@
 """The ultra-dense format, answer 0x86: 64 samples with quality in 170 bytes, evenly spaced.
 
-A sample has 20 bits. The lowest two choose one of four scales: the farther, the coarser, and the fewer bits are left for
-the quality.
+A sample has 20 bits. The lowest two choose one of four scales: the farther, the coarser, and the fewer bits are left
+for the quality.
 """
 
 from __future__ import annotations
@@ -13,9 +13,7 @@ from ..records import Integers, Records
 from .capsules import CapsuleFormat, Returns, blank, millimetres, seal, whole_millimetres
 
 CABIN = np.dtype([("low", "<u2", 2), ("high", "u1")])
-LAYOUT = np.dtype(
-    [("sync", "u1", 2), ("timestamp", "<u4"), ("status", "<u2"), ("angle", "<u2"), ("cabins", CABIN, 32)]
-)
+LAYOUT = np.dtype([("sync", "u1", 2), ("timestamp", "<u4"), ("status", "<u2"), ("angle", "<u2"), ("cabins", CABIN, 32)])
 
 # by scale: bits of the distance, millimetres a step, distance of step 0, bits that the quality is shortened by
 BITS = np.array([10, 11, 12, 13])
