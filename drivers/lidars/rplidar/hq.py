@@ -28,7 +28,7 @@ def crc_of(packet: bytes) -> int:
 def intact(packets: Bytes) -> Flags:
     """Whether the CRCs of packets (m, 781) are right."""
     told = packets[:, -4:].copy().view("<u4")[:, 0]
-    return np.array([crc_of(packet.tobytes()) for packet in packets], dtype=np.uint32) == told
+    return np.asarray(told == [crc_of(packet.tobytes()) for packet in packets], dtype=np.bool_)
 
 
 class HqDecoder:
