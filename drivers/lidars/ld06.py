@@ -31,8 +31,8 @@ HEADER, LENGTH = 0x54, 0x2C
 TURN = 36000
 TIME_WRAP = 30000
 """Milliseconds after which the device's clock begins again."""
-TOO_WIDE = 1.5
-"""A packet that spans so many times what its speed allows is wrong."""
+TOO_WIDE = 3.0
+"""A packet that spans so many times what its speed allows is wrong. The example in the manual spans 1.8 times that."""
 POLYNOMIAL = 0x4D
 
 
@@ -95,14 +95,14 @@ class Ld06Decoder:
         samples = np.empty(count * POINTS, dtype=SAMPLE)
         samples["angle"] = counter_clockwise(np.radians(angles / (100.0 * (POINTS - 1))))
         distance = packets["points"]["distance"].ravel()
-        samples["range"] = np.where(distance > 0, distance * 1e-3, np.nan)
+        samples["range"] = np.where(distance > 0, distance / 1e3, np.nan)
         samples["quality"] = packets["points"]["intensity"].ravel()
         samples["start"] = before - angles > TURN * (POINTS - 1) // 2  # packets may overlap a little
         samples["offset"] = np.tile(self._offsets, count)
         samples["packet"] = np.repeat(np.arange(count), POINTS)
         carriers = np.empty(count, dtype=PACKET)
         carriers["end"], carriers["continuous"] = frames.ends[fits], frames.continuous[fits]
-        carriers["device_time"] = self._unwrapped(packets["time"].astype(np.int64)) * 1e-3
+        carriers["device_time"] = self._unwrapped(packets["time"].astype(np.int64)) / 1e3
         self.counters.samples += len(samples)
         return Measurements(samples, carriers)
 

@@ -190,8 +190,8 @@ class Parameters:
             raise DriverError(f"the lidar's parameters make no sense: {numbers}")
         return cls(
             fields.get("MODL", ""),
-            numbers["DMIN"] * 1e-3,
-            numbers["DMAX"] * 1e-3,
+            numbers["DMIN"] / 1e3,
+            numbers["DMAX"] / 1e3,
             numbers["ARES"],
             numbers["AMIN"],
             numbers["AMAX"],

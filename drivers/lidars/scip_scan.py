@@ -79,14 +79,14 @@ class ScipDecoder:
             self.counters.bytes_skipped += len(reply.packet())
             return None
         values, good = decode_values(characters, self.request.width)
-        ranges = values * 1e-3
+        ranges = values / 1e3
         within = good & (ranges >= self.parameters.range_min) & (ranges <= self.parameters.range_max)
         samples = np.zeros(len(values), dtype=SAMPLE)
         samples["angle"], samples["range"] = self._angles, np.where(within, ranges, np.nan)
         samples["quality"] = NO_QUALITY
         samples["start"][0] = True
         samples["offset"], samples["packet"] = self._offsets, row
-        packet = np.array([(reply.end, self._unwrapped(clock) * 1e-3, self._intact)], dtype=PACKET)
+        packet = np.array([(reply.end, self._unwrapped(clock) / 1e3, self._intact)], dtype=PACKET)
         return Measurements(samples, packet)
 
     def _asked(self, echo: bytes) -> bool:

@@ -185,7 +185,7 @@ class SampleRate:
         standard, express = _unpack("<HH", payload, "sample rate")
         if not (standard and express):
             raise DriverError("sample period is zero")
-        return cls(standard * 1e-6, express * 1e-6)
+        return cls(standard / 1e6, express / 1e6)
 
     def payload(self) -> bytes:
         """The bytes that the device sends."""

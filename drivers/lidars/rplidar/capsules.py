@@ -168,7 +168,7 @@ class CapsuleDecoder:
 
 def millimetres(distances: Integers) -> Floats:
     """Distances in whole millimetres as metres; NaN for 0 and less, which mean that nothing came back."""
-    return np.where(distances > 0, distances * 1e-3, np.nan)
+    return np.where(distances > 0, distances / 1e3, np.nan)
 
 
 def whole_millimetres(ranges: Floats, largest: int) -> Integers:

@@ -49,7 +49,7 @@ class HqDecoder:
         nodes = frames.data.view(LAYOUT)[:, 0]["nodes"].ravel()
         samples = np.empty(len(nodes), dtype=SAMPLE)
         samples["angle"] = counter_clockwise(nodes["angle"] * (np.pi / 2.0 / QUARTER))
-        samples["range"] = np.where(nodes["distance"] > 0, nodes["distance"] * 0.25e-3, np.nan)
+        samples["range"] = np.where(nodes["distance"] > 0, nodes["distance"] / 4e3, np.nan)
         samples["quality"] = nodes["quality"]
         samples["start"] = nodes["flags"] & 1
         samples["offset"] = np.tile(self._offsets, count)

@@ -60,7 +60,7 @@ def read(nodes: Records) -> Records:
     """Nodes (n,) of NODE as samples (n,) of SAMPLE, each in a packet of its own; without offsets."""
     samples = np.zeros(len(nodes), dtype=SAMPLE)
     samples["angle"] = counter_clockwise(np.radians((nodes["angle"] >> 1) / 64.0))
-    samples["range"] = np.where(nodes["distance"] > 0, nodes["distance"] * 0.25e-3, np.nan)
+    samples["range"] = np.where(nodes["distance"] > 0, nodes["distance"] / 4e3, np.nan)
     samples["quality"] = nodes["flags"] >> 2
     samples["start"] = nodes["flags"] & 1
     samples["packet"] = np.arange(len(nodes))

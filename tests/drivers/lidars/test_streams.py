@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -15,7 +14,7 @@ from hypothesis import strategies as st
 from drivers.lidars.records import Decoder, Measurements, Records
 from drivers.lidars.revolutions import RevolutionAssembler
 
-FUZZ = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FUZZ = settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 StreamOf = Callable[..., Any]
 
@@ -69,10 +68,15 @@ def damaged(data: bytes, rate: float, kinds: str, random: np.random.Generator) -
     return bytes(out), len(hits)
 
 
-def points(samples: Records) -> Counter[tuple[float, float]]:
-    """Directions and ranges that were measured; beams without a return are no points."""
+def points(samples: Records) -> np.ndarray:
+    """Direction + i range of all that was measured; beams without a return are no points."""
     valid = samples[~np.isnan(samples["range"])]
-    return Counter(zip(valid["angle"].tolist(), valid["range"].tolist(), strict=True))
+    return valid["angle"] + 1j * valid["range"]
+
+
+def differences(clean: np.ndarray, got: np.ndarray) -> tuple[int, int]:
+    """How many points are wrong, and how many are missing."""
+    return np.count_nonzero(~np.isin(got, clean)), np.count_nonzero(~np.isin(clean, got))
 
 
 def test_clean_stream_loses_nothing(kind: str, stream_of: StreamOf) -> None:
@@ -144,45 +148,56 @@ def test_any_bytes_are_taken(
 def test_nothing_grows(kind: str, stream_of: StreamOf, pattern: str) -> None:
     stream = stream_of(kind, 0.5 if kind != "scip" else 1)
     junk = {
-        "random": np.random.default_rng(3).bytes(100_000),
-        "zeros": bytes(100_000),
-        "marks": b"\xa5\x5a\x54\x2c" * 25_000,
-        "lines": b"MD\n99b\n" * 14_000,
-        "endless line": b"x" * 100_000,
+        "random": np.random.default_rng(3).bytes(40_000),
+        "zeros": bytes(40_000),
+        "marks": b"\xa5\x5a\x54\x2c" * 10_000,
+        "lines": b"MD\n99b\n" * 5_700,
+        "endless line": b"x" * 40_000,
     }[pattern]
     decoder = stream.decoder()
     decoder.feed(junk)
     before = held_bytes(decoder, set())
     for _ in range(3):
         decoder.feed(junk)
-    assert held_bytes(decoder, set()) <= max(before, 100_000)
+    assert held_bytes(decoder, set()) <= max(before, 40_000)
     # and what comes afterwards is understood
     got = sum(len(decoder.feed(part.data)) for part in [stream, stream, stream])
     assert got > stream.samples * (len(stream.data) // 4000)
 
 
-@pytest.mark.parametrize("kinds", ["d", "i", "f", "dif"])
-def test_faults_cost_little_and_make_hardly_a_wrong_point(kind: str, stream_of: StreamOf, kinds: str) -> None:
-    """One byte in 10 000 is dropped, inserted or flipped, in a stream long enough for some hundred faults."""
-    stream = stream_of(kind, 60 if not kind.startswith("standard") else 150)
-    repeats = max(1, 3_000_000 // len(stream.data))
+def cost_of_faults(stream: Any, kinds: str, least: int) -> tuple[float, float]:
+    """Wrong and missing points a fault, one byte in 10 000 being hit, over at least so many faults."""
     random = np.random.default_rng(11)
     clean = points(stream.decoder().feed(stream.data).samples)
     faults = wrong = lost = 0
-    for _ in range(repeats):
+    while faults < least:
         data, count = damaged(stream.data, 1e-4, kinds, random)
-        got = points(stream.decoder().feed(data).samples)
-        faults, wrong, lost = faults + count, wrong + (got - clean).total(), lost + (clean - got).total()
-    assert faults > 200
-    # Five bytes of a standard node have no checksum: a flipped bit of distance is a distance.
-    flipped_nodes = kind.startswith("standard") and kinds == "f"
-    assert wrong / faults <= (0.7 if flipped_nodes else 0.3 if kind.startswith("standard") else 0.02)
-    assert lost / faults <= (3 if kind.startswith("standard") else 2.2 * stream.samples)
+        off, missing = differences(clean, points(stream.decoder().feed(data).samples))
+        faults, wrong, lost = faults + count, wrong + off, lost + missing
+    return wrong / faults, lost / faults
+
+
+def test_faults_cost_little_and_make_hardly_a_wrong_point(kind: str, stream_of: StreamOf) -> None:
+    standard = kind.startswith("standard")
+    wrong, lost = cost_of_faults(stream_of(kind, 20), "dif", 300 if standard else 40)
+    assert wrong <= (0.3 if standard else 0.02)
+    assert lost <= (3 if standard else 2.1 * stream_of(kind, 1).samples)
+
+
+@pytest.mark.parametrize("kind", ["standard-a1", "standard-c1"])
+@pytest.mark.parametrize(("kinds", "bound"), [("d", 0.05), ("i", 0.15), ("f", 0.8)])
+def test_nodes_without_checksum_are_wrong_only_where_hit(
+    kind: str, stream_of: StreamOf, kinds: str, bound: float
+) -> None:
+    """Flipped bits of a distance are a distance, which nothing tells; what shifts the nodes after it shows."""
+    wrong, lost = cost_of_faults(stream_of(kind, 20), kinds, 300)
+    assert wrong <= bound
+    assert lost <= 3
 
 
 def test_long_losses_and_bursts(kind: str, stream_of: StreamOf) -> None:
     """What comes out after bytes were cut out or put in is a part of the truth."""
-    stream = stream_of(kind, 20)
+    stream = stream_of(kind, 12)
     clean = points(stream.decoder().feed(stream.data).samples)
     random = np.random.default_rng(5)
     wrong = 0
@@ -192,9 +207,9 @@ def test_long_losses_and_bursts(kind: str, stream_of: StreamOf) -> None:
             stream.data[:at] + stream.data[at + length :],
             stream.data[:at] + random.bytes(length) + stream.data[at:],
         ):
-            got = points(stream.decoder().feed(data).samples)
-            wrong += (got - clean).total()
-            assert (clean - got).total() <= 3 * stream.samples + 80 + length
+            off, missing = differences(clean, points(stream.decoder().feed(data).samples))
+            wrong += off
+            assert missing <= 3 * stream.samples + 80 + length
     assert wrong <= 6
 
 
@@ -237,7 +252,7 @@ def test_damaged_revolutions_are_scans_with_gaps_or_counted(stream_of: StreamOf)
 
 def test_a_second_of_data_costs_a_small_part_of_a_second(stream_of: StreamOf) -> None:
     """32 000 points a second, decoded and assembled from chunks of 10 ms, in processor time."""
-    stream = stream_of("ultra-dense", 40)
+    stream = stream_of("ultra-dense", 20)
     assert 30_000 < stream.samples * len(stream.data) / 170 / stream.seconds < 34_000
     chunk = int(len(stream.data) / stream.seconds * 0.01)
     decoder, assembler = stream.decoder(), RevolutionAssembler(0.05, 40.0)
