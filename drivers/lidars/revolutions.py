@@ -17,8 +17,8 @@ TOO_MUCH = np.radians(420.0)
 WIDEST_GAP = np.radians(60.0)
 """Between neighbouring beams of a revolution that counts as complete."""
 LONGEST_GAP = 0.24
-"""Of a revolution's duration, between measurements. Where the start between two turns is lost with more than half a turn,
-so that the angles alone look like one turn, it is more than a quarter.
+"""Of a revolution's duration, between measurements. Where the start between two turns is lost with more than half a
+turn, so that the angles alone look like one turn, it is more than a quarter.
 """
 MOST_SAMPLES = 1 << 15
 """In a revolution; an RPLIDAR at 32 000 a second that turns once a second has about as many."""

@@ -41,9 +41,8 @@ LOST = 32 * SIZE
 STEP_BACK, STEP_ON = 16 * 64, 24 * 64
 """Steps of angle between nodes that are plausible, 1/64 degree. Triangulating lidars correct each angle by -6 to 8
 degrees with the distance."""
-STEADY_BACK, STEADY_ON = 16, 3 * 64
-"""The same where nothing corrects the angles: they jitter, and 15 turns a second of 2 000 samples step by 2.7
-degrees."""
+STEADY_BACK, STEADY_ON = 64, 3 * 64
+"""The same where nothing corrects the angles: they may jitter, and 15 turns in 2 000 samples step by 2.7 degrees."""
 SLICE = 1 << 15
 """Bytes taken on at once; bounds the memory of a search however much is fed."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import pytest
@@ -46,6 +47,7 @@ def starts_of(bearings: Floats) -> np.ndarray:
     return np.diff(turns, prepend=-1.0) > 0
 
 
+@cache
 def make_stream(kind: str, revolutions: float, seed: int = 1) -> Stream:
     """The bytes of about so many revolutions."""
     if kind == "scip":

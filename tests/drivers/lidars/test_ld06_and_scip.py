@@ -17,7 +17,7 @@ PACKET = bytes.fromhex(
     " E5 C0 00 E5 BE 82 3A 1A 50"
 )
 URG = scip.Parameters("URG-04LX", 0.02, 5.6, 1024, 44, 725, 384, 600.0)
-QUICK = settings(max_examples=40, deadline=None)
+QUICK = settings(max_examples=20, deadline=None)
 
 
 class TestLd06:

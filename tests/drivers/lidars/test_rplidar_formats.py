@@ -18,7 +18,7 @@ from drivers.lidars.rplidar import dense, express, hq, standard, ultra, ultra_de
 from drivers.lidars.rplidar.capsules import CapsuleDecoder, CapsuleFormat
 
 PERIOD = 100e-6
-QUICK = settings(max_examples=40, deadline=None)
+QUICK = settings(max_examples=20, deadline=None)
 
 
 def decoded(format: CapsuleFormat, data: bytes) -> Records:
