@@ -76,11 +76,11 @@ class Counters:
     bytes              fed
     packets            found undamaged: nodes, capsules, blocks
     samples            given out
-    bytes_skipped      that belong to no undamaged packet
-    checksum_failures  times that a packet was due and its marks or checksum were wrong
+    bytes_skipped      that belong to no packet that was believed
+    checksum_failures  times that a packet was due and its marks or checksum were wrong, or it could not follow the last
     discarded          undamaged packets that gave nothing: their successor was lost, or the device says that its angle
                        was reset
-    implausible        samples left out because no head of a lidar turns like that, or two alignments claim their bytes
+    implausible        samples of undamaged packets left out because no head of a lidar turns like that
     """
 
     bytes: int = 0
