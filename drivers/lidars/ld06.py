@@ -1,0 +1,132 @@
+"""LDROBOT LD06 and LD19: a one-way stream of packets of 12 measurements, turning clockwise."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..messages import Floats
+from .framing import Framer, Layout
+from .records import NOTHING, PACKET, SAMPLE, Bytes, Counters, Flags, Integers, Measurements, counter_clockwise
+
+BAUD = 230400
+POINTS = 12
+SAMPLE_RATE = 4500.0
+"""Measurements a second."""
+RANGE_MIN, RANGE_MAX = 0.02, 12.0
+"""Metres, as the data sheets state."""
+POINT = np.dtype([("distance", "<u2"), ("intensity", "u1")])
+LAYOUT = np.dtype(
+    [
+        ("header", "u1"),
+        ("length", "u1"),
+        ("speed", "<u2"),  # degrees a second
+        ("first", "<u2"),  # 1/100 degree
+        ("points", POINT, POINTS),
+        ("last", "<u2"),  # 1/100 degree
+        ("time", "<u2"),  # milliseconds
+        ("crc", "u1"),
+    ]
+)
+HEADER, LENGTH = 0x54, 0x2C
+TURN = 36000
+TIME_WRAP = 30000
+"""Milliseconds after which the device's clock begins again."""
+TOO_WIDE = 3.0
+"""A packet that spans so many times what its speed allows is wrong. The example in the manual spans 1.8 times that."""
+POLYNOMIAL = 0x4D
+
+
+def _crc_tables() -> Bytes:
+    """What each value of each byte of a packet, but for the last, contributes to its CRC; (size - 1, 256)."""
+    table = np.arange(256)
+    for _ in range(8):
+        table = np.where(table & 0x80, (table << 1) ^ POLYNOMIAL, table << 1) & 0xFF
+    tables = [table]
+    while len(tables) < LAYOUT.itemsize - 1:
+        tables.append(table[tables[-1]])
+    return np.array(tables[::-1], dtype=np.uint8)
+
+
+CRC_TABLES = _crc_tables()
+
+
+def crc_of(packets: Bytes) -> Bytes:
+    """CRC-8 of packets (m, 47): polynomial 4D, from 0, over all bytes but the last.
+
+    The CRC is linear, so that it is the XOR of what each byte contributes by itself.
+    """
+    size = len(CRC_TABLES)
+    return np.asarray(np.bitwise_xor.reduce(CRC_TABLES[np.arange(size), packets[:, :size]], axis=1), dtype=np.uint8)
+
+
+def intact(packets: Bytes) -> Flags:
+    """Whether the CRCs of packets (m, 47) are right."""
+    return np.asarray(crc_of(packets) == packets[:, -1])
+
+
+class Ld06Decoder:
+    """Decodes the stream, as a `Decoder`. The device's clock is counted on over its wrap every 30 s."""
+
+    def __init__(self, sample_rate: float = SAMPLE_RATE, baud: float = BAUD) -> None:
+        self.counters = Counters()
+        self.sample_rate = sample_rate
+        layout = Layout(LAYOUT.itemsize, ((0xFF, HEADER), (0xFF, LENGTH)), intact)
+        self._framer = Framer(layout, self.counters)
+        self._offsets = -(LAYOUT.itemsize * 10.0 / baud + np.arange(POINTS - 1, -1, -1) / sample_rate)
+        self._angle: int | None = None  # of the last sample, in 1/1100 degree
+        self._time: int | None = None  # of the last packet, milliseconds, unwrapped
+
+    def feed(self, data: bytes) -> Measurements:
+        """The measurements that these bytes complete."""
+        frames = self._framer.feed(data)
+        packets = frames.data.view(LAYOUT)[:, 0]
+        span = np.mod(packets["last"].astype(np.int64) - packets["first"], TURN)
+        fits = span <= packets["speed"] * (100.0 * TOO_WIDE * POINTS / self.sample_rate)
+        self.counters.implausible += POINTS * int(np.count_nonzero(~fits))
+        packets, span = packets[fits], span[fits]
+        count = len(packets)
+        if not count:
+            return NOTHING
+        # In units of 1/1100 degree all angles are whole.
+        angles = packets["first"].astype(np.int64)[:, None] * (POINTS - 1) + span[:, None] * np.arange(POINTS)
+        angles = np.mod(angles, TURN * (POINTS - 1)).ravel()
+        before = np.concatenate([angles[:1] if self._angle is None else [self._angle], angles[:-1]])
+        self._angle = int(angles[-1])
+        samples = np.empty(count * POINTS, dtype=SAMPLE)
+        samples["angle"] = counter_clockwise(np.radians(angles / (100.0 * (POINTS - 1))))
+        distance = packets["points"]["distance"].ravel()
+        samples["range"] = np.where(distance > 0, distance / 1e3, np.nan)
+        samples["quality"] = packets["points"]["intensity"].ravel()
+        samples["start"] = before - angles > TURN * (POINTS - 1) // 2  # packets may overlap a little
+        samples["offset"] = np.tile(self._offsets, count)
+        samples["packet"] = np.repeat(np.arange(count), POINTS)
+        carriers = np.empty(count, dtype=PACKET)
+        carriers["end"], carriers["continuous"] = frames.ends[fits], frames.continuous[fits]
+        carriers["device_time"] = self._unwrapped(packets["time"].astype(np.int64)) / 1e3
+        self.counters.samples += len(samples)
+        return Measurements(samples, carriers)
+
+    def _unwrapped(self, times: Integers) -> Integers:
+        """Milliseconds counted on from the last packet's."""
+        last = int(times[0]) if self._time is None else self._time
+        unwrapped = last + np.cumsum(np.mod(np.diff(times, prepend=last % TIME_WRAP), TIME_WRAP))
+        self._time = int(unwrapped[-1])
+        return unwrapped
+
+
+def encode(angles: Floats, ranges: Floats, intensities: Integers, speed: float, time: float) -> bytes:
+    """Packets (m,): `angles` (m, 2) radians clockwise of the first and the last point, `ranges` (m, 12) metres (NaN
+    where nothing came back), `intensities` (m, 12) 0 to 255, `speed` radians a second, all with one device `time` in
+    seconds.
+    """
+    packets = np.zeros(len(ranges), dtype=LAYOUT)
+    packets["header"], packets["length"] = HEADER, LENGTH
+    packets["speed"] = round(np.degrees(speed))
+    hundredths = np.round(np.degrees(angles) * 100.0).astype(np.int64) % TURN
+    packets["first"], packets["last"] = hundredths[:, 0], hundredths[:, 1]
+    told = np.round(np.nan_to_num(ranges, posinf=0.0) * 1e3)
+    packets["points"]["distance"] = np.where(told <= 0xFFFF, told, 0)
+    packets["points"]["intensity"] = intensities
+    packets["time"] = round(time * 1e3) % TIME_WRAP
+    packets["crc"] = crc_of(packets.view(np.uint8).reshape(len(packets), -1))
+    return packets.tobytes()

@@ -1,0 +1,177 @@
+"""What the capsule formats have in common: the head's angle where a capsule begins, and samples spread evenly up to
+where the next one does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...messages import Floats
+from ..framing import Framer, Layout
+from ..records import (
+    NO_QUALITY,
+    NOTHING,
+    PACKET,
+    SAMPLE,
+    Bytes,
+    Counters,
+    Flags,
+    Integers,
+    Measurements,
+    Records,
+    counter_clockwise,
+)
+
+MARKS = ((0xF0, 0xA0), (0xF0, 0x50))
+RESET = 0x8000
+"""Bit of the start angle: first capsule after the start, or the angle's base was reset. Not a new revolution."""
+TURN_Q6 = 360 * 64
+FASTEST = 50.0
+"""Revolutions a second that no RPLIDAR reaches (they turn 5 to 20 times): a larger step means that capsules between two
+were lost, or that the head seemed to turn back."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Returns:
+    """What (m) capsules of N samples hold: `ranges` (m, N) metres, NaN where invalid; `quality` (m, N) or None where
+    the format has none; `correction` (m, N) degrees to subtract from the head's angle, or None where there is nothing
+    to.
+    """
+
+    ranges: Floats
+    quality: Integers | None = None
+    correction: Floats | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CapsuleFormat:
+    """One capsule format: `layout` is the packed bytes, with the start angle in the field `angle`.
+
+    read  (capsules (m,), the ones that follow each (m,)) of `layout` -> Returns
+    """
+
+    answer: int
+    layout: np.dtype[np.void]
+    samples: int
+    read: Callable[[Records, Records], Returns]
+
+    @property
+    def size(self) -> int:
+        """Bytes of a capsule."""
+        return self.layout.itemsize
+
+
+def intact(capsules: Bytes) -> Flags:
+    """Whether the low nibbles of the first two bytes are the XOR of all bytes after them; capsules (m, size)."""
+    told = (capsules[:, 0] & 0x0F) | ((capsules[:, 1] & 0x0F) << 4)
+    return np.asarray(told == np.bitwise_xor.reduce(capsules[:, 2:], axis=1))
+
+
+def seal(capsules: Records) -> bytes:
+    """The bytes of capsules (m,) with sync nibbles and checksum put in."""
+    raw = capsules.view(np.uint8).reshape(len(capsules), -1)
+    checksum = np.bitwise_xor.reduce(raw[:, 2:], axis=1)
+    raw[:, 0] = 0xA0 | (checksum & 0x0F)
+    raw[:, 1] = 0x50 | (checksum >> 4)
+    return raw.tobytes()
+
+
+def blank(format: CapsuleFormat, heads: Floats, reset: bool) -> Records:
+    """Capsules (m,) that begin with the head at `heads` (m,) radians clockwise; `reset` marks the first as the first
+    after a start.
+    """
+    capsules = np.zeros(len(heads), dtype=format.layout)
+    capsules["angle"] = np.round(np.degrees(heads) * 64.0).astype(np.int64) % TURN_Q6
+    if reset and len(heads):
+        capsules["angle"][0] |= RESET
+    return capsules
+
+
+class CapsuleDecoder:
+    """Decodes a stream of capsules, as a `Decoder`.
+
+    format         which
+    sample_period  seconds between samples, as the device states for the scan mode
+    baud           of the port, bits a second
+
+    A capsule's samples are known when the next one has come, undamaged and directly after it.
+    """
+
+    def __init__(self, format: CapsuleFormat, sample_period: float, baud: float) -> None:
+        self.format, self.counters = format, Counters()
+        self._framer = Framer(Layout(format.size, MARKS, intact), self.counters)
+        count = format.samples
+        # A sample takes its period, is filtered for another half, waits for the capsule's others, then for the line.
+        self._offsets = -(format.size * 10.0 / baud + sample_period * (1.5 + np.arange(count - 1, -1, -1)))
+        self._limit_q6 = min(TURN_Q6, int(TURN_Q6 * FASTEST * count * sample_period))
+        self._last: Bytes | None = None  # the newest capsule, which awaits the next
+        self._last_end = 0
+        self._head: int | None = None  # where the head was at the last sample given out, in 1/64/count degrees
+        self._given_end = -1  # end of the last capsule whose samples were given out
+
+    def feed(self, data: bytes) -> Measurements:
+        """The measurements that these bytes complete."""
+        frames = self._framer.feed(data)
+        if not len(frames.data):
+            return NOTHING
+        raw, ends = frames.data, frames.ends
+        follows = frames.continuous
+        if self._last is not None:
+            raw = np.concatenate([self._last[None], raw])
+            ends = np.concatenate([[self._last_end], ends])
+        else:
+            follows = follows[1:]
+        self._last, self._last_end = raw[-1].copy(), int(ends[-1])
+        capsules = np.ascontiguousarray(raw).view(self.format.layout)[:, 0]
+        words = capsules["angle"].astype(np.int64)
+        heads = words & ~RESET
+        steps = np.mod(heads[1:] - heads[:-1], TURN_Q6)
+        usable = follows & ((words[1:] & RESET) == 0)
+        plausible = (steps <= self._limit_q6) & (heads[:-1] < TURN_Q6) & (heads[1:] < TURN_Q6)
+        self.counters.discarded += int(np.count_nonzero(~usable))
+        self.counters.implausible += self.format.samples * int(np.count_nonzero(usable & ~plausible))
+        pairs = np.flatnonzero(usable & plausible)
+        if not len(pairs):
+            return NOTHING
+        returns = self.format.read(capsules[pairs], capsules[pairs + 1])
+        return self._measurements(heads[pairs], steps[pairs], ends[pairs], returns)
+
+    def _measurements(self, heads: Integers, steps: Integers, ends: Integers, returns: Returns) -> Measurements:
+        count, capsules = self.format.samples, len(heads)
+        # In units of 1/64/count degrees everything is whole, so that turning on never seems to turn back.
+        turn = TURN_Q6 * count
+        angles = np.mod(heads[:, None] * count + steps[:, None] * np.arange(count), turn)
+        swept = angles.ravel()
+        before = np.concatenate([[swept[0] if self._head is None else self._head], swept[:-1]])
+        self._head = int(swept[-1])
+        degrees = angles / (64.0 * count)
+        if returns.correction is not None:
+            degrees = degrees - returns.correction
+        samples = np.empty(capsules * count, dtype=SAMPLE)
+        samples["angle"] = counter_clockwise(np.radians(degrees.ravel()))
+        samples["range"] = returns.ranges.ravel()
+        samples["quality"] = NO_QUALITY if returns.quality is None else returns.quality.ravel()
+        samples["start"] = swept < before
+        samples["offset"] = np.tile(self._offsets, capsules)
+        samples["packet"] = np.repeat(np.arange(capsules), count)
+        packets = np.empty(capsules, dtype=PACKET)
+        packets["end"] = ends
+        packets["device_time"] = np.nan
+        packets["continuous"] = ends - self.format.size == np.concatenate([[self._given_end], ends[:-1]])
+        self._given_end = int(ends[-1])
+        self.counters.samples += len(samples)
+        return Measurements(samples, packets)
+
+
+def millimetres(distances: Integers) -> Floats:
+    """Distances in whole millimetres as metres; NaN for 0 and less, which mean that nothing came back."""
+    return np.where(distances > 0, distances / 1e3, np.nan)
+
+
+def whole_millimetres(ranges: Floats, largest: int) -> Integers:
+    """Ranges in metres as whole millimetres; 0 where there is none or it exceeds what the format can tell."""
+    told = np.round(np.nan_to_num(ranges, nan=0.0, posinf=0.0, neginf=0.0) * 1e3)
+    return np.where((told > 0) & (told <= largest), told, 0).astype(np.int64)

@@ -1,0 +1,154 @@
+"""The scan modes that a device tells. Their ids change from firmware to firmware, so they are chosen by name, or the
+device's typical one is taken.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+from ...errors import DriverError
+from .answers import Answer, Info, SampleRate
+from .requests import SCAN, Request, express_scan, get_configuration
+
+FIRMWARE = (1, 24)
+"""The first of A-series lidars that tells its modes; those that measure times of flight always do."""
+FIRST_WITH_MODES = 4
+"""Major number of the first model that always tells its modes."""
+MOST = 32
+"""Modes; a device that claims more is not believed."""
+
+
+class Entry(IntEnum):
+    """Of the configuration. From 0x71 to 0x7F but for COUNT and TYPICAL they exist for each mode."""
+
+    ROTATION = 0x01
+    COUNT = 0x70
+    SAMPLE_PERIOD = 0x71
+    MAX_DISTANCE = 0x74
+    ANSWER = 0x75
+    TYPICAL = 0x7C
+    NAME = 0x7F
+
+
+@dataclass(frozen=True, slots=True)
+class ScanMode:
+    """A way to scan: id, name, seconds between samples, farthest distance in metres, type of the answer."""
+
+    id: int
+    name: str
+    sample_period: float
+    max_distance: float
+    answer: int
+
+    def start(self) -> Request:
+        """What starts it."""
+        return SCAN if self.answer == Answer.STANDARD else express_scan(self.id)
+
+
+@dataclass(frozen=True, slots=True)
+class Modes:
+    """All modes of a device, and the id of the one that its makers think best."""
+
+    modes: tuple[ScanMode, ...]
+    typical: int
+
+    def choose(self, wanted: str = "typical") -> ScanMode:
+        """The typical mode, or the one of that name, whatever its case; raises DriverError naming those there are."""
+        for mode in self.modes:
+            if (mode.id == self.typical) if wanted == "typical" else (mode.name.lower() == wanted.lower()):
+                return mode
+        names = ", ".join(mode.name for mode in self.modes) or "none"
+        raise DriverError(f"the lidar has no scan mode {wanted!r}; it has: {names}")
+
+
+def tells_modes(info: Info) -> bool:
+    """Whether the device can be asked for its modes."""
+    return info.model >> 4 >= FIRST_WITH_MODES or info.firmware >= FIRMWARE
+
+
+def modes_of_old(rate: SampleRate, max_distance: float) -> Modes:
+    """The two modes of firmware that cannot be asked; `max_distance` in metres is the model's."""
+    standard = ScanMode(0, "Standard", rate.standard, max_distance, Answer.STANDARD)
+    return Modes((standard, ScanMode(0, "Express", rate.express, max_distance, Answer.EXPRESS)), typical=0)
+
+
+def survey() -> Generator[Request, bytes, Modes]:
+    """Ask for all modes: yields requests, to be sent one after the other the payloads of their answers, and returns the
+    modes. Raises DriverError where an answer makes no sense.
+    """
+    (count,) = yield from _ask(Entry.COUNT, "<H")
+    if not 0 < count <= MOST:
+        raise DriverError(f"the lidar claims {count} scan modes")
+    (typical,) = yield from _ask(Entry.TYPICAL, "<H")
+    modes = []
+    for mode in range(count):
+        (period,) = yield from _ask(Entry.SAMPLE_PERIOD, "<I", mode)
+        (distance,) = yield from _ask(Entry.MAX_DISTANCE, "<I", mode)
+        (answer,) = yield from _ask(Entry.ANSWER, "<B", mode)
+        name = _text((yield from _exchange(Entry.NAME, mode)))
+        if period == 0:
+            raise DriverError(f"the lidar tells no sample period for scan mode {name!r}")
+        modes.append(ScanMode(mode, name, period / 256e6, distance / 256.0, answer))
+    return Modes(tuple(modes), typical)
+
+
+def desired_rotation() -> Generator[Request, bytes, tuple[int, int]]:
+    """Ask how fast the head should turn: revolutions a minute, and the PWM duty that gives about that. As `survey`."""
+    speed, duty = yield from _ask(Entry.ROTATION, "<HH")
+    return speed, duty
+
+
+def echo(request: Request) -> bytes:
+    """What the answer to a request for configuration begins with."""
+    return request.payload[:4]
+
+
+def answer_to(request: Request, modes: Modes, rotation: tuple[int, int] = (600, 660)) -> bytes | None:
+    """The payload with which a device of these modes answers a request for configuration; None if it does not know
+    it.
+    """
+    entry = struct.unpack("<I", request.payload[:4])[0] if len(request.payload) >= 4 else -1
+    number = struct.unpack("<H", request.payload[4:6])[0] if len(request.payload) >= 6 else -1
+    mode = next((mode for mode in modes.modes if mode.id == number), None)
+    if entry == Entry.ROTATION:
+        data = struct.pack("<HH", *rotation)
+    elif entry == Entry.COUNT:
+        data = struct.pack("<H", len(modes.modes))
+    elif entry == Entry.TYPICAL:
+        data = struct.pack("<H", modes.typical)
+    elif mode is None:
+        return None
+    elif entry == Entry.SAMPLE_PERIOD:
+        data = struct.pack("<I", round(mode.sample_period * 256e6))
+    elif entry == Entry.MAX_DISTANCE:
+        data = struct.pack("<I", round(mode.max_distance * 256.0))
+    elif entry == Entry.ANSWER:
+        data = struct.pack("<B", mode.answer)
+    elif entry == Entry.NAME:
+        data = mode.name.encode("ascii") + b"\0"
+    else:
+        return None
+    return echo(request) + data
+
+
+def _exchange(entry: Entry, mode: int | None) -> Generator[Request, bytes, bytes]:
+    """Ask for one entry; its data without the echo."""
+    request = get_configuration(entry, mode)
+    payload = yield request
+    if not payload.startswith(echo(request)):
+        raise DriverError(f"the lidar was asked for {entry.name} and answered {payload[:16].hex(' ')}")
+    return payload[4:]
+
+
+def _ask(entry: Entry, format: str, mode: int | None = None) -> Generator[Request, bytes, Sequence[int]]:
+    data = yield from _exchange(entry, mode)
+    if len(data) < struct.calcsize(format):
+        raise DriverError(f"the lidar's {entry.name} has only {len(data)} bytes")
+    return struct.unpack_from(format, data)
+
+
+def _text(data: bytes) -> str:
+    return data.split(b"\0")[0].decode("ascii", errors="replace").strip()

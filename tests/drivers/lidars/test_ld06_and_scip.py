@@ -1,0 +1,195 @@
+"""LD06 and Hokuyo's SCIP: known bytes, round trips, clocks that begin again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from drivers import DriverError
+from drivers.lidars import ld06, scip, scip_scan
+from drivers.lidars.records import NO_QUALITY
+
+PACKET = bytes.fromhex(
+    "54 2C 68 08 AB 7E E0 00 E4 DC 00 E2 D9 00 E5 D5 00 E3 D3 00 E4 D0 00 E9 CD 00 E4 CA 00 E2 C7 00 E9 C5 00 E5 C2 00"
+    " E5 C0 00 E5 BE 82 3A 1A 50"
+)
+URG = scip.Parameters("URG-04LX", 0.02, 5.6, 1024, 44, 725, 384, 600.0)
+QUICK = settings(max_examples=20, deadline=None)
+
+
+class TestLd06:
+    def test_known_packet(self) -> None:
+        measurements = ld06.Ld06Decoder().feed(PACKET)
+        samples = measurements.samples
+        degrees = np.degrees(-samples["angle"]) % 360
+        np.testing.assert_allclose(degrees, 324.27 + np.arange(12) * (334.70 - 324.27) / 11, atol=1e-9)
+        millimetres = [224, 220, 217, 213, 211, 208, 205, 202, 199, 197, 194, 192]
+        np.testing.assert_allclose(samples["range"] * 1e3, millimetres)
+        assert samples["quality"].tolist() == [228, 226, 229, 227, 228, 233, 228, 226, 233, 229, 229, 229]
+        assert measurements.packets["device_time"] == pytest.approx(6.714)
+        assert measurements.packets["end"].tolist() == [47]
+
+    def test_known_packet_is_encoded(self) -> None:
+        ranges = np.array([[224, 220, 217, 213, 211, 208, 205, 202, 199, 197, 194, 192]]) * 1e-3
+        intensities = np.array([[228, 226, 229, 227, 228, 233, 228, 226, 233, 229, 229, 229]])
+        angles = np.radians([[324.27, 334.70]])
+        assert ld06.encode(angles, ranges, intensities, np.radians(2152), 6.714) == PACKET
+
+    def test_every_flipped_bit_is_seen(self) -> None:
+        for at in range(47):
+            for bit in range(8):
+                broken = bytearray(PACKET)
+                broken[at] ^= 1 << bit
+                assert not len(ld06.Ld06Decoder().feed(bytes(broken)))
+
+    def test_clock_goes_on_over_its_wrap(self) -> None:
+        decoder = ld06.Ld06Decoder()
+        data = b"".join(
+            ld06.encode(np.radians([[0.0, 9.0]]), np.ones((1, 12)), np.zeros((1, 12), int), np.radians(3600), t)
+            for t in (29.990, 29.998, 30.006, 59.0, 61.0)
+        )
+        times = np.concatenate([decoder.feed(data[i : i + 50]).packets["device_time"] for i in range(0, len(data), 50)])
+        np.testing.assert_allclose(times, [29.990, 29.998, 30.006, 59.0, 61.0])
+
+    def test_packet_wider_than_its_speed_allows(self) -> None:
+        decoder = ld06.Ld06Decoder()
+        wide = ld06.encode(np.radians([[0.0, 32.0]]), np.ones((1, 12)), np.zeros((1, 12), int), np.radians(3600), 0.0)
+        assert not len(decoder.feed(wide))
+        assert decoder.counters.implausible == 12
+
+    @QUICK
+    @given(
+        ranges=arrays(np.float64, (2, 12), elements=st.integers(1, 65535).map(lambda mm: mm / 1000) | st.just(np.nan)),
+        intensities=arrays(np.int64, (2, 12), elements=st.integers(0, 255)),
+        begin=st.floats(0.0, 360.0),
+    )
+    def test_round_trip(self, ranges: np.ndarray, intensities: np.ndarray, begin: float) -> None:
+        angles = np.radians(begin + np.array([[0.0, 8.8], [9.6, 18.4]]))
+        samples = ld06.Ld06Decoder().feed(ld06.encode(angles, ranges, intensities, 2 * np.pi * 10, 1.0)).samples
+        np.testing.assert_allclose(samples["range"], ranges.ravel(), rtol=1e-12)
+        np.testing.assert_array_equal(samples["quality"], intensities.ravel())
+        expected = np.concatenate([np.linspace(*pair, 12) for pair in angles])
+        assert np.abs(np.mod(-samples["angle"] - expected + np.pi, 2 * np.pi) - np.pi).max() <= np.radians(0.0051)
+
+
+class TestScipLanguage:
+    def test_known_sums_and_values(self) -> None:
+        assert scip.checksum(b"00") == b"P"
+        assert scip.checksum(b"99") == b"b"
+        assert scip.verified(b"1Dh1Dhj") == b"1Dh1Dh"
+        for text, width, value in ((b"1Dh", 3, 5432), (b"CB", 2, 1234)):
+            values, good = scip.decode_values(np.frombuffer(text, np.uint8), width)
+            assert (values.tolist(), good.tolist()) == ([value], [True])
+            assert scip.encode_values(np.array([value]), width) == text
+        values, good = scip.decode_values(np.frombuffer(b"1Dh1Dh", np.uint8), 3)
+        assert values.tolist() == [5432, 5432]
+        assert scip.Measure(44, 725).packet() == b"MD0044072501000\n"
+        assert scip.Measure(44, 725, continuous=False).packet() == b"GD0044072501\n"
+        assert scip.set_baud(115200) == b"SS115200\n"
+
+    @given(arrays(np.int64, st.integers(1, 50), elements=st.integers(0, (1 << 18) - 1)))
+    def test_values_round_trip(self, values: np.ndarray) -> None:
+        text = scip.encode_values(values, 3)
+        got, good = scip.decode_values(np.frombuffer(text, np.uint8), 3)
+        np.testing.assert_array_equal(got, values)
+        assert good.all()
+
+    def test_parameters(self) -> None:
+        reply = scip.Reply(b"PP", "00", URG.lines(), 0)
+        assert b"DMIN:20;" in reply.packet()
+        (got,) = scip.ReplyReader().feed(reply.packet())
+        assert scip.Parameters.parse(got) == URG
+        assert pytest.approx(0.1 / 1024) == URG.step_period
+
+    def test_parameters_that_make_no_sense(self) -> None:
+        lines = list(URG.lines())
+        with pytest.raises(DriverError, match="make no sense"):
+            scip.Parameters.parse(scip.Reply(b"PP", "00", tuple(lines[:-1]), 0))
+        lines[2] = lines[2].replace(b"DMAX", b"DMAY")
+        with pytest.raises(DriverError, match="damaged"):
+            scip.Parameters.parse(scip.Reply(b"PP", "00", tuple(lines), 0))
+
+    @given(st.lists(st.binary(max_size=20), max_size=10))
+    def test_parameters_of_any_lines(self, texts: list[bytes]) -> None:
+        lines = tuple(text + scip.checksum(text) for text in texts)
+        with pytest.raises(DriverError):
+            scip.Parameters.parse(scip.Reply(b"PP", "00", lines, 0))
+
+    def test_replies(self) -> None:
+        reader = scip.ReplyReader()
+        replies = reader.feed(b"noise\nQT\n00P\n\nQT\nE\n\nTM1\n00P\n00000\n\nMD\n99b\n")
+        assert [(r.echo, r.status) for r in replies] == [(b"QT", "E"), (b"TM1", "00")]
+        assert reader.bytes_skipped == len(b"noise\nQT\n00P\n")
+        replies = reader.feed(b"\nQT\n00P\n\n")
+        assert [(r.echo, r.status) for r in replies] == [(b"MD", "99"), (b"QT", "00")]
+        assert scip.clock_of(b"00000") == 0
+        assert scip.clock_of(b"00001") is None
+        assert scip.clock_of(b"") is None
+
+
+class TestScipScan:
+    def test_known_lines(self) -> None:
+        """Two steps whose values and checksum stand in the manual, with the clock before them."""
+        measure = scip.Measure(383, 384)
+        far = scip.Parameters("UTM-30LX", 0.02, 60.0, 1440, 0, 1080, 384, 2400.0)
+        decoder = scip_scan.ScipDecoder(far, measure)
+        data = b"MD0383038401000\n00P\n\nMD0383038401000\n99b\n0?Ooa\n1Dh1Dhj\n\n"
+        clock = scip.encode_values(np.array([1000]), 4)
+        data = data.replace(b"0?Ooa", clock + scip.checksum(clock))
+        measurements = decoder.feed(data)
+        assert measurements.samples["range"].tolist() == [5.432, 5.432]
+        assert measurements.samples["angle"] == pytest.approx([-2 * np.pi / 1440, 0.0])
+        assert measurements.samples["start"].tolist() == [True, False]
+        assert measurements.packets["device_time"].tolist() == [1.0]
+        assert (measurements.samples["quality"] == NO_QUALITY).all()
+        assert decoder.counters.bytes_skipped == 0
+
+    @QUICK
+    @given(
+        ranges=arrays(np.float64, 228, elements=st.integers(20, 4095).map(lambda mm: mm / 1000) | st.just(np.nan)),
+        clock=st.integers(0, (1 << 24) - 1),
+        width=st.sampled_from([2, 3]),
+        continuous=st.booleans(),
+    )
+    def test_round_trip(self, ranges: np.ndarray, clock: int, width: int, continuous: bool) -> None:
+        measure = scip.Measure(44, 725, 3, continuous, width)
+        assert measure.count == 228
+        decoder = scip_scan.ScipDecoder(URG, measure)
+        measurements = decoder.feed(scip_scan.encode(ranges, measure, clock))
+        np.testing.assert_allclose(measurements.samples["range"], ranges, rtol=1e-12)
+        assert measurements.packets["device_time"][0] == pytest.approx(clock * 1e-3)
+        assert measurements.samples["angle"][0] == pytest.approx((45 - 384) * 2 * np.pi / 1024)
+        assert np.all(np.diff(measurements.samples["angle"]) > 0)
+
+    def test_clock_goes_on_over_its_wrap(self) -> None:
+        measure = scip.Measure(44, 725)
+        decoder = scip_scan.ScipDecoder(URG, measure)
+        clocks = [(1 << 24) - 100, 0, 100]
+        data = b"".join(scip_scan.encode(np.ones(682), measure, clock) for clock in clocks)
+        times = decoder.feed(data).packets["device_time"]
+        np.testing.assert_allclose(np.diff(times), 0.1)
+
+    def test_error_codes_and_far_values_are_no_ranges(self) -> None:
+        measure = scip.Measure(44, 53)
+        ranges = np.array([0.0, 0.001, 0.019, 0.02, 1.0, 5.6, 5.601, 5.0, 0.006, 2.0])
+        got = scip_scan.ScipDecoder(URG, measure).feed(scip_scan.encode(ranges, measure, 0)).samples["range"]
+        np.testing.assert_array_equal(np.isnan(got), [1, 1, 1, 0, 0, 0, 1, 0, 1, 0])
+
+    def test_damaged_line_costs_its_beams_only(self) -> None:
+        measure = scip.Measure(44, 725)
+        data = bytearray(scip_scan.encode(np.full(682, 3.0), measure, 5))
+        data[data.index(b"\n", 60) + 10] ^= 1
+        decoder = scip_scan.ScipDecoder(URG, measure)
+        ranges = decoder.feed(bytes(data)).samples["range"]
+        assert 21 <= np.count_nonzero(np.isnan(ranges)) <= 22
+        assert decoder.counters.checksum_failures == 1
+
+    def test_replies_to_other_requests_are_passed_over(self) -> None:
+        other, mine = scip.Measure(45, 725), scip.Measure(44, 725)
+        decoder = scip_scan.ScipDecoder(URG, mine)
+        assert not len(decoder.feed(scip_scan.encode(np.ones(681), other, 5)))
+        assert decoder.counters.bytes_skipped > 2000
+        assert len(decoder.feed(scip_scan.encode(np.ones(682), mine, 5))) == 682
