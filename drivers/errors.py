@@ -34,9 +34,9 @@ class PortError(DriverError):
         super().__init__(f"{port}: {reason}")
 
 
-class ConnectionLost(PortError):
+class ConnectionLostError(PortError):
     """A port that was open is gone: unplugged, closed by the other side, or no longer taking bytes."""
 
 
-class EndOfTape(ConnectionLost):
+class EndOfTapeError(ConnectionLostError):
     """A tape of raw bytes was played to its end."""

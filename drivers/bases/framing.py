@@ -37,11 +37,8 @@ class Frames:
             size = self._size(self._buffer)
             if size == 0 or size > len(self._buffer):
                 return
-            if size < 0:
-                self._skip(1)
-                continue
-            frame = bytes(self._buffer[:size])
-            if self._valid(frame):
+            frame = bytes(self._buffer[: max(size, 0)])
+            if frame and self._valid(frame):
                 del self._buffer[:size]
                 yield frame
             else:

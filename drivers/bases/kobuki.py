@@ -41,25 +41,33 @@ WHEELS = DifferentialDrive(left=METRES_PER_COUNT, right=METRES_PER_COUNT, track=
 def frames(counters: Counters) -> Frames:
     """Finds packets of either direction."""
 
-    def size(buffer: bytearray) -> int:
-        if len(buffer) < 3:
-            return 0
-        return buffer[2] + 4 if buffer[2] >= LEAST_PAYLOAD else -1
-
-    return Frames(HEADER, size, lambda frame: reduce(xor, frame[2:]) == 0, counters)
+    return Frames(HEADER, _size, lambda frame: reduce(xor, frame[2:]) == 0, counters)
 
 
-def packet(*parts: tuple[int, bytes]) -> bytes:
+def _size(buffer: bytearray) -> int:
+    """See `Frames`. Parts that do not fill the payload show a wrong length long before so many bytes have come, and
+    lost bytes that the checksum misses.
+    """
+    if len(buffer) < 3:
+        return 0
+    part, end = 3, 3 + buffer[2]
+    while part + 1 < min(end, len(buffer)):
+        part += 2 + buffer[part + 1]
+    wrong = part > end or part == end - 1 or buffer[2] < LEAST_PAYLOAD
+    return -1 if wrong else end + 1
+
+
+def packet(*contents: tuple[int, bytes]) -> bytes:
     """A packet with parts (id, data)."""
-    payload = b"".join(bytes([kind, len(data)]) + data for kind, data in parts)
+    payload = b"".join(bytes([kind, len(data)]) + data for kind, data in contents)
     body = bytes([len(payload)]) + payload
     return HEADER + body + bytes([reduce(xor, body)])
 
 
 def parts(frame: bytes) -> Iterator[tuple[int, bytes]]:
-    """The parts (id, data) of a packet. What is cut off at its end is left out."""
+    """The parts (id, data) of a packet."""
     payload = frame[3:-1]
-    while len(payload) >= 2 and len(payload) >= 2 + payload[1]:
+    while payload:
         yield payload[0], payload[2 : 2 + payload[1]]
         payload = payload[2 + payload[1] :]
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import serial
 
-from ..errors import ConnectionLost, PortError
+from ..errors import ConnectionLostError, PortError
 from .transport import Received
 
 WRITE_TIMEOUT = 1.0
@@ -28,10 +28,11 @@ REASONS = {
 class SerialPort:
     """A `Transport` over a serial port, 8 bits, no parity, 1 stop bit.
 
-    port  the device's path, or a URL that pyserial knows
+    port  the device's path
     baud  bits a second
     dtr   how the line "data terminal ready" is set from the beginning. Asserted, it stops the motor of an RPLIDAR A1;
-          a change of it restarts many Arduinos. The system itself may pulse it while it opens a port
+          a change of it restarts many Arduinos; boards that are USB devices themselves send nothing without it. The
+          system may pulse it while it opens a port
 
     Nobody else can open the port meanwhile. Raises PortError where it cannot be opened.
     """
@@ -41,10 +42,9 @@ class SerialPort:
         self._timeout: float | None = None
         self._closed = False
         try:
-            self._serial: Any = serial.serial_for_url(
-                port, baud, do_not_open=True, exclusive=True, write_timeout=WRITE_TIMEOUT
-            )
-            self._serial.dtr = dtr
+            self._serial: Any = serial.Serial(None, baud, exclusive=True, write_timeout=WRITE_TIMEOUT)
+            self._serial.port = port
+            self._serial.dtr = self._serial.rts = dtr  # an ESP32 is held in reset while the two differ
             self._serial.open()
         except FAILURES as failure:
             raise PortError(port, _reason(failure)) from failure
@@ -64,7 +64,7 @@ class SerialPort:
         return Received(data, time.monotonic())
 
     def write(self, data: bytes) -> None:
-        """Send; raises ConnectionLost, too, where the port takes no bytes for a second."""
+        """Send; raises ConnectionLostError, too, where the port takes no bytes for a second."""
         try:
             self._serial.write(data)
         except FAILURES as failure:
@@ -89,8 +89,8 @@ class SerialPort:
         self._closed = True
         self._serial.close()
 
-    def _lost(self, failure: Exception) -> ConnectionLost:
-        return ConnectionLost(self.name, "closed" if self._closed else f"connection lost: {_reason(failure)}")
+    def _lost(self, failure: Exception) -> ConnectionLostError:
+        return ConnectionLostError(self.name, "closed" if self._closed else f"connection lost: {_reason(failure)}")
 
 
 def _reason(failure: Exception) -> str:

@@ -1,13 +1,13 @@
 """Tapes: what passed through a connection, byte by byte, with times.
 
-A tape is a text with a line for each chunk, `<seconds> <arrow> <hex>`, the arrow `<` for what came from the device and `>`
-for what was sent to it:
+A tape is a text with a line for each chunk, `<seconds> <arrow> <hex>`, the arrow `<` for what came from the device and
+`>` for what was sent to it:
 
     8137.204512345 > a525
     8137.310274001 < a55a140000000418
 
-It is made to be attached to a report, read by people, and cut with any editor. Empty lines and lines that begin with # say
-nothing. The last line is left out where it does not end, as after a crash.
+It is made to be attached to a report, read by people, and cut with any editor. Empty lines and lines that begin with #
+say nothing. The last line is left out where it does not end, as after a crash.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from ..errors import EndOfTape, PortError, RecordingError
+from ..errors import EndOfTapeError, PortError, RecordingError
 from .transport import Received, Transport
 
 LINE = re.compile(r"([0-9]+(?:\.[0-9]+)?) ([<>]) ((?:[0-9a-fA-F]{2})+)")
@@ -36,7 +36,7 @@ class Tap:
         self.failure: str | None = None
         self._transport = transport
         try:
-            self._file = Path(path).open("w", encoding="ascii", buffering=1)
+            self._file = Path(path).open("w", encoding="ascii", buffering=1)  # noqa: SIM115
         except OSError as failure:
             raise PortError(self.name, f"the tape {path} cannot be written: {failure.strerror}") from failure
         self._note(f"# {self.name}".encode("ascii", "backslashreplace").decode())
@@ -85,8 +85,8 @@ class TapePlayer:
     paced  whether reads take as long as they took; without, time passes on the tape only, and a read that would have
            timed out returns at once
 
-    What is written to it goes nowhere. Reading beyond the end raises EndOfTape; a line that is none, RecordingError.
-    Raises RecordingError where the tape cannot be read.
+    What is written to it goes nowhere. Reading beyond the end raises EndOfTapeError. Raises RecordingError where the
+    tape cannot be read, or has a line that is none.
     """
 
     def __init__(self, path: str | Path, paced: bool = False) -> None:
@@ -100,9 +100,9 @@ class TapePlayer:
     def read(self, timeout: float) -> Received:
         """The next chunk, or nothing where the tape has none within the timeout (seconds)."""
         if self._closed:
-            raise EndOfTape(self.name, "closed")
+            raise EndOfTapeError(self.name, "closed")
         if self._next is None:
-            raise EndOfTape(self.name, "the tape ends here")
+            raise EndOfTapeError(self.name, "the tape ends here")
         now = self._next.time if self._now is None else self._now
         if self._cancelled:
             self._cancelled = False

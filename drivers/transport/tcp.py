@@ -6,7 +6,7 @@ import selectors
 import socket
 import time
 
-from ..errors import ConnectionLost, PortError
+from ..errors import ConnectionLostError, PortError
 from .transport import Received
 
 CONNECT_TIMEOUT = 3.0
@@ -45,18 +45,18 @@ class TcpConnection:
             try:
                 data = self._socket.recv(LARGEST)
             except OSError as failure:
-                raise ConnectionLost(self.name, f"connection lost: {failure}") from failure
+                raise ConnectionLostError(self.name, f"connection lost: {failure}") from failure
             if not data:
-                raise ConnectionLost(self.name, "closed by the other side")
+                raise ConnectionLostError(self.name, "closed by the other side")
         return Received(data, time.monotonic())
 
     def write(self, data: bytes) -> None:
-        """Send; raises ConnectionLost, too, where the other side takes no bytes for a second."""
+        """Send; raises ConnectionLostError, too, where the other side takes no bytes for a second."""
         self._check_open()
         try:
             self._socket.sendall(data)
         except OSError as failure:
-            raise ConnectionLost(self.name, f"connection lost: {failure}") from failure
+            raise ConnectionLostError(self.name, f"connection lost: {failure}") from failure
 
     def set_dtr(self, asserted: bool) -> bool:
         """There is no such line."""
@@ -77,4 +77,4 @@ class TcpConnection:
 
     def _check_open(self) -> None:
         if self._closed:
-            raise ConnectionLost(self.name, "closed")
+            raise ConnectionLostError(self.name, "closed")

@@ -22,7 +22,8 @@ class Transport(Protocol):
     name  the port as a user writes it
 
     One thread reads and one writes, which may be the same; `cancel` may be called from any. To close, cancel, wait for
-    the reader to come back, and close. All but `close` and `cancel` raise ConnectionLost once the connection is gone.
+    the reader to come back, and close. `read`, `write` and `set_dtr` raise ConnectionLostError once the connection is
+    gone.
     """
 
     name: str
