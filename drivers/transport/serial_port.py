@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import termios
 import time
+from contextlib import suppress
 from typing import Any
 
 import serial
@@ -46,6 +47,8 @@ class SerialPort:
             self._serial.port = port
             self._serial.dtr = self._serial.rts = dtr  # an ESP32 is held in reset while the two differ
             self._serial.open()
+            with suppress(*FAILURES, ValueError, NotImplementedError):  # ports that have no such mode
+                self._serial.set_low_latency_mode(True)  # adapters hold bytes back for 16 ms without it
         except FAILURES as failure:
             raise PortError(port, _reason(failure)) from failure
         except (ValueError, OverflowError) as failure:
@@ -72,6 +75,8 @@ class SerialPort:
 
     def set_dtr(self, asserted: bool) -> bool:
         """Set the line; False on ports that have none, as pseudo terminals."""
+        if self._closed:
+            raise ConnectionLostError(self.name, "closed")
         try:
             self._serial.dtr = asserted
         except FAILURES as failure:

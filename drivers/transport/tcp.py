@@ -60,6 +60,7 @@ class TcpConnection:
 
     def set_dtr(self, asserted: bool) -> bool:
         """There is no such line."""
+        self._check_open()
         return False
 
     def cancel(self) -> None:

@@ -127,7 +127,7 @@ def test_closed_is_closed(pair: tuple[Transport, Peer]) -> None:
     transport.close()
     transport.close()
     transport.cancel()
-    for use in (lambda: transport.read(0.1), lambda: transport.write(b"x")):
+    for use in (lambda: transport.read(0.1), lambda: transport.write(b"x"), lambda: transport.set_dtr(True)):
         with pytest.raises(ConnectionLostError, match="closed"):
             use()
 

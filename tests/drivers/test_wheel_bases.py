@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
 from drivers.bases import (
     ArduinoBridge,
@@ -20,6 +21,7 @@ from drivers.bases import (
     DifferentialDrive,
     Kobuki,
     KobukiDevice,
+    Odometer,
     Poll,
     Request,
     Reset,
@@ -337,3 +339,47 @@ def test_commands_keep_their_arc_when_they_are_too_fast() -> None:
     left, right = WHEELS.wheel_speeds(2.0, 1.0)
     assert right == WHEELS.top_speed
     assert (right + left) / (right - left) * WHEELS.track / 2 == pytest.approx(2.0)
+
+
+def noisy(stream: bytes, share: float, random: np.random.Generator) -> bytes:
+    """The stream with a share of its bytes dropped, doubled by another, or flipped in one bit."""
+    out = bytearray()
+    for byte, fault, value in zip(
+        stream, random.random(len(stream)), random.integers(256, size=len(stream)), strict=True
+    ):
+        if fault >= share:
+            out.append(byte)
+        elif fault >= 2 * share / 3:
+            out.append(byte ^ (1 << (int(value) % 8)))
+        elif fault >= share / 3:
+            out += bytes([byte, int(value)])
+    return bytes(out)
+
+
+@pytest.mark.parametrize("name", BASES)
+def test_a_drive_over_a_bad_wire_ends_where_it_would(name: str) -> None:
+    random = np.random.default_rng(11)
+    base, device = HOSTS[name](), DEVICES[name]()
+    count, period = 2000, 0.02
+    t = np.arange(count) * period
+    speed, turn_rate = 0.3 + 0.1 * np.sin(t / 5), 0.6 * np.sin(t / 3)
+    left, right = (
+        np.round(np.cumsum(speed + side * turn_rate * base.wheels.track / 2) * period / metres).astype(int).tolist()
+        for side, metres in ((-1, base.wheels.left), (1, base.wheels.right))
+    )
+    through, clean = Odometer(base.wheels), Odometer(base.wheels)
+    farthest = 0.0
+    for i in range(count):
+        reading = WheelReading(left[i], right[i], 20 * i)
+        wanted = clean.add(reading, t[i])
+        assert wanted is not None
+        for got in base.feed(noisy(device.encode(reading), 1e-3, random)):
+            message = through.add(got, t[i])
+            if message is not None:
+                farthest = max(farthest, float(np.hypot(*(message.pose - wanted.pose)[:2])))
+    # readings that come late, behind what only looked like a frame, are a few periods old
+    assert farthest < 0.06
+    assert_allclose(through.pose, clean.pose, atol=0.01)
+    assert through.counters.resets == 0
+    assert base.counters.bad > 0
+    assert base.counters.good > 0.95 * count
