@@ -28,8 +28,8 @@ INERTIA_DATA = struct.Struct("<hh3x")
 BASE_CONTROL = 1
 BASE_CONTROL_DATA = struct.Struct("<hh")
 """Speed of the outer wheel in mm/s, radius of the arc in mm: 0 goes straight, 1 spins."""
-LEAST_PAYLOAD = 3
-"""Bytes: a part with one byte of data."""
+LEAST_PAYLOAD, LARGEST_PAYLOAD = 3, 160
+"""Bytes: a part with one byte of data; more than all parts that the base ever sends together, which is about 130."""
 LARGEST_RADIUS = 32767
 """mm; a larger arc is driven straight."""
 
@@ -53,7 +53,7 @@ def _size(buffer: bytearray) -> int:
     part, end = 3, 3 + buffer[2]
     while part + 1 < min(end, len(buffer)):
         part += 2 + buffer[part + 1]
-    wrong = part > end or part == end - 1 or buffer[2] < LEAST_PAYLOAD
+    wrong = part > end or part == end - 1 or not LEAST_PAYLOAD <= buffer[2] <= LARGEST_PAYLOAD
     return -1 if wrong else end + 1
 
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
@@ -45,6 +45,7 @@ def test_known_uncertainty_of_a_straight_metre() -> None:
     assert_allclose(np.sqrt(np.diag(covariance)), [2.236e-3, 10.99e-3, 0.01903], rtol=1e-3)
 
 
+@settings(max_examples=40, deadline=None)
 @given(pose=poses, distance=distances, turn=turns)
 def test_an_arc_ends_where_its_circle_says(pose: se2.Pose, distance: float, turn: float) -> None:
     new, _ = advance(pose, ZERO, motion(distance, turn))
@@ -55,6 +56,7 @@ def test_an_arc_ends_where_its_circle_says(pose: se2.Pose, distance: float, turn
     assert -math.pi <= new[2] < math.pi
 
 
+@settings(max_examples=40, deadline=None)
 @given(pose=poses, distance=distances, turn=turns, steps=st.integers(2, 40))
 def test_small_steps_make_the_arc(pose: se2.Pose, distance: float, turn: float, steps: int) -> None:
     whole, _ = advance(pose, ZERO, motion(distance, turn))
@@ -65,6 +67,7 @@ def test_small_steps_make_the_arc(pose: se2.Pose, distance: float, turn: float, 
     assert abs(math.remainder(parts[2] - whole[2], 2 * math.pi)) < 1e-11
 
 
+@settings(max_examples=40, deadline=None)
 @given(pose=poses, distance=distances, turn=turns)
 def test_driving_back_returns(pose: se2.Pose, distance: float, turn: float) -> None:
     there, _ = advance(pose, ZERO, motion(distance, turn))
@@ -73,6 +76,7 @@ def test_driving_back_returns(pose: se2.Pose, distance: float, turn: float) -> N
     assert_allclose(se2.between(pose, there)[:2], advance(np.zeros(3), ZERO, motion(distance, turn))[0][:2], atol=1e-11)
 
 
+@settings(max_examples=40, deadline=None)
 @given(pose=poses, distance=distances, turn=turns)
 def test_covariance_grows_by_the_derivatives(pose: se2.Pose, distance: float, turn: float) -> None:
     step = 1e-6

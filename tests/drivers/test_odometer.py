@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
@@ -26,7 +26,7 @@ def drive(wheels: DifferentialDrive, count: int = 200) -> list[tuple[int, int]]:
     return [(round(a), round(b)) for a, b in zip(left, right, strict=True)]
 
 
-def run(wheels: DifferentialDrive, counts: list[tuple[int, int]], **others: object) -> Odometer:
+def run(wheels: DifferentialDrive, counts: list[tuple[int, int]]) -> Odometer:
     odometer = Odometer(wheels)
     for i, (left, right) in enumerate(counts):
         odometer.add(WheelReading(left, right), i * PERIOD)
@@ -34,6 +34,7 @@ def run(wheels: DifferentialDrive, counts: list[tuple[int, int]], **others: obje
 
 
 @pytest.mark.parametrize("wheels", [CREATE2, KOBUKI, FINE], ids=["create2", "kobuki", "fine"])
+@settings(max_examples=40, deadline=None)
 @given(left=st.integers(0, (1 << 32) - 1), right=st.integers(0, (1 << 32) - 1), as_signed=st.booleans())
 def test_wraps_anywhere_make_no_difference(wheels: DifferentialDrive, left: int, right: int, as_signed: bool) -> None:
     counts = drive(wheels, 60)
@@ -60,29 +61,33 @@ def test_backwards_across_zero() -> None:
     assert odometer.pose[0] == pytest.approx(-7 * CREATE2.left, rel=1e-4)
 
 
-@given(at=st.integers(1, 57), length=st.integers(1, 1))
-def test_reset_costs_the_way_between_two_readings_and_is_counted(at: int, length: int) -> None:
+@settings(max_examples=40, deadline=None)
+@given(at=st.integers(1, 57))
+def test_reset_costs_the_way_between_two_readings_and_is_counted(at: int) -> None:
     counts = [(a + 100_000, b + 200_000) for a, b in drive(FINE, 60)]
     first = counts[at]
     restarted = counts[:at] + [(a - first[0], b - first[1]) for a, b in counts[at:]]
     odometer, whole = run(FINE, restarted), run(FINE, counts)
     assert odometer.counters.resets == 1
     assert odometer.counters.jumps == 0
-    assert np.hypot(*(odometer.pose - whole.pose)[:2]) < 0.5 * PERIOD + 0.1 * abs(odometer.pose[2] - whole.pose[2]) * 10
+    missing = (counts[at][0] - counts[at - 1][0]) * FINE.left, (counts[at][1] - counts[at - 1][1]) * FINE.right
+    turn = abs(missing[1] - missing[0]) / FINE.track
+    assert np.hypot(*(odometer.pose - whole.pose)[:2]) < max(missing) + turn  # behind it lies less than a metre
+    assert odometer.pose[2] - whole.pose[2] == pytest.approx(-(missing[1] - missing[0]) / FINE.track, abs=1e-9)
     assert np.all(np.diag(odometer.covariance) > np.diag(whole.covariance))
 
 
+@settings(max_examples=40, deadline=None)
 @given(at=st.integers(1, 58), left=st.integers(50_000, 1 << 30), right=st.integers(-(1 << 30), 1 << 30))
 def test_single_nonsense_costs_nothing(at: int, left: int, right: int) -> None:
     counts = drive(FINE, 60)
     damaged = [*counts]
     damaged[at] = (left, right)
-    odometer, whole = run(FINE, damaged), run(FINE, counts[:at] + counts[at + 1 :])
+    odometer = run(FINE, damaged)
     assert odometer.counters.jumps == 1
     assert odometer.counters.resets == 0
-    # the arc across the left-out reading is that of its two halves only on the mean
+    # one arc across the reading that was left out is nearly the two that it replaces
     assert_allclose(odometer.pose, run(FINE, counts).pose, atol=1e-3)
-    assert whole.counters.jumps == 0
 
 
 def test_a_held_reading_gives_no_message() -> None:
@@ -115,18 +120,19 @@ def test_readings_out_of_order_are_left_out() -> None:
     assert odometer.pose[0] == pytest.approx(30 * (FINE.left + FINE.right) / 2, rel=1e-3)
 
 
+@settings(max_examples=40, deadline=None)
 @given(start=st.floats(-math.pi, math.pi), slip=st.floats(0.5, 1.5))
 def test_the_gyro_s_turn_is_taken(start: float, slip: float) -> None:
     """Wheels that slip in a bend; the gyro's heading wraps somewhere on two and a half turns."""
     odometer = Odometer(KOBUKI)
-    for i in range(501):
-        turned = 5 * math.pi * i / 500
+    for i in range(201):
+        turned = 5 * math.pi * i / 200
         way = round(slip * turned * KOBUKI.track / 2 / KOBUKI.left)
         heading = math.remainder(start + turned, 2 * math.pi)
         odometer.add(WheelReading(-way % 65536, way, None, heading), i * PERIOD)
     assert abs(math.remainder(odometer.pose[2] - 5 * math.pi, 2 * math.pi)) < 1e-9
     assert odometer.counters.gyro_jumps == 0
-    assert odometer.covariance[2, 2] == pytest.approx(10.0 * odometer.noise.gyro)
+    assert odometer.covariance[2, 2] == pytest.approx(200 * PERIOD * odometer.noise.gyro)
 
 
 def test_a_gyro_that_jumps_is_not_believed() -> None:

@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import ConnectionLostError, DriverError, EndOfTapeError, PortError, RecordingError
@@ -243,6 +243,7 @@ def play(player: TapePlayer, timeout: float = 1e9) -> list[Received]:
             chunks.append(received)
 
 
+@settings(max_examples=40, deadline=None)
 @given(
     chunks=st.lists(st.tuples(st.binary(max_size=40), st.integers(0, 10**9)), max_size=20),
     timeout=st.floats(0.01, 1.0),

@@ -216,6 +216,7 @@ def test_what_the_device_tells_the_host_reads(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", BASES)
+@settings(max_examples=60, deadline=None)
 @given(speed=st.floats(-2.0, 2.0), turn_rate=st.floats(-10.0, 10.0))
 def test_what_the_host_orders_the_device_drives(name: str, speed: float, turn_rate: float) -> None:
     device, base = DEVICES[name](), HOSTS[name]()
@@ -252,7 +253,7 @@ def test_arduino_bridge_device_answers() -> None:
 
 @pytest.mark.parametrize("name", BASES)
 @given(data=st.data())
-@settings(max_examples=60)
+@settings(max_examples=60, deadline=None)
 def test_chunks_make_no_difference(name: str, data: st.DataObject) -> None:
     device = DEVICES[name]()
     stream = bytearray(b"".join(device.encode(reading) for reading in readings(name, 12)))
@@ -279,7 +280,7 @@ HOSTILE = st.lists(
 
 @pytest.mark.parametrize("name", BASES)
 @given(noise=HOSTILE)
-@settings(max_examples=100)
+@settings(max_examples=80, deadline=None)
 def test_any_bytes_are_borne(name: str, noise: list[bytes]) -> None:
     base, device = HOSTS[name](), DEVICES[name]()
     for chunk in noise:
@@ -318,15 +319,16 @@ def damaged(stream: bytes, place: int) -> list[tuple[str, bytes]]:
 
 @pytest.mark.parametrize("name", ["create2", "kobuki", "wheel_line"])
 def test_a_damaged_byte_costs_two_readings_at_most_and_makes_hardly_a_wrong_one(name: str) -> None:
-    sent = readings(name, 12)
+    sent = readings(name, 16)
     device = DEVICES[name]()
-    stream = b"".join(device.encode(reading) for reading in sent)
+    frames = [device.encode(reading) for reading in sent]
+    stream, rest = b"".join(frames[:8]), b"".join(frames[8:])  # what only looks like a frame takes some of the rest
     told = {(reading.left, reading.right) for reading in sent}
     wrong = {"drop": 0, "insert": 0, "flip": 0}
     tried = 0
     for place in range(len(stream)):
         for kind, bytes_ in damaged(stream, place):
-            got = HOSTS[name]().feed(bytes_)
+            got = HOSTS[name]().feed(bytes_ + rest)
             wrong[kind] += not {(reading.left, reading.right) for reading in got} <= told
             assert len(got) >= len(sent) - 2, (place, kind)
             tried += 1
