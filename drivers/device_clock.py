@@ -54,7 +54,8 @@ class DeviceClock:
     strays    readings that were off the line without a jump
 
     The smallest delay on the way cannot be seen from the host: stamps are later than the truth by it. A caller that
-    knows it (bytes over baud rate) subtracts it.
+    knows it (bytes over baud rate) subtracts it. What was measured n units after a stamped time has its stamp plus
+    n * tick * (1 + drift).
     """
 
     def __init__(self, tick: float, wraps_at: int | None = None) -> None:
@@ -88,12 +89,6 @@ class DeviceClock:
             self._jump([pair])
         return min(self._host(pair[0]), arrived)
 
-    def host_time(self, device_time: float) -> float:
-        """The host's time at an unwrapped device time (units of `tick`) near the last stamped one, without learning
-        from it.
-        """
-        return self._host(device_time * self.tick)
-
     def _host(self, device: float) -> float:
         return self._anchor[1] + self._rate * (device - self._anchor[0])
 
@@ -121,7 +116,7 @@ class DeviceClock:
         self._held.append(pair)
         if len(self._held) == CONFIRM:
             self._jump(self._held)
-            return self._host(pair[0])
+            return min(self._host(pair[0]), pair[1])
         return pair[1]
 
     def _jump(self, pairs: list[Pair]) -> None:
