@@ -24,3 +24,19 @@ class RecordingError(SlamError):
 
 class DriverError(SlamError):
     """A device does not do what its protocol says."""
+
+
+class PortError(DriverError):
+    """A port cannot be opened. Carries the `port` and the `reason`."""
+
+    def __init__(self, port: str, reason: str) -> None:
+        self.port, self.reason = port, reason
+        super().__init__(f"{port}: {reason}")
+
+
+class ConnectionLostError(PortError):
+    """A port that was open is gone: unplugged, closed by the other side, or no longer taking bytes."""
+
+
+class EndOfTapeError(ConnectionLostError):
+    """A tape of raw bytes was played to its end."""

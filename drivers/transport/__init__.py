@@ -1,0 +1,10 @@
+"""Connections to devices: serial ports, TCP, tapes of raw bytes. They carry bytes and know no protocol."""
+
+from __future__ import annotations
+
+from .serial_port import SerialPort
+from .tape import Tap, TapePlayer
+from .tcp import TcpConnection
+from .transport import Received, Transport
+
+__all__ = ["Received", "SerialPort", "Tap", "TapePlayer", "TcpConnection", "Transport"]

@@ -1,0 +1,103 @@
+"""Serial ports, by pyserial."""
+
+from __future__ import annotations
+
+import errno
+import termios
+import time
+from contextlib import suppress
+from typing import Any
+
+import serial
+
+from ..errors import ConnectionLostError, PortError
+from .transport import Received
+
+WRITE_TIMEOUT = 1.0
+"""Seconds; requests are a few bytes, and a port that takes none for so long is stuck."""
+FAILURES = (OSError, termios.error)
+"""What pyserial and the system raise when a port is gone; pyserial's own errors are OSErrors."""
+REASONS = {
+    errno.ENOENT: "no such port; is the device plugged in?",
+    errno.EACCES: "permission denied; on most systems the user must be in the group dialout",
+    errno.EAGAIN: "in use by another program",
+    errno.EBUSY: "in use by another program",
+    errno.ENOTTY: "not a serial port",
+}
+
+
+class SerialPort:
+    """A `Transport` over a serial port, 8 bits, no parity, 1 stop bit.
+
+    port  the device's path
+    baud  bits a second
+    dtr   how the line "data terminal ready" is set from the beginning. Asserted, it stops the motor of an RPLIDAR A1;
+          a change of it restarts many Arduinos; boards that are USB devices themselves send nothing without it. The
+          system may pulse it while it opens a port
+
+    Nobody else can open the port meanwhile. Raises PortError where it cannot be opened.
+    """
+
+    def __init__(self, port: str, baud: int, dtr: bool = False) -> None:
+        self.name = port
+        self._timeout: float | None = None
+        self._closed = False
+        try:
+            self._serial: Any = serial.Serial(None, baud, exclusive=True, write_timeout=WRITE_TIMEOUT)
+            self._serial.port = port
+            self._serial.dtr = self._serial.rts = dtr  # an ESP32 is held in reset while the two differ
+            self._serial.open()
+            with suppress(*FAILURES, ValueError, NotImplementedError):  # ports that have no such mode
+                self._serial.set_low_latency_mode(True)  # adapters hold bytes back for 16 ms without it
+        except FAILURES as failure:
+            raise PortError(port, _reason(failure)) from failure
+        except (ValueError, OverflowError) as failure:
+            raise PortError(port, f"{failure}") from failure
+
+    def read(self, timeout: float) -> Received:
+        """All that has arrived; waits at most a timeout (seconds) for the first byte."""
+        try:
+            if timeout != self._timeout:  # setting it configures the port
+                self._serial.timeout = self._timeout = timeout
+            data = self._serial.read(1)
+            if data:
+                data += self._serial.read(self._serial.in_waiting)
+        except FAILURES as failure:
+            raise self._lost(failure) from failure
+        return Received(data, time.monotonic())
+
+    def write(self, data: bytes) -> None:
+        """Send; raises ConnectionLostError, too, where the port takes no bytes for a second."""
+        try:
+            self._serial.write(data)
+        except FAILURES as failure:
+            raise self._lost(failure) from failure
+
+    def set_dtr(self, asserted: bool) -> bool:
+        """Set the line; False on ports that have none, as pseudo terminals."""
+        if self._closed:
+            raise ConnectionLostError(self.name, "closed")
+        try:
+            self._serial.dtr = asserted
+        except FAILURES as failure:
+            if failure.args[0] in (errno.ENOTTY, errno.EINVAL):
+                return False
+            raise self._lost(failure) from failure
+        return True
+
+    def cancel(self) -> None:
+        """Make a read that waits, or else the next one, return at once."""
+        self._serial.cancel_read()
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._closed = True
+        self._serial.close()
+
+    def _lost(self, failure: Exception) -> ConnectionLostError:
+        return ConnectionLostError(self.name, "closed" if self._closed else f"connection lost: {_reason(failure)}")
+
+
+def _reason(failure: Exception) -> str:
+    code = getattr(failure, "errno", None) or (failure.args[0] if failure.args else None)
+    return REASONS.get(code, str(failure)) if isinstance(code, int) else str(failure)

@@ -1,0 +1,81 @@
+"""Serial devices behind a network, as raw bytes over TCP: serial servers, lidars with Ethernet."""
+
+from __future__ import annotations
+
+import selectors
+import socket
+import time
+
+from ..errors import ConnectionLostError, PortError
+from .transport import Received
+
+CONNECT_TIMEOUT = 3.0
+"""Seconds; devices stand in the same room."""
+WRITE_TIMEOUT = 1.0
+"""Seconds; as for serial ports."""
+LARGEST = 65536
+"""Bytes taken at once."""
+
+
+class TcpConnection:
+    """A `Transport` to host:port. Raises PortError where nobody answers there."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self.name = f"{host}:{port}"
+        self._closed = False
+        try:
+            self._socket = socket.create_connection((host, port), CONNECT_TIMEOUT)
+        except (OSError, OverflowError) as failure:
+            raise PortError(self.name, f"no connection: {failure}") from failure
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket.settimeout(WRITE_TIMEOUT)
+        self._waker, self._wake = socket.socketpair()
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._socket, selectors.EVENT_READ)
+        self._selector.register(self._waker, selectors.EVENT_READ)
+
+    def read(self, timeout: float) -> Received:
+        """All that has arrived; waits at most a timeout (seconds) for the first byte."""
+        self._check_open()
+        ready = [key.fileobj for key, _ in self._selector.select(timeout)]
+        if self._waker in ready:
+            self._waker.recv(LARGEST)
+        data = b""
+        if self._socket in ready:
+            try:
+                data = self._socket.recv(LARGEST)
+            except OSError as failure:
+                raise ConnectionLostError(self.name, f"connection lost: {failure}") from failure
+            if not data:
+                raise ConnectionLostError(self.name, "closed by the other side")
+        return Received(data, time.monotonic())
+
+    def write(self, data: bytes) -> None:
+        """Send; raises ConnectionLostError, too, where the other side takes no bytes for a second."""
+        self._check_open()
+        try:
+            self._socket.sendall(data)
+        except OSError as failure:
+            raise ConnectionLostError(self.name, f"connection lost: {failure}") from failure
+
+    def set_dtr(self, asserted: bool) -> bool:
+        """There is no such line."""
+        self._check_open()
+        return False
+
+    def cancel(self) -> None:
+        """Make a read that waits, or else the next one, return at once."""
+        if not self._closed:
+            self._wake.send(b"\0")
+
+    def close(self) -> None:
+        """End the connection."""
+        if not self._closed:
+            self._closed = True
+            self._selector.close()
+            for end in (self._socket, self._waker, self._wake):
+                end.close()
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise ConnectionLostError(self.name, "closed")

@@ -1,0 +1,325 @@
+"""Serial ports through pyserial on pseudo terminals, TCP on this host, tapes."""
+
+from __future__ import annotations
+
+import os
+import pty
+import socket
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.errors import ConnectionLostError, DriverError, EndOfTapeError, PortError, RecordingError
+from drivers.transport import Received, SerialPort, Tap, TapePlayer, TcpConnection, Transport
+
+ALL_BYTES = bytes(range(256))
+
+
+class Peer:
+    """The far end of a connection."""
+
+    def __init__(
+        self, write: Callable[[bytes], object], read: Callable[[], bytes], close: Callable[[], object]
+    ) -> None:
+        self.write, self.read, self.close = write, read, close
+
+
+@pytest.fixture
+def terminal() -> Iterator[tuple[str, int]]:
+    """A pseudo terminal's path and its other end."""
+    ours, theirs = pty.openpty()
+    tty.setraw(theirs)
+    path = os.ttyname(theirs)
+    os.close(theirs)
+    yield path, ours
+    with suppress(OSError):
+        os.close(ours)
+
+
+def serial_pair() -> tuple[Transport, Peer]:
+    ours, theirs = pty.openpty()
+    tty.setraw(theirs)
+    port = SerialPort(os.ttyname(theirs), 115200)
+    os.close(theirs)
+    return port, Peer(lambda data: os.write(ours, data), lambda: os.read(ours, 65536), lambda: os.close(ours))
+
+
+def tcp_pair() -> tuple[Transport, Peer]:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        connection = TcpConnection(*server.getsockname()[:2])
+        other, _ = server.accept()
+    return connection, Peer(other.sendall, lambda: other.recv(65536), other.close)
+
+
+@pytest.fixture(params=[serial_pair, tcp_pair], ids=["serial", "tcp"])
+def pair(request: pytest.FixtureRequest) -> Iterator[tuple[Transport, Peer]]:
+    transport, peer = request.param()
+    yield transport, peer
+    transport.close()
+    with suppress(OSError):
+        peer.close()
+
+
+def read_all(transport: Transport, count: int) -> bytes:
+    data = b""
+    while len(data) < count:
+        received = transport.read(5.0)
+        assert received.data, f"only {len(data)} of {count} bytes"
+        data += received.data
+    return data
+
+
+def write_much(transport: Transport) -> None:
+    for _ in range(100):  # the first bytes may still go into buffers
+        transport.write(b"hello" * 1000)
+
+
+def test_every_byte_goes_both_ways(pair: tuple[Transport, Peer]) -> None:
+    transport, peer = pair
+    peer.write(ALL_BYTES * 8)
+    assert read_all(transport, 2048) == ALL_BYTES * 8
+    transport.write(ALL_BYTES)
+    got = b""
+    while len(got) < 256:
+        got += peer.read()
+    assert got == ALL_BYTES
+
+
+def test_read_takes_all_that_is_there_and_waits_no_longer(pair: tuple[Transport, Peer]) -> None:
+    transport, peer = pair
+    assert transport.read(0.01).data == b""
+    peer.write(b"abc" * 100)
+    time.sleep(0.02)
+    before = time.monotonic()
+    received = transport.read(5.0)
+    assert received.data == b"abc" * 100
+    assert before <= received.time <= time.monotonic() < before + 1.0
+
+
+def test_unplugging_is_a_typed_error(pair: tuple[Transport, Peer]) -> None:
+    transport, peer = pair
+    threading.Timer(0.05, peer.close).start()
+    with pytest.raises(ConnectionLostError) as caught:
+        read_all(transport, 1)
+    assert str(caught.value).startswith(transport.name)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(ConnectionLostError):
+        write_much(transport)
+
+
+def test_cancel_ends_a_waiting_read(pair: tuple[Transport, Peer]) -> None:
+    transport, _ = pair
+    threading.Timer(0.05, transport.cancel).start()
+    before = time.monotonic()
+    assert transport.read(10.0).data == b""
+    assert time.monotonic() < before + 5.0
+
+
+def test_closed_is_closed(pair: tuple[Transport, Peer]) -> None:
+    transport, _ = pair
+    transport.close()
+    transport.close()
+    transport.cancel()
+    for use in (lambda: transport.read(0.1), lambda: transport.write(b"x"), lambda: transport.set_dtr(True)):
+        with pytest.raises(ConnectionLostError, match="closed"):
+            use()
+
+
+def test_a_line_that_is_not_there(pair: tuple[Transport, Peer]) -> None:
+    transport, _ = pair
+    assert transport.set_dtr(True) is False
+
+
+def test_missing_port(tmp_path: Path) -> None:
+    with pytest.raises(PortError, match="no such port"):
+        SerialPort(str(tmp_path / "ttyUSB9"), 115200)
+
+
+def test_a_file_is_no_port(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(PortError) as caught:
+        SerialPort(str(tmp_path / "file"), 115200)
+    assert isinstance(caught.value, DriverError)
+
+
+def test_a_port_is_opened_once(terminal: tuple[str, int]) -> None:
+    first = SerialPort(terminal[0], 115200)
+    with pytest.raises(PortError, match="in use"):
+        SerialPort(terminal[0], 115200)
+    first.close()
+    SerialPort(terminal[0], 115200).close()
+
+
+@pytest.mark.parametrize("baud", [57600, 115200, 230400, 256000, 460800, 1000000])
+def test_baud_rates(terminal: tuple[str, int], baud: int) -> None:
+    port = SerialPort(terminal[0], baud)
+    os.write(terminal[1], b"ok")
+    assert read_all(port, 2) == b"ok"
+    port.close()
+
+
+def test_an_impossible_baud_rate(terminal: tuple[str, int]) -> None:
+    with pytest.raises(PortError):
+        SerialPort(terminal[0], -1)
+
+
+def test_modem_lines(terminal: tuple[str, int], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pseudo terminals have no such lines, so what pyserial would set is caught where it sets it."""
+    set_to: list[tuple[str, bool]] = []
+    for line in ("dtr", "rts"):
+
+        def record(port: object, line: str = line) -> None:
+            set_to.append((line, getattr(port, f"_{line}_state")))
+
+        monkeypatch.setattr(f"serial.Serial._update_{line}_state", record)
+    port = SerialPort(terminal[0], 115200)
+    assert set_to == [("dtr", False), ("rts", False)]
+    assert port.set_dtr(True) is True
+    assert set_to[-1] == ("dtr", True)
+    port.close()
+
+
+def test_a_port_that_takes_nothing_is_lost(terminal: tuple[str, int], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.transport.serial_port.WRITE_TIMEOUT", 0.05)
+    port = SerialPort(terminal[0], 115200)
+    with pytest.raises(ConnectionLostError):
+        port.write(b"x" * 200_000)
+    port.close()
+
+
+def test_nobody_listens() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = server.getsockname()[:2]
+    with pytest.raises(PortError, match="no connection"):
+        TcpConnection(*address)
+    with pytest.raises(PortError, match="no connection"):
+        TcpConnection("127.0.0.1", 123456)
+
+
+# Tapes
+
+
+class Script:
+    """A transport that says what it is told to."""
+
+    name = "script"
+
+    def __init__(self, chunks: list[Received]) -> None:
+        self.chunks = chunks
+        self.written = b""
+        self.closed = False
+
+    def read(self, timeout: float) -> Received:
+        return self.chunks.pop(0)
+
+    def write(self, data: bytes) -> None:
+        self.written += data
+
+    def set_dtr(self, asserted: bool) -> bool:
+        return asserted
+
+    def cancel(self) -> None:
+        pass
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def play(player: TapePlayer, timeout: float = 1e9) -> list[Received]:
+    chunks = []
+    while True:
+        try:
+            received = player.read(timeout)
+        except EndOfTapeError:
+            return chunks
+        if received.data:
+            chunks.append(received)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    chunks=st.lists(st.tuples(st.binary(max_size=40), st.integers(0, 10**9)), max_size=20),
+    timeout=st.floats(0.01, 1.0),
+)
+def test_what_a_tap_writes_a_player_plays(
+    tmp_path_factory: pytest.TempPathFactory, chunks: list[tuple[bytes, int]], timeout: float
+) -> None:
+    path = tmp_path_factory.mktemp("tape") / "tape"
+    clock, script = 8000.0, []
+    for data, wait in chunks:
+        clock = round(clock + wait * 1e-9, 9)
+        script.append(Received(data, clock))
+    tap = Tap(Script([*script]), path)
+    for chunk in script:
+        tap.write(chunk.data[:3])
+        assert tap.read(1.0) == chunk
+    tap.close()
+    assert tap.failure is None
+    assert play(TapePlayer(path), timeout) == [chunk for chunk in script if chunk.data]
+
+
+def test_time_passes_on_an_unpaced_tape_only(tmp_path: Path) -> None:
+    path = tmp_path / "tape"
+    path.write_text("# a tape\n\n1.0 < 0102\n1.5 > ff\n100.0 < 03\n")
+    player = TapePlayer(path)
+    player.write(b"whatever")
+    before = time.monotonic()
+    assert player.read(0.05) == (b"\x01\x02", 1.0)
+    assert player.read(50.0) == (b"", 51.0)
+    assert player.read(50.0) == (b"\x03", 100.0)
+    with pytest.raises(EndOfTapeError):
+        player.read(0.1)
+    assert time.monotonic() < before + 5.0
+
+
+def test_a_paced_tape_takes_its_time(tmp_path: Path) -> None:
+    path = tmp_path / "tape"
+    path.write_text("1.0 < 01\n1.1 < 02\n1.2 < 03\n")
+    before = time.monotonic()
+    assert len(play(TapePlayer(path, paced=True), 0.03)) == 3
+    assert time.monotonic() >= before + 0.2
+
+
+def test_a_torn_tape_plays_to_the_tear(tmp_path: Path) -> None:
+    path = tmp_path / "tape"
+    path.write_text("1.0 < 0102\n1.1 < 03")
+    assert [chunk.data for chunk in play(TapePlayer(path))] == [b"\x01\x02"]
+
+
+@pytest.mark.parametrize("line", ["1.0 < 012", "1.0 = 01", "x < 01", "1.0 <", "nan < 00", "1.0 < 01 02", "ü"])
+def test_a_bad_line_is_named(tmp_path: Path, line: str) -> None:
+    path = tmp_path / "tape"
+    path.write_text(f"1.0 < 01\n{line}\n")
+    with pytest.raises(RecordingError) as caught:
+        play(TapePlayer(path))
+    assert str(caught.value).startswith(str(path))
+
+
+def test_a_missing_tape(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError):
+        TapePlayer(tmp_path / "none")
+
+
+def test_a_tape_that_cannot_be_begun(tmp_path: Path) -> None:
+    with pytest.raises(PortError, match="cannot be written"):
+        Tap(Script([]), tmp_path / "none" / "tape")
+
+
+def test_a_full_disk_ends_the_tape_and_not_the_connection() -> None:
+    script = Script([Received(b"abc", 1.0), Received(b"def", 2.0)])
+    tap = Tap(script, "/dev/full")
+    assert tap.read(1.0).data == b"abc"
+    tap.write(b"hello")
+    assert tap.failure is not None
+    assert "space" in tap.failure
+    assert tap.read(1.0).data == b"def"
+    tap.close()
+    assert script.written == b"hello"
+    assert script.closed
