@@ -123,8 +123,9 @@ class Belief:
         if self._carried or placement.registration.explained < FAMILIAR_EXPLAINED:
             return None
         near = self.mapper.keyframes_near(self.pose, FAMILIAR_DISTANCE, FAMILIAR_TURN)
-        visits = 1 + np.count_nonzero(np.diff(np.sort(near)) > VISIT_GAP)
-        return int(near[0]) if len(near) and visits >= FAMILIAR_VISITS else None
+        before = np.sort(near[near < self.mapper.keyframe_count - VISIT_GAP])  # this visit does not count
+        visits = np.count_nonzero(np.diff(before) > VISIT_GAP) + 1 if len(before) else 0
+        return int(near[0]) if visits >= FAMILIAR_VISITS else None
 
     def _pass_by(self, keyframe: int, sighting: Sighting, placement: Placement) -> None:
         """Go through a familiar place: the way goes on from there, the map stays as it is."""
@@ -192,6 +193,7 @@ class Belief:
         rejection after all, this estimate is of no more use: try it on a copy."""
         decision = close(self.mapper, decision)
         if decision.status == "accepted":
+            self.loops.forget()
             self._local_map = self.mapper.local_map(view)
             self._look_around()
         return decision

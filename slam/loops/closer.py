@@ -52,9 +52,15 @@ class LoopDecision:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _FirstLook:
-    hypothesis: Hypothesis
+class _Look:
+    """A look that passed all tests: by what motion, and after how many metres of driving."""
+
+    motion: se2.Pose
     way: float
+
+    def agrees(self, later: _Look, pose: se2.Pose) -> bool:
+        """Whether a later look says the same of the robot at `pose`, soon enough to be of the same place."""
+        return later.way - self.way <= MEMORY and _agree(self.motion, later.motion, pose)
 
 
 class LoopCloser:
@@ -62,7 +68,7 @@ class LoopCloser:
 
     def __init__(self) -> None:
         self._last_way = 0.0
-        self._first: _FirstLook | None = None
+        self._first: _Look | None = None
         self._candidates = 0
         self._refused: list[se2.Pose] = []  # motions that proved wrong
 
@@ -84,6 +90,10 @@ class LoopCloser:
         verdict = verify(hypotheses, recent, old, mapper.landmarks, mapper.pose, views)
         return self._decide(mapper, hypotheses[1], verdict, recent.walls, old.constellation.walls)
 
+    def forget(self) -> None:
+        """The map has changed: what was seen before it no longer counts."""
+        self._first = None
+
     def refuse(self, decision: LoopDecision) -> None:
         """A closure proved wrong: it is not to be found again."""
         self._refused.append(decision.hypothesis.motion)
@@ -104,12 +114,8 @@ class LoopCloser:
             verdict = replace(verdict, accepted=False, reason="has proved wrong before")
         status = "rejected"
         if verdict.accepted:
-            way = mapper.ways[-1]
-            first, self._first = self._first, _FirstLook(best, way)
-            if first and way - first.way <= MEMORY and _agree(first.hypothesis.motion, best.motion, mapper.pose):
-                status, self._first = "agreed", None
-            else:
-                status = "held"
+            first, self._first = self._first, _Look(best.motion, mapper.ways[-1])
+            status = "agreed" if first is not None and first.agrees(self._first, mapper.pose) else "held"
         return LoopDecision(
             self._candidates, mapper.keyframe_count - 1, old_keyframe, motion, verdict, status, best, pairs
         )
