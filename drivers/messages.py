@@ -36,6 +36,11 @@ class Scan:
     range_max: float
     mount: Pose | None = None
 
+    @property
+    def duration(self) -> float:
+        """Seconds from the first beam measured to the last, whichever way the lidar turns."""
+        return float(self.time_offsets.max(initial=0.0))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Odometry:

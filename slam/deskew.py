@@ -55,12 +55,12 @@ class Sweep:
 
 def middle_of(scan: Scan) -> float:
     """The stamp in the middle of a scan's sweep, seconds."""
-    return scan.stamp + (0.5 * float(scan.time_offsets[-1]) if len(scan.time_offsets) else 0.0)
+    return scan.stamp + 0.5 * scan.duration
 
 
 def deskew(scan: Scan, odometry: OdometryHistory, mount: se2.Pose) -> Sweep:
     """Move every beam of a scan to the middle of its sweep, with the motion that odometry saw."""
-    duration = float(scan.time_offsets[-1]) if len(scan.time_offsets) else 0.0
+    duration = scan.duration
     if duration <= 0.0 or not len(odometry):
         return Sweep(scan.stamp, scan.ranges, scan.angles, np.zeros(len(scan.ranges)))
     middle = middle_of(scan)

@@ -65,12 +65,9 @@ class FrontEnd:
         (`last`)."""
         if not self._waiting or not len(self.odometry):
             return None
-        ready = last or self._covered(self._waiting[0]) or len(self._waiting) > LONGEST_WAIT
+        covered = self._waiting[0].stamp + self._waiting[0].duration <= self.odometry.latest
+        ready = covered or last or len(self._waiting) > LONGEST_WAIT
         return self._waiting.popleft() if ready else None
-
-    def _covered(self, scan: Scan) -> bool:
-        sweep = float(scan.time_offsets[-1]) if len(scan.time_offsets) else 0.0
-        return scan.stamp + sweep <= self.odometry.latest
 
     def sight(self, scan: Scan, odometry_noise: OdometryNoise) -> Sighting:
         """Straighten a scan and condense it into walls and corners, and points that are on neither."""

@@ -253,7 +253,7 @@ class Mapper:
         self._read_back(None)
 
     def _read_back(self, radius: float | None) -> None:
-        """Take the estimate of the landmarks within `radius` (metres) of the last keyframe, or everything, from the graph."""
+        """Take from the graph what it knows of the landmarks within `radius` (metres) of the last keyframe, or all."""
         if radius is None:
             self.trail = self.graph.keyframe_poses(self.keyframe_count)
         walls, corners = self.landmarks.walls.rows, self.landmarks.corners.rows

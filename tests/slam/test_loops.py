@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import pytest
 
@@ -9,11 +11,11 @@ from drivers import se2
 from slam.association import UNMATCHED, Association
 from slam.landmarks import Landmarks
 from slam.local_map import empty_local_map
-from slam.loops.closer import close
+from slam.loops.closer import LoopDecision, close
 from slam.loops.constellation import OLD_WAY, recent_and_old
 from slam.loops.proposal import Hypothesis, propose
-from slam.loops.verification import verify
-from slam.mapper import Mapper
+from slam.loops.verification import Verdict, verify
+from slam.mapper import Mapper, Motion
 from slam.segments import CornerPoints, Floats, Segments
 
 # A room with unequal sides and a niche: walls as frames with x along them, seen from the room, and half their lengths.
@@ -137,7 +139,8 @@ def observe(mapper: Mapper, pose: se2.Pose, motion: se2.Pose, walls: Floats, kno
     association = Association(rows, np.zeros(len(walls)), none.astype(int), none)
     covariance = np.diag([0.05, 0.05, 0.03]) ** 2
     first = mapper.keyframe_count == 0
-    view = mapper.add_keyframe(pose, None if first else (motion, covariance), segments, corners, association, local)
+    step = None if first else Motion(mapper.keyframe_count - 1, motion, covariance)
+    view = mapper.add_keyframe(pose, step, segments, corners, association, local)
     mapper.refresh(view)
     return [int(wall) for wall in view.walls]
 
@@ -164,26 +167,37 @@ def drifted_mapper(drift: se2.Pose) -> tuple[Mapper, list[int], list[int]]:
     return mapper, first, second
 
 
+def decision(motion: se2.Pose, first: list[int], second: list[int]) -> LoopDecision:
+    """Two looks agree that what was seen `second` lies on what was seen `first`, if moved."""
+    hypothesis = Hypothesis(motion, 1.0, 20.0, np.eye(3), np.arange(len(ROOM)))
+    verdict = Verdict(True, "all tests passed", 1.0, len(ROOM), 0.0, 0.01, 0.0)
+    return LoopDecision(1, 9, 1, np.zeros(3), verdict, "agreed", hypothesis, tuple(zip(first, second, strict=True)))
+
+
 def test_closing_brings_the_robot_back_and_makes_one_map_of_two() -> None:
     mapper, first, second = drifted_mapper(np.array([1.6, -1.0, 0.2]))
     back = se2.compose(INSIDE, np.array([0.05, 0.0, 0.0]))
     motion = se2.compose(back, se2.inverse(mapper.pose))
-    hypothesis = Hypothesis(motion, 1.0, 20.0, np.eye(3), np.arange(len(ROOM)))
     factors = mapper.graph.factor_count
-    merged = close(mapper, 1, hypothesis, list(zip(first, second, strict=True)))
-    assert len(merged) == len(ROOM)
+    closed = close(mapper, decision(motion, first, second))
+    assert closed.status == "accepted"
+    assert len(closed.merged) == len(ROOM)
     np.testing.assert_allclose(mapper.pose, back, atol=0.01)
     kept = mapper.landmarks.walls.rows["kept"]
     assert [kept[wall] for wall in second] == first
     assert mapper.graph.factor_count == factors + len(ROOM)  # the ties; what carried the map over is gone
 
 
-def test_a_closure_that_does_not_come_together_leaves_no_trace() -> None:
+def test_walls_that_do_not_come_together_make_no_loop() -> None:
     mapper, first, second = drifted_mapper(np.array([1.6, -1.0, 0.2]))
     before, factors = mapper.graph.keyframe_poses(mapper.keyframe_count), mapper.graph.factor_count
     wrong = se2.compose(np.array([0.0, 3.0, 0.9]), mapper.pose)
-    hypothesis = Hypothesis(se2.compose(wrong, se2.inverse(mapper.pose)), 1.0, 20.0, np.eye(3), np.arange(len(ROOM)))
-    assert close(mapper, 1, hypothesis, list(zip(first, second, strict=True))) == []
-    np.testing.assert_allclose(mapper.graph.keyframe_poses(mapper.keyframe_count), before, atol=1e-9)
+    trial = copy.deepcopy(mapper)
+    refused = close(trial, decision(se2.compose(wrong, se2.inverse(mapper.pose)), first, second))
+    assert refused.status == "rejected"
+    assert not refused.verdict.accepted
+    assert refused.merged == ()
+    # and what is done to a copy leaves no trace
+    np.testing.assert_allclose(mapper.graph.keyframe_poses(mapper.keyframe_count), before, atol=1e-12)
     assert mapper.graph.factor_count == factors
     assert list(mapper.landmarks.walls.rows["kept"][second]) == second
