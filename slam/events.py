@@ -20,7 +20,8 @@ class MapLines:
     """n walls. `frame` (n, 3) in the map: x along the wall, seen from y > 0; known from `low` to `high` along x.
 
     `identity` (n,) never changes for a wall; `observations` (n,) counts keyframes; `covariance` (n, 2, 2) of the offset
-    across the wall and of its heading at its frame's origin, NaN where it was not asked for.
+    across the wall and of its heading at its frame's origin, NaN where it was not asked for. `pieces`, one (k, 2) a
+    wall, are the stretches of it that were seen, from and to along x: between them there may be openings.
     """
 
     identity: Integers
@@ -29,15 +30,25 @@ class MapLines:
     high: Floats
     observations: Integers
     covariance: Floats
+    pieces: tuple[Floats, ...]
 
     def __len__(self) -> int:
         return len(self.frame)
 
     def end_points(self) -> Floats:
         """(n, 2, 2): both end points of each wall in the map, metres."""
-        along = np.stack([np.cos(self.frame[:, 2]), np.sin(self.frame[:, 2])], axis=-1)
-        extent = np.stack([self.low, self.high], axis=-1)
-        return np.asarray(self.frame[:, None, :2] + extent[..., None] * along[:, None, :])
+        return _along(self.frame, np.stack([self.low, self.high], axis=-1))
+
+    def piece_points(self) -> tuple[Floats, Integers]:
+        """(m, 2, 2): both end points of each piece in the map, metres; (m,) which wall it is a piece of."""
+        wall = np.repeat(np.arange(len(self)), [len(pieces) for pieces in self.pieces])
+        return _along(self.frame[wall], np.concatenate([np.zeros((0, 2)), *self.pieces])), wall
+
+
+def _along(frame: Floats, extent: Floats) -> Floats:
+    """(n, 2, 2): the points at two distances (n, 2) along the x of frames (n, 3)."""
+    direction = np.stack([np.cos(frame[:, 2]), np.sin(frame[:, 2])], axis=-1)
+    return np.asarray(frame[:, None, :2] + extent[..., None] * direction[:, None, :])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,6 +15,7 @@ from .segments import Floats
 
 BEHIND_MARGIN = 0.5  # metres the robot may stand behind a wall's line and still be about to see it: drift, and far ends
 CELL = 0.1  # metres of wall whose having been seen is remembered together
+OPENING = 0.5  # metres of a wall never seen between two stretches that were: a door, a passage
 
 WALL = np.dtype(
     [
@@ -138,6 +139,16 @@ class Landmarks:
     def is_covered(self, wall: int, along: float) -> bool:
         """Whether a wall was seen at a place `along` metres from its frame: between its ends there may be doors."""
         return math.floor(along / CELL) in self.covered[wall]
+
+    def pieces(self, wall: int) -> Floats:
+        """(k, 2): the stretches of a wall that were seen, from and to, metres from its frame; `low` and `high` are the
+        outermost ends."""
+        row = self.walls.rows[wall]
+        cells = np.sort(np.fromiter(self.covered[wall], dtype=np.int64, count=len(self.covered[wall])))
+        breaks = np.flatnonzero(np.diff(cells) > OPENING / CELL)
+        begin = np.concatenate([[row["low"]], CELL * cells[breaks + 1]])
+        end = np.concatenate([CELL * (cells[breaks] + 1), [row["high"]]])
+        return np.column_stack([begin, end])
 
     def walls_near(self, pose: se2.Pose, radius: float) -> NDArray[np.int64]:
         """Identities of the walls with a part within `radius` (metres) of the pose that may be seen from there."""

@@ -7,7 +7,10 @@ standing on it, so the numbers below need no second convention:
     low, high     how far along the frame's x the wall is known
     start, end    the same as points in the map
     covariance    2 x 2, of the offset across the wall (m) and its heading (rad) at the frame's origin; null if unknown
+    pieces        the stretches of it that were seen, [from, to] along x: between them there may be doors
     observations  in how many keyframes it was seen
+
+Version 1 had no pieces; such a wall reads as one.
 """
 
 from __future__ import annotations
@@ -26,7 +29,8 @@ from .errors import MapError
 from .events import MapCorners, MapLines
 
 FORMAT = "wclm-slam map"
-VERSION = 1
+VERSION = 2
+KNOWN_VERSIONS = (1, 2)
 
 _UNKNOWN = np.full((2, 2), np.nan)
 
@@ -45,6 +49,7 @@ class _Line(_Record):
     high: Finite
     start: tuple[Finite, Finite]
     end: tuple[Finite, Finite]
+    pieces: list[tuple[Finite, Finite]] | None = None
     observations: int = Field(ge=0)
     covariance: Matrix | None
 
@@ -92,6 +97,7 @@ def write_map(path: Path, lines: MapLines, corners: MapCorners) -> None:
                     high=_rounded(lines.high[k]),
                     start=_rounded(ends[k, 0]),
                     end=_rounded(ends[k, 1]),
+                    pieces=_rounded(lines.pieces[k]),
                     observations=int(lines.observations[k]),
                     covariance=_matrix(lines.covariance[k]),
                 )
@@ -123,8 +129,9 @@ def read_map(path: Path) -> MapFile:
         raise MapError(f"{path}: is not JSON: {error}") from error
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise MapError(f'{path}: is not a map: its format is not "{FORMAT}"')
-    if data.get("version") != VERSION:
-        raise MapError(f"{path}: has format version {data.get('version')}; this program reads version {VERSION}")
+    if data.get("version") not in KNOWN_VERSIONS:
+        known = " and ".join(str(version) for version in KNOWN_VERSIONS)
+        raise MapError(f"{path}: has format version {data.get('version')}; this program reads versions {known}")
     try:
         document = _Map.model_validate(data)
     except ValidationError as error:
@@ -140,6 +147,7 @@ def _lines(records: Sequence[_Line]) -> MapLines:
         high=np.array([r.high for r in records], float),
         observations=_integers([r.observations for r in records]),
         covariance=_covariances([r.covariance for r in records]),
+        pieces=tuple(np.array(r.pieces or [(r.low, r.high)], float) for r in records),
     )
 
 

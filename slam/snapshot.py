@@ -30,6 +30,7 @@ def map_lines(mapper: Mapper, *, covariances: bool) -> MapLines:
         high=walls["high"].copy(),
         observations=walls["observations"].copy(),
         covariance=covariance,
+        pieces=tuple(mapper.landmarks.pieces(int(wall)) for wall in chosen),
     )
 
 

@@ -73,9 +73,10 @@ def _walls(axes: Axes, lines: MapLines) -> None:
     """Each wall as a line, with a light band on the side it is seen from."""
     from matplotlib.collections import LineCollection, PolyCollection
 
-    ends = lines.end_points()
+    ends, wall = lines.piece_points()
     width = SIDE * max(np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim()))
-    left = width * np.stack([-np.sin(lines.frame[:, 2]), np.cos(lines.frame[:, 2])], axis=-1)
+    heading = lines.frame[wall, 2]
+    left = width * np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
     bands = np.stack([ends[:, 0], ends[:, 1], ends[:, 1] + left, ends[:, 0] + left], axis=1)
     axes.add_collection(
         PolyCollection(list(bands), facecolor=SKY, alpha=0.35, linewidth=0, label="side seen", zorder=1)

@@ -27,6 +27,7 @@ from ..events import (
     MapUpdated,
     Noticed,
     ScanTracked,
+    StateChanged,
     TruthSeen,
 )
 from ..segments import Floats
@@ -98,6 +99,9 @@ class EventLog:
                 self._at(event.index, event.stamp)
                 self._say(*self._loops.describe(event))
                 self._loops.log(event, self._pose)
+            case StateChanged():
+                self._at(self._index, event.stamp)
+                self._say(*_state_in_words(event))
             case TruthSeen():
                 self._write_truth(event)
             case Noticed():
@@ -216,3 +220,14 @@ class EventLog:
         for number, points in path.changed():
             strip = rr.LineStrips3D([lift(points, layer)], colors=colour, radii=_THIN)
             self._stream.log(f"world/{name}/{number}", strip)
+
+
+def _state_in_words(event: StateChanged) -> tuple[str, str]:
+    """The state as a line of the text log, and the line's level."""
+    match event.state:
+        case "LOST":
+            return "LOST: the robot is not where it was believed to be, and looks for itself in its map", "ERROR"
+        case "DEGENERATE":
+            heading = math.degrees(event.direction or 0.0)
+            return f"DEGENERATE: along {heading:.0f}° in the map the pose rests on odometry alone", "WARN"
+    return "OK: the pose is held in every direction", "INFO"

@@ -20,7 +20,7 @@ class LoopLayer:
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
-        self._accepted: list[tuple[int, int, str]] = []
+        self._accepted: dict[int, tuple[int, int, str]] = {}  # candidate: keyframe, old keyframe, label
 
     def describe(self, event: LoopDecided) -> tuple[str, str]:
         """The decision as a line of the text log, and the line's level."""
@@ -33,7 +33,8 @@ class LoopLayer:
         )
         if event.status == "accepted":
             return f"{text}; {len(event.merged)} walls merged, moved by {event.shift:.2f} m", "INFO"
-        return f"{text}; {event.reason}", "DEBUG" if event.status == "rejected" else "INFO"
+        level = {"rejected": "DEBUG", "retracted": "WARN"}.get(event.status, "INFO")
+        return f"{text}; {event.reason}", level
 
     def log(self, event: LoopDecided, pose: se2.Pose) -> None:
         """Show the last decision from the keyframe's `pose`; remember an accepted one."""
@@ -43,15 +44,16 @@ class LoopLayer:
         label = f"loop {event.candidate} {event.status}"
         self._strips("world/loops/last", ends, colour, [label])
         if event.status == "accepted":
-            self._accepted.append((event.index, event.old, label))
+            self._accepted[event.candidate] = event.index, event.old, label
+        elif event.status == "retracted":
+            self._accepted.pop(event.candidate, None)
 
     def log_accepted(self, keyframes: Floats) -> None:
         """Draw the accepted closures between keyframes (k, 3), as they are now."""
-        pairs = [(index, old) for index, old, _ in self._accepted if max(index, old) < len(keyframes)]
-        if not pairs:
-            return
-        ends = keyframes[np.array(pairs)][..., :2]
-        self._strips("world/loops/accepted", ends, colours.CLOSURE, [label for *_, label in self._accepted])
+        shown = [loop for loop in self._accepted.values() if max(loop[:2]) < len(keyframes)]
+        pairs = np.array([loop[:2] for loop in shown], dtype=np.int64).reshape(-1, 2)
+        ends = keyframes[pairs][..., :2]
+        self._strips("world/loops/accepted", ends, colours.CLOSURE, [label for *_, label in shown])
 
     def _strips(self, entity: str, ends: Floats, colour: colours.Colour, labels: list[str]) -> None:
         strips = rr.LineStrips3D(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import rerun as rr
 
 from ..events import MapCorners, MapLines
@@ -16,10 +15,12 @@ _WALL_WIDTH, _BAND_WIDTH, _CORNER_SIZE = rr.Radius.ui_points(1.3), rr.Radius.ui_
 
 def log_lines(stream: rr.RecordingStream, lines: MapLines) -> None:
     """Log the walls, labelled like `L12 n=7`, and their 3-sigma bands where the covariance is known."""
-    labels = [f"L{k} n={n}" for k, n in zip(lines.identity.tolist(), lines.observations.tolist(), strict=True)]
-    often = np.asarray(lines.observations) >= OFTEN_SEEN
+    ends, wall = lines.piece_points()
+    identity, observations = lines.identity[wall], lines.observations[wall]
+    labels = [f"L{k} n={n}" for k, n in zip(identity.tolist(), observations.tolist(), strict=True)]
+    often = observations >= OFTEN_SEEN
     walls = rr.LineStrips3D(
-        lift(lines.end_points(), Layer.WALL),
+        lift(ends, Layer.WALL),
         colors=[colours.WALL if seen else colours.WALL_FRESH for seen in often.tolist()],
         labels=labels,
         show_labels=False,

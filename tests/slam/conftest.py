@@ -27,6 +27,7 @@ def finished() -> Finished:
         high=half,
         observations=np.array([5, 4, 3, 2]),
         covariance=np.stack([*np.tile(np.diag([1e-5, 1e-7]), (3, 1, 1)), np.full((2, 2), np.nan)]),
+        pieces=(*(np.array([[-h, h]]) for h in half[:3]), np.array([[-2.0, -0.5], [0.4, 2.0]])),
     )
     corners = MapCorners(
         identity=np.array([0, 1]),

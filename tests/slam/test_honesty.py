@@ -16,7 +16,8 @@ def lines(*frames: tuple[float, float, float], half: float = 0.5) -> MapLines:
     count = len(frames)
     covariance = np.tile(np.diag([0.01, 0.01]) ** 2, (count, 1, 1))
     extent = np.full(count, half)
-    return MapLines(np.arange(count), np.array(frames), -extent, extent, np.ones(count, int), covariance)
+    pieces = tuple(np.column_stack([-extent, extent])[:, None])
+    return MapLines(np.arange(count), np.array(frames), -extent, extent, np.ones(count, int), covariance, pieces)
 
 
 @pytest.fixture

@@ -152,3 +152,15 @@ def test_unevenness_turns_short_segments_more() -> None:
     result = uneven(np.zeros((2, 2, 2)), np.array([0.5, 1.0]), 1e-6)
     np.testing.assert_allclose(result[:, 0, 0], 1e-6)
     np.testing.assert_allclose(result[:, 1, 1], [1.2e-5, 3e-6])  # 12 f / length squared
+
+
+def test_a_wall_is_told_in_pieces_where_a_door_divides_it():
+    landmarks = Landmarks()
+    wall = landmarks.add_wall(np.zeros(3), 1.0, keyframe=0)
+    landmarks.see_wall(wall, np.array([1.2, 0.0, 0.0]), 0.4, keyframe=1)  # the stretch goes on
+    np.testing.assert_allclose(landmarks.pieces(wall), [[-1.0, 1.6]])
+    landmarks.see_wall(wall, np.array([3.5, 0.0, 0.0]), 1.0, keyframe=2)  # behind a door
+    np.testing.assert_allclose(landmarks.pieces(wall), [[-1.0, 1.6], [2.5, 4.5]])
+    other = landmarks.add_wall(np.array([2.0, 0.0, 0.0]), 0.5, keyframe=3)
+    landmarks.absorb(wall, other)
+    np.testing.assert_allclose(landmarks.pieces(wall), [[-1.0, 4.5]])

@@ -147,7 +147,8 @@ class Corridor:
         half = self.walls[known, 3]
         covariance = np.diag([4e-4, 1e-6]) if final else np.full((2, 2), np.nan)
         covariances = np.tile(covariance, (len(known), 1, 1))
-        return MapLines(known, self.wall_frames[known], -half, half, self.seen[known], covariances)
+        pieces = tuple(np.column_stack([-half, half])[:, None])
+        return MapLines(known, self.wall_frames[known], -half, half, self.seen[known], covariances, pieces)
 
     def corners(self):
         position = se2.transform(se2.inverse(self.truth[0]), OUTER)
@@ -316,7 +317,7 @@ def bare_keyframe(index: int) -> KeyframeAdded:
 
 def test_accepts_what_is_empty_or_unknown(tmp_path):
     no_lines = MapLines(np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty(0), np.empty(0),
-                        np.empty(0, dtype=np.int64), np.empty((0, 2, 2)))  # fmt: skip
+                        np.empty(0, dtype=np.int64), np.empty((0, 2, 2)), ())  # fmt: skip
     no_corners = MapCorners(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 2, 2)),
                             np.empty((0, 2), dtype=np.int64), np.empty(0, dtype=np.int64))  # fmt: skip
     events = [
