@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers import se2
 
@@ -18,7 +19,7 @@ from ..mapper import Mapper
 from ..segments import Floats, Segments
 from .constellation import Integers
 from .laying import Laid, lay, samples_of
-from .proposal import distinct
+from .proposal import DISTINCT, DISTINCT_TURN
 from .scene import Scene, scene_of, seen_from
 from .sight import Sight, look
 from .wall_pairs import pair_table, vote
@@ -26,16 +27,16 @@ from .wall_pairs import pair_table, vote
 REFINED = 64  # poses with most votes that are refined
 LOOKED_AT = 12  # of them, those that explain most wall, that are looked around from
 LEAST_WALLS = 3  # in a fragment
-LEAST_MATCHES = 4  # walls
+# Walls matched, less UNMATCHED for each that is not. A wall falls on some wall of a building by chance now and then, but
+# not many at once: metres alone do not tell that, as one long corridor has more of them than ten offices.
+LEAST_EVIDENCE, UNMATCHED = 5.0, 0.6
 LEAST_LENGTH = 6.0  # metres of wall that must lie on the map's
 LEAST_EXPLAINED = 0.55  # share of the fragment's walls that must
 LEAST_AGREEMENT = 0.6  # share of what is seen, where the map knows what there is to be seen
 MOST_CONTRADICTED = 0.10  # share of what was seen that the map's walls would have hidden
 WORST_SIGMA, WORST_TURN = 0.07, np.radians(1.5)  # metres and radians, in any direction
-RUNNER_UP = 0.70  # share of its score that another place may reach
-LEAST_LEAD = 3.0  # metres of wall by which a place must beat every other
-
-ORIGIN = np.zeros(3)
+RUNNER_UP = 0.60  # share of its score that another place may reach
+LEAST_LEAD = 4.0  # metres of wall by which a place must beat every other
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,7 +134,8 @@ def relocalise(fragment: Fragment, index: MapIndex) -> Relocalisation | None:
     if not places:
         return None
     best = places[0]
-    others = [place.score for place in places if distinct(place.laid.place, best.laid.place, ORIGIN)]
+    others = _apart(best.laid.place, np.array([place.laid.place for place in places]))
+    runner_up = max((place.score for place, other in zip(places, others, strict=True) if other), default=0.0)
     covariance = np.asarray(np.linalg.inv(best.laid.information))
     matched = np.flatnonzero(best.laid.matches >= 0)
     return Relocalisation(
@@ -141,7 +143,7 @@ def relocalise(fragment: Fragment, index: MapIndex) -> Relocalisation | None:
         covariance=covariance,
         motion=se2.compose(best.laid.place, se2.inverse(fragment.pose)),
         pairs=np.column_stack([index.scene.walls[best.laid.matches[matched]], seen.walls[matched]]),
-        verdict=_judge(best, max(others, default=0.0), covariance),
+        verdict=_judge(best, runner_up, covariance),
     )
 
 
@@ -149,30 +151,46 @@ def _places(seen: Scene, views: Sequence[tuple[se2.Pose, Segments]], index: MapI
     """Different places, the best first."""
     samples = samples_of(seen)
     laid = [lay(start, seen, samples, index.scene) for start in vote(seen, index.scene, index.pairs, REFINED)]
-    different: list[Laid] = []
-    for some in sorted(laid, key=lambda some: -some.length):
-        if all(distinct(some.place, other.place, ORIGIN) for other in different):
-            different.append(some)
     places = []
-    for some in different[:LOOKED_AT]:
+    for some in _different(laid):
         sight = look(some.place, views, index.scene)
         places.append(_Place(some, sight, some.length * sight.agreement * (1.0 - sight.contradicted)))
     return sorted(places, key=lambda place: -place.score)
+
+
+def _different(laid: Sequence[Laid]) -> list[Laid]:
+    """Those that explain most wall, each the best of its place."""
+    left = sorted(laid, key=lambda some: -some.length)
+    different: list[Laid] = []
+    while left and len(different) < LOOKED_AT:
+        different.append(left[0])
+        apart = _apart(left[0].place, np.array([some.place for some in left]))
+        left = [some for some, far in zip(left, apart, strict=True) if far]
+    return different
+
+
+def _apart(place: se2.Pose, places: Floats) -> NDArray[np.bool_]:
+    """Which of the places (n, 3) are other places."""
+    difference = se2.between(place, places)
+    far = np.hypot(difference[:, 0], difference[:, 1]) > DISTINCT
+    return np.asarray(far | (np.abs(difference[:, 2]) > DISTINCT_TURN))
 
 
 def _judge(best: _Place, runner_up: float, covariance: Floats) -> PlaceVerdict:
     """Every test must hold; the first that fails is the reason for refusing."""
     laid, sight = best.laid, best.sight
     matches = int((laid.matches >= 0).sum())
+    evidence = matches - UNMATCHED * (len(laid.matches) - matches)
+    explained = laid.length / max(float(laid.seen.sum()), 1e-9)
     sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
     turn_sigma = float(np.sqrt(covariance[2, 2]))
     uncertain = f"uncertain by {sigma:.2f} m and {np.degrees(turn_sigma):.1f} degrees"
     lead = best.score - runner_up
     tests = (
         (sigma <= WORST_SIGMA and turn_sigma <= WORST_TURN, uncertain),
-        (matches >= LEAST_MATCHES, f"{matches} walls < {LEAST_MATCHES}"),
+        (evidence >= LEAST_EVIDENCE, f"{matches} of {len(laid.matches)} walls are no evidence"),
         (laid.length >= LEAST_LENGTH, f"{laid.length:.1f} m of wall < {LEAST_LENGTH:.0f} m"),
-        (laid.explained >= LEAST_EXPLAINED, f"explains {laid.explained:.0%} < {LEAST_EXPLAINED:.0%}"),
+        (explained >= LEAST_EXPLAINED, f"explains {explained:.0%} < {LEAST_EXPLAINED:.0%}"),
         (sight.contradicted <= MOST_CONTRADICTED, f"{sight.contradicted:.0%} was seen through walls of the map"),
         (sight.agreement >= LEAST_AGREEMENT, f"the view agrees by {sight.agreement:.0%} < {LEAST_AGREEMENT:.0%}"),
         (runner_up <= RUNNER_UP * best.score, f"another place scores {runner_up / max(best.score, 1e-9):.0%} as much"),
@@ -182,7 +200,7 @@ def _judge(best: _Place, runner_up: float, covariance: Floats) -> PlaceVerdict:
     return PlaceVerdict(
         accepted=not reason,
         reason=reason or "all tests passed",
-        explained=laid.explained,
+        explained=explained,
         length=laid.length,
         matches=matches,
         corners=laid.corners,

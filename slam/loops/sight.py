@@ -56,7 +56,7 @@ class Sight:
 
 def look(place: se2.Pose, views: Sequence[tuple[se2.Pose, Segments]], scene: Scene) -> Sight:
     """Compare what the views saw with the map, where the fragment's frame lies at `place`."""
-    chosen = np.unique(np.linspace(0, len(views) - 1, min(len(views), MOST_VIEWS)).astype(int)) if views else []
+    chosen = np.linspace(0, len(views) - 1, min(len(views), MOST_VIEWS)).round().astype(int)
     ends = _ends(scene)
     counts = np.zeros(5, dtype=np.int64)
     for pose, segments in (views[k] for k in chosen):
