@@ -17,6 +17,7 @@ from drivers import se2
 from drivers.messages import Message, Odometry, Scan
 
 from .config import Config
+from .errors import MapError
 from .loops.relocalisation import MapIndex, fragment_of, index_map, relocalise
 from .mapper import Mapper
 from .pipeline import Slam
@@ -98,7 +99,9 @@ def cut(messages: Sequence[Message], config: Config) -> Known:
 
 
 def halves(messages: Sequence[Message]) -> tuple[list[Message], list[Message]]:
-    """What comes before the middle of a recording's time, and after."""
+    """What comes before the middle of a recording's time, and after. Raises MapError where there is nothing."""
+    if not messages:
+        raise MapError("nothing in it, so there are no halves to compare")
     middle = 0.5 * (messages[0].stamp + messages[-1].stamp)
     first = [message for message in messages if message.stamp < middle]
     return first, [message for message in messages if message.stamp >= middle]
@@ -135,9 +138,9 @@ def run(
 
 
 def summary(way: float, queries: Sequence[Query]) -> Row:
-    """Count."""
+    """Count what was found; the times are NaN where there was no query."""
     known = [query for query in queries if query.distance <= KNOWN_WITHIN]
-    seconds = [query.seconds for query in queries]
+    seconds = [query.seconds for query in queries] or [np.nan]
     return Row(
         way=way,
         queries=len(queries),
@@ -164,6 +167,8 @@ def _fragments(
 ) -> Iterable[tuple[float, Mapper]]:
     """Small maps of the last `way` metres before random scans, with the stamps of their last keyframes."""
     odometry = [message for message in messages if isinstance(message, Odometry)]
+    if not odometry:
+        return
     stamps = np.array([message.stamp for message in odometry])
     positions = np.array([message.pose[:2] for message in odometry])
     driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(positions, axis=0).T))])
@@ -190,4 +195,5 @@ def _mapped(messages: Iterable[Message], config: Config) -> Slam:
 
 
 def _mapper_of(slam: Slam) -> Mapper:
+    """The map that a pipeline is building."""
     return slam._mapper

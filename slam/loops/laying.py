@@ -75,9 +75,10 @@ def lay(start: se2.Pose, fragment: Scene, samples: Samples, scene: Scene) -> Lai
         scene.frame, scene.half_length, scene.covariance, scene.stretches, first,
     )  # fmt: skip
     place[2] = se2.wrap(place[2])
-    seen = SAMPLE * np.bincount(samples.wall, minlength=len(fragment))
-    on_map = SAMPLE * np.bincount(samples.wall, on_map, minlength=len(fragment))
-    return Laid(place, information, matches, seen, on_map, _corners(place, fragment, scene))
+    seen, lies = np.zeros(len(fragment)), np.zeros(len(fragment))
+    np.add.at(seen, samples.wall, SAMPLE)
+    np.add.at(lies, samples.wall, SAMPLE * on_map)
+    return Laid(place, information, matches, seen, lies, _corners(place, fragment, scene))
 
 
 def _corners(place: se2.Pose, fragment: Scene, scene: Scene) -> int:

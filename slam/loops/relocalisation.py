@@ -27,8 +27,8 @@ from .wall_pairs import pair_table, vote
 REFINED = 64  # poses with most votes that are refined
 LOOKED_AT = 12  # of them, those that explain most wall, that are looked around from
 LEAST_WALLS = 3  # in a fragment
-# Walls matched, less UNMATCHED for each that is not. A wall falls on some wall of a building by chance now and then, but
-# not many at once: metres alone do not tell that, as one long corridor has more of them than ten offices.
+# Walls matched, less UNMATCHED for each that is not. One wall falls on some wall of a building by chance at times, but
+# not many at once. Metres do not tell that: a long corridor has more of them than ten offices.
 LEAST_EVIDENCE, UNMATCHED = 5.0, 0.6
 LEAST_LENGTH = 6.0  # metres of wall that must lie on the map's
 LEAST_EXPLAINED = 0.55  # share of the fragment's walls that must
