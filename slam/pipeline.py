@@ -16,7 +16,6 @@ from .errors import MapError
 from .estimator import Estimator
 from .events import Finished, MapCorners, MapLines, Noticed, ScanTracked, Sink, StateChanged, TruthSeen
 from .front_end import FrontEnd, Sighting
-from .mapper import Mapper
 from .recovery import Excursion
 from .reporting import Reporter
 from .segments import Floats
@@ -59,7 +58,7 @@ class Slam:
 
     def _add_scan(self, scan: Scan) -> None:
         clock = Clock()
-        sighting = self._front_end.sight(scan, self._belief.odometry_noise)
+        sighting = self._front_end.sight(scan, self.belief.odometry_noise)
         clock.lap("features")
         if self._excursion is not None:
             self._look_for_the_way_back(self._excursion, sighting)
@@ -70,9 +69,9 @@ class Slam:
             self._tell_keyframe(sighting, step.extension, clock)
         if step.retracted is not None:
             self._statistics.loops.append(step.retracted)
-            self._reporter.tell_loop(step.retracted, sighting.stamp, self._mapper)
-        if self._belief.lost:
-            self._excursion = Excursion(self.config.odometry, self._belief)
+            self._reporter.tell_loop(step.retracted, sighting.stamp, self.belief.mapper)
+        if self.belief.lost:
+            self._excursion = Excursion(self.config.odometry, self.belief)
             self._tell_state(sighting.stamp, self._state.lose())
 
     def _look_for_the_way_back(self, excursion: Excursion, sighting: Sighting) -> None:
@@ -86,7 +85,7 @@ class Slam:
     def _go_on_from(self, estimator: Estimator, stamp: float, text: str) -> None:
         self._estimator, self._excursion = estimator, None
         self._reporter.tell(Noticed(stamp, text))
-        self._reporter.tell_map(stamp, self._mapper)
+        self._reporter.tell_map(stamp, self.belief.mapper)
         self._tell_state(stamp, self._state.find())
 
     def _tell_state(self, stamp: float, state: State) -> None:
@@ -108,7 +107,7 @@ class Slam:
         state = self._state.update(placement)
         if state is not None:
             self._tell_state(stamp, state)
-        keyframe = self._mapper.keyframe_count - 1
+        keyframe = self.belief.mapper.keyframe_count - 1
         self._reporter.tell(ScanTracked(stamp, placement.pose, sighting.odometry, explained, keyframe))
 
     def _tell_keyframe(self, sighting: Sighting, extension: Extension, clock: Clock) -> None:
@@ -117,22 +116,21 @@ class Slam:
         self._statistics.merged_walls += extension.merge is not None
         if extension.loop is not None:
             self._statistics.loops.append(extension.loop)
-        self._reporter.tell_keyframe(sighting, self._mapper, extension, self._front_end.sigma_range, dict(clock.laps))
+        self._reporter.tell_keyframe(
+            sighting, self.belief.mapper, extension, self._front_end.sigma_range, dict(clock.laps)
+        )
 
     # --- what comes out
 
     @property
-    def _belief(self) -> Belief:
+    def belief(self) -> Belief:
+        """What is believed now, to look into: where the robot is, its path, the map under construction."""
         return self._estimator.belief
-
-    @property
-    def _mapper(self) -> Mapper:
-        return self._belief.mapper
 
     @property
     def pose(self) -> se2.Pose:
         """The base's pose [x, y, heading] in the map at the last scan; see `state` for how well it is known."""
-        return (self._belief if self._excursion is None else self._excursion).pose.copy()
+        return (self.belief if self._excursion is None else self._excursion).pose.copy()
 
     @property
     def state(self) -> State:
@@ -142,12 +140,12 @@ class Slam:
     @property
     def walls(self) -> MapLines:
         """The walls as they are known now, without covariances: those cost time, `finish` gives them."""
-        return map_lines(self._mapper, covariances=False)
+        return map_lines(self.belief.mapper, covariances=False)
 
     @property
     def corners(self) -> MapCorners:
         """The corners as they are known now, without covariances."""
-        return map_corners(self._mapper, covariances=False)
+        return map_corners(self.belief.mapper, covariances=False)
 
     def finish(self) -> Finished:
         """Work off what waits, settle the estimate, and return path and map with the covariances of their marginals.
@@ -163,13 +161,13 @@ class Slam:
         if self._excursion is not None:
             last = self._excursion.sightings[-1].stamp
             self._go_on_from(self._excursion.joined(), last, "never found again in the map; odometry has to do")
-        self._mapper.settle()
-        keyframes = self._mapper.graph.keyframe_poses(self._mapper.keyframe_count)
-        stamps, poses = self._belief.path.at_odometry(keyframes, self._front_end.odometry)
+        self.belief.mapper.settle()
+        keyframes = self.belief.mapper.graph.keyframe_poses(self.belief.mapper.keyframe_count)
+        stamps, poses = self.belief.path.at_odometry(keyframes, self._front_end.odometry)
         result = Finished(
-            lines=map_lines(self._mapper, covariances=True),
-            corners=map_corners(self._mapper, covariances=True),
-            keyframe_stamps=np.array(self._belief.keyframe_stamps),
+            lines=map_lines(self.belief.mapper, covariances=True),
+            corners=map_corners(self.belief.mapper, covariances=True),
+            keyframe_stamps=np.array(self.belief.keyframe_stamps),
             keyframes=keyframes,
             stamps=stamps,
             poses=poses,
@@ -180,18 +178,18 @@ class Slam:
 
     def keyframe_covariance(self, index: int) -> Floats:
         """(3, 3): covariance of a keyframe's pose, in the keyframe's own frame (metres, metres, radians)."""
-        return self._mapper.graph.keyframe_covariance(index)
+        return self.belief.mapper.graph.keyframe_covariance(index)
 
     def _summary(self) -> dict[str, object]:
         return {
             "scans": self._front_end.scans,
-            "keyframes": self._mapper.keyframe_count,
-            "factors": self._mapper.graph.factor_count,
+            "keyframes": self.belief.mapper.keyframe_count,
+            "factors": self.belief.mapper.graph.factor_count,
             "merged_walls": self._statistics.merged_walls,
             "loops": self._statistics.loop_counts(),
-            "odometry_deviation_per_metre": self._belief.odometry_noise.deviations.round(5).tolist(),
+            "odometry_deviation_per_metre": self.belief.odometry_noise.deviations.round(5).tolist(),
             "sigma_range": round(self._front_end.sigma_range, 5),
-            "wall_unevenness": round(math.sqrt(self._mapper.flatness.variance), 5),
+            "wall_unevenness": round(math.sqrt(self.belief.mapper.flatness.variance), 5),
             "timings": self._statistics.timings(),
             "health": self._statistics.health()
             | {

@@ -6,7 +6,10 @@ in the meantime. Once the place is recognised, the sightings since are taken as 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+
+import numpy as np
 
 from drivers import se2
 
@@ -14,11 +17,13 @@ from .belief import Belief
 from .config import OdometryConfig
 from .estimator import Estimator
 from .front_end import Sighting
-from .loops.relocalisation import fragment_of, index_map, relocalise
+from .loops.relocalisation import Relocalisation, fragment_of, index_map, relocalise
 from .statistics import Clock
 from .tracking import Hold
 
 LOOK_KEYFRAMES, LOOK_WAY = 3, 1.0  # keyframes and metres of driving between two looks
+ENOUGH_LOOKS = 4  # looks in a row that find the same place, other places being close behind, for it to be believed
+SAME_PLACE, SAME_HEADING = 0.3, math.radians(3.0)  # by which they may differ
 LEAST_PLACED = 0.8  # share of the sightings since getting lost that must fit the map where they are believed to belong
 
 
@@ -37,6 +42,7 @@ class Excursion:
     def _start(self, sightings: Sequence[Sighting]) -> None:
         self._estimator = Estimator(Belief(self._config))
         self._looked_keyframe, self._looked_way = 0, -LOOK_WAY
+        self._likely: list[se2.Pose] = []  # where the last looks in a row have the excursion's frame in the old map
         self.sightings: list[Sighting] = []
         for sighting in sightings:
             self.add(sighting)
@@ -61,10 +67,19 @@ class Excursion:
             return None
         self._looked_keyframe, self._looked_way = count, way
         found = relocalise(fragment_of(mapper), self._index)
-        if found is None or not found.verdict.accepted:
-            return None
+        return None if found is None or not self._believed(found) else self._at(found.motion)
+
+    def _believed(self, found: Relocalisation) -> bool:
+        """Whether a place is accepted at once, or has been the likeliest often enough while more and more was seen."""
+        apart = [se2.between(before, found.motion) for before in self._likely]
+        same = all(np.hypot(x, y) < SAME_PLACE and abs(turn) < SAME_HEADING for x, y, turn in apart)
+        self._likely = [*(self._likely if same else []), found.motion] if found.verdict.likely else []
+        return found.verdict.accepted or len(self._likely) >= ENOUGH_LOOKS
+
+    def _at(self, motion: se2.Pose) -> Estimator | None:
+        """The old map with the excursion's sightings there, if they fit."""
         belief = self._whole.copy()
-        belief.move_to(found.motion, self.sightings[0].odometry)  # the excursion's frame is its first sighting's
+        belief.move_to(motion, self.sightings[0].odometry)  # the excursion's frame is its first sighting's
         recovered, placed = self._taken_from(belief)
         fitting = sum(hold is not Hold.NONE for hold in placed)
         return recovered if fitting >= LEAST_PLACED * len(placed) and not recovered.belief.lost else None

@@ -16,6 +16,7 @@ from drivers.messages import Floats, Message, Odometry, Scan
 from .landmarks import Landmarks
 from .loops.constellation import OLD_WAY, recent_and_old
 from .loops.proposal import propose
+from .loops.relocalisation import fragment_of, index_map, relocalise
 from .pipeline import Slam
 
 ROOM = 4.0, 3.0  # metres
@@ -30,6 +31,8 @@ def warm_up() -> None:
     slam = Slam()
     for message in _drive():
         slam.add(message)
+    mapper = slam.belief.mapper
+    relocalise(fragment_of(mapper), index_map(mapper))
     slam.finish()
     _propose_loop()
 

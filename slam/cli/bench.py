@@ -42,8 +42,8 @@ def bench_relocalisation(
     """
     import drivers
 
+    from ..benchmarks.relocalisation import WAYS, cut, halves, index_of, run, summary
     from ..config import Config
-    from ..relocalisation_benchmark import WAYS, cut, halves, index_of, run, summary
 
     config = Config()
     messages = list(drivers.open(recording))

@@ -37,6 +37,7 @@ MOST_CONTRADICTED = 0.10  # share of what was seen that the map's walls would ha
 WORST_SIGMA, WORST_TURN = 0.07, np.radians(1.5)  # metres and radians, in any direction
 RUNNER_UP = 0.60  # share of its score that another place may reach
 LEAST_LEAD = 4.0  # metres of wall by which a place must beat every other
+LIKELY_RUNNER_UP = 0.85  # share that another place may reach where it is asked again with more seen
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,6 +66,8 @@ class Fragment:
 class PlaceVerdict:
     """Whether a place is believed, why not, and the scores that was decided by.
 
+    likely        whether it would be believed if it were the same again and again as more is seen: all tests hold but
+                  that other places lie far behind
     explained     share of the fragment's walls that lies on the map's, `length` metres of `matches` walls; `corners`
                   lie on corners
     agreement     share of what was seen as the map has it, where the map has something
@@ -75,6 +78,7 @@ class PlaceVerdict:
     """
 
     accepted: bool
+    likely: bool
     reason: str
     explained: float
     length: float
@@ -186,19 +190,23 @@ def _judge(best: _Place, runner_up: float, covariance: Floats) -> PlaceVerdict:
     turn_sigma = float(np.sqrt(covariance[2, 2]))
     uncertain = f"uncertain by {sigma:.2f} m and {np.degrees(turn_sigma):.1f} degrees"
     lead = best.score - runner_up
-    tests = (
+    tests = [
         (sigma <= WORST_SIGMA and turn_sigma <= WORST_TURN, uncertain),
         (evidence >= LEAST_EVIDENCE, f"{matches} of {len(laid.matches)} walls are no evidence"),
         (laid.length >= LEAST_LENGTH, f"{laid.length:.1f} m of wall < {LEAST_LENGTH:.0f} m"),
         (explained >= LEAST_EXPLAINED, f"explains {explained:.0%} < {LEAST_EXPLAINED:.0%}"),
         (sight.contradicted <= MOST_CONTRADICTED, f"{sight.contradicted:.0%} was seen through walls of the map"),
         (sight.agreement >= LEAST_AGREEMENT, f"the view agrees by {sight.agreement:.0%} < {LEAST_AGREEMENT:.0%}"),
+    ]
+    fits = all(passed for passed, _ in tests)
+    tests += [
         (runner_up <= RUNNER_UP * best.score, f"another place scores {runner_up / max(best.score, 1e-9):.0%} as much"),
         (lead >= LEAST_LEAD, f"only {lead:.1f} m of wall better than another place"),
-    )
+    ]
     reason = next((text for passed, text in tests if not passed), "")
     return PlaceVerdict(
         accepted=not reason,
+        likely=fits and runner_up <= LIKELY_RUNNER_UP * best.score,
         reason=reason or "all tests passed",
         explained=explained,
         length=laid.length,

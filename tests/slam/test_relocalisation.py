@@ -201,14 +201,14 @@ def office() -> tuple[MapIndex, se2.Pose]:
     first = next(message for message in messages if isinstance(message, GroundTruth))
     slam = mapped(messages)
     slam.finish()
-    return index_map(slam._mapper), first.pose
+    return index_map(slam.belief.mapper), first.pose
 
 
 def test_a_robot_put_down_in_an_office_finds_itself(office: tuple[MapIndex, se2.Pose]) -> None:
     index, origin = office
     accepted = 0
     for slam, truth in pieces("office", seed=5, seconds=8.0, starts=[8.0, 20.0, 32.0, 44.0]):
-        found = relocalise(fragment_of(slam._mapper), index)
+        found = relocalise(fragment_of(slam.belief.mapper), index)
         if found is None or not found.verdict.accepted:
             continue
         accepted += 1
@@ -221,7 +221,7 @@ def test_a_robot_put_down_in_an_office_finds_itself(office: tuple[MapIndex, se2.
 @pytest.mark.parametrize("world", ["room", "columns", "corridor"])
 def test_a_robot_in_another_building_is_not_believed(world: str, office: tuple[MapIndex, se2.Pose]) -> None:
     for slam, _ in pieces(world, seed=5, seconds=8.0, starts=[2.0, 12.0]):
-        found = relocalise(fragment_of(slam._mapper), office[0])
+        found = relocalise(fragment_of(slam.belief.mapper), office[0])
         assert found is None or not found.verdict.accepted
 
 

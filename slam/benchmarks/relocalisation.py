@@ -16,12 +16,12 @@ import numpy as np
 from drivers import se2
 from drivers.messages import Message, Odometry, Scan
 
-from .config import Config
-from .errors import MapError
-from .loops.relocalisation import MapIndex, fragment_of, index_map, relocalise
-from .mapper import Mapper
-from .pipeline import Slam
-from .segments import Floats
+from ..config import Config
+from ..errors import MapError
+from ..loops.relocalisation import MapIndex, fragment_of, index_map, relocalise
+from ..mapper import Mapper
+from ..pipeline import Slam
+from ..segments import Floats
 
 WAYS = 2.0, 4.0, 6.0  # metres of driving that a fragment is mapped of
 WRONG, WRONG_TURN = 0.5, np.radians(10.0)  # metres and radians from which on an accepted pose is wrong
@@ -89,7 +89,7 @@ def cut(messages: Sequence[Message], config: Config) -> Known:
     whole = _mapped(messages, config).finish()
     at = np.searchsorted(whole.stamps, half.keyframe_stamps).clip(0, len(whole.stamps) - 1)
     return Known(
-        index=index_map(_mapper_of(slam)),
+        index=index_map(slam.belief.mapper),
         before=half.keyframes,
         after=whole.poses[at],
         all_stamps=whole.stamps,
@@ -111,7 +111,7 @@ def index_of(messages: Sequence[Message], config: Config) -> MapIndex:
     """The map of some messages, prepared."""
     slam = _mapped(messages, config)
     slam.finish()
-    return index_map(_mapper_of(slam))
+    return index_map(slam.belief.mapper)
 
 
 def run(
@@ -182,9 +182,9 @@ def _fragments(
         for message in messages[np.searchsorted(all_stamps, since) : np.searchsorted(all_stamps, end + LATER)]:
             if message.stamp <= end or isinstance(message, Odometry):
                 slam.add(message)
-        mapper = _mapper_of(slam)
-        if mapper.keyframe_count:
-            yield slam._keyframe_stamps[-1], mapper
+        belief = slam.belief
+        if belief.mapper.keyframe_count:
+            yield belief.keyframe_stamps[-1], belief.mapper
 
 
 def _mapped(messages: Iterable[Message], config: Config) -> Slam:
@@ -192,8 +192,3 @@ def _mapped(messages: Iterable[Message], config: Config) -> Slam:
     for message in messages:
         slam.add(message)
     return slam
-
-
-def _mapper_of(slam: Slam) -> Mapper:
-    """The map that a pipeline is building."""
-    return slam._mapper
