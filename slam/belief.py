@@ -84,14 +84,18 @@ class Belief:
         """Whether the robot is not where it was believed to be: too many sightings in a row fit nowhere."""
         return self._tracker.lost
 
-    def take(self, sighting: Sighting, clock: Clock) -> tuple[Placement, Extension | None]:
-        """Find where the robot was, and let the map grow if it has moved on."""
+    def place(self, sighting: Sighting, clock: Clock) -> Placement:
+        """Find where the robot was."""
         around = Surroundings(self._local_map, self._point_field, self.mapper.flatness.variance)
         placement = self._tracker.track(sighting.odometry, sighting.seen, around)
         clock.lap("registration")
         self.unplaced = [*self.unplaced, sighting] if placement.hold is Hold.NONE else []
         if placement.hold in (Hold.FIRM, Hold.SEARCHED):
             self.pose = placement.pose
+        return placement
+
+    def extend(self, sighting: Sighting, placement: Placement, clock: Clock) -> Extension | None:
+        """Make what was placed part of the path, and let the map grow if the robot has moved on."""
         extension = None
         if placement.hold is Hold.FIRM and self._moved_enough():
             familiar = self._familiar_keyframe(placement)
@@ -100,7 +104,7 @@ class Belief:
             else:
                 self._pass_by(familiar, sighting, placement)
         self._hang_on_path(sighting.stamp, placement)
-        return placement, extension
+        return extension
 
     @property
     def _anchor_pose(self) -> se2.Pose:

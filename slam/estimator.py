@@ -16,11 +16,12 @@ from .tracking import Placement
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
     """What a sighting did: where it was taken, how it extended the map if it became a keyframe, and the closure that
-    had to be taken back after it, if any."""
+    had to be taken back after it, if any. `before` is the belief before a sighting that fits abruptly worse."""
 
     placement: Placement
     extension: Extension | None
     retracted: LoopDecision | None
+    before: Belief | None
 
 
 class Estimator:
@@ -32,12 +33,14 @@ class Estimator:
 
     def take(self, sighting: Sighting, clock: Clock) -> Step:
         """Place a sighting, let the map grow, close a loop or take one back."""
-        placement, extension = self.belief.take(sighting, clock)
+        placement = self.belief.place(sighting, clock)
+        before = self.belief.copy() if placement.abrupt else None
+        extension = self.belief.extend(sighting, placement, clock)
         if extension is not None and extension.loop is not None and extension.loop.status == "agreed":
             extension = replace(extension, loop=self._close(extension.view, extension.loop))
             clock.lap("closing")
         self._probation.remember(sighting)
-        return Step(placement, extension, self._doubt())
+        return Step(placement, extension, self._doubt(), before)
 
     def _close(self, view: KeyframeView, decision: LoopDecision) -> LoopDecision:
         """Close the loop that two looks agree on, on a copy, and see whether the map comes together."""
@@ -58,5 +61,5 @@ class Estimator:
         self.belief = case.checkpoint
         self.belief.loops.refuse(case.decision)
         for sighting in case.since:
-            self.belief.take(sighting, Clock())
+            self.belief.extend(sighting, self.belief.place(sighting, Clock()), Clock())
         return case.decision

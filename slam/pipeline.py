@@ -13,10 +13,10 @@ from drivers.messages import GroundTruth, Message, Scan
 from .belief import Belief, Extension
 from .config import Config
 from .errors import MapError
-from .estimator import Estimator
+from .estimator import Estimator, Step
 from .events import Finished, MapCorners, MapLines, Noticed, ScanTracked, Sink, StateChanged, TruthSeen
 from .front_end import FrontEnd, Sighting
-from .recovery import Excursion
+from .recovery import Excursion, Suspicion
 from .reporting import Reporter
 from .segments import Floats
 from .snapshot import map_corners, map_lines
@@ -40,6 +40,7 @@ class Slam:
         self._front_end = FrontEnd(self.config)
         self._estimator = Estimator(Belief(self.config.odometry))
         self._excursion: Excursion | None = None  # while the robot is lost
+        self._suspicion: Suspicion | None = None  # while what it sees may belong elsewhere
         self._state = StateWatch()
         self._statistics = RunStatistics()
 
@@ -70,9 +71,24 @@ class Slam:
         if step.retracted is not None:
             self._statistics.loops.append(step.retracted)
             self._reporter.tell_loop(step.retracted, sighting.stamp, self.belief.mapper)
+        self._suspect(sighting, step)
         if self.belief.lost:
-            self._excursion = Excursion(self.config.odometry, self.belief)
+            self._excursion = Excursion(self.config.odometry, self.belief, self.belief.unplaced)
+            self._suspicion = None
             self._tell_state(sighting.stamp, self._state.lose())
+
+    def _suspect(self, sighting: Sighting, step: Step) -> None:
+        """The view may have changed at a stroke: see for a while whether the robot is not somewhere else on the map."""
+        if step.before is not None and self._suspicion is None:
+            self._suspicion = Suspicion(self.config.odometry, step.before)
+        if self._suspicion is None:
+            return
+        self._suspicion.add(sighting, step.placement)
+        found = self._suspicion.borne_out()
+        if found is not None:
+            self._go_on_from(found, sighting.stamp, "carried away: found elsewhere in the map")
+        elif self._suspicion.over:
+            self._suspicion = None
 
     def _look_for_the_way_back(self, excursion: Excursion, sighting: Sighting) -> None:
         """The robot is lost: see whether what it has seen since is somewhere on the map."""
@@ -83,7 +99,7 @@ class Slam:
             self._go_on_from(found, sighting.stamp, "found again in the map")
 
     def _go_on_from(self, estimator: Estimator, stamp: float, text: str) -> None:
-        self._estimator, self._excursion = estimator, None
+        self._estimator, self._excursion, self._suspicion = estimator, None, None
         self._reporter.tell(Noticed(stamp, text))
         self._reporter.tell_map(stamp, self.belief.mapper)
         self._tell_state(stamp, self._state.find())

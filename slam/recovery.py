@@ -19,11 +19,13 @@ from .estimator import Estimator
 from .front_end import Sighting
 from .loops.relocalisation import Relocalisation, fragment_of, index_map, relocalise
 from .statistics import Clock
-from .tracking import Hold
+from .tracking import Hold, Placement
 
 LOOK_KEYFRAMES, LOOK_WAY = 3, 1.0  # keyframes and metres of driving between two looks
 ENOUGH_LOOKS = 4  # looks in a row that find the same place, other places being close behind, for it to be believed
 SAME_PLACE, SAME_HEADING = 0.3, math.radians(3.0)  # by which they may differ
+SUSPICION_WAY = 10.0  # metres of driving
+CLEARLY_MORE = 0.05  # share of the wall length seen that must fall on known walls more than where it was believed to be
 LEAST_PLACED = 0.8  # share of the sightings since getting lost that must fit the map where they are believed to belong
 
 
@@ -33,17 +35,18 @@ class Excursion:
     `whole` is the belief before that. It is never changed; what comes of the excursion is a new one.
     """
 
-    def __init__(self, config: OdometryConfig, whole: Belief) -> None:
+    def __init__(self, config: OdometryConfig, whole: Belief, sightings: Sequence[Sighting]) -> None:
         self._config = config
         self._whole = whole
         self._index = index_map(whole.mapper)
-        self._start(whole.unplaced)
+        self._start(sightings)
 
     def _start(self, sightings: Sequence[Sighting]) -> None:
         self._estimator = Estimator(Belief(self._config))
         self._looked_keyframe, self._looked_way = 0, -LOOK_WAY
         self._likely: list[se2.Pose] = []  # where the last looks in a row have the excursion's frame in the old map
         self.sightings: list[Sighting] = []
+        self.explained: list[float] = []  # of them, in the place that was recognised last
         for sighting in sightings:
             self.add(sighting)
 
@@ -53,6 +56,11 @@ class Excursion:
         self.sightings.append(sighting)
         if self._estimator.belief.lost:
             self._start(self._estimator.belief.unplaced)
+
+    @property
+    def way(self) -> float:
+        """Metres driven since."""
+        return self._estimator.belief.mapper.ways[-1]
 
     @property
     def pose(self) -> se2.Pose:
@@ -81,7 +89,8 @@ class Excursion:
         belief = self._whole.copy()
         belief.move_to(motion, self.sightings[0].odometry)  # the excursion's frame is its first sighting's
         recovered, placed = self._taken_from(belief)
-        fitting = sum(hold is not Hold.NONE for hold in placed)
+        self.explained = [placement.registration.explained for placement in placed]
+        fitting = sum(placement.hold is not Hold.NONE for placement in placed)
         return recovered if fitting >= LEAST_PLACED * len(placed) and not recovered.belief.lost else None
 
     def joined(self) -> Estimator:
@@ -93,7 +102,37 @@ class Excursion:
         belief.start_anew(self.sightings[0].odometry)
         return self._taken_from(belief)[0]
 
-    def _taken_from(self, belief: Belief) -> tuple[Estimator, list[Hold]]:
+    def _taken_from(self, belief: Belief) -> tuple[Estimator, list[Placement]]:
         """The excursion's sightings taken from a belief on, and how each was placed."""
         estimator = Estimator(belief)
-        return estimator, [estimator.take(sighting, Clock()).placement.hold for sighting in self.sightings]
+        return estimator, [estimator.take(sighting, Clock()).placement for sighting in self.sightings]
+
+
+class Suspicion:
+    """Whether the robot has been carried to a place that looks much like the one where it is believed to be.
+
+    What it sees has changed at a stroke. It goes on as before; but if what it sees from then on belongs elsewhere on
+    the map, and fits better there, that is where it is.
+    """
+
+    def __init__(self, config: OdometryConfig, before: Belief) -> None:
+        self._excursion = Excursion(config, before, ())
+        self._explained: list[float] = []  # where the robot is believed to be
+
+    def add(self, sighting: Sighting, placement: Placement) -> None:
+        """Take a sighting, and where it was placed."""
+        self._excursion.add(sighting)
+        self._explained.append(placement.registration.explained)
+
+    @property
+    def over(self) -> bool:
+        """Whether the robot has driven far enough for it to be unfounded."""
+        return self._excursion.way > SUSPICION_WAY
+
+    def borne_out(self) -> Estimator | None:
+        """The map with the sightings since where they belong, if that is elsewhere."""
+        found = self._excursion.recognised()
+        if found is None:
+            return None
+        better = np.mean(self._excursion.explained) > np.mean(self._explained) + CLEARLY_MORE
+        return found if better else None

@@ -28,6 +28,7 @@ CLEARLY_LIKER = 0.1  # by which the points must lie better at a searched pose th
 SEARCHED_LIKE = 0.5  # likeness that a searched pose must reach
 SEARCHED_POINTS = 30  # points that a scan must have for that: few of them lie well nearly everywhere
 LARGE_STEP = 0.8  # metres of way between two scans, from which on odometry may be making up for what it missed
+ABRUPTLY_WORSE = 1.0  # by which a scan fits worse than the one before where the view has changed at a stroke
 CLEARLY_BETTER = 0.3  # by which the scan must then fit better where the robot last was
 PATIENCE = 4  # scans in a row that may fit nowhere
 LEAST_WALL = 0.5  # metres of wall that a scan must show, or SEARCHED_POINTS, for its pose to be found by it
@@ -48,12 +49,14 @@ class Placement:
 
     covariance        (3, 3) of the pose in the map as it stands, in the base's frame
     bears_out_search  whether this scan confirms the pose that was searched for one scan earlier
+    abrupt            whether it fits far worse than the scan before it: the robot may have been carried elsewhere
     """
 
     registration: Registration
     hold: Hold
     covariance: Floats
-    bears_out_search: bool = False
+    bears_out_search: bool
+    abrupt: bool
 
     @property
     def pose(self) -> se2.Pose:
@@ -110,6 +113,7 @@ class Tracker:
         self._noise = noise
         self._firm: Place | None = None
         self._misfits = 0  # scans in a row
+        self._last_fit = 0.0  # of the last scan that was placed
         # Where the robot was before its last pose was searched for: odometry may make up for what it missed in a step,
         # and the search may have been wrong.
         self._left: Place | None = None
@@ -145,20 +149,28 @@ class Tracker:
         if not after_search and fits[best].both <= fits[0].both + CLEARLY_BETTER:
             best = 0
         fit = fits[best]
+        bears_out = after_search and best < len(predictions) - 1
         if _shows_too_little(scan) and len(around.landmarks.walls):
-            return _placement(fit.registration, Hold.BLIND, prior)
+            return self._placement(fit, Hold.BLIND, prior)
         if fit.believable or not len(around.landmarks.walls):
             self.move_to(fit.registration.pose, odometry)
-            return _placement(fit.registration, Hold.FIRM, prior, after_search and best < len(predictions) - 1)
+            return self._placement(fit, Hold.FIRM, prior, bears_out)
         searched = self._search(scan, around, predictions[-1], fit.like)
         if searched is None:
             self._misfits += 1
-            return _placement(fit.registration, Hold.NONE, prior)
-        far = around.lay(scan, searched, prior, NEAR_STARTS[:1]).registration
+            return self._placement(fit, Hold.NONE, prior)
+        far = around.lay(scan, searched, prior, NEAR_STARTS[:1])
         left = self._firm
-        self.move_to(far.pose, odometry)
+        self.move_to(far.registration.pose, odometry)
         self._left = left
-        return _placement(far, Hold.FIRM if after_search else Hold.SEARCHED, prior, after_search)
+        return self._placement(far, Hold.FIRM if after_search else Hold.SEARCHED, prior, after_search)
+
+    def _placement(self, fit: _Fit, hold: Hold, prior: Floats, bears_out_search: bool = False) -> Placement:
+        covariance = np.asarray(np.linalg.inv(fit.registration.held_by + prior))
+        abrupt = hold is Hold.FIRM and fit.both < self._last_fit - ABRUPTLY_WORSE
+        if hold in (Hold.FIRM, Hold.SEARCHED):
+            self._last_fit = fit.both
+        return Placement(fit.registration, hold, covariance, bears_out_search, abrupt)
 
     def _predictions(self, odometry: se2.Pose) -> list[se2.Pose]:
         """Where the base may be: as odometry has it; where it was, if odometry may just be making up for what it
@@ -183,11 +195,6 @@ class Tracker:
         assert self._firm is not None
         step = se2.between(self._firm.odometry, odometry)
         return np.asarray(np.linalg.inv(self._noise.covariance(step) + np.diag(PREDICTION_SIGMAS**2)))
-
-
-def _placement(registration: Registration, hold: Hold, prior: Floats, bears_out_search: bool = False) -> Placement:
-    information = registration.held_by + prior
-    return Placement(registration, hold, np.asarray(np.linalg.inv(information)), bears_out_search)
 
 
 def _shows_too_little(scan: ScanFeatures) -> bool:
