@@ -1,0 +1,134 @@
+"""Optimisation of graphs with false edges, by graduated non-convexity and truncated least squares.
+
+Odometry, the edges between poses that follow each other, is believed. Of the others each is in or out in the end: out if its
+error is less plausible than FALSE_ALARM. Graduated non-convexity (Yang et al. 2020) finds this from a start that is not too
+wrong; so it begins with those loop edges that others bear out, and the rest is admitted afterwards, each by its innovation,
+
+    e' (Omega^-1 + J P J')^-1 e,     P the covariance of the estimate without the edge,
+
+since a false edge that is in has bent the graph so that its own error is small. Information matrices are often cautious by a
+large factor; errors are compared with what the graph itself shows, its variance factor s2 = chi2 / degrees of freedom, but
+never with more than is claimed (s2 <= 1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2 as chi2_distribution
+
+from .initialisation import initialise
+from .least_squares import NormalEquations, edge_chi2, edge_errors
+from .model import Flags, Floats, PoseGraph
+from .placing import components
+from .solver import held_diagonal, minimise
+from .support import odometry_edges, supported_edges
+
+FALSE_ALARM = 1e-8
+"""Real errors have heavy tails: on public graphs the largest true edge's is 33 times the variance factor; this allows 40."""
+TYPICAL = 0.9
+"""The quantile of the errors that tells their scale while false edges may be among them: fewer than a tenth."""
+LEAST_FREEDOM = 30
+"""Degrees of freedom below which the variance factor is a matter of chance."""
+GRADUATION = 1.4
+"""Growth of the control parameter mu, as its authors have it."""
+MOST_GRADUATIONS = 100
+MOST_ADMISSIONS = 20
+LEAST_DAMPING = 1e-12
+"""As a share of the diagonal: what nothing determines gets a covariance that is large, not infinite."""
+
+
+def solve_robustly(graph: PoseGraph, free: Flags) -> tuple[Floats, Flags]:
+    """The optimum of the edges that are believed, as variables, and which these are (edge_count,)."""
+    trusted = odometry_edges(graph)
+    begin = trusted | supported_edges(graph, trusted)
+    begin[len(graph.motions) :] = True  # landmarks are seen too often for pairs to tell anything
+    if len(np.unique(components(graph.select_edges(begin)))) > len(np.unique(components(graph))):
+        begin[:] = True
+    first = graph.select_edges(begin)
+    x, _ = minimise(first, NormalEquations(first, free), initialise(first, free))
+    gate = _gates(graph)
+    scale = _typical_factor(first, x, trusted[begin])
+    x, kept = _graduate(first, free, x, trusted[begin], scale * gate[begin])
+    begin[begin] = kept
+    return _admit(graph, free, x, trusted, begin)
+
+
+def _gates(graph: PoseGraph) -> Floats:
+    """(edge_count,): the chi2 that an edge must not exceed, where its information matrix is right."""
+    return np.concatenate(
+        [np.full(len(e), chi2_distribution.isf(FALSE_ALARM, e.measured.shape[1])) for e in graph.kinds]
+    )
+
+
+def _typical_factor(graph: PoseGraph, x: Floats, trusted: Flags) -> float:
+    usual = np.concatenate(
+        [np.full(len(e), chi2_distribution.ppf(TYPICAL, e.measured.shape[1])) for e in graph.kinds]
+    )
+    ratios = (edge_chi2(graph, x) / usual)[~trusted]
+    return min(1.0, float(np.quantile(ratios, TYPICAL))) if len(ratios) else 1.0
+
+
+def _variance_factor(graph: PoseGraph, free: Flags, cost: float) -> float:
+    """chi2 over degrees of freedom, at most 1; 1 where there are too few to tell."""
+    freedom = sum(edges.measured.size for edges in graph.kinds) - int(free.sum())
+    return min(1.0, cost / freedom) if freedom >= LEAST_FREEDOM else 1.0
+
+
+def _graduate(graph: PoseGraph, free: Flags, x: Floats, trusted: Flags, gate: Floats) -> tuple[Floats, Flags]:
+    """Graduated non-convexity from `x`: the variables, and which edges have chi2 below their gates (edge_count,)."""
+    ratio = edge_chi2(graph, x) / gate
+    mu = 1.0 / max(2.0 * float(ratio[~trusted].max(initial=0.0)) - 1.0, 1e-12)
+    weights = np.ones(graph.edge_count)
+    present, equations = np.zeros(0, dtype=bool), None
+    for _ in range(MOST_GRADUATIONS):
+        before, weights = weights, np.clip(np.sqrt(mu * (mu + 1.0) / np.maximum(ratio, 1e-300)) - mu, 0.0, 1.0)
+        weights[trusted] = 1.0
+        if equations is None or not np.array_equal(present, weights > 0.0):
+            present = weights > 0.0
+            part = graph.select_edges(present)
+            equations = NormalEquations(part, free)
+        x, _ = minimise(part, equations, x, weights[present], steps=1)
+        if np.isin(weights, (0.0, 1.0)).all() and np.array_equal(weights, before):
+            break
+        ratio = edge_chi2(graph, x) / gate
+        mu *= GRADUATION
+    return x, weights > 0.5
+
+
+def _admit(graph: PoseGraph, free: Flags, x: Floats, trusted: Flags, kept: Flags) -> tuple[Floats, Flags]:
+    """Solve with the edges `kept`, let in what fits, put out what does not, until nothing changes."""
+    gate = _gates(graph)
+    for _ in range(MOST_ADMISSIONS):
+        part = graph.select_edges(kept)
+        equations = NormalEquations(part, free)
+        x, cost = minimise(part, equations, x)
+        limit = _variance_factor(part, free, cost) * gate
+        chi2 = edge_chi2(graph, x)
+        fits = trusted | (chi2 <= limit)
+        outside = ~kept & ~fits
+        fits[outside] = _innovations(graph.select_edges(outside), part, equations, x) <= limit[outside]
+        if np.array_equal(fits, kept):
+            break
+        kept = fits
+    return x, kept
+
+
+def _innovations(candidates: PoseGraph, graph: PoseGraph, equations: NormalEquations, x: Floats) -> Floats:
+    """(edge_count,): how far candidates are from what the graph without them says, its uncertainty allowed for.
+
+    With C = J P J': e' (Omega^-1 + C)^-1 e = e' (1 + Omega C)^-1 Omega e, where Omega need have no inverse.
+    """
+    matrix, _ = equations.at(x, np.ones(graph.edge_count))
+    factor = equations.factor(matrix, LEAST_DAMPING * held_diagonal(matrix))
+    if factor is None:
+        return np.full(candidates.edge_count, np.inf)
+    result = []
+    for edges, error, spread in zip(
+        candidates.kinds, edge_errors(candidates, x), equations.spreads(candidates, x, factor), strict=True
+    ):
+        pull = edges.information @ error[:, :, None]
+        shrunk = np.linalg.solve(np.eye(error.shape[1]) + edges.information @ spread, pull)
+        result.append((error[:, None, :] @ shrunk)[:, 0, 0])
+    return np.concatenate(result)
