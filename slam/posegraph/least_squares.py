@@ -20,9 +20,6 @@ from .model import Flags, Floats, Integers, PoseGraph
 # the matrices are symmetric and positive definite: elimination needs no pivoting
 CHOLESKY_LIKE = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 
-AT_ONCE = 200
-"""Edges whose spread is found at once; of a graph with ten thousand variables that takes 50 MB."""
-
 
 def variables_of(graph: PoseGraph) -> Floats:
     """(3 n + 2 m,): the estimate as one vector, poses first."""
@@ -132,21 +129,15 @@ class NormalEquations:
         result = []
         for term in _terms(graph):
             _, jacobian = term.errors(x[term.touched], term.measured)
-            spread = np.zeros((*term.measured.shape, term.measured.shape[1]))
-            for first in range(0, len(spread), AT_ONCE):
-                chunk = slice(first, first + AT_ONCE)
-                spread[chunk] = self._spread(jacobian[chunk], self._place[term.touched[chunk]], factor)
+            spread = np.empty((*term.measured.shape, term.measured.shape[1]))
+            places = self._place[term.touched]
+            for k in range(len(spread)):  # one by one: SuperLU is slow with many right-hand sides
+                free = places[k] >= 0
+                column = np.zeros((self.size, spread.shape[1]))
+                column[places[k][free]] = jacobian[k][:, free].T
+                spread[k] = jacobian[k][:, free] @ factor.solve(column)[places[k][free]]
             result.append(spread)
         return result
-
-    def _spread(self, jacobian: Floats, places: Integers, factor: SuperLU) -> Floats:
-        count, size, _ = jacobian.shape
-        columns = np.zeros((self.size + 1, count, size))  # the last row takes what concerns fixed variables
-        edges = np.arange(count)[:, None]
-        columns[places, edges] = jacobian.transpose(0, 2, 1)
-        columns[-1] = 0.0
-        columns[:-1] = factor.solve(columns[:-1].reshape(self.size, -1)).reshape(self.size, count, size)
-        return np.asarray(jacobian @ columns[places, edges])
 
     def moved(self, x: Floats, change: Floats) -> Floats:
         """`x` with its free variables changed."""
