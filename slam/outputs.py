@@ -27,7 +27,9 @@ CONFIG = "config.toml"
 SUMMARY = "summary.json"
 REVIEW = "review.rrd"
 PICTURE = "map.png"
-RESULTS = frozenset({TRAJECTORY, MAP, CONFIG, SUMMARY, REVIEW, PICTURE})
+GRAPH = "graph.g2o"
+GRAPH_PICTURE = "graph.png"
+RESULTS = frozenset({TRAJECTORY, MAP, CONFIG, SUMMARY, REVIEW, PICTURE, GRAPH, GRAPH_PICTURE})
 
 
 class OutputDirectory:

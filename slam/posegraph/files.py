@@ -12,9 +12,9 @@ TORO
     VERTEX2 id x y heading
     EDGE2 from to x y heading  I                 xx xy yy hh xh yh
 
-One reader takes both, by the tags. What would change the optimum and is not known (other EDGE, VERTEX and PARAMS tags) is
-refused; what cannot change it (scans that were stored along, for example) is left out with a notice. A file without
-vertices is complete: they are placed along its edges.
+One reader takes both, by the tags. What would change the optimum and is not known (other EDGE, VERTEX and PARAMS tags)
+is refused; what cannot change it (scans that were stored along, for example) is left out, with a notice for each such
+tag. A file without vertices is complete: they are placed along its edges.
 """
 
 from __future__ import annotations
@@ -192,7 +192,9 @@ class _Reader:
                 if end not in known:
                     there = f"vertex {end} is no {kind}" if end in self.vertices else f"there is no vertex {end}"
                     raise self._wrong(edge.line, f"{there}, as {G2O_EDGES[size]} needs it")
-        numbers = np.array([edge.numbers for edge in edges], dtype=np.float64).reshape(-1, size + size * (size + 1) // 2)
+        numbers = np.array([edge.numbers for edge in edges], dtype=np.float64).reshape(
+            -1, size + size * (size + 1) // 2
+        )
         information = _symmetric(numbers[:, size:], size)
         eigenvalues = np.linalg.eigvalsh(information)
         indefinite = np.flatnonzero(eigenvalues[:, 0] < -INDEFINITE * np.abs(eigenvalues).max(axis=1))

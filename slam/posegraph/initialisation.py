@@ -4,10 +4,10 @@ Headings by chordal relaxation (Martinec and Pajdla 2007; Carlone et al. 2015): 
 
     minimise  sum of w |u_j - u_i exp(i theta_z)|^2
 
-is linear where the u need not have length one; their angles are the headings. The weight w is what the measurement says of the
-heading alone: the information that is left when the translation is unknown, its Schur complement. With the headings known,
-the errors of motions and positions are linear in what is left, so one step of least squares finds it, under the full
-information matrices.
+is linear where the u need not have length one; their angles are the headings. The weight w is what the measurement says
+of the heading alone: the information that is left when the translation is unknown, a Schur complement. With the headings
+known, the errors of motions and positions are linear in what is left, so one step of least squares finds it, under the
+full information matrices.
 """
 
 from __future__ import annotations
@@ -24,8 +24,7 @@ from .placing import intersect_bearings
 from .solver import minimise
 
 HELD = 1e-9
-"""Weight, as a share of the largest, that ties each heading to the one it has: for poses of which no measurement tells the
-heading."""
+"""Weight, as a share of the largest, that ties each heading to the one it has, lest no measurement tells it."""
 
 
 def initialise(graph: PoseGraph, free: Flags) -> Floats:
@@ -69,11 +68,11 @@ def chordal_headings(graph: PoseGraph, known: Flags) -> Floats:
     matrix = (matrix + held * diags_array(np.ones(count))).tocsc()[unknown][:, unknown]
     found = present.copy()
     found[unknown] = splu(csc_array(matrix), permc_spec="MMD_AT_PLUS_A", **CHOLESKY_LIKE).solve(right[unknown])
-    return np.angle(found)
+    return np.asarray(np.angle(found))
 
 
 def _heading_information(information: Floats) -> Floats:
     """(k,): what the matrices (k, 3, 3) say of the heading when nothing is known of the translation."""
     across = information[:, :2, 2]
     explained = (np.linalg.pinv(information[:, :2, :2], hermitian=True) @ across[:, :, None])[:, :, 0]
-    return np.maximum(information[:, 2, 2] - (across * explained).sum(axis=1), 0.0)
+    return np.asarray(np.maximum(information[:, 2, 2] - (across * explained).sum(axis=1), 0.0))

@@ -125,7 +125,7 @@ class NormalEquations:
             return None
 
     def spreads(self, graph: PoseGraph, x: Floats, factor: SuperLU) -> list[Floats]:
-        """J P J', (k, d, d) for each kind of edges of a graph with the same variables, P the inverse of what is factored."""
+        """J P J', (k, d, d), for each kind of edges of a graph with the same variables; P inverts what is factored."""
         result = []
         for term in _terms(graph):
             _, jacobian = term.errors(x[term.touched], term.measured)

@@ -6,8 +6,8 @@ Measurements are of three kinds, all made from a pose:
     positions  a landmark's [x, y] in the pose's frame                  (EDGE_SE2_XY)
     bearings   a landmark's direction in the pose's frame               (EDGE_BEARING_SE2_XY)
 
-Where all edges are counted together they come in this order. Metres and radians; an information matrix is the inverse of
-the measurement's covariance.
+Where all edges are counted together they come in this order. Metres and radians; an information matrix is the inverse
+of the measurement's covariance.
 """
 
 from __future__ import annotations
@@ -42,9 +42,7 @@ class Edges:
 
     def select(self, kept: Flags) -> Edges:
         """Those for which `kept` (k,) holds."""
-        return Edges(
-            self.source[kept], self.target[kept], self.measured[kept], self.information[kept], self.line[kept]
-        )
+        return Edges(self.source[kept], self.target[kept], self.measured[kept], self.information[kept], self.line[kept])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -48,8 +48,9 @@ def optimise(graph: PoseGraph, robust: bool = False) -> Optimised:
 
 
 def free_variables(graph: PoseGraph) -> Flags:
-    """(3 n + 2 m,): which variables may move: not those of fixed vertices, nor, in each connected part without any, those
-    of its first pose.
+    """(3 n + 2 m,): which variables may move.
+
+    Not those of fixed vertices, nor, in each connected part without any, those of its first pose.
     """
     part = components(graph)
     fixed = np.concatenate([graph.fixed_poses, graph.fixed_landmarks])

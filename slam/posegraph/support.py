@@ -4,7 +4,7 @@ Two edges i -> j and k -> l with i near k and j near l along the path close a sh
 error E, the composed motion around it, is small if both are true. With S the covariance of E, propagated from the four
 parts, they support each other when E is far likelier so than by chance (pairwise consistency: Mangelson et al. 2018):
 
-    log N(E; 0, S) - log N-like density of E for unrelated edges > LIKELIER
+    log p(E | both true) - log p(E | unrelated) > LIKELIER,     p(E | both true) = N(E; 0, S)
 """
 
 from __future__ import annotations
@@ -17,12 +17,10 @@ from drivers import se2
 from .model import Edges, Flags, Floats, Integers, PoseGraph
 
 NEAR = 20
-"""Poses along the path. On the public graphs three quarters of the true loops and more have a partner within this; among
-as many false ones drawn at random, one in a hundred."""
+"""Poses along the path. On public graphs three quarters of the true loops and more have a partner within this; among as
+many false ones drawn at random, one in a hundred."""
 LIKELIER = 4.0
 """Log-likelihood ratio."""
-PARTNERS = 2
-"""Two false edges may happen to agree; that three do is a hundred times rarer."""
 UNMEASURED = 1e-9
 """Share of an information matrix's largest number that stands in for none, so that it has an inverse."""
 
@@ -37,11 +35,11 @@ def odometry_edges(graph: PoseGraph) -> Flags:
     return result
 
 
-def supported_edges(graph: PoseGraph, odometry: Flags) -> Flags:
-    """(edge_count,): motions that are not odometry and that at least PARTNERS others bear out."""
+def count_partners(graph: PoseGraph, odometry: Flags) -> Integers:
+    """(edge_count,): how many others bear out each motion that is not odometry; 0 for all other edges."""
     chain = _Chain(graph, odometry[: len(graph.motions)])
     loops = np.flatnonzero(~odometry[: len(graph.motions)])
-    result = np.zeros(graph.edge_count, dtype=bool)
+    result = np.zeros(graph.edge_count, dtype=np.int64)
     i, j, measured, covariance = _forward(graph.motions.select(~odometry[: len(graph.motions)]), chain.rank)
     pairs = cKDTree(np.column_stack([i, j])).query_pairs(NEAR, p=np.inf, output_type="ndarray") if len(i) else []
     if len(pairs) == 0:
@@ -64,8 +62,7 @@ def supported_edges(graph: PoseGraph, odometry: Flags) -> Flags:
     squared = np.einsum("ki,ki->k", error, np.linalg.solve(spread, error[:, :, None])[:, :, 0])
     ratio = -0.5 * squared - 0.5 * np.linalg.slogdet(spread)[1] - _unrelated(measured)
     agree = ratio > LIKELIER
-    partners = np.bincount(np.concatenate([a[agree], b[agree]]), minlength=len(loops))
-    result[loops[partners >= PARTNERS]] = True
+    result[loops] = np.bincount(np.concatenate([a[agree], b[agree]]), minlength=len(loops))
     return result
 
 
@@ -110,9 +107,7 @@ def _forward(edges: Edges, rank: Integers) -> tuple[Integers, Integers, Floats, 
 
 
 def _carried(covariance: Floats, pose: Floats) -> Floats:
-    """Covariances (k, 3, 3) of small motions of the frames that the poses (k, 3) place, as ones of the frames that these
-    are given in.
-    """
+    """Covariances (k, 3, 3) of small motions of the frames that poses (k, 3) place, as ones of the frames they are in."""
     c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     adjoint = np.zeros((len(pose), 3, 3))
     adjoint[:, 0], adjoint[:, 1] = np.stack([c, -s, pose[:, 1]], axis=-1), np.stack([s, c, -pose[:, 0]], axis=-1)
