@@ -35,7 +35,7 @@ def plot_pose_graph(path: Path, before: PoseGraph, optimised: Optimised, *, titl
     _draw(axes, _between(steps, before.poses), color=ORANGE, linewidth=0.8, alpha=0.7, label="path before", zorder=2)
     out = before.select_edges(~optimised.kept)
     wrong = [_between(out.motions, after.poses), *(_between(e, after.poses, after.landmarks) for e in out.kinds[1:])]
-    _draw(axes, np.concatenate(wrong), color=VERMILLION, linewidth=0.5, alpha=0.3, label="edge left out", zorder=3)
+    _draw(axes, np.concatenate(wrong), color=VERMILLION, linewidth=0.5, alpha=0.45, label="edge left out", zorder=3)
     _draw(axes, _between(loops, after.poses), color=SKY, linewidth=0.8, label="loop edge", zorder=4)
     _draw(axes, _between(steps, after.poses), color=BLUE, linewidth=1.2, label="path", zorder=5)
     if len(after.landmarks):

@@ -4,8 +4,8 @@ Headings by chordal relaxation (Martinec and Pajdla 2007; Carlone et al. 2015): 
 
     minimise  sum of w |u_j - u_i exp(i theta_z)|^2
 
-is linear where the u need not have length one; their angles are the headings. The weight w is what the measurement says
-of the heading alone: the information that is left when the translation is unknown, a Schur complement. With the headings
+is linear where the u need not have length one; their angles are the headings. The weight w is what the measurement
+says of the heading alone: the information left when the translation is unknown, a Schur complement. With the headings
 known, the errors of motions and positions are linear in what is left, so one step of least squares finds it, under the
 full information matrices.
 """

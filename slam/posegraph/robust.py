@@ -1,14 +1,14 @@
 """Optimisation of graphs with false edges, by graduated non-convexity and truncated least squares.
 
-Odometry, the edges between poses that follow each other, is believed. Of the others each is in or out in the end: out if
-its error is implausible. Graduated non-convexity (Yang et al. 2020) finds this from a start that is not too wrong. So it
-begins with those loop edges that others bear out; the rest is admitted afterwards, each by its innovation,
+Odometry, the edges between poses that follow each other, is believed. Of the others each is in or out in the end: out
+if its error is implausible. Graduated non-convexity (Yang et al. 2020) finds this from a start that is not too wrong.
+So it begins with those loop edges that others bear out; the rest is admitted afterwards, each by its innovation,
 
     e' (Omega^-1 + J P J')^-1 e,     P the covariance of the estimate without the edge,
 
 since a false edge that is in has bent the graph so that its own error is small. Information matrices are often cautious
-by a large factor: errors are compared with what the graph itself shows, a multiple of its variance factor chi2 / degrees
-of freedom, where that is less than what the matrices claim.
+by a large factor: errors are compared with what the graph itself shows, a multiple of its variance factor (chi2 over
+degrees of freedom), where that is less than what the matrices claim.
 """
 
 from __future__ import annotations
@@ -25,12 +25,11 @@ from .support import count_partners, odometry_edges
 
 FALSE_ALARM = 1e-4
 """The share of true edges that would be put out were the information matrices right and the errors normal."""
-SEED_PARTNERS = 2
+PARTNERS = 2
 """Two false edges may happen to agree; that three do is a hundred times rarer."""
-LONE_TAIL, HEAVY_TAIL = 2.0, 5.0
-"""By how much the variance factor is raised, as real errors have heavy tails, for edges that no other bears out, and for
-the rest. On public graphs the innovation of a true edge is up to 85 times the variance factor; 5 times what FALSE_ALARM
-says of a motion is 105."""
+HEAVY_TAIL = 5.0
+"""By how much the variance factor is raised, as real errors have heavy tails: on public graphs the innovation of a true
+edge is up to 85 times it. 5 times what FALSE_ALARM says of a motion is 105. False edges below that stay in."""
 STRICT_TAIL = 3.0
 """The same at the beginning, when what is put out in error can still come back."""
 TYPICAL = 0.9
@@ -50,8 +49,7 @@ LEAST_DAMPING = 1e-12
 def solve_robustly(graph: PoseGraph, free: Flags) -> tuple[Floats, Flags]:
     """The optimum of the edges that are believed, as variables, and which these are (edge_count,)."""
     trusted = odometry_edges(graph)
-    partners = count_partners(graph, trusted)
-    begin = trusted | (partners >= SEED_PARTNERS)
+    begin = trusted | (count_partners(graph, trusted) >= PARTNERS)
     begin[len(graph.motions) :] = True  # landmarks are seen too often for pairs to tell anything
     if len(np.unique(components(graph.select_edges(begin)))) > len(np.unique(components(graph))):
         begin[:] = True
@@ -61,9 +59,7 @@ def solve_robustly(graph: PoseGraph, free: Flags) -> tuple[Floats, Flags]:
     scale = min(1.0, STRICT_TAIL * _typical_factor(first, x, trusted[begin]))
     x, kept = _graduate(first, free, x, trusted[begin], scale * gate[begin])
     begin[begin] = kept
-    tail = np.where(partners > 0, HEAVY_TAIL, LONE_TAIL)
-    tail[len(graph.motions) :] = HEAVY_TAIL
-    return _admit(graph, free, x, trusted, begin, tail)
+    return _admit(graph, free, x, trusted, begin)
 
 
 def _gates(graph: PoseGraph) -> Floats:
@@ -107,7 +103,7 @@ def _graduate(graph: PoseGraph, free: Flags, x: Floats, trusted: Flags, gate: Fl
     return x, weights > 0.5
 
 
-def _admit(graph: PoseGraph, free: Flags, x: Floats, trusted: Flags, kept: Flags, tail: Floats) -> tuple[Floats, Flags]:
+def _admit(graph: PoseGraph, free: Flags, x: Floats, trusted: Flags, kept: Flags) -> tuple[Floats, Flags]:
     """Solve with the edges `kept`, let in what fits, put out what does not, until nothing changes."""
     gate = _gates(graph)
     for _ in range(MOST_ADMISSIONS):
@@ -115,7 +111,7 @@ def _admit(graph: PoseGraph, free: Flags, x: Floats, trusted: Flags, kept: Flags
         equations = NormalEquations(part, free)
         # from a fresh start, too: after a large loop is closed the old estimate leads into some other minimum
         x, cost = min((minimise(part, equations, start) for start in (x, initialise(part, free))), key=lambda s: s[1])
-        limit = np.minimum(1.0, tail * _variance_factor(part, free, cost)) * gate
+        limit = min(1.0, HEAVY_TAIL * _variance_factor(part, free, cost)) * gate
         chi2 = edge_chi2(graph, x)
         fits = trusted | (chi2 <= limit)
         outside = ~kept & ~fits

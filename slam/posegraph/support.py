@@ -107,7 +107,7 @@ def _forward(edges: Edges, rank: Integers) -> tuple[Integers, Integers, Floats, 
 
 
 def _carried(covariance: Floats, pose: Floats) -> Floats:
-    """Covariances (k, 3, 3) of small motions of the frames that poses (k, 3) place, as ones of the frames they are in."""
+    """Covariances (k, 3, 3) of small motions of frames, as ones of the frame that their poses (k, 3) are given in."""
     c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     adjoint = np.zeros((len(pose), 3, 3))
     adjoint[:, 0], adjoint[:, 1] = np.stack([c, -s, pose[:, 1]], axis=-1), np.stack([s, c, -pose[:, 0]], axis=-1)
