@@ -7,8 +7,8 @@ So it begins with those loop edges that others bear out; the rest is admitted af
     e' (Omega^-1 + J P J')^-1 e,     P the covariance of the estimate without the edge,
 
 since a false edge that is in has bent the graph so that its own error is small. Information matrices are often cautious
-by a large factor: errors are compared with what the graph itself shows, a multiple of its variance factor (chi2 over
-degrees of freedom), where that is less than what the matrices claim.
+by a large factor: errors are compared with a quantile of those that the graph itself shows, where that is less than
+what the matrices claim.
 """
 
 from __future__ import annotations
@@ -27,15 +27,12 @@ FALSE_ALARM = 1e-4
 """The share of true edges that would be put out were the information matrices right and the errors normal."""
 PARTNERS = 2
 """Two false edges may happen to agree; that three do is a hundred times rarer."""
-HEAVY_TAIL = 5.0
-"""By how much the variance factor is raised, as real errors have heavy tails: on public graphs the innovation of a true
-edge is up to 85 times it. 5 times what FALSE_ALARM says of a motion is 105. False edges below that stay in."""
-STRICT_TAIL = 3.0
-"""The same at the beginning, when what is put out in error can still come back."""
-TYPICAL = 0.9
-"""The quantile of the errors that tells their scale while false edges may be among them: fewer than a tenth."""
-LEAST_FREEDOM = 30
-"""Degrees of freedom below which the variance factor is a matter of chance."""
+AT_FIRST, FINALLY = (0.9, 3.0), (0.95, 7.0)
+"""Quantiles that tell the errors' scale, and what multiple of it is allowed, as real errors have heavy tails. At first
+fewer than a tenth of the edges are false, and what is put out can still come back. Finally: on public graphs a true
+edge's innovation is up to 5.6 times what the quantile makes plausible. False edges below that stay in."""
+ENOUGH = 30
+"""Edges besides odometry; fewer tell nothing of the scale."""
 GRADUATION = 1.4
 """Growth of the control parameter mu, as its authors have it."""
 LEAST_RATIO = 1e-12
@@ -56,30 +53,21 @@ def solve_robustly(graph: PoseGraph, free: Flags) -> tuple[Floats, Flags]:
     first = graph.select_edges(begin)
     x, _ = minimise(first, NormalEquations(first, free), initialise(first, free))
     gate = _gates(graph)
-    scale = min(1.0, STRICT_TAIL * _typical_factor(first, x, trusted[begin]))
+    scale = _scale(first, x, trusted[begin], *AT_FIRST)
     x, kept = _graduate(first, free, x, trusted[begin], scale * gate[begin])
     begin[begin] = kept
     return _admit(graph, free, x, trusted, begin)
 
 
-def _gates(graph: PoseGraph) -> Floats:
-    """(edge_count,): the chi2 that an edge must not exceed, where its information matrix is right."""
-    return np.concatenate(
-        [np.full(len(e), chi2_distribution.isf(FALSE_ALARM, e.measured.shape[1])) for e in graph.kinds]
-    )
+def _gates(graph: PoseGraph, share: float = FALSE_ALARM) -> Floats:
+    """(edge_count,): the chi2 that this share of edges exceeds, where the information matrices are right."""
+    return np.concatenate([np.full(len(e), chi2_distribution.isf(share, e.measured.shape[1])) for e in graph.kinds])
 
 
-def _typical_factor(graph: PoseGraph, x: Floats, trusted: Flags) -> float:
-    """The variance factor as the errors of all but the worst edges show it."""
-    usual = np.concatenate([np.full(len(e), chi2_distribution.ppf(TYPICAL, e.measured.shape[1])) for e in graph.kinds])
-    ratios = (edge_chi2(graph, x) / usual)[~trusted]
-    return float(np.quantile(ratios, TYPICAL)) if len(ratios) else 1.0
-
-
-def _variance_factor(graph: PoseGraph, free: Flags, cost: float) -> float:
-    """chi2 over degrees of freedom; 1 where there are too few to tell."""
-    freedom = sum(edges.measured.size for edges in graph.kinds) - int(free.sum())
-    return cost / freedom if freedom >= LEAST_FREEDOM else 1.0
+def _scale(graph: PoseGraph, x: Floats, trusted: Flags, quantile: float, tail: float) -> float:
+    """What the gates are to be multiplied with for the errors that the edges show at `x`, at most 1."""
+    ratios = (edge_chi2(graph, x) / _gates(graph, 1.0 - quantile))[~trusted]
+    return min(1.0, tail * float(np.quantile(ratios, quantile))) if len(ratios) >= ENOUGH else 1.0
 
 
 def _graduate(graph: PoseGraph, free: Flags, x: Floats, trusted: Flags, gate: Floats) -> tuple[Floats, Flags]:
@@ -110,8 +98,8 @@ def _admit(graph: PoseGraph, free: Flags, x: Floats, trusted: Flags, kept: Flags
         part = graph.select_edges(kept)
         equations = NormalEquations(part, free)
         # from a fresh start, too: after a large loop is closed the old estimate leads into some other minimum
-        x, cost = min((minimise(part, equations, start) for start in (x, initialise(part, free))), key=lambda s: s[1])
-        limit = min(1.0, HEAVY_TAIL * _variance_factor(part, free, cost)) * gate
+        x, _ = min((minimise(part, equations, start) for start in (x, initialise(part, free))), key=lambda s: s[1])
+        limit = _scale(part, x, trusted[kept], *FINALLY) * gate
         chi2 = edge_chi2(graph, x)
         fits = trusted | (chi2 <= limit)
         outside = ~kept & ~fits

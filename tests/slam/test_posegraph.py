@@ -125,12 +125,14 @@ def test_measurements_without_error_are_met_from_any_start() -> None:
     found = optimise(graph.with_estimate(lost, 100 * points)).graph
     np.testing.assert_allclose(found.poses[:, :2], truth[:, :2], atol=1e-6)
     np.testing.assert_allclose(se2.wrap(found.poses[:, 2] - truth[:, 2]), 0, atol=1e-6)
-    np.testing.assert_allclose(found.landmarks, points, atol=1e-6)
+    seen = np.unique(graph.positions.target)
+    np.testing.assert_allclose(found.landmarks[seen], points[seen], atol=1e-6)
 
 
 def test_chi2_at_the_optimum_is_that_of_the_noise() -> None:
     """Its expectation is the number of degrees of freedom, with twice that for its variance."""
-    graph, truth = with_landmarks(*loops_of_a_walk(4), seed=4)
+    graph, truth = loops_of_a_walk(4)
+    graph, _ = with_landmarks(graph, truth, seed=4)
     result = optimise(graph)
     freedom = sum(kind.measured.size for kind in graph.kinds) - free_variables(graph).sum()
     assert abs(result.chi2 - freedom) < 4 * np.sqrt(2 * freedom)
@@ -195,7 +197,7 @@ def test_fixed_vertices_stay_and_so_does_one_pose_of_each_part() -> None:
     two = replace(
         graph,
         pose_ids=np.arange(320),
-        poses=np.concatenate([graph.poses, graph.poses + [50, 0, 0]]),
+        poses=np.concatenate([graph.poses, graph.poses + np.array([50, 0, 0])]),
         motions=both,
         fixed_poses=np.zeros(320, bool),
     )
@@ -238,7 +240,7 @@ def add_false_loops(graph: PoseGraph, share: float, seed: int) -> tuple[PoseGrap
 
 @pytest.mark.parametrize("seed", range(3))
 def test_false_edges_are_left_out(seed: int) -> None:
-    graph, truth = loops_of_a_walk(seed, sigmas=(0.05, 0.05, 0.02))
+    graph, _ = loops_of_a_walk(seed, sigmas=(0.05, 0.05, 0.02))
     spoilt, false = add_false_loops(graph, 0.5, seed)
     result = optimise(spoilt, robust=True)
     assert (result.kept == ~false).all()
