@@ -6,9 +6,9 @@ So it begins with those loop edges that others bear out; the rest is admitted af
 
     e' (Omega^-1 + J P J')^-1 e,     P the covariance of the estimate without the edge,
 
-since a false edge that is in has bent the graph so that its own error is small. Information matrices are often cautious
-by a large factor: errors are compared with a quantile of those that the graph itself shows, where that is less than
-what the matrices claim.
+since a false edge that is in has bent the graph so that its own error is small. Those that are in are tested so at the
+end. Information matrices are often cautious by a large factor: errors are compared with a quantile of those that the
+graph itself shows, where that is less than what the matrices claim.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ AT_FIRST, FINALLY = (0.9, 3.0), (0.95, 7.0)
 """Quantiles that tell the errors' scale, and what multiple of it is allowed, as real errors have heavy tails. At first
 fewer than a tenth of the edges are false, and what is put out can still come back. Finally: on public graphs a true
 edge's innovation is up to 5.6 times what the quantile makes plausible. False edges below that stay in."""
+UNDETERMINED = 1e-9
+"""Keeps finite what an edge that alone determines something is compared with; its error is zero then."""
 ENOUGH = 30
 """Edges besides odometry; fewer tell nothing of the scale."""
 GRADUATION = 1.4
@@ -99,21 +101,26 @@ def _admit(graph: PoseGraph, free: Flags, x: Floats, trusted: Flags, kept: Flags
         equations = NormalEquations(part, free)
         # from a fresh start, too: after a large loop is closed the old estimate leads into some other minimum
         x, _ = min((minimise(part, equations, start) for start in (x, initialise(part, free))), key=lambda s: s[1])
-        limit = _scale(part, x, trusted[kept], *FINALLY) * gate
-        chi2 = edge_chi2(graph, x)
-        fits = trusted | (chi2 <= limit)
+        scale = _scale(part, x, trusted[kept], *FINALLY)
+        ratio = edge_chi2(graph, x) / gate
+        fits = trusted | (ratio <= scale)
         outside = ~kept & ~fits
-        fits[outside] = _innovations(graph.select_edges(outside), part, equations, x) <= limit[outside]
+        fits[outside] = _innovations(graph.select_edges(outside), 1.0, part, equations, x) <= scale * gate[outside]
+        if np.array_equal(fits, kept):
+            inside = kept & ~trusted
+            fits[inside] = _innovations(graph.select_edges(inside), -1.0, part, equations, x) <= scale * gate[inside]
         if np.array_equal(fits, kept):
             break
         kept = fits
-    return x, kept
+    part = graph.select_edges(kept)
+    return minimise(part, NormalEquations(part, free), x)[0], kept
 
 
-def _innovations(candidates: PoseGraph, graph: PoseGraph, equations: NormalEquations, x: Floats) -> Floats:
-    """(edge_count,): how far candidates are from what the graph without them says, its uncertainty allowed for.
+def _innovations(candidates: PoseGraph, sign: float, graph: PoseGraph, equations: NormalEquations, x: Floats) -> Floats:
+    """(edge_count,): how far candidates are from what the graph says without them, its uncertainty allowed for.
 
-    With C = J P J': e' (Omega^-1 + C)^-1 e = e' (1 + Omega C)^-1 Omega e, where Omega need have no inverse.
+    With C = J P J' and sign +1 for edges that are not in the graph, -1 for edges that are:
+    e' (Omega^-1 +- C)^-1 e = e' (1 +- Omega C)^-1 Omega e, where Omega need have no inverse.
     """
     matrix, _ = equations.at(x, np.ones(graph.edge_count))
     factor = equations.factor(matrix, LEAST_DAMPING * held_diagonal(matrix))
@@ -124,6 +131,7 @@ def _innovations(candidates: PoseGraph, graph: PoseGraph, equations: NormalEquat
         candidates.kinds, edge_errors(candidates, x), equations.spreads(candidates, x, factor), strict=True
     ):
         pull = edges.information @ error[:, :, None]
-        shrunk = np.linalg.solve(np.eye(error.shape[1]) + edges.information @ spread, pull)
+        unit = (1.0 + UNDETERMINED) * np.eye(error.shape[1])
+        shrunk = np.linalg.solve(unit + sign * edges.information @ spread, pull)
         result.append((error[:, None, :] @ shrunk)[:, 0, 0])
     return np.concatenate(result)

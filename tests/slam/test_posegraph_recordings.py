@@ -58,7 +58,7 @@ def check_false_loops(name: str, seed: int) -> None:
     assert (out & false).sum() >= 0.98 * out.sum()
     assert (out & false).sum() >= 0.98 * count
     found = graph.with_estimate(result.graph.poses, result.graph.landmarks)
-    assert edge_chi2(found, variables_of(found)).sum() == pytest.approx(OPTIMA[name], rel=0.03)
+    assert edge_chi2(found, variables_of(found)).sum() == pytest.approx(OPTIMA[name], rel=0.01)
 
 
 @pytest.mark.slow
