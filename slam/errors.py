@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from drivers.errors import DriverError, RecordingError, SlamError
 
 
@@ -17,4 +19,23 @@ class MapError(SlamError):
     """A map or trajectory file cannot be read, or the map cannot be estimated."""
 
 
-__all__ = ["ConfigurationError", "DriverError", "MapError", "OutputError", "RecordingError", "SlamError"]
+class PoseGraphError(SlamError):
+    """A pose graph cannot be read or written. Carries the `path`, the `line` (from 1; None for the whole file) and the
+    `reason`.
+    """
+
+    def __init__(self, path: Path, line: int | None, reason: str) -> None:
+        self.path, self.line, self.reason = path, line, reason
+        place = f"{path}:{line}" if line is not None else f"{path}"
+        super().__init__(f"{place}: {reason}")
+
+
+__all__ = [
+    "ConfigurationError",
+    "DriverError",
+    "MapError",
+    "OutputError",
+    "PoseGraphError",
+    "RecordingError",
+    "SlamError",
+]

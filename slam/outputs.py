@@ -27,7 +27,10 @@ CONFIG = "config.toml"
 SUMMARY = "summary.json"
 REVIEW = "review.rrd"
 PICTURE = "map.png"
+GRAPH = "graph.g2o"
+GRAPH_PICTURE = "graph.png"
 RESULTS = frozenset({TRAJECTORY, MAP, CONFIG, SUMMARY, REVIEW, PICTURE})
+GRAPH_RESULTS = frozenset({GRAPH, GRAPH_PICTURE, SUMMARY})
 
 
 class OutputDirectory:
@@ -80,7 +83,7 @@ class OutputDirectory:
             raise OutputError(f"{self._shown}: cannot be read: {error.strerror or error}") from error
         if present and not self._overwrite:
             raise OutputError(f"{self._shown}: exists already; choose another directory or add --overwrite")
-        foreign = [name for name in present if name not in RESULTS]
+        foreign = [name for name in present if name not in RESULTS | GRAPH_RESULTS]
         if foreign:
             raise OutputError(f"{self._shown}: holds {foreign[0]}, which is not a result of a run; not overwritten")
 

@@ -20,6 +20,7 @@ from .demo import demo
 from .evaluate import evaluate
 from .features import features
 from .info import info
+from .optimize import optimize
 from .run import run
 from .simulate import simulate
 
@@ -72,6 +73,7 @@ def wclm(
 
 app.command()(demo)
 app.command()(run)
+app.command()(optimize)
 app.command()(info)
 app.command()(simulate)
 app.command("eval")(evaluate)
