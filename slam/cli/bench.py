@@ -58,3 +58,22 @@ def bench_relocalisation(
             f"{row.way:6.0f}  {row.queries:6d}  {row.accepted:8d}  {row.right:5d}  {precision:>9}  {row.known:5d}  "
             f"{row.found:5d}  {recall:>6}  {row.median:8.3f}  {row.p95:6.3f}"
         )
+
+
+@bench.command("laps")
+def bench_laps(
+    world: Annotated[str, typer.Argument(help="A simulated world.")] = "office",
+    laps: Annotated[int, typer.Option("--laps", min=1, help="Rounds of its path.")] = 10,
+    seed: Annotated[int, typer.Option("--seed", help="Of the noise.")] = 0,
+) -> None:
+    """Drive the same tour again and again: time a scan and memory must stay as they are.
+
+    Example: [bold]wclm bench laps office --laps 10[/bold]
+    """
+    from ..benchmarks.laps import run
+    from ..config import Config
+
+    typer.echo("lap  median ms  99 % ms  memory MB  keyframes  factors  walls")
+    for lap in run(world, laps, Config(), seed=seed):
+        sizes = f"{lap.keyframes:9d}  {lap.factors:7d}  {lap.walls:5d}"
+        typer.echo(f"{lap.number:3d}  {lap.median:9.2f}  {lap.p99:7.2f}  {lap.memory:9.0f}  {sizes}")
