@@ -53,7 +53,9 @@ class Slam:
     result = slam.finish()
     """
 
-    def __init__(self, config: Config | None = None, sinks: Sequence[Sink] = ()) -> None:
+    def __init__(
+        self, config: Config | None = None, sinks: Sequence[Sink] = (), loops: LoopCloser | None = None
+    ) -> None:
         self.config = config or Config()
         self._reporter = Reporter(sinks)
         self._extractor = build_extractor(self.config)
@@ -64,7 +66,7 @@ class Slam:
         self._local_map = empty_local_map()
         self._recent_points = RecentPoints()
         self._point_field = self._recent_points.field(np.zeros((0, 3)))
-        self._loops = LoopCloser()
+        self._loops = loops or LoopCloser()
         self._searched: tuple[float, int, se2.Pose] | None = None  # a scan that the next one must bear out
         self._tracker = Tracker(self._odometry_noise)
         self._path = Path()

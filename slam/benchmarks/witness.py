@@ -13,7 +13,6 @@ from drivers.simulator import Simulation
 from ..evaluation import align, motion_errors
 from ..events import Event, Finished, KeyframeAdded, LinesMerged, LoopDecided, MapLines, MapUpdated, ScanTracked
 from ..ground_truth import match_walls, true_walls
-from ..segments import Floats
 
 SAME_PLACE = 1.0  # metres between two true poses that are at one place
 AWAY = 20.0  # metres of driving between two visits to one place
@@ -134,7 +133,9 @@ class Witness:
                 identity = self._kept[identity]
             for true, spans in by_true.items():
                 shown[true][identity] += spans
-        return sum(_overlaps([_hull(spans) for wall, spans in walls.items() if wall in there]) for walls in shown.values())
+        return sum(
+            _overlaps([_hull(spans) for wall, spans in walls.items() if wall in there]) for walls in shown.values()
+        )
 
 
 def _hull(spans: list[tuple[float, float]]) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,14 +10,15 @@ import numpy as np
 from drivers import se2
 
 from ..mapper import Mapper
-from .constellation import OLD_WAY, Integers, recent_and_old
+from .constellation import OLD_WAY, Constellation, Integers, OldMap, recent_and_old
 from .proposal import Hypothesis, propose
 from .verification import Verdict, verify
 
 INTERVAL = 1.5  # metres of driving between two looks
 LEAST_NEW = 4.0  # metres of new wall in the constellation: where all has long been known, there is nothing to close
 AGREEMENT, AGREEMENT_TURN = 0.3, np.radians(3.0)  # by which two looks at different places may differ
-MEMORY = 12.0  # metres of driving after which a first look no longer counts
+LEAST_FRESH = 6.0  # metres of wall on which a second look must rest that the first did not: else it is the same look
+MEMORY = 25.0  # metres of driving after which a look no longer counts
 CARRYING_SIGMAS = np.array([0.01, 0.01, np.radians(0.2)])  # of the relative pose that only carries the map over
 LEAST_MERGED = 0.5  # share of the matched walls that must come together
 STRANGE_OFFSET, STRANGE_HEADING = 0.10, np.radians(3.0)  # by which a wall that is the same may move across itself
@@ -47,17 +49,24 @@ class LoopDecision:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _FirstLook:
-    hypothesis: Hypothesis
+class _Look:
+    """A look that passed all tests: the motion found, the walls it rests on, and the metres driven until then."""
+
+    motion: se2.Pose
+    walls: frozenset[int]
     way: float
 
 
-class LoopCloser:
-    """Looks for loops as the map grows."""
+Propose = Callable[[Constellation, OldMap, se2.Pose], list[Hypothesis]]
 
-    def __init__(self) -> None:
+
+class LoopCloser:
+    """Looks for loops as the map grows. `propose` says where the last metres may lie on the old map, see there."""
+
+    def __init__(self, propose: Propose = propose) -> None:
+        self._propose = propose
         self._last_way = 0.0
-        self._first: _FirstLook | None = None
+        self._held: list[_Look] = []
         self._candidates = 0
 
     def look(self, mapper: Mapper) -> LoopDecision | None:
@@ -71,16 +80,17 @@ class LoopCloser:
         known = way - ways[mapper.landmarks.walls.rows["first_seen"][recent.walls]] > OLD_WAY
         if 2 * recent.half_length[~known].sum() < LEAST_NEW:
             return None
-        hypotheses = propose(recent, old, mapper.pose)
+        hypotheses = self._propose(recent, old, mapper.pose)
         if len(hypotheses) < 2:
             return None
         views = [(mapper.graph.keyframe_pose(k), segments) for k, segments in mapper.views]
         verdict = verify(hypotheses, recent, old, mapper.landmarks, mapper.pose, views)
-        return self._decide(mapper, hypotheses[1], verdict, recent.walls, old.constellation.walls)
+        return self._decide(mapper, hypotheses[1], verdict, recent, old.constellation.walls)
 
     def _decide(
-        self, mapper: Mapper, best: Hypothesis, verdict: Verdict, recent: Integers, old: Integers
+        self, mapper: Mapper, best: Hypothesis, verdict: Verdict, constellation: Constellation, old: Integers
     ) -> LoopDecision | None:
+        recent = constellation.walls
         pairs = [(int(old[j]), int(recent[i])) for i, j in enumerate(best.matches) if j >= 0 and old[j] != recent[i]]
         if not pairs:
             return None
@@ -92,10 +102,12 @@ class LoopCloser:
         if not verdict.accepted:
             return decision
         way = mapper.ways[-1]
-        first, self._first = self._first, _FirstLook(best, way)
-        if first is None or way - first.way > MEMORY or not _agree(first.hypothesis.motion, best.motion, mapper.pose):
+        self._held = [look for look in self._held if way - look.way < MEMORY]
+        if not self._borne_out(best, constellation, mapper.pose):
+            walls = frozenset(recent[best.matches >= 0].tolist())
+            self._held.append(_Look(best.motion, walls, way))
             return replace(decision, status="held")
-        self._first = None
+        self._held = []
         before = mapper.pose
         merged = close(mapper, old_keyframe, best, pairs)
         if not merged:
@@ -103,6 +115,17 @@ class LoopCloser:
             return replace(decision, verdict=refused)
         shift = float(np.hypot(*(mapper.pose - before)[:2]))
         return replace(decision, status="accepted", merged=tuple(merged), shift=shift)
+
+    def _borne_out(self, best: Hypothesis, recent: Constellation, pose: se2.Pose) -> bool:
+        """Whether an earlier look at other walls found the same motion, and none found another one."""
+        if not all(_agree(look.motion, best.motion, pose) for look in self._held):
+            return False
+        matched = best.matches >= 0
+        for look in self._held:
+            fresh = matched & ~np.isin(recent.walls, list(look.walls))
+            if 2 * recent.half_length[fresh].sum() >= LEAST_FRESH:
+                return True
+        return False
 
 
 def close(
