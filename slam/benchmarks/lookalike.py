@@ -16,6 +16,7 @@ import numpy as np
 
 from drivers.simulator import DRIVES, LIDARS, Simulation
 
+from ..errors import MapError
 from ..pipeline import Slam
 from .witness import Decided, Witness
 
@@ -43,6 +44,7 @@ class Drive:
     joined   whether the final map has one place where there is one
     doubled  walls that the final map has more than once
     ate      metres, root mean square of the keyframes' errors after alignment
+    failed   why there is no final map, where there is none
     """
 
     world: str
@@ -52,6 +54,7 @@ class Drive:
     joined: bool
     doubled: int
     ate: float
+    failed: str = ""
 
     @property
     def needed(self) -> bool:
@@ -74,6 +77,7 @@ class Row:
     """All drives through one world: counts; drift and ate are medians in metres.
 
     needed, found  drives of which the map could be made one only by closing a loop, and those in which it was
+    failed         drives that came to no map
     reasons        why candidates were rejected, how often, without the figures
     """
 
@@ -89,6 +93,7 @@ class Row:
     found: int
     doubled: int
     ate: float
+    failed: int
     reasons: dict[str, int]
 
 
@@ -107,14 +112,17 @@ def drive(world: str, seed: int) -> Drive:
     simulation = Simulation(world, seed=seed, lidar=LIDARS["short"], drive=DRIVES["bad"])
     witness = Witness(simulation)
     slam = Slam(sinks=[witness])
-    for message in simulation:
-        slam.add(message)
-    finished = slam.finish()
+    try:
+        for message in simulation:
+            slam.add(message)
+        finished = slam.finish()
+    except MapError as error:
+        return Drive(world, seed, tuple(witness.decided), witness.drift, False, 0, np.nan, failed=str(error))
     return Drive(
         world,
         seed,
         tuple(witness.decided),
-        drift=max((visit.error for visit in witness.visits), default=0.0),
+        drift=witness.drift,
         joined=witness.joined(finished, JOINED) >= JOINED_SHARE,
         doubled=witness.doubled(finished.lines),
         ate=witness.ate(finished),
@@ -142,7 +150,8 @@ def _row(world: str, drives: list[Drive]) -> Row:
         needed=len(needed),
         found=sum(drive.joined for drive in needed),
         doubled=sum(drive.doubled for drive in drives),
-        ate=float(np.median([drive.ate for drive in drives])),
+        ate=float(np.median([drive.ate for drive in drives if not drive.failed] or [np.nan])),
+        failed=sum(bool(drive.failed) for drive in drives),
         reasons=dict(Counter(_kind(d.reason) for d in decided if d.status == "rejected").most_common()),
     )
 

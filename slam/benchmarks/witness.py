@@ -99,6 +99,11 @@ class Witness:
         error, turn = self._motion_error(event.old, event.index, there)
         self.decided.append(Decided(event.index, event.status, event.reason, error, turn))
 
+    @property
+    def drift(self) -> float:
+        """Metres by which the robot was off at most, relative to its earlier visit, when it came back to a place."""
+        return max((visit.error for visit in self.visits), default=0.0)
+
     # --- the map at the end
 
     def joined(self, finished: Finished, within: float) -> float:

@@ -62,12 +62,12 @@ def bench_lookalike(
     else:
         typer.echo(f"seeds 0 to {seeds - 1}; " + ", ".join(f"{name} {version}" for name, version in versions().items()))
         typer.echo(
-            "world           drives  drift m  proposed  rejected  held  accepted  wrong  found/needed  doubled  ATE m"
+            "world           drives  drift m  proposed  rejected  held  accepted  wrong  found/needed  doubled  ATE m  failed"
         )
         for row in rows:
             typer.echo(
                 f"{row.world:<15} {row.drives:6d} {row.drift:8.2f} {row.proposed:9d} {row.rejected:9d} {row.held:5d} "
-                f"{row.accepted:9d} {row.wrong:6d} {f'{row.found}/{row.needed}':>13} {row.doubled:8d} {row.ate:6.2f}"
+                f"{row.accepted:9d} {row.wrong:6d} {f'{row.found}/{row.needed}':>13} {row.doubled:8d} {row.ate:6.2f} {row.failed:7d}"
             )
         for row in rows:
             reasons = ", ".join(f"{count} x {reason}" for reason, count in row.reasons.items())

@@ -103,7 +103,7 @@ class LoopCloser:
             return decision
         way = mapper.ways[-1]
         self._held = [look for look in self._held if way - look.way < MEMORY]
-        if not self._borne_out(best, constellation, mapper.pose):
+        if not self._borne_out(best, constellation, mapper):
             walls = frozenset(recent[best.matches >= 0].tolist())
             self._held.append(_Look(best.motion, walls, way))
             return replace(decision, status="held")
@@ -116,13 +116,13 @@ class LoopCloser:
         shift = float(np.hypot(*(mapper.pose - before)[:2]))
         return replace(decision, status="accepted", merged=tuple(merged), shift=shift)
 
-    def _borne_out(self, best: Hypothesis, recent: Constellation, pose: se2.Pose) -> bool:
+    def _borne_out(self, best: Hypothesis, recent: Constellation, mapper: Mapper) -> bool:
         """Whether an earlier look at other walls found the same motion, and none found another one."""
-        if not all(_agree(look.motion, best.motion, pose) for look in self._held):
+        if not all(_agree(look.motion, best.motion, mapper.pose) for look in self._held):
             return False
-        matched = best.matches >= 0
+        kept = mapper.landmarks.walls.rows["kept"]
         for look in self._held:
-            fresh = matched & ~np.isin(recent.walls, list(look.walls))
+            fresh = (best.matches >= 0) & ~np.isin(recent.walls, kept[list(look.walls)])
             if 2 * recent.half_length[fresh].sum() >= LEAST_FRESH:
                 return True
         return False

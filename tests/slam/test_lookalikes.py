@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -57,10 +58,9 @@ def test_a_loop_that_drift_left_open_is_closed_where_it_should_be() -> None:
     assert not result.wrong
 
 
-@pytest.mark.parametrize("world", ["square", "moved_furniture"])
-def test_no_wrong_closure_where_places_look_alike(world: str) -> None:
-    result = drive(world, 1)
-    assert result.decided, "nothing was proposed: the world proves nothing"
+def test_no_wrong_closure_where_the_furniture_has_been_moved() -> None:
+    result = drive("moved_furniture", 1)
+    assert any(decided.error > 0.5 for decided in result.decided), "nothing wrong was proposed: this proves nothing"
     assert not result.wrong
 
 
@@ -70,19 +70,30 @@ def test_no_wrong_closure_in_any_look_alike_world() -> None:
     drives = list(run(processes=2))
     rows = {row.world: row for row in condense(drives)}
     assert [(d.world, d.seed, d.wrong) for d in drives if d.wrong] == []
+    assert [(d.world, d.seed, d.failed) for d in drives if d.failed] == []
     assert set(rows) == set(WORLDS)
     assert rows["large_loop"].needed >= 10
     assert rows["large_loop"].found >= 0.8 * rows["large_loop"].needed
     assert sum(row.needed > 0 for row in rows.values()) >= 6
 
 
-def test_the_bench_prints_a_row_a_world(wclm: Any) -> None:
-    result = wclm("bench", "lookalike", "--worlds", "symmetric_room", "--seeds", "1", "--processes", "1", "--json")
+def test_the_bench_prints_a_row_a_world(wclm: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    outcomes = {0: a_drive(decided("accepted", 0.1)), 1: replace(a_drive(decided("accepted", 3.0)), seed=1)}
+    monkeypatch.setattr("slam.warmup.warm_up", lambda: None)
+    monkeypatch.setattr("slam.benchmarks.lookalike.drive", lambda world, seed: replace(outcomes[seed], world=world))
+    options = ("bench", "lookalike", "--worlds", "square,large_loop", "--processes", "1")
+    result = wclm(*options, "--seeds", "1", "--json")
     assert result.exit_code == 0, result.output
     content = json.loads(result.stdout)
     assert content["seeds"] == 1
     assert "wclm-slam" in content["versions"]
-    assert [row["world"] for row in content["worlds"]] == ["symmetric_room"]
+    assert [(row["world"], row["found"], row["wrong"]) for row in content["worlds"]] == [
+        ("square", 1, 0),
+        ("large_loop", 1, 0),
+    ]
+    result = wclm(*options, "--seeds", "2")
+    assert result.exit_code == 1
+    assert "wrong closures in square seed 1, large_loop seed 1" in result.stderr
     assert wclm("bench", "lookalike", "--worlds", "moon").exit_code == 2
 
 
