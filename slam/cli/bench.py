@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .console import complain, progress, say_if_slow
+
+if TYPE_CHECKING:
+    from ..benchmarks.lookalike import Row
 
 WRONG_ACCEPTED = 1
 """Exit status where a wrong closure was accepted: the figures are right, the map is not."""
@@ -61,20 +64,24 @@ def bench_lookalike(
         typer.echo(json.dumps({"versions": versions(), "seeds": seeds, "worlds": [asdict(row) for row in rows]}))
     else:
         typer.echo(f"seeds 0 to {seeds - 1}; " + ", ".join(f"{name} {version}" for name, version in versions().items()))
-        typer.echo(
-            "world           drives  drift m  proposed  rejected  held  accepted  wrong  found/needed  doubled  ATE m  failed"
-        )
-        for row in rows:
-            typer.echo(
-                f"{row.world:<15} {row.drives:6d} {row.drift:8.2f} {row.proposed:9d} {row.rejected:9d} {row.held:5d} "
-                f"{row.accepted:9d} {row.wrong:6d} {f'{row.found}/{row.needed}':>13} {row.doubled:8d} {row.ate:6.2f} {row.failed:7d}"
-            )
-        for row in rows:
-            reasons = ", ".join(f"{count} x {reason}" for reason, count in row.reasons.items())
-            typer.echo(f"{row.world}: rejected because {reasons}" if reasons else f"{row.world}: nothing rejected")
+        _print_lookalikes(rows)
     if wrong := [drive for drive in drives if drive.wrong]:
         complain("wrong closures in " + ", ".join(f"{drive.world} seed {drive.seed}" for drive in wrong))
         raise typer.Exit(WRONG_ACCEPTED)
+
+
+def _print_lookalikes(rows: list[Row]) -> None:
+    columns = "drift m  proposed  rejected  held  accepted  wrong  found/needed  doubled  ATE m  failed"
+    typer.echo(f"{'world':<15} drives  {columns}")
+    for row in rows:
+        typer.echo(
+            f"{row.world:<15} {row.drives:6d} {row.drift:8.2f} {row.proposed:9d} {row.rejected:9d} {row.held:5d} "
+            f"{row.accepted:9d} {row.wrong:6d} {f'{row.found}/{row.needed}':>13} {row.doubled:8d} {row.ate:6.2f} "
+            f"{row.failed:7d}"
+        )
+    for row in rows:
+        reasons = ", ".join(f"{count} x {reason}" for reason, count in row.reasons.items())
+        typer.echo(f"{row.world}: {f'rejected because {reasons}' if reasons else 'nothing rejected'}")
 
 
 @bench.command("false-closures")
