@@ -117,9 +117,9 @@ class LoopCloser:
         return replace(decision, status="accepted", merged=tuple(merged), shift=shift)
 
     def _borne_out(self, best: Hypothesis, recent: Constellation, mapper: Mapper) -> bool:
-        """Whether an earlier look at other walls found the same motion, and none found another one."""
+        """Whether an earlier look at other walls found the same motion, and none since found another one."""
         if not all(_agree(look.motion, best.motion, mapper.pose) for look in self._held):
-            return False
+            self._held = []
         kept = mapper.landmarks.walls.rows["kept"]
         for look in self._held:
             fresh = (best.matches >= 0) & ~np.isin(recent.walls, kept[list(look.walls)])
