@@ -16,6 +16,7 @@ from .errors import MapError
 from .estimator import Estimator, Step
 from .events import Finished, MapCorners, MapLines, Noticed, ScanTracked, Sink, StateChanged, TruthSeen
 from .front_end import FrontEnd, Sighting
+from .loops.closer import LoopCloser
 from .recovery import Excursion, Suspicion
 from .reporting import Reporter
 from .segments import Floats
@@ -34,11 +35,13 @@ class Slam:
     result = slam.finish()
     """
 
-    def __init__(self, config: Config | None = None, sinks: Sequence[Sink] = ()) -> None:
+    def __init__(
+        self, config: Config | None = None, sinks: Sequence[Sink] = (), loops: LoopCloser | None = None
+    ) -> None:
         self.config = config or Config()
         self._reporter = Reporter(sinks)
         self._front_end = FrontEnd(self.config)
-        self._estimator = Estimator(Belief(self.config.odometry))
+        self._estimator = Estimator(Belief(self.config.odometry, loops))
         self._excursion: Excursion | None = None  # while the robot is lost
         self._suspicion: Suspicion | None = None  # while what it sees may belong elsewhere
         self._state = StateWatch()

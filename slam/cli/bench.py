@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-bench = typer.Typer(no_args_is_help=True, help="Measure how fast and how accurate parts are.")
+bench = typer.Typer(no_args_is_help=True, help="Measure how fast, how accurate and how wary parts are.")
 
 
 @bench.command("features")
@@ -20,44 +20,6 @@ def bench_features() -> None:
     typer.echo("method/estimator      beams  lines  median us   99 % us")
     for row in run():
         typer.echo(f"{row.name:<21} {row.beams:5d} {row.lines:6.1f} {row.median_us:10.1f} {row.p99_us:9.1f}")
-
-
-@bench.command("relocalisation")
-def bench_relocalisation(
-    recording: Annotated[str, typer.Argument(help="A recording; it is cut in two halves of equal time.")],
-    elsewhere: Annotated[
-        str | None,
-        typer.Option("--elsewhere", metavar="RECORDING", help="Search the map of another building, in vain."),
-    ] = None,
-    count: Annotated[int, typer.Option("--count", min=1, help="Places to look for, of each length of driving.")] = 200,
-    seed: Annotated[int, typer.Option("--seed", help="Of the choice of places.")] = 0,
-) -> None:
-    """Look for places of a recording's second half in the map of its first half.
-
-    A fragment is mapped of the last 2, 4 and 6 metres before random scans. An accepted pose is wrong if it is more than
-    0.5 m or 10 degrees off; the pose of the uncut run, where both halves are one map, stands for the truth, carried
-    over by the nearest keyframe of the first half. A place is known if such a keyframe is within 2 m.
-
-    Example: [bold]wclm bench relocalisation intel.clf[/bold]
-    """
-    import drivers
-
-    from ..benchmarks.relocalisation import WAYS, cut, halves, index_of, run, summary
-    from ..config import Config
-
-    config = Config()
-    messages = list(drivers.open(recording))
-    other = None if elsewhere is None else index_of(halves(list(drivers.open(elsewhere)))[0], config)
-    known = cut(messages, config)
-    typer.echo("metres  places  accepted  right  precision  known  found  recall  median s  95 % s")
-    for way in WAYS:
-        row = summary(way, run(known, way, count, config, elsewhere=other, seed=seed))
-        precision = f"{row.right / row.accepted:.3f}" if row.accepted else "-"
-        recall = f"{row.found / row.known:.3f}" if row.known else "-"
-        typer.echo(
-            f"{row.way:6.0f}  {row.queries:6d}  {row.accepted:8d}  {row.right:5d}  {precision:>9}  {row.known:5d}  "
-            f"{row.found:5d}  {recall:>6}  {row.median:8.3f}  {row.p95:6.3f}"
-        )
 
 
 @bench.command("laps")

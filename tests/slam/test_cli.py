@@ -28,6 +28,8 @@ COMMANDS = (
     "bench features",
     "bench relocalisation",
     "bench laps",
+    "bench lookalike",
+    "bench false-closures",
 )
 SHORT = "sim:room?duration=3"
 ESCAPES = re.compile(r"\x1b\[[0-9;]*m")
