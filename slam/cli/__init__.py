@@ -14,7 +14,8 @@ from typer.core import TyperGroup
 
 from drivers.errors import SlamError
 
-from .bench_loops import bench
+from . import bench_loops as bench_loops
+from .bench import bench
 from .console import INTERRUPTED, MISTAKE, complain
 from .demo import demo
 from .evaluate import evaluate
