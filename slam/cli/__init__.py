@@ -17,6 +17,7 @@ from drivers.errors import SlamError
 from .bench import bench
 from .console import INTERRUPTED, MISTAKE, complain
 from .demo import demo
+from .emulate import emulate
 from .evaluate import evaluate
 from .features import features
 from .info import info
@@ -74,6 +75,7 @@ app.command()(demo)
 app.command()(run)
 app.command()(info)
 app.command()(simulate)
+app.command()(emulate)
 app.command("eval")(evaluate)
 app.command()(features)
 app.add_typer(bench, name="bench")
