@@ -54,6 +54,7 @@ class Emulator:
 
     def __init__(self, setup: Setup, begun: float | None = None) -> None:
         self.setup = setup
+        warm_up()  # takes seconds the first time, and must not once time runs
         self.begun = clocks.monotonic() if begun is None else begun
         self._world = setup.world if isinstance(setup.world, World) else load_world(setup.world)
         self._pilot = CommandedPilot(self._world)
@@ -133,7 +134,6 @@ class Emulator:
 
     def run(self, duration: float | None = None) -> None:
         """Go on in real time, for so many seconds or until it is interrupted."""
-        warm_up()
         end = math.inf if duration is None else clocks.monotonic() - self.begun + duration
         while (now := clocks.monotonic() - self.begun) < end:
             self.step(now)
