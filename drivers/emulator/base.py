@@ -93,7 +93,7 @@ class Base(Device):
         super().switch_on(time)
         self._misheard = self.misheard
         self._protocol = self.kind.protocol(self.kind.wheels)
-        self.encoders.reset()
+        self.encoders.reset(time)
         self._streaming = not self.kind.silent
         self._next = 0
         self._halt()
@@ -135,7 +135,7 @@ class Base(Device):
             case Poll():
                 self._tell(time)
             case Reset():
-                self.encoders.reset()
+                self.encoders.reset(time)
             case Stream(on) if self.kind.period is not None:
                 if on and not self._streaming:
                     self._next = math.ceil((self.own(time) - self._ready) / self.kind.period)

@@ -29,8 +29,8 @@ START = 0.01
 """Seconds from the request for a scan to its first sample."""
 WOBBLE, WOBBLE_PERIOD = 0.005, 7.0
 """The head is faster and slower by this share, in so many seconds."""
-NODES = 12
-"""Standard nodes made at a time."""
+NODES = 2e-3
+"""Seconds of standard nodes that are made at a time; the first of them come so much late."""
 QUALITY = 47
 """Of what came back."""
 FAILURE = 4
@@ -65,7 +65,7 @@ class Scanning:
         """Samples in what is made at a time."""
         if self.answer in CAPSULES:
             return CAPSULES[Answer(self.answer)].samples
-        return hq.NODES if self.answer == Answer.HQ else NODES
+        return hq.NODES if self.answer == Answer.HQ else max(2, round(NODES / self.period))
 
 
 class Rplidar(Device):
@@ -123,6 +123,8 @@ class Rplidar(Device):
         if not self.on or self.own(time) < BOOT:
             return
         for request in self._reader.feed(data):
+            if self._booting:
+                return  # what came after a reset went unheard
             self.requests += 1
             if self._scan is None or request.command in WHILE_SCANNING:
                 self._obey(request, time)

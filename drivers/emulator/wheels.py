@@ -39,8 +39,9 @@ class Encoders:
         told = self._rolled - self._zero + self._drive.encoder * self._random.standard_normal(2)
         return math.floor(told[0] / self._wheels.left), math.floor(told[1] / self._wheels.right)
 
-    def reset(self) -> None:
-        """Count from zero on."""
+    def reset(self, time: float) -> None:
+        """Count from zero on, from a time not before the last."""
+        self.read(time)
         self._zero = self._rolled.copy()
 
 
