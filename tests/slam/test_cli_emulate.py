@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -38,13 +37,20 @@ def test_wrong_robots_are_refused(wclm: Any) -> None:
 
 @pytest.mark.parametrize(("how", "status"), [(signal.SIGINT, 0), (signal.SIGTERM, 128 + signal.SIGTERM)])
 def test_it_stops_cleanly(tmp_path: Path, how: signal.Signals, status: int) -> None:
-    command = [sys.executable, "-c", "from slam.cli import main; main()"]
+    # Where the tests run in a shell's background, SIGINT is ignored, and children inherit that.
+    program = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from slam.cli import main; main()"
+    )
     options = ["emulate", "room", "--ports", "ports", "--report", "report.json"]
     running = subprocess.Popen(
-        [*command, *options], cwd=tmp_path, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        [sys.executable, "-c", program, *options],
+        cwd=tmp_path,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
     )
     begun = time.monotonic()
-    while not (tmp_path / "ports" / "base").is_symlink() and time.monotonic() < begun + 60.0:
+    while not (tmp_path / "ports" / "base").is_symlink() and time.monotonic() < begun + 200.0:
         time.sleep(0.05)
     time.sleep(0.3)
     running.send_signal(how)
@@ -52,4 +58,3 @@ def test_it_stops_cleanly(tmp_path: Path, how: signal.Signals, status: int) -> N
     assert (running.returncode, errors.strip()) == (status, "")
     assert not list((tmp_path / "ports").iterdir())
     assert json.loads((tmp_path / "report.json").read_text())["lidar"]["restarts"] == 0
-    assert not os.path.lexists(tmp_path / "ports" / "lidar")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import pty
+import termios
 from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
@@ -15,7 +18,7 @@ from drivers.emulator.base import ARDUINO, ARDUINO_BOOT, KINDS
 from drivers.emulator.keyboard import steered
 from drivers.emulator.motion import RADIUS, clearance
 from drivers.messages import Floats
-from drivers.se2 import between, compose
+from drivers.se2 import between
 
 from .conftest import Bench, Host
 
@@ -189,8 +192,24 @@ def test_arrow_keys_steer() -> None:
     assert steered(velocity, b" ") == Velocity(0.0, 0.0)
 
 
-def test_poses_before_and_after_history_are_kept_straight(bench: MakeBench) -> None:
-    """Memory of the motion is shifted as time goes on; nothing jumps."""
+def test_keys_of_a_terminal_drive_the_robot(bench: MakeBench, monkeypatch: pytest.MonkeyPatch) -> None:
+    keys, terminal = pty.openpty()
+    with os.fdopen(terminal) as stdin:
+        monkeypatch.setattr("sys.stdin", stdin)
+        before = termios.tcgetattr(terminal)
+        robot = bench(drive="keyboard")
+        robot.go(0.1)
+        os.write(keys, b"\x1b[A\x1b[A")
+        robot.go(2.0)
+        os.write(keys, b" ")
+        robot.go(0.5)
+        assert robot.emulator.motion.driven(robot.time)[0] == pytest.approx(0.2 * 1.9, abs=0.03)
+        robot.emulator.__exit__(None, None, None)
+        assert termios.tcgetattr(terminal) == before
+    os.close(keys)
+
+
+def test_the_motion_goes_on_smoothly_while_its_beginning_is_forgotten(bench: MakeBench) -> None:
     motion = bench().emulator.motion
     before = motion.at(np.array([0.0]))[0]
     for moment in np.arange(0.0, 20.0, 0.05):
@@ -198,4 +217,3 @@ def test_poses_before_and_after_history_are_kept_straight(bench: MakeBench) -> N
         pose = motion.at(np.array([moment]))[0]
         assert np.hypot(*between(before, pose)[:2]) < 0.05
         before = pose
-    assert compose(before, [0.0, 0.0, 0.0]) == pytest.approx(before)
