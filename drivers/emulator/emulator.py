@@ -66,14 +66,14 @@ class Emulator:
         setup = self.setup
         optics, wheels, gyro, *noises = np.random.default_rng(setup.seed).spawn(7)
         with ExitStack() as opening:
-            if setup.report is not None:
-                opening.callback(self._write_report)
             self._keyboard = opening.enter_context(Keyboard()) if setup.drive == "keyboard" else None
             self._truth = (
                 opening.enter_context(TruthFile(setup.truth, self.motion, self.begun)) if setup.truth else None
             )
             self.lidar = self._link(opening, "lidar", self._lidar(optics), noises[:2])
             self.base = self._link(opening, "base", self._base(wheels, gyro), noises[2:])
+            if setup.report is not None:
+                opening.callback(self._write_report)
             self._closing = opening.pop_all()
         return self
 
