@@ -18,6 +18,7 @@ from . import bench_loops as bench_loops
 from .bench import bench
 from .console import INTERRUPTED, MISTAKE, complain
 from .demo import demo
+from .emulate import emulate
 from .evaluate import evaluate
 from .features import features
 from .info import info
@@ -77,6 +78,7 @@ app.command()(run)
 app.command()(optimize)
 app.command()(info)
 app.command()(simulate)
+app.command()(emulate)
 app.command("eval")(evaluate)
 app.command()(features)
 app.add_typer(bench, name="bench")
