@@ -17,6 +17,7 @@ from .estimator import Estimator, Step
 from .events import Finished, MapCorners, MapLines, Noticed, ScanTracked, Sink, StateChanged, TruthSeen
 from .front_end import FrontEnd, Sighting
 from .recovery import Excursion, Suspicion
+from .refinement import drive_of, refine
 from .reporting import Reporter
 from .segments import Floats
 from .snapshot import map_corners, map_lines
@@ -34,13 +35,15 @@ class Slam:
     result = slam.finish()
     """
 
-    def __init__(self, config: Config | None = None, sinks: Sequence[Sink] = ()) -> None:
+    def __init__(self, config: Config | None = None, sinks: Sequence[Sink] = (), *, refine: bool = False) -> None:
+        """`refine` asks for a second look at everything before finishing; all sightings are kept for it."""
         self.config = config or Config()
         self._reporter = Reporter(sinks)
         self._front_end = FrontEnd(self.config)
         self._estimator = Estimator(Belief(self.config.odometry))
         self._excursion: Excursion | None = None  # while the robot is lost
         self._suspicion: Suspicion | None = None  # while what it sees may belong elsewhere
+        self._journal: list[Sighting] | None = [] if refine else None
         self._state = StateWatch()
         self._statistics = RunStatistics()
 
@@ -61,6 +64,8 @@ class Slam:
         clock = Clock()
         sighting = self._front_end.sight(scan, self.belief.odometry_noise)
         clock.lap("features")
+        if self._journal is not None:
+            self._journal.append(sighting)
         if self._excursion is not None:
             self._look_for_the_way_back(self._excursion, sighting)
             return
@@ -178,6 +183,7 @@ class Slam:
             last = self._excursion.sightings[-1].stamp
             self._go_on_from(self._excursion.joined(), last, "never found again in the map; odometry has to do")
         self.belief.mapper.settle()
+        refinement = self._refine(self._journal) if self._journal else {}
         keyframes = self.belief.mapper.graph.keyframe_poses(self.belief.mapper.keyframe_count)
         stamps, poses = self.belief.path.at_odometry(keyframes, self._front_end.odometry)
         result = Finished(
@@ -187,10 +193,26 @@ class Slam:
             keyframes=keyframes,
             stamps=stamps,
             poses=poses,
-            summary=self._summary(),
+            summary=self._summary() | refinement,
         )
         self._reporter.tell(result)
         return result
+
+    def _refine(self, journal: Sequence[Sighting]) -> dict[str, object]:
+        """Take a second look at all sightings; what it did, for the summary."""
+        belief, last = self.belief, journal[-1].stamp
+        if belief.mapper.keyframe_count < 2:
+            return {}
+        drive = drive_of(journal, belief.path, belief.keyframe_stamps, belief.carried_keyframes)
+        try:
+            refined = refine(belief.mapper, drive, belief.odometry_noise)
+        except MapError as error:
+            self._reporter.tell(Noticed(last, f"the map is not refined: {error}"))
+            return {}
+        belief.mapper, belief.path = refined.mapper, refined.path
+        belief.pose = refined.poses[-1]
+        self._reporter.tell_map(last, belief.mapper)
+        return {"refinement": refined.summary}
 
     def keyframe_covariance(self, index: int) -> Floats:
         """(3, 3): covariance of a keyframe's pose, in the keyframe's own frame (metres, metres, radians)."""
