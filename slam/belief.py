@@ -76,6 +76,7 @@ class Belief:
         self._point_field = self._recent_points.field(np.zeros((0, 3)), self.pose)
         self._anchor: Anchor | None = None
         self._carried = False  # whether the robot has been moved since then without odometry's knowing
+        self.carried_keyframes: list[int] = []  # that were reached in this way
         self.unplaced: list[Sighting] = []  # the last in a row that fit nowhere
         self._searched: tuple[float, int, se2.Pose] | None = None  # to be borne out by the next scan
 
@@ -212,6 +213,7 @@ class Belief:
         claimed, actual = se2.between(anchor.odometry, odometry), se2.between(self._anchor_pose, self.pose)
         covariance = np.diag(CARRIED_SIGMAS**2)
         if self._carried:
+            self.carried_keyframes.append(self.mapper.keyframe_count)
             claimed = actual
         else:
             self.odometry_noise.learn(claimed, actual)

@@ -79,7 +79,15 @@ class Outcome:
 
 
 def map_source(
-    source: Source, config: Config, out: Path, *, overwrite: bool, review: bool, picture: bool, seed: int | None = None
+    source: Source,
+    config: Config,
+    out: Path,
+    *,
+    overwrite: bool,
+    review: bool,
+    picture: bool,
+    refine: bool = False,
+    seed: int | None = None,
 ) -> Outcome:
     """Run SLAM over `source` and write `out`, which appears only when everything in it is complete.
 
@@ -102,7 +110,7 @@ def map_source(
             sinks.append(log)
             cleanup.callback(log.close)
         started = time.perf_counter()
-        slam = Slam(config, sinks)
+        slam = Slam(config, sinks, refine=refine)
         busy = 0.0
         try:
             for message in progress(source, len(source), source.name):
