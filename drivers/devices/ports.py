@@ -1,0 +1,48 @@
+"""Where devices are: connections opened from specs, and the serial ports there are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from serial.tools import list_ports
+
+from ..errors import PortError
+from ..transport import SerialPort, Tap, TapePlayer, TcpConnection, Transport
+from .specs import AUTO, TAPE, DeviceSpec
+
+
+@dataclass(frozen=True, slots=True)
+class Port:
+    """A serial port: its path, and what the adapter behind it says that it is."""
+
+    path: str
+    description: str
+
+
+def serial_ports() -> list[Port]:
+    """The serial ports of adapters and boards; without those that are soldered to the host and lead nowhere."""
+    found = [Port(port.device, port.description or "") for port in list_ports.comports() if port.vid is not None]
+    return sorted(found, key=lambda port: port.path)
+
+
+def addresses(spec: DeviceSpec, also_elsewhere: bool) -> Iterator[str]:
+    """Where to look for a device: at its address; on all other ports, too, where it may have moved."""
+    if spec.address != AUTO:
+        yield spec.address
+    if spec.address == AUTO or (also_elsewhere and spec.tcp is None and not spec.address.startswith(TAPE)):
+        yield from (port.path for port in serial_ports() if port.path != spec.address)
+
+
+def connect(spec: DeviceSpec, address: str, baud: int, dtr: bool) -> Transport:
+    """Open a connection; raises PortError. Tapes play in their own time."""
+    if address.startswith(TAPE):
+        return TapePlayer(address.removeprefix(TAPE), paced=True)
+    transport: Transport = TcpConnection(*spec.tcp) if spec.tcp is not None else SerialPort(address, baud, dtr)
+    if "tape" not in spec.options:
+        return transport
+    try:
+        return Tap(transport, spec.options["tape"])
+    except PortError:
+        transport.close()
+        raise
