@@ -27,7 +27,7 @@ from typing import Self
 from ..errors import DriverError
 from ..messages import Message
 from .outlet import Outlet
-from .session import Session, State, Status
+from .session import Session, Status
 from .specs import DeviceSpec
 
 STATUS_PERIOD = 0.2
@@ -94,9 +94,7 @@ class Acquisition:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
             theirs.close()
         try:
-            while not self.snapshot.devices or not all(
-                status.state in (State.RUNNING, State.LOST, State.ENDED) for status in self.snapshot.devices
-            ):
+            while not self.snapshot.devices or not all(status.ran for status in self.snapshot.devices):
                 self._receive_status()
         except BaseException:
             self.close()
@@ -110,7 +108,7 @@ class Acquisition:
 
     def __iter__(self) -> Iterator[Message]:
         """Messages in the order of their stamps, as they come, until the devices end or `stop` is called."""
-        while self._early or not self._ended:
+        while not self.ended:
             message = self.receive(1.0)
             if message is not None:
                 yield message
@@ -125,6 +123,11 @@ class Acquisition:
             if message is not None:
                 return message
         return None
+
+    @property
+    def ended(self) -> bool:
+        """Whether no message is left and none will come."""
+        return self._ended and not self._early
 
     def stop(self) -> None:
         """Have all devices halted; what they have measured can still be received."""

@@ -59,6 +59,11 @@ class Status:
     age: float | None = None
     counters: dict[str, int] = field(default_factory=dict)
 
+    @property
+    def ran(self) -> bool:
+        """Whether it has measured anything so far."""
+        return self.counters["connections"] > 0
+
 
 class SilenceError(DriverError):
     """A device that is connected sends nothing that can be used."""

@@ -46,6 +46,8 @@ KINDS: Mapping[str, tuple[Protocol, DifferentialDrive | None, bool]] = {
     "wheels": (WheelLine, None, True),
 }
 """The protocol, the drive where it is known, and whether the line DTR is asserted."""
+MOST_HARMLESS = ("kobuki", "wheels", "create2", "arduino")
+"""The kinds in the order to ask an unknown device; the first two say where they stand without being asked."""
 NAMES = {
     "create2": "iRobot Create 2 or Roomba",
     "kobuki": "Kobuki",

@@ -17,9 +17,12 @@ from drivers.errors import SlamError
 from .bench import bench
 from .console import INTERRUPTED, MISTAKE, complain
 from .demo import demo
+from .devices import devices
 from .evaluate import evaluate
 from .features import features
 from .info import info
+from .record import record
+from .replay import replay
 from .run import run
 from .simulate import simulate
 
@@ -74,6 +77,9 @@ app.command()(demo)
 app.command()(run)
 app.command()(info)
 app.command()(simulate)
+app.command()(devices)
+app.command()(record)
+app.command()(replay)
 app.command("eval")(evaluate)
 app.command()(features)
 app.add_typer(bench, name="bench")

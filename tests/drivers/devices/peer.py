@@ -19,7 +19,6 @@ import sys
 import threading
 import time
 import tty
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -177,13 +176,14 @@ def obey_stdin(peers: dict[str, Any]) -> None:
     for line in sys.stdin:
         verb, name, *rest = line.split()
         peer = peers[name]
-        actions: dict[str, Callable[[], None]] = {
-            "unplug": lambda: peer.terminal.unplug(float(rest[0])),
-            "stall": lambda: setattr(peer.terminal, "until", time.monotonic() + float(rest[0])),
-            "restart": lambda: peer.restart(),
-            "garbage": lambda: peer.terminal.write(bytes(range(200))),
-        }
-        actions[verb]()
+        if verb == "unplug":
+            peer.terminal.unplug(float(rest[0]))
+        elif verb == "stall":
+            peer.terminal.until = time.monotonic() + float(rest[0])
+        elif verb == "restart":
+            peer.restart()
+        elif verb == "garbage":
+            peer.terminal.write(bytes(range(200)))
 
 
 def main() -> None:
@@ -196,9 +196,8 @@ def main() -> None:
     while True:
         for peer in peers.values():
             peer.terminal.look()
-            if data := peer.terminal.read():
-                if "--deaf" not in sys.argv:
-                    peer.hear(data)
+            if (data := peer.terminal.read()) and "--deaf" not in sys.argv:
+                peer.hear(data)
             while (due := peer.due()) is not None and due <= time.monotonic():
                 peer.send()
         dues = [due for peer in peers.values() if (due := peer.due()) is not None]
