@@ -102,14 +102,19 @@ def test_the_writer_keeps_whole_chunks_on_a_full_disk(tmp_path: Path, monkeypatc
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     writer = McapWriter(path)
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
-    written = 0
+    written: list[float] = []
+
+    def write_without_end() -> None:
+        while True:
+            writer.write(Odometry(len(written) / 100, np.zeros(3)))
+            written.append(len(written) / 100)
+
     try:
         with pytest.raises(RecordingError, match="File too large"):
-            for written in range(10_000):
-                writer.write(Odometry(written / 100, np.zeros(3)))
+            write_without_end()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert [message.stamp for message in Mcap(path)] == [k / 100 for k in range(written)]
+    assert [message.stamp for message in Mcap(path)] == written
     with pytest.raises(RecordingError, match="closed"):
         writer.write(Odometry(1e3, np.zeros(3)))
     writer.close()
