@@ -19,6 +19,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from multiprocessing.connection import Connection
 from threading import Event, Thread
 from types import TracebackType
@@ -201,7 +202,7 @@ class _Reader:
         self._pipe = pipe
         self._outlet = Outlet(len(specs), offset)
         self._sessions = [
-            Session(spec, lambda messages, device=device: self._outlet.put(device, messages))  # type: ignore[misc]
+            Session(spec, partial(self._outlet.put, device), [other.address for other in specs if other is not spec])
             for device, spec in enumerate(specs)
         ]
         self._crash: BaseException | None = None

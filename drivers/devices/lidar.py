@@ -82,6 +82,7 @@ class Lidar(Device):
         counts = Counter(self._past)
         if self._stream is not None:
             counts.update(self._stream.decoder.counters.as_dict())
+            del counts["bytes"]  # the session counts them
             counts.update(
                 revolutions=self._assembler.counters.complete,
                 incomplete_revolutions=self._assembler.counters.incomplete,

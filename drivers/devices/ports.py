@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 from serial.tools import list_ports
 
@@ -26,12 +27,18 @@ def serial_ports() -> list[Port]:
     return sorted(found, key=lambda port: port.path)
 
 
-def addresses(spec: DeviceSpec, also_elsewhere: bool) -> Iterator[str]:
-    """Where to look for a device: at its address; on all other ports, too, where it may have moved."""
+def is_searched(spec: DeviceSpec, moved: bool) -> bool:
+    """Whether a device is to be looked for on ports that nobody named; `moved` says that it may be elsewhere now."""
+    return spec.address == AUTO or (moved and spec.tcp is None and not spec.address.startswith(TAPE))
+
+
+def addresses(spec: DeviceSpec, moved: bool, others: Collection[str]) -> Iterator[str]:
+    """Where to look for a device: at its address, and where it is searched on all ports but those of other devices."""
     if spec.address != AUTO:
         yield spec.address
-    if spec.address == AUTO or (also_elsewhere and spec.tcp is None and not spec.address.startswith(TAPE)):
-        yield from (port.path for port in serial_ports() if port.path != spec.address)
+    if is_searched(spec, moved):
+        named = {Path(address).resolve() for address in (*others, spec.address)}
+        yield from (port.path for port in serial_ports() if Path(port.path).resolve() not in named)
 
 
 def connect(spec: DeviceSpec, address: str, baud: int, dtr: bool) -> Transport:

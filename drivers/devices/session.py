@@ -6,17 +6,17 @@ CONNECTING -> STARTING -> RUNNING -> LOST -> CONNECTING ...; -> ENDED
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Collection
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 from enum import Enum
-from threading import Event
+from threading import Event, Lock
 
 from ..errors import DriverError, EndOfTapeError, NoAnswerError
 from ..messages import Message, end_of
 from ..transport import Transport
 from .device import Device
-from .ports import addresses, connect
+from .ports import addresses, connect, is_searched
 from .registry import make_device
 from .specs import AUTO, TAPE, DeviceSpec
 
@@ -24,6 +24,9 @@ SILENCE = 1.0
 """Seconds without an undamaged packet after which a device that was running is started anew."""
 PAUSES = (0.1, 0.3, 1.0, 2.0)
 """Seconds between attempts to find a lost device; the last one is repeated."""
+
+SEARCHING = Lock()
+"""Held while a device is looked for on ports that nobody named: two that look there at once find each other."""
 
 
 class State(Enum):
@@ -72,15 +75,17 @@ class SilenceError(DriverError):
 class Session:
     """Runs a device in the thread that calls `run`.
 
-    spec  what was asked for
-    put   takes its messages, stamped on the host's steady clock
+    spec    what was asked for
+    put     takes its messages, stamped on the host's steady clock
+    others  addresses of other devices, where this one is never looked for
 
     failure  why the device could never be started, if so: what the user asked for is not there. A device that ran once
              is looked for until it is back
     """
 
-    def __init__(self, spec: DeviceSpec, put: Callable[[list[Message]], None]) -> None:
+    def __init__(self, spec: DeviceSpec, put: Callable[[list[Message]], None], others: Collection[str] = ()) -> None:
         self.spec = spec
+        self._others = others
         self.failure: DriverError | None = None
         self.state = State.CONNECTING
         self._put = put
@@ -128,9 +133,13 @@ class Session:
 
     def _find(self, stop: Event) -> Transport:
         """The started device, wherever it is; raises the DriverError of the first place that was tried."""
-        first: DriverError | None = None
         moved = self._ran and bool(self._device.serial)
-        for address in addresses(self.spec, moved):
+        with SEARCHING if is_searched(self.spec, moved) else nullcontext():
+            return self._search(moved, stop)
+
+    def _search(self, moved: bool, stop: Event) -> Transport:
+        first: DriverError | None = None
+        for address in addresses(self.spec, moved, self._others):
             for baud in self._bauds(address):
                 if stop.is_set():
                     break

@@ -18,9 +18,7 @@ def devices(
         list[str] | None,
         typer.Argument(metavar="[SPEC]...", help="Devices such as rplidar:/dev/ttyUSB0; without, all ports."),
     ] = None,
-    watch: Annotated[
-        bool, typer.Option("--watch", help="Start them and show all counters live.")
-    ] = False,
+    watch: Annotated[bool, typer.Option("--watch", help="Start them and show all counters live.")] = False,
     seconds: Annotated[float | None, typer.Option("--for", metavar="SECONDS", help="Watch for so long only.")] = None,
 ) -> None:
     """List serial ports and the lidars and bases that answer on them. Nothing moves.

@@ -37,24 +37,18 @@ def record(
     """
     from drivers.devices.acquisition import Acquisition
     from drivers.devices.recorder import Recorded
-    from drivers.errors import DriverError
+    from drivers.errors import RecordingError
     from drivers.mcap import McapWriter
 
     if file.suffix != ".mcap":
         raise typer.BadParameter(f"{file}: the name must end with .mcap", param_hint="FILE.mcap")
     specs = parse_specs(lidar, base)
+    if file.exists() and not overwrite:  # before anything turns
+        raise RecordingError(file, None, "exists already; choose another name or add --overwrite")
     recorded = Recorded()
-    with McapWriter(file, overwrite) as writer:
-        try:
-            with Acquisition(specs) as acquisition:
-                _record(acquisition, writer, recorded, duration)
-                snapshot = acquisition.snapshot
-        except DriverError:
-            if not recorded.scans + recorded.odometry:
-                writer.close()
-                file.unlink()
-            raise
-    typer.echo(summary(file, recorded, snapshot))
+    with Acquisition(specs) as acquisition, McapWriter(file, overwrite) as writer:
+        _record(acquisition, writer, recorded, duration)
+    typer.echo(summary(file, recorded, acquisition.snapshot))
 
 
 def parse_specs(lidar: list[str] | None, base: list[str] | None) -> list[DeviceSpec]:

@@ -1,6 +1,6 @@
 """Far ends of serial cables, as a program: an RPLIDAR S1 and a Create 2 behind pseudo terminals, true in time.
 
-    python peer.py DIRECTORY [--sick] [--deaf]
+    python peer.py DIRECTORY [--sick] [--deaf] [--noise]
 
 Links DIRECTORY/lidar and DIRECTORY/base to the terminals. Says on stdout what happens, one JSON object a line; obeys on
 stdin: `unplug lidar 2.0` (seconds), `stall base 1.5`, `restart lidar`, `garbage lidar`.
@@ -15,6 +15,7 @@ import json
 import math
 import os
 import pty
+import random
 import sys
 import threading
 import time
@@ -52,6 +53,8 @@ class Terminal:
 
     def __init__(self, link: Path) -> None:
         self.link, self.name = link, link.name
+        self.noise = 1e-4 if "--noise" in sys.argv else 0.0
+        self.faults, self.random = 0, random.Random(1)
         self.until = 0.0  # unplugged, or stalled, until then
         self.fd = -1
         self.plug()
@@ -74,11 +77,23 @@ class Terminal:
             self.plug()
 
     def write(self, data: bytes) -> None:
+        data = self.noisy(data)
         try:
             if self.fd >= 0 and time.monotonic() > self.until:
                 os.write(self.fd, data)
         except OSError:
             pass  # nobody is there, or does not read
+
+    def noisy(self, data: bytes) -> bytes:
+        """One byte in so many is dropped, inserted or flipped."""
+        if not self.noise:
+            return data
+        out = bytearray()
+        for byte in data:
+            fault = self.random.choice("dif") if self.random.random() < self.noise else ""
+            out += {"": bytes([byte]), "d": b"", "i": bytes([byte, 0xA5]), "f": bytes([byte ^ 0x40])}[fault]
+            self.faults += bool(fault)
+        return bytes(out)
 
     def read(self) -> bytes:
         try:
