@@ -86,9 +86,8 @@ class Lidar(Device):
             counts.update(
                 revolutions=self._assembler.counters.complete,
                 incomplete_revolutions=self._assembler.counters.incomplete,
-                clock_jumps=self._stamper.clock.jumps,
-                clock_strays=self._stamper.clock.strays,
             )
+            counts.update(self._stamper.counters())
         return dict(counts)
 
     @abstractmethod

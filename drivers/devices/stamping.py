@@ -3,17 +3,54 @@
 from __future__ import annotations
 
 from collections import deque
-from itertools import accumulate
 
 import numpy as np
 
 from ..device_clock import DeviceClock
-from ..lidars.records import Integers, Measurements, Records
+from ..lidars.records import Integers, Measurements
 from ..messages import Floats
 from ..transport import Received
 
 MOST_CHUNKS = 1024
 """Chunks whose arrival is remembered; a packet is known one packet after its last byte at most."""
+LATE = 0.025
+"""Seconds. Adapters hold back bytes for 16 ms at most; reads take all that is there, however late they are."""
+CERTAIN = 3
+"""Reads in a row that are late before packets are taken to be lost; one may be late because the host was busy."""
+
+
+class CountingClock:
+    """The clock of a device that tells no time: its packets come at a constant rate, and their number is the time.
+
+    period  seconds from packet to packet
+    clock   fitted to the host's
+    lost    packets that never came
+
+    Packets that are lost whole do not show in the bytes. They show in that all later ones are late and stay so, which a
+    host that was busy does not make them: what had to wait is read at once.
+    """
+
+    def __init__(self, period: float) -> None:
+        self.clock = DeviceClock(period)
+        self.lost = 0
+        self._late: list[float] = []
+
+    def stamp(self, count: int, arrived: float, newest: bool = True) -> float:
+        """The host's time (seconds) at packet number `count`, known at `arrived`; `newest` is false for a packet behind
+        which others were waiting.
+        """
+        stamp = self.clock.stamp(count + self.lost, arrived)
+        if not newest:
+            return stamp
+        if arrived - stamp < LATE:
+            self._late.clear()
+            return stamp
+        self._late.append(arrived - stamp)
+        if len(self._late) < CERTAIN:
+            return stamp
+        self.lost += round(min(self._late) / self.clock.tick)
+        self._late.clear()
+        return self.clock.stamp(count + self.lost, arrived)
 
 
 class PacketStamper:
@@ -21,19 +58,29 @@ class PacketStamper:
 
     period  seconds from packet to packet
     size    bytes of a packet
-    clock   the device's clock against the host's
 
-    Packets that tell the device's time are stamped by it. The others are their own clock: they come at a constant rate,
-    and the bytes between two tell how many were lost there, however these were damaged.
+    Packets that tell the device's time are stamped by it. The others are counted: the bytes between two tell how many
+    were damaged there.
     """
 
     def __init__(self, period: float, size: int) -> None:
-        self._period, self._size = period, size
-        self.clock = DeviceClock(1.0)
+        self._size = size
+        self._telling = DeviceClock(1.0)  # for packets that tell the time in seconds
+        self._counting = CountingClock(period)
         self._fed = 0
         self._chunks: deque[tuple[int, float]] = deque(maxlen=MOST_CHUNKS)  # bytes fed up to its end, arrival
         self._last_end: int | None = None
-        self._count = 0  # packets from the first one to the last one, lost ones included
+        self._number = 0  # of the last packet
+        self._damaged = 0
+
+    def counters(self) -> dict[str, int]:
+        """Packets that were damaged on the way or never came, and what the clocks met."""
+        clocks = (self._telling, self._counting.clock)
+        return {
+            "packets_lost": self._damaged + self._counting.lost,
+            "clock_jumps": sum(clock.jumps for clock in clocks),
+            "clock_strays": sum(clock.strays for clock in clocks),
+        }
 
     def note(self, received: Received) -> None:
         """Remember a chunk that is about to be decoded."""
@@ -46,15 +93,20 @@ class PacketStamper:
         if not len(packets):
             return np.empty(0)
         arrivals = self._arrivals(packets["end"])
-        times = self._device_times(packets)
+        tells = not np.isnan(packets["device_time"]).any()
+        times = packets["device_time"] if tells else self._counted(packets["end"])
+        clock = self._telling if tells else self._counting.clock
         undelayed = np.empty(len(packets))
         # Of the packets that arrived together the last one was held up least; the others follow from it.
         lasts = np.flatnonzero(np.append(np.diff(arrivals) != 0.0, True))
         first = 0
         for last in lasts.tolist():
-            stamp = self.clock.stamp(float(times[last]), float(arrivals[last]))
+            arrived = float(arrivals[last])
+            stamp = (
+                clock.stamp(float(times[last]), arrived) if tells else self._counting.stamp(int(times[last]), arrived)
+            )
             group = slice(first, last + 1)
-            undelayed[group] = stamp - (times[last] - times[group]) * (1.0 + self.clock.drift)
+            undelayed[group] = stamp - (times[last] - times[group]) * clock.tick * (1.0 + clock.drift)
             first = last + 1
         return measurements.stamps(undelayed)
 
@@ -67,14 +119,12 @@ class PacketStamper:
             self._chunks.popleft()
         return np.asarray(times[rows])
 
-    def _device_times(self, packets: Records) -> Floats:
-        """Seconds on the device's clock."""
-        if not np.isnan(packets["device_time"]).any():
-            return np.asarray(packets["device_time"])
-        ends = packets["end"]
+    def _counted(self, ends: Integers) -> Integers:
+        """The packets' numbers, the damaged ones in between counted."""
         before = ends[0] - self._size if self._last_end is None else self._last_end
         steps = np.maximum(1, np.round(np.diff(ends, prepend=before) / self._size)).astype(np.int64)
         self._last_end = int(ends[-1])
-        counts = np.fromiter(accumulate(steps.tolist(), initial=self._count), np.int64)[1:]
-        self._count = int(counts[-1])
-        return np.asarray(counts * self._period)
+        numbers = self._number + np.cumsum(steps)
+        self._number = int(numbers[-1])
+        self._damaged += int(steps.sum()) - len(steps)
+        return np.asarray(numbers)

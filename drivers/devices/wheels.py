@@ -26,6 +26,7 @@ from ..errors import NoAnswerError
 from ..messages import Message, Odometry
 from ..transport import Received, Transport
 from .device import READ_TIMEOUT, Device
+from .stamping import CountingClock
 
 ASK_AGAIN = 1.0
 """Seconds after which a base that has not sent a reading yet is asked to once more: boards restart when a port is
@@ -103,7 +104,7 @@ class Base(Device):
 
     def start(self, transport: Transport, baud: int) -> None:
         """Have it send readings; `step` asks again until it does."""
-        self._past.update(asdict(self._protocol.counters), **self._clock_counters())
+        self._past += Counter(asdict(self._protocol.counters)) + Counter(self._clock_counters())
         self._begin(baud)
         self.identity = self._name
         transport.write(self._protocol.start())
@@ -125,7 +126,7 @@ class Base(Device):
         readings = self._protocol.feed(received.data)
         if readings and before:
             self._frame = min(self._frame, max(1, round(self._bytes / self._protocol.counters.good)))
-        stamps = [self._stamp(reading, received.time) for reading in readings]
+        stamps = [self._stamp(reading, received.time, reading is readings[-1]) for reading in readings]
         return [message for pair in zip(readings, stamps, strict=True) if (message := self._odometry(*pair))]
 
     def halt(self, transport: Transport) -> None:
@@ -142,20 +143,29 @@ class Base(Device):
         """Begin with a new connection."""
         self._protocol = self._make(self._wheels)
         tick = self._protocol.tick
-        self._clock = None if tick is None else DeviceClock(tick, self._protocol.wraps_at)
+        # A clock wraps. What does not wrap is the count of the readings, which stands in for one.
+        counts = tick is not None and self._protocol.wraps_at is None
+        self._counting = CountingClock(tick) if tick is not None and counts else None
+        self._clock = None if tick is None or counts else DeviceClock(tick, self._protocol.wraps_at)
         self._baud, self._bytes = baud, 0
         self._frame = LONGEST_FRAME
         self._asked = time.monotonic()
 
     def _clock_counters(self) -> dict[str, int]:
-        clock = self._clock
-        return {"clock_jumps": clock.jumps, "clock_strays": clock.strays} if clock else {}
+        clock = self._counting.clock if self._counting else self._clock
+        lost = self._counting.lost if self._counting else 0
+        return {"lost": lost} | ({"clock_jumps": clock.jumps, "clock_strays": clock.strays} if clock else {})
 
-    def _stamp(self, reading: WheelReading, arrived: float) -> float:
-        if self._clock is None or reading.time is None:
+    def _stamp(self, reading: WheelReading, arrived: float, newest: bool) -> float:
+        if reading.time is None:
             return arrived
         frame = self._frame if self._frame < LONGEST_FRAME else 0
-        return self._clock.stamp(reading.time, arrived) - frame * 10.0 / self._baud
+        if self._counting is not None:
+            known = self._counting.stamp(reading.time, arrived, newest)
+        else:
+            assert self._clock is not None
+            known = self._clock.stamp(reading.time, arrived)
+        return known - frame * 10.0 / self._baud
 
     def _odometry(self, reading: WheelReading, stamp: float) -> Odometry | None:
         return self._odometer.add(reading, stamp)
