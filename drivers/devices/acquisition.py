@@ -15,6 +15,7 @@ from __future__ import annotations
 import multiprocessing
 import signal
 import time
+import traceback
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -239,7 +240,9 @@ class _Reader:
         try:
             session.run(self.stop)
         except Exception as error:  # a bug; it shall end everything and be seen, not a thread silently
-            self._crash = DriverError(f"{session.spec.text}: internal error: {type(error).__name__}: {error}")
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            what = f"{type(error).__name__} in {place.name}, line {place.lineno}: {error}"
+            self._crash = DriverError(f"{session.spec.text}: internal error: {what}")
 
     def _snapshot(self) -> Snapshot:
         statuses = tuple(session.status() for session in self._sessions)

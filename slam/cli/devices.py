@@ -71,3 +71,6 @@ def _watch(specs: list[DeviceSpec], seconds: float | None) -> None:
             if time.monotonic() >= end:
                 acquisition.stop()
                 end = float("inf")
+    for device in acquisition.snapshot.devices:
+        typer.echo(f"{device.spec}\n    {device.identity}")
+        typer.echo("\n".join(f"    {name:<22} {count:10d}" for name, count in device.counters.items()))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -48,7 +47,7 @@ class Monitor:
 
     def __init__(self) -> None:
         self._live: Any = None
-        self._states: dict[str, str] = {}
+        self._lost: set[str] = set()
         self._earlier: tuple[float, Snapshot] | None = None
         self._rates: dict[tuple[str, str], float] = {}
         self._shown = 0.0
@@ -59,7 +58,7 @@ class Monitor:
 
         console = Console(stderr=True)
         if console.is_terminal:
-            self._live = Live(console=console, auto_refresh=False, transient=not sys.stderr.isatty())
+            self._live = Live(console=console, auto_refresh=False, transient=True)
             self._live.start()
         return self
 
@@ -80,15 +79,15 @@ class Monitor:
         self._live.update(self._table(snapshot), refresh=True)
 
     def _tell_changes(self, snapshot: Snapshot) -> None:
+        from drivers.devices.session import State
+
         for device in snapshot.devices:
-            state = f"{device.state.value}: {device.problem}" if device.state.value == "lost" else device.state.value
-            before = self._states.get(device.spec)
-            self._states[device.spec] = state
-            if before is None or before == state:
-                continue
-            if device.state.value == "lost":
-                complain(f"{device.spec} {state}")
-            elif before.startswith("lost") and device.state.value == "running":
+            was_lost = device.spec in self._lost
+            if device.state is State.LOST and not was_lost:
+                self._lost.add(device.spec)
+                complain(f"{device.spec} lost: {device.problem}")
+            elif device.state is State.RUNNING and was_lost:
+                self._lost.remove(device.spec)
                 complain(f"{device.spec} is back on {device.port}")
 
     def _measure(self, now: float, snapshot: Snapshot) -> None:
@@ -107,7 +106,9 @@ class Monitor:
     def _table(self, snapshot: Snapshot) -> Table:
         from rich.table import Table
 
-        table = Table("device", "counter", "count", "a second", title_justify="left", box=None, pad_edge=False)
+        table = Table("device", "counter", box=None, pad_edge=False)
+        for name in ("count", "a second"):
+            table.add_column(name, justify="right")
         for device in snapshot.devices:
             age = "" if device.age is None else f", last message {device.age:.2f} s ago"
             table.add_row(device.spec, f"[bold]{device.state.value}[/bold]{age}")

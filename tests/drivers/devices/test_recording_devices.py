@@ -1,4 +1,4 @@
-"""`wclm record`: what is in the file when the recorder is killed, told to end, or the disk is full."""
+"""`wclm record`: what is in the file when the recorder is killed, told to end, or the disk is full; `devices`."""
 
 from __future__ import annotations
 
@@ -128,6 +128,18 @@ def test_nothing_is_left_of_a_recording_that_never_began(tmp_path: Path, make_pe
     assert (process.returncode, out) == (2, "")
     assert err == f"wclm: {peer.lidar}: no such port; is the device plugged in?\n"
     assert not (tmp_path / "a.mcap").exists()
+
+
+def test_watching_ends_with_all_counters(peer: Any) -> None:
+    command = [*WCLM, "devices", f"rplidar:{peer.lidar}", f"create2:{peer.base}", "--watch", "--for", "0.5"]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=30)
+    assert (result.returncode, result.stderr) == (0, "")
+    counts = dict(line.split() for line in result.stdout.splitlines() if len(line.split()) == 2)
+    assert int(counts["samples"]) > 2000
+    assert int(counts["readings"]) > 10
+    for name in ("checksum_failures", "bytes_skipped", "packets_lost", "silences", "losses", "clock_jumps", "resets"):
+        assert counts[name] == "0"
+    assert not peer.scans_since_last_stop()
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root can mount a small disk")
