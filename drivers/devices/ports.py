@@ -41,15 +41,17 @@ def addresses(spec: DeviceSpec, moved: bool, others: Collection[str]) -> Iterato
         yield from (port.path for port in serial_ports() if Path(port.path).resolve() not in named)
 
 
-def connect(spec: DeviceSpec, address: str, baud: int, dtr: bool) -> Transport:
-    """Open a connection; raises PortError. Tapes play in their own time."""
+def connect(spec: DeviceSpec, address: str, baud: int, dtr: bool, again: bool = False) -> Transport:
+    """Open a connection; raises PortError. Tapes play in their own time. A tape that is recorded is gone on with if
+    the device is connected `again`.
+    """
     if address.startswith(TAPE):
         return TapePlayer(address.removeprefix(TAPE), paced=True)
     transport: Transport = TcpConnection(*spec.tcp) if spec.tcp is not None else SerialPort(address, baud, dtr)
     if "tape" not in spec.options:
         return transport
     try:
-        return Tap(transport, spec.options["tape"])
+        return Tap(transport, spec.options["tape"], again)
     except PortError:
         transport.close()
         raise

@@ -91,7 +91,7 @@ class Session:
         self._put = put
         self._device: Device = make_device(spec)
         self._found: tuple[str, int] | None = None  # address and baud where it was last
-        self._ran = False
+        self._connected = self._ran = False
         self._problem = ""
         self._latest: float | None = None  # end of the last message
         self._counts = {"messages": 0, "bytes_read": 0, "connections": 0, "losses": 0, "silences": 0}
@@ -160,7 +160,8 @@ class Session:
         return bauds[:1] if single else bauds
 
     def _start(self, address: str, baud: int) -> Transport:
-        transport = connect(self.spec, address, baud, self._device.dtr)
+        transport = connect(self.spec, address, baud, self._device.dtr, self._connected)
+        self._connected = True
         try:
             self._device.start(transport, baud)
         except BaseException:

@@ -25,19 +25,19 @@ FROM_DEVICE = "<"
 
 
 class Tap:
-    """A `Transport` that writes what passes through another one to a tape, which is begun anew.
+    """A `Transport` that writes what passes through another one to a tape, which is begun anew or gone on with.
 
     failure  why the tape ended early, as on a full disk; None while it goes on. The connection goes on anyhow
 
     Raises PortError where the tape cannot be written at all.
     """
 
-    def __init__(self, transport: Transport, path: str | Path) -> None:
+    def __init__(self, transport: Transport, path: str | Path, append: bool = False) -> None:
         self.name = transport.name
         self.failure: str | None = None
         self._transport = transport
         try:
-            self._file = Path(path).open("w", encoding="ascii", buffering=1)  # noqa: SIM115
+            self._file = Path(path).open("a" if append else "w", encoding="ascii", buffering=1)  # noqa: SIM115
         except OSError as failure:
             raise PortError(self.name, f"the tape {path} cannot be written: {failure.strerror}") from failure
         self._note(f"# {self.name}".encode("ascii", "backslashreplace").decode())

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .console import complain
+from .console import complain, say_if_slow
 
 if TYPE_CHECKING:
     from drivers.devices.specs import DeviceSpec
@@ -41,14 +41,17 @@ def devices(
 
 
 def _list() -> None:
+    from concurrent.futures import ThreadPoolExecutor
+
     from drivers.devices.ports import serial_ports
     from drivers.devices.probing import probe
 
     ports = serial_ports()
     if not ports:
         complain("no serial port is there; is an adapter plugged in?")
-    for port in ports:
-        typer.echo(f"{port.path}  {port.description}\n    {probe(port.path)}")
+    with ThreadPoolExecutor() as pool, say_if_slow("asking what is on the ports; this takes up to half a minute"):
+        for port, answer in zip(ports, pool.map(probe, [port.path for port in ports]), strict=True):
+            typer.echo(f"{port.path}  {port.description}\n    {answer}")
 
 
 def _identify(specs: list[DeviceSpec]) -> None:

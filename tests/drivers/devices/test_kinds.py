@@ -345,6 +345,21 @@ def test_a_tape_ends_the_session(tmp_path: Path) -> None:
     assert len(messages) >= 2
 
 
+def test_a_tape_goes_on_over_a_new_connection(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(session, "SILENCE", 0.1)
+    tape, peer = tmp_path / "ld06.tape", Ld06Peer()
+    pauses = 0.6
+
+    def pausing(heard: bytes) -> bytes:
+        said = peer(heard)
+        return said if not 0.5 < time.monotonic() - peer.begun < 0.5 + pauses else b""
+
+    with plugged(pausing) as path:
+        one, _ = run_session(f"ld06:{path}?tape={tape}", 2.5)
+    assert one.status().counters["silences"] >= 1
+    assert tape.read_text().count("# /dev/") >= 2
+
+
 def test_a_tape_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
     with plugged(Ld06Peer()) as path:
         session, _ = run_session(f"ld06:{path}?tape={tmp_path}/no/such")
