@@ -15,8 +15,9 @@ MOST_CHUNKS = 1024
 """Chunks whose arrival is remembered; a packet is known one packet after its last byte at most."""
 LATE = 0.025
 """Seconds. Adapters hold back bytes for 16 ms at most; reads take all that is there, however late they are."""
-CERTAIN = 3
-"""Reads in a row that are late before packets are taken to be lost; one may be late because the host was busy."""
+CERTAIN = 2
+"""Reads in a row that are late before packets are taken to be lost; one may be late because the host was busy between
+the read and the look at its clock. The odometry forgives one wrong stamp, not two."""
 
 
 class CountingClock:
@@ -24,7 +25,7 @@ class CountingClock:
 
     period  seconds from packet to packet
     clock   fitted to the host's
-    lost    packets that never came
+    lost    about how many packets never came
 
     Packets that are lost whole do not show in the bytes. They show in that all later ones are late and stay so, which a
     host that was busy does not make them: what had to wait is read at once.
@@ -39,7 +40,7 @@ class CountingClock:
         """The host's time (seconds) at packet number `count`, known at `arrived`; `newest` is false for a packet behind
         which others were waiting.
         """
-        stamp = self.clock.stamp(count + self.lost, arrived)
+        stamp = self.clock.stamp(count, arrived)
         if not newest:
             return stamp
         if arrived - stamp < LATE:
@@ -50,7 +51,8 @@ class CountingClock:
             return stamp
         self.lost += round(min(self._late) / self.clock.tick)
         self._late.clear()
-        return self.clock.stamp(count + self.lost, arrived)
+        self.clock.jumped()
+        return self.clock.stamp(count, arrived)
 
 
 class PacketStamper:

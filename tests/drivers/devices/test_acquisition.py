@@ -130,6 +130,26 @@ def test_stamps_are_right_while_the_consumer_is_busy(peer: Any) -> None:
 
 
 @pytest.mark.slow
+def test_a_short_silence_costs_its_own_time_only(peer: Any) -> None:
+    """What devices that tell no time would have sent in half a second is lost whole; stamps and the way are right after
+    it.
+    """
+    with Acquisition(parse_devices(peer.spec)) as acquisition:
+        receive_for(acquisition, 3.0)
+        before = receive_for(acquisition, 0.5)
+        peer.tell("stall lidar 0.5")
+        peer.tell("stall base 0.5")
+        after = receive_for(acquisition, 4.0)
+        lidar, base = acquisition.snapshot.devices
+    assert lidar.counters["losses"] == base.counters["losses"] == 0
+    assert lidar.counters["packets_lost"] == pytest.approx(0.5 * RATE / 40, abs=15)
+    assert base.counters["lost"] == pytest.approx(0.5 / BASE_PERIOD, abs=4)
+    assert base.counters["resets"] == 0
+    errors = errors_of_stamps(before + after, peer.wait_for("scan")["begun"], peer.wait_for("base")["begun"])
+    assert np.quantile(np.abs(errors), 0.98) < 0.002
+
+
+@pytest.mark.slow
 def test_damaged_bytes_cost_what_they_hit_and_no_more(make_peer: Callable[..., Any]) -> None:
     """One byte in 10 000 dropped, inserted or flipped: all counted, stamps right, ranges true."""
     peer = make_peer("--noise")
