@@ -13,7 +13,7 @@ from ..transport import Received, Transport
 
 READ_TIMEOUT = 0.05
 """Seconds; always the same, because a change configures a serial port anew."""
-READ_PAUSE = 0.005
+READ_PAUSE = 0.01
 """Seconds between reads. What costs is the number of reads; the buffers of the system hold far more than this."""
 LONGEST_DRAIN = 1.0
 """Seconds after which a device is taken to send without end."""

@@ -22,6 +22,8 @@ from .specs import AUTO, TAPE, DeviceSpec
 
 SILENCE = 1.0
 """Seconds without an undamaged packet after which a device that was running is started anew."""
+HELD_UP = 1.5
+"""Seconds between two reads after which what waited is of unknown age: buffers have overflowed, clocks lost track."""
 PAUSES = (0.1, 0.3, 1.0, 2.0)
 """Seconds between attempts to find a lost device; the last one is repeated."""
 
@@ -94,7 +96,7 @@ class Session:
         self._connected = self._ran = False
         self._problem = ""
         self._latest: float | None = None  # end of the last message
-        self._counts = {"messages": 0, "bytes_read": 0, "connections": 0, "losses": 0, "silences": 0}
+        self._counts = {"messages": 0, "bytes_read": 0, "connections": 0, "losses": 0, "silences": 0, "pauses": 0}
 
     def run(self, stop: Event) -> None:
         """Until `stop` is set, the tape ends, or the first start fails; the device is halted in any case."""
@@ -122,7 +124,7 @@ class Session:
 
     def status(self) -> Status:
         """How it is doing now. To the device's own counters come: messages, bytes_read, connections made, losses of a
-        connection, and silences, which are losses without the port being gone.
+        connection; of these silences, without the port being gone, and pauses, for which this computer is to blame.
         """
         age = None if self._latest is None else time.monotonic() - self._latest
         port = "" if self._found is None else self._found[0]
@@ -177,9 +179,11 @@ class Session:
         try:
             device, started = self._device, time.monotonic()
             self.state = State.STARTING
-            units, heard = device.units, None
+            units, heard, before = device.units, None, started
             while not stop.is_set():
                 received, messages = device.step(transport)
+                self._check_pace(transport, received.time - before)
+                before = received.time
                 self._counts["bytes_read"] += len(received.data)
                 if device.units != units:
                     if heard is None:
@@ -194,6 +198,12 @@ class Session:
                 self._pass_on(messages)
         finally:
             self._leave(transport)
+
+    def _check_pace(self, transport: Transport, pause: float) -> None:
+        """Raises SilenceError where this computer was held up for too long."""
+        if pause > HELD_UP:
+            self._counts["pauses"] += 1
+            raise SilenceError(f"{transport.name}: not read for {pause:.1f} s, the computer was held up")
 
     def _pass_on(self, messages: list[Message]) -> None:
         if messages:

@@ -100,7 +100,7 @@ class PacketStamper:
         clock = self._telling if tells else self._counting.clock
         undelayed = np.empty(len(packets))
         # Of the packets that arrived together the last one was held up least; the others follow from it.
-        lasts = np.flatnonzero(np.append(np.diff(arrivals) != 0.0, True))
+        lasts = np.flatnonzero(np.append(arrivals[1:] != arrivals[:-1], True))
         first = 0
         for last in lasts.tolist():
             arrived = float(arrivals[last])
@@ -123,8 +123,10 @@ class PacketStamper:
 
     def _counted(self, ends: Integers) -> Integers:
         """The packets' numbers, the damaged ones in between counted."""
-        before = ends[0] - self._size if self._last_end is None else self._last_end
-        steps = np.maximum(1, np.round(np.diff(ends, prepend=before) / self._size)).astype(np.int64)
+        before = np.empty_like(ends)
+        before[0] = ends[0] - self._size if self._last_end is None else self._last_end
+        before[1:] = ends[:-1]
+        steps = np.maximum(1, np.rint((ends - before) / self._size)).astype(np.int64)
         self._last_end = int(ends[-1])
         numbers = self._number + np.cumsum(steps)
         self._number = int(numbers[-1])

@@ -40,6 +40,9 @@ SERIAL = "00112233445566778899AABBCCDDEEFF"
 BANNER = b"RP S1 LIDAR System.\r\nFirmware Ver 1.29 - rc2, HW Ver 7\r\nModel: 97\r\n"
 BASE_PERIOD, BASE_WIRE, BASE_COUNTS = 0.015, 9 * 10 / 115200, 10
 
+FROZEN = 0.3
+"""Seconds that this program was not run at all; then it was no true device."""
+
 lock = threading.Lock()
 
 
@@ -208,7 +211,11 @@ def main() -> None:
     peers = {"lidar": lidar, "base": base}
     threading.Thread(target=obey_stdin, args=(peers,), daemon=True).start()
     say(event="ready")
+    before = time.monotonic()
     while True:
+        if time.monotonic() - before > FROZEN:
+            say(event="frozen", seconds=time.monotonic() - before)
+        before = time.monotonic()
         for peer in peers.values():
             peer.terminal.look()
             if (data := peer.terminal.read()) and "--deaf" not in sys.argv:

@@ -5,6 +5,7 @@ back after whatever happens to them.
 from __future__ import annotations
 
 import math
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -111,8 +112,18 @@ def test_every_counter_is_there_and_devices_stand_still_afterwards(peer: Any) ->
     assert any("Velocity(speed=0.0, turn_rate=0.0)" in said.get("what", "") for said in peer.events)
 
 
-def test_stamps_are_right_while_the_consumer_is_busy(peer: Any) -> None:
-    """Two milliseconds at the 99th percentile, from the first second on."""
+def test_stamps_are_right_while_the_consumer_is_busy(make_peer: Callable[..., Any]) -> None:
+    """Two milliseconds at the 99th percentile, from the first message on; unless the whole computer stood still."""
+    for _ in range(3):
+        peer = make_peer()
+        errors = errors_beside_a_busy_consumer(peer)
+        if not any(said["event"] == "frozen" for said in peer.events):
+            break
+    assert len(errors) > 250
+    assert np.quantile(np.abs(errors), 0.99) < 0.002
+
+
+def errors_beside_a_busy_consumer(peer: Any) -> np.ndarray:
     with Acquisition(parse_devices(peer.spec)) as acquisition:
         messages: list[Message] = []
         end = time.monotonic() + 5.0
@@ -122,11 +133,8 @@ def test_stamps_are_right_while_the_consumer_is_busy(peer: Any) -> None:
                 sum(range(1000))
             while (message := acquisition.receive(0.0)) is not None:
                 messages.append(message)
-        snapshot = acquisition.snapshot
-    assert (snapshot.dropped, snapshot.late) == (0, 0)
-    errors = errors_of_stamps(messages, peer.wait_for("scan")["begun"], peer.wait_for("base")["begun"])
-    assert len(errors) > 250
-    assert np.quantile(np.abs(errors), 0.99) < 0.002
+    assert acquisition.snapshot.dropped == 0
+    return errors_of_stamps(messages, peer.wait_for("scan")["begun"], peer.wait_for("base")["begun"])
 
 
 @pytest.mark.slow
@@ -147,6 +155,23 @@ def test_a_short_silence_costs_its_own_time_only(peer: Any) -> None:
     assert base.counters["resets"] == 0
     errors = errors_of_stamps(before + after, peer.wait_for("scan")["begun"], peer.wait_for("base")["begun"])
     assert np.quantile(np.abs(errors), 0.98) < 0.002
+
+
+@pytest.mark.slow
+def test_a_computer_that_was_held_up_begins_anew(peer: Any) -> None:
+    with Acquisition(parse_devices(peer.spec)) as acquisition:
+        receive_for(acquisition, 1.0)
+        reader = multiprocessing.active_children()[0].pid
+        assert reader is not None
+        os.kill(reader, signal.SIGSTOP)
+        time.sleep(2.5)
+        os.kill(reader, signal.SIGCONT)
+        receive_until(acquisition, lambda: all(d.counters["connections"] == 2 for d in acquisition.snapshot.devices))
+        assert [d.counters["pauses"] for d in acquisition.snapshot.devices] == [1, 1]
+        after = receive_for(acquisition, 1.5)
+    begun = peer.wait_for("scan", times=2)["begun"]
+    errors = errors_of_stamps(after, begun, peer.wait_for("base")["begun"])
+    assert np.quantile(np.abs(errors), 0.9) < 0.002
 
 
 @pytest.mark.slow
