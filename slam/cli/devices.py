@@ -66,8 +66,8 @@ def _watch(specs: list[DeviceSpec], seconds: float | None) -> None:
 
     from .monitor import Monitor, stopping
 
-    end = time.monotonic() + seconds if seconds is not None else float("inf")
     with Acquisition(specs) as acquisition, stopping(acquisition), Monitor() as monitor:
+        end = time.monotonic() + seconds if seconds is not None else float("inf")
         while not acquisition.ended:
             acquisition.receive(0.05)
             monitor.show(acquisition.snapshot)

@@ -289,6 +289,7 @@ def wait_until(condition: Callable[[], bool]) -> None:
         time.sleep(0.02)
 
 
+@pytest.mark.slow
 def test_auto_finds_the_port(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     with plugged(lambda _: b"") as empty, plugged(Ld06Peer()) as path:
         monkeypatch.setattr(ports, "serial_ports", lambda: [ports.Port(empty, ""), ports.Port(path, "")])
@@ -305,7 +306,7 @@ def test_no_port_at_all_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    "kind", [pytest.param(kind, marks=[] if kind in ("ld06", "create2") else pytest.mark.slow) for kind in KINDS]
+    "kind", [pytest.param(kind, marks=[] if kind == "ld06" else pytest.mark.slow) for kind in KINDS]
 )
 def test_a_probe_tells_who_answers(kind: str) -> None:
     make, _, name, _ = KINDS[kind]

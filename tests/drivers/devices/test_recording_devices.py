@@ -131,7 +131,7 @@ def test_nothing_is_left_of_a_recording_that_never_began(tmp_path: Path, make_pe
 
 
 def test_watching_ends_with_all_counters(peer: Any) -> None:
-    command = [*WCLM, "devices", f"rplidar:{peer.lidar}", f"create2:{peer.base}", "--watch", "--for", "0.5"]
+    command = [*WCLM, "devices", f"rplidar:{peer.lidar}", f"create2:{peer.base}", "--watch", "--for", "0.8"]
     result = subprocess.run(command, capture_output=True, text=True, timeout=30)
     assert (result.returncode, result.stderr) == (0, "")
     counts = dict(line.split() for line in result.stdout.splitlines() if len(line.split()) == 2)
