@@ -34,6 +34,10 @@ from drivers.devices.session import Session, State
 from drivers.devices.specs import parse_device
 from drivers.errors import DriverError
 from drivers.lidars import ld06, scip, scip_scan
+from drivers.lidars.rplidar import requests, standard
+from drivers.lidars.rplidar.answers import Answer, Descriptor, Health, Info, SampleRate, Status
+from drivers.lidars.rplidar.decoding import descriptor_of
+from drivers.lidars.rplidar.requests import Command
 from drivers.transport.tape_port import TapePort
 
 RUN = 1.2
@@ -97,6 +101,45 @@ class ScipPeer:
             self.measure = scip.Measure(URG.first, URG.last)
             self.begun, self.scan = time.monotonic(), 0
         return scip.Reply(line, scip.OK, lines, 0).packet()
+
+
+class OldRplidar:
+    """An RPLIDAR with firmware that tells no scan modes: A1, or A2 on its USB board. 2 000 nodes a second."""
+
+    def __init__(self, model: int) -> None:
+        self.model = model
+        self.reader = requests.RequestReader()
+        self.heard: list[requests.Request] = []
+        self.begun: float | None = None
+        self.node = 0
+
+    def __call__(self, heard: bytes) -> bytes:
+        said = b"".join(self.answer(request) for request in self.reader.feed(heard))
+        if self.begun is not None:
+            due = int((time.monotonic() - self.begun) * 2000) - self.node
+            turns = (self.node + np.arange(due)) * 5.5 / 2000 + 1e-9
+            starts = np.diff(np.floor(turns), prepend=np.floor(turns[0] - 5.5 / 2000)) > 0 if due else np.empty(0, bool)
+            said += standard.encode(2 * np.pi * turns, np.full(due, 2.0), np.full(due, 20), starts)
+            self.node += due
+        return said
+
+    def answer(self, request: requests.Request) -> bytes:
+        self.heard.append(request)
+        answers = {
+            Command.GET_INFO: (Answer.INFO, Info(self.model, (1, 20), 5, "AB" * 16).payload()),
+            Command.GET_HEALTH: (Answer.HEALTH, Health(Status.WARNING, 1).payload()),
+            Command.GET_SAMPLE_RATE: (Answer.SAMPLE_RATE, SampleRate(500e-6, 250e-6).payload()),
+            Command.GET_MOTOR_BOARD: (Answer.MOTOR_BOARD, bytes([1, 0, 0, 0])),
+        }
+        if request.command == Command.STOP:
+            self.begun = None
+        elif request.command == Command.SCAN:
+            self.begun, self.node = time.monotonic(), 0
+            return descriptor_of(Answer.STANDARD).packet()
+        elif request.command in answers:
+            kind, payload = answers[Command(request.command)]
+            return Descriptor(len(payload), False, kind).packet() + payload
+        return b""
 
 
 class BasePeer:
@@ -202,6 +245,23 @@ def test_every_kind_is_identified_and_read(kind: str) -> None:
     assert before - 0.5 < stamps[0] < stamps[-1] < after
     period = 0.1 if type_of_message is Scan else {"create2": 0.015}.get(kind, 0.02)
     assert np.median(np.diff(stamps)) == pytest.approx(period, rel=0.2)
+
+
+@pytest.mark.parametrize(("model", "duties"), [(0x18, []), (0x28, [660, 0])], ids=["A1", "A2"])
+def test_old_rplidars_scan_and_stop_their_motors_in_their_own_way(model: int, duties: list[int]) -> None:
+    peer = OldRplidar(model)
+    with plugged(peer) as path:
+        session, messages = run_session(f"rplidar:{path}", 2.0)
+        time.sleep(0.05)
+    assert session.failure is None
+    assert "M8, firmware 1.20" in session.status().identity
+    assert session.status().identity.endswith("mode Standard")
+    assert len(messages) >= 4
+    stamps = np.array([message.stamp for message in messages])
+    np.testing.assert_allclose(np.diff(stamps), 1 / 5.5, atol=0.01)
+    told = [int.from_bytes(r.payload, "little") for r in peer.heard if r.command == Command.SET_MOTOR_PWM]
+    assert told == duties
+    assert peer.begun is None
 
 
 @pytest.mark.parametrize("kind", ["kobuki", "wheels", "arduino"])
