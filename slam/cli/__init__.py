@@ -18,11 +18,14 @@ from . import bench_loops as bench_loops
 from .bench import bench
 from .console import INTERRUPTED, MISTAKE, complain
 from .demo import demo
+from .devices import devices
 from .emulate import emulate
 from .evaluate import evaluate
 from .features import features
 from .info import info
 from .optimize import optimize
+from .record import record
+from .replay import replay
 from .run import run
 from .simulate import simulate
 
@@ -79,6 +82,9 @@ app.command()(optimize)
 app.command()(info)
 app.command()(simulate)
 app.command()(emulate)
+app.command()(devices)
+app.command()(record)
+app.command()(replay)
 app.command("eval")(evaluate)
 app.command()(features)
 app.add_typer(bench, name="bench")

@@ -20,8 +20,13 @@ from slam.trajectory import read_tum
 COMMANDS = (
     "demo",
     "run",
+    "optimize",
     "info",
     "simulate",
+    "emulate",
+    "devices",
+    "record",
+    "replay",
     "eval",
     "features",
     "bench",
