@@ -258,6 +258,24 @@ def test_what_is_undetermined_is_an_error() -> None:
         graph.update()
 
 
+def test_qr_goes_on_where_cholesky_gave_up() -> None:
+    world = make_world(1)
+    cholesky, qr = graph_of(world), graph_of(world)
+    for graph in (cholesky, qr):
+        graph.remove_factors(graph.close_loop(0, 6, se2.between(world.poses[0], world.poses[6]), np.full(3, 0.01)))
+    qr._factorize_by_qr(RuntimeError("Indeterminate linear system"))
+    for graph in (cholesky, qr):  # and it knows its observations
+        graph.forget_observations([0, 2], since=4)
+        graph.observe_wall(5, 0, se2.between(world.poses[5], world.walls[0]), np.diag([1e-4, 1e-5]))
+        graph.update()
+        graph.rebuild()
+    assert qr.factor_count == cholesky.factor_count
+    np.testing.assert_allclose(qr.keyframe_poses(7), cholesky.keyframe_poses(7), atol=1e-6)
+    np.testing.assert_allclose(qr.keyframe_covariance(6), cholesky.keyframe_covariance(6), rtol=1e-4)
+    with pytest.raises(MapError, match="Indeterminate"):
+        qr._factorize_by_qr(RuntimeError("Indeterminate linear system"))
+
+
 def test_one_wrong_view_does_not_bend_the_map() -> None:
     world = make_world(2)
     graph = graph_of(world)
