@@ -71,12 +71,13 @@ def compiled_calls(walls: Sequence[tuple[Floats, Floats]], noise: Noise = PAPER_
 
     The double sums have them too and spare the double sums of the Jacobians: this is the least that they cost.
     """
-    rays = (*rays_of(*walls[0]), *rays_of(*walls[1]), noise.sigma_range, noise.sigma_bearing)
+    first, second = (np.stack(rays_of(*wall)) for wall in walls)
+    sigmas = noise.sigma_range, noise.sigma_bearing
     ways: tuple[Call, ...] = (
-        lambda: _by_code(WCLM, *rays),
-        lambda: _polar(True, *rays),
-        lambda: _polar(False, *rays),
-        lambda: _by_code(SIADAT, *rays),
+        lambda: _by_code(WCLM, first, second, *sigmas),
+        lambda: _polar(True, first, second, *sigmas),
+        lambda: _polar(False, first, second, *sigmas),
+        lambda: _by_code(SIADAT, first, second, *sigmas),
     )
     return dict(zip(FORMS, ways, strict=True))
 
@@ -143,28 +144,27 @@ _compiled = njit(error_model="numpy")
 
 
 @_compiled
-def _by_code(
-    code: int, i1: Floats, c1: Floats, s1: Floats, i2: Floats, c2: Floats, s2: Floats, sr: float, sb: float
-) -> CornerFive:
+def _by_code(code: int, one: Floats, two: Floats, sr: float, sb: float) -> CornerFive:
+    """Two lines by one of the product's estimators, and eqs. (36)-(38)."""
     covariances = np.empty((2, 2, 2))
-    u1, v1, covariances[0, 0, 0], covariances[0, 0, 1], covariances[0, 1, 1] = fit_by_code(code, i1, c1, s1, sr, sb)
-    u2, v2, covariances[1, 0, 0], covariances[1, 0, 1], covariances[1, 1, 1] = fit_by_code(code, i2, c2, s2, sr, sb)
+    u1, v1, cuu1, cuv1, cvv1 = fit_by_code(code, one[0], one[1], one[2], sr, sb)
+    u2, v2, cuu2, cuv2, cvv2 = fit_by_code(code, two[0], two[1], two[2], sr, sb)
+    covariances[0, 0, 0], covariances[0, 0, 1], covariances[0, 1, 1] = cuu1, cuv1, cvv1
+    covariances[1, 0, 0], covariances[1, 0, 1], covariances[1, 1, 1] = cuu2, cuv2, cvv2
     return intersect(u1, v1, covariances[0], u2, v2, covariances[1])
 
 
 @_compiled
-def _polar(
-    double: bool, i1: Floats, c1: Floats, s1: Floats, i2: Floats, c2: Floats, s2: Floats, sr: float, sb: float
-) -> CornerFive:
+def _polar(double: bool, one: Floats, two: Floats, sr: float, sb: float) -> CornerFive:
     """Eqs. (26)-(30) and (39)-(43)."""
     if double:
-        n1, d1 = direction_by_double_sums(i1, c1, s1)
-        n2, d2 = direction_by_double_sums(i2, c2, s2)
+        n1, d1 = direction_by_double_sums(one[0], one[1], one[2])
+        n2, d2 = direction_by_double_sums(two[0], two[1], two[2])
     else:
-        n1, d1 = direction_by_single_sums(i1, c1, s1)
-        n2, d2 = direction_by_single_sums(i2, c2, s2)
-    r1, a1, vr1, vra1, va1 = polar_line(i1, c1, s1, n1, d1, sr, sb)
-    r2, a2, vr2, vra2, va2 = polar_line(i2, c2, s2, n2, d2, sr, sb)
+        n1, d1 = direction_by_single_sums(one[0], one[1], one[2])
+        n2, d2 = direction_by_single_sums(two[0], two[1], two[2])
+    r1, a1, vr1, vra1, va1 = polar_line(one[0], one[1], one[2], n1, d1, sr, sb)
+    r2, a2, vr2, vra2, va2 = polar_line(two[0], two[1], two[2], n2, d2, sr, sb)
     ca1, sa1, ca2, sa2 = math.cos(a1), math.sin(a1), math.cos(a2), math.sin(a2)
     sine = sa2 * ca1 - ca2 * sa1
     x, y = (r1 * sa2 - r2 * sa1) / sine, (r2 * ca1 - r1 * ca2) / sine

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -18,6 +19,12 @@ from .formulas import Corner, Fit
 METHODS = ("wclm", "arras-siegwart", "siadat")
 """In the order of the paper's tables."""
 OURS = (*METHODS, "wclm-ml")
+EQUAL_WEIGHTS = "arras-siegwart, equal weights"
+WAYS: dict[str, tuple[Callable[..., Any], Callable[..., tuple[Floats, Floats]]]] = {
+    **{name: (ESTIMATORS[name].fit, ESTIMATORS[name].corner) for name in OURS},
+    EQUAL_WEIGHTS: (partial(formulas.arras_siegwart, power=0), formulas.arras_siegwart_corner),
+}
+"""How each fits a line and intersects two."""
 MILLIMETRES = 1e3
 SWEEPS = 200
 """Repetitions with new noise."""
@@ -48,12 +55,12 @@ def measure(environment: Environment, seed: int, sweeps: int = SWEEPS) -> Uncert
     An error is the distance from what the same method makes of rays without noise: chords of curves differ by method.
     """
     random = np.random.default_rng(seed)
-    truth = {name: corners(environment, environment.ranges, name)[0] for name in OURS}
     drawn = [environment.measure(random) for _ in range(sweeps)]
     claimed, nees, errors = {}, {}, {}
-    for name in OURS:
-        found = [corners(environment, ranges, name) for ranges in drawn]
-        error = np.stack([positions for positions, _ in found]) - truth[name]
+    for name, (fit, meet) in WAYS.items():
+        truth = corners(environment, environment.ranges, fit, meet)[0]
+        found = [corners(environment, ranges, fit, meet) for ranges in drawn]
+        error = np.stack([positions for positions, _ in found]) - truth
         covariance = np.stack([spread for _, spread in found])
         claimed[name] = MILLIMETRES * np.sqrt(np.diagonal(covariance[0], axis1=1, axis2=2))
         nees[name] = np.einsum("smi,smi->sm", error, np.linalg.solve(covariance, error[..., None])[..., 0])
@@ -62,11 +69,15 @@ def measure(environment: Environment, seed: int, sweeps: int = SWEEPS) -> Uncert
     return Uncertainties(claimed, nees, errors)
 
 
-def corners(environment: Environment, ranges: Floats, method: str) -> tuple[Floats, Floats]:
-    """Positions (m, 2) and covariances (m, 2, 2) of all corners by one of the product's estimators, all rays used."""
-    estimator = ESTIMATORS[method]
-    fits = [estimator.fit(ranges[s.rays], environment.angles[s.rays], PAPER_NOISE) for s in environment.segments]
-    found = [estimator.corner(fits[before], fits[after]) for before, after in environment.corners]
+def corners(
+    environment: Environment,
+    ranges: Floats,
+    fit: Callable[..., Any],
+    meet: Callable[..., tuple[Floats, Floats]],
+) -> tuple[Floats, Floats]:
+    """Positions (m, 2) and covariances (m, 2, 2) of all corners; all rays of a segment are used."""
+    fits = [fit(ranges[s.rays], environment.angles[s.rays], PAPER_NOISE) for s in environment.segments]
+    found = [meet(fits[before], fits[after]) for before, after in environment.corners]
     return np.stack([position for position, _ in found]), np.stack([covariance for _, covariance in found])
 
 
@@ -136,19 +147,14 @@ def difference_of_equals(environment: Environment, seed: int) -> float:
     for power in (0, 2):
         arras_siegwart = partial(formulas.arras_siegwart, power=power)
         siadat = partial(formulas.siadat, power=power)
-        one = _covariances(environment, ranges, arras_siegwart, formulas.arras_siegwart_corner)
-        other = _covariances(environment, ranges, siadat, formulas.siadat_corner)
+        one = corners(environment, ranges, arras_siegwart, formulas.arras_siegwart_corner)[1]
+        other = corners(environment, ranges, siadat, formulas.siadat_corner)[1]
         worst = max(worst, float((np.abs(one - other).max(axis=(1, 2)) / np.abs(one).max(axis=(1, 2))).max()))
     return worst
 
 
-def _covariances(environment: Environment, ranges: Floats, fit: Fit, corner: Corner) -> Floats:
-    fits = [fit(ranges[s.rays], environment.angles[s.rays], PAPER_NOISE) for s in environment.segments]
-    return np.stack([corner(fits[before], fits[after])[1] for before, after in environment.corners])
-
-
-def _spread(environment: Environment, ranges: Floats, fit: Fit, corner: Corner) -> Floats:
-    return np.sqrt(np.diagonal(_covariances(environment, ranges, fit, corner), axis1=1, axis2=2))
+def _spread(environment: Environment, ranges: Floats, fit: Fit, meet: Corner) -> Floats:
+    return np.sqrt(np.diagonal(corners(environment, ranges, fit, meet)[1], axis1=1, axis2=2))
 
 
 def _one_reading(environment: Environment) -> Floats:
