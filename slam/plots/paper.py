@@ -35,9 +35,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLOURS = {"wclm": BLUE, "arras-siegwart": ORANGE, "siadat": GREEN}
-NAMES = {"wclm": "WCLM", "arras-siegwart": "Arras-Siegwart", "siadat": "Siadat"}
-WIDTHS = {"arras-siegwart": 5.0, "siadat": 3.0, "wclm": 1.2}
+COLOURS = {"wclm": BLUE, "arras-siegwart": ORANGE, "siadat": GREEN, "wclm-ml": VERMILLION}
+NAMES = {"wclm": "WCLM", "arras-siegwart": "Arras-Siegwart", "siadat": "Siadat", "wclm-ml": "WCLM-ML"}
+WIDTHS = {"arras-siegwart": 5.0, "siadat": 3.0, "wclm": 1.2, "wclm-ml": 1.2}
 """Points of print of curves that lie on each other, in the order of drawing."""
 BESIDE = 0.022
 """Distance of a corner's number from the corner, as a share of the room's length."""
@@ -126,7 +126,7 @@ def plot_points(path: Path, curves: dict[str, Any], times: dict[str, Any]) -> No
     _title(figure, "Figure 5: uncertainty and time by the number of points")
     for row, below in ((panels[0], 0.0), (panels[1], LEGEND_ROW)):
         handles, labels = row[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.02, -below), ncols=6, **LEGEND)
+        figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.02, -below), ncols=8, **LEGEND)
     save(figure, path)
 
 

@@ -158,7 +158,7 @@ def test_parameters_say_everything() -> None:
     assert set(parameters) == {"world", "seed", "duration", "lidar", "drive", "mount", "biases"}
 
 
-@pytest.mark.parametrize("name", ["office", "corridor", "columns", "room"])
+@pytest.mark.parametrize("name", ["office", "corridor", "columns", "room", "paper-a", "paper-b"])
 def test_worlds_can_be_driven_through(name: str) -> None:
     assert name in world_names()
     simulation = Simulation(name)

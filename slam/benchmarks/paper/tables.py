@@ -91,10 +91,10 @@ def of_times(number: str, key: str, where: str, rows: Sequence[dict[str, Any]]) 
 def by_points(curves: dict[str, Any]) -> Iterator[str]:
     """Figure 5's left axes, thinned out."""
     yield from heading("Figure 5: standard deviations of corners in x / y, mm, by number of points")
-    yield "corner points   " + " ".join(f"{SHORT[method]:>14}" for method in METHODS)
+    yield "corner points   " + " ".join(f"{SHORT[method]:>14}" for method in OURS)
     for name, curve in curves.items():
         for k in (0, 1, 3, 6, len(curve["points"]) - 1):
-            values = " ".join(_pair(curve["sigma"][method][k]) for method in METHODS)
+            values = " ".join(_pair(curve["sigma"][method][k]) for method in OURS)
             yield f"{name:>6} {curve['points'][k]:6d}   {values}"
 
 

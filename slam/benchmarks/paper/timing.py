@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from features import Noise
+from features import ESTIMATORS, Noise
 from features.arras_siegwart import direction_by_double_sums, direction_by_single_sums, polar_line
 from features.corner import intersect
 from features.estimators import SIADAT, WCLM, fit_by_code
@@ -119,15 +119,17 @@ def uncertainty_by_points(environment: Environment, corner: int, points: Sequenc
 
     Propagated at the true ranges, so that the curves show the number of points and not one draw of the noise.
     """
-    fits = {
+    maximum_likelihood = ESTIMATORS["wclm-ml"]
+    ways: dict[str, tuple[Callable[..., Any], Callable[..., tuple[Floats, Floats]]]] = {
         "wclm": (formulas.wclm, formulas.wclm_corner),
         "arras-siegwart": (formulas.arras_siegwart, formulas.arras_siegwart_corner),
         "siadat": (formulas.siadat, formulas.siadat_corner),
+        "wclm-ml": (maximum_likelihood.fit, maximum_likelihood.corner),
     }
-    found: dict[str, list[list[float]]] = {name: [] for name in fits}
+    found: dict[str, list[list[float]]] = {name: [] for name in ways}
     for count in points:
         walls = half_each(environment, corner, count)
-        for name, (fit, meet) in fits.items():
+        for name, (fit, meet) in ways.items():
             covariance = meet(fit(*walls[0], PAPER_NOISE), fit(*walls[1], PAPER_NOISE))[1]
             found[name].append((1e3 * np.sqrt(np.diag(covariance))).tolist())
     return found
