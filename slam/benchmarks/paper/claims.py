@@ -130,8 +130,8 @@ def _threshold(measured: dict[str, Any]) -> Claim:
         FAILS if at_paper < 0.5 else HOLDS,
         f"Not both. With that noise tracking finds {100 * at_paper:.1f} % of the walls. It finds nine in ten up to "
         f"{usable[0]:.0f} mm of range noise if bearings have none, and {stated} with the paper's. So the noise of the "
-        "paper's scans was millimetres, or they were tracked in another way. 5 cm is the data sheet's accuracy; as "
-        "white noise of each ray it makes all printed uncertainties too large.",
+        "paper's scans was millimetres, or they were tracked in another way. If the former, all printed "
+        "uncertainties are too large: 5 cm is the data sheet's accuracy, not the white noise of each ray.",
     )
 
 

@@ -25,7 +25,9 @@ def lines(measured: dict[str, Any], times: dict[str, Any] | None, claims: Sequen
     yield from heading("Claims")
     for claim in claims:
         yield from textwrap.wrap(f"{claim.verdict.upper()}: {claim.says}", WIDTH)
-        yield from textwrap.wrap(claim.why, WIDTH, initial_indent="    ", subsequent_indent="    ")
+        yield from textwrap.wrap(
+            claim.why, WIDTH, initial_indent="    ", subsequent_indent="    ", break_on_hyphens=False
+        )
     for number, name in (("I", "A"), ("II", "B")):
         yield from uncertainties(number, name, measured["environments"][name])
     if times is not None:
