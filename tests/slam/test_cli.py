@@ -17,7 +17,7 @@ from slam.errors import MapError
 from slam.outputs import RESULTS
 from slam.trajectory import read_tum
 
-COMMANDS = ("demo", "run", "info", "simulate", "eval", "features", "bench", "bench features")
+COMMANDS = ("demo", "run", "info", "simulate", "eval", "features", "bench", "bench features", "bench consistency")
 SHORT = "sim:room?duration=3"
 ESCAPES = re.compile(r"\x1b\[[0-9;]*m")
 
