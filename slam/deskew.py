@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from features.types import Lines
 
 KNOTS = 8  # poses along the sweep between which the motion is taken as constant; a revolution of a slow lidar is 0.1 s
-# Of the variance of heading that the odometry's random walk has over a sweep. The walk is learned from keyframe to
-# keyframe, ten times as far, and part of it grows with the way itself; with this share simulations are consistent.
-SWEEP_TURN_SHARE = 0.25
 # Metres of way that odometry must claim over a sweep to be believed. Less is the jitter of its readings while the robot
 # stands: a fifth of a millimetre at either wheel looks like a milliradian of turning, which would bend the scan, and
 # the first keyframe, which the whole map hangs on, is nearly always taken standing.
@@ -90,7 +87,6 @@ def loosen(
         return segments, corners
     middle = np.where(lines.last >= lines.first, (lines.first + lines.last) // 2, 0)
     translation, rotation = noise.variances(sweep.way[middle])
-    rotation = SWEEP_TURN_SHARE * rotation
     across = np.column_stack([-np.sin(segments.frame[:, 2]), np.cos(segments.frame[:, 2])])
     lever = across[:, 1] * segments.frame[:, 0] - across[:, 0] * segments.frame[:, 1]
     covariance = segments.covariance.copy()
