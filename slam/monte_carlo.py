@@ -19,7 +19,7 @@ from .ground_truth import Nees, measure
 from .segments import Floats
 
 MOUNT = (0.2, -0.15, math.radians(100.0))  # of the lidar on the base: metres, metres, radians
-DURATION = 60.0  # seconds: through two rooms and back into the first, some 25 metres
+DURATION = 60.0  # seconds: 27 metres of way and 490 degrees of turning in the office
 
 
 @dataclass(frozen=True, slots=True)
