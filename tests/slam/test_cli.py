@@ -33,6 +33,7 @@ COMMANDS = (
     "bench features",
     "bench relocalisation",
     "bench laps",
+    "bench consistency",
     "bench paper",
     "bench lookalike",
     "bench false-closures",
