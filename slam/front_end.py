@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,9 +17,16 @@ from .extraction import build_extractor
 from .odometry import OdometryHistory, OdometryNoise
 from .point_field import MOST_POINTS, ScanPoints, thinned
 from .registration import ScanFeatures
-from .segments import corner_points, segments_from_lines
+from .segments import CornerPoints, Segments, corner_points, segments_from_lines
 
 LONGEST_WAIT = 20  # scans that wait for the odometry to catch up before they are taken without
+
+
+NOTHING_SEEN = ScanFeatures(
+    Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2))),
+    CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2))),
+    ScanPoints(np.zeros((0, 2)), np.zeros((0, 2))),
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,6 +36,10 @@ class Sighting:
     stamp: float
     odometry: se2.Pose
     seen: ScanFeatures
+
+    def without_view(self) -> Sighting:
+        """That there was a scan; what it showed is not kept."""
+        return replace(self, seen=NOTHING_SEEN)
 
 
 class FrontEnd:
