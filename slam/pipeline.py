@@ -178,7 +178,8 @@ class Slam:
             last = self._excursion.sightings[-1].stamp
             self._go_on_from(self._excursion.joined(), last, "never found again in the map; odometry has to do")
         self.belief.mapper.settle()
-        keyframes = self.belief.mapper.graph.keyframe_poses(self.belief.mapper.keyframe_count)
+        count = self.belief.mapper.keyframe_count
+        keyframes = self.belief.mapper.graph.keyframe_poses(count)
         stamps, poses = self.belief.path.at_odometry(keyframes, self._front_end.odometry)
         result = Finished(
             lines=map_lines(self.belief.mapper, covariances=True),
@@ -188,6 +189,7 @@ class Slam:
             stamps=stamps,
             poses=poses,
             summary=self._summary(),
+            keyframe_covariance=np.array([self.keyframe_covariance(index) for index in range(count)]),
         )
         self._reporter.tell(result)
         return result
