@@ -60,7 +60,7 @@ def _directory(path: Path) -> Source:
 
 
 def _simulation(spec: str) -> Source:
-    from .simulator import Simulation
+    from .simulator import DRIVES, LIDARS, Simulation
 
     world, _, query = spec.removeprefix("sim:").partition("?")
     options = dict(parse_qsl(query, keep_blank_values=True))
@@ -70,7 +70,12 @@ def _simulation(spec: str) -> Source:
         mount = [float(value) for value in options.pop("mount", "0.1,0,0").split(",")]
     except ValueError as error:
         raise RecordingError(spec, None, f"not a number: {error}") from error
+    lidar, drive = options.pop("lidar", "long"), options.pop("odometry", "good")
+    if lidar not in LIDARS:
+        raise RecordingError(spec, None, f"no lidar {lidar!r}; there are {', '.join(LIDARS)}")
+    if drive not in DRIVES:
+        raise RecordingError(spec, None, f"no odometry {drive!r}; there are {', '.join(DRIVES)}")
     if options:
-        there = "seed, duration and mount=x,y,heading"
+        there = "seed, duration, lidar, odometry and mount=x,y,heading"
         raise RecordingError(spec, None, f"unknown option {', '.join(options)}; there are {there}")
-    return Simulation(world or "office", seed=seed, duration=duration, mount=mount)
+    return Simulation(world or "office", seed, duration, LIDARS[lidar], DRIVES[drive], mount)

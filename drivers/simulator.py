@@ -53,6 +53,15 @@ class Lidar:
     mixed: float = 0.3
 
 
+LIDARS = {"long": Lidar(), "short": Lidar(beams=360, rate=5.5, range_max=6.0, sigma_range=0.015)}
+"""Lidars by name: one that sees a whole hall, and a cheap one that sees a room."""
+DRIVES = {
+    "good": Drive(),
+    "bad": Drive(slip=0.02, encoder=0.0005, scale_bias=0.04, difference_bias=0.004, wheelbase_bias=0.05),
+}
+"""Drives by name: well calibrated wheels, and worn ones whose drift no scan corrects where there is nothing to see."""
+
+
 class Simulation:
     """A drive through a world, as a `Source`: the same arguments give the same messages bit for bit.
 
@@ -183,7 +192,8 @@ class Simulation:
         dropped, is_mixed, share = random.random((3, lidar.beams))
         bearings = angles + lidar.sigma_bearing * bearing_noise
         world, path = self.world, self.path
-        ranges = sweep(stamp + offsets, bearings, self.mount, path.poses, path.twists, world.segments, world.circles)
+        segments, circles = world.at(stamp)
+        ranges = sweep(stamp + offsets, bearings, self.mount, path.poses, path.twists, segments, circles)
         step = steps(ranges)
         mixed = at_edge(step) & (is_mixed < lidar.mixed)
         ranges[mixed] += share[mixed] * step[mixed]

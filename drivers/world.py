@@ -19,6 +19,9 @@
     at = [4, 4]
     radius = 0.25
 
+Whatever has `since` or `until` (seconds after the start) stands there only then: furniture is moved while the robot is
+elsewhere, and doors are shut.
+
 Lengths are metres. A wall with a thickness shows both its faces, and the jambs of its doors; its centre line
 runs from `from` to `to`, and it is as much longer at either end as half its thickness, so that walls meet in
 closed corners.
@@ -26,7 +29,9 @@ closed corners.
 
 from __future__ import annotations
 
+import math
 import tomllib
+from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -40,8 +45,11 @@ from .messages import Floats
 
 Metres = Annotated[float, Field(allow_inf_nan=False, ge=-1e4, le=1e4)]
 Length = Annotated[float, Field(allow_inf_nan=False, gt=0.0, le=1e4)]
+Seconds = Annotated[float, Field(allow_inf_nan=False, ge=0.0)]
 Point = tuple[Metres, Metres]
 
+ALWAYS = (0.0, math.inf)
+"""Since when and until when most things are there, seconds."""
 WORLD_FOLDERS = (Path(__file__).parent / "worlds", Path(__file__).parent.parent / "datasets" / "worlds")
 """Where worlds are found by name: in an installed package, and in the source tree."""
 
@@ -50,7 +58,14 @@ class _Entry(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Wall(_Entry):
+class _Thing(_Entry):
+    """What can be seen, from `since` to before `until`, seconds after the start."""
+
+    since: Seconds = 0.0
+    until: Annotated[float, Field(gt=0.0)] = math.inf
+
+
+class Wall(_Thing):
     """A straight wall with openings."""
 
     start: Point = Field(alias="from")
@@ -59,7 +74,7 @@ class Wall(_Entry):
     doors: list[tuple[Metres, Length]] = []
 
 
-class Box(_Entry):
+class Box(_Thing):
     """A piece of furniture with four straight sides."""
 
     at: Point
@@ -67,7 +82,7 @@ class Box(_Entry):
     turn: Annotated[float, Field(ge=-360.0, le=360.0)] = 0.0
 
 
-class Column(_Entry):
+class Column(_Thing):
     """Anything round."""
 
     at: Point
@@ -86,13 +101,24 @@ class WorldFile(_Entry):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Passing:
+    """What can be seen only from `since` to before `until`, seconds after the start; shapes as in `World`."""
+
+    since: float
+    until: float
+    segments: Floats
+    circles: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class World:
     """What a lidar can see, and the way a robot takes.
 
-    segments  (n, 4) x0 y0 x1 y1, metres
-    circles   (m, 3) x y radius, metres
+    segments  (n, 4) x0 y0 x1 y1, metres, of what is always there
+    circles   (m, 3) x y radius, metres, of what is always there
     path      (k, 2) way points, metres
     speed     metres a second
+    passing   what is there for a time
     """
 
     name: str
@@ -101,6 +127,15 @@ class World:
     circles: Floats
     path: Floats
     speed: float
+    passing: tuple[Passing, ...] = ()
+
+    def at(self, time: float) -> tuple[Floats, Floats]:
+        """Segments and circles as they stand `time` seconds after the start."""
+        there = [thing for thing in self.passing if thing.since <= time < thing.until]
+        if not there:
+            return self.segments, self.circles
+        segments = np.concatenate([self.segments, *(thing.segments for thing in there)])
+        return segments, np.concatenate([self.circles, *(thing.circles for thing in there)])
 
 
 def world_names() -> list[str]:
@@ -118,19 +153,38 @@ def load_world(name: str | Path) -> World:
         raise RecordingError(path, None, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise RecordingError(path, None, f"is not a world: {error}") from error
-    lines = [line for wall in content.walls for line in _wall(wall)]
-    lines += [line for box in content.boxes for line in _box(box)]
-    circles = [(*column.at, column.radius) for column in content.columns]
-    if not lines and not circles:
+    shapes = _shapes(content)
+    if not shapes:
         raise RecordingError(path, None, "has no walls, boxes or columns")
+    segments, circles = shapes.pop(ALWAYS, (np.zeros((0, 4)), np.zeros((0, 3))))
     return World(
         path.stem,
         content.title or path.stem,
-        np.array(lines, dtype=np.float64).reshape(-1, 4),
-        np.array(circles, dtype=np.float64).reshape(-1, 3),
+        segments,
+        circles,
         np.array(content.path, dtype=np.float64),
         content.speed,
+        tuple(Passing(*span, *things) for span, things in sorted(shapes.items(), key=lambda item: item[0])),
     )
+
+
+def _shapes(content: WorldFile) -> dict[tuple[float, float], tuple[Floats, Floats]]:
+    """Segments (n, 4) and circles (m, 3) of a file, by the time during which they are there."""
+    lines: dict[tuple[float, float], list[Segment]] = defaultdict(list)
+    rounds: dict[tuple[float, float], list[tuple[float, float, float]]] = defaultdict(list)
+    for wall in content.walls:
+        lines[wall.since, wall.until] += _wall(wall)
+    for box in content.boxes:
+        lines[box.since, box.until] += _box(box)
+    for column in content.columns:
+        rounds[column.since, column.until].append((*column.at, column.radius))
+    return {
+        span: (
+            np.array(lines.get(span, []), dtype=np.float64).reshape(-1, 4),
+            np.array(rounds.get(span, []), dtype=np.float64).reshape(-1, 3),
+        )
+        for span in {**lines, **rounds}
+    }
 
 
 def _find(name: str | Path) -> Path:

@@ -59,13 +59,13 @@ class Extension:
 class Belief:
     """The estimate of everything, changed by one sighting after the other."""
 
-    def __init__(self, config: OdometryConfig) -> None:
+    def __init__(self, config: OdometryConfig, loops: LoopCloser | None = None) -> None:
         self.mapper = Mapper()
         self.odometry_noise = OdometryNoise(config)
         self.path = Path()
         self.keyframe_stamps: list[float] = []
         self.pose = np.zeros(3)  # of the base in the map, at the last sighting
-        self.loops = LoopCloser()
+        self.loops = loops or LoopCloser()
         self._tracker = Tracker(self.odometry_noise)
         self._local_map = empty_local_map()
         self._recent_points = RecentPoints()

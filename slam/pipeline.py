@@ -16,6 +16,7 @@ from .errors import MapError
 from .estimator import Estimator, Step
 from .events import Finished, MapCorners, MapLines, Noticed, ScanTracked, Sink, StateChanged, TruthSeen
 from .front_end import FrontEnd, Sighting
+from .loops.closer import LoopCloser
 from .recovery import Excursion, Suspicion
 from .reporting import Reporter
 from .segments import Floats
@@ -34,11 +35,13 @@ class Slam:
     result = slam.finish()
     """
 
-    def __init__(self, config: Config | None = None, sinks: Sequence[Sink] = ()) -> None:
+    def __init__(
+        self, config: Config | None = None, sinks: Sequence[Sink] = (), loops: LoopCloser | None = None
+    ) -> None:
         self.config = config or Config()
         self._reporter = Reporter(sinks)
         self._front_end = FrontEnd(self.config)
-        self._estimator = Estimator(Belief(self.config.odometry))
+        self._estimator = Estimator(Belief(self.config.odometry, loops))
         self._excursion: Excursion | None = None  # while the robot is lost
         self._suspicion: Suspicion | None = None  # while what it sees may belong elsewhere
         self._state = StateWatch()
@@ -69,7 +72,7 @@ class Slam:
         if step.extension is not None:
             self._tell_keyframe(sighting, step.extension, clock)
         if step.retracted is not None:
-            self._statistics.loops.append(step.retracted)
+            self._statistics.loops.append((sighting.stamp, step.retracted))
             self._reporter.tell_loop(step.retracted, sighting.stamp, self.belief.mapper)
         self._suspect(sighting, step)
         if self.belief.lost:
@@ -104,7 +107,9 @@ class Slam:
         self._reporter.tell_map(stamp, self.belief.mapper)
         self._tell_state(stamp, self._state.find())
 
-    def _tell_state(self, stamp: float, state: State) -> None:
+    def _tell_state(self, stamp: float, state: State | None) -> None:
+        if state is None:
+            return
         self._statistics.states.append((stamp, state))
         self._reporter.tell(StateChanged(stamp, state.condition.value, state.direction))
 
@@ -120,9 +125,7 @@ class Slam:
             self._reporter.tell(Noticed(stamp, "the scan fits nowhere near; left out"))
         elif placement.hold is Hold.BLIND:
             self._statistics.blind += 1
-        state = self._state.update(placement)
-        if state is not None:
-            self._tell_state(stamp, state)
+        self._tell_state(stamp, self._state.update(placement))
         keyframe = self.belief.mapper.keyframe_count - 1
         self._reporter.tell(ScanTracked(stamp, placement.pose, sighting.odometry, explained, keyframe))
 
@@ -131,7 +134,7 @@ class Slam:
         self._statistics.add_keyframe(clock)
         self._statistics.merged_walls += extension.merge is not None
         if extension.loop is not None:
-            self._statistics.loops.append(extension.loop)
+            self._statistics.loops.append((sighting.stamp, extension.loop))
         self._reporter.tell_keyframe(
             sighting, self.belief.mapper, extension, self._front_end.sigma_range, dict(clock.laps)
         )
@@ -205,6 +208,8 @@ class Slam:
             "factors": self.belief.mapper.graph.factor_count,
             "merged_walls": self._statistics.merged_walls,
             "loops": self._statistics.loop_counts(),
+            "loop_decisions": self._statistics.loop_rows(),
+            "states": self._statistics.state_rows(),
             "odometry_deviation_per_metre": self.belief.odometry_noise.deviations.round(5).tolist(),
             "sigma_range": round(self._front_end.sigma_range, 5),
             "wall_unevenness": round(math.sqrt(self.belief.mapper.flatness.variance), 5),

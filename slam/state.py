@@ -45,10 +45,10 @@ class StateWatch:
         self.state, self._streak = State(Condition.LOST), 0
         return self.state
 
-    def find(self) -> State:
-        """The robot knows again where it is."""
-        self.state, self._streak = State(Condition.OK), 0
-        return self.state
+    def find(self) -> State | None:
+        """The robot knows where it is; the new state, if it did not before."""
+        before, self.state, self._streak = self.state, State(Condition.OK), 0
+        return None if before == self.state else self.state
 
     def update(self, placement: Placement) -> State | None:
         """Take a scan's placement; the new state, where it has changed."""

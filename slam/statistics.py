@@ -40,7 +40,7 @@ class RunStatistics:
     lost: int = 0
     states: list[tuple[float, State]] = field(default_factory=list)
     merged_walls: int = 0
-    loops: list[LoopDecision] = field(default_factory=list)
+    loops: list[tuple[float, LoopDecision]] = field(default_factory=list)  # with the time of the decision
     explained: list[float] = field(default_factory=list)
     keyframe_times: list[float] = field(default_factory=list)
     stage_times: dict[str, float] = field(default_factory=dict)
@@ -53,11 +53,22 @@ class RunStatistics:
 
     def loop_counts(self) -> dict[str, int]:
         """How many places looked known, and what became of them; "held" ones waited for a second look in vain."""
-        decided = [decision.status for decision in self.loops]
+        decided = [decision.status for _, decision in self.loops]
         return {
             "proposed": len(decided),
             **{name: decided.count(name) for name in ("accepted", "held", "rejected", "retracted")},
         }
+
+    def loop_rows(self) -> list[dict[str, object]]:
+        """Every decision on a place that looked known, with the scores it was decided by."""
+        return [_loop_row(stamp, decision) for stamp, decision in self.loops]
+
+    def state_rows(self) -> list[dict[str, object]]:
+        """When the state changed, and to what."""
+        return [
+            {"stamp": stamp, "state": state.condition.value, "direction": state.direction}
+            for stamp, state in self.states
+        ]
 
     def timings(self) -> dict[str, float]:
         """Milliseconds a keyframe: median, 99th percentile, maximum, and the mean of each stage."""
@@ -84,3 +95,26 @@ class RunStatistics:
             "blind": self.blind,
             "lost": self.lost,
         }
+
+
+def _loop_row(stamp: float, decision: LoopDecision) -> dict[str, object]:
+    verdict = decision.verdict
+    scores = {
+        "explained": verdict.explained,
+        "runner_up": verdict.runner_up,
+        "sigma": verdict.sigma,
+        "contradicted": verdict.contradicted,
+        "shift": decision.shift,
+    }
+    return {
+        "candidate": decision.candidate,
+        "stamp": stamp,
+        "keyframe": decision.keyframe,
+        "old": decision.old,
+        "status": decision.status,
+        "reason": verdict.reason,
+        "matches": verdict.matches,
+        "merged": len(decision.merged),
+        "motion": decision.motion.round(4).tolist(),
+        **{name: round(value, 4) for name, value in scores.items()},
+    }

@@ -14,7 +14,7 @@ from typer.core import TyperGroup
 
 from drivers.errors import SlamError
 
-from .bench import bench
+from .bench_loops import bench
 from .console import INTERRUPTED, MISTAKE, complain
 from .demo import demo
 from .evaluate import evaluate

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-bench = typer.Typer(no_args_is_help=True, help="Measure how fast and how accurate parts are.")
+bench = typer.Typer(no_args_is_help=True, help="Measure how fast, how accurate and how wary parts are.")
 
 
 @bench.command("features")
@@ -22,39 +22,20 @@ def bench_features() -> None:
         typer.echo(f"{row.name:<21} {row.beams:5d} {row.lines:6.1f} {row.median_us:10.1f} {row.p99_us:9.1f}")
 
 
-@bench.command("relocalisation")
-def bench_relocalisation(
-    recording: Annotated[str, typer.Argument(help="A recording; it is cut in two halves of equal time.")],
-    elsewhere: Annotated[
-        str | None,
-        typer.Option("--elsewhere", metavar="RECORDING", help="Search the map of another building, in vain."),
-    ] = None,
-    count: Annotated[int, typer.Option("--count", min=1, help="Places to look for, of each length of driving.")] = 200,
-    seed: Annotated[int, typer.Option("--seed", help="Of the choice of places.")] = 0,
+@bench.command("laps")
+def bench_laps(
+    world: Annotated[str, typer.Argument(help="A simulated world.")] = "office",
+    laps: Annotated[int, typer.Option("--laps", min=1, help="Rounds of its path.")] = 10,
+    seed: Annotated[int, typer.Option("--seed", help="Of the noise.")] = 0,
 ) -> None:
-    """Look for places of a recording's second half in the map of its first half.
+    """Drive the same tour again and again: time a scan and memory must stay as they are.
 
-    A fragment is mapped of the last 2, 4 and 6 metres before random scans. An accepted pose is wrong if it is more than
-    0.5 m or 10 degrees off; the pose of the uncut run, where both halves are one map, stands for the truth, carried
-    over by the nearest keyframe of the first half. A place is known if such a keyframe is within 2 m.
-
-    Example: [bold]wclm bench relocalisation intel.clf[/bold]
+    Example: [bold]wclm bench laps office --laps 10[/bold]
     """
-    import drivers
-
-    from ..benchmarks.relocalisation import WAYS, cut, halves, index_of, run, summary
+    from ..benchmarks.laps import run
     from ..config import Config
 
-    config = Config()
-    messages = list(drivers.open(recording))
-    other = None if elsewhere is None else index_of(halves(list(drivers.open(elsewhere)))[0], config)
-    known = cut(messages, config)
-    typer.echo("metres  places  accepted  right  precision  known  found  recall  median s  95 % s")
-    for way in WAYS:
-        row = summary(way, run(known, way, count, config, elsewhere=other, seed=seed))
-        precision = f"{row.right / row.accepted:.3f}" if row.accepted else "-"
-        recall = f"{row.found / row.known:.3f}" if row.known else "-"
-        typer.echo(
-            f"{row.way:6.0f}  {row.queries:6d}  {row.accepted:8d}  {row.right:5d}  {precision:>9}  {row.known:5d}  "
-            f"{row.found:5d}  {recall:>6}  {row.median:8.3f}  {row.p95:6.3f}"
-        )
+    typer.echo("lap  median ms  99 % ms  memory MB  keyframes  factors  walls")
+    for lap in run(world, laps, Config(), seed=seed):
+        sizes = f"{lap.keyframes:9d}  {lap.factors:7d}  {lap.walls:5d}"
+        typer.echo(f"{lap.number:3d}  {lap.median:9.2f}  {lap.p99:7.2f}  {lap.memory:9.0f}  {sizes}")

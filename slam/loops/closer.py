@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,14 +10,16 @@ import numpy as np
 from drivers import se2
 
 from ..mapper import Mapper
-from .constellation import OLD_WAY, Integers, recent_and_old
-from .proposal import Hypothesis, propose
+from .constellation import OLD_WAY, Constellation, Integers, OldMap, recent_and_old
+from .proposal import Hypothesis, distinct, propose
 from .verification import Verdict, verify
 
 INTERVAL = 1.5  # metres of driving between two looks
 LEAST_NEW = 4.0  # metres of new wall in the constellation: where all has long been known, there is nothing to close
 AGREEMENT, AGREEMENT_TURN = 0.3, np.radians(3.0)  # by which two looks at different places may differ
-MEMORY = 12.0  # metres of driving after which a first look no longer counts
+LEAST_FRESH = 6.0  # metres of wall on which a second look must rest that the first did not: else it is the same look
+NEAR = 1.0  # metres: of motions shorter than this the second look may be the same. No building repeats itself so soon
+MEMORY = 25.0  # metres of driving after which a look no longer counts
 CARRYING_SIGMAS = np.array([0.01, 0.01, np.radians(0.2)])  # of the relative pose that only carries the map over
 LEAST_MERGED = 0.5  # share of the matched walls that must come together
 STRANGE_OFFSET, STRANGE_HEADING = 0.10, np.radians(3.0)  # by which a wall that is the same may move across itself
@@ -53,22 +55,23 @@ class LoopDecision:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Look:
-    """A look that passed all tests: by what motion, and after how many metres of driving."""
+    """A look that passed all tests: by what motion, on which walls it rests, and after how many metres of driving."""
 
     motion: se2.Pose
+    walls: frozenset[int]
     way: float
 
-    def agrees(self, later: _Look, pose: se2.Pose) -> bool:
-        """Whether a later look says the same of the robot at `pose`, soon enough to be of the same place."""
-        return later.way - self.way <= MEMORY and _agree(self.motion, later.motion, pose)
+
+Propose = Callable[[Constellation, OldMap, se2.Pose], list[Hypothesis]]
 
 
 class LoopCloser:
-    """Looks for loops as the map grows."""
+    """Looks for loops as the map grows. `propose` says where the last metres may lie on the old map, see there."""
 
-    def __init__(self) -> None:
+    def __init__(self, propose: Propose = propose) -> None:
+        self._propose = propose
         self._last_way = 0.0
-        self._first: _Look | None = None
+        self._held: list[_Look] = []
         self._candidates = 0
         self._refused: list[se2.Pose] = []  # motions that proved wrong
 
@@ -83,27 +86,27 @@ class LoopCloser:
         known = way - ways[mapper.landmarks.walls.rows["first_seen"][recent.walls]] > OLD_WAY
         if 2 * recent.half_length[~known].sum() < LEAST_NEW:
             return None
-        hypotheses = propose(recent, old, mapper.pose)
+        hypotheses = self._propose(recent, old, mapper.pose)
         if len(hypotheses) < 2:
             return None
         views = [(mapper.graph.keyframe_pose(k), segments) for k, segments in mapper.views]
         verdict = verify(hypotheses, recent, old, mapper.landmarks, mapper.pose, views)
-        return self._decide(mapper, hypotheses[1], verdict, recent.walls, old.constellation.walls)
+        return self._decide(mapper, hypotheses[1], verdict, recent, old.constellation.walls)
 
     def forget(self) -> None:
         """The map has changed: what was seen before it no longer counts."""
-        self._first = None
+        self._held = []
 
     def refuse(self, decision: LoopDecision) -> None:
         """A closure proved wrong: it is not to be found again."""
         self._refused.append(decision.hypothesis.motion)
 
     def _decide(
-        self, mapper: Mapper, best: Hypothesis, verdict: Verdict, recent: Integers, old: Integers
+        self, mapper: Mapper, best: Hypothesis, verdict: Verdict, constellation: Constellation, old: Integers
     ) -> LoopDecision | None:
-        pairs = tuple(
-            (int(old[j]), int(recent[i])) for i, j in enumerate(best.matches) if j >= 0 and old[j] != recent[i]
-        )
+        recent = constellation.walls
+        matched = [(old[j], recent[i]) for i, j in enumerate(best.matches) if j >= 0]
+        pairs = tuple((int(wall), int(other)) for wall, other in matched if wall != other)
         if not pairs:
             return None
         self._candidates += 1
@@ -114,11 +117,26 @@ class LoopCloser:
             verdict = replace(verdict, accepted=False, reason="has proved wrong before")
         status = "rejected"
         if verdict.accepted:
-            first, self._first = self._first, _Look(best.motion, mapper.ways[-1])
-            status = "agreed" if first is not None and first.agrees(self._first, mapper.pose) else "held"
+            status = "agreed" if self._borne_out(best, constellation, mapper) else "held"
         return LoopDecision(
             self._candidates, mapper.keyframe_count - 1, old_keyframe, motion, verdict, status, best, pairs
         )
+
+    def _borne_out(self, best: Hypothesis, recent: Constellation, mapper: Mapper) -> bool:
+        """Whether an earlier look at other walls found the same motion, and none since found another one."""
+        way = mapper.ways[-1]
+        self._held = [look for look in self._held if way - look.way < MEMORY]
+        if not all(_agree(look.motion, best.motion, mapper.pose) for look in self._held):
+            self._held = []
+        matched = best.matches >= 0
+        near = not distinct(best.motion, np.zeros(3), mapper.pose, NEAR)
+        kept = mapper.landmarks.walls.rows["kept"]
+        for look in self._held:
+            fresh = matched & ~np.isin(recent.walls, kept[list(look.walls)])
+            if near or 2 * recent.half_length[fresh].sum() >= LEAST_FRESH:
+                return True
+        self._held.append(_Look(best.motion, frozenset(recent.walls[matched].tolist()), way))
+        return False
 
 
 def close(mapper: Mapper, decision: LoopDecision) -> LoopDecision:

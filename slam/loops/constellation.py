@@ -19,6 +19,9 @@ OLD_WAY = 15.0  # metres of driving after which a wall belongs to the old map
 TRANSLATION_DRIFT = 0.05  # metres of drift to be expected a metre driven: three times what good wheels do
 ROTATION_DRIFT = np.radians(0.2)  # radians a metre
 LEAST_TRANSLATION, MOST_TRANSLATION = 0.6, 10.0  # metres
+# Times as far as drift is expected to have led, other places are looked for that would explain as much: what lies just
+# out of reach makes a place as ambiguous as what lies within.
+RIVALS = 2.0
 LEAST_ROTATION, MOST_ROTATION = np.radians(6.0), np.radians(40.0)
 
 
@@ -71,7 +74,7 @@ def recent_and_old(landmarks: Landmarks, pose: se2.Pose, ways: Floats) -> tuple[
     rotation = np.clip(ROTATION_DRIFT * gone, LEAST_ROTATION, MOST_ROTATION)
     seen_from = se2.transform(se2.inverse(walls["frame"]), pose[:2])
     beyond = np.maximum(0.0, np.maximum(walls["low"] - seen_from[:, 0], seen_from[:, 0] - walls["high"]))
-    near = np.flatnonzero(old & (np.hypot(beyond, seen_from[:, 1]) < RECENT_WAY + translation))
+    near = np.flatnonzero(old & (np.hypot(beyond, seen_from[:, 1]) < RECENT_WAY + RIVALS * translation))
     olds = _constellation(near, walls["frame"][near], walls["low"][near], walls["high"][near])
     return recents, OldMap(olds, since_seen[near] > RECENT_WAY, translation[near], rotation[near])
 

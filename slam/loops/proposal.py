@@ -13,18 +13,19 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from drivers import se2
 
 from ..angles import turn_of
 from ..segments import Floats
-from .constellation import Constellation, OldMap
+from .constellation import RIVALS, Constellation, OldMap
 
 LONGEST = 16  # walls of the constellation that propose motions; the others only judge them
 LEAST_SINE = 0.5  # of the angle between two walls that fix a motion
 SAME_ANGLE = math.radians(4.0)  # by which the angle between two walls may differ from that between the old ones
 CELL, CELL_TURN = 0.4, math.radians(4.0)  # metres and radians of the voting grid
-BEST_CELLS = 24  # refined by Gauss-Newton
+BEST_CELLS = 24  # refined by Gauss-Newton: peaks, since the cells around a strong one would leave no place for others
 GATES = np.array([0.5, 0.4, 0.3, 0.2, 0.15, 0.15])  # metres across, one a Gauss-Newton step; the last one judges
 TURN_GATES = np.radians([8.0, 7.0, 6.0, 5.0, 4.0, 4.0])
 OFFSET_SIGMA = 0.05  # metres, of how well two walls that are one agree; walls are weighted by their length besides
@@ -57,19 +58,21 @@ def propose(recent: Constellation, old: OldMap, pose: se2.Pose) -> list[Hypothes
     if len(recent) < 3 or len(old.constellation) < 3:
         return []
     order = np.argsort(-recent.half_length, kind="stable")[:LONGEST]
-    reach, turn = float(old.translation.max()), float(old.rotation.max())
+    translation, rotation = RIVALS * old.translation, RIVALS * old.rotation
+    reach, turn = float(translation.max()), float(rotation.max())
     votes = _vote(
         recent.frame[order], recent.half_length[order], old.constellation.frame, old.constellation.half_length,
-        old.translation, old.rotation, pose[:2], reach, turn,
+        translation, rotation, pose[:2], reach, turn,
     )  # fmt: skip
-    flat = np.argsort(-votes, axis=None, kind="stable")[:BEST_CELLS]
-    flat = flat[votes.ravel()[flat] > 0]
+    peaks = np.where(votes == maximum_filter(votes, size=3, mode="constant"), votes, 0.0)
+    flat = np.argsort(-peaks, axis=None, kind="stable")[:BEST_CELLS]
+    flat = flat[peaks.ravel()[flat] > 0]
     cells = np.column_stack(np.unravel_index(flat, votes.shape)).astype(float)
     starts = np.column_stack([(cells[:, :2] + 0.5) * CELL - reach - CELL, (cells[:, 2] + 0.5) * CELL_TURN - turn])
-    stay = _refined(np.zeros(3), recent, old, pose, first=len(GATES) - 1)
+    stay = refined(np.zeros(3), recent, old, pose, first=len(GATES) - 1)
     found: list[Hypothesis] = []
     for start in starts:
-        hypothesis = _refined(start, recent, old, pose)
+        hypothesis = refined(start, recent, old, pose)
         if not distinct(hypothesis.motion, stay.motion, pose, by=MOVED, turn=MOVED_TURN):
             continue
         equal = [row for row, other in enumerate(found) if not distinct(hypothesis.motion, other.motion, pose)]
@@ -80,7 +83,11 @@ def propose(recent: Constellation, old: OldMap, pose: se2.Pose) -> list[Hypothes
     return [stay, *sorted(found, key=lambda hypothesis: -hypothesis.length)]
 
 
-def _refined(start: Floats, recent: Constellation, old: OldMap, pose: se2.Pose, first: int = 0) -> Hypothesis:
+def refined(start: Floats, recent: Constellation, old: OldMap, pose: se2.Pose, first: int = 0) -> Hypothesis:
+    """The best motion near `start`, which is [shift x, shift y, turn about the robot] in metres and radians.
+
+    `first` is the gate to begin with; the last one leaves the motion as it is and only judges it.
+    """
     motion, information, matches, length, covered = _refine(
         start, recent.frame, recent.half_length, old.constellation.frame, old.constellation.half_length, pose[:2], first
     )

@@ -52,14 +52,18 @@ def verify(
     `views` are the last keyframes' poses with the segments seen from them.
     """
     best = hypotheses[1]
-    others = [h.length for h in hypotheses[2:] if distinct(h.motion, best.motion, pose)]
     gain = best.length - hypotheses[0].length
-    runner_up = max(others, default=0.0) / max(best.length, 1e-9)
-    matches = int((best.matches >= 0).sum())
-    sigma = float(np.sqrt(np.linalg.eigvalsh(np.linalg.inv(best.information)[:2, :2])[-1]))
+    rivals = [h for h in hypotheses if h is not best and distinct(h.motion, best.motion, pose)]
+    runner_up = max((_rivalry(rival, best) for rival in rivals), default=0.0)
+    matches, sigma = _matches(best), _sigma(best)
+    moved = se2.between(pose, se2.compose(best.motion, pose))
+    shift, turn = float(np.hypot(moved[0], moved[1])), abs(float(moved[2]))
+    matched = best.matches[best.matches >= 0]
+    reachable = shift <= old.translation[matched].max(initial=0.0) and turn <= old.rotation[matched].max(initial=0.0)
     contradicted = contradiction(best.motion, old, landmarks, views)
     allowed = max(MOST_CONTRADICTED, contradiction(hypotheses[0].motion, old, landmarks, views))
     tests = (
+        (reachable, f"{shift:.1f} m and {np.degrees(turn):.0f} degrees are farther than drift leads"),
         (best.explained >= LEAST_EXPLAINED, f"explains {best.explained:.0%} < {LEAST_EXPLAINED:.0%}"),
         (best.length >= LEAST_LENGTH, f"{best.length:.1f} m of wall < {LEAST_LENGTH:.0f} m"),
         (gain >= LEAST_GAIN, f"{gain:.1f} m of wall more than staying < {LEAST_GAIN:.0f} m"),
@@ -70,6 +74,27 @@ def verify(
     )
     reason = next((text for passed, text in tests if not passed), "")
     return Verdict(not reason, reason or "all tests passed", best.explained, matches, runner_up, sigma, contradicted)
+
+
+def _rivalry(rival: Hypothesis, best: Hypothesis) -> float:
+    """How much another motion explains, relative to the best one.
+
+    Where the old map ends, a motion farther into it explains more wall without being any truer. So one that determines
+    where the robot is by itself is compared by the share it explains of what could be known there, too.
+    """
+    by_length = rival.length / max(best.length, 1e-9)
+    if _matches(rival) < LEAST_MATCHES or rival.length < LEAST_LENGTH or _sigma(rival) > WORST_SIGMA:
+        return by_length
+    return max(by_length, rival.explained / max(best.explained, 1e-9))
+
+
+def _matches(hypothesis: Hypothesis) -> int:
+    return int((hypothesis.matches >= 0).sum())
+
+
+def _sigma(hypothesis: Hypothesis) -> float:
+    """Metres: how well the matched walls determine the motion, in the direction in which they do so worst."""
+    return float(np.sqrt(np.linalg.eigvalsh(np.linalg.inv(hypothesis.information)[:2, :2])[-1]))
 
 
 def contradiction(

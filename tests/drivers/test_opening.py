@@ -20,6 +20,10 @@ def test_simulation_with_options() -> None:
     assert (source.seed, source.duration) == (3, 12.5)
     assert np.array_equal(source.mount, [0.1, 0.2, -0.5])
     assert source.name == "sim:room"
+    worse = drivers.open("sim:room?lidar=short&odometry=bad")
+    assert isinstance(worse, Simulation)
+    assert worse.lidar.range_max < source.lidar.range_max
+    assert worse.drive.scale_bias > source.drive.scale_bias
 
 
 def test_directory_whose_recorder_was_killed(tmp_path: Path, recordings: dict[str, str]) -> None:
@@ -39,6 +43,8 @@ def test_directory_whose_recorder_was_killed(tmp_path: Path, recordings: dict[st
         ("sim:room?seed=many", "not a number"),
         ("sim:room?speed=3", "unknown option speed"),
         ("sim:room?duration=-3", "duration"),
+        ("sim:room?lidar=best", "no lidar 'best'; there are long, short"),
+        ("sim:room?odometry=", "no odometry ''; there are good, bad"),
     ],
 )
 def test_what_cannot_be_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, spec: str, reason: str) -> None:

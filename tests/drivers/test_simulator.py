@@ -11,8 +11,9 @@ import pytest
 
 from drivers import GroundTruth, Message, Odometry, RecordingError, Scan, se2
 from drivers.messages import Floats
+from drivers.raycast import STEP
 from drivers.simulator import Drive, Lidar, Simulation, warm_up
-from drivers.world import World, load_world, world_names
+from drivers.world import Passing, World, load_world, world_names
 
 QUIET = Lidar(sigma_range=0.0, sigma_bearing=0.0, dropouts=0.0, mixed=0.0)
 PERFECT = Drive(slip=0.0, encoder=0.0, scale_bias=0.0, difference_bias=0.0, wheelbase_bias=0.0)
@@ -158,21 +159,31 @@ def test_parameters_say_everything() -> None:
     assert set(parameters) == {"world", "seed", "duration", "lidar", "drive", "mount", "biases"}
 
 
-@pytest.mark.parametrize("name", ["office", "corridor", "columns", "room"])
+@pytest.mark.parametrize("name", world_names())
 def test_worlds_can_be_driven_through(name: str) -> None:
-    assert name in world_names()
     simulation = Simulation(name)
-    way = simulation.path.poses[::5, :2]
-    walls = simulation.world.segments
-    start, along = walls[:, :2], walls[:, 2:] - walls[:, :2]
-    share = np.clip(((way[:, None] - start) * along).sum(-1) / (along**2).sum(-1), 0, 1)
-    gaps = np.linalg.norm(way[:, None] - start - share[..., None] * along, axis=-1)
-    assert gaps.min() > ROBOT_RADIUS
-    circles = simulation.world.circles
-    if len(circles):
-        gaps = np.linalg.norm(way[:, None] - circles[:, :2], axis=-1) - circles[:, 2]
+    poses = simulation.path.poses[::5]
+    for since, until in [(0.0, np.inf), *((thing.since, thing.until) for thing in simulation.world.passing)]:
+        times = 5 * STEP * np.arange(len(poses))
+        way = poses[(times >= since) & (times < until), :2]
+        walls, circles = simulation.world.at(since)
+        start, along = walls[:, :2], walls[:, 2:] - walls[:, :2]
+        share = np.clip(((way[:, None] - start) * along).sum(-1) / (along**2).sum(-1), 0, 1)
+        gaps = np.linalg.norm(way[:, None] - start - share[..., None] * along, axis=-1)
         assert gaps.min() > ROBOT_RADIUS
-    assert way[-1] == pytest.approx(simulation.world.path[-1], abs=0.1)
+        if len(circles):
+            gaps = np.linalg.norm(way[:, None] - circles[:, :2], axis=-1) - circles[:, 2]
+            assert gaps.min() > ROBOT_RADIUS
+    assert poses[-1, :2] == pytest.approx(simulation.world.path[-1], abs=0.1)
+
+
+def test_a_scan_shows_what_stands_there_at_its_time() -> None:
+    screen = Passing(2.0, 4.0, np.array([[-1.0, 2.0, 1.0, 2.0]]), np.zeros((0, 3)))
+    still = replace(square(), speed=1e-6, passing=(screen,))
+    scans = scans_of(list(Simulation(still, duration=6.0, lidar=QUIET, mount=(0, 0, 0))))
+    ahead = {scan.stamp: scan.ranges[np.abs(scan.angles - np.pi / 2).argmin()] for scan in scans}
+    for stamp, distance in ahead.items():
+        assert distance == pytest.approx(2.0 if 2.0 <= stamp < 4.0 else 5.0, abs=1e-3)
 
 
 def test_office_is_a_real_drive() -> None:

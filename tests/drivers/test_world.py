@@ -66,3 +66,16 @@ def test_wrong_files_are_refused_in_one_line(tmp_path: Path, text: str, reason: 
 def test_worlds_are_found_by_name_only_if_they_are_there() -> None:
     with pytest.raises(RecordingError, match=r"there are .*office"):
         load_world("atlantis")
+
+
+def test_things_come_and_go(tmp_path: Path) -> None:
+    text = PATH + (
+        "[[walls]]\nfrom = [0, 1]\nto = [4, 1]\n"
+        "[[boxes]]\nat = [2, 3]\nsize = [2, 1]\nuntil = 5\n"
+        "[[columns]]\nat = [5, 5]\nradius = 0.3\nsince = 5\nuntil = 9\n"
+    )
+    here = world(tmp_path, text)
+    assert [(len(segments), len(circles)) for segments, circles in map(here.at, (0.0, 4.9, 5.0, 9.0))] == [
+        (5, 0), (5, 0), (1, 1), (1, 0),
+    ]  # fmt: skip
+    assert here.segments.tolist() == [[0, 1, 4, 1]]

@@ -17,7 +17,20 @@ from slam.errors import MapError
 from slam.outputs import RESULTS
 from slam.trajectory import read_tum
 
-COMMANDS = ("demo", "run", "info", "simulate", "eval", "features", "bench", "bench features", "bench relocalisation")
+COMMANDS = (
+    "demo",
+    "run",
+    "info",
+    "simulate",
+    "eval",
+    "features",
+    "bench",
+    "bench features",
+    "bench relocalisation",
+    "bench laps",
+    "bench lookalike",
+    "bench false-closures",
+)
 SHORT = "sim:room?duration=3"
 ESCAPES = re.compile(r"\x1b\[[0-9;]*m")
 
