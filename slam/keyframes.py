@@ -40,9 +40,7 @@ def write_keyframes(path: Path, keyframes: Keyframes) -> None:
     """Write the keyframes; microseconds, micrometres, nine digits of the covariances' upper triangles."""
     lines = [",".join(COLUMNS)]
     upper = keyframes.covariance[:, UPPER[0], UPPER[1]]
-    for stamp, pose, values in zip(
-        keyframes.stamps.tolist(), keyframes.poses.tolist(), upper.tolist(), strict=True
-    ):
+    for stamp, pose, values in zip(keyframes.stamps.tolist(), keyframes.poses.tolist(), upper.tolist(), strict=True):
         numbers = [f"{stamp:.6f}", *(f"{value:z.6f}" for value in pose[:2]), f"{pose[2]:z.9f}"]
         lines.append(",".join([*numbers, *(f"{value:.9g}" for value in values)]))
     path.write_text("\n".join(lines) + "\n", encoding="ascii", newline="\n")

@@ -20,7 +20,9 @@ from .demo import demo
 from .evaluate import evaluate
 from .features import features
 from .info import info
+from .map import export_map
 from .optimize import optimize
+from .page import report
 from .run import run
 from .simulate import simulate
 
@@ -74,6 +76,8 @@ def wclm(
 app.command()(demo)
 app.command()(run)
 app.command()(optimize)
+app.command("map")(export_map)
+app.command()(report)
 app.command()(info)
 app.command()(simulate)
 app.command("eval")(evaluate)

@@ -30,7 +30,10 @@ def demo(
     from .viewer import has_display, open_viewer, viewer_command
 
     source = Simulation(WORLD, seed=seed)
-    outcome = map_source(source, Config(), out, overwrite=overwrite, review=True, picture=True, seed=seed)
+    reopen = f"sim:{WORLD}?seed={seed}"
+    outcome = map_source(
+        source, Config(), out, overwrite=overwrite, review=True, picture=True, seed=seed, reopen=reopen
+    )
     typer.echo("\n".join(lines_for_people(outcome, out)))
     if view and has_display():
         open_viewer(viewer_command(out))

@@ -41,6 +41,7 @@ def summarise(
     score: ReferenceScore | None,
     *,
     seed: int | None,
+    reopen: str | None,
     slam_seconds: float,
     seconds: float,
 ) -> dict[str, Any]:
@@ -50,6 +51,7 @@ def summarise(
     report = source.report
     return {
         "recording": source.name,
+        "recording_path": reopen,
         "seed": seed,
         "scans": tally.scans,
         "odometry": len(tally.odometry),

@@ -17,7 +17,7 @@ from ..config import Config, config_to_toml
 from ..errors import MapError
 from ..evaluation import ReferenceScore, score_reference
 from ..events import Event, Finished, Noticed
-from ..outputs import PICTURE, REVIEW, OutputDirectory, write_results
+from ..outputs import PICTURE, REPORT, REVIEW, OutputDirectory, write_results
 from ..trajectory import Trajectory
 from .console import progress, say_if_slow
 from .report import summarise, versions
@@ -78,14 +78,30 @@ class Outcome:
     review: bool
 
 
+def lasting(recording: str) -> str:
+    """What opens the same recording from another directory, too."""
+    return recording if recording.startswith("sim:") else str(Path(recording).resolve())
+
+
 def map_source(
-    source: Source, config: Config, out: Path, *, overwrite: bool, review: bool, picture: bool, seed: int | None = None
+    source: Source,
+    config: Config,
+    out: Path,
+    *,
+    overwrite: bool,
+    review: bool,
+    picture: bool,
+    seed: int | None = None,
+    reopen: str | None = None,
 ) -> Outcome:
     """Run SLAM over `source` and write `out`, which appears only when everything in it is complete.
 
+    `reopen` is what `drivers.open` takes for the same messages again, if anything does.
     Raises SlamError; whatever is raised, nothing is left behind.
     """
     with OutputDirectory(out, overwrite) as directory, ExitStack() as cleanup:
+        from ..exports import read_session
+        from ..page import write_page
         from ..pipeline import Slam
         from ..warmup import warm_up
 
@@ -120,8 +136,11 @@ def map_source(
         if picture:
             _draw(directory / PICTURE, finished, tally, score, source.name)
         took = time.perf_counter() - started
-        summary = summarise(source, finished, tally, notices.texts, score, seed=seed, slam_seconds=busy, seconds=took)
+        summary = summarise(
+            source, finished, tally, notices.texts, score, seed=seed, reopen=reopen, slam_seconds=busy, seconds=took
+        )
         write_results(directory, finished, config, summary)
+        write_page(directory / REPORT, read_session(directory))
     return Outcome(summary, review)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from .dxf import write_dxf
 from .geojson import write_geojson
 from .occupancy import Occupancy, OccupancyGrid, Thresholds
-from .pgm import write_pgm
+from .pgm import write_pgm, write_pgm_yaml
 from .placed import PlacedScan, placed_scans
 from .ply import write_ply
 from .session import Session, open_recording, read_session
@@ -27,6 +27,7 @@ __all__ = [
     "write_dxf",
     "write_geojson",
     "write_pgm",
+    "write_pgm_yaml",
     "write_ply",
     "write_svg",
 ]
