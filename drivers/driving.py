@@ -89,38 +89,69 @@ class Path:
         return poses
 
 
+class Steering:
+    """Heads for one way point (k, 2) after the other, in steps of STEP seconds, having stood for STANDSTILL.
+
+    speed    metres a second
+    endless  round again where the path ends where it begins, back and forth where it does not; else it ends at the last
+    """
+
+    def __init__(self, points: Floats, speed: float, endless: bool) -> None:
+        self._speed = speed
+        self._ahead = _way_points(points, endless)
+        self._target = next(self._ahead)
+        self._following = next(self._ahead, None)
+        self._standing = round(STANDSTILL / STEP)
+        self._v = self._w = 0.0
+
+    def step(self, x: float, y: float, heading: float) -> tuple[float, float] | None:
+        """Speed and turn rate for the next step from a pose; None at the last way point."""
+        gap = self._gap(x, y)
+        if self._following is None and gap < ARRIVED:
+            return None
+        if self._following is not None and gap < REACHED:
+            self._target, self._following = self._following, next(self._ahead, None)
+            gap = self._gap(x, y)
+        if self._standing:
+            self._standing -= 1
+        else:
+            error = math.atan2(self._target[1] - y, self._target[0] - x) - heading
+            self._v, self._w = _steer(self._v, self._w, error, gap, self._speed, self._following is None)
+        return self._v, self._w
+
+    def _gap(self, x: float, y: float) -> float:
+        return math.hypot(self._target[0] - x, self._target[1] - y)
+
+
+def start_of(points: Floats) -> tuple[float, float, float]:
+    """The pose at the first of way points (k, 2), looking at the second."""
+    x, y = (float(value) for value in points[0])
+    return x, y, math.atan2(points[1, 1] - y, points[1, 0] - x)
+
+
+def arc(x: float, y: float, heading: float, v: float, w: float) -> tuple[float, float, float]:
+    """The pose after driving for STEP from one at a speed and a turn rate."""
+    half = w * STEP / 2
+    chord = v * STEP * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
+    return x + chord * math.cos(heading + half), y + chord * math.sin(heading + half), heading + 2 * half
+
+
 def drive_path(points: Floats, speed: float, duration: float | None = None) -> Path:
     """Drive through way points (k, 2) in metres at a speed in m/s.
 
-    Without a duration (seconds) the robot stops at the last point. With one it goes on as long: round again
-    where the path ends where it begins, back and forth where it does not.
+    Without a duration (seconds) the robot stops at the last point. With one it goes on as long; see `Steering`.
     """
-    x, y = (float(value) for value in points[0])
-    heading = math.atan2(points[1, 1] - y, points[1, 0] - x)
-    v = w = 0.0
+    steering = Steering(points, speed, endless=duration is not None)
+    pose = start_of(points)
     poses: list[tuple[float, float, float]] = []
     twists: list[tuple[float, float]] = []
     limit = _longest(points, speed) if duration is None else duration
-    ahead = _way_points(points, endless=duration is not None)
-    target = next(ahead)
-    following = next(ahead, None)
-    standing = round(STANDSTILL / STEP)
-    while len(poses) * STEP < limit:
-        gap = math.hypot(target[0] - x, target[1] - y)
-        if following is None and gap < ARRIVED:
-            break
-        if following is not None and gap < REACHED:
-            target, following = following, next(ahead, None)
-            gap = math.hypot(target[0] - x, target[1] - y)
-        if len(poses) >= standing:
-            v, w = _steer(v, w, math.atan2(target[1] - y, target[0] - x) - heading, gap, speed, following is None)
-        poses.append((x, y, heading))
-        twists.append((v, w))
-        half = w * STEP / 2
-        chord = v * STEP * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
-        x, y, heading = x + chord * math.cos(heading + half), y + chord * math.sin(heading + half), heading + 2 * half
-    rest = standing if duration is None else 0
-    poses += [(x, y, heading)] * rest
+    while len(poses) * STEP < limit and (twist := steering.step(*pose)) is not None:
+        poses.append(pose)
+        twists.append(twist)
+        pose = arc(*pose, *twist)
+    rest = round(STANDSTILL / STEP) if duration is None else 0
+    poses += [pose] * rest
     twists += [(0.0, 0.0)] * rest
     return Path(np.array(poses).reshape(-1, 3), np.array(twists).reshape(-1, 2))
 

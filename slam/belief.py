@@ -19,6 +19,7 @@ from .front_end import Sighting
 from .local_map import empty_local_map
 from .loops.closer import LoopCloser, LoopDecision, close
 from .mapper import REACH_MARGIN, KeyframeView, Mapper, Merge, Motion
+from .observability import free_direction
 from .odometry import OdometryNoise, fused_motion
 from .path import Path
 from .point_field import RecentPoints
@@ -31,6 +32,9 @@ KEYFRAME_DISTANCE = 0.25  # metres
 KEYFRAME_TURN = np.radians(8.0)
 # A place is familiar that keyframes so near were made of on so many visits, where so much of what is seen is known.
 FAMILIAR_VISITS, FAMILIAR_DISTANCE, FAMILIAR_TURN, FAMILIAR_EXPLAINED = 2, 0.3, np.radians(10.0), 0.8
+# Where walls and corners do not hold the pose, along a corridor, it is better known once later scans are; for that it
+# must be a keyframe. That pays for some visits more.
+FAMILIAR_SIGMA, FAMILIAR_VISITS_ADRIFT = 0.05, 6  # metres
 VISIT_GAP = 20  # keyframes made elsewhere between two visits
 CARRIED_SIGMAS = np.array([10.0, 10.0, 3.0])  # metres, metres, radians: what is known of a motion that no wheel made
 CARRIED_REACH = 12.0  # metres of map around a robot that was just found again
@@ -72,6 +76,7 @@ class Belief:
         self._point_field = self._recent_points.field(np.zeros((0, 3)), self.pose)
         self._anchor: Anchor | None = None
         self._carried = False  # whether the robot has been moved since then without odometry's knowing
+        self.carried_keyframes: list[int] = []  # that were reached in this way
         self.unplaced: list[Sighting] = []  # the last in a row that fit nowhere
         self._searched: tuple[float, int, se2.Pose] | None = None  # to be borne out by the next scan
 
@@ -129,7 +134,8 @@ class Belief:
         near = self.mapper.keyframes_near(self.pose, FAMILIAR_DISTANCE, FAMILIAR_TURN)
         before = np.sort(near[near < self.mapper.keyframe_count - VISIT_GAP])  # this visit does not count
         visits = np.count_nonzero(np.diff(before) > VISIT_GAP) + 1 if len(before) else 0
-        return int(near[0]) if visits >= FAMILIAR_VISITS else None
+        held = free_direction(self.pose, placement.registration.information, FAMILIAR_SIGMA) is None
+        return int(near[0]) if visits >= (FAMILIAR_VISITS if held else FAMILIAR_VISITS_ADRIFT) else None
 
     def _pass_by(self, keyframe: int, sighting: Sighting, placement: Placement) -> None:
         """Go through a familiar place: the way goes on from there, the map stays as it is."""
@@ -207,6 +213,7 @@ class Belief:
         claimed, actual = se2.between(anchor.odometry, odometry), se2.between(self._anchor_pose, self.pose)
         covariance = np.diag(CARRIED_SIGMAS**2)
         if self._carried:
+            self.carried_keyframes.append(self.mapper.keyframe_count)
             claimed = actual
         else:
             self.odometry_noise.learn(claimed, actual)

@@ -6,6 +6,7 @@ of the information of its two segments, and their factors keep the rest: the sum
 
 from __future__ import annotations
 
+import copy
 from collections import defaultdict, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -52,6 +53,14 @@ class KeyframeView:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Names:
+    """Which landmarks a keyframe saw: identities for its segments (n,) and corners (m,), -1 for what is ambiguous."""
+
+    walls: Integers
+    corners: Integers
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Motion:
     """The motion [x, y, heading] from an earlier keyframe to a new one, covariance (3, 3) in the new one's frame."""
 
@@ -80,9 +89,17 @@ class Mapper:
         self.trail: Floats = np.zeros((0, 3))  # the keyframes' poses, those long past as they were lately read back
         self.ways = [0.0]  # metres driven up to each keyframe
         self.views: deque[tuple[int, Segments]] = deque(maxlen=KEPT_VIEWS)
+        self.names: list[Names] = []  # of each keyframe, as they were when it was added
         self.pose_covariances: list[Floats] = []  # of the keyframes when they were added, (3, 3) in the map's axes
         self._waiting_walls: dict[int, list[tuple[int, se2.Pose, Floats]]] = defaultdict(list)
         self._waiting_corners: dict[int, list[tuple[int, Floats, Floats]]] = defaultdict(list)
+
+    @classmethod
+    def on(cls, other: Mapper) -> Mapper:
+        """A mapper without keyframes yet, that knows the landmarks of another."""
+        mapper = cls()
+        mapper.landmarks, mapper.flatness = copy.deepcopy(other.landmarks), copy.deepcopy(other.flatness)
+        return mapper
 
     @property
     def pose(self) -> se2.Pose:
@@ -111,43 +128,68 @@ class Mapper:
     ) -> KeyframeView:
         """A keyframe near `pose`, reached by a motion from an earlier one (None for the first), with what it sees."""
         keyframe = self.keyframe_count
+        known = len(self.landmarks.walls)
+        names = self.name(keyframe, pose, segments, corners, association, local_map)
+        self.extend(pose, motion, segments, corners, names)
+        self.graph.update()
+        self.trail[-1] = self.graph.keyframe_pose(keyframe)
+        return KeyframeView(
+            segments,
+            corners,
+            names.walls,
+            association.wall_distance,
+            names.corners,
+            association.corner_distance,
+            names.walls[names.walls >= known],
+        )
+
+    def extend(
+        self,
+        pose: se2.Pose,
+        motion: Motion | None,
+        segments: Segments,
+        corners: CornerPoints,
+        names: Names,
+    ) -> None:
+        """Give the graph a keyframe and what it sees, by name; takes effect with the graph's next update."""
+        keyframe = self.keyframe_count
         self.keyframe_count += 1
         if motion is None:
             self.graph.add_first_keyframe(pose)
         else:
             self.graph.add_keyframe(keyframe, pose, motion.start, motion.motion, motion.covariance)
             self.ways.append(self.ways[-1] + float(np.hypot(motion.motion[0], motion.motion[1])))
+        self.trail = np.vstack([self.trail, pose])
         self.views.append((keyframe, segments))
-        walls, new_walls = self._name_walls(keyframe, pose, segments, association, local_map)
-        corner_landmarks = self._name_corners(keyframe, pose, corners, walls, association, local_map)
-        self._observe(keyframe, pose, segments, corners, walls, corner_landmarks)
-        self.graph.update()
-        self.trail = np.vstack([self.trail, self.graph.keyframe_pose(keyframe)])
-        return KeyframeView(
-            segments,
-            corners,
-            walls,
-            association.wall_distance,
-            corner_landmarks,
-            association.corner_distance,
-            new_walls,
-        )
+        self.names.append(names)
+        self._observe(keyframe, pose, segments, corners, names.walls, names.corners)
+
+    def name(
+        self,
+        keyframe: int,
+        pose: se2.Pose,
+        segments: Segments,
+        corners: CornerPoints,
+        association: Association,
+        local_map: LocalMap,
+    ) -> Names:
+        """What an association means by identities; landmarks are seen again, or for the first time and made."""
+        walls = self._name_walls(keyframe, pose, segments, association, local_map)
+        return Names(walls, self._name_corners(keyframe, pose, corners, walls, association, local_map))
 
     def _name_walls(
         self, keyframe: int, pose: se2.Pose, segments: Segments, association: Association, local_map: LocalMap
-    ) -> tuple[Integers, Integers]:
-        """The identity of the wall each segment shows, -1 where ambiguous, making new walls; and the new ones."""
+    ) -> Integers:
+        """The identity of the wall each segment shows (-1: ambiguous), walls seen for the first time made."""
         frames = se2.compose(pose, segments.frame).reshape(-1, 3)
         named = np.full(len(segments), -1)
-        new = []
         for i, row in enumerate(association.walls):
             if row >= 0:
                 named[i] = local_map.walls[row]
                 self.landmarks.see_wall(int(named[i]), frames[i], segments.half_length[i], keyframe)
             elif row == UNMATCHED:
                 named[i] = self.landmarks.add_wall(frames[i], segments.half_length[i], keyframe)
-                new.append(named[i])
-        return named, np.array(new, dtype=np.int64)
+        return named
 
     def _name_corners(
         self,
@@ -246,6 +288,11 @@ class Mapper:
         self.graph.settle()
         self.graph.rebuild()
         self.read_back_all()
+
+    def solve(self) -> None:
+        """Solve all that an empty mapper was given by `extend`, in batch, and read it back."""
+        self.graph.solve()
+        self._read_back(None)
 
     def read_back_all(self) -> None:
         """Take the whole estimate from the graph."""

@@ -31,6 +31,30 @@ class Duplicate:
     distance: float
 
 
+@dataclass(frozen=True, slots=True)
+class Overlap:
+    """Two walls, `first` and `second`, that run along one another for `length` metres.
+
+    The second's frame lies `along` the first (metres); in the `middle` of what they share, also measured along the
+    first, the second is `offset` (metres) across and turned by `turn` (radians).
+    """
+
+    first: int
+    second: int
+    along: float
+    middle: float
+    length: float
+    offset: float
+    turn: float
+
+    def distance(self, covariance: Floats, flatness: float) -> float:
+        """Squared Mahalanobis distance between the two, given the `covariance` (2, 2) of offset and turn, to which
+        the variance of their unevenness is added."""
+        difference = np.array([self.offset, self.turn])
+        uneven = np.diag([flatness, 12 * flatness / self.length**2])
+        return float(difference @ np.linalg.solve(covariance + uneven, difference))
+
+
 def find_duplicate(
     local_map: LocalMap, mature: NDArray[np.bool_], seen: NDArray[np.bool_], flatness: float
 ) -> Duplicate | None:
@@ -43,7 +67,22 @@ def find_duplicate(
     rows = np.flatnonzero(mature)
     if len(rows) < 2:
         return None
-    frame, low, high = local_map.frame[rows], local_map.low[rows], local_map.high[rows]
+    pairs = overlaps(local_map.frame[rows], local_map.low[rows], local_map.high[rows])
+    best: Duplicate | None = None
+    for pair in pairs:
+        first, second = int(rows[pair.first]), int(rows[pair.second])
+        if not (seen[first] or seen[second]):
+            continue
+        at_first = _carried(local_map.wall_covariance[first], pair.middle)
+        at_second = _carried(local_map.wall_covariance[second], pair.middle - pair.along)
+        distance = pair.distance(at_first + at_second, flatness)
+        if distance < GATE and (best is None or distance < best.distance):
+            best = Duplicate(first, second, pair.along, distance)
+    return best
+
+
+def overlaps(frame: Floats, low: Floats, high: Floats) -> list[Overlap]:
+    """All pairs of walls, of frames (n, 3) and known from `low` to `high` (n,), that run alike along one another."""
     other = se2.between(frame[:, None], frame[None, :])  # (n, n, 3): the second wall's frame in the first's
     turn = other[..., 2]
     along = other[..., 0]
@@ -51,21 +90,11 @@ def find_duplicate(
     end = np.minimum(high[:, None], along + high[None, :])
     middle = 0.5 * (start + end)
     offset = other[..., 1] + (middle - along) * np.tan(turn)
-    candidate = (np.abs(turn) < WIDEST_HEADING) & (np.abs(offset) < WIDEST_OFFSET) & (end - start > LEAST_OVERLAP)
-    candidate &= np.triu(seen[rows][:, None] | seen[rows][None, :], 1)
-    best: Duplicate | None = None
-    for i, j in np.argwhere(candidate):
-        at_first = _carried(local_map.wall_covariance[rows[i]], middle[i, j])
-        at_second = _carried(local_map.wall_covariance[rows[j]], middle[i, j] - along[i, j])
-        overlap = end[i, j] - start[i, j]
-        difference = np.array([offset[i, j], turn[i, j]])
-        distance = float(
-            difference
-            @ np.linalg.solve(at_first + at_second + np.diag([flatness, 12 * flatness / overlap**2]), difference)
-        )
-        if distance < GATE and (best is None or distance < best.distance):
-            best = Duplicate(int(rows[i]), int(rows[j]), float(along[i, j]), distance)
-    return best
+    alike = (np.abs(turn) < WIDEST_HEADING) & (np.abs(offset) < WIDEST_OFFSET) & (end - start > LEAST_OVERLAP)
+    return [
+        Overlap(int(i), int(j), along[i, j], middle[i, j], end[i, j] - start[i, j], offset[i, j], turn[i, j])
+        for i, j in np.argwhere(np.triu(alike, 1))
+    ]
 
 
 def _carried(covariance: Floats, along: float) -> Floats:

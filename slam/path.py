@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers import se2
 
@@ -26,6 +27,10 @@ class Path:
         self._stamps.append(stamp)
         self._keyframes.append(keyframe)
         self._relative.append(relative)
+
+    def hung(self) -> tuple[Floats, NDArray[np.int64], Floats]:
+        """Stamps (n,) of the scans, keyframes (n,) they hang on, and poses (n, 3) relative to those."""
+        return np.array(self._stamps), np.array(self._keyframes), np.array(self._relative).reshape(-1, 3)
 
     def at_scans(self, keyframe_poses: Floats) -> tuple[Floats, Floats]:
         """Stamps (n,) and poses (n, 3) of the scans, given the keyframes' poses (k, 3)."""

@@ -18,6 +18,7 @@ from .events import Finished, MapCorners, MapLines, Noticed, ScanTracked, Sink, 
 from .front_end import FrontEnd, Sighting
 from .loops.closer import LoopCloser
 from .recovery import Excursion, Suspicion
+from .refinement import drive_of, refine
 from .reporting import Reporter
 from .segments import Floats
 from .snapshot import map_corners, map_lines
@@ -36,14 +37,24 @@ class Slam:
     """
 
     def __init__(
-        self, config: Config | None = None, sinks: Sequence[Sink] = (), loops: LoopCloser | None = None
+        self,
+        config: Config | None = None,
+        sinks: Sequence[Sink] = (),
+        *,
+        refine: bool = False,
+        loops: LoopCloser | None = None,
     ) -> None:
+        """`refine` asks for a second look at everything before finishing; all sightings are kept for it.
+
+        `loops` looks for loops in another way than the default.
+        """
         self.config = config or Config()
         self._reporter = Reporter(sinks)
         self._front_end = FrontEnd(self.config)
         self._estimator = Estimator(Belief(self.config.odometry, loops))
         self._excursion: Excursion | None = None  # while the robot is lost
         self._suspicion: Suspicion | None = None  # while what it sees may belong elsewhere
+        self._journal: list[Sighting] | None = [] if refine else None
         self._state = StateWatch()
         self._statistics = RunStatistics()
 
@@ -64,6 +75,8 @@ class Slam:
         clock = Clock()
         sighting = self._front_end.sight(scan, self.belief.odometry_noise)
         clock.lap("features")
+        if self._journal is not None:
+            self._journal.append(sighting)
         if self._excursion is not None:
             self._look_for_the_way_back(self._excursion, sighting)
             return
@@ -181,6 +194,7 @@ class Slam:
             last = self._excursion.sightings[-1].stamp
             self._go_on_from(self._excursion.joined(), last, "never found again in the map; odometry has to do")
         self.belief.mapper.settle()
+        refinement = self._refine(self._journal) if self._journal else {}
         count = self.belief.mapper.keyframe_count
         keyframes = self.belief.mapper.graph.keyframe_poses(count)
         stamps, poses = self.belief.path.at_odometry(keyframes, self._front_end.odometry)
@@ -191,11 +205,27 @@ class Slam:
             keyframes=keyframes,
             stamps=stamps,
             poses=poses,
-            summary=self._summary(),
+            summary=self._summary() | refinement,
             keyframe_covariance=np.array([self.keyframe_covariance(index) for index in range(count)]),
         )
         self._reporter.tell(result)
         return result
+
+    def _refine(self, journal: Sequence[Sighting]) -> dict[str, object]:
+        """Take a second look at all sightings; what it did, for the summary."""
+        belief, last = self.belief, journal[-1].stamp
+        if belief.mapper.keyframe_count < 2:
+            return {}
+        drive = drive_of(journal, belief.path, belief.keyframe_stamps, belief.carried_keyframes)
+        try:
+            refined = refine(belief.mapper, drive, belief.odometry_noise)
+        except MapError as error:
+            self._reporter.tell(Noticed(last, f"the map is not refined: {error}"))
+            return {}
+        belief.mapper, belief.path = refined.mapper, refined.path
+        belief.pose = refined.poses[-1]
+        self._reporter.tell_map(last, belief.mapper)
+        return {"refinement": refined.summary}
 
     def keyframe_covariance(self, index: int) -> Floats:
         """(3, 3): covariance of a keyframe's pose, in the keyframe's own frame (metres, metres, radians)."""

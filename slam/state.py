@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from enum import Enum
 
-import numpy as np
-
-from drivers import se2
-
-from .segments import Floats
+from .observability import free_direction
 from .tracking import Hold, Placement
 
 LOOSE_SIGMA = 0.3  # metres: a direction in which walls, corners and points hold a scan worse than this is free
@@ -54,19 +49,10 @@ class StateWatch:
         """Take a scan's placement; the new state, where it has changed."""
         if placement.hold is not Hold.FIRM:
             return None
-        direction = free_direction(placement.pose, placement.registration.held_by)
+        direction = free_direction(placement.pose, placement.registration.held_by, LOOSE_SIGMA)
         condition = Condition.OK if direction is None else Condition.DEGENERATE
         self._streak = 0 if condition is self.state.condition else self._streak + 1
         if self._streak < IN_A_ROW:
             return None
         self.state, self._streak = State(condition, direction), 0
         return self.state
-
-
-def free_direction(pose: se2.Pose, information: Floats) -> float | None:
-    """The direction in the map along which `information` (3, 3), in the frame of `pose`, leaves the position open."""
-    covariance = np.linalg.inv(information + 1e-6 * np.eye(3))[:2, :2]
-    variances, directions = np.linalg.eigh(covariance)
-    if variances[-1] <= LOOSE_SIGMA**2:
-        return None
-    return float((pose[2] + math.atan2(directions[1, -1], directions[0, -1])) % math.pi)

@@ -122,7 +122,8 @@ class Witness:
         """Note which true walls, and where along them, the walls seen by a keyframe show."""
         half, none = event.segments.half_length, np.zeros((len(event.segments), 2, 2))
         frames = se2.compose(truth, event.segments.frame).reshape(-1, 3)
-        seen = MapLines(event.line_match, frames, -half, half, np.ones(len(half), dtype=np.int64), none)
+        pieces = tuple(np.column_stack([-half, half])[:, None])
+        seen = MapLines(event.line_match, frames, -half, half, np.ones(len(half), dtype=np.int64), none, pieces)
         ends = seen.end_points()
         for row, true in enumerate(match_walls(seen, self._walls)):
             if true >= 0 and event.line_match[row] >= 0:

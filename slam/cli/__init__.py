@@ -14,9 +14,11 @@ from typer.core import TyperGroup
 
 from drivers.errors import SlamError
 
-from .bench_loops import bench
+from . import bench_loops as bench_loops
+from .bench import bench
 from .console import INTERRUPTED, MISTAKE, complain
 from .demo import demo
+from .emulate import emulate
 from .evaluate import evaluate
 from .features import features
 from .info import info
@@ -80,6 +82,7 @@ app.command("map")(export_map)
 app.command()(report)
 app.command()(info)
 app.command()(simulate)
+app.command()(emulate)
 app.command("eval")(evaluate)
 app.command()(features)
 app.add_typer(bench, name="bench")

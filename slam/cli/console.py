@@ -29,6 +29,8 @@ SetOption = Annotated[
 ]
 OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace results that are there already.")]
 
+RefineOption = Annotated[bool, typer.Option("--refine", help="Look at everything again after the last scan.")]
+
 
 def complain(text: str) -> None:
     """One line on stderr, whatever the text is."""

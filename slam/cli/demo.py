@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .console import OverwriteOption
+from .console import OverwriteOption, RefineOption
 
 WORLD = "office"
 
@@ -16,6 +16,7 @@ def demo(
     out: Annotated[Path, typer.Option("--out", help="Directory for the results.")] = Path("demo"),
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the sensors' noise.")] = 0,
     overwrite: OverwriteOption = False,
+    refine: RefineOption = False,
     view: Annotated[bool, typer.Option("--view/--no-view", help="Open the log if there is a display.")] = True,
 ) -> None:
     """Drive a simulated robot through an office, map it, and open the log in the viewer.
@@ -30,9 +31,16 @@ def demo(
     from .viewer import has_display, open_viewer, viewer_command
 
     source = Simulation(WORLD, seed=seed)
-    reopen = f"sim:{WORLD}?seed={seed}"
     outcome = map_source(
-        source, Config(), out, overwrite=overwrite, review=True, picture=True, seed=seed, reopen=reopen
+        source,
+        Config(),
+        out,
+        overwrite=overwrite,
+        review=True,
+        picture=True,
+        refine=refine,
+        seed=seed,
+        reopen=f"sim:{WORLD}?seed={seed}",
     )
     typer.echo("\n".join(lines_for_people(outcome, out)))
     if view and has_display():

@@ -7,13 +7,14 @@ from typing import Annotated
 
 import typer
 
-from .console import OverwriteOption, SetOption
+from .console import OverwriteOption, RefineOption, SetOption
 
 
 def run(
     recording: Annotated[str, typer.Argument(help="A CARMEN log, MCAP file, ROS 1 bag or ROS 2 bag directory.")],
     out: Annotated[Path, typer.Option("--out", help="Directory for the results; made if it is not there.")],
     overwrite: OverwriteOption = False,
+    refine: RefineOption = False,
     config: Annotated[Path | None, typer.Option("--config", help="Settings, a TOML file.")] = None,
     settings: SetOption = None,
     review: Annotated[bool, typer.Option("--review/--no-review", help="Write the log for the viewer.")] = True,
@@ -32,6 +33,13 @@ def run(
     effective = load_config(config, settings or ())
     source = drivers.open(recording)
     outcome = map_source(
-        source, effective, out, overwrite=overwrite, review=review, picture=plot, reopen=lasting(recording)
+        source,
+        effective,
+        out,
+        overwrite=overwrite,
+        review=review,
+        picture=plot,
+        refine=refine,
+        reopen=lasting(recording),
     )
     typer.echo("\n".join(lines_for_people(outcome, out)))

@@ -91,6 +91,7 @@ def map_source(
     overwrite: bool,
     review: bool,
     picture: bool,
+    refine: bool = False,
     seed: int | None = None,
     reopen: str | None = None,
 ) -> Outcome:
@@ -118,7 +119,7 @@ def map_source(
             sinks.append(log)
             cleanup.callback(log.close)
         started = time.perf_counter()
-        slam = Slam(config, sinks)
+        slam = Slam(config, sinks, refine=refine)
         busy = 0.0
         try:
             for message in progress(source, len(source), source.name):

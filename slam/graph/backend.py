@@ -111,6 +111,11 @@ class FactorGraph:
         noise = gtsam.noiseModel.Gaussian.SqrtInformation(_root_information(np.diag(SAME_WALL_SIGMAS**2)), False)
         self._factors.add(gtsam.BetweenFactorPose2(L(wall), L(other), gtsam.Pose2(along, 0.0, 0.0), noise))
 
+    def tie_keyframes(self, old: int, keyframe: int, relative: se2.Pose, sigmas: Floats) -> None:
+        """A keyframe's pose relative to an old one (sigmas (3,) in metres and radians). No kernel, as above."""
+        noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+        self._factors.add(gtsam.BetweenFactorPose2(X(old), X(keyframe), _pose2(relative), noise))
+
     def update(self) -> list[int]:
         """Bring everything added since the last update into the estimate; returns the numbers of the new factors.
 
@@ -123,8 +128,7 @@ class FactorGraph:
 
         No kernel: after drift the residual is large at first. Returns the numbers of the factors made.
         """
-        noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
-        self._factors.add(gtsam.BetweenFactorPose2(X(old), X(keyframe), _pose2(relative), noise))
+        self.tie_keyframes(old, keyframe, relative, sigmas)
         made = self.update()
         self.settle()
         return made
@@ -167,6 +171,17 @@ class FactorGraph:
             self._observations[wall] = [seen for seen in self._observations[wall] if seen[0] < since]
         self.remove_factors(numbers)
 
+    def solve(self) -> None:
+        """Find the best estimate of everything added to an empty graph, in batch, and take it over.
+
+        Raises MapError where the geometry leaves a variable undetermined.
+        """
+        try:
+            self._values = gtsam.LevenbergMarquardtOptimizer(self._factors, self._values).optimize()
+        except RuntimeError as error:
+            raise MapError(f"the map cannot be estimated: {str(error).strip().splitlines()[0]}") from error
+        self.update()
+
     def settle(self) -> None:
         """Update until the estimate rests; what has moved by more than the threshold is linearised anew."""
         parameters = gtsam.ISAM2UpdateParams()
@@ -196,7 +211,9 @@ class FactorGraph:
     # --- the estimate
 
     def keyframe_pose(self, index: int) -> se2.Pose:
-        """The base's pose in the map at a keyframe."""
+        """The base's pose in the map at a keyframe, also at one that waits for `update`."""
+        if self._values.exists(X(index)):
+            return _array(self._values.atPose2(X(index)))
         return _array(self._isam.calculateEstimatePose2(X(index)))
 
     def keyframe_poses(self, count: int) -> Floats:

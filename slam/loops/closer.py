@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -149,16 +149,18 @@ def close(mapper: Mapper, decision: LoopDecision) -> LoopDecision:
     before, last = mapper.pose, mapper.keyframe_count - 1
     there = se2.compose(decision.hypothesis.motion, mapper.pose)
     relative = se2.between(mapper.graph.keyframe_pose(decision.old), there)
-    _part_from_strangers(mapper, decision.hypothesis.motion, decision.pairs)
+    strangers, since = strangers_to(mapper, decision)
+    mapper.graph.forget_observations((int(wall) for wall in strangers), since)
+    mapper.landmarks.walls.rows["last_seen"][strangers] = since - 1
     carrying = mapper.graph.close_loop(decision.old, last, relative, CARRYING_SIGMAS)
     mapper.read_back_all()
     rows = mapper.landmarks.walls.rows
     pairs = list(dict.fromkeys((int(rows["kept"][old]), int(rows["kept"][recent])) for old, recent in decision.pairs))
-    together = [(old, recent) for old, recent in pairs if old != recent and _together(rows[old], rows[recent])]
-    if len(together) < LEAST_MERGED * len(pairs):
+    joined = [(old, recent) for old, recent in pairs if old != recent and together(rows[old], rows[recent])]
+    if len(joined) < LEAST_MERGED * len(pairs):
         refused = replace(decision.verdict, accepted=False, reason="the map does not come together")
         return replace(decision, status="rejected", verdict=refused)
-    for old, recent in together:
+    for old, recent in joined:
         if rows["kept"][old] == old and rows["kept"][recent] == recent:
             mapper.merge_walls(old, recent)
     mapper.graph.update()
@@ -167,33 +169,31 @@ def close(mapper: Mapper, decision: LoopDecision) -> LoopDecision:
     mapper.graph.settle()
     mapper.read_back_all()
     shift = float(np.hypot(*(mapper.pose - before)[:2]))
-    return replace(decision, status="accepted", merged=tuple(together), shift=shift)
+    return replace(decision, status="accepted", merged=tuple(joined), shift=shift)
 
 
-def _together(wall: np.void, other: np.void) -> bool:
+def together(wall: np.void, other: np.void) -> bool:
     """Whether two walls lie on one line, in the middle of the second."""
     left = se2.between(wall["frame"], other["frame"])
     offset = left[1] + 0.5 * (other["low"] + other["high"]) * np.sin(left[2])
     return bool(abs(offset) < SAME_OFFSET and abs(left[2]) < SAME_HEADING)
 
 
-def _part_from_strangers(mapper: Mapper, motion: se2.Pose, pairs: Sequence[tuple[int, int]]) -> None:
-    """Drift has let some old walls be taken for others that happened to lie there; such observations would hold the map
+def strangers_to(mapper: Mapper, decision: LoopDecision) -> tuple[Integers, int]:
+    """Walls that were taken for others by the pass that ends in a closure, and the keyframe where it began.
+
+    Drift has let some old walls be taken for others that happened to lie there; such observations would hold the map
     where it is. A wall seen both before and during this pass must not move across itself with the pass; if it does,
     what this pass saw was not it.
     """
     walls = mapper.landmarks.walls.rows
     ways = np.array(mapper.ways)
-    new = [walls["first_seen"][recent] for _, recent in pairs]
-    new = [keyframe for keyframe in new if ways[-1] - ways[keyframe] < OLD_WAY]
-    if not new:
-        return
-    since = min(new)
+    new = [int(walls["first_seen"][recent]) for _, recent in decision.pairs]
+    since = min((keyframe for keyframe in new if ways[-1] - ways[keyframe] < OLD_WAY), default=mapper.keyframe_count)
     both = np.flatnonzero(walls["in_graph"] & (walls["first_seen"] < since) & (walls["last_seen"] >= since))
-    moved = se2.between(walls["frame"][both], se2.compose(motion, walls["frame"][both])).reshape(-1, 3)
-    strangers = both[(np.abs(moved[:, 1]) > STRANGE_OFFSET) | (np.abs(moved[:, 2]) > STRANGE_HEADING)]
-    mapper.graph.forget_observations((int(wall) for wall in strangers), int(since))
-    walls["last_seen"][strangers] = since - 1
+    moved = se2.between(walls["frame"][both], se2.compose(decision.hypothesis.motion, walls["frame"][both]))
+    moved = moved.reshape(-1, 3)
+    return both[(np.abs(moved[:, 1]) > STRANGE_OFFSET) | (np.abs(moved[:, 2]) > STRANGE_HEADING)], since
 
 
 def _agree(motion: se2.Pose, other: se2.Pose, pose: se2.Pose) -> bool:

@@ -55,7 +55,7 @@ def findings(summary: dict[str, Any], trajectory: Trajectory) -> list[Finding]:
 
 def _states(rows: list[dict[str, Any]], trajectory: Trajectory) -> Iterator[Finding]:
     """For how long the robot was in a state that is not OK, and when."""
-    ends = [row["stamp"] for row in rows[1:]] + [float(trajectory.stamps[-1])]
+    ends = [*(row["stamp"] for row in rows), float(trajectory.stamps[-1])][1:]
     for state, (text, detail) in STATES.items():
         spans = [(row["stamp"], end) for row, end in zip(rows, ends, strict=True) if row["state"] == state]
         if spans:

@@ -48,9 +48,11 @@ def fake_slam(monkeypatch: pytest.MonkeyPatch, finished: Finished) -> type:
     class FakeSlam:
         fails: BaseException | None = None
         notices = 0
+        refined = False
 
-        def __init__(self, config: Config, sinks: Sequence[Any]) -> None:
+        def __init__(self, config: Config, sinks: Sequence[Any], *, refine: bool = False) -> None:
             self.sinks = sinks
+            type(self).refined = refine
             self.odometry: list[Odometry] = []
 
         def add(self, message: Message) -> None:

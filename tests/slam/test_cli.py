@@ -106,6 +106,12 @@ def test_a_simulated_room_is_really_mapped_and_equally_each_time(wclm: Any, tmp_
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
 
 
+@pytest.mark.parametrize("options", [[], ["--refine"]])
+def test_a_second_look_is_taken_when_asked_for(wclm: Any, fake_slam: Any, options: list[str]) -> None:
+    assert wclm("run", "sim:room", "--out", "out", "--no-review", *options).exit_code == 0
+    assert fake_slam.refined == bool(options)
+
+
 def test_the_log_is_written_and_how_to_open_it_is_said(wclm: Any, fake_slam: type, tmp_path: Path) -> None:
     result = wclm("run", SHORT, "--out", "out")
     assert result.exit_code == 0, result.output

@@ -60,7 +60,7 @@ def drawn(random: np.random.Generator, pose: np.ndarray, covariance: np.ndarray)
     return se2.compose(pose, random.multivariate_normal(np.zeros(3), covariance))
 
 
-def graph_of(world: World, strays: float = 0.01) -> FactorGraph:
+def graph_of(world: World, strays: float = 0.01, *, batch: bool = False) -> FactorGraph:
     """The world's measurements in the graph, as the mapper puts them there, at poses that stray from the true ones."""
     graph = FactorGraph()
     starts = world.poses + strays * np.random.default_rng(9).normal(0, [1.0, 1.0, 0.5], world.poses.shape)
@@ -80,8 +80,12 @@ def graph_of(world: World, strays: float = 0.01) -> FactorGraph:
             if k == 0:
                 graph.add_corner(j, se2.transform(start, position))
             graph.observe_corner(k, j, position, covariance)
-        graph.update()
-    graph.settle()
+        if not batch:
+            graph.update()
+    if batch:
+        graph.solve()
+    else:
+        graph.settle()
     return graph
 
 
@@ -262,3 +266,17 @@ def test_one_wrong_view_does_not_bend_the_map() -> None:
     graph.update()
     graph.settle()
     np.testing.assert_allclose(graph.keyframe_poses(7), before, atol=3e-3)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_solving_in_batch_finds_what_solving_step_by_step_does(seed: int) -> None:
+    world = make_world(seed)
+    step_by_step, batch = graph_of(world), graph_of(world, batch=True)
+    step_by_step.rebuild()
+    assert batch.factor_count == step_by_step.factor_count
+    assert batch.chi2() == pytest.approx(step_by_step.chi2(), rel=1e-6)
+    count = len(world.poses)
+    np.testing.assert_allclose(batch.keyframe_poses(count), step_by_step.keyframe_poses(count), atol=1e-5)
+    for k in range(1, count):
+        expected = step_by_step.keyframe_covariance(k)
+        np.testing.assert_allclose(batch.keyframe_covariance(k), expected, rtol=1e-2, atol=1e-9)

@@ -124,5 +124,5 @@ def test_an_information_without_a_direction_tells_it() -> None:
     information = np.zeros((3, 3))
     information[:2, :2] = 1e4 * np.outer(across, across) + 1.0 * np.outer(along, along)
     information[2, 2] = 1e5
-    assert free_direction(np.array([1.0, 2.0, 0.3]), information) == pytest.approx(0.8)
-    assert free_direction(np.zeros(3), information + 1e3 * np.diag([1.0, 1.0, 0.0])) is None
+    assert free_direction(np.array([1.0, 2.0, 0.3]), information, 0.3) == pytest.approx(0.8)
+    assert free_direction(np.zeros(3), information + 1e3 * np.diag([1.0, 1.0, 0.0]), 0.3) is None

@@ -1,0 +1,162 @@
+"""The robot behind its ports, stepped by a clock."""
+
+from __future__ import annotations
+
+import json
+import math
+import time as clocks
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from ..bases.readings import Velocity
+from ..errors import RecordingError
+from ..lidars import ld06
+from ..simulator import Lidar, warm_up
+from ..world import World, load_world
+from . import base, rplidar_kinds
+from .device import Device
+from .keyboard import Keyboard, steered
+from .ld06 import Ld06
+from .line import Damager, Line
+from .link import Link
+from .motion import CommandedPilot, Motion, PathPilot
+from .optics import Optics
+from .port import PtyPort
+from .rplidar import Rplidar
+from .scip import URG, Scip
+from .setup import Setup
+from .truth import TruthFile
+from .wheels import Encoders, Gyro
+
+LONGEST_STEP = 0.5
+"""Seconds; longer ones, as when the host was suspended, are made in parts."""
+LEAST_PAUSE, MOST_PAUSE = 0.001, 0.005
+"""Seconds to sleep between steps. In between it wakes when a packet is through, so that packets arrive in time; the
+host's requests wait for the next step.
+"""
+
+
+class Emulator:
+    """A simulated robot. Use it as a context; it makes the ports on entering, and takes them away on leaving.
+
+    setup   what was asked for
+    begun   the host's steady clock (seconds) at time zero
+    motion  the robot's true motion
+
+    Raises RecordingError where there is no such world or a file cannot be written, PortError where a port cannot be
+    made, DriverError where there is no keyboard.
+    """
+
+    def __init__(self, setup: Setup, begun: float | None = None) -> None:
+        self.setup = setup
+        warm_up()  # takes seconds the first time, and must not once time runs
+        self.begun = clocks.monotonic() if begun is None else begun
+        self._world = setup.world if isinstance(setup.world, World) else load_world(setup.world)
+        self._pilot = CommandedPilot(self._world)
+        self.motion = Motion(self._world, PathPilot(self._world) if setup.drive == "path" else self._pilot)
+        self._time = 0.0
+        self._closing = ExitStack()
+
+    def __enter__(self) -> Emulator:
+        setup = self.setup
+        optics, wheels, gyro, *noises = np.random.default_rng(setup.seed).spawn(7)
+        with ExitStack() as opening:
+            self._keyboard = opening.enter_context(Keyboard()) if setup.drive == "keyboard" else None
+            self._truth = (
+                opening.enter_context(TruthFile(setup.truth, self.motion, self.begun)) if setup.truth else None
+            )
+            self.lidar = self._link(opening, "lidar", self._lidar(optics), noises[:2])
+            self.base = self._link(opening, "base", self._base(wheels, gyro), noises[2:])
+            if setup.report is not None:
+                opening.callback(self._write_report)
+            self._closing = opening.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._closing.close()
+
+    def _link(self, opening: ExitStack, who: str, device: Device, random: list[np.random.Generator]) -> Link:
+        """A device at its port."""
+        setup = self.setup
+        port = PtyPort(setup.lidar_port if who == "lidar" else setup.base_port)
+        opening.callback(port.unplug)
+        events = [event for event in setup.events if event.device == who]
+        return Link(device, port, events, Damager(setup.drop, setup.insert, setup.flip, random[0]), random[1])
+
+    def _lidar(self, random: np.random.Generator) -> Device:
+        setup, drift = self.setup, self.setup.lidar_drift / 1e6
+
+        def optics(range_min: float, range_max: float) -> Optics:
+            noise: Lidar = replace(setup.noise, range_min=range_min, range_max=range_max)
+            return Optics(self.motion, np.array(setup.mount, dtype=np.float64), noise, random)
+
+        if setup.lidar == "ld06":
+            return Ld06(setup.lidar, Line(ld06.BAUD), drift, optics(ld06.RANGE_MIN, ld06.RANGE_MAX))
+        if setup.lidar == "scip":
+            return Scip(setup.lidar, Line(math.inf), drift, optics(URG.range_min, URG.range_max))
+        kind = rplidar_kinds.KINDS[setup.lidar]
+        limits = optics(kind.model.range_min, kind.model.range_max)
+        return Rplidar(setup.lidar, Line(kind.baud), drift, kind, limits)
+
+    def _base(self, random: np.random.Generator, gyro: np.random.Generator) -> Device:
+        setup, kind = self.setup, base.KINDS[self.setup.base]
+        encoders = Encoders(self.motion, kind.wheels, setup.wheels, random)
+        obey: Callable[[Velocity], None] = self._obey if setup.drive == "base" else lambda _: None
+        line, drift = Line(kind.baud), setup.base_drift / 1e6
+        return base.Base(setup.base, line, drift, kind, encoders, Gyro(self.motion, gyro), obey)
+
+    def _obey(self, velocity: Velocity) -> None:
+        self._pilot.wanted = velocity
+
+    @property
+    def due(self) -> float:
+        """When the next step should be at the latest."""
+        return min(self.lidar.due, self.base.due)
+
+    def step(self, time: float) -> None:
+        """Let everything happen up to a time, seconds since the start; times never decrease."""
+        while self._time < time:
+            self._time = min(time, self._time + LONGEST_STEP)
+            if self._keyboard is not None:
+                self._pilot.wanted = steered(self._pilot.wanted, self._keyboard.pressed())
+            self.motion.advance(self._time)
+            self.lidar.step(self._time)
+            self.base.step(self._time)
+            if self._truth is not None:
+                self._truth.advance(self._time)
+
+    def run(self, duration: float | None = None) -> None:
+        """Go on in real time, for so many seconds or until it is interrupted."""
+        end = math.inf if duration is None else clocks.monotonic() - self.begun + duration
+        while (now := clocks.monotonic() - self.begun) < end:
+            self.step(now)
+            pause = self.due - (clocks.monotonic() - self.begun)
+            clocks.sleep(min(max(pause, LEAST_PAUSE), MOST_PAUSE))
+
+    def report(self) -> dict[str, Any]:
+        """What happened so far, as plain values; `seconds` counts from `begun`, which is on the host's steady clock."""
+        setup = self.setup
+        return {
+            "world": self._world.name,
+            "seed": setup.seed,
+            "begun": self.begun,
+            "seconds": self._time,
+            "mount": list(setup.mount),
+            "lidar": self.lidar.report(),
+            "base": self.base.report(),
+        }
+
+    def _write_report(self) -> None:
+        path = self.setup.report
+        assert path is not None
+        try:
+            path.write_text(json.dumps(self.report(), indent=2) + "\n", encoding="utf-8")
+        except OSError as failure:
+            raise RecordingError(path, None, f"cannot be written: {failure.strerror}") from failure

@@ -1,0 +1,59 @@
+"""Driving with the arrow keys of the terminal that the emulator runs in."""
+
+from __future__ import annotations
+
+import os
+import re
+import select
+import sys
+import termios
+import tty
+from types import TracebackType
+
+from ..bases.readings import Velocity
+from ..errors import DriverError
+
+FASTER, SHARPER = 0.1, 0.25
+"""Metres and radians a second that a key adds."""
+TOP_SPEED, TOP_TURN_RATE = 0.5, 1.5
+KEY = re.compile(rb"\x1b\[[A-D]|\x1bO[A-D]|[wasdWASD ]")
+STEPS = {b"A": (1, 0), b"B": (-1, 0), b"C": (0, -1), b"D": (0, 1)}
+"""By the last character of what an arrow key sends: forwards, counter-clockwise."""
+LETTERS = {b"w": b"A", b"s": b"B", b"d": b"C", b"a": b"D"}
+HELP = "arrow keys: faster, slower, left, right; space: stop"
+
+
+def steered(velocity: Velocity, keys: bytes) -> Velocity:
+    """The velocity after keys, as a terminal sends them; the space bar stands still, unknown keys do nothing."""
+    for key in KEY.findall(keys):
+        if key == b" ":
+            velocity = Velocity(0.0, 0.0)
+            continue
+        forwards, left = STEPS[LETTERS.get(key.lower(), key[-1:])]
+        speed, turn_rate = velocity.speed + forwards * FASTER, velocity.turn_rate + left * SHARPER
+        velocity = Velocity(min(max(speed, -TOP_SPEED), TOP_SPEED), min(max(turn_rate, -TOP_TURN_RATE), TOP_TURN_RATE))
+    return velocity
+
+
+class Keyboard:
+    """The keys that are pressed, while the context lasts. Raises DriverError where standard input is no terminal."""
+
+    def __init__(self) -> None:
+        if not sys.stdin.isatty():
+            raise DriverError("there is no keyboard: standard input is not a terminal")
+        self._input = sys.stdin.fileno()
+
+    def __enter__(self) -> Keyboard:
+        self._before = termios.tcgetattr(self._input)
+        tty.setcbreak(self._input)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        termios.tcsetattr(self._input, termios.TCSADRAIN, self._before)
+
+    def pressed(self) -> bytes:
+        """What was typed since the last call; does not wait."""
+        ready, _, _ = select.select([self._input], [], [], 0.0)
+        return os.read(self._input, 256) if ready else b""

@@ -1,0 +1,160 @@
+"""A device, its line and its port, and what happens to the bytes between them."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from .device import Device
+from .line import Damager
+from .port import PtyPort
+from .setup import Event
+
+BAUD_TOLERANCE = 0.03
+"""Share by which the speeds of both ends of a line may differ and still be understood."""
+
+
+@dataclass(slots=True)
+class Counts:
+    """What happened; but for the events in bytes.
+
+    sent      arrived in a port that a program had open
+    received  from the host
+    unheard   from the device while no program had its port open
+    overrun   from the device when the program that had its port open did not read
+    garbled   in either direction while the program had set a wrong speed
+    stalled, unplugged  in either direction lost to these faults
+    unplugs, stalls, restarts, fails  faults so far
+    """
+
+    sent: int = 0
+    received: int = 0
+    unheard: int = 0
+    overrun: int = 0
+    garbled: int = 0
+    stalled: int = 0
+    unplugged: int = 0
+    unplugs: int = 0
+    stalls: int = 0
+    restarts: int = 0
+    fails: int = 0
+
+
+class Link:
+    """Steps a device and carries bytes between it and its port.
+
+    events  that happen to it
+    damage  what it does to bytes from the device on their way
+    """
+
+    def __init__(
+        self, device: Device, port: PtyPort, events: Iterable[Event], damage: Damager, random: np.random.Generator
+    ) -> None:
+        self.device, self.port, self.counts = device, port, Counts()
+        self._events = deque(sorted(events, key=lambda event: event.time))
+        self._damage, self._random = damage, random
+        self._opened = False
+        self._plug_at = self._stalled_until = -math.inf
+        device.switch_on(0.0)
+
+    @property
+    def due(self) -> float:
+        """When it should be stepped next."""
+        event = self._events[0].time if self._events else math.inf
+        plug = self._plug_at if not self.port.plugged else math.inf
+        return min(self.device.due, self.device.line.due, event, plug)
+
+    def step(self, time: float) -> None:
+        """Let happen what happens until a time."""
+        while self._events and self._events[0].time <= time:
+            self._happen(self._events.popleft(), time)
+        if not self.port.plugged and time >= self._plug_at:
+            self.port.plug()
+            if self.device.usb_powered:
+                self.device.switch_on(time)
+        opened = self.port.opened
+        if opened and not self._opened:
+            self.device.port_opened(time)
+        self._opened = opened
+        if heard := self.port.read():
+            self._hear(heard, time)
+        self.device.advance(time)
+        if said := self.device.line.take(time):
+            self._say(said, time)
+
+    def _happen(self, event: Event, time: float) -> None:
+        device, counts = self.device, self.counts
+        if event.kind == "unplug":
+            counts.unplugs += 1
+            self.port.unplug()
+            self._plug_at = max(self._plug_at, event.time + event.duration)
+            if device.usb_powered:
+                device.switch_off()
+                counts.unplugged += device.line.clear(time)
+        elif event.kind == "stall":
+            counts.stalls += 1
+            self._stalled_until = max(self._stalled_until, event.time + event.duration)
+        elif event.kind == "fail":
+            counts.fails += device.fail(time)
+        elif device.on:
+            counts.restarts += 1
+            device.switch_off()
+            device.line.clear(time)
+            device.switch_on(time)
+
+    def _hear(self, data: bytes, time: float) -> None:
+        """Pass what the host has sent."""
+        self.counts.received += len(data)
+        if time < self._stalled_until:
+            self.counts.stalled += len(data)
+        elif self._wrong_speed():
+            self.counts.garbled += len(data)
+        else:
+            self.device.hear(data, time)
+
+    def _say(self, data: bytes, time: float) -> None:
+        """Pass what has come through from the device."""
+        counts = self.counts
+        if not self.port.plugged:
+            counts.unplugged += len(data)
+        elif time < self._stalled_until:
+            counts.stalled += len(data)
+        elif not self._opened:
+            counts.unheard += len(data)
+        else:
+            if self._wrong_speed():
+                counts.garbled += len(data)
+                data = self._random.bytes(len(data))
+            arriving = self._damage(data)
+            taken = self.port.write(arriving)
+            counts.sent += taken
+            counts.overrun += len(arriving) - taken
+
+    def _wrong_speed(self) -> bool:
+        """Whether the program has set a speed that is not the line's."""
+        baud, set_to = self.device.line.baud, self.port.baud
+        return set_to is not None and math.isfinite(baud) and abs(set_to / baud - 1.0) > BAUD_TOLERANCE
+
+    def close(self) -> None:
+        """Take the port away."""
+        self.port.unplug()
+
+    def report(self) -> dict[str, object]:
+        """What happened, by name."""
+        device = self.device
+        return {
+            "device": device.name,
+            "baud": device.line.baud if math.isfinite(device.line.baud) else None,
+            "port": str(self.port.path),
+            **asdict(self.counts),
+            **asdict(self._damage.damage),
+            "overflow": device.line.overflow,
+            "misheard": device.misheard,
+            "requests": device.requests,
+            "starts": 1 + device.restarts,
+            **device.report(),
+        }

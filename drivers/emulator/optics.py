@@ -1,0 +1,69 @@
+"""What a turning lidar measures from where the robot is at that moment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..messages import Floats
+from ..se2 import Pose
+from ..simulator import Lidar, at_edge, steps
+from .motion import Motion
+
+ROUNDS = 3
+"""Of finding the direction of a beam that is corrected by its own range; where that does not settle, as at the edges of
+things, nothing comes back.
+"""
+SETTLED = 1e-3
+"""Radians by which the direction may still have changed in the last round."""
+
+
+class Optics:
+    """Casts beams into the world, with a lidar's noise.
+
+    mount  [x, y, heading] on the robot
+    noise  of the beams, and the limits of range
+    """
+
+    def __init__(self, motion: Motion, mount: Pose, noise: Lidar, random: np.random.Generator) -> None:
+        self._motion, self._mount, self._noise, self._random = motion, mount, noise, random
+
+    def measure(self, times: Floats, bearings: Floats) -> Floats:
+        """Ranges (n,) along bearings (n,) in the lidar's frame at times (n,), NaN where nothing came back; n >= 2.
+
+        The beams are neighbours: one beside an edge may return something between the two surfaces.
+        """
+        noise = self._noise
+        # at_edge looks at one beam before and two after.
+        times, bearings = _extended(times), _extended(bearings)
+        aimed = bearings + noise.sigma_bearing * self._random.standard_normal(len(bearings))
+        ranges = self._motion.sweep(times, aimed, self._mount)
+        step = steps(ranges)
+        is_mixed, share, dropped = self._random.random((3, len(ranges)))
+        mixed = at_edge(step) & (is_mixed < noise.mixed)
+        ranges[mixed] += share[mixed] * step[mixed]
+        ranges += noise.sigma_range * self._random.standard_normal(len(ranges))
+        ranges[~((ranges >= noise.range_min) & (ranges <= noise.range_max)) | (dropped < noise.dropouts)] = np.nan
+        return ranges[1:-2]
+
+    def measure_lagging(
+        self, times: Floats, heads: Floats, lag_of: Callable[[Floats], Floats]
+    ) -> tuple[Floats, Floats]:
+        """Ranges (n,), and radians (n,) by which beams lag the head, of a lidar that triangulates and turns clockwise.
+
+        heads   (n,) radians clockwise
+        lag_of  the lag that ranges (n,) mean, radians
+        """
+        lags = lag_of(np.full(len(heads), np.inf))
+        for _ in range(ROUNDS):
+            lags, last = lag_of(self._motion.sweep(times, lags - heads, self._mount)), lags
+        ranges = self.measure(times, lags - heads)
+        ranges[np.abs(lags - last) > SETTLED] = np.nan
+        return ranges, lags
+
+
+def _extended(values: Floats) -> Floats:
+    """Values (n,) with one before and two after them that continue them; n >= 2."""
+    first, last = values[1] - values[0], values[-1] - values[-2]
+    return np.concatenate([[values[0] - first], values, [values[-1] + last, values[-1] + 2 * last]])

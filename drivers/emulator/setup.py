@@ -1,0 +1,120 @@
+"""What can be asked of the emulator, and the faults that happen at a time."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ..driving import Drive
+from ..errors import DriverError
+from ..simulator import Lidar
+from ..world import World
+from . import base, rplidar_kinds
+
+DRIVES = ("path", "base", "keyboard")
+"""Who steers: the world's path, the velocities that the base is sent, the arrow keys."""
+EVENTS = ("unplug", "stall", "restart", "fail")
+"""The port disappears for a while; it says nothing for a while; the device starts again; it has an inner error."""
+LASTING = ("unplug", "stall")
+EVENT = re.compile(r"(lidar|base)@([0-9]+(?:\.[0-9]+)?)(?::([0-9]+(?:\.[0-9]+)?))?")
+LARGEST_DRIFT = 10_000.0
+"""Parts per million; ceramic resonators are within half of it."""
+
+
+def lidar_names() -> list[str]:
+    """The lidars that can be emulated."""
+    return [*rplidar_kinds.KINDS, "ld06", "scip"]
+
+
+def base_names() -> list[str]:
+    """The wheel bases that can be emulated."""
+    return list(base.KINDS)
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """A fault: what (one of EVENTS), to whom ("lidar" or "base"), when, and for how long; seconds."""
+
+    kind: str
+    device: str
+    time: float
+    duration: float = 0.0
+
+    @classmethod
+    def parse(cls, kind: str, text: str) -> Event:
+        """From DEVICE@SECONDS, with :SECONDS for how long where it lasts. Raises DriverError where it is none."""
+        match = EVENT.fullmatch(text)
+        if match is None or (match[3] is not None) != (kind in LASTING):
+            example = "lidar@20:3" if kind in LASTING else "lidar@20"
+            raise DriverError(f"--{kind} {text}: say it as {example}, the device (lidar or base) and seconds")
+        return cls(kind, match[1], float(match[2]), float(match[3] or 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """A robot in a world, and what goes wrong.
+
+    world         the name of a world that comes with the package, a TOML file, or a World
+    lidar, base   of `lidar_names` and `base_names`
+    lidar_port, base_port  symbolic links to make
+    drive         of DRIVES
+    seed          of all that is random
+    mount         [x, y, heading] of the lidar on the robot
+    noise         of the lidar's beams; rate, number of beams and limits of range are the lidar's own
+    wheels        slip, noise and biases; rate and wheelbase are the base's own
+    drop, insert, flip  probabilities of damage to each byte from a device
+    events        faults at a time
+    lidar_drift, base_drift  by how much the devices' clocks are too fast, parts per million
+    truth         a file to write the true path to, in the TUM format, stamps on the host's steady clock
+    report        a file to write what happened to, as JSON, when it is over
+
+    Raises DriverError where something of it cannot be.
+    """
+
+    world: str | Path | World
+    lidar: str = "rplidar-s1"
+    base: str = "create2"
+    lidar_port: Path = field(default_factory=lambda: default_ports() / "lidar")
+    base_port: Path = field(default_factory=lambda: default_ports() / "base")
+    drive: str = "path"
+    seed: int = 0
+    mount: tuple[float, float, float] = (0.1, 0.0, 0.0)
+    noise: Lidar = field(default_factory=Lidar)
+    wheels: Drive = field(default_factory=Drive)
+    drop: float = 0.0
+    insert: float = 0.0
+    flip: float = 0.0
+    events: tuple[Event, ...] = ()
+    lidar_drift: float = 0.0
+    base_drift: float = 0.0
+    truth: Path | None = None
+    report: Path | None = None
+
+    def __post_init__(self) -> None:
+        for what, name, names in (
+            ("lidar", self.lidar, lidar_names()),
+            ("base", self.base, base_names()),
+            ("way to drive", self.drive, list(DRIVES)),
+        ):
+            if name not in names:
+                raise DriverError(f"there is no {what} {name!r}; there are {', '.join(names)}")
+        chances = (self.drop, self.insert, self.flip)
+        if not all(0.0 <= chance <= 1.0 for chance in chances) or sum(chances) > 1.0:
+            raise DriverError("the probabilities of damaged bytes must lie between 0 and 1, and so must their sum")
+        if not all(abs(drift) <= LARGEST_DRIFT for drift in (self.lidar_drift, self.base_drift)):
+            raise DriverError(f"clocks drift by at most {LARGEST_DRIFT:.0f} parts per million")
+        if self.seed < 0:
+            raise DriverError("the seed must not be negative")
+        if any(
+            event.kind == "fail" and not (event.device == "lidar" and "rplidar" in self.lidar) for event in self.events
+        ):
+            raise DriverError("only RPLIDARs have an inner error")
+        if self.lidar_port.absolute() == self.base_port.absolute():
+            raise DriverError(f"{self.lidar_port}: lidar and base must have different ports")
+
+
+def default_ports() -> Path:
+    """The directory that ports are made in where none is given."""
+    return Path(tempfile.gettempdir()) / "wclm-robot"

@@ -1,0 +1,52 @@
+"""Where the robot really was, as a file in the TUM format: `t x y z qx qy qz qw` a line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from ..errors import RecordingError
+from .motion import Motion
+
+PERIOD = 0.02
+"""Seconds between lines."""
+
+
+class TruthFile:
+    """Grows as the robot drives. Raises RecordingError where the file cannot be written.
+
+    begun  the host's steady clock (`time.monotonic`) at the emulator's time zero; stamps are on that clock
+    """
+
+    def __init__(self, path: Path, motion: Motion, begun: float) -> None:
+        self._path, self._motion, self._begun = path, motion, begun
+        self._lines = 0
+        try:
+            self._file = path.open("w", encoding="ascii", buffering=1)
+        except OSError as failure:
+            raise RecordingError(path, None, f"cannot be written: {failure.strerror}") from failure
+
+    def advance(self, time: float) -> None:
+        """Write the poses up to a time."""
+        count = int(time / PERIOD) + 1 - self._lines
+        if count <= 0:
+            return
+        times = (self._lines + np.arange(count)) * PERIOD
+        self._lines += count
+        poses = self._motion.at(np.asarray(times, dtype=np.float64))
+        try:
+            for moment, (x, y, heading) in zip(times, poses, strict=True):
+                qz, qw = np.sin(heading / 2), np.cos(heading / 2)
+                self._file.write(f"{self._begun + moment:.9f} {x:.6f} {y:.6f} 0 0 0 {qz:.9f} {qw:.9f}\n")
+        except OSError as failure:
+            raise RecordingError(self._path, None, f"cannot be written: {failure.strerror}") from failure
+
+    def __enter__(self) -> TruthFile:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()

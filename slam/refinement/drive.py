@@ -1,0 +1,100 @@
+"""A whole drive, looked at again: everything that was sighted, and where it belongs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers import se2
+
+from ..belief import CARRIED_SIGMAS
+from ..front_end import Sighting
+from ..odometry import OdometryNoise
+from ..path import Path
+from ..segments import Floats
+
+Integers = NDArray[np.int64]
+
+ASTRAY_SIGMAS = np.array([0.5, 0.5, 0.3])  # metres, metres, radians: of a motion in which odometry proved wrong
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """n sightings in time order, k of which are keyframes.
+
+    keyframes  (k,) rows of those
+    anchors    (n,) the keyframe that each sighting hangs on, and `relative` (n, 3), its pose relative to it
+    carried    rows of the sightings to which the robot was moved without odometry's knowing
+    """
+
+    sightings: Sequence[Sighting]
+    keyframes: Integers
+    anchors: Integers
+    relative: Floats
+    carried: frozenset[int]
+
+    def __len__(self) -> int:
+        return len(self.sightings)
+
+    @property
+    def stamps(self) -> Floats:
+        """(n,) seconds."""
+        return np.array([sighting.stamp for sighting in self.sightings])
+
+    @property
+    def odometry(self) -> Floats:
+        """(n, 3) where odometry was."""
+        return np.array([sighting.odometry for sighting in self.sightings]).reshape(-1, 3)
+
+    def poses(self, keyframe_poses: Floats) -> Floats:
+        """(n, 3) of all sightings, given the keyframes' poses (k, 3)."""
+        return se2.compose(keyframe_poses[self.anchors], self.relative).reshape(-1, 3)
+
+    def motion(self, row: int, to: int, noise: OdometryNoise, astray: NDArray[np.bool_]) -> tuple[se2.Pose, Floats]:
+        """Odometry's motion from one sighting to another, and its covariance (3, 3).
+
+        `astray` (n,) says at which sightings odometry was found to be wrong: it had stood still, or jumped.
+        """
+        motion = se2.between(self.sightings[row].odometry, self.sightings[to].odometry)
+        if any(row < carried <= to for carried in self.carried):
+            return motion, np.diag(CARRIED_SIGMAS**2)
+        if astray[row : to + 1].any():
+            return motion, np.diag(ASTRAY_SIGMAS**2)
+        return motion, noise.covariance(motion)
+
+    def start_of(self, keyframe: int) -> int:
+        """The row of the sighting from which odometry led to a keyframe: the keyframe before it, or, where a familiar
+        place was passed in between without new keyframes, the first that hangs where the last before it hangs."""
+        last = int(self.keyframes[keyframe]) - 1
+        start = last
+        while start > 0 and self.anchors[start - 1] == self.anchors[last]:
+            start -= 1
+        return max(start, int(self.keyframes[keyframe - 1]))
+
+
+def drive_of(
+    sightings: Sequence[Sighting], path: Path, keyframe_stamps: Sequence[float], carried: Sequence[int]
+) -> Drive:
+    """The drive of a run: all its sightings, its path, and when its keyframes were; `carried` are keyframes.
+
+    A sighting that is not on the path hangs where odometry has it from the last one that is.
+    """
+    stamps, anchors, relative = path.hung()
+    keyframes = np.zeros(len(keyframe_stamps), dtype=np.int64)
+    all_anchors = np.zeros(len(sightings), dtype=np.int64)
+    all_relative = np.zeros((len(sightings), 3))
+    placed = known = last = 0
+    for row, sighting in enumerate(sightings):
+        if known < len(keyframes) and sighting.stamp == keyframe_stamps[known]:
+            keyframes[known] = row
+            known += 1
+        if placed < len(stamps) and sighting.stamp == stamps[placed]:
+            all_anchors[row], all_relative[row] = anchors[placed], relative[placed]
+            placed, last = placed + 1, row
+        else:
+            motion = se2.between(sightings[last].odometry, sighting.odometry)
+            all_anchors[row], all_relative[row] = all_anchors[last], se2.compose(all_relative[last], motion)
+    return Drive(sightings, keyframes, all_anchors, all_relative, frozenset(int(keyframes[k]) for k in carried))

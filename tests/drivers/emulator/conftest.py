@@ -1,0 +1,103 @@
+"""An emulator under a clock of the test's own, with its ports opened as any program does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.driving import Drive
+from drivers.emulator import Emulator, Setup
+from drivers.emulator.link import Link
+from drivers.lidars.rplidar.answers import AnswerReader
+from drivers.lidars.rplidar.requests import Request
+from drivers.messages import Floats
+from drivers.simulator import Lidar
+from drivers.transport import SerialPort
+
+EXACT = Lidar(sigma_range=0.0, sigma_bearing=0.0, dropouts=0.0, mixed=0.0)
+PERFECT = Drive(slip=0.0, encoder=0.0, scale_bias=0.0, difference_bias=0.0, wheelbase_bias=0.0)
+
+
+class Host:
+    """A program that has a port open; what it has read and when."""
+
+    def __init__(self, bench: Bench, link: Link, baud: int) -> None:
+        self.bench, self.link = bench, link
+        self.port = SerialPort(str(link.port.path), baud)
+        self.data = b""
+        self._chunks: list[tuple[int, float]] = []
+
+    def read(self) -> bytes:
+        data = self.port.read(0.0).data
+        if data:
+            self.data += data
+            self._chunks.append((len(self.data), self.bench.time))
+        return data
+
+    def forget(self) -> None:
+        self.data, self._chunks = b"", []
+
+    def arrivals(self, ends: Any) -> Floats:
+        """When bytes up to `ends`, counted since the last `forget`, had come."""
+        counts, times = np.array(self._chunks).T
+        return np.asarray(times[np.searchsorted(counts, ends)])
+
+    def ask(self, request: Request, answer: AnswerReader, patience: float = 0.3) -> bytes | None:
+        """Send a request to an RPLIDAR; its answer's payload, None if none comes."""
+        self.port.write(request.packet())
+        until = self.bench.time + patience
+        while self.bench.time < until:
+            self.bench.tick()
+            if (payload := answer.feed(self.read())) is not None:
+                return payload
+        return None
+
+
+class Bench:
+    """Time passes when it is told to; everything that is open is read at every tick."""
+
+    def __init__(self, emulator: Emulator, opened: ExitStack) -> None:
+        self.emulator, self.time, self.step = emulator, 0.0, 0.002
+        self.hosts: list[Host] = []
+        self._opened = opened
+
+    def open(self, who: str, baud: int = 115200) -> Host:
+        host = Host(self, getattr(self.emulator, who), baud)
+        self._opened.callback(host.port.close)
+        self.hosts.append(host)
+        return host
+
+    def close(self, host: Host) -> None:
+        host.port.close()
+        self.hosts.remove(host)
+
+    def tick(self) -> None:
+        self.time += self.step
+        self.emulator.step(self.time)
+
+    def go(self, seconds: float) -> None:
+        until = self.time + seconds - self.step / 2
+        while self.time < until:
+            self.tick()
+            for host in self.hosts:
+                host.read()
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Callable[..., Bench]]:
+    """Makes benches; the robot is in a room, its sensors exact unless it is said otherwise."""
+    with ExitStack() as opened:
+
+        def make(**wanted: Any) -> Bench:
+            folder = tmp_path / f"robot{len(list(tmp_path.iterdir()))}"
+            ports = {"lidar_port": folder / "lidar", "base_port": folder / "base"}
+            settings: dict[str, Any] = {"world": "room", "noise": EXACT, "wheels": PERFECT, **ports, **wanted}
+            emulator = opened.enter_context(Emulator(Setup(**settings), begun=1000.0))
+            return Bench(emulator, opened)
+
+        yield make

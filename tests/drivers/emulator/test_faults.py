@@ -1,0 +1,334 @@
+"""Lines, ports and faults: what is injected is what is counted, and every byte is accounted for."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.bases import Create2
+from drivers.emulator import Emulator, Event, Setup
+from drivers.emulator.line import MOST_WAITING, Damager, Line
+from drivers.emulator.port import PtyPort
+from drivers.errors import ConnectionLostError, DriverError, PortError, RecordingError
+from drivers.lidars import ld06
+from drivers.lidars.rplidar.answers import Answer, AnswerReader
+from drivers.lidars.rplidar.decoding import decoder_for
+from drivers.lidars.rplidar.requests import SCAN, express_scan
+from drivers.transport import SerialPort
+
+from .conftest import EXACT, Bench, Host
+
+MakeBench = Callable[..., Bench]
+
+
+# -- lines ----------------------------------------------------------------------------------------------------------
+
+
+@given(st.lists(st.integers(1, 40), min_size=1, max_size=20), st.sampled_from([9600, 115200, 1_000_000]), st.data())
+@settings(max_examples=50, deadline=None)
+def test_a_line_carries_bytes_in_order_at_its_pace(sizes: list[int], baud: int, data: st.DataObject) -> None:
+    line = Line(baud)
+    sent = b""
+    free = 0.0
+    ends = []
+    for size in sizes:
+        ready = data.draw(st.floats(max(0.0, free - 0.01), free + 0.01))
+        packet = bytes(size)
+        line.send(packet, ready)
+        sent += packet
+        for _ in range(size):
+            free = max(free, ready) + 10 / baud
+            ends.append(free)
+    time, came = 0.0, 0
+    while came < len(sent):
+        time += data.draw(st.floats(1e-4, 0.02))
+        came += len(line.take(time))
+        assert came == pytest.approx(np.searchsorted(ends, time), abs=1)
+    assert line.take(time + 1.0) == b""
+    assert line.due == np.inf
+
+
+def test_many_packets_are_sent_as_one_by_one() -> None:
+    at_once, singly = Line(115200), Line(115200)
+    times = np.array([0.0, 1e-4, 1e-2, 1e-2, 2e-2])
+    data = bytes(range(25))
+    at_once.send(data, times)
+    for i, time in enumerate(times):
+        singly.send(data[5 * i : 5 * i + 5], float(time))
+    for moment in np.arange(0.0, 0.03, 1e-4):
+        assert at_once.take(float(moment)) == singly.take(float(moment))
+
+
+def test_what_a_slow_line_cannot_carry_is_lost_and_counted() -> None:
+    line, sent = Line(9600), 0
+    for i in range(2000):
+        line.send(bytes(10), i * 1e-3)  # ten times too much
+        sent += 10
+    came = len(line.take(1e9))
+    assert came + line.overflow == sent
+    assert came == pytest.approx((2.0 + MOST_WAITING) * 960, rel=0.02)
+
+
+CHANCE = st.floats(0.0, 0.3)
+
+
+@given(st.binary(max_size=2000), CHANCE, CHANCE, CHANCE, st.lists(st.integers(0, 2000), max_size=5))
+@settings(max_examples=50, deadline=None)
+def test_damage_does_not_depend_on_chunks(
+    data: bytes, drop: float, insert: float, flip: float, cuts: list[int]
+) -> None:
+    whole = Damager(drop, insert, flip, np.random.default_rng(1))
+    parts = Damager(drop, insert, flip, np.random.default_rng(1))
+    cuts = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
+    damaged = whole(data)
+    assert b"".join(parts(data[a:b]) for a, b in pairwise(cuts)) == damaged
+    assert whole.damage == parts.damage
+    assert len(damaged) == len(data) - whole.damage.dropped + whole.damage.inserted
+
+
+def test_each_kind_of_damage_is_what_it_says() -> None:
+    data = bytes(1000)
+    flipper = Damager(0.0, 0.0, 0.1, np.random.default_rng(0))
+    bits = np.unpackbits(np.frombuffer(flipper(data), np.uint8)).sum()
+    assert flipper.damage.flipped == bits
+    assert 60 < bits < 140
+    dropper = Damager(0.1, 0.0, 0.0, np.random.default_rng(0))
+    assert dropper(data) == bytes(1000 - dropper.damage.dropped)
+    inserter = Damager(0.0, 0.1, 0.0, np.random.default_rng(0))
+    assert len(inserter(data)) == 1000 + inserter.damage.inserted
+    assert Damager(0.0, 0.0, 0.0, np.random.default_rng(0))(data) is data
+
+
+# -- ports ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_port_keeps_its_name_and_takes_no_other_things(tmp_path: Path) -> None:
+    link = tmp_path / "ports" / "lidar"
+    link.parent.mkdir()
+    link.symlink_to("/dev/pts/none")  # left behind
+    port = PtyPort(link)
+    assert not port.opened
+    with_program = SerialPort(str(link), 256000)
+    assert port.opened
+    assert port.baud == 256000
+    other = PtyPort(link)  # another emulator took the name
+    port.unplug()
+    assert link.exists()
+    other.unplug()
+    assert not link.is_symlink()
+    with pytest.raises(ConnectionLostError):
+        with_program.read(1.0)
+    with_program.close()
+    assert (other.read(), other.write(b"x"), other.baud, other.plugged) == (b"", 0, None, False)
+    link.write_text("precious")
+    with pytest.raises(PortError, match="exists"):
+        PtyPort(link)
+    assert link.read_text() == "precious"
+    with pytest.raises(PortError, match="no port can be made"):
+        PtyPort(link / "lidar")
+
+
+def test_nobody_listening_and_nobody_reading_are_told_apart(bench: MakeBench) -> None:
+    robot = bench(lidar="ld06")
+    robot.go(3.0)
+    counts = robot.emulator.lidar.counts
+    packets = int((3.0 - 1.0) * 375)
+    assert counts.unheard == pytest.approx(packets * 47, abs=94)
+    assert counts.sent == counts.overrun == 0
+    host = robot.open("lidar", ld06.BAUD)
+    robot.hosts.remove(host)  # open, but not read
+    unheard = counts.unheard
+    robot.go(3.0)
+    assert counts.unheard == unheard
+    assert counts.sent + counts.overrun == pytest.approx(3.0 * 375 * 47, rel=0.01)
+    assert 4096 < counts.sent < 32768
+    total = len(host.read())
+    while more := host.read():
+        total += len(more)
+    assert total == counts.sent
+    robot.hosts.append(host)
+    robot.go(0.5)
+    decoder = ld06.Ld06Decoder()
+    decoder.feed(host.data)
+    assert decoder.counters.packets > 0.5 * 375 * 0.98  # it finds its way again
+    assert len(host.data) == counts.sent
+
+
+# -- faults ---------------------------------------------------------------------------------------------------------
+
+
+def scanning(robot: Bench) -> Host:
+    """An S1's dense capsules."""
+    host = robot.open("lidar", 256000)
+    robot.go(0.6)
+    assert host.ask(express_scan(1), AnswerReader(Answer.DENSE, multiple=True)) == b""
+    host.forget()
+    return host
+
+
+def test_injected_faults_are_those_that_arrive(bench: MakeBench) -> None:
+    streams = []
+    for chances in ({}, {"drop": 2e-4, "insert": 2e-4, "flip": 2e-4}):
+        robot = bench(lidar="ld06", seed=4, **chances)
+        host = robot.open("lidar", ld06.BAUD)
+        robot.go(5.0)
+        streams.append(host.data)
+    counts = robot.emulator.lidar.report()
+    clean, damaged = streams
+    damage = [counts["dropped"], counts["inserted"], counts["flipped"]]
+    assert all(5 <= count <= 30 for count in damage)  # 14 of each are likely
+    assert len(damaged) == len(clean) - damage[0] + damage[1] == counts["sent"]
+    decoder = ld06.Ld06Decoder()
+    decoder.feed(damaged)
+    lost = len(clean) // 47 - decoder.counters.packets
+    assert 0.8 * sum(damage) <= lost <= 1.1 * sum(damage)  # a fault costs the packet it hits, which two may share
+
+
+def test_unplugging_and_coming_back(bench: MakeBench) -> None:
+    events = (Event("unplug", "lidar", 3.0, 1.0), Event("unplug", "base", 3.0, 1.0))
+    robot = bench(events=events)
+    lidar, base = scanning(robot), robot.open("base")
+    base.port.write(Create2().start())
+    robot.go(2.9 - robot.time)
+    robot.hosts.clear()
+    robot.go(0.2)
+    for host in (lidar, base):
+        assert not host.link.port.path.is_symlink()
+        with pytest.raises(ConnectionLostError):
+            host.port.read(0.1)
+        with pytest.raises(PortError, match="no such port"):
+            SerialPort(str(host.link.port.path), 115200)
+    robot.go(4.05 - robot.time)
+    again, base_again = robot.open("lidar", 256000), robot.open("base")
+    robot.go(1.0)
+    assert again.data.startswith(b"RP LIDAR System")  # it takes its power from the port, and has started again
+    assert len(base_again.data) == pytest.approx(1.0 / 0.015 * 9, abs=18)  # it has a battery, and never stopped
+    counts = [robot.emulator.lidar.counts, robot.emulator.base.counts]
+    assert [c.unplugs for c in counts] == [1, 1]
+    assert counts[1].unplugged == pytest.approx(1.0 / 0.015 * 9, abs=18)
+    assert robot.emulator.lidar.report()["starts"] == 2
+
+
+def test_stalls_and_restarts(bench: MakeBench) -> None:
+    robot = bench(events=(Event("restart", "lidar", 4.0), Event("stall", "lidar", 2.5, 0.5)))
+    host = scanning(robot)
+    robot.go(2.49 - robot.time)
+    before = len(host.data)
+    robot.go(0.5)
+    assert len(host.data) - before < 400
+    robot.go(1.0)
+    resumed = len(host.data) - before
+    assert resumed == pytest.approx(19320, rel=0.05)
+    robot.go(1.5)
+    assert b"RP LIDAR System" in host.data
+    counts = robot.emulator.lidar.counts
+    assert counts.stalled == pytest.approx(0.5 * 19320, rel=0.03)
+    assert (counts.stalls, counts.restarts) == (1, 1)
+    decoder = decoder_for(Answer.DENSE, 1 / 9200, 256000, corrected=False)
+    decoder.feed(host.data)
+    assert decoder.counters.checksum_failures <= 2  # where it was silent, and where it began again
+
+
+def test_a_failed_lidar_does_not_scan(bench: MakeBench) -> None:
+    robot = bench(events=(Event("fail", "lidar", 2.5),))
+    host = scanning(robot)
+    robot.go(3.0 - robot.time)
+    host.forget()
+    assert host.ask(SCAN, AnswerReader(Answer.STANDARD, multiple=True)) is None
+    assert host.data == b""
+    assert robot.emulator.lidar.counts.fails == 1
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [("unplug", "lidar@3"), ("stall", "lidar"), ("restart", "base@1:2"), ("fail", "head@2"), ("stall", "")],
+)
+def test_events_that_are_none(kind: str, text: str) -> None:
+    with pytest.raises(DriverError, match=f"--{kind}"):
+        Event.parse(kind, text)
+    assert Event.parse("unplug", "lidar@20:3") == Event("unplug", "lidar", 20.0, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "because"),
+    [
+        ({"lidar": "sick"}, "no lidar 'sick'; there are rplidar-a1"),
+        ({"base": "boat"}, "no base 'boat'"),
+        ({"drive": "home"}, "no way to drive"),
+        ({"drop": 0.6, "flip": 0.6}, "between 0 and 1"),
+        ({"lidar_drift": 1e6}, "drift"),
+        ({"seed": -1}, "seed"),
+        ({"lidar": "ld06", "events": (Event("fail", "lidar", 1.0),)}, "only RPLIDARs"),
+        ({"base_port": Path("a"), "lidar_port": Path("a")}, "different ports"),
+    ],
+)
+def test_setups_that_cannot_be(wrong: dict[str, object], because: str) -> None:
+    with pytest.raises(DriverError, match=because):
+        Setup("room", **wrong)  # type: ignore[arg-type]
+
+
+# -- the whole ------------------------------------------------------------------------------------------------------
+
+
+def test_truth_and_report_are_left_behind(bench: MakeBench, tmp_path: Path) -> None:
+    ports = {"lidar_port": tmp_path / "lidar", "base_port": tmp_path / "base"}
+    setup = Setup("room", truth=tmp_path / "truth.tum", report=tmp_path / "report.json", **ports)
+    with Emulator(setup, begun=1000.0) as emulator:
+        for time in np.arange(0.0, 4.0, 0.013):
+            emulator.step(float(time))
+        poses = np.loadtxt(tmp_path / "truth.tum")[-50:]
+        stamps, (x, y), (qz, qw) = poses[:, 0], poses[:, 1:3].T, poses[:, 6:8].T
+        true = emulator.motion.at(stamps - 1000.0)
+    assert np.diff(stamps) == pytest.approx(0.02)
+    assert np.column_stack([x, y, 2 * np.arctan2(qz, qw)]) == pytest.approx(true, abs=2e-6)
+    assert [entry.name for entry in sorted(tmp_path.iterdir())] == ["report.json", "truth.tum"]
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["begun"] == 1000.0
+    assert report["lidar"]["device"] == "rplidar-s1"
+    assert report["base"]["starts"] == 1
+
+
+def test_what_cannot_be_written_is_said(tmp_path: Path) -> None:
+    ports = {"lidar_port": tmp_path / "lidar", "base_port": tmp_path / "base"}
+    report = tmp_path / "report.json"
+    setup = Setup("room", truth=tmp_path, report=report, **ports)
+    with pytest.raises(RecordingError, match="cannot be written"), Emulator(setup):
+        pass
+    setup = Setup("room", report=tmp_path / "none" / "report.json", **ports)
+    with pytest.raises(RecordingError, match="cannot be written"), Emulator(setup):
+        assert setup.lidar_port.exists()
+    with pytest.raises(RecordingError, match="no such world"):
+        Emulator(Setup("moon", **ports))
+    assert not list(tmp_path.iterdir())
+
+
+def test_in_real_time_bytes_keep_their_pace(tmp_path: Path) -> None:
+    setup = Setup("room", noise=EXACT, lidar_port=tmp_path / "lidar", base_port=tmp_path / "base")
+    with Emulator(setup) as emulator:
+        running = threading.Thread(target=emulator.run, args=(3.0,))
+        running.start()
+        with_lidar = SerialPort(str(tmp_path / "lidar"), 256000)
+        with_lidar.read(1.0)  # the banner
+        with_lidar.write(express_scan(1).packet())
+        decoder = decoder_for(Answer.DENSE, 1 / 9200, 256000, corrected=False)
+        arrivals = []
+        while running.is_alive():
+            received = with_lidar.read(0.05)
+            arrivals += [(end / 84 * 40, received.time) for end in decoder.feed(received.data).packets["end"]]
+        running.join()
+        with_lidar.close()
+    samples, times = np.array(arrivals).T
+    assert np.ptp(times) > 0.5
+    assert np.polyfit(times - times[0], samples, 1)[0] == pytest.approx(9200, rel=0.02)
+    assert decoder.counters.checksum_failures == 0
+    assert emulator.lidar.counts.overrun == 0
+    assert not os.path.lexists(tmp_path / "lidar")

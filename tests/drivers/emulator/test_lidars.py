@@ -1,0 +1,266 @@
+"""Emulated lidars, heard through pyserial on pseudo terminals by the drivers' own decoders."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from drivers.emulator.rplidar import NODES
+from drivers.emulator.rplidar_kinds import KINDS
+from drivers.emulator.scip import URG
+from drivers.lidars import ld06, scip, scip_scan
+from drivers.lidars.records import Decoder, Measurements
+from drivers.lidars.revolutions import RevolutionAssembler
+from drivers.lidars.rplidar import modes, requests
+from drivers.lidars.rplidar.answers import Answer, AnswerReader, Health, Info, SampleRate, Status
+from drivers.lidars.rplidar.decoding import decoder_for
+from drivers.lidars.rplidar.models import BAUDS
+from drivers.messages import Floats, Scan
+
+from .conftest import Bench, Host
+
+MakeBench = Callable[..., Bench]
+
+MEASURE = scip.Measure(URG.first, URG.last)
+RPLIDARS = [
+    *(("rplidar-a1", mode.name) for mode in KINDS["rplidar-a1"].modes.modes),
+    *(("rplidar-s1", mode.name) for mode in KINDS["rplidar-s1"].modes.modes),
+    ("rplidar-a1-old", "Express"),
+    ("rplidar-a2", "typical"),
+    ("rplidar-a3", "typical"),
+    ("rplidar-c1", "Standard"),
+    ("rplidar-s2", "typical"),
+    ("rplidar-s3", "typical"),
+]
+QUANTA = {Answer.ULTRA: 0.009, Answer.ULTRA_DENSE: 0.003}
+"""Metres; half a millimetre where nothing else is said."""
+
+
+def started(bench: Bench, lidar: str, mode: str) -> tuple[Host, Decoder, float]:
+    """A lidar that scans, its decoder, and how finely it tells ranges; what it reads from now on are measurements."""
+    if lidar == "ld06":
+        return bench.open("lidar", ld06.BAUD), ld06.Ld06Decoder(), 0.0006
+    if lidar == "scip":
+        host = bench.open("lidar")
+        host.port.write(scip.LASER_ON + MEASURE.packet())
+        return host, scip_scan.ScipDecoder(URG, MEASURE), 0.0006
+    kind = KINDS[lidar]
+    chosen = kind.modes.choose(mode)
+    host = bench.open("lidar", kind.baud)
+    bench.go(0.6)
+    host.port.write(requests.set_motor_pwm(660).packet())
+    start = requests.HQ_SCAN if chosen.answer == Answer.HQ else chosen.start()
+    reader = AnswerReader(chosen.answer, multiple=True)
+    assert host.ask(start, reader) == b""
+    assert reader.rest == b""
+    host.forget()
+    decoder = decoder_for(chosen.answer, chosen.sample_period, kind.baud, kind.model.corrected)
+    return host, decoder, QUANTA.get(Answer(chosen.answer), 0.0006)
+
+
+def measured(host: Host, decoder: Decoder) -> tuple[Measurements, Floats]:
+    measurements = decoder.feed(host.data)
+    return measurements, measurements.stamps(host.arrivals(measurements.packets["end"]))
+
+
+def scans_of(measurements: Measurements, stamps: Floats, whole: bool = False) -> list[Scan]:
+    return RevolutionAssembler(0.02, 40.0, whole_packets=whole).add(measurements, stamps)
+
+
+@pytest.mark.parametrize(("lidar", "mode"), [*RPLIDARS, ("ld06", ""), ("scip", "")])
+def test_what_is_decoded_is_what_is_there(bench: MakeBench, lidar: str, mode: str) -> None:
+    robot = bench(lidar=lidar)
+    robot.go(1.0)  # stands so long
+    host, decoder, quantum = started(robot, lidar, mode)
+    robot.go(2.0)
+    measurements, stamps = measured(host, decoder)
+    assert decoder.counters.checksum_failures == 0
+    samples = measurements.samples
+    # Arrival is seen a tick late at most, and standard nodes come in small bursts. Directions are told to 1/64 degree,
+    # or corrected to 1/8 degree.
+    latest = robot.step + (NODES if mode == "Standard" else 0.0)
+    motion, mount = robot.emulator.motion, np.array(robot.emulator.setup.mount)
+    cast = [
+        motion.sweep(stamps - late, samples["angle"] + aside, mount)
+        for late in (0.0, 0.5 * latest, latest)
+        for aside in np.radians([-0.08, -0.03, 0.0, 0.03, 0.08])
+    ]
+    told = ~np.isnan(samples["range"])
+    right = (samples["range"] > np.min(cast, axis=0) - quantum) & (samples["range"] < np.max(cast, axis=0) + quantum)
+    assert np.count_nonzero(told) > 0.95 * len(samples)
+    assert np.count_nonzero(right | ~told) >= 0.995 * len(samples)
+    assert np.ptp(motion.at(np.array([stamps[0], stamps[-1]])), axis=0).max() > 0.1  # it drove meanwhile
+
+
+@pytest.mark.parametrize(
+    ("lidar", "mode", "rate", "turns"),
+    [
+        ("rplidar-s1", "DenseBoost", 9200.0, 10.0),
+        ("rplidar-a1", "Sensitivity", 1e6 / 127, 7.5),
+        ("ld06", "", 4500.0, 10.0),
+    ],
+)
+def test_lidars_turn_clockwise_at_their_rate(
+    bench: MakeBench, lidar: str, mode: str, rate: float, turns: float
+) -> None:
+    robot = bench(lidar=lidar, drive="base")
+    host, decoder, _ = started(robot, lidar, mode)
+    robot.go(3.2)
+    measurements, stamps = measured(host, decoder)
+    assert len(measurements) / np.ptp(stamps) == pytest.approx(rate, rel=0.02)
+    scans = scans_of(measurements, stamps)
+    assert len(scans) >= 1.8 * turns
+    assert np.diff([scan.stamp for scan in scans]).mean() == pytest.approx(1.0 / turns, rel=0.02)
+    assert all(scan.time_offsets[0] > scan.time_offsets[-1] for scan in scans)  # angles increase, times do not
+
+
+def test_scip_turns_counter_clockwise_and_tells_the_time(bench: MakeBench) -> None:
+    robot = bench(lidar="scip", lidar_drift=2000.0)
+    host, decoder, _ = started(robot, "scip", "")
+    robot.go(2.0)
+    measurements, stamps = measured(host, decoder)
+    scans = scans_of(measurements, stamps, whole=True)
+    assert 19 <= len(scans) <= 20
+    assert all(np.all(np.diff(scan.time_offsets) > 0.0) for scan in scans)
+    # Its clock is fast by 0.2 %, so its revolutions are shorter.
+    assert np.diff([scan.stamp for scan in scans]).mean() == pytest.approx(0.1 / 1.002, rel=2e-3)
+    assert np.diff(measurements.packets["device_time"]) == pytest.approx(0.1, abs=1.1e-3)
+
+
+def test_a_device_clock_drifts(bench: MakeBench) -> None:
+    robot = bench(lidar="ld06", lidar_drift=5000.0)
+    host, decoder, _ = started(robot, "ld06", "")
+    robot.go(3.0)
+    packets = measured(host, decoder)[0].packets
+    gone = np.ptp(packets["device_time"]) / np.ptp(host.arrivals(packets["end"]))
+    assert gone == pytest.approx(1.005, abs=2e-3)
+
+
+@pytest.mark.parametrize("lidar", KINDS)
+def test_an_rplidar_says_who_it_is(bench: MakeBench, lidar: str) -> None:
+    robot, kind = bench(lidar=lidar), KINDS[lidar]
+    host = robot.open("lidar", kind.baud)
+    robot.go(0.6)
+    assert host.data.startswith(b"RP LIDAR System")
+    info = host.ask(requests.GET_INFO, AnswerReader(Answer.INFO, Info.SIZE))
+    health = host.ask(requests.GET_HEALTH, AnswerReader(Answer.HEALTH, Health.SIZE))
+    assert info is not None
+    assert Info.parse(info) == kind.info
+    assert health is not None
+    assert Health.parse(health).status == Status.GOOD
+    if not kind.tells_modes:
+        asked = requests.get_configuration(modes.Entry.COUNT)
+        assert host.ask(asked, AnswerReader(Answer.CONFIGURATION)) is None
+        rate = host.ask(requests.GET_SAMPLE_RATE, AnswerReader(Answer.SAMPLE_RATE, SampleRate.SIZE))
+        assert rate is not None
+        assert SampleRate.parse(rate) == SampleRate(508e-6, 254e-6)
+        return
+
+    def survey() -> modes.Modes:
+        steps = modes.survey()
+        request = next(steps)
+        while True:
+            payload = host.ask(request, AnswerReader(Answer.CONFIGURATION, prefix=modes.echo(request)))
+            assert payload is not None
+            try:
+                request = steps.send(payload)
+            except StopIteration as done:
+                told: modes.Modes = done.value
+                return told
+
+    told = survey()
+    assert [(m.name, m.answer) for m in told.modes] == [(m.name, m.answer) for m in kind.modes.modes]
+    assert told.choose().sample_period == pytest.approx(kind.modes.choose().sample_period, rel=1e-3)
+
+
+def test_only_the_right_speed_is_understood(bench: MakeBench) -> None:
+    robot = bench(lidar="rplidar-s1")
+    robot.go(0.6)
+    answered = []
+    for baud in BAUDS:
+        host = robot.open("lidar", baud)
+        if host.ask(requests.GET_INFO, AnswerReader(Answer.INFO, Info.SIZE), patience=0.1) is not None:
+            answered.append(baud)
+        robot.close(host)
+    assert answered == [256000]
+    assert robot.emulator.lidar.counts.garbled == 3 * len(requests.GET_INFO.packet())
+
+
+def test_a_scan_ends_when_it_is_told_to_and_a_reset_brings_the_banner(bench: MakeBench) -> None:
+    robot = bench(lidar="rplidar-s1")
+    host, _, _ = started(robot, "rplidar-s1", "DenseBoost")
+    robot.go(1.5)
+    assert len(host.data) > 5000
+    assert host.ask(requests.GET_INFO, AnswerReader(Answer.INFO, Info.SIZE)) is None  # not while it scans
+    host.port.write(requests.STOP.packet())
+    robot.go(0.1)
+    host.forget()
+    robot.go(0.3)
+    assert host.data == b""
+    host.port.write(requests.RESET.packet() + requests.GET_INFO.packet())
+    robot.go(1.0)
+    assert host.data.startswith(b"RP LIDAR System")  # and nothing more: it did not hear what it was asked too early
+    assert host.data.count(b"\n") == 3
+    assert robot.emulator.lidar.report()["starts"] == 2
+
+
+def test_motors_are_started_as_the_family_wants(bench: MakeBench) -> None:
+    robot = bench(lidar="rplidar-a2")
+    host = robot.open("lidar", 115200)
+    robot.go(0.6)
+    assert host.ask(requests.GET_MOTOR_BOARD, AnswerReader(Answer.MOTOR_BOARD, 4)) == b"\1\0\0\0"
+    assert host.ask(requests.SCAN, AnswerReader(Answer.STANDARD, multiple=True)) == b""
+    host.forget()
+    robot.go(1.5)
+    assert host.data == b""  # the head stands
+    host.port.write(requests.set_motor_pwm(660).packet())
+    robot.go(1.5)
+    turning = len(host.data)
+    assert turning > 4000
+    host.port.write(requests.set_motor_pwm(0).packet())
+    robot.go(0.5)
+    assert len(host.data) < turning + 100
+
+
+def test_an_inner_error_lasts_until_a_reset(bench: MakeBench) -> None:
+    robot = bench(lidar="rplidar-s1")
+    host, _, _ = started(robot, "rplidar-s1", "DenseBoost")
+    robot.go(1.2)
+    robot.emulator.lidar.device.fail(robot.time)
+    robot.go(0.1)
+    for status in (Status.ERROR, Status.GOOD):
+        payload = host.ask(requests.GET_HEALTH, AnswerReader(Answer.HEALTH, Health.SIZE))
+        assert payload is not None
+        assert Health.parse(payload).status == status
+        host.port.write(requests.RESET.packet())
+        robot.go(0.6)
+
+
+def test_scip_answers(bench: MakeBench) -> None:
+    robot = bench(lidar="scip")
+    host = robot.open("lidar", 19200)  # on USB any speed will do
+    replies = scip.ReplyReader()
+
+    def ask(command: bytes) -> list[scip.Reply]:
+        host.forget()
+        host.port.write(command)
+        robot.go(0.35)
+        return replies.feed(host.data)
+
+    (parameters,) = ask(scip.PARAMETERS)
+    assert scip.Parameters.parse(parameters) == URG
+    assert [reply.status for command in (scip.STOP, scip.LASER_ON, scip.USE_SCIP2) for reply in ask(command)] == [
+        "00"
+    ] * 3
+    clocks = [scip.clock_of(reply.lines[0]) for _ in range(2) for reply in ask(scip.CLOCK)]
+    assert clocks[0] is not None
+    assert clocks[1] == pytest.approx(clocks[0] + 350, abs=3)
+    assert ask(b"XX\n")[0].status == "0E"
+    assert ask(b"MD0000999901000\n")[0].status == "04"
+    once = ask(scip.Measure(100, 200, cluster=3, continuous=False, width=2).packet())
+    assert [(reply.status, len(reply.lines)) for reply in once] == [("00", 3)]  # the time, 68 characters
+    echoes = [reply.echo[-2:] for reply in ask(MEASURE.head + b"02\n")]
+    assert echoes == [b"02", b"01", b"00"]
+    assert robot.emulator.lidar.device.misheard == 3

@@ -1,0 +1,60 @@
+"""`wclm emulate`."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+
+def test_a_robot_is_emulated_for_a_while(wclm: Any, tmp_path: Path) -> None:
+    ports = ("--ports", "ports", "--duration", "0.3", "--lidar", "ld06", "--base", "kobuki")
+    result = wclm(
+        "emulate", "room", *ports, "--truth", "truth.tum", "--report", "report.json", "--stall", "base@0.1:0.1"
+    )
+    assert result.exit_code == 0, result.output
+    assert result.stdout.splitlines()[:2] == ["ports/lidar: ld06, 230400 baud", "ports/base: kobuki, 115200 baud"]
+    assert not list((tmp_path / "ports").iterdir())
+    assert len((tmp_path / "truth.tum").read_text().splitlines()) == pytest.approx(15, abs=2)
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["base"]["stalls"] == 1
+    assert report["base"]["readings"] >= 13
+
+
+def test_wrong_robots_are_refused(wclm: Any) -> None:
+    wclm.refuses("emulate", "moon", because=["moon: no such world"])
+    wclm.refuses("emulate", "room", "--lidar", "eyes", because=["no lidar 'eyes'; there are rplidar-a1"])
+    wclm.refuses("emulate", "room", "--unplug", "lidar@3", because=["--unplug lidar@3: say it as lidar@20:3"])
+    wclm.refuses("emulate", "room", "--ports", "p", "--drive", "keyboard", because=["no keyboard"])
+    assert wclm("emulate", "room", "--drop", "2").exit_code == 2
+
+
+@pytest.mark.parametrize(("how", "status"), [(signal.SIGINT, 0), (signal.SIGTERM, 128 + signal.SIGTERM)])
+def test_it_stops_cleanly(tmp_path: Path, how: signal.Signals, status: int) -> None:
+    # Where the tests run in a shell's background, SIGINT is ignored, and children inherit that.
+    program = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from slam.cli import main; main()"
+    )
+    options = ["emulate", "room", "--ports", "ports", "--report", "report.json"]
+    running = subprocess.Popen(
+        [sys.executable, "-c", program, *options],
+        cwd=tmp_path,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    begun = time.monotonic()
+    while not (tmp_path / "ports" / "base").is_symlink() and time.monotonic() < begun + 200.0:
+        time.sleep(0.05)
+    time.sleep(0.3)
+    running.send_signal(how)
+    _, errors = running.communicate(timeout=20.0)
+    assert (running.returncode, errors.strip()) == (status, "")
+    assert not list((tmp_path / "ports").iterdir())
+    assert json.loads((tmp_path / "report.json").read_text())["lidar"]["restarts"] == 0
