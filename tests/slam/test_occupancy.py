@@ -24,7 +24,7 @@ from slam.exports import (
 from slam.exports.occupancy import FREE, OCCUPIED, UNKNOWN, trace
 from slam.trajectory import Trajectory
 
-ROOM = np.array([[-1.03, -0.52], [2.98, 0.96]])  # lowest and highest x, y: nothing is symmetric
+ROOM = np.array([[-1.033, -0.527], [2.987, 0.964]])  # lowest and highest x, y: nothing is symmetric, nor on an edge
 ORIGIN = np.array([0.31, 0.17])
 
 
@@ -79,13 +79,10 @@ def test_map_server_finds_walls_where_they_are(tmp_path: Path, resolution: float
     write_pgm_yaml(tmp_path / "map.yaml", drawn, image="map.pgm")
     served = MapServer(tmp_path / "map.yaml")
     for y in np.linspace(-0.4, 0.85, 15):
-        assert served.at(ROOM[0, 0] - 1e-6, y) == 100 or served.at(ROOM[0, 0] + 1e-6, y) == 100
-        assert served.at(ROOM[1, 0] - 1e-6, y) == 100 or served.at(ROOM[1, 0] + 1e-6, y) == 100
-        for x in np.linspace(-0.8, 2.7, 30):
-            assert served.at(x, y) == 0
+        assert served.at(ROOM[0, 0], y) == served.at(ROOM[1, 0], y) == 100
+        assert all(served.at(x, y) == 0 for x in np.linspace(-0.8, 2.7, 30))
     for x in np.linspace(-0.8, 2.7, 30):
-        assert served.at(x, ROOM[0, 1] - 1e-6) == 100 or served.at(x, ROOM[0, 1] + 1e-6) == 100
-        assert served.at(x, ROOM[1, 1] - 1e-6) == 100 or served.at(x, ROOM[1, 1] + 1e-6) == 100
+        assert served.at(x, ROOM[0, 1]) == served.at(x, ROOM[1, 1]) == 100
 
 
 def test_what_no_beam_reached_is_unknown_to_map_server(tmp_path: Path) -> None:
