@@ -13,7 +13,6 @@ from ..exports.session import Session
 from ..outputs import CONFIG
 from . import sections
 from .findings import findings
-from .words import length
 
 
 def write_page(path: Path, session: Session) -> None:
@@ -38,6 +37,7 @@ def _page(session: Session) -> str:
         script=_part("page.js"),
         facts=sections.facts(summary),
         view_box=drawing.view_box,
+        aspect=f"{drawing.width:.3f} / {drawing.height:.3f}",
         map=drawing.elements,
         legend=_legend(drawing),
         wrong=sections.wrong(found),
@@ -58,7 +58,7 @@ def _legend(drawing: Drawing) -> str:
     for k, path_class in enumerate(PATH_CLASSES):
         if path_class in drawing.classes:
             last = k == len(PATH_CLASSES) - 1
-            limit = f"over {length(PATH_CLASSES[k - 1].below)}" if last else f"under {length(path_class.below)}"
+            limit = f"over {_round(PATH_CLASSES[k - 1].below)}" if last else f"under {_round(path_class.below)}"
             told.append((path_class.name, limit))
     if UNKNOWN_CLASS in drawing.classes:
         told.append((UNKNOWN_CLASS.name, "path"))
@@ -66,4 +66,12 @@ def _legend(drawing: Drawing) -> str:
     if drawing.classes != (UNKNOWN_CLASS,):
         entries = f"<span>path, known to (σ):</span>{entries}"
     marks = '<span><i class="wall"></i>wall</span><span><i class="band"></i>side seen</span>'
-    return f'{marks}<span><i class="corner"></i>corner, {SIGMAS:.0f}σ</span>{entries}'
+    marks += f'<span><i class="corner"></i>corner, {SIGMAS:.0f}σ</span>'
+    if "data-loop" in drawing.elements:
+        marks += '<span><i class="loop"></i>loop closure</span>'
+    return f'{marks}<span class="start">○ start</span><span class="end">▲ end</span>{entries}'
+
+
+def _round(metres: float) -> str:
+    """A limit of the classes, which are round numbers."""
+    return f"{100 * metres:g} cm"

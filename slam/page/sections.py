@@ -11,6 +11,15 @@ from .words import clock, counted, duration, length, percent
 STATUS = {"accepted": "closed", "retracted": "taken back", "held": "waited", "rejected": "refused"}
 SHOWN = ("accepted", "retracted")
 """Decisions that changed the map; the others are folded away."""
+TERMS = {
+    "keyframes": "where it was decided, and one that saw the place before",
+    "explained": "of the wall seen lately, the share that would fall on old walls; the more the better",
+    "walls": "how many walls would",
+    "runner-up": "how much another place explains, relative to this one: near 100 % the two cannot be told apart",
+    "σ": "how well the motion is known where it is known worst",
+    "contradicted": "share of the wall seen lately that old walls would have hidden; the less the better",
+    "moved by": "how far the robot's place was corrected",
+}
 ACCURACY = (
     ("ate_rmse", "position, RMS", "m"),
     ("ate_median", "position, median", "m"),
@@ -60,14 +69,19 @@ def loops(slam: dict[str, Any], start: float) -> str:
     if folded:
         title = f"{len(folded)} that were not closed, and why"
         body += f"<details><summary>{title}</summary>{_decisions(folded, start)}</details>"
-    return head + body
+    return head + body + (_terms() if rows else "")
+
+
+def _terms() -> str:
+    told = "".join(f"<dt>{name}</dt><dd>{meaning}</dd>" for name, meaning in TERMS.items())
+    return f'<details><summary>What the columns mean</summary><dl class="terms">{told}</dl></details>'
 
 
 def _decisions(rows: list[dict[str, Any]], start: float) -> str:
     columns = (
         ("at", lambda row: clock(row["stamp"] - start)),
         ("what", lambda row: STATUS.get(row["status"], row["status"])),
-        ("keyframe", lambda row: f"{row['keyframe']} at {row['old']}"),
+        ("keyframes", lambda row: f"{row['keyframe']} → {row['old']}"),
         ("why", lambda row: row["reason"] or "–"),
         ("explained", lambda row: percent(row["explained"])),
         ("walls", lambda row: str(row["matches"])),
@@ -126,7 +140,8 @@ def timings(summary: dict[str, Any]) -> str:
         f"<td>{value:.2f} ms</td></tr>"
         for name, value in stages.items()
     )
-    return f'{head}</p><table class="plain"><tbody>{bars}</tbody></table>' if bars else f"{head}</p>"
+    caption = "<caption>of a keyframe, mean of each stage</caption>"
+    return f'{head}</p><table class="plain">{caption}<tbody>{bars}</tbody></table>' if bars else f"{head}</p>"
 
 
 def details(summary: dict[str, Any], settings: str) -> str:

@@ -118,8 +118,8 @@ def test_svg_is_true_to_scale_with_y_up(session: Session, tmp_path: Path) -> Non
     assert left < 0 < 6 < left + width
     assert top < -4 < 0 < top + height
     walls = root.findall("s:g[@class='walls']/s:path", space)
-    assert [wall.attrib["d"] for wall in walls][0] == "M0.000,0.000L6.000,0.000"
-    assert [wall.attrib["d"] for wall in walls][3].count("M") == 2
+    assert walls[0].attrib["d"] == "M0.000,0.000L6.000,0.000"
+    assert walls[3].attrib["d"].count("M") == 2
     assert "M6.000,-4.000" in walls[2].attrib["d"]
     assert "known to 3.2 mm across" in walls[0][0].text
     assert "known" not in walls[3][0].text

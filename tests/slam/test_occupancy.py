@@ -1,12 +1,12 @@
 """Occupancy grids, and their pictures as map_server understands them."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ruamel.yaml import YAML
 
 import drivers
 from drivers.messages import GroundTruth
@@ -42,42 +42,12 @@ def occupancy(*scans: PlacedScan, resolution: float = 0.05) -> Occupancy:
     return grid.occupancy()
 
 
-class MapServer:
-    """Reads a map as nav2_map_server and map_server do, from their documentation, and tells what is at a place."""
-
-    def __init__(self, yaml: Path) -> None:
-        told = YAML(typ="safe").load(yaml.read_text())
-        assert set(told) == {"image", "mode", "resolution", "origin", "negate", "occupied_thresh", "free_thresh"}
-        assert told["mode"] == "trinary"
-        self.resolution, self.origin = told["resolution"], told["origin"]
-        magic, size, most, pixels = (yaml.parent / told["image"]).read_bytes().split(b"\n", 3)
-        assert (magic, most) == (b"P5", b"255")
-        self.width, self.height = (int(word) for word in size.split())
-        picture = np.frombuffer(pixels, np.uint8).reshape(self.height, self.width)
-        shade = picture / 255.0
-        occupied = shade if told["negate"] else 1.0 - shade
-        trinary = np.full(picture.shape, -1)
-        trinary[occupied > told["occupied_thresh"]] = 100
-        trinary[occupied < told["free_thresh"]] = 0
-        self.data = np.empty(self.width * self.height, int)
-        for row in range(self.height):  # data begins with the lowest y, the picture with the highest
-            start = (self.height - row - 1) * self.width
-            self.data[start : start + self.width] = trinary[row]
-
-    def at(self, x: float, y: float) -> int:
-        column = int(np.floor((x - self.origin[0]) / self.resolution))
-        row = int(np.floor((y - self.origin[1]) / self.resolution))
-        assert 0 <= column < self.width
-        assert 0 <= row < self.height
-        return int(self.data[row * self.width + column])
-
-
 @pytest.mark.parametrize("resolution", [0.05, 0.02, 0.1])
-def test_map_server_finds_walls_where_they_are(tmp_path: Path, resolution: float) -> None:
+def test_map_server_finds_walls_where_they_are(tmp_path: Path, map_server: Any, resolution: float) -> None:
     drawn = occupancy(rays(), resolution=resolution)
     write_pgm(tmp_path / "map.pgm", drawn)
     write_pgm_yaml(tmp_path / "map.yaml", drawn, image="map.pgm")
-    served = MapServer(tmp_path / "map.yaml")
+    served = map_server(tmp_path / "map.yaml")
     for y in np.linspace(-0.4, 0.85, 15):
         assert served.at(ROOM[0, 0], y) == served.at(ROOM[1, 0], y) == 100
         assert all(served.at(x, y) == 0 for x in np.linspace(-0.8, 2.7, 30))
@@ -85,11 +55,11 @@ def test_map_server_finds_walls_where_they_are(tmp_path: Path, resolution: float
         assert served.at(x, ROOM[0, 1]) == served.at(x, ROOM[1, 1]) == 100
 
 
-def test_what_no_beam_reached_is_unknown_to_map_server(tmp_path: Path) -> None:
+def test_what_no_beam_reached_is_unknown_to_map_server(tmp_path: Path, map_server: Any) -> None:
     drawn = occupancy(PlacedScan(0.0, np.zeros(2), np.array([[2.0, 0.01], [0.01, 1.0]])))
     write_pgm(tmp_path / "map.pgm", drawn)
     write_pgm_yaml(tmp_path / "map.yaml", drawn, image="map.pgm")
-    served = MapServer(tmp_path / "map.yaml")
+    served = map_server(tmp_path / "map.yaml")
     assert (served.width, served.height) == (41, 21)
     assert served.at(2.0, 0.01) == 100
     assert served.at(0.01, 1.01) == 100
