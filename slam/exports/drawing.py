@@ -21,7 +21,7 @@ from .thinning import thinned
 MARGIN = 0.04
 """Free room around what is drawn, as a share of its larger extent."""
 SIGMAS = 3.0
-BAND = 0.006
+BAND = 0.005
 """Width of the band on the side that a wall is seen from, as a share of the drawing's larger extent."""
 
 

@@ -64,7 +64,7 @@ def _legend(drawing: Drawing) -> str:
         told.append((UNKNOWN_CLASS.name, "path"))
     entries = "".join(f'<span><i class="{name}"></i>{text}</span>' for name, text in told)
     if drawing.classes != (UNKNOWN_CLASS,):
-        entries = f"<span>path, known to (σ):</span>{entries}"
+        entries = f'</div><div class="legend"><span>path, known to (σ):</span>{entries}'
     marks = '<span><i class="wall"></i>wall</span><span><i class="band"></i>side seen</span>'
     marks += f'<span><i class="corner"></i>corner, {SIGMAS:.0f}σ</span>'
     if "data-loop" in drawing.elements:

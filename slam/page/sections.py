@@ -12,10 +12,11 @@ STATUS = {"accepted": "closed", "retracted": "taken back", "held": "waited", "re
 SHOWN = ("accepted", "retracted")
 """Decisions that changed the map; the others are folded away."""
 TERMS = {
+    "what": "one that waited had passed, but needed a second look that agreed, and none came",
     "keyframes": "where it was decided, and one that saw the place before",
     "explained": "of the wall seen lately, the share that would fall on old walls; the more the better",
     "walls": "how many walls would",
-    "runner-up": "how much another place explains, relative to this one: near 100 % the two cannot be told apart",
+    "runner-up": "how much another place explains, relative to this one: near 100 % or above, the two cannot be told apart",
     "σ": "how well the motion is known where it is known worst",
     "contradicted": "share of the wall seen lately that old walls would have hidden; the less the better",
     "moved by": "how far the robot's place was corrected",
@@ -88,7 +89,7 @@ def _decisions(rows: list[dict[str, Any]], start: float) -> str:
         ("runner-up", lambda row: percent(row["runner_up"])),
         ("σ", lambda row: length(row["sigma"])),
         ("contradicted", lambda row: percent(row["contradicted"])),
-        ("moved by", lambda row: length(row["shift"])),
+        ("moved by", lambda row: length(row["shift"]) if row["shift"] else "–"),
     )
     lines = []
     for row in rows:

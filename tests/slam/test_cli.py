@@ -20,6 +20,8 @@ from slam.trajectory import read_tum
 COMMANDS = (
     "demo",
     "run",
+    "map",
+    "report",
     "info",
     "simulate",
     "eval",

@@ -158,6 +158,7 @@ def test_what_looked_wrong_is_told_in_words(tmp_path: Path, finished: Finished) 
     slam = {
         "loops": {"proposed": 3, "retracted": 2},
         "health": {"explained_median": 0.6, "blind": 1, "empty_scans": 4},
+        "odometry_deviation_per_metre": [1.58, 0.02],
         "states": [
             {"stamp": 2.0, "state": "LOST", "direction": None},
             {"stamp": 5.0, "state": "OK", "direction": None},
@@ -175,6 +176,7 @@ def test_what_looked_wrong_is_told_in_words(tmp_path: Path, finished: Finished) 
     assert texts == [
         "For 3 s in all the robot was lost, at 0:02.",
         "The map explains only 60 % of what the scans see.",
+        "Odometry strays by 158 % of the way.",
         "For 8 s in all the place was open in one direction, at 0:12.",
         "No odometry for a while.",
         "The scan fits nowhere near, 6 times, first at 1:10, 1:11, 1:12, 1:13.",
@@ -184,7 +186,7 @@ def test_what_looked_wrong_is_told_in_words(tmp_path: Path, finished: Finished) 
         "3 messages of the recording could not be used.",
         "SLAM took 2.0 times as long as the drive.",
     ]
-    assert [finding.grave for finding in found] == [True, True] + [False] * 8
+    assert [finding.grave for finding in found] == [True] * 3 + [False] * 8
     assert findings(SUMMARY, make(tmp_path / "out", finished).trajectory) == []
 
 

@@ -73,16 +73,18 @@ def test_the_second_look(name: str, translation: float, rotation: float) -> None
 
 @pytest.mark.slow
 def test_the_picture_for_ros_agrees_with_one_of_gmappings_path(wclm: Any, map_server: Any) -> None:
-    """GMapping's path is off by some 0.1 m itself, so the walls of the two pictures cannot agree everywhere."""
+    """Both in the frame of the picture. GMapping's path is off by some 0.1 m itself, so not all walls can agree."""
     folder = folder_of("intel", "clf", "gmapping.tum")
     assert wclm("run", folder / "intel.clf", "--out", "out", "--no-review").exit_code == 0
     assert wclm("map", "out", "--format", "pgm").exit_code == 0
-    reference, mine = read_tum(folder / "intel.gmapping.tum"), read_tum(Path("out/trajectory.tum"))
+    ours = map_server(Path("out/map.yaml")).occupied()
+    path = read_tum(folder / "intel.gmapping.tum")
+    carried = se2.inverse(score_reference(read_tum(Path("out/trajectory.tum")), path).alignment)
     grid = OccupancyGrid(0.05)
-    grid.add_all(placed_scans(drivers.open(folder / "intel.clf"), reference, Config().lidar))
+    in_our_frame = Trajectory(path.stamps, se2.compose(carried, path.poses))
+    grid.add_all(placed_scans(drivers.open(folder / "intel.clf"), in_our_frame, Config().lidar))
     theirs = grid.occupancy().centres(OCCUPIED)
-    ours = se2.transform(score_reference(mine, reference).alignment, map_server(Path("out/map.yaml")).occupied())
     assert min(len(ours), len(theirs)) > 10_000
     for some, others in ((ours, theirs), (theirs, ours)):
         distance = KDTree(others).query(some)[0]
-        assert np.mean(distance <= 0.10) >= 0.90
+        assert np.mean(distance < 0.10 + 1e-9) >= 0.90  # two cells away is 0.10 m, give or take the last bit
