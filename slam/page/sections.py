@@ -16,7 +16,7 @@ TERMS = {
     "keyframes": "where it was decided, and one that saw the place before",
     "explained": "of the wall seen lately, the share that would fall on old walls; the more the better",
     "walls": "how many walls would",
-    "runner-up": "how much another place explains, relative to this one: near 100 % or above, the two cannot be told apart",
+    "runner-up": "how much another place explains, relative to this one: near 100 % the two cannot be told apart",
     "σ": "how well the motion is known where it is known worst",
     "contradicted": "share of the wall seen lately that old walls would have hidden; the less the better",
     "moved by": "how far the robot's place was corrected",
