@@ -89,6 +89,11 @@ class DeviceClock:
             self._jump([pair])
         return min(self._host(pair[0]), arrived)
 
+    def jumped(self) -> None:
+        """Begin again, because the clock is known to have jumped; the rate remains."""
+        self.jumps += 1
+        self._restart()
+
     def _host(self, device: float) -> float:
         return self._anchor[1] + self._rate * (device - self._anchor[0])
 
@@ -121,8 +126,7 @@ class DeviceClock:
 
     def _jump(self, pairs: list[Pair]) -> None:
         """Begin again with these pairs; the rate remains."""
-        self.jumps += 1
-        self._restart()
+        self.jumped()
         for pair in pairs:
             self._add(pair, self._late(pair))
 

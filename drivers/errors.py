@@ -40,3 +40,7 @@ class ConnectionLostError(PortError):
 
 class EndOfTapeError(ConnectionLostError):
     """A tape of raw bytes was played to its end."""
+
+
+class NoAnswerError(PortError):
+    """A port can be opened, but what was expected there does not answer."""

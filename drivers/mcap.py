@@ -5,7 +5,8 @@ from __future__ import annotations
 import mmap
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -23,10 +24,12 @@ from .messages import GroundTruth, Message, Odometry, Scan
 from .recording import is_stamp
 from .ros_messages import (
     BEAMS,
+    DIAGNOSTICS,
     LASER_SCAN,
     ODOMETRY,
     POSE,
     TRANSFORMS,
+    Diagnostic,
     Encoder,
     Placing,
     decode,
@@ -34,7 +37,7 @@ from .ros_messages import (
 )
 from .ros_recording import BEAMS_TOPIC, KINDS, TRUTH_TOPIC, Entry, RosRecording
 
-FLUSH_PERIOD = 1.0
+FLUSH_PERIOD = 0.5
 """Seconds of wall time; what was written earlier survives the end of the process and of the power."""
 ENCODINGS = ("cdr", "ros1")
 MAGIC = b"\x89MCAP0\r\n"
@@ -115,7 +118,8 @@ class McapWriter:
 
     What is read back is what was written, bit for bit, given that stamps are whole nanoseconds and headings
     are in [-pi, pi). A process that is killed loses the last second at most. Raises RecordingError where the
-    file exists and is not to be overwritten, or cannot be written.
+    file exists and is not to be overwritten, or cannot be written. Where the disk is full the file ends with what
+    was flushed before, and can be read; nothing more can be written then.
     """
 
     def __init__(self, path: str | Path, overwrite: bool = False) -> None:
@@ -132,6 +136,7 @@ class McapWriter:
         self._channels: dict[str, int] = {}
         self._frames: dict[bytes | None, str] = {}
         self._flushed = time.monotonic()
+        self._whole = 0  # bytes of the file after the last flush
 
     def __enter__(self) -> Self:
         return self
@@ -149,23 +154,44 @@ class McapWriter:
             raise RecordingError(self.path, None, f"stamp {message.stamp} cannot be recorded")
         if isinstance(message, Scan) and not len(message.ranges):
             raise RecordingError(self.path, None, "a scan without beams cannot be recorded")
-        try:
+        with self._keeping_what_is_whole():
             self._write(message, to_nanoseconds(message.stamp))
-            if time.monotonic() - self._flushed >= FLUSH_PERIOD:
-                self._writer.flush()  # type: ignore[no-untyped-call]
-                os.fsync(self._file.fileno())
-                self._flushed = time.monotonic()
-        except OSError as error:
-            raise RecordingError(self.path, None, f"cannot be written: {error.strerror}") from error
+            self._flush_now_and_then()
+
+    def write_diagnostics(self, stamp: float, diagnostics: Sequence[Diagnostic]) -> None:
+        """Append how the parts of the robot are doing; readers of scans and odometry pass over it."""
+        with self._keeping_what_is_whole():
+            data = self._encoder.diagnostics(stamp, diagnostics)
+            self._add("/diagnostics", DIAGNOSTICS, to_nanoseconds(stamp), data)
+            self._flush_now_and_then()
 
     def close(self) -> None:
         """Finish the file; further calls do nothing."""
         if self._file.closed:
             return
-        try:
+        with self._keeping_what_is_whole():
             self._writer.finish()  # type: ignore[no-untyped-call]
             self._file.close()
+
+    def _flush_now_and_then(self) -> None:
+        if time.monotonic() - self._flushed >= FLUSH_PERIOD:
+            self._writer.flush()  # type: ignore[no-untyped-call]
+            os.fsync(self._file.fileno())
+            self._whole = self._file.tell()
+            self._flushed = time.monotonic()
+
+    @contextmanager
+    def _keeping_what_is_whole(self) -> Iterator[None]:
+        """After a failure the file is closed and ends where it was whole; raises RecordingError."""
+        if self._file.closed:
+            raise RecordingError(self.path, None, "is closed")
+        try:
+            yield
         except OSError as error:
+            with suppress(OSError):
+                self._file.close()  # which tries once more to write what it holds
+            with suppress(OSError):
+                os.truncate(self.path, self._whole)
             raise RecordingError(self.path, None, f"cannot be written: {error.strerror}") from error
 
     def _write(self, message: Message, stamp: int) -> None:

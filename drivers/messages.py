@@ -65,6 +65,11 @@ class GroundTruth:
 Message: TypeAlias = Scan | Odometry | GroundTruth
 
 
+def end_of(message: Message) -> float:
+    """When the last of a message was measured (seconds)."""
+    return message.stamp + float(message.time_offsets.max()) if isinstance(message, Scan) else message.stamp
+
+
 @dataclass(slots=True)
 class SourceReport:
     """What a source noticed while it was last read: what was skipped, and why. Complete once iteration has ended."""

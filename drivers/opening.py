@@ -2,27 +2,38 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from urllib.parse import parse_qsl
 
+from .devices.specs import is_device, parse_devices
 from .errors import RecordingError
 from .messages import Source
 
 READABLE = (
     "CARMEN logs (.clf, .log, .carmen, .txt, .gz), MCAP files (.mcap), "
-    "bags of ROS 1 (.bag) and ROS 2 (directory or .db3), simulations (sim:WORLD)"
+    "bags of ROS 1 (.bag) and ROS 2 (directory or .db3), simulations (sim:WORLD), recordings played with their timing "
+    "(replay:FILE), devices (rplidar:/dev/ttyUSB0 + create2:/dev/ttyUSB1)"
 )
 CARMEN_SUFFIXES = (".clf", ".log", ".carmen", ".gz", ".txt")
 
 
 def open(spec: str | Path) -> Source:
-    """The source that a path or `sim:WORLD?seed=3&duration=60` stands for.
+    """The source that a path, `sim:WORLD?seed=3&duration=60`, `replay:FILE?speed=2` or devices stand for.
 
     Raises RecordingError where the path does not exist, or nothing is known that reads it; its content is
     looked at when the source is iterated. Libraries for other formats than the one asked for are not loaded.
+    Devices (see `devices.specs`) are started when the source is iterated, which can be done once; raises SpecError,
+    a DriverError, where they are asked for wrongly.
     """
     if str(spec).startswith("sim:"):
         return _simulation(str(spec))
+    if str(spec).startswith("replay:"):
+        return _replay(str(spec))
+    if is_device(str(spec)):
+        from .devices.live import Live
+
+        return Live(parse_devices(str(spec)))
     path = Path(spec)
     suffix = path.suffix.lower()
     if not path.exists():
@@ -57,6 +68,20 @@ def _directory(path: Path) -> Source:
     raise RecordingError(
         path, None, f"the directory is not a ROS 2 bag, it has no metadata.yaml; what can be read: {READABLE}"
     )
+
+
+def _replay(spec: str) -> Source:
+    from .replay import Replay
+
+    path, _, query = spec.removeprefix("replay:").partition("?")
+    options = dict(parse_qsl(query, keep_blank_values=True))
+    try:
+        speed = float(options.pop("speed", "1"))
+    except ValueError as error:
+        raise RecordingError(spec, None, f"not a number: {error}") from error
+    if options or not 0.0 < speed < math.inf:
+        raise RecordingError(spec, None, "the one option is speed, a number above 0")
+    return Replay(open(path), speed)
 
 
 def _simulation(spec: str) -> Source:

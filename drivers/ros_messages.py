@@ -8,6 +8,7 @@ goes into a second message beside it (BEAMS), stamps where they are whole nanose
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import Any
@@ -33,6 +34,8 @@ LEAST_STEP = 1e-6
 """Radians between beams; no lidar has less."""
 MOST_MOVES = 32
 """Steps of the last bit; a few are enough."""
+
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
 BASE_FRAME, ODOMETRY_FRAME, WORLD_FRAME = "base_link", "odom", "world"
 
@@ -159,6 +162,16 @@ def exact_scan_of(message: Any, stamp: float, mount: Pose | None) -> Scan:
     return Scan(stamp, ranges, angles, offsets, float(data[0]), float(data[1]), mount)
 
 
+@dataclass(frozen=True, slots=True)
+class Diagnostic:
+    """How a part is doing, as ROS has it: its name, whether something is wrong, a word on that, and numbers by name."""
+
+    name: str
+    wrong: bool
+    message: str
+    values: dict[str, int]
+
+
 class Encoder:
     """Our messages in CDR."""
 
@@ -217,6 +230,16 @@ class Encoder:
         """A PoseStamped in WORLD_FRAME."""
         message = self.types[POSE](self._header(truth.stamp, WORLD_FRAME), self._pose(truth.pose))
         return bytes(self.store.serialize_cdr(message, POSE))
+
+    def diagnostics(self, stamp: float, diagnostics: Sequence[Diagnostic]) -> bytes:
+        """A DiagnosticArray; what is wrong has the level WARN."""
+        pair, status = self.types["diagnostic_msgs/msg/KeyValue"], self.types["diagnostic_msgs/msg/DiagnosticStatus"]
+        statuses = [
+            status(int(part.wrong), part.name, part.message, "", [pair(k, str(v)) for k, v in part.values.items()])
+            for part in diagnostics
+        ]
+        message = self.types[DIAGNOSTICS](self._header(stamp, ""), statuses)
+        return bytes(self.store.serialize_cdr(message, DIAGNOSTICS))
 
     def mount(self, stamp: float, mount: Pose, frame: str) -> bytes:
         """A TFMessage that places a lidar's frame in BASE_FRAME."""

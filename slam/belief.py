@@ -78,7 +78,7 @@ class Belief:
         self._carried = False  # whether the robot has been moved since then without odometry's knowing
         self.carried_keyframes: list[int] = []  # that were reached in this way
         self.unplaced: list[Sighting] = []  # the last in a row that fit nowhere
-        self._searched: tuple[float, int, se2.Pose] | None = None  # to be borne out by the next scan
+        self._searched: tuple[float, int, se2.Pose, Floats] | None = None  # to be borne out by the next scan
 
     def copy(self) -> Belief:
         """The same estimate, to go back to."""
@@ -150,7 +150,8 @@ class Belief:
         if self._anchor is None:
             return
         keyframe = self._anchor.keyframe
-        place = (stamp, keyframe, se2.between(self.mapper.trail[keyframe], self.pose))
+        relative = se2.between(self.mapper.trail[keyframe], self.pose)
+        place = (stamp, keyframe, relative, placement.registration.held_by)
         if self._searched is not None and placement.bears_out_search:
             self.path.add(*self._searched)
         self._searched = place if placement.hold is Hold.SEARCHED else None

@@ -195,9 +195,11 @@ class Slam:
             self._go_on_from(self._excursion.joined(), last, "never found again in the map; odometry has to do")
         self.belief.mapper.settle()
         refinement = self._refine(self._journal) if self._journal else {}
-        count = self.belief.mapper.keyframe_count
-        keyframes = self.belief.mapper.graph.keyframe_poses(count)
-        stamps, poses = self.belief.path.at_odometry(keyframes, self._front_end.odometry)
+        keyframes, odometry = self.belief.mapper.trail, self._front_end.odometry
+        path = self.belief.path
+        if not refinement:
+            path = path.smoothed(keyframes, odometry, self.belief.odometry_noise)
+        stamps, poses = path.at_odometry(keyframes, odometry)
         result = Finished(
             lines=map_lines(self.belief.mapper, covariances=True),
             corners=map_corners(self.belief.mapper, covariances=True),
@@ -206,7 +208,7 @@ class Slam:
             stamps=stamps,
             poses=poses,
             summary=self._summary() | refinement,
-            keyframe_covariance=np.array([self.keyframe_covariance(index) for index in range(count)]),
+            keyframe_covariance=np.array([self.keyframe_covariance(index) for index in range(len(keyframes))]),
         )
         self._reporter.tell(result)
         return result

@@ -74,7 +74,7 @@ class SerialPort:
             raise self._lost(failure) from failure
 
     def set_dtr(self, asserted: bool) -> bool:
-        """Set the line; False on ports that have none, as pseudo terminals."""
+        """Set the line; False on ports that have none, as pseudo terminals. It stays so when the port is closed."""
         if self._closed:
             raise ConnectionLostError(self.name, "closed")
         try:
@@ -83,6 +83,10 @@ class SerialPort:
             if failure.args[0] in (errno.ENOTTY, errno.EINVAL):
                 return False
             raise self._lost(failure) from failure
+        with suppress(*FAILURES):
+            attributes = termios.tcgetattr(self._serial.fileno())
+            attributes[2] &= ~termios.HUPCL  # else the system takes the line back, and the motor of an A1 turns again
+            termios.tcsetattr(self._serial.fileno(), termios.TCSANOW, attributes)
         return True
 
     def cancel(self) -> None:

@@ -21,22 +21,23 @@ from ..errors import EndOfTapeError, PortError, RecordingError
 from .transport import Received, Transport
 
 LINE = re.compile(r"([0-9]+(?:\.[0-9]+)?) ([<>]) ((?:[0-9a-fA-F]{2})+)")
+FROM_DEVICE = "<"
 
 
 class Tap:
-    """A `Transport` that writes what passes through another one to a tape, which is begun anew.
+    """A `Transport` that writes what passes through another one to a tape, which is begun anew or gone on with.
 
     failure  why the tape ended early, as on a full disk; None while it goes on. The connection goes on anyhow
 
     Raises PortError where the tape cannot be written at all.
     """
 
-    def __init__(self, transport: Transport, path: str | Path) -> None:
+    def __init__(self, transport: Transport, path: str | Path, append: bool = False) -> None:
         self.name = transport.name
         self.failure: str | None = None
         self._transport = transport
         try:
-            self._file = Path(path).open("w", encoding="ascii", buffering=1)  # noqa: SIM115
+            self._file = Path(path).open("a" if append else "w", encoding="ascii", buffering=1)  # noqa: SIM115
         except OSError as failure:
             raise PortError(self.name, f"the tape {path} cannot be written: {failure.strerror}") from failure
         self._note(f"# {self.name}".encode("ascii", "backslashreplace").decode())
@@ -138,6 +139,11 @@ class TapePlayer:
 
 def read_tape(path: str | Path) -> Iterator[Received]:
     """The chunks that came from the device. Raises RecordingError where the tape cannot be read."""
+    return (received for direction, received in read_lines(path) if direction == FROM_DEVICE)
+
+
+def read_lines(path: str | Path) -> Iterator[tuple[str, Received]]:
+    """The chunks in both directions, each with its arrow. Raises RecordingError where the tape cannot be read."""
     try:
         with Path(path).open(encoding="ascii", newline="\n") as file:
             for number, line in enumerate(file, start=1):
@@ -149,7 +155,6 @@ def read_tape(path: str | Path) -> Iterator[Received]:
                 match = LINE.fullmatch(text)
                 if match is None:
                     raise RecordingError(path, number, "not a line of a tape: <seconds> <arrow> <hex>")
-                if match[2] == "<":
-                    yield Received(bytes.fromhex(match[3]), float(match[1]))
+                yield match[2], Received(bytes.fromhex(match[3]), float(match[1]))
     except (OSError, UnicodeDecodeError) as failure:
         raise RecordingError(path, None, f"cannot be read: {failure}") from failure

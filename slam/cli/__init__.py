@@ -18,6 +18,7 @@ from . import bench_loops as bench_loops
 from .bench import bench
 from .console import INTERRUPTED, MISTAKE, complain
 from .demo import demo
+from .devices import devices
 from .emulate import emulate
 from .evaluate import evaluate
 from .features import features
@@ -25,6 +26,8 @@ from .info import info
 from .map import export_map
 from .optimize import optimize
 from .page import report
+from .record import record
+from .replay import replay
 from .run import run
 from .simulate import simulate
 
@@ -83,6 +86,9 @@ app.command()(report)
 app.command()(info)
 app.command()(simulate)
 app.command()(emulate)
+app.command()(devices)
+app.command()(record)
+app.command()(replay)
 app.command("eval")(evaluate)
 app.command()(features)
 app.add_typer(bench, name="bench")

@@ -64,7 +64,7 @@ def refine(mapper: Mapper, drive: Drive, noise: OdometryNoise) -> Refined:
     }
     path = Path()
     for sighting, anchor, pose in zip(drive.sightings, drive.anchors, everywhere, strict=True):
-        path.add(sighting.stamp, int(anchor), se2.between(poses[anchor], pose))
+        path.add(sighting.stamp, int(anchor), se2.between(poses[anchor], pose), np.zeros((3, 3)))
     return Refined(mapper, everywhere, path, summary)
 
 

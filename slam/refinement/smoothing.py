@@ -8,13 +8,10 @@ from numpy.typing import NDArray
 from ..graph import smooth_chain
 from ..mapper import Mapper
 from ..odometry import OdometryNoise
+from ..path import CLAIMED_SHARE
 from ..segments import Floats
 from .drive import Drive
 from .placing import Place
-
-# Of the information that a scan's placement claims: scans beside it share the errors of the walls that it is laid over.
-# On recordings a third is best by a little, a tenth and all of it are as good as each other.
-CLAIMED_SHARE = 0.3
 
 
 def refine_path(

@@ -1,0 +1,259 @@
+"""Devices read in a process of their own, so that a host that is busy neither delays nor loses a measurement.
+
+    with Acquisition(parse_devices("rplidar:/dev/ttyUSB0 + create2:/dev/ttyUSB1")) as acquisition:
+        for message in acquisition:
+            ...
+
+The processes are joined by a pipe. The reading one sends messages and, a few times a second, how its devices are doing;
+it ends, halting all devices, when it is told to or when the pipe breaks because the other process is no more.
+Programs that use it must be importable without doing anything, as always with multiprocessing: `if __name__ ==
+"__main__":`.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+import time
+import traceback
+from collections import deque
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import partial
+from multiprocessing.connection import Connection
+from threading import Event, Thread
+from types import TracebackType
+from typing import Self
+
+from ..errors import DriverError
+from ..messages import Message
+from .outlet import Outlet
+from .session import Session, Status
+from .specs import DeviceSpec
+
+STATUS_PERIOD = 0.2
+"""Seconds between two snapshots."""
+IDLE = 0.05
+"""Seconds after which the processes look up, whatever happens."""
+FAREWELL = 5.0
+"""Seconds that halting may take before the process is ended by force; a device is given what its handshake takes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """How the acquisition is doing.
+
+    devices  each one's status, in the order of the specs
+    dropped  messages for which there was no room because the consumer was slow
+    late     messages left out because later ones had been given out before they came
+    """
+
+    devices: tuple[Status, ...] = ()
+    dropped: int = 0
+    late: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Failed:
+    """The acquisition cannot go on, or never could."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Ended:
+    """Nothing more will come: all tapes are at their ends, or the acquisition was told to stop."""
+
+
+@dataclass(slots=True)
+class Acquisition:
+    """The consumer's side, a context. Entering waits until every device runs; raises DriverError where one does not.
+
+    specs     of the devices
+    snapshot  how they were doing when it was last told; up to date while messages are received
+    """
+
+    specs: Sequence[DeviceSpec]
+    snapshot: Snapshot = field(default_factory=Snapshot)
+    _process: multiprocessing.process.BaseProcess | None = None
+    _pipe: Connection | None = None
+    _ended: bool = False
+    _early: deque[Message] = field(default_factory=deque)  # came before all devices ran
+
+    def __enter__(self) -> Self:
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        offset = time.time() - time.monotonic()  # stamps never jump, even if the clock of the day is set
+        self._process = context.Process(
+            target=_acquire, args=(theirs, tuple(self.specs), offset), name="wclm-acquisition", daemon=True
+        )
+        # Ctrl-C goes to all processes of a terminal; the reading one shall hear of it from this one.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            self._process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+            theirs.close()
+        try:
+            while not self.snapshot.devices or not all(status.ran for status in self.snapshot.devices):
+                self._receive_status()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __iter__(self) -> Iterator[Message]:
+        """Messages in the order of their stamps, as they come, until the devices end or `stop` is called."""
+        while not self.ended:
+            message = self.receive(1.0)
+            if message is not None:
+                yield message
+
+    def receive(self, timeout: float) -> Message | None:
+        """The next message; None where none comes within a timeout (seconds), or any more."""
+        if self._early:
+            return self._early.popleft()
+        end = time.monotonic() + timeout
+        while not self._ended and self._wait(max(0.0, end - time.monotonic())):
+            message = self._take()
+            if message is not None:
+                return message
+        return None
+
+    @property
+    def ended(self) -> bool:
+        """Whether no message is left and none will come."""
+        return self._ended and not self._early
+
+    def stop(self) -> None:
+        """Have all devices halted; what they have measured can still be received."""
+        if self._pipe is not None:
+            with suppress(OSError):
+                self._pipe.send(None)
+
+    def close(self) -> None:
+        """Halt all devices and wait until they are; messages not yet received are lost."""
+        if self._process is None or self._pipe is None:
+            return
+        if not self._ended:
+            self.stop()
+        end = time.monotonic() + FAREWELL
+        with suppress(DriverError):
+            while not self._ended and time.monotonic() < end:
+                if self._wait(IDLE):
+                    self._take()
+        self._ended = True
+        self._pipe.close()
+        self._process.join(FAREWELL if time.monotonic() < end else 0.0)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        self._process.close()
+        self._process = self._pipe = None
+
+    def _receive_status(self) -> None:
+        if self._ended:
+            raise DriverError("the devices were stopped before they began")
+        if self._wait(1.0):
+            before = self.snapshot
+            while self.snapshot is before and not self._ended:
+                early = self._take()
+                if early is not None:
+                    self._early.append(early)
+
+    def _wait(self, timeout: float) -> bool:
+        assert self._pipe is not None
+        return self._pipe.poll(timeout)
+
+    def _take(self) -> Message | None:
+        """Take one thing from the pipe; the message, if it is one."""
+        assert self._pipe is not None
+        try:
+            item = self._pipe.recv()
+        except (EOFError, OSError):
+            self._ended = True
+            raise DriverError("the process that reads the devices ended unexpectedly") from None
+        except BaseException:  # Ctrl-C amid a message: what follows in the pipe cannot be understood
+            self._ended = True
+            raise
+        if isinstance(item, Snapshot):
+            self.snapshot = item
+        elif isinstance(item, _Ended):
+            self._ended = True
+        elif isinstance(item, _Failed):
+            self._ended = True
+            raise DriverError(item.reason)
+        else:
+            message: Message = item
+            return message
+        return None
+
+
+class _Reader:
+    """The reading side: a session and a thread for each device; this thread sends."""
+
+    def __init__(self, pipe: Connection, specs: Sequence[DeviceSpec], offset: float) -> None:
+        self.stop = Event()
+        self._pipe = pipe
+        self._outlet = Outlet(len(specs), offset)
+        self._sessions = [
+            Session(spec, partial(self._outlet.put, device), [other.address for other in specs if other is not spec])
+            for device, spec in enumerate(specs)
+        ]
+        self._crash: BaseException | None = None
+
+    def run(self) -> None:
+        """Until told to stop, all sessions ended, or one failed."""
+        threads = [Thread(target=self._guarded, args=(session,)) for session in self._sessions]
+        for thread in threads:
+            thread.start()
+        told = 0.0
+        try:
+            while not self.stop.is_set() and any(thread.is_alive() for thread in threads):
+                for message in self._outlet.take(time.monotonic(), IDLE):
+                    self._pipe.send(message)
+                if time.monotonic() >= told + STATUS_PERIOD:
+                    self._pipe.send(self._snapshot())
+                    told = time.monotonic()
+                if self._pipe.poll():
+                    self._pipe.recv()
+                    break
+                if any(session.failure for session in self._sessions) or self._crash:
+                    break
+        finally:
+            self.stop.set()
+            for thread in threads:
+                thread.join()
+        for message in self._outlet.flush():
+            self._pipe.send(message)
+        self._pipe.send(self._snapshot())
+        failure = self._crash or next((session.failure for session in self._sessions if session.failure), None)
+        self._pipe.send(_Failed(str(failure)) if failure else _Ended())
+
+    def _guarded(self, session: Session) -> None:
+        try:
+            session.run(self.stop)
+        except Exception as error:  # a bug; it shall end everything and be seen, not a thread silently
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            what = f"{type(error).__name__} in {place.name}, line {place.lineno}: {error}"
+            self._crash = DriverError(f"{session.spec.text}: internal error: {what}")
+
+    def _snapshot(self) -> Snapshot:
+        statuses = tuple(session.status() for session in self._sessions)
+        return Snapshot(statuses, self._outlet.dropped, self._outlet.late)
+
+
+def _acquire(pipe: Connection, specs: Sequence[DeviceSpec], offset: float) -> None:
+    """What the reading process does."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    reader = _Reader(pipe, specs, offset)
+    signal.signal(signal.SIGTERM, lambda *_: reader.stop.set())
+    with suppress(EOFError, OSError):  # the other process is no more
+        reader.run()
+    pipe.close()

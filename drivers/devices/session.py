@@ -1,0 +1,218 @@
+"""The life of one device: found, identified, started, read, missed when it is silent, found again, halted at the end.
+
+CONNECTING -> STARTING -> RUNNING -> LOST -> CONNECTING ...; -> ENDED
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection
+from contextlib import nullcontext, suppress
+from dataclasses import dataclass, field
+from enum import Enum
+from threading import Event, Lock
+
+from ..errors import DriverError, EndOfTapeError, NoAnswerError
+from ..messages import Message, end_of
+from ..transport import Transport
+from .device import Device
+from .ports import addresses, connect, is_searched
+from .registry import make_device
+from .specs import AUTO, TAPE, DeviceSpec
+
+SILENCE = 1.0
+"""Seconds without an undamaged packet after which a device that was running is started anew."""
+HELD_UP = 1.5
+"""Seconds between two reads after which what waited is of unknown age: buffers have overflowed, clocks lost track."""
+PAUSES = (0.1, 0.3, 1.0, 2.0)
+"""Seconds between attempts to find a lost device; the last one is repeated."""
+
+SEARCHING = Lock()
+"""Held while a device is looked for on ports that nobody named: two that look there at once find each other."""
+
+
+class State(Enum):
+    """Of a device."""
+
+    CONNECTING = "connecting"
+    STARTING = "starting"
+    RUNNING = "running"
+    LOST = "lost"
+    ENDED = "ended"
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """How a device is doing.
+
+    spec      as it was typed
+    is_lidar  whether it is a lidar
+    state     see `State`
+    port      where it was found; empty before
+    identity  what it says that it is; empty before it was identified
+    problem   why it was lost last; empty if it never was
+    age       seconds since its last message was measured; None before the first one
+    counters  all counts, see `Session.status`
+    """
+
+    spec: str
+    is_lidar: bool
+    state: State
+    port: str = ""
+    identity: str = ""
+    problem: str = ""
+    age: float | None = None
+    counters: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def ran(self) -> bool:
+        """Whether it has measured anything so far."""
+        return self.counters["connections"] > 0
+
+
+class SilenceError(DriverError):
+    """A device that is connected sends nothing that can be used."""
+
+
+class Session:
+    """Runs a device in the thread that calls `run`.
+
+    spec    what was asked for
+    put     takes its messages, stamped on the host's steady clock
+    others  addresses of other devices, where this one is never looked for
+
+    failure  why the device could never be started, if so: what the user asked for is not there. A device that ran once
+             is looked for until it is back
+    """
+
+    def __init__(self, spec: DeviceSpec, put: Callable[[list[Message]], None], others: Collection[str] = ()) -> None:
+        self.spec = spec
+        self._others = others
+        self.failure: DriverError | None = None
+        self.state = State.CONNECTING
+        self._put = put
+        self._device: Device = make_device(spec)
+        self._found: tuple[str, int] | None = None  # address and baud where it was last
+        self._connected = self._ran = False
+        self._problem = ""
+        self._latest: float | None = None  # end of the last message
+        self._counts = {"messages": 0, "bytes_read": 0, "connections": 0, "losses": 0, "silences": 0, "pauses": 0}
+
+    def run(self, stop: Event) -> None:
+        """Until `stop` is set, the tape ends, or the first start fails; the device is halted in any case."""
+        attempts = 0
+        while not stop.is_set():
+            runs = self._counts["connections"]
+            try:
+                self.state = State.LOST if self._ran else State.CONNECTING
+                self._live(self._find(stop), stop)
+            except EndOfTapeError:
+                break
+            except DriverError as error:
+                if stop.is_set():
+                    break
+                if not self._ran:
+                    self.failure = error
+                    break
+                self._problem = str(error)
+                lost_now = self._counts["connections"] > runs
+                self._counts["losses"] += lost_now
+                self.state = State.LOST
+                attempts = 0 if lost_now else attempts + 1
+                stop.wait(PAUSES[min(attempts, len(PAUSES) - 1)])
+        self.state = State.ENDED
+
+    def status(self) -> Status:
+        """How it is doing now. To the device's own counters come: messages, bytes_read, connections made, losses of a
+        connection; of these silences, without the port being gone, and pauses, for which this computer is to blame.
+        """
+        age = None if self._latest is None else time.monotonic() - self._latest
+        port = "" if self._found is None else self._found[0]
+        counters = self._counts | self._device.counters()
+        return Status(
+            self.spec.text, self.spec.is_lidar, self.state, port, self._device.identity, self._problem, age, counters
+        )
+
+    def _find(self, stop: Event) -> Transport:
+        """The started device, wherever it is; raises the DriverError of the first place that was tried."""
+        moved = self._ran and bool(self._device.serial)
+        with SEARCHING if is_searched(self.spec, moved) else nullcontext():
+            return self._search(moved, stop)
+
+    def _search(self, moved: bool, stop: Event) -> Transport:
+        first: DriverError | None = None
+        for address in addresses(self.spec, moved, self._others):
+            for baud in self._bauds(address):
+                if stop.is_set():
+                    break
+                try:
+                    return self._start(address, baud)
+                except NoAnswerError as error:  # perhaps at another speed
+                    first = first or error
+                except DriverError as error:
+                    first = first or error
+                    break
+        text = f"{self.spec.text}: no serial port is there" if self.spec.address == AUTO else "stopped"
+        raise first or DriverError(text)
+
+    def _bauds(self, address: str) -> list[int]:
+        known = [self._found[1]] if self._found is not None else []
+        single = self.spec.tcp is not None or address.startswith(TAPE)
+        bauds = known + [baud for baud in self._device.bauds if baud not in known]
+        return bauds[:1] if single else bauds
+
+    def _start(self, address: str, baud: int) -> Transport:
+        transport = connect(self.spec, address, baud, self._device.dtr, self._connected)
+        self._connected = True
+        try:
+            self._device.start(transport, baud)
+        except BaseException:
+            self._leave(transport)
+            raise
+        self._found = (address, baud)
+        if self._device.serial:
+            self._device.wanted_serial = self._device.serial
+        return transport
+
+    def _live(self, transport: Transport, stop: Event) -> None:
+        """Read until told to stop; raises SilenceError or ConnectionLostError."""
+        try:
+            device, started = self._device, time.monotonic()
+            self.state = State.STARTING
+            units, heard, before = device.units, None, started
+            while not stop.is_set():
+                received, messages = device.step(transport)
+                self._check_pace(transport, received.time - before)
+                before = received.time
+                self._counts["bytes_read"] += len(received.data)
+                if device.units != units:
+                    if heard is None:
+                        self._counts["connections"] += 1
+                        self.state, self._ran = State.RUNNING, True
+                    units, heard = device.units, received.time
+                elif heard is None and time.monotonic() > started + device.patience:
+                    raise NoAnswerError(transport.name, f"{device.identity} sends no measurements")
+                elif heard is not None and received.time > heard + SILENCE:
+                    self._counts["silences"] += 1
+                    raise SilenceError(f"{transport.name}: no measurements for {SILENCE:g} s")
+                self._pass_on(messages)
+        finally:
+            self._leave(transport)
+
+    def _check_pace(self, transport: Transport, pause: float) -> None:
+        """Raises SilenceError where this computer was held up for too long."""
+        if pause > HELD_UP:
+            self._counts["pauses"] += 1
+            raise SilenceError(f"{transport.name}: not read for {pause:.1f} s, the computer was held up")
+
+    def _pass_on(self, messages: list[Message]) -> None:
+        if messages:
+            self._counts["messages"] += len(messages)
+            self._latest = end_of(messages[-1])
+            self._put(messages)
+
+    def _leave(self, transport: Transport) -> None:
+        """Halt the device, if it still listens, and give its port back."""
+        with suppress(DriverError):
+            self._device.halt(transport)
+        transport.close()

@@ -1,0 +1,134 @@
+"""When measurements were taken: from the arrival of chunks of bytes to a stamp for every packet."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from ..device_clock import DeviceClock
+from ..lidars.records import Integers, Measurements
+from ..messages import Floats
+from ..transport import Received
+
+MOST_CHUNKS = 1024
+"""Chunks whose arrival is remembered; a packet is known one packet after its last byte at most."""
+LATE = 0.025
+"""Seconds. Adapters hold back bytes for 16 ms at most; reads take all that is there, however late they are."""
+CERTAIN = 2
+"""Reads in a row that are late before packets are taken to be lost; one may be late because the host was busy between
+the read and the look at its clock. The odometry forgives one wrong stamp, not two."""
+
+
+class CountingClock:
+    """The clock of a device that tells no time: its packets come at a constant rate, and their number is the time.
+
+    period  seconds from packet to packet
+    clock   fitted to the host's
+    lost    about how many packets never came
+
+    Packets that are lost whole do not show in the bytes. They show in that all later ones are late and stay so, which a
+    host that was busy does not make them: what had to wait is read at once.
+    """
+
+    def __init__(self, period: float) -> None:
+        self.clock = DeviceClock(period)
+        self.lost = 0
+        self._late: list[float] = []
+
+    def stamp(self, count: int, arrived: float, newest: bool = True) -> float:
+        """The host's time (seconds) at packet number `count`, known at `arrived`; `newest` is false for a packet behind
+        which others were waiting.
+        """
+        stamp = self.clock.stamp(count, arrived)
+        if not newest:
+            return stamp
+        if arrived - stamp < LATE:
+            self._late.clear()
+            return stamp
+        self._late.append(arrived - stamp)
+        if len(self._late) < CERTAIN:
+            return stamp
+        self.lost += round(min(self._late) / self.clock.tick)
+        self._late.clear()
+        self.clock.jumped()
+        return self.clock.stamp(count, arrived)
+
+
+class PacketStamper:
+    """Stamps the packets of one stream.
+
+    period  seconds from packet to packet
+    size    bytes of a packet
+
+    Packets that tell the device's time are stamped by it. The others are counted: the bytes between two tell how many
+    were damaged there.
+    """
+
+    def __init__(self, period: float, size: int) -> None:
+        self._size = size
+        self._telling = DeviceClock(1.0)  # for packets that tell the time in seconds
+        self._counting = CountingClock(period)
+        self._fed = 0
+        self._chunks: deque[tuple[int, float]] = deque(maxlen=MOST_CHUNKS)  # bytes fed up to its end, arrival
+        self._last_end: int | None = None
+        self._number = 0  # of the last packet
+        self._damaged = 0
+
+    def counters(self) -> dict[str, int]:
+        """Packets that were damaged on the way or never came, and what the clocks met."""
+        clocks = (self._telling, self._counting.clock)
+        return {
+            "packets_lost": self._damaged + self._counting.lost,
+            "clock_jumps": sum(clock.jumps for clock in clocks),
+            "clock_strays": sum(clock.strays for clock in clocks),
+        }
+
+    def note(self, received: Received) -> None:
+        """Remember a chunk that is about to be decoded."""
+        self._fed += len(received.data)
+        self._chunks.append((self._fed, received.time))
+
+    def stamps(self, measurements: Measurements) -> Floats:
+        """When the samples (n,) were measured, in seconds on the host's steady clock."""
+        packets = measurements.packets
+        if not len(packets):
+            return np.empty(0)
+        arrivals = self._arrivals(packets["end"])
+        tells = not np.isnan(packets["device_time"]).any()
+        times = packets["device_time"] if tells else self._counted(packets["end"])
+        clock = self._telling if tells else self._counting.clock
+        undelayed = np.empty(len(packets))
+        # Of the packets that arrived together the last one was held up least; the others follow from it.
+        lasts = np.flatnonzero(np.append(arrivals[1:] != arrivals[:-1], True))
+        first = 0
+        for last in lasts.tolist():
+            arrived = float(arrivals[last])
+            stamp = (
+                clock.stamp(float(times[last]), arrived) if tells else self._counting.stamp(int(times[last]), arrived)
+            )
+            group = slice(first, last + 1)
+            undelayed[group] = stamp - (times[last] - times[group]) * clock.tick * (1.0 + clock.drift)
+            first = last + 1
+        return measurements.stamps(undelayed)
+
+    def _arrivals(self, ends: Integers) -> Floats:
+        """When the chunks arrived that hold the packets' last bytes."""
+        chunk_ends = np.array([end for end, _ in self._chunks])
+        times = np.array([time for _, time in self._chunks])
+        rows = np.minimum(np.searchsorted(chunk_ends, ends), len(times) - 1)
+        for _ in range(int(rows[-1])):
+            self._chunks.popleft()
+        return np.asarray(times[rows])
+
+    def _counted(self, ends: Integers) -> Integers:
+        """The packets' numbers, the damaged ones in between counted."""
+        before = np.empty_like(ends)
+        before[0] = ends[0] - self._size if self._last_end is None else self._last_end
+        before[1:] = ends[:-1]
+        steps = np.maximum(1, np.rint((ends - before) / self._size)).astype(np.int64)
+        self._last_end = int(ends[-1])
+        numbers = self._number + np.cumsum(steps)
+        self._number = int(numbers[-1])
+        self._damaged += int(steps.sum()) - len(steps)
+        return np.asarray(numbers)

@@ -1,0 +1,187 @@
+"""Wheel bases of all protocols: readings in, odometry out."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
+from math import pi
+from typing import Any
+
+from ..bases import (
+    ArduinoBridge,
+    Create2,
+    DifferentialDrive,
+    Kobuki,
+    Odometer,
+    WheelBase,
+    WheelLine,
+    WheelReading,
+    create2,
+    kobuki,
+)
+from ..device_clock import DeviceClock
+from ..errors import NoAnswerError
+from ..messages import Message, Odometry
+from ..transport import Received, Transport
+from .device import READ_TIMEOUT, Device
+from .stamping import CountingClock
+
+ASK_AGAIN = 1.0
+"""Seconds after which a base that has not sent a reading yet is asked to once more: boards restart when a port is
+opened, and miss what is said meanwhile."""
+POLL_TIMEOUT = 0.2
+"""Seconds; a polled base answers within some milliseconds."""
+LONGEST_FRAME = 256
+"""Bytes; more between two readings are not one frame."""
+TOP_SPEED = 1.5
+"""m/s of a wheel of a base that is not known: no small robot drives as fast."""
+COUNTER_BITS = 32
+
+Protocol = Callable[[DifferentialDrive], WheelBase]
+KINDS: Mapping[str, tuple[Protocol, DifferentialDrive | None, bool]] = {
+    "create2": (Create2, create2.WHEELS, False),
+    "kobuki": (Kobuki, kobuki.WHEELS, False),
+    "arduino": (ArduinoBridge, None, True),
+    "wheels": (WheelLine, None, True),
+}
+"""The protocol, the drive where it is known, and whether the line DTR is asserted."""
+MOST_HARMLESS = ("kobuki", "wheels", "create2", "arduino")
+"""The kinds in the order to ask an unknown device; the first two say where they stand without being asked."""
+NAMES = {
+    "create2": "iRobot Create 2 or Roomba",
+    "kobuki": "Kobuki",
+    "arduino": "ros_arduino_bridge",
+    "wheels": "base with the project's own line protocol",
+}
+
+
+def drive_of(kind: str, options: Mapping[str, Any]) -> DifferentialDrive:
+    """The measures of a base of that kind with the options of a spec."""
+    drive = KINDS[kind][1] or DifferentialDrive(1.0, 1.0, 1.0, COUNTER_BITS, TOP_SPEED)
+    if "wheel_radius" in options and "ticks" in options:
+        (left, right), (left_ticks, right_ticks) = options["wheel_radius"], options["ticks"]
+        drive = replace(drive, left=2 * pi * left / left_ticks, right=2 * pi * right / right_ticks)
+    changed = {key: options[key] for key in ("track", "top_speed", "bits") if key in options}
+    return replace(drive, **changed)
+
+
+class Base(Device):
+    """A wheel base. The pose goes on over new connections. Nothing here makes it drive."""
+
+    patience = 6.0
+
+    def __init__(self, kind: str, options: Mapping[str, Any]) -> None:
+        super().__init__()
+        self._make, _, dtr = KINDS[kind]
+        self._name = NAMES[kind]
+        self._wheels = drive_of(kind, options)
+        self._odometer = Odometer(self._wheels)
+        self._protocol = self._make(self._wheels)
+        self._past: Counter[str] = Counter()  # of earlier connections
+        self._frame: int
+        self._asked: float
+        self.dtr = options.get("dtr", dtr)
+        self.bauds = (options.get("baud", self._protocol.baud),)
+        self._begin(self.bauds[0])
+
+    @property
+    def units(self) -> int:
+        """Readings."""
+        return self._past["good"] + self._protocol.counters.good
+
+    def identify(self, transport: Transport, baud: int) -> None:
+        """Ask it for a reading."""
+        self.start(transport, baud)
+        end = time.monotonic() + self.patience
+        before = self.units
+        while self.units == before:
+            if time.monotonic() > end:
+                raise NoAnswerError(transport.name, f"no {self._name} answers here")
+            self.step(transport)
+        self.halt(transport)
+
+    def start(self, transport: Transport, baud: int) -> None:
+        """Have it send readings; `step` asks again until it does."""
+        self._past += Counter(asdict(self._protocol.counters)) + Counter(self._clock_counters())
+        self._begin(baud)
+        self.identity = self._name
+        transport.write(self._protocol.start())
+
+    def step(self, transport: Transport) -> tuple[Received, list[Message]]:
+        """Read once, or ask once, and pause."""
+        if self._protocol.poll_period is not None:
+            return self._poll(transport, self._protocol.poll_period)
+        received, messages = super().step(transport)
+        if self._protocol.counters.good == 0 and received.time > self._asked + ASK_AGAIN:
+            transport.write(self._protocol.start())
+            self._asked = received.time
+        return received, messages
+
+    def feed(self, received: Received) -> list[Message]:
+        """The poses that bytes complete."""
+        before = self._bytes
+        self._bytes += len(received.data)
+        readings = self._protocol.feed(received.data)
+        if readings and before:
+            self._frame = min(self._frame, max(1, round(self._bytes / self._protocol.counters.good)))
+        stamps = [self._stamp(reading, received.time, reading is readings[-1]) for reading in readings]
+        return [message for pair in zip(readings, stamps, strict=True) if (message := self._odometry(*pair))]
+
+    def halt(self, transport: Transport) -> None:
+        """Have it stand, and fall silent where it can."""
+        transport.write(self._protocol.stop())
+
+    def counters(self) -> dict[str, int]:
+        """Of the protocol, the odometer and the clock."""
+        counts = self._past + Counter(asdict(self._protocol.counters)) + Counter(self._clock_counters())
+        names = ("good", "bad", "skipped", "lost", "restarts", "clock_jumps", "clock_strays")
+        return {name: counts[name] for name in names} | asdict(self._odometer.counters)
+
+    def _begin(self, baud: int) -> None:
+        """Begin with a new connection."""
+        self._protocol = self._make(self._wheels)
+        tick = self._protocol.tick
+        # A clock wraps. What does not wrap is the count of the readings, which stands in for one.
+        counts = tick is not None and self._protocol.wraps_at is None
+        self._counting = CountingClock(tick) if tick is not None and counts else None
+        self._clock = None if tick is None or counts else DeviceClock(tick, self._protocol.wraps_at)
+        self._baud, self._bytes = baud, 0
+        self._frame = LONGEST_FRAME
+        self._asked = time.monotonic()
+
+    def _clock_counters(self) -> dict[str, int]:
+        clock = self._counting.clock if self._counting else self._clock
+        lost = self._counting.lost if self._counting else 0
+        return {"lost": lost} | ({"clock_jumps": clock.jumps, "clock_strays": clock.strays} if clock else {})
+
+    def _stamp(self, reading: WheelReading, arrived: float, newest: bool) -> float:
+        if reading.time is None:
+            return arrived
+        frame = self._frame if self._frame < LONGEST_FRAME else 0
+        if self._counting is not None:
+            known = self._counting.stamp(reading.time, arrived, newest)
+        else:
+            assert self._clock is not None
+            known = self._clock.stamp(reading.time, arrived)
+        return known - frame * 10.0 / self._baud
+
+    def _odometry(self, reading: WheelReading, stamp: float) -> Odometry | None:
+        return self._odometer.add(reading, stamp)
+
+    def _poll(self, transport: Transport, period: float) -> tuple[Received, list[Message]]:
+        """Ask for one reading, whose time is the middle of question and answer, and pause until the next one is due."""
+        asked = time.monotonic()
+        transport.write(self._protocol.poll())
+        messages: list[Message] = []
+        while True:
+            received = transport.read(READ_TIMEOUT)
+            readings = self._protocol.feed(received.data)
+            if readings:
+                message = self._odometry(readings[-1], (asked + received.time) / 2)
+                messages = [message] if message else []
+            if readings or received.time > asked + POLL_TIMEOUT:
+                break
+        time.sleep(max(0.0, asked + period - time.monotonic()))
+        return received, messages

@@ -1,0 +1,121 @@
+"""How devices are doing, in a terminal: a table while it runs, lines on stderr where something changes."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from .console import complain
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from drivers.devices.acquisition import Acquisition, Snapshot
+
+PERIOD = 0.25
+"""Seconds between two looks of the table."""
+
+
+@contextmanager
+def stopping(acquisition: Acquisition) -> Iterator[None]:
+    """Ctrl-C and being told to terminate stop the devices, and what is inside the context goes on to its end; a second
+    Ctrl-C interrupts it.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(*_: Any) -> None:
+        acquisition.stop()
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+class Monitor:
+    """A context that shows snapshots: the table on stderr if that is a terminal, else only what changes."""
+
+    def __init__(self) -> None:
+        self._live: Any = None
+        self._lost: set[str] = set()
+        self._earlier: tuple[float, Snapshot] | None = None
+        self._rates: dict[tuple[str, str], float] = {}
+        self._shown = 0.0
+
+    def __enter__(self) -> Self:
+        from rich.console import Console
+        from rich.live import Live
+
+        console = Console(stderr=True)
+        if console.is_terminal:
+            self._live = Live(console=console, auto_refresh=False, transient=True)
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Show it, if it is time to; cheap otherwise."""
+        self._tell_changes(snapshot)
+        now = time.monotonic()
+        if self._live is None or now < self._shown + PERIOD:
+            return
+        self._shown = now
+        self._measure(now, snapshot)
+        self._live.update(self._table(snapshot), refresh=True)
+
+    def _tell_changes(self, snapshot: Snapshot) -> None:
+        from drivers.devices.session import State
+
+        for device in snapshot.devices:
+            was_lost = device.spec in self._lost
+            if device.state is State.LOST and not was_lost:
+                self._lost.add(device.spec)
+                complain(f"{device.spec} lost: {device.problem}")
+            elif device.state is State.RUNNING and was_lost:
+                self._lost.remove(device.spec)
+                complain(f"{device.spec} is back on {device.port}")
+
+    def _measure(self, now: float, snapshot: Snapshot) -> None:
+        """Counts a second, over at least a second."""
+        if self._earlier is None or now - self._earlier[0] >= 1.0:
+            if self._earlier is not None:
+                then, earlier = self._earlier
+                old = {device.spec: device.counters for device in earlier.devices}
+                self._rates = {
+                    (device.spec, name): (count - old.get(device.spec, {}).get(name, 0)) / (now - then)
+                    for device in snapshot.devices
+                    for name, count in device.counters.items()
+                }
+            self._earlier = (now, snapshot)
+
+    def _table(self, snapshot: Snapshot) -> Table:
+        from rich.table import Table
+
+        table = Table("device", "counter", box=None, pad_edge=False)
+        for name in ("count", "a second"):
+            table.add_column(name, justify="right")
+        for device in snapshot.devices:
+            age = "" if device.age is None else f", last message {device.age:.2f} s ago"
+            table.add_row(device.spec, f"[bold]{device.state.value}[/bold]{age}")
+            for text in filter(None, (device.identity, device.problem)):
+                table.add_row("", text)
+            for name, count in device.counters.items():
+                rate = self._rates.get((device.spec, name), 0.0)
+                table.add_row("", name.replace("_", " "), f"{count}", f"{rate:.1f}" if rate else "")
+        table.add_row("all", "dropped, late", f"{snapshot.dropped}, {snapshot.late}")
+        return table

@@ -1,0 +1,99 @@
+"""`wclm record`: what devices measure, into a file."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .console import OverwriteOption
+
+if TYPE_CHECKING:
+    from drivers.devices.acquisition import Acquisition, Snapshot
+    from drivers.devices.recorder import Recorded
+    from drivers.devices.specs import DeviceSpec
+    from drivers.mcap import McapWriter
+
+LidarOption = Annotated[
+    list[str] | None, typer.Option("--lidar", metavar="SPEC", help="Such as rplidar:/dev/ttyUSB0, ld06:auto.")
+]
+BaseOption = Annotated[list[str] | None, typer.Option("--base", metavar="SPEC", help="Such as create2:/dev/ttyUSB1.")]
+
+
+def record(
+    file: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="The recording to write.")],
+    lidar: LidarOption = None,
+    base: BaseOption = None,
+    duration: Annotated[
+        float | None, typer.Option("--duration", min=0.0, help="Seconds; without it until Ctrl-C.")
+    ] = None,
+    overwrite: OverwriteOption = False,
+) -> None:
+    """Record a lidar and a wheel base until Ctrl-C. Whatever happens, what is older than a second is in the file.
+
+    Example: [bold]wclm record --lidar rplidar:/dev/ttyUSB0 --base create2:/dev/ttyUSB1 drive.mcap[/bold]
+    """
+    from drivers.devices.acquisition import Acquisition
+    from drivers.devices.recorder import Recorded
+    from drivers.errors import RecordingError
+    from drivers.mcap import McapWriter
+
+    if file.suffix != ".mcap":
+        raise typer.BadParameter(f"{file}: the name must end with .mcap", param_hint="FILE.mcap")
+    specs = parse_specs(lidar, base)
+    if file.exists() and not overwrite:  # before anything turns
+        raise RecordingError(file, None, "exists already; choose another name or add --overwrite")
+    recorded = Recorded()
+    with Acquisition(specs) as acquisition, McapWriter(file, overwrite) as writer:
+        _record(acquisition, writer, recorded, duration)
+    typer.echo(summary(file, recorded, acquisition.snapshot))
+
+
+def parse_specs(lidar: list[str] | None, base: list[str] | None) -> list[DeviceSpec]:
+    """The devices of both options; raises SpecError, or BadParameter where one is given as the other."""
+    from drivers.devices.specs import parse_devices
+
+    texts = [*(lidar or ()), *(base or ())]
+    if not texts:
+        raise typer.BadParameter("say which devices", param_hint="--lidar / --base")
+    specs = parse_devices(" + ".join(texts))
+    for spec in specs:
+        if spec.is_lidar != (spec.text in [text.strip() for text in lidar or ()]):
+            hint = "--base" if spec.is_lidar else "--lidar"
+            raise typer.BadParameter(f"{spec.text} is a {'lidar' if spec.is_lidar else 'base'}", param_hint=hint)
+    return specs
+
+
+def summary(file: Path, recorded: Recorded, snapshot: Snapshot) -> str:
+    """What a person wants to know afterwards, in a line."""
+    lost = sum(device.counters["losses"] for device in snapshot.devices)
+    missed = snapshot.dropped + snapshot.late
+    return (
+        f"{file}: {recorded.scans} scans and {recorded.odometry} odometry readings in {recorded.duration:.1f} s"
+        f"; connections lost {lost}, messages dropped {missed}"
+    )
+
+
+def _record(acquisition: Acquisition, writer: McapWriter, recorded: Recorded, duration: float | None) -> None:
+    from drivers.devices.recorder import record
+    from drivers.errors import RecordingError
+
+    from .monitor import Monitor, stopping
+
+    end = float("inf") if duration is None else time.monotonic() + duration
+    with stopping(acquisition), Monitor() as monitor:
+
+        def look(snapshot: Snapshot) -> None:
+            nonlocal end
+            monitor.show(snapshot)
+            if time.monotonic() >= end:
+                end = float("inf")
+                acquisition.stop()
+
+        try:
+            record(acquisition, writer, recorded, look)
+        except RecordingError as error:
+            kept = f"{error.reason}; the recording ends here, after {recorded.duration:.1f} s, and can be read"
+            raise RecordingError(error.path, None, kept) from error

@@ -1,0 +1,231 @@
+"""Far ends of serial cables, as a program: an RPLIDAR S1 and a Create 2 behind pseudo terminals, true in time.
+
+    python peer.py DIRECTORY [--sick] [--deaf] [--noise]
+
+Links DIRECTORY/lidar and DIRECTORY/base to the terminals. Says on stdout what happens, one JSON object a line; obeys on
+stdin: `unplug lidar 2.0` (seconds), `stall base 1.5`, `restart lidar`, `garbage lidar`.
+
+The lidar's ranges tell the number of the revolution, the base's counts the number of the reading, so that whoever reads
+them knows when they were measured.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import pty
+import random
+import sys
+import threading
+import time
+import tty
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.bases import Create2Device, Stream, WheelReading
+from drivers.lidars.rplidar import dense
+from drivers.lidars.rplidar.answers import Answer, Descriptor, Health, Info, Status
+from drivers.lidars.rplidar.decoding import descriptor_of
+from drivers.lidars.rplidar.modes import Modes, ScanMode, answer_to
+from drivers.lidars.rplidar.requests import Command, Request, RequestReader
+
+RATE, TURNS, BAUD = 9200.0, 9.7, 256000
+SAMPLES = 40
+WIRE = 84 * 10 / BAUD
+MODES = Modes((ScanMode(0, "Standard", 1 / RATE, 40.0, 0x81), ScanMode(1, "DenseBoost", 1 / RATE, 40.0, 0x85)), 1)
+SERIAL = "00112233445566778899AABBCCDDEEFF"
+BANNER = b"RP S1 LIDAR System.\r\nFirmware Ver 1.29 - rc2, HW Ver 7\r\nModel: 97\r\n"
+BASE_PERIOD, BASE_WIRE, BASE_COUNTS = 0.015, 9 * 10 / 115200, 10
+
+FROZEN = 0.3
+"""Seconds that this program was not run at all; then it was no true device."""
+
+lock = threading.Lock()
+
+
+def say(**what: Any) -> None:
+    with lock:
+        print(json.dumps(what), flush=True)
+
+
+class Terminal:
+    """One end of a pseudo terminal, the other end linked to a path; can be unplugged."""
+
+    def __init__(self, link: Path) -> None:
+        self.link, self.name = link, link.name
+        self.noise = 1e-4 if "--noise" in sys.argv else 0.0
+        self.faults, self.random = 0, random.Random(1)
+        self.until = 0.0  # unplugged, or stalled, until then
+        self.fd = -1
+        self.plug()
+
+    def plug(self) -> None:
+        self.fd, theirs = pty.openpty()
+        tty.setraw(theirs)
+        os.set_blocking(self.fd, False)
+        self.link.unlink(missing_ok=True)
+        self.link.symlink_to(os.ttyname(theirs))
+        os.close(theirs)
+
+    def unplug(self, seconds: float) -> None:
+        self.link.unlink()
+        os.close(self.fd)
+        self.fd, self.until = -1, time.monotonic() + seconds
+
+    def look(self) -> None:
+        if self.fd < 0 and time.monotonic() > self.until:
+            self.plug()
+
+    def write(self, data: bytes) -> None:
+        data = self.noisy(data)
+        try:
+            if self.fd >= 0 and time.monotonic() > self.until:
+                os.write(self.fd, data)
+        except OSError:
+            pass  # nobody is there, or does not read
+
+    def noisy(self, data: bytes) -> bytes:
+        """One byte in so many is dropped, inserted or flipped."""
+        if not self.noise:
+            return data
+        out = bytearray()
+        for byte in data:
+            fault = self.random.choice("dif") if self.random.random() < self.noise else ""
+            out += {"": bytes([byte]), "d": b"", "i": bytes([byte, 0xA5]), "f": bytes([byte ^ 0x40])}[fault]
+            self.faults += bool(fault)
+        return bytes(out)
+
+    def read(self) -> bytes:
+        try:
+            return os.read(self.fd, 4096) if self.fd >= 0 else b""
+        except OSError:
+            return b""
+
+
+class LidarPeer:
+    def __init__(self, terminal: Terminal, sick: bool) -> None:
+        self.terminal, self.sick = terminal, sick
+        self.requests = RequestReader()
+        self.begun: float | None = None
+        self.capsule = 0
+
+    def due(self) -> float | None:
+        if self.begun is None:
+            return None
+        return self.begun + ((self.capsule + 1) * SAMPLES + 0.5) / RATE + WIRE
+
+    def send(self) -> None:
+        samples = self.capsule * SAMPLES + np.arange(SAMPLES)
+        turns = samples * (TURNS / RATE) + 1e-9
+        ranges = 1.0 + 0.002 * np.floor(turns)
+        heads = np.array([2 * math.pi * turns[0]])
+        self.terminal.write(dense.encode(heads, ranges[None], reset=self.capsule == 0))
+        self.capsule += 1
+
+    def hear(self, data: bytes) -> None:
+        for request in self.requests.feed(data):
+            self.obey(request)
+
+    def answer(self, kind: Answer, payload: bytes) -> None:
+        self.terminal.write(Descriptor(len(payload), False, kind).packet() + payload)
+
+    def obey(self, request: Request) -> None:
+        command = request.command
+        if command == Command.STOP:
+            say(event="stop", scanning=self.begun is not None)
+            self.begun = None
+        elif command == Command.RESET:
+            say(event="reset")
+            self.restart()
+        elif command == Command.SET_MOTOR_SPEED:
+            say(event="motor", speed=int.from_bytes(request.payload, "little"))
+        elif self.begun is not None:
+            return
+        elif command == Command.GET_INFO:
+            self.answer(Answer.INFO, Info(0x61, (1, 29), 7, SERIAL).payload())
+        elif command == Command.GET_HEALTH:
+            self.answer(Answer.HEALTH, Health(Status.ERROR if self.sick else Status.GOOD, 4 * self.sick).payload())
+        elif command == Command.GET_CONFIGURATION:
+            payload = answer_to(request, MODES)
+            if payload is not None:
+                self.answer(Answer.CONFIGURATION, payload)
+        elif command == Command.EXPRESS_SCAN:
+            self.terminal.write(descriptor_of(0x85).packet())
+            self.begun, self.capsule = time.monotonic(), 0
+            say(event="scan", begun=self.begun)
+
+    def restart(self) -> None:
+        self.begun, self.sick = None, False
+        self.terminal.write(BANNER)
+
+
+class BasePeer:
+    def __init__(self, terminal: Terminal) -> None:
+        self.terminal = terminal
+        self.device = Create2Device()
+        self.begun: float | None = time.monotonic()
+        self.streams = False
+        self.reading = 0
+        say(event="base", begun=self.begun)
+
+    def due(self) -> float | None:
+        return self.begun + self.reading * BASE_PERIOD + BASE_WIRE if self.begun is not None else None
+
+    def send(self) -> None:
+        count = self.reading * BASE_COUNTS
+        if self.streams:
+            self.terminal.write(self.device.encode(WheelReading(count, count)))
+        self.reading += 1
+
+    def hear(self, data: bytes) -> None:
+        for request in self.device.feed(data):
+            if isinstance(request, Stream):
+                self.streams = request.on
+            say(event="base request", what=repr(request))
+
+    def restart(self) -> None:
+        self.reading = 0
+
+
+def obey_stdin(peers: dict[str, Any]) -> None:
+    for line in sys.stdin:
+        verb, name, *rest = line.split()
+        peer = peers[name]
+        if verb == "unplug":
+            peer.terminal.unplug(float(rest[0]))
+        elif verb == "stall":
+            peer.terminal.until = time.monotonic() + float(rest[0])
+        elif verb == "restart":
+            peer.restart()
+        elif verb == "garbage":
+            peer.terminal.write(bytes(range(200)))
+    os._exit(0)  # whoever started this is no more
+
+
+def main() -> None:
+    directory = Path(sys.argv[1])
+    lidar = LidarPeer(Terminal(directory / "lidar"), "--sick" in sys.argv)
+    base = BasePeer(Terminal(directory / "base"))
+    peers = {"lidar": lidar, "base": base}
+    threading.Thread(target=obey_stdin, args=(peers,), daemon=True).start()
+    say(event="ready")
+    before = time.monotonic()
+    while True:
+        if time.monotonic() - before > FROZEN:
+            say(event="frozen", seconds=time.monotonic() - before)
+        before = time.monotonic()
+        for peer in peers.values():
+            peer.terminal.look()
+            if (data := peer.terminal.read()) and "--deaf" not in sys.argv:
+                peer.hear(data)
+            while (due := peer.due()) is not None and due <= time.monotonic():
+                peer.send()
+        dues = [due for peer in peers.values() if (due := peer.due()) is not None]
+        time.sleep(max(0.0, min([*(due - time.monotonic() for due in dues), 0.005])))
+
+
+if __name__ == "__main__":
+    main()

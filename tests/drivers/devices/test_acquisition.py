@@ -1,0 +1,329 @@
+"""Devices through pseudo terminals, pyserial and a process of their own: complete, in order, at the right time, and
+back after whatever happens to them.
+"""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import drivers
+from drivers import DriverError, Message, Odometry, Scan
+from drivers.devices.acquisition import Acquisition
+from drivers.devices.session import State
+from drivers.devices.specs import parse_devices
+from drivers.messages import end_of
+
+RATE, TURNS = 9200.0, 9.7
+METRES_PER_READING = 10 * 0.444565e-3
+BASE_PERIOD = 0.015
+
+
+def receive_for(acquisition: Acquisition, seconds: float) -> list[Message]:
+    messages = []
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        message = acquisition.receive(0.05)
+        if message is not None:
+            messages.append(message)
+    return messages
+
+
+def receive_until(acquisition: Acquisition, condition: Callable[[], bool], timeout: float = 20.0) -> list[Message]:
+    messages: list[Message] = []
+    end = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < end, acquisition.snapshot
+        messages += receive_for(acquisition, 0.05)
+    return messages
+
+
+def revolution_of(scan: Scan) -> int:
+    return round((float(np.median(scan.ranges)) - 1.0) / 0.002)
+
+
+def errors_of_stamps(messages: list[Message], lidar_begun: float, base_begun: float) -> np.ndarray:
+    """Of stamps, seconds; the devices tell in what they measure when they measured it."""
+    offset = time.time() - time.monotonic()
+    first = next(message for message in messages if isinstance(message, Odometry))
+    readings = round((first.stamp - offset - base_begun) / BASE_PERIOD)
+    errors = []
+    for message in messages:
+        if isinstance(message, Scan):
+            truth = lidar_begun + math.ceil(revolution_of(message) * RATE / TURNS) / RATE
+        else:
+            assert isinstance(message, Odometry)
+            steps = (message.pose[0] - first.pose[0]) / METRES_PER_READING
+            truth = base_begun + (readings + round(steps)) * BASE_PERIOD
+        errors.append(message.stamp - offset - truth)
+    return np.array(errors)
+
+
+def test_messages_of_both_devices_are_complete_and_in_order(peer: Any) -> None:
+    source = drivers.open(peer.spec)
+    messages: list[Message] = []
+    for message in source:
+        messages.append(message)
+        if len(messages) == 150:
+            source.stop()
+    assert np.all(np.diff([message.stamp for message in messages]) >= 0.0)
+    revolutions = [revolution_of(message) for message in messages if isinstance(message, Scan)]
+    assert len(revolutions) > 15
+    assert np.all(np.diff(revolutions) == 1)
+    travelled = np.array([message.pose[0] for message in messages if isinstance(message, Odometry)])
+    assert len(travelled) > 100
+    np.testing.assert_allclose(np.diff(travelled), METRES_PER_READING, atol=1e-9)
+    assert source.report.messages == len(messages)
+    assert source.report.skipped == 0
+    with pytest.raises(DriverError, match="only once"):
+        next(iter(source))
+
+
+def test_every_counter_is_there_and_devices_stand_still_afterwards(peer: Any) -> None:
+    with Acquisition(parse_devices(peer.spec)) as acquisition:
+        receive_for(acquisition, 1.0)
+        lidar, base = acquisition.snapshot.devices
+        assert peer.scans_since_last_stop()
+    assert (lidar.state, base.state) == (State.RUNNING, State.RUNNING)
+    assert "S1M1" in lidar.identity
+    assert "DenseBoost" in lidar.identity
+    assert "00112233445566778899AABBCCDDEEFF" in lidar.identity
+    assert lidar.counters["samples"] > 5000
+    assert lidar.counters["revolutions"] >= 5
+    for name in ("checksum_failures", "bytes_skipped", "discarded", "implausible", "losses", "silences"):
+        assert lidar.counters[name] == 0
+    assert base.counters["readings"] > 40
+    assert base.counters["losses"] == 0
+    assert lidar.age is not None
+    assert lidar.age < 1.0
+    assert not peer.scans_since_last_stop()
+    assert [said["speed"] for said in peer.events if said["event"] == "motor"] == [600, 0]
+    assert peer.events[-1]["event"] == "motor" or "on=False" in peer.events[-1]["what"]
+    assert any("Velocity(speed=0.0, turn_rate=0.0)" in said.get("what", "") for said in peer.events)
+
+
+def test_stamps_are_right_while_the_consumer_is_busy(make_peer: Callable[..., Any]) -> None:
+    """Two milliseconds at the 99th percentile, from the first message on; unless the whole computer stood still."""
+    for _ in range(3):
+        peer = make_peer()
+        errors = errors_beside_a_busy_consumer(peer)
+        if not any(said["event"] == "frozen" for said in peer.events):
+            break
+    assert len(errors) > 250
+    assert np.quantile(np.abs(errors), 0.99) < 0.002
+
+
+def errors_beside_a_busy_consumer(peer: Any) -> np.ndarray:
+    with Acquisition(parse_devices(peer.spec)) as acquisition:
+        messages: list[Message] = []
+        end = time.monotonic() + 5.0
+        while time.monotonic() < end:
+            work = time.monotonic() + 0.15
+            while time.monotonic() < work:  # holds the interpreter's lock
+                sum(range(1000))
+            while (message := acquisition.receive(0.0)) is not None:
+                messages.append(message)
+    assert acquisition.snapshot.dropped == 0
+    return errors_of_stamps(messages, peer.wait_for("scan")["begun"], peer.wait_for("base")["begun"])
+
+
+@pytest.mark.slow
+def test_a_short_silence_costs_its_own_time_only(peer: Any) -> None:
+    """What devices that tell no time would have sent in half a second is lost whole; stamps and the way are right after
+    it.
+    """
+    with Acquisition(parse_devices(peer.spec)) as acquisition:
+        receive_for(acquisition, 3.0)
+        before = receive_for(acquisition, 0.5)
+        peer.tell("stall lidar 0.5")
+        peer.tell("stall base 0.5")
+        after = receive_for(acquisition, 4.0)
+        lidar, base = acquisition.snapshot.devices
+    assert lidar.counters["losses"] == base.counters["losses"] == 0
+    assert lidar.counters["packets_lost"] == pytest.approx(0.5 * RATE / 40, abs=15)
+    assert base.counters["lost"] == pytest.approx(0.5 / BASE_PERIOD, abs=4)
+    assert base.counters["resets"] == 0
+    errors = errors_of_stamps(before + after, peer.wait_for("scan")["begun"], peer.wait_for("base")["begun"])
+    assert np.quantile(np.abs(errors), 0.98) < 0.002
+
+
+@pytest.mark.slow
+def test_a_computer_that_was_held_up_begins_anew(peer: Any) -> None:
+    with Acquisition(parse_devices(peer.spec)) as acquisition:
+        receive_for(acquisition, 1.0)
+        reader = multiprocessing.active_children()[0].pid
+        assert reader is not None
+        os.kill(reader, signal.SIGSTOP)
+        time.sleep(2.5)
+        os.kill(reader, signal.SIGCONT)
+        receive_until(acquisition, lambda: all(d.counters["connections"] == 2 for d in acquisition.snapshot.devices))
+        assert [d.counters["pauses"] for d in acquisition.snapshot.devices] == [1, 1]
+        after = receive_for(acquisition, 1.5)
+    begun = peer.wait_for("scan", times=2)["begun"]
+    errors = errors_of_stamps(after, begun, peer.wait_for("base")["begun"])
+    assert np.quantile(np.abs(errors), 0.9) < 0.002
+
+
+@pytest.mark.slow
+def test_damaged_bytes_cost_what_they_hit_and_no_more(make_peer: Callable[..., Any]) -> None:
+    """One byte in 10 000 dropped, inserted or flipped: all counted, stamps right, ranges true."""
+    peer = make_peer("--noise")
+    with Acquisition(parse_devices(peer.spec)) as acquisition:
+        messages = receive_for(acquisition, 20.0)
+        lidar, base = acquisition.snapshot.devices
+    errors = errors_of_stamps(messages, peer.wait_for("scan")["begun"], peer.wait_for("base")["begun"])
+    assert np.quantile(np.abs(errors), 0.99) < 0.002
+    assert lidar.counters["checksum_failures"] > 5
+    assert lidar.counters["losses"] == base.counters["losses"] == 0
+    revolutions = [revolution_of(message) for message in messages if isinstance(message, Scan)]
+    assert len(revolutions) + lidar.counters["incomplete_revolutions"] > 180
+    assert len(revolutions) > 175
+    for message in messages:
+        if isinstance(message, Scan):
+            own = 1.0 + 0.002 * revolution_of(message)
+            assert np.nanmax(np.abs(message.ranges - own)) < 0.0021
+
+
+def test_unplugged_devices_come_back(peer: Any) -> None:
+    with Acquisition(parse_devices(peer.spec)) as acquisition:
+        receive_for(acquisition, 0.5)
+        peer.tell("unplug lidar 0.7")
+        peer.tell("unplug base 0.7")
+        receive_until(acquisition, lambda: {d.state for d in acquisition.snapshot.devices} == {State.LOST})
+        receive_until(acquisition, lambda: {d.state for d in acquisition.snapshot.devices} == {State.RUNNING})
+        messages = receive_for(acquisition, 1.0)
+        devices = acquisition.snapshot.devices
+    assert sum(isinstance(message, Scan) for message in messages) > 4
+    assert sum(isinstance(message, Odometry) for message in messages) > 30
+    for device in devices:
+        assert device.counters["losses"] == 1
+        assert device.counters["connections"] == 2
+        assert device.problem.startswith(device.port)
+
+
+@pytest.mark.parametrize(
+    ("fault", "silent"),
+    [
+        ("restart lidar", True),
+        pytest.param("stall base 1.5", True, marks=pytest.mark.slow),
+        pytest.param("garbage lidar", False, marks=pytest.mark.slow),
+    ],
+)
+def test_faults_on_the_line_are_counted_and_overcome(peer: Any, fault: str, silent: bool) -> None:
+    index = 0 if fault.split()[1] == "lidar" else 1
+    with Acquisition(parse_devices(peer.spec)) as acquisition:
+        receive_for(acquisition, 0.5)
+        peer.tell(fault)
+
+        def seen() -> bool:
+            device = acquisition.snapshot.devices[index]
+            noticed = device.counters["silences"] if silent else device.counters["bytes_skipped"]
+            return noticed > 0 and device.state is State.RUNNING
+
+        receive_until(acquisition, seen)
+        messages = receive_for(acquisition, 0.8)
+    assert {type(message) for message in messages} == {Scan, Odometry}
+    revolutions = [revolution_of(message) for message in messages if isinstance(message, Scan)]
+    assert np.all(np.diff(revolutions) >= 1)
+
+
+@pytest.mark.slow
+def test_a_lidar_that_reports_an_error_is_reset(make_peer: Callable[..., Any]) -> None:
+    peer = make_peer("--sick")
+    with Acquisition(parse_devices(f"rplidar:{peer.lidar}")) as acquisition:
+        assert any(isinstance(message, Scan) for message in receive_for(acquisition, 1.0))
+    assert sum(said["event"] == "reset" for said in peer.events) == 1
+
+
+def test_what_does_not_answer_is_one_clear_error(make_peer: Callable[..., Any]) -> None:
+    peer = make_peer("--deaf")
+    with (
+        pytest.raises(DriverError, match=r"lidar: no RPLIDAR answers here") as caught,
+        Acquisition(parse_devices(f"rplidar:{peer.lidar}?baud=256000")),
+    ):
+        pass
+    assert "\n" not in str(caught.value)
+    with (
+        pytest.raises(DriverError, match="no such port"),
+        Acquisition(parse_devices("ld06:/dev/no")),
+    ):
+        pass
+
+
+def test_another_lidar_than_the_one_asked_for_is_refused(peer: Any) -> None:
+    with (
+        pytest.raises(DriverError, match=r"serial number 0011.*, not 42"),
+        Acquisition(parse_devices(f"rplidar:{peer.lidar}?serial=42&baud=115200")),
+    ):
+        pass
+
+
+def test_an_unknown_scan_mode_names_those_there_are(peer: Any) -> None:
+    with (
+        pytest.raises(DriverError, match=r"'Turbo'; it has: Standard, DenseBoost"),
+        Acquisition(parse_devices(f"rplidar:{peer.lidar}?mode=Turbo&baud=115200")),
+    ):
+        pass
+
+
+CONSUMER = """
+import sys, time
+import drivers
+if __name__ == "__main__":
+    for message in drivers.open(sys.argv[1]):
+        print("message", flush=True)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
+def test_devices_stop_when_the_program_ends_and_start_cleanly_again(peer: Any, tmp_path: Any, number: int) -> None:
+    script = tmp_path / "consumer.py"
+    script.write_text(CONSUMER)
+    process = subprocess.Popen(
+        [sys.executable, str(script), peer.spec],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored where tests run in the background
+    )
+    assert process.stdout is not None
+    for _ in range(30):
+        assert process.stdout.readline() == "message\n"
+    os.kill(process.pid, number)
+    process.wait()
+    process.stdout.close()
+    peer.wait_for("motor", times=2)
+    assert not peer.scans_since_last_stop()
+    with Acquisition(parse_devices(peer.spec)) as acquisition:
+        assert any(isinstance(message, Scan) for message in receive_for(acquisition, 1.0))
+
+
+def test_a_lidar_that_still_streams_is_started_cleanly(peer: Any) -> None:
+    """As after a crash of everything, the reading process included."""
+    from drivers.lidars.rplidar.requests import express_scan
+    from drivers.transport import SerialPort
+
+    port = SerialPort(str(peer.lidar), 256000)
+    port.write(express_scan(1).packet())
+    peer.wait_for("scan")
+    port.close()
+    with Acquisition(parse_devices(f"rplidar:{peer.lidar}")) as acquisition:
+        scans = receive_for(acquisition, 1.0)
+    assert len(scans) > 5
+    assert peer.wait_for("stop")["scanning"]
+
+
+def test_end_of_a_message() -> None:
+    scan = Scan(5.0, np.ones(3), np.arange(3.0), np.array([0.2, 0.1, 0.0]), 0.1, 9.0)
+    assert end_of(scan) == 5.2
+    assert end_of(Odometry(5.0, np.zeros(3))) == 5.0

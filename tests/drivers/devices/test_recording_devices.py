@@ -1,0 +1,159 @@
+"""`wclm record`: what is in the file when the recorder is killed, told to end, or the disk is full; `devices`."""
+
+from __future__ import annotations
+
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers import Odometry, RecordingError, Scan
+from drivers.mcap import Mcap, McapWriter
+
+WCLM = [sys.executable, "-c", "from slam.cli import main; main()"]
+LARGEST_DELAY = 0.3
+"""Seconds from a measurement to its place in the queue of the recorder: a revolution and what belongs to it."""
+
+
+def start(peer: Any, path: Path, **options: Any) -> subprocess.Popen[str]:
+    command = [*WCLM, "record", "--lidar", f"rplidar:{peer.lidar}", "--base", f"create2:{peer.base}", str(path)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options)
+
+
+def wait_until_recording(path: Path, process: subprocess.Popen[str]) -> None:
+    end = time.monotonic() + 30.0
+    while not path.exists() or path.stat().st_size < 10_000:
+        assert time.monotonic() < end
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.02)
+
+
+def kill_and_read(peer: Any, path: Path, after: float) -> None:
+    process = start(peer, path)
+    wait_until_recording(path, process)
+    time.sleep(after)
+    killed = time.time()
+    process.kill()
+    out, err = process.communicate()
+    assert out + err == ""
+    source = Mcap(path)
+    messages = list(source)
+    assert {type(message) for message in messages} == {Scan, Odometry}
+    assert messages[-1].stamp > killed - 1.0 - LARGEST_DELAY
+    assert "ends early" in str(source.report.first)
+    assert source.report.skipped == 1
+
+
+@pytest.mark.parametrize("after", [0.3, 1.15])
+def test_a_killed_recorder_loses_the_last_second_at_most(peer: Any, tmp_path: Path, after: float) -> None:
+    kill_and_read(peer, tmp_path / "a.mcap", after)
+
+
+@pytest.mark.slow
+def test_recorders_killed_at_random_times(peer: Any, tmp_path: Path) -> None:
+    times = random.Random(4)
+    for k in range(20):
+        kill_and_read(peer, tmp_path / f"{k}.mcap", times.uniform(0.0, 3.0))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+def test_told_to_end_it_finishes_the_file(peer: Any, tmp_path: Path, number: int) -> None:
+    path = tmp_path / "a.mcap"
+    process = start(peer, path)
+    wait_until_recording(path, process)
+    process.send_signal(number)
+    out, err = process.communicate(timeout=20)
+    assert (process.returncode, err) == (0, "")
+    source = Mcap(path)
+    messages = list(source)
+    scans = sum(isinstance(message, Scan) for message in messages)
+    assert out.startswith(f"{path}: {scans} scans and {len(messages) - scans} odometry readings in ")
+    assert len(source) == len(messages)
+    assert source.report.skipped == 0
+    assert not peer.scans_since_last_stop()
+    assert b"DiagnosticArray" in path.read_bytes()
+
+
+def test_a_full_disk_ends_the_recording_and_keeps_it(peer: Any, tmp_path: Path) -> None:
+    path, limit = tmp_path / "a.mcap", 150_000
+    process = start(peer, path, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)))
+    out, err = process.communicate(timeout=30)
+    assert (process.returncode, out) == (2, "")
+    assert len(err.splitlines()) == 1
+    assert err.startswith(f"wclm: {path}: cannot be written: File too large; the recording ends here, after ")
+    source = Mcap(path)
+    assert {type(message) for message in source} == {Scan, Odometry}
+    assert path.stat().st_size <= limit
+    assert not peer.scans_since_last_stop()
+
+
+def test_the_writer_keeps_whole_chunks_on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.mcap.FLUSH_PERIOD", 0.0)
+    path = tmp_path / "a.mcap"
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    writer = McapWriter(path)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
+    written: list[float] = []
+
+    def write_without_end() -> None:
+        while True:
+            writer.write(Odometry(len(written) / 100, np.zeros(3)))
+            written.append(len(written) / 100)
+
+    try:
+        with pytest.raises(RecordingError, match="File too large"):
+            write_without_end()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert [message.stamp for message in Mcap(path)] == written
+    with pytest.raises(RecordingError, match="closed"):
+        writer.write(Odometry(1e3, np.zeros(3)))
+    writer.close()
+
+
+def test_nothing_is_left_of_a_recording_that_never_began(tmp_path: Path, make_peer: Callable[..., Any]) -> None:
+    peer = make_peer()
+    peer.lidar.unlink()
+    process = start(peer, tmp_path / "a.mcap")
+    out, err = process.communicate(timeout=30)
+    assert (process.returncode, out) == (2, "")
+    assert err == f"wclm: {peer.lidar}: no such port; is the device plugged in?\n"
+    assert not (tmp_path / "a.mcap").exists()
+
+
+def test_watching_ends_with_all_counters(peer: Any) -> None:
+    command = [*WCLM, "devices", f"rplidar:{peer.lidar}", f"create2:{peer.base}", "--watch", "--for", "0.8"]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=30)
+    assert (result.returncode, result.stderr) == (0, "")
+    counts = dict(line.split() for line in result.stdout.splitlines() if len(line.split()) == 2)
+    assert int(counts["samples"]) > 2000
+    assert int(counts["readings"]) > 10
+    for name in ("checksum_failures", "bytes_skipped", "packets_lost", "silences", "losses", "clock_jumps", "resets"):
+        assert counts[name] == "0"
+    assert not peer.scans_since_last_stop()
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root can mount a small disk")
+@pytest.mark.slow
+def test_a_disk_that_is_really_full(peer: Any, tmp_path: Path) -> None:
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=200k", "tmpfs", disk], capture_output=True).returncode:
+        pytest.skip("cannot mount")
+    try:
+        process = start(peer, disk / "a.mcap")
+        _, err = process.communicate(timeout=60)
+        assert process.returncode == 2
+        assert "No space left on device; the recording ends here" in err
+        assert {type(message) for message in Mcap(disk / "a.mcap")} == {Scan, Odometry}
+    finally:
+        subprocess.run(["umount", disk], check=True)

@@ -1,0 +1,76 @@
+"""Stamps from the arrival of chunks: right whatever held them up, also where packets were lost."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers.devices.stamping import PacketStamper
+from drivers.lidars.rplidar import dense, standard
+from drivers.lidars.rplidar.decoding import decoder_for
+from drivers.transport import Received
+
+RATE, TURNS, BAUD = 9200.0, 10.0, 460800
+SECONDS = 8.0
+READ = 0.005
+START = 1000.0
+
+
+def stream(kind: str) -> tuple[bytes, int, int]:
+    """Eight seconds of a lidar whose ranges count its samples modulo 10 000 in millimetres; bytes and samples of a
+    packet.
+    """
+    samples = np.arange(round(SECONDS * RATE) // 40 * 40)
+    turns = samples * TURNS / RATE
+    ranges = (1000 + samples % 10_000) / 1e3
+    if kind == "dense":
+        heads = 2 * np.pi * turns.reshape(-1, 40)[:, 0]
+        return dense.encode(heads, ranges.reshape(-1, 40), reset=True), 84, 40
+    starts = np.diff(np.floor(turns + 1e-9), prepend=-1.0) > 0
+    return standard.encode(2 * np.pi * turns, ranges, np.full(len(samples), 20), starts), 5, 1
+
+
+@pytest.mark.parametrize("kind", ["dense", "standard"])
+@pytest.mark.parametrize("lost", [0.0, 0.5])
+def test_samples_are_stamped_when_they_were_measured(kind: str, lost: float) -> None:
+    data, size, count = stream(kind)
+    random = np.random.default_rng(3)
+    answer = 0x85 if kind == "dense" else 0x81
+    decoder = decoder_for(answer, 1 / RATE, BAUD, False)
+    stamper = PacketStamper(count / RATE, size)
+    # A packet's last byte is there when its last sample was taken, filtered, and sent.
+    filtered = 1.5 if kind == "dense" else decoder_delay()
+    packets = len(data) // size
+    byte_times = START + np.repeat((np.arange(packets) * count + count - 1 + filtered) / RATE + size * 10 / BAUD, size)
+    kept = np.ones(len(data), dtype=bool)
+    if lost:  # a tenth of a second, and single bytes later
+        kept[len(data) // 3 : len(data) // 3 + int(lost * len(data) / SECONDS)] = False
+        kept[random.integers(len(data) // 2, len(data), 20)] = False
+    data, byte_times = bytes(np.frombuffer(data, np.uint8)[kept]), byte_times[kept]
+    now, at, errors = START, 0, []
+    while at < len(data):
+        now += READ + (0.03 * random.random() if random.random() < 0.3 else 0.0)
+        end = int(np.searchsorted(byte_times, now, side="right"))
+        received = Received(data[at:end], now)
+        at = end
+        if not received.data:
+            continue
+        stamper.note(received)
+        measurements = decoder.feed(received.data)
+        stamps = stamper.stamps(measurements)
+        valid = ~np.isnan(measurements.samples["range"])
+        told = np.round(measurements.samples["range"][valid] * 1e3) - 1000
+        truth = START + told / RATE
+        period = 10_000 / RATE
+        errors.append((stamps[valid] - truth + period / 2) % period - period / 2)
+    error = np.abs(np.concatenate(errors))
+    assert len(error) > 0.85 * SECONDS * RATE
+    assert np.quantile(error, 0.99) < 0.002
+    assert np.median(error) < 0.001
+
+
+def decoder_delay() -> float:
+    """Sample periods that the standard decoder takes a node to be old when its last byte is sent."""
+    nodes = standard.encode(np.linspace(0.0, 0.1, 40), np.ones(40), np.full(40, 20), np.arange(40) == 0)
+    offset = decoder_for(0x81, 1 / RATE, BAUD, False).feed(nodes).samples["offset"][0]
+    return float((-offset - 5 * 10 / BAUD) * RATE)
