@@ -35,6 +35,8 @@ COMMANDS = (
     "bench features",
     "bench relocalisation",
     "bench laps",
+    "bench consistency",
+    "bench paper",
     "bench lookalike",
     "bench false-closures",
 )
