@@ -17,7 +17,7 @@ from ..config import Config, config_to_toml
 from ..errors import MapError
 from ..evaluation import ReferenceScore, score_reference
 from ..events import Event, Finished, Noticed
-from ..outputs import PICTURE, REPORT, REVIEW, OutputDirectory, write_results
+from ..outputs import PICTURE, REPORT, REVIEW, OutputDirectory, unfinished_file, write_results
 from ..trajectory import Trajectory
 from .console import progress, say_if_slow
 from .report import summarise, versions
@@ -101,8 +101,6 @@ def map_source(
     Raises SlamError; whatever is raised, nothing is left behind.
     """
     with OutputDirectory(out, overwrite) as directory, ExitStack() as cleanup:
-        from ..exports import read_session
-        from ..page import write_page
         from ..pipeline import Slam
         from ..warmup import warm_up
 
@@ -141,8 +139,17 @@ def map_source(
             source, finished, tally, notices.texts, score, seed=seed, reopen=reopen, slam_seconds=busy, seconds=took
         )
         write_results(directory, finished, config, summary)
-        write_page(directory / REPORT, read_session(directory))
+    _write_page(out)
     return Outcome(summary, review)
+
+
+def _write_page(out: Path) -> None:
+    """The page follows when the results are in place: should it fail, they are not lost."""
+    from ..exports import read_session
+    from ..page import write_page
+
+    with unfinished_file(out / REPORT) as unfinished:
+        write_page(unfinished, read_session(out))
 
 
 def score_against_truth(finished: Finished, tally: Tally) -> ReferenceScore | None:

@@ -14,8 +14,8 @@ def clock(seconds: float) -> str:
 
 def duration(seconds: float) -> str:
     """A span of time in the units that suit it."""
-    if seconds < MINUTE:
-        return f"{seconds:.1f} s"
+    if seconds < 2 * MINUTE:
+        return f"{seconds:.1f} s" if seconds < 10 else f"{seconds:.0f} s"
     return f"{seconds / MINUTE:.0f} min" if seconds < 2 * HOUR else f"{seconds / HOUR:.1f} h"
 
 

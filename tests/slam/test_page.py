@@ -209,6 +209,20 @@ def test_the_page_is_made_again_for_an_older_session(wclm: Any, fake_slam: type)
     assert Path("out/report.html").read_text() == written
 
 
+def test_results_are_kept_where_the_page_fails(
+    wclm: Any, fake_slam: type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object) -> None:
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr("slam.page.write_page", fails)
+    result = wclm("run", "sim:room?duration=3", "--out", "out", "--no-review")
+    assert isinstance(result.exception, ZeroDivisionError)
+    present = {file.name for file in (tmp_path / "out").iterdir()}
+    assert {"trajectory.tum", "map.json", "summary.json"} <= present
+    assert not any("report" in name for name in present)
+
+
 # A real browser
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
