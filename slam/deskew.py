@@ -14,6 +14,7 @@ import numpy as np
 from drivers import se2
 from drivers.messages import Scan
 
+from .config import LidarConfig
 from .odometry import OdometryHistory, OdometryNoise, way_of
 from .segments import CornerPoints, Floats, Segments
 
@@ -57,6 +58,13 @@ class Sweep:
 def middle_of(scan: Scan) -> float:
     """The stamp in the middle of a scan's sweep, seconds."""
     return scan.stamp + 0.5 * scan.duration
+
+
+def mount_of(scan: Scan, lidar: LidarConfig) -> se2.Pose:
+    """Where the lidar stands on the base [x, y, heading]: as configured, else as the recording states, else zero."""
+    if lidar.mount is not None:
+        return np.array(lidar.mount)
+    return np.zeros(3) if scan.mount is None else scan.mount
 
 
 def deskew(scan: Scan, odometry: OdometryHistory, mount: se2.Pose) -> Sweep:

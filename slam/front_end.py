@@ -12,7 +12,7 @@ from drivers.messages import Odometry, Scan
 from features import Features
 
 from .config import Config
-from .deskew import Sweep, deskew, loosen
+from .deskew import Sweep, deskew, loosen, mount_of
 from .extraction import build_extractor
 from .odometry import OdometryHistory, OdometryNoise
 from .point_field import MOST_POINTS, ScanPoints, thinned
@@ -46,7 +46,7 @@ class FrontEnd:
     """Takes scans and odometry, gives sightings."""
 
     def __init__(self, config: Config) -> None:
-        self._mount = None if config.lidar.mount is None else np.array(config.lidar.mount)
+        self._lidar = config.lidar
         self._extractor = build_extractor(config)
         self._waiting: deque[Scan] = deque()
         self.odometry = OdometryHistory()
@@ -82,16 +82,11 @@ class FrontEnd:
 
     def sight(self, scan: Scan, odometry_noise: OdometryNoise) -> Sighting:
         """Straighten a scan and condense it into walls and corners, and points that are on neither."""
-        mount = self._mount_of(scan)
+        mount = mount_of(scan, self._lidar)
         sweep = deskew(scan, self.odometry, mount)
         features = self._extractor.extract(sweep.ranges, sweep.bearings)
         seen = _in_base_frame(sweep, features, mount, odometry_noise)
         return Sighting(sweep.stamp, self.odometry.at(sweep.stamp), seen)
-
-    def _mount_of(self, scan: Scan) -> se2.Pose:
-        if self._mount is not None:
-            return self._mount
-        return np.zeros(3) if scan.mount is None else scan.mount
 
 
 def _in_base_frame(sweep: Sweep, features: Features, mount: se2.Pose, odometry_noise: OdometryNoise) -> ScanFeatures:

@@ -208,6 +208,7 @@ class Slam:
             stamps=stamps,
             poses=poses,
             summary=summary,
+            keyframe_covariance=np.array([self.keyframe_covariance(index) for index in range(len(keyframes))]),
         )
         self._reporter.tell(result)
         return result

@@ -23,7 +23,9 @@ from .emulate import emulate
 from .evaluate import evaluate
 from .features import features
 from .info import info
+from .map import export_map
 from .optimize import optimize
+from .page import report
 from .record import record
 from .replay import replay
 from .run import run
@@ -79,6 +81,8 @@ def wclm(
 app.command()(demo)
 app.command()(run)
 app.command()(optimize)
+app.command("map")(export_map)
+app.command()(report)
 app.command()(info)
 app.command()(simulate)
 app.command()(emulate)

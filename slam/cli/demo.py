@@ -32,7 +32,15 @@ def demo(
 
     source = Simulation(WORLD, seed=seed)
     outcome = map_source(
-        source, Config(), out, overwrite=overwrite, review=True, picture=True, refine=refine, seed=seed
+        source,
+        Config(),
+        out,
+        overwrite=overwrite,
+        review=True,
+        picture=True,
+        refine=refine,
+        seed=seed,
+        reopen=f"sim:{WORLD}?seed={seed}",
     )
     typer.echo("\n".join(lines_for_people(outcome, out)))
     if view and has_display():

@@ -54,6 +54,7 @@ def summarise(
     score: ReferenceScore | None,
     *,
     seed: int | None,
+    reopen: str | None,
     slam_seconds: float,
     seconds: float,
 ) -> dict[str, Any]:
@@ -63,6 +64,7 @@ def summarise(
     report = source.report
     return {
         "recording": source.name,
+        "recording_path": reopen,
         "seed": seed,
         "scans": tally.scans,
         "odometry": len(tally.odometry),

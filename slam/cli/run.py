@@ -28,9 +28,18 @@ def run(
 
     from ..config import load_config
     from .report import lines_for_people
-    from .session import map_source
+    from .session import lasting, map_source
 
     effective = load_config(config, settings or ())
     source = drivers.open(recording)
-    outcome = map_source(source, effective, out, overwrite=overwrite, review=review, picture=plot, refine=refine)
+    outcome = map_source(
+        source,
+        effective,
+        out,
+        overwrite=overwrite,
+        review=review,
+        picture=plot,
+        refine=refine,
+        reopen=lasting(recording),
+    )
     typer.echo("\n".join(lines_for_people(outcome, out)))

@@ -17,7 +17,7 @@ from ..config import Config, config_to_toml
 from ..errors import MapError
 from ..evaluation import ReferenceScore, score_reference
 from ..events import Event, Finished, Noticed
-from ..outputs import PICTURE, REVIEW, OutputDirectory, write_results
+from ..outputs import PICTURE, REPORT, REVIEW, OutputDirectory, unfinished_file, write_results
 from ..trajectory import Trajectory
 from .console import progress, say_if_slow
 from .report import summarise, versions
@@ -78,6 +78,11 @@ class Outcome:
     review: bool
 
 
+def lasting(recording: str) -> str:
+    """What opens the same recording from another directory, too."""
+    return recording if recording.startswith("sim:") else str(Path(recording).resolve())
+
+
 def map_source(
     source: Source,
     config: Config,
@@ -88,9 +93,11 @@ def map_source(
     picture: bool,
     refine: bool = False,
     seed: int | None = None,
+    reopen: str | None = None,
 ) -> Outcome:
     """Run SLAM over `source` and write `out`, which appears only when everything in it is complete.
 
+    `reopen` is what `drivers.open` takes for the same messages again, if anything does.
     Raises SlamError; whatever is raised, nothing is left behind.
     """
     with OutputDirectory(out, overwrite) as directory, ExitStack() as cleanup:
@@ -128,9 +135,21 @@ def map_source(
         if picture:
             _draw(directory / PICTURE, finished, tally, score, source.name)
         took = time.perf_counter() - started
-        summary = summarise(source, finished, tally, notices.texts, score, seed=seed, slam_seconds=busy, seconds=took)
+        summary = summarise(
+            source, finished, tally, notices.texts, score, seed=seed, reopen=reopen, slam_seconds=busy, seconds=took
+        )
         write_results(directory, finished, config, summary)
+    _write_page(out)
     return Outcome(summary, review)
+
+
+def _write_page(out: Path) -> None:
+    """The page follows when the results are in place: should it fail, they are not lost."""
+    from ..exports import read_session
+    from ..page import write_page
+
+    with unfinished_file(out / REPORT) as unfinished:
+        write_page(unfinished, read_session(out))
 
 
 def score_against_truth(finished: Finished, tally: Tally) -> ReferenceScore | None:
