@@ -36,10 +36,10 @@ class Estimator:
         placement = self.belief.place(sighting, clock)
         before = self.belief.copy() if placement.abrupt else None
         extension = self.belief.extend(sighting, placement, clock)
+        self._probation.remember(sighting)  # before a closure: the belief that it is tried on has the sighting
         if extension is not None and extension.loop is not None and extension.loop.status == "agreed":
             extension = replace(extension, loop=self._close(extension.view, extension.loop))
             clock.lap("closing")
-        self._probation.remember(sighting)
         return Step(placement, extension, self._doubt(), before)
 
     def _close(self, view: KeyframeView, decision: LoopDecision) -> LoopDecision:

@@ -30,7 +30,13 @@ SEARCHED_POINTS = 30  # points that a scan must have for that: few of them lie w
 LARGE_STEP = 0.8  # metres of way between two scans, from which on odometry may be making up for what it missed
 ABRUPTLY_WORSE = 1.0  # by which a scan fits worse than the one before where the view has changed at a stroke
 CLEARLY_BETTER = 0.3  # by which the scan must then fit better where the robot last was
+UNEVEN, UNEVEN_TURN = 0.1, np.radians(5.0)  # by which odometry's step may differ from the robot's last one unquestioned
+BETTER = 0.15  # by which a scan must fit better where the robot is if it has moved as evenly as before
 PATIENCE = 4  # scans in a row that may fit nowhere
+# What a scan explains below which it is laid beside where it was expected, too: the robot comes out of a room that was
+# mapped a little beside the corridor it lies at. Metres in the base's frame, as far as registration reaches once more.
+POORLY_EXPLAINED = 0.75
+BESIDE = np.array([[0.35, 0.0, 0.0], [-0.35, 0.0, 0.0], [0.0, 0.35, 0.0], [0.0, -0.35, 0.0]])
 LEAST_WALL = 0.5  # metres of wall that a scan must show, or SEARCHED_POINTS, for its pose to be found by it
 
 
@@ -112,6 +118,7 @@ class Tracker:
     def __init__(self, noise: OdometryNoise) -> None:
         self._noise = noise
         self._firm: Place | None = None
+        self._step = np.zeros(3)  # from the scan before last to the last
         self._misfits = 0  # scans in a row
         self._last_fit = 0.0  # of the last scan that was placed
         # Where the robot was before its last pose was searched for: odometry may make up for what it missed in a step,
@@ -143,16 +150,18 @@ class Tracker:
         assert self._firm is not None
         prior = self._prior(odometry)
         after_search = self._left is not None
-        predictions = self._predictions(odometry)
+        predictions, leads = self._predictions(odometry)
         fits = [around.lay(scan, prediction, prior) for prediction in predictions]
-        best = int(np.argmax([fit.both for fit in fits]))
-        if not after_search and fits[best].both <= fits[0].both + CLEARLY_BETTER:
-            best = 0
+        best = int(np.argmax([fit.both - lead for fit, lead in zip(fits, leads, strict=True)]))
         fit = fits[best]
+        if fit.registration.explained < POORLY_EXPLAINED:
+            beside = [around.lay(scan, se2.compose(predictions[0], offset), prior) for offset in BESIDE]
+            fit = max([fit, *(other for other in beside if other.both > fit.both + BETTER)], key=lambda one: one.both)
         bears_out = after_search and best < len(predictions) - 1
         if _shows_too_little(scan) and len(around.landmarks.walls):
             return self._placement(fit, Hold.BLIND, prior)
         if fit.believable or not len(around.landmarks.walls):
+            self._step = se2.between(self._firm.pose, fit.registration.pose)
             self.move_to(fit.registration.pose, odometry)
             return self._placement(fit, Hold.FIRM, prior, bears_out)
         searched = self._search(scan, around, predictions[-1], fit.like)
@@ -172,16 +181,25 @@ class Tracker:
             self._last_fit = fit.both
         return Placement(fit.registration, hold, covariance, bears_out_search, abrupt)
 
-    def _predictions(self, odometry: se2.Pose) -> list[se2.Pose]:
-        """Where the base may be: as odometry has it; where it was, if odometry may just be making up for what it
-        missed; and, if the last pose was searched for, as odometry has it from where the robot was before."""
+    def _predictions(self, odometry: se2.Pose) -> tuple[list[se2.Pose], list[float]]:
+        """Where the base may be, and by how much better than as odometry has it a scan must fit there.
+
+        That is as odometry has it; where an even motion would have led, if odometry's step is uneven; where the base
+        was, if odometry may just be making up for what it missed; and, if the last pose was searched for, as odometry
+        has it from where the robot was before.
+        """
         assert self._firm is not None
-        predictions = [self._firm.predict(odometry)]
+        predictions, leads = [self._firm.predict(odometry)], [0.0]
+        step = se2.between(self._firm.odometry, odometry)
+        unlike = se2.between(self._step, step)
+        if np.hypot(unlike[0], unlike[1]) > UNEVEN or abs(unlike[2]) > UNEVEN_TURN:
+            predictions.append(se2.compose(self._firm.pose, self._step))
+            leads.append(BETTER)
         if self._left is not None:
-            return [*predictions, self._firm.pose, self._left.predict(odometry)]
-        if way_of(se2.between(self._firm.odometry, odometry)) > LARGE_STEP:
-            predictions.append(self._firm.pose)
-        return predictions
+            return [*predictions, self._firm.pose, self._left.predict(odometry)], [*leads, 0.0, 0.0]
+        if way_of(step) > LARGE_STEP:
+            return [*predictions, self._firm.pose], [*leads, CLEARLY_BETTER]
+        return predictions, leads
 
     def _search(self, scan: ScanFeatures, around: Surroundings, near: se2.Pose, like: float) -> se2.Pose | None:
         """A pose where the scan's points lie clearly better than they do (`like`) where it was expected."""

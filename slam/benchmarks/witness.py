@@ -50,9 +50,10 @@ class Witness:
     def __init__(self, simulation: Simulation) -> None:
         self._path, self._walls = simulation.path, true_walls(simulation.world, np.zeros(3))
         self._tracked = np.zeros(3)  # where the robot was believed to be, before a closure could move it
-        self._estimate: list[se2.Pose] = []
-        self._truth: list[se2.Pose] = []
-        self._ways: list[float] = []
+        # Of the keyframes that were told of. A robot that was lost makes some that are not.
+        self._estimate: dict[int, se2.Pose] = {}
+        self._truth: dict[int, se2.Pose] = {}
+        self._ways: dict[int, float] = {}
         self._kept: dict[int, int] = {}
         self._sightings: dict[int, dict[int, list[tuple[float, float]]]] = defaultdict(lambda: defaultdict(list))
         self.decided: list[Decided] = []
@@ -66,7 +67,7 @@ class Witness:
             case KeyframeAdded():
                 self._add(event)
             case MapUpdated():
-                self._estimate = list(event.keyframes)
+                self._estimate = dict(enumerate(event.keyframes))
             case LinesMerged():
                 self._kept[event.absorbed] = event.kept
             case LoopDecided():
@@ -74,19 +75,21 @@ class Witness:
 
     def _add(self, event: KeyframeAdded) -> None:
         truth = self._path.at(np.array([event.stamp]))[0]
-        step = np.hypot(*(truth - self._truth[-1])[:2]) if self._truth else 0.0
-        self._estimate.append(event.pose)
-        self._truth.append(truth)
-        self._ways.append((self._ways[-1] if self._ways else 0.0) + float(step))
-        gap = np.hypot(*(np.array(self._truth)[:, :2] - truth[:2]).T)
-        gap[np.array(self._ways) > self._ways[-1] - AWAY] = np.inf
+        before = max(self._truth, default=None)
+        step = 0.0 if before is None else float(np.hypot(*(truth - self._truth[before])[:2]))
+        way = step if before is None else self._ways[before] + step
+        self._estimate[event.index], self._truth[event.index], self._ways[event.index] = event.pose, truth, way
+        told = np.array(list(self._truth))
+        gap = np.hypot(*(np.array(list(self._truth.values()))[:, :2] - truth[:2]).T)
+        gap[np.array(list(self._ways.values())) > way - AWAY] = np.inf
         if gap.min() < SAME_PLACE:
-            earlier = int(gap.argmin())
+            earlier = int(told[gap.argmin()])
             self.visits.append(Visit(event.index, earlier, self._motion_error(earlier, event.index, event.pose)[0]))
         self._see(event, truth)
 
     def _motion_error(self, old: int, keyframe: int, pose: se2.Pose) -> tuple[float, float]:
         """By how much (metres, radians) the motion from one keyframe to another at `pose` is off the true one."""
+        old = max(told for told in self._truth if told <= old)
         estimated = se2.between(self._estimate[old], pose)
         true = se2.between(self._truth[old], self._truth[keyframe])
         errors = motion_errors(estimated[None], true[None])
@@ -108,13 +111,13 @@ class Witness:
 
     def joined(self, finished: Finished, within: float) -> float:
         """Share of the visits after which the final map has the two keyframes within some metres of the truth."""
-        self._estimate = list(finished.keyframes)
+        self._estimate = dict(enumerate(finished.keyframes))
         errors = [self._motion_error(v.earlier, v.keyframe, self._estimate[v.keyframe])[0] for v in self.visits]
         return float(np.mean(np.array(errors) < within)) if errors else 1.0
 
     def ate(self, finished: Finished) -> float:
         """Metres, root mean square of the keyframes' positions after alignment with the truth."""
-        estimate, truth = finished.keyframes[:, :2], np.array(self._truth)[:, :2]
+        estimate, truth = finished.keyframes[:, :2], self._path.at(finished.keyframe_stamps)[:, :2]
         left = se2.transform(align(estimate, onto=truth), estimate) - truth
         return float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
 

@@ -26,7 +26,7 @@ WAY = 15.0  # metres of driving that a closure is on probation
 INTERVAL = 1.5  # metres between two examinations
 # Share of the wall length seen since then that old walls would have hidden, beyond what they would have had the loop
 # not been closed: doors open, and things are moved.
-MORE_SEEN_THROUGH = 0.10
+MORE_SEEN_THROUGH = 0.30
 IN_A_ROW = 2  # examinations that must say so: a door opens, a person stands somewhere
 
 

@@ -19,6 +19,7 @@ LEAST_MATCHES = 4  # walls
 LEAST_GAIN = 3.0  # metres of wall that must fall on old walls more than if nothing moved
 LEAST_LENGTH = 6.0  # metres of wall that must fall on old walls
 WORST_SIGMA = 0.07  # metres: the motion must be determined in every direction, which parallel walls alone never do
+LIKELY_PART = 0.5  # of what drift may have done at most: next to a motion within it, one beyond the most is no rival
 RUNNER_UP = 0.85  # a different motion that explains this share of what the best one does makes the place ambiguous
 # Share of the wall length seen that could not have been seen through the old walls. Doors open and things are moved:
 # what contradicts staying put as much says nothing against moving.
@@ -53,17 +54,16 @@ def verify(
     """
     best = hypotheses[1]
     gain = best.length - hypotheses[0].length
+    shift, turn, part = _driftwise(best, old, pose)
     rivals = [h for h in hypotheses if h is not best and distinct(h.motion, best.motion, pose)]
+    if part <= LIKELY_PART:
+        rivals = [h for h in rivals if _driftwise(h, old, pose)[2] <= 1.0]
     runner_up = max((_rivalry(rival, best) for rival in rivals), default=0.0)
     matches, sigma = _matches(best), _sigma(best)
-    moved = se2.between(pose, se2.compose(best.motion, pose))
-    shift, turn = float(np.hypot(moved[0], moved[1])), abs(float(moved[2]))
-    matched = best.matches[best.matches >= 0]
-    reachable = shift <= old.translation[matched].max(initial=0.0) and turn <= old.rotation[matched].max(initial=0.0)
     contradicted = contradiction(best.motion, old, landmarks, views)
     allowed = max(MOST_CONTRADICTED, contradiction(hypotheses[0].motion, old, landmarks, views))
     tests = (
-        (reachable, f"{shift:.1f} m and {np.degrees(turn):.0f} degrees are farther than drift leads"),
+        (part <= 1.0, f"{shift:.1f} m and {np.degrees(turn):.0f} degrees are farther than drift leads"),
         (best.explained >= LEAST_EXPLAINED, f"explains {best.explained:.0%} < {LEAST_EXPLAINED:.0%}"),
         (best.length >= LEAST_LENGTH, f"{best.length:.1f} m of wall < {LEAST_LENGTH:.0f} m"),
         (gain >= LEAST_GAIN, f"{gain:.1f} m of wall more than staying < {LEAST_GAIN:.0f} m"),
@@ -74,6 +74,15 @@ def verify(
     )
     reason = next((text for passed, text in tests if not passed), "")
     return Verdict(not reason, reason or "all tests passed", best.explained, matches, runner_up, sigma, contradicted)
+
+
+def _driftwise(hypothesis: Hypothesis, old: OldMap, pose: se2.Pose) -> tuple[float, float, float]:
+    """Metres and radians by which the robot would move, and which part that is of what drift may have done at most."""
+    moved = se2.between(pose, se2.compose(hypothesis.motion, pose))
+    shift, turn = float(np.hypot(moved[0], moved[1])), abs(float(moved[2]))
+    matched = hypothesis.matches[hypothesis.matches >= 0]
+    translation, rotation = old.translation[matched].max(initial=1e-9), old.rotation[matched].max(initial=1e-9)
+    return shift, turn, max(shift / translation, turn / rotation)
 
 
 def _rivalry(rival: Hypothesis, best: Hypothesis) -> float:

@@ -166,7 +166,7 @@ def test_the_path_goes_through_the_scans_and_does_not_jump() -> None:
     for k, stamp in enumerate(stamps):  # the map is turned against the odometry, which drifts
         true = se2.compose([5.0, -2.0, 2.5], on_circle(stamp) + np.array([0.02 * stamp, 0.0, 0.01 * stamp]))
         keyframes.append(se2.compose(true, random.normal(0, 0.1, 3)))
-        path.add(float(stamp), k, se2.between(keyframes[k], true))
+        path.add(float(stamp), k, se2.between(keyframes[k], true), np.eye(3))
     at, poses = path.at_odometry(np.array(keyframes), told)
     np.testing.assert_array_equal(at, told.stamps)
     scan_stamps, scan_poses = path.at_scans(np.array(keyframes))
@@ -181,7 +181,7 @@ def test_the_path_goes_through_the_scans_and_does_not_jump() -> None:
 
 def test_one_scan_is_path_enough() -> None:
     told, path = history(), Path()
-    path.add(0.55, 0, np.array([1.0, 0.0, 0.0]))
+    path.add(0.55, 0, np.array([1.0, 0.0, 0.0]), np.eye(3))
     _, poses = path.at_odometry(np.array([[1.0, 1.0, np.pi / 2]]), told)
     there = se2.compose([1.0, 2.0, np.pi / 2], se2.between(told.at(0.55), told.at(0.0)))
     np.testing.assert_allclose(poses[0], there, atol=1e-9)
