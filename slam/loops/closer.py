@@ -12,13 +12,12 @@ from drivers import se2
 from ..mapper import Mapper
 from .constellation import OLD_WAY, Constellation, Integers, OldMap, recent_and_old
 from .proposal import Hypothesis, distinct, propose
-from .verification import Verdict, verify
+from .verification import NEAR, Verdict, verify
 
 INTERVAL = 1.5  # metres of driving between two looks
 LEAST_NEW = 4.0  # metres of new wall in the constellation: where all has long been known, there is nothing to close
 AGREEMENT, AGREEMENT_TURN = 0.3, np.radians(3.0)  # by which two looks at different places may differ
 LEAST_FRESH = 6.0  # metres of wall on which a second look must rest that the first did not: else it is the same look
-NEAR = 1.0  # metres: of motions shorter than this the second look may be the same. No building repeats itself so soon
 MEMORY = 25.0  # metres of driving after which a look no longer counts
 CARRYING_SIGMAS = np.array([0.01, 0.01, np.radians(0.2)])  # of the relative pose that only carries the map over
 LEAST_MERGED = 0.5  # share of the matched walls that must come together
