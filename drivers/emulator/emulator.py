@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..bases.readings import Velocity
+from ..clock import day_offset
 from ..errors import RecordingError
 from ..lidars import ld06
 from ..simulator import Lidar, warm_up
@@ -46,6 +47,7 @@ class Emulator:
 
     setup   what was asked for
     begun   the host's steady clock (seconds) at time zero
+    day     the time of day then (seconds since 1970), on which the truth is stamped
     motion  the robot's true motion
 
     Raises RecordingError where there is no such world or a file cannot be written, PortError where a port cannot be
@@ -56,6 +58,7 @@ class Emulator:
         self.setup = setup
         warm_up()  # takes seconds the first time, and must not once time runs
         self.begun = clocks.monotonic() if begun is None else begun
+        self.day = self.begun + day_offset()
         self._world = setup.world if isinstance(setup.world, World) else load_world(setup.world)
         self._pilot = CommandedPilot(self._world)
         self.motion = Motion(self._world, PathPilot(self._world) if setup.drive == "path" else self._pilot)
@@ -68,7 +71,7 @@ class Emulator:
         with ExitStack() as opening:
             self._keyboard = opening.enter_context(Keyboard()) if setup.drive == "keyboard" else None
             self._truth = (
-                opening.enter_context(TruthFile(setup.truth, self.motion, self.begun)) if setup.truth else None
+                opening.enter_context(TruthFile(setup.truth, self.motion, self.day)) if setup.truth else None
             )
             self.lidar = self._link(opening, "lidar", self._lidar(optics), noises[:2])
             self.base = self._link(opening, "base", self._base(wheels, gyro), noises[2:])
@@ -141,12 +144,12 @@ class Emulator:
             clocks.sleep(min(max(pause, LEAST_PAUSE), MOST_PAUSE))
 
     def report(self) -> dict[str, Any]:
-        """What happened so far, as plain values; `seconds` counts from `begun`, which is on the host's steady clock."""
+        """What happened so far, as plain values; `begun` is the time of day (seconds since 1970) from which `seconds` counts."""
         setup = self.setup
         return {
             "world": self._world.name,
             "seed": setup.seed,
-            "begun": self.begun,
+            "begun": self.day,
             "seconds": self._time,
             "mount": list(setup.mount),
             "lidar": self.lidar.report(),
