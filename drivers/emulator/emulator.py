@@ -70,9 +70,7 @@ class Emulator:
         optics, wheels, gyro, *noises = np.random.default_rng(setup.seed).spawn(7)
         with ExitStack() as opening:
             self._keyboard = opening.enter_context(Keyboard()) if setup.drive == "keyboard" else None
-            self._truth = (
-                opening.enter_context(TruthFile(setup.truth, self.motion, self.day)) if setup.truth else None
-            )
+            self._truth = opening.enter_context(TruthFile(setup.truth, self.motion, self.day)) if setup.truth else None
             self.lidar = self._link(opening, "lidar", self._lidar(optics), noises[:2])
             self.base = self._link(opening, "base", self._base(wheels, gyro), noises[2:])
             if setup.report is not None:
@@ -144,7 +142,7 @@ class Emulator:
             clocks.sleep(min(max(pause, LEAST_PAUSE), MOST_PAUSE))
 
     def report(self) -> dict[str, Any]:
-        """What happened so far, as plain values; `begun` is the time of day (seconds since 1970) from which `seconds` counts."""
+        """What happened so far, as plain values; `seconds` counts from `begun`, seconds since 1970."""
         setup = self.setup
         return {
             "world": self._world.name,
