@@ -23,6 +23,7 @@ from .emulate import emulate
 from .evaluate import evaluate
 from .features import features
 from .info import info
+from .live import live
 from .optimize import optimize
 from .record import record
 from .replay import replay
@@ -78,6 +79,7 @@ def wclm(
 
 app.command()(demo)
 app.command()(run)
+app.command()(live)
 app.command()(optimize)
 app.command()(info)
 app.command()(simulate)

@@ -43,9 +43,9 @@ def attended(acquisition: Acquisition, seconds: float | None, look: Callable[[Sn
 
 
 @contextmanager
-def stopping(acquisition: Acquisition) -> Iterator[None]:
+def stopping(acquisition: Acquisition, saying: str = "") -> Iterator[None]:
     """Ctrl-C and being told to terminate stop the devices, and what is inside the context goes on to its end; a second
-    Ctrl-C interrupts it.
+    Ctrl-C interrupts it. `saying` is told when it comes to that.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -53,6 +53,8 @@ def stopping(acquisition: Acquisition) -> Iterator[None]:
 
     def stop(*_: Any) -> None:
         acquisition.stop()
+        if saying:
+            complain(saying)
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
     before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
@@ -124,6 +126,13 @@ class Monitor:
                     for name, count in device.counters.items()
                 }
             self._earlier = (now, snapshot)
+
+
+def troubles_in_words(counters: Mapping[str, int]) -> list[str]:
+    """What went wrong with a device, as `checksum failures 3`."""
+    from drivers.devices.session import troubles
+
+    return [f"{name.replace('_', ' ')} {count}" for name, count in troubles(counters).items()]
 
 
 def counters_table(snapshot: Snapshot, rates: Rates) -> RenderableType:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .console import OverwriteOption
+from .console import DurationOption, OverwriteOption
 
 if TYPE_CHECKING:
     from drivers.devices.acquisition import Acquisition, Snapshot
@@ -24,9 +24,7 @@ def record(
     file: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="The recording to write.")],
     lidar: LidarOption = None,
     base: BaseOption = None,
-    duration: Annotated[
-        float | None, typer.Option("--duration", min=0.0, help="Seconds; without it until Ctrl-C.")
-    ] = None,
+    duration: DurationOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:
     """Record a lidar and a wheel base until Ctrl-C. Whatever happens, what is older than a second is in the file.
