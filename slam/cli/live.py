@@ -54,11 +54,11 @@ def live(
         bool, typer.Option("--serve/--no-serve", help="Let viewers look on; needs the log for the viewer.")
     ] = True,
     address: Annotated[
-        str, typer.Option("--address", help="Where viewers may come from: 0.0.0.0 is anywhere; else this computer.")
+        str, typer.Option("--address", help="Where viewers connect: 0.0.0.0 lets other computers in.")
     ] = "127.0.0.1",
     port: Annotated[
         int | None,
-        typer.Option("--port", min=1, max=65535, help="Where viewers connect; 9876, or another if that is taken."),
+        typer.Option("--port", min=1, max=65535, help="Where viewers connect; 9877, or another if that is taken."),
     ] = None,
     plot: PlotOption = False,
 ) -> None:
@@ -115,6 +115,7 @@ class Drive:
         self._acquisition = Acquisition(specs)
         self._recording, self._duration, self._server = recording, duration, server
         self._recorder: Recorder | None = None
+        self._recorded = None if recording is None else {"file": str(recording), "problem": ""}
         self._dashboard = Dashboard()
         self.sinks: Sequence[Sink] = (self._dashboard,)
 
@@ -132,10 +133,10 @@ class Drive:
             yield self._messages()
 
     def facts(self) -> dict[str, Any]:
-        """How the devices did."""
+        """How the devices did, and what became of the recording."""
         told = ("spec", "identity", "port", "problem", "counters")
         devices = [{name: getattr(device, name) for name in told} for device in self._acquisition.snapshot.devices]
-        return {"devices": devices, "recorded": None if self._recording is None else str(self._recording)}
+        return {"devices": devices, "recorded": self._recorded}
 
     def _greet(self) -> None:
         for device in self._acquisition.snapshot.devices:
@@ -174,10 +175,10 @@ class Drive:
         """Do something with the recorder, if there is one; the map is worth more than that it works."""
         from drivers.errors import RecordingError
 
-        if self._recorder is None:
+        if self._recorder is None or self._recorded is None:
             return
         try:
             write(self._recorder)
         except RecordingError as error:
             complain(f"{error}; the recording ends here and can be read, mapping goes on")
-            self._recorder = None
+            self._recorder, self._recorded["problem"] = None, error.reason

@@ -19,7 +19,7 @@ def viewer_command(out: Path) -> list[str]:
 
 def watching_command(url: str) -> list[str]:
     """The command that looks on at a live run's server."""
-    return [_viewer(), url]
+    return [_viewer(), "--connect", url]
 
 
 def _viewer() -> str:

@@ -12,26 +12,28 @@ from dataclasses import dataclass
 from ..errors import OutputError
 
 LOCAL, EVERYWHERE = "127.0.0.1", "0.0.0.0"
-PORT = 9876
-"""The viewer's usual one."""
+PORT = 9877
+"""Not 9876, which is the viewers' own: a viewer that finds somebody there takes it for another viewer, and sends what
+it was to show.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class ViewerServer:
-    """An address of this computer (IPv4) at which viewers may connect, and a port."""
+    """An address of this computer (IPv4) and a port at which viewers may connect."""
 
     address: str
     port: int
 
     @property
     def url(self) -> str:
-        """What a viewer is told to open: `rerun URL`."""
+        """What a viewer is told: `rerun --connect URL`."""
         host = socket.gethostname() if self.address == EVERYWHERE else self.address
         return f"rerun+http://{host}:{self.port}/proxy"
 
     @classmethod
     def at(cls, address: str = LOCAL, port: int | None = None) -> ViewerServer:
-        """At a port that is free; without one at the usual one, or where that is taken at any.
+        """At a port; None is PORT, or where that is taken any.
 
         Raises OutputError where the port is taken or this computer has no such address.
         """
