@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import time as clocks
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from types import TracebackType
 from typing import Any
@@ -136,10 +137,11 @@ class Emulator:
     def run(self, duration: float | None = None) -> None:
         """Go on in real time, for so many seconds or until it is interrupted."""
         end = math.inf if duration is None else clocks.monotonic() - self.begun + duration
-        while (now := clocks.monotonic() - self.begun) < end:
-            self.step(now)
-            pause = self.due - (clocks.monotonic() - self.begun)
-            clocks.sleep(min(max(pause, LEAST_PAUSE), MOST_PAUSE))
+        with at_once():
+            while (now := clocks.monotonic() - self.begun) < end:
+                self.step(now)
+                pause = self.due - (clocks.monotonic() - self.begun)
+                clocks.sleep(min(max(pause, LEAST_PAUSE), MOST_PAUSE))
 
     def report(self) -> dict[str, Any]:
         """What happened so far, as plain values; `seconds` counts from `begun`, seconds since 1970."""
@@ -161,3 +163,19 @@ class Emulator:
             path.write_text(json.dumps(self.report(), indent=2) + "\n", encoding="utf-8")
         except OSError as failure:
             raise RecordingError(path, None, f"cannot be written: {failure.strerror}") from failure
+
+
+@contextmanager
+def at_once() -> Iterator[None]:
+    """What is inside runs whenever it has something to do, before all other programs, if this one may have that.
+
+    Hardware does not wait for a processor. An emulator that has to, on a computer that is busy, sends later than any
+    device would, and programs take that for measurements lost on the way.
+    """
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    with suppress(PermissionError):
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(os.sched_get_priority_min(os.SCHED_RR)))
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, *before)

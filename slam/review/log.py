@@ -47,6 +47,7 @@ APPLICATION = "wclm-slam"  # the viewer keeps layouts by this name
 EPOCH_STAMPS = 1e8  # stamps above are seconds since 1970, stamps below count from the recording's own start
 NOTABLE_SHIFT = 0.1  # metres by which the path moved that are worth a line in the log
 SERVER_MEMORY = "25%"  # of the computer's: what viewers that come late are shown; older rows are in the file only
+FLUSH_PERIOD = 0.5  # seconds; live, shorter ones cost kilobytes each for their chunks, and viewers see no more
 PATH_SPACING = 0.05  # metres between points of the odometry's and the true path
 
 _THIN, _THICK = rr.Radius.ui_points(0.7), rr.Radius.ui_points(1.2)
@@ -69,7 +70,7 @@ class EventLog:
 
         Raises OutputError where the file cannot be written.
         """
-        self._stream = rr.RecordingStream(APPLICATION)
+        self._stream = rr.RecordingStream(APPLICATION, batcher_config=rr.ChunkBatcherConfig(flush_tick=FLUSH_PERIOD))
         self._stream.set_log_time_enabled(False)
         self._extent = bounds(np.empty((0, 2)))
         try:
