@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -74,11 +74,11 @@ def live(
     specs = parse_specs(lidar, base)
     if record is not None:
         check_name(record, overwrite)
-    server = _server(address, port) if review and serve else None
-    drive = Drive(specs, record, duration, server)
-    outcome = map_feed(
-        drive, effective, out, overwrite=overwrite, review=review, picture=plot, refine=refine, server=server
-    )
+    with _server(address, port) if review and serve else nullcontext() as server:
+        drive = Drive(specs, record, duration, server)
+        outcome = map_feed(
+            drive, effective, out, overwrite=overwrite, review=review, picture=plot, refine=refine, server=server
+        )
     typer.echo("\n".join(lines_for_people(outcome, out)))
     if drive.failure is not None:
         raise drive.failure
@@ -87,7 +87,7 @@ def live(
 def _server(address: str, port: int | None) -> ViewerServer:
     from ..review import ViewerServer
 
-    return ViewerServer.at(address, port)
+    return ViewerServer(address, port)
 
 
 class Drive:

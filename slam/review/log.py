@@ -236,6 +236,7 @@ def _sinks(path: Path, server: ViewerServer | None) -> list[rr.FileSink | rr.Grp
     file = rr.FileSink(path)
     if server is None:
         return [file]
+    server.release()
     return [file, rr.GrpcServerSink(server.address, server.port, server_memory_limit=SERVER_MEMORY)]
 
 

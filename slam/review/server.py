@@ -7,7 +7,9 @@ and comes again, never arrives.
 from __future__ import annotations
 
 import socket
-from dataclasses import dataclass
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Self
 
 from ..errors import OutputError
 
@@ -18,12 +20,21 @@ it was to show.
 """
 
 
-@dataclass(frozen=True, slots=True)
 class ViewerServer:
-    """An address of this computer (IPv4) and a port at which viewers may connect."""
+    """An address of this computer (IPv4) and a port at which viewers may connect; a context.
 
-    address: str
-    port: int
+    The port is held from the beginning, so that what is wrong with it shows before anything else is begun, and no
+    other program takes it; `release` gives it to the log. Raises OutputError where the port is taken or this computer
+    has no such address.
+
+    address  of this computer
+    port     None asks for PORT, or where that is taken for any
+    """
+
+    def __init__(self, address: str = LOCAL, port: int | None = None) -> None:
+        self._held = _first_free(address, (PORT, 0) if port is None else (port,))
+        self.address: str = self._held.getsockname()[0]
+        self.port: int = self._held.getsockname()[1]
 
     @property
     def url(self) -> str:
@@ -31,16 +42,25 @@ class ViewerServer:
         host = socket.gethostname() if self.address == EVERYWHERE else self.address
         return f"rerun+http://{host}:{self.port}/proxy"
 
-    @classmethod
-    def at(cls, address: str = LOCAL, port: int | None = None) -> ViewerServer:
-        """At a port; None is PORT, or where that is taken any.
+    def release(self) -> None:
+        """Let the port go; further calls do nothing."""
+        self._held.close()
 
-        Raises OutputError where the port is taken or this computer has no such address.
-        """
-        for candidate in (PORT, 0) if port is None else (port,):
-            try:
-                with socket.create_server((address, candidate)) as probe:
-                    return cls(*probe.getsockname())
-            except OSError as error:
-                failure = error
-        raise OutputError(f"{address}: viewers cannot be served at port {candidate}: {failure.strerror or failure}")
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.release()
+
+
+def _first_free(address: str, ports: Sequence[int]) -> socket.socket:
+    failures: list[OSError] = []
+    for port in ports:
+        try:
+            return socket.create_server((address, port))
+        except OSError as error:
+            failures.append(error)
+    reason = failures[-1].strerror or failures[-1]
+    raise OutputError(f"{address}: viewers cannot be served at port {ports[-1]}: {reason}")
