@@ -16,6 +16,7 @@ from drivers.errors import SlamError
 
 from . import bench_loops as bench_loops
 from .bench import bench
+from .calibrate import calibrate
 from .console import INTERRUPTED, MISTAKE, complain
 from .demo import demo
 from .devices import devices
@@ -87,6 +88,7 @@ app.command()(emulate)
 app.command()(devices)
 app.command()(record)
 app.command()(replay)
+app.command()(calibrate)
 app.command("eval")(evaluate)
 app.command()(features)
 app.add_typer(bench, name="bench")
