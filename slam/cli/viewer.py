@@ -19,7 +19,7 @@ def viewer_command(out: Path) -> list[str]:
 
 def watching_command(url: str) -> list[str]:
     """The command that looks on at a live run's server."""
-    return [_viewer(), "--connect", url]
+    return [_viewer(), "--bind", "127.0.0.1", "--connect", url]  # viewers listen, too, and everywhere unless told
 
 
 def _viewer() -> str:

@@ -57,8 +57,12 @@ def test_damage_an_unplugged_lidar_and_one_that_restarts(tmp_path: Path) -> None
     lidar, base = run.counters(0), run.counters(1)
     assert (report["lidar"]["unplugs"], report["lidar"]["restarts"]) == (1, 1)
     assert (lidar["connections"], lidar["losses"]) == (3, 2)
-    assert lidar["checksum_failures"] + lidar["bytes_skipped"] > 0
-    assert base["bad"] + base["skipped"] > 0
+    # A fault damages one packet, seldom two; and two faults may damage the same one.
+    damaged = sum(report["lidar"][kind] for kind in ("dropped", "inserted", "flipped"))
+    assert 0.9 * damaged < lidar["checksum_failures"] < 1.1 * damaged
+    spoilt = sum(report["base"][kind] for kind in ("dropped", "inserted", "flipped"))
+    assert 0.5 * spoilt <= report["base"]["readings"] - base["good"] <= 1.5 * spoilt + 5
+    assert base["bad"] + base["lost"] >= 0.5 * spoilt
     assert base["losses"] == 0
 
 
