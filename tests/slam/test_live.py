@@ -26,9 +26,11 @@ from drivers.mcap import Mcap
 from drivers.messages import Odometry, Scan
 from slam.cli.console import MISTAKE
 from slam.cli.dashboard import Dashboard
+from slam.errors import OutputError
 from slam.evaluation import score_reference
 from slam.events import Noticed, ScanTracked, StateChanged
 from slam.outputs import CONFIG, MAP, REVIEW, SUMMARY, TRAJECTORY
+from slam.review import ViewerServer
 from slam.trajectory import read_tum
 
 from .robot import LiveRun, Robot, wait_for
@@ -158,6 +160,17 @@ def test_viewers_come_late_and_see_everything(driven: Driven) -> None:
 
 def test_viewers_of_other_computers_are_not_let_in(driven: Driven) -> None:
     assert not driven.elsewhere
+
+
+def test_viewers_get_a_port_of_their_own() -> None:
+    with ViewerServer() as first, ViewerServer() as second, ViewerServer("0.0.0.0") as public:
+        assert len({first.port, second.port, public.port}) == 3
+        assert second.url == f"rerun+http://127.0.0.1:{second.port}/proxy"
+        assert public.url == f"rerun+http://{socket.gethostname()}:{public.port}/proxy"
+        with pytest.raises(OutputError, match="in use"):
+            ViewerServer(port=second.port)
+        second.release()
+        ViewerServer(port=second.port).release()
 
 
 def test_devices_that_break_down_cost_nothing_that_was_measured(tmp_path: Path) -> None:
