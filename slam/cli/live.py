@@ -71,6 +71,8 @@ def live(
     from .session import map_feed
 
     effective = load_config(config, settings or ())
+    if not (lidar and base):
+        raise typer.BadParameter("SLAM needs a lidar and a base", param_hint="--lidar / --base")
     specs = parse_specs(lidar, base)
     if record is not None:
         check_name(record, overwrite)
