@@ -156,7 +156,9 @@ class Drive:
 
         with ExitStack() as stack:
             if self._recording is not None:
-                self._recorder = Recorder(stack.enter_context(McapWriter(self._recording, overwrite=True)))
+                writer = McapWriter(self._recording, overwrite=True)
+                self._recorder = Recorder(writer)
+                stack.callback(self._record, lambda _: writer.close())
             monitor = stack.enter_context(Monitor(self._dashboard.draw))
 
             def look(snapshot: Snapshot) -> None:
