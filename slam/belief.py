@@ -89,6 +89,11 @@ class Belief:
         """Whether the robot is not where it was believed to be: too many sightings in a row fit nowhere."""
         return self._tracker.lost
 
+    @property
+    def in_familiar_place(self) -> bool:
+        """Whether the robot goes through a familiar place, where the map stays as it is."""
+        return self._anchor is not None and self._anchor.keyframe != self.mapper.keyframe_count - 1
+
     def place(self, sighting: Sighting, clock: Clock) -> Placement:
         """Find where the robot was."""
         around = Surroundings(self._local_map, self._point_field, self.mapper.flatness.variance)

@@ -3,10 +3,16 @@
 For errors e of k dimensions and their covariances P, e' P^-1 e follows a chi-square distribution with k degrees of
 freedom if the covariances are right (Bar-Shalom, Li, Kirubarajan, Estimation with Applications, 2001, section 5.4).
 A mean above its band says that the estimate is overconfident, below that it is needlessly cautious.
+
+The band of a mean holds for independent values. Those of one run are not: an error that the first keyframe makes is in
+all that follow. So a run counts as one draw, with the mean of its values, whose expectation is still k. The chi-square
+band for one value a run then holds whatever the correlation within runs, since the mean of correlated values scatters
+at most as much as one of them. How much the runs' means did scatter is told beside it, as the standard error.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
 
@@ -24,7 +30,8 @@ Floats = NDArray[np.float64]
 class Consistency:
     """The mean of `count` NEES values of `dimensions` degrees of freedom, and the band it should lie in.
 
-    The band holds for independent values: take them from different runs, or far apart within one.
+    The band holds for independent values: take them from different runs, as `run_consistency` does. `standard_error` is
+    that of the mean, as the values scatter; NaN for a single one.
     """
 
     mean: float
@@ -32,6 +39,7 @@ class Consistency:
     high: float
     count: int
     dimensions: int
+    standard_error: float
 
     @property
     def consistent(self) -> bool:
@@ -75,7 +83,14 @@ def consistency(values: Floats, dimensions: int, probability: float = 0.95) -> C
         raise MapError("there is no NEES value to take the mean of")
     degrees = len(values) * dimensions
     low, high = (chi_square_quantile(p, degrees) / len(values) for p in (0.5 - probability / 2, 0.5 + probability / 2))
-    return Consistency(float(np.mean(values)), low, high, len(values), dimensions)
+    error = float(np.std(values, ddof=1)) / len(values) ** 0.5 if len(values) > 1 else float("nan")
+    return Consistency(float(np.mean(values)), low, high, len(values), dimensions, error)
+
+
+def run_consistency(runs: Sequence[Floats], dimensions: int, probability: float = 0.95) -> Consistency:
+    """The same for NEES values (n,) of several runs, each of which counts as one draw; NaN values are left out."""
+    means = [float(np.nanmean(values)) for values in runs if np.isfinite(values).any()]
+    return consistency(np.array(means), dimensions, probability)
 
 
 def chi_square_quantile(probability: float, degrees: int) -> float:

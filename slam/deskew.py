@@ -14,6 +14,7 @@ import numpy as np
 from drivers import se2
 from drivers.messages import Scan
 
+from .config import LidarConfig
 from .odometry import OdometryHistory, OdometryNoise, way_of
 from .segments import CornerPoints, Floats, Segments
 
@@ -21,9 +22,10 @@ if TYPE_CHECKING:
     from features.types import Lines
 
 KNOTS = 8  # poses along the sweep between which the motion is taken as constant; a revolution of a slow lidar is 0.1 s
-# Of the variance of heading that the odometry's random walk has over a sweep. The walk is learned from keyframe to
-# keyframe, ten times as far, and part of it grows with the way itself; with this share simulations are consistent.
-SWEEP_TURN_SHARE = 0.25
+# Metres of way that odometry must claim over a sweep to be believed. Less is the jitter of its readings while the robot
+# stands: a fifth of a millimetre at either wheel looks like a milliradian of turning, which would bend the scan, and
+# the first keyframe, which the whole map hangs on, is nearly always taken standing.
+LEAST_WAY = 2e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +60,13 @@ def middle_of(scan: Scan) -> float:
     return scan.stamp + 0.5 * scan.duration
 
 
+def mount_of(scan: Scan, lidar: LidarConfig) -> se2.Pose:
+    """Where the lidar stands on the base [x, y, heading]: as configured, else as the recording states, else zero."""
+    if lidar.mount is not None:
+        return np.array(lidar.mount)
+    return np.zeros(3) if scan.mount is None else scan.mount
+
+
 def deskew(scan: Scan, odometry: OdometryHistory, mount: se2.Pose) -> Sweep:
     """Move every beam of a scan to the middle of its sweep, with the motion that odometry saw."""
     duration = scan.duration
@@ -66,12 +75,15 @@ def deskew(scan: Scan, odometry: OdometryHistory, mount: se2.Pose) -> Sweep:
     middle = middle_of(scan)
     offsets = np.linspace(0.0, duration, KNOTS)
     moves = se2.between(odometry.at(middle), odometry.at_each(scan.stamp + offsets))
+    ways = np.array([way_of(move) for move in moves])
+    if ways[0] + ways[-1] < LEAST_WAY:
+        return Sweep(middle, scan.ranges, scan.angles, np.zeros(len(scan.ranges)))
     lidars = se2.between(mount, se2.compose(moves, mount))
     turned = scan.angles + np.interp(scan.time_offsets, offsets, np.unwrap(lidars[:, 2]))
     x = np.interp(scan.time_offsets, offsets, lidars[:, 0]) + scan.ranges * np.cos(turned)
     y = np.interp(scan.time_offsets, offsets, lidars[:, 1]) + scan.ranges * np.sin(turned)
     shift = se2.wrap(np.arctan2(y, x) - turned)
-    way = np.interp(scan.time_offsets, offsets, np.array([way_of(move) for move in moves]))
+    way = np.interp(scan.time_offsets, offsets, ways)
     return Sweep(middle, np.hypot(x, y), turned + np.where(np.isfinite(shift), shift, 0.0), way)
 
 
@@ -83,7 +95,6 @@ def loosen(
         return segments, corners
     middle = np.where(lines.last >= lines.first, (lines.first + lines.last) // 2, 0)
     translation, rotation = noise.variances(sweep.way[middle])
-    rotation = SWEEP_TURN_SHARE * rotation
     across = np.column_stack([-np.sin(segments.frame[:, 2]), np.cos(segments.frame[:, 2])])
     lever = across[:, 1] * segments.frame[:, 0] - across[:, 0] * segments.frame[:, 1]
     covariance = segments.covariance.copy()

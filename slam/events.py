@@ -200,7 +200,10 @@ class StateChanged:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Finished:
-    """The run is over; the final map with the covariances of its marginals, and the path at every odometry stamp."""
+    """The run is over; the final map with the covariances of its marginals, and the path at every odometry stamp.
+
+    keyframe_covariance (k, 3, 3), each in the keyframe's own frame, of the final estimate; None where nobody asked.
+    """
 
     lines: MapLines
     corners: MapCorners
@@ -209,6 +212,7 @@ class Finished:
     stamps: Floats
     poses: Floats
     summary: dict[str, object] = field(default_factory=dict)
+    keyframe_covariance: Floats | None = None
 
 
 Event: TypeAlias = (

@@ -15,7 +15,8 @@ import numpy as np
 from .segments import Floats
 
 WINDOW = 1000  # numbers, two an observation: some fifty keyframes
-START = 0.001**2  # metres squared; assumed at first
+# Metres squared; assumed at first. Little, for what is assumed stays with the first keyframes, on which the map hangs.
+START = 0.0003**2
 ENOUGH = 200  # numbers after which only what was seen counts
 NORMAL_MEDIAN = 0.4549  # median of a squared standard normal variable
 

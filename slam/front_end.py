@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,14 +12,21 @@ from drivers.messages import Odometry, Scan
 from features import Features
 
 from .config import Config
-from .deskew import Sweep, deskew, loosen
+from .deskew import Sweep, deskew, loosen, mount_of
 from .extraction import build_extractor
 from .odometry import OdometryHistory, OdometryNoise
 from .point_field import MOST_POINTS, ScanPoints, thinned
 from .registration import ScanFeatures
-from .segments import corner_points, segments_from_lines
+from .segments import CornerPoints, Segments, corner_points, segments_from_lines
 
 LONGEST_WAIT = 20  # scans that wait for the odometry to catch up before they are taken without
+
+
+NOTHING_SEEN = ScanFeatures(
+    Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2))),
+    CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2))),
+    ScanPoints(np.zeros((0, 2)), np.zeros((0, 2))),
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,12 +37,16 @@ class Sighting:
     odometry: se2.Pose
     seen: ScanFeatures
 
+    def without_view(self) -> Sighting:
+        """That there was a scan; what it showed is not kept."""
+        return replace(self, seen=NOTHING_SEEN)
+
 
 class FrontEnd:
     """Takes scans and odometry, gives sightings."""
 
     def __init__(self, config: Config) -> None:
-        self._mount = None if config.lidar.mount is None else np.array(config.lidar.mount)
+        self._lidar = config.lidar
         self._extractor = build_extractor(config)
         self._waiting: deque[Scan] = deque()
         self.odometry = OdometryHistory()
@@ -71,16 +82,11 @@ class FrontEnd:
 
     def sight(self, scan: Scan, odometry_noise: OdometryNoise) -> Sighting:
         """Straighten a scan and condense it into walls and corners, and points that are on neither."""
-        mount = self._mount_of(scan)
+        mount = mount_of(scan, self._lidar)
         sweep = deskew(scan, self.odometry, mount)
         features = self._extractor.extract(sweep.ranges, sweep.bearings)
         seen = _in_base_frame(sweep, features, mount, odometry_noise)
         return Sighting(sweep.stamp, self.odometry.at(sweep.stamp), seen)
-
-    def _mount_of(self, scan: Scan) -> se2.Pose:
-        if self._mount is not None:
-            return self._mount
-        return np.zeros(3) if scan.mount is None else scan.mount
 
 
 def _in_base_frame(sweep: Sweep, features: Features, mount: se2.Pose, odometry_noise: OdometryNoise) -> ScanFeatures:

@@ -18,7 +18,10 @@ TRACK = (
 )
 LEAST_WAY = 0.05  # metres: shorter motions say more of registration than of the wheels
 WINDOW = 200  # motions
-START_COUNT = 10  # motions that the configured values count for
+# Motions that the configured values count for, in the geometric mean: they may be wrong by a factor, and in an
+# arithmetic one a start that is five times too large would still rule after a hundred motions.
+START_COUNT = 10
+LEAST_RATE = 1e-8  # of variance; no wheels err by less than a tenth of a millimetre or of a milliradian in a metre
 NORMAL_MEDIAN = 0.4549  # median of a squared standard normal variable
 PLANE_MEDIAN = 1.3863  # of the sum of two
 
@@ -99,9 +102,9 @@ class OdometryNoise:
         error = se2.between(claimed, found)
         squared = error[0] ** 2 + error[1] ** 2
         self._samples.append((squared / (PLANE_MEDIAN * way**2), error[2] ** 2 / (NORMAL_MEDIAN * way)))
-        observed = np.median(np.array(self._samples), axis=0)
-        count = len(self._samples)
-        self._rates = (count * observed + START_COUNT * self._start) / (count + START_COUNT)
+        observed = np.maximum(np.median(np.array(self._samples), axis=0), LEAST_RATE)
+        trust = len(self._samples) / (len(self._samples) + START_COUNT)
+        self._rates = np.maximum(self._start, LEAST_RATE) ** (1 - trust) * observed**trust
 
     def variances(self, way: Floats) -> tuple[Floats, Floats]:
         """Variances (...,) of translation along each axis and of heading after `way` metres (...,)."""

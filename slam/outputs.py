@@ -18,19 +18,27 @@ import numpy as np
 from .config import Config, config_to_toml
 from .errors import OutputError
 from .events import Finished
+from .keyframes import Keyframes, write_keyframes
 from .mapfile import write_map
 from .trajectory import Trajectory, write_tum
 
 TRAJECTORY = "trajectory.tum"
 MAP = "map.json"
+KEYFRAMES = "keyframes.csv"
 CONFIG = "config.toml"
 SUMMARY = "summary.json"
 REVIEW = "review.rrd"
 PICTURE = "map.png"
+REPORT = "report.html"
 GRAPH = "graph.g2o"
 GRAPH_PICTURE = "graph.png"
-RESULTS = frozenset({TRAJECTORY, MAP, CONFIG, SUMMARY, REVIEW, PICTURE})
+EXPORTED = "map"
+POINTS = "points.ply"
+RESULTS = frozenset({TRAJECTORY, KEYFRAMES, MAP, CONFIG, SUMMARY, REVIEW, PICTURE, REPORT})
 GRAPH_RESULTS = frozenset({GRAPH, GRAPH_PICTURE, SUMMARY})
+EXPORTS = frozenset({f"{EXPORTED}.{suffix}" for suffix in ("pgm", "yaml", "geojson", "svg", "dxf")} | {POINTS})
+"""What `wclm map` adds to a run's directory; it can be made again, so it does not keep the directory from being
+replaced."""
 
 
 class OutputDirectory:
@@ -83,7 +91,7 @@ class OutputDirectory:
             raise OutputError(f"{self._shown}: cannot be read: {error.strerror or error}") from error
         if present and not self._overwrite:
             raise OutputError(f"{self._shown}: exists already; choose another directory or add --overwrite")
-        foreign = [name for name in present if name not in RESULTS | GRAPH_RESULTS]
+        foreign = [name for name in present if name not in RESULTS | GRAPH_RESULTS | EXPORTS]
         if foreign:
             raise OutputError(f"{self._shown}: holds {foreign[0]}, which is not a result of a run; not overwritten")
 
@@ -129,11 +137,15 @@ def unfinished_file(path: Path, overwrite: bool = False) -> Iterator[Path]:
 
 
 def write_results(directory: Path, finished: Finished, config: Config, summary: dict[str, Any]) -> None:
-    """Write everything but the review log, which the run itself writes: trajectory, map, settings and summary.
+    """Write everything that follows from the estimate: trajectory, keyframes, map, settings and summary.
 
     Raises MapError where the estimate has no pose or is not finite.
     """
     write_tum(directory / TRAJECTORY, Trajectory(finished.stamps, finished.poses))
+    covariance = finished.keyframe_covariance
+    if covariance is None:
+        covariance = np.full((len(finished.keyframes), 3, 3), np.nan)
+    write_keyframes(directory / KEYFRAMES, Keyframes(finished.keyframe_stamps, finished.keyframes, covariance))
     write_map(directory / MAP, finished.lines, finished.corners)
     (directory / CONFIG).write_text(config_to_toml(config), encoding="utf-8")
     write_json(directory / SUMMARY, summary)

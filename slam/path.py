@@ -7,13 +7,8 @@ from numpy.typing import NDArray
 
 from drivers import se2
 
-from .graph import smooth_chain
-from .odometry import OdometryHistory, OdometryNoise
+from .odometry import OdometryHistory
 from .segments import Floats
-
-# Of the information that a scan's placement claims: scans beside it share the errors of the walls that it is laid over.
-# On recordings a third is best by a little, a tenth and all of it are as good as each other.
-CLAIMED_SHARE = 0.3
 
 
 class Path:
@@ -35,30 +30,16 @@ class Path:
         self._relative.append(relative)
         self._informations.append(information)
 
-    def hung(self) -> tuple[Floats, NDArray[np.int64], Floats]:
-        """Stamps (n,) of the scans, keyframes (n,) they hang on, and poses (n, 3) relative to those."""
-        return np.array(self._stamps), np.array(self._keyframes), np.array(self._relative).reshape(-1, 3)
+    def hung(self) -> tuple[Floats, NDArray[np.int64], Floats, Floats]:
+        """Stamps (n,) of the scans, keyframes (n,) they hang on, poses (n, 3) relative to those, and informations."""
+        relative = np.array(self._relative).reshape(-1, 3)
+        informations = np.array(self._informations).reshape(-1, 3, 3)
+        return np.array(self._stamps), np.array(self._keyframes), relative, informations
 
     def at_scans(self, keyframe_poses: Floats) -> tuple[Floats, Floats]:
         """Stamps (n,) and poses (n, 3) of the scans, given the keyframes' poses (k, 3)."""
         relative = np.array(self._relative).reshape(-1, 3)
         return np.array(self._stamps), se2.compose(keyframe_poses[self._keyframes], relative).reshape(-1, 3)
-
-    def smoothed(self, keyframe_poses: Floats, odometry: OdometryHistory, noise: OdometryNoise) -> Path:
-        """The path made even: the poses of the scans as they and the odometry between them are likeliest together.
-
-        Where a scan was placed badly, or by little, its neighbours know better. Raises MapError.
-        """
-        stamps, poses = self.at_scans(keyframe_poses)
-        readings = odometry.at_each(stamps)
-        motions = se2.between(readings[:-1], readings[1:]).reshape(-1, 3)
-        covariances = np.array([noise.covariance(motion) for motion in motions]).reshape(-1, 3, 3)
-        informations = CLAIMED_SHARE * np.array(self._informations).reshape(-1, 3, 3)
-        even = smooth_chain(poses, informations, motions, covariances)
-        path = Path()
-        path._stamps, path._keyframes, path._informations = self._stamps, self._keyframes, self._informations
-        path._relative = list(se2.between(keyframe_poses[self._keyframes], even).reshape(-1, 3))
-        return path
 
     def at_odometry(self, keyframe_poses: Floats, odometry: OdometryHistory) -> tuple[Floats, Floats]:
         """Stamps (m,) and poses (m, 3) at every odometry reading.

@@ -18,7 +18,7 @@ from .events import Finished, MapCorners, MapLines, Noticed, ScanTracked, Sink, 
 from .front_end import FrontEnd, Sighting
 from .loops.closer import LoopCloser
 from .recovery import Excursion, Suspicion
-from .refinement import drive_of, refine
+from .refinement import drive_of, laid_path, refine
 from .reporting import Reporter
 from .segments import Floats
 from .snapshot import map_corners, map_lines
@@ -44,7 +44,8 @@ class Slam:
         refine: bool = False,
         loops: LoopCloser | None = None,
     ) -> None:
-        """`refine` asks for a second look at everything before finishing; all sightings are kept for it.
+        """`refine` asks for a second look at everything before finishing; for that, what was sighted in familiar places
+        is kept, too.
 
         `loops` looks for loops in another way than the default.
         """
@@ -54,7 +55,8 @@ class Slam:
         self._estimator = Estimator(Belief(self.config.odometry, loops))
         self._excursion: Excursion | None = None  # while the robot is lost
         self._suspicion: Suspicion | None = None  # while what it sees may belong elsewhere
-        self._journal: list[Sighting] | None = [] if refine else None
+        self._refine = refine
+        self._journal: list[Sighting] = []  # everything sighted, for looking back at the end
         self._state = StateWatch()
         self._statistics = RunStatistics()
 
@@ -75,12 +77,13 @@ class Slam:
         clock = Clock()
         sighting = self._front_end.sight(scan, self.belief.odometry_noise)
         clock.lap("features")
-        if self._journal is not None:
-            self._journal.append(sighting)
+        self._journal.append(sighting)
         if self._excursion is not None:
             self._look_for_the_way_back(self._excursion, sighting)
             return
         step = self._estimator.take(sighting, clock)
+        if self.belief.in_familiar_place and not self._refine:
+            self._journal[-1] = sighting.without_view()
         self._note(sighting, step.placement)
         if step.extension is not None:
             self._tell_keyframe(sighting, step.extension, clock)
@@ -194,12 +197,9 @@ class Slam:
             last = self._excursion.sightings[-1].stamp
             self._go_on_from(self._excursion.joined(), last, "never found again in the map; odometry has to do")
         self.belief.mapper.settle()
-        refinement = self._refine(self._journal) if self._journal else {}
-        keyframes, odometry = self.belief.mapper.trail, self._front_end.odometry
-        path = self.belief.path
-        if not refinement:
-            path = path.smoothed(keyframes, odometry, self.belief.odometry_noise)
-        stamps, poses = path.at_odometry(keyframes, odometry)
+        summary = self._summary() | self._look_back()
+        keyframes = self.belief.mapper.trail
+        stamps, poses = self.belief.path.at_odometry(keyframes, self._front_end.odometry)
         result = Finished(
             lines=map_lines(self.belief.mapper, covariances=True),
             corners=map_corners(self.belief.mapper, covariances=True),
@@ -207,24 +207,27 @@ class Slam:
             keyframes=keyframes,
             stamps=stamps,
             poses=poses,
-            summary=self._summary() | refinement,
+            summary=summary,
+            keyframe_covariance=np.array([self.keyframe_covariance(index) for index in range(len(keyframes))]),
         )
         self._reporter.tell(result)
         return result
 
-    def _refine(self, journal: Sequence[Sighting]) -> dict[str, object]:
-        """Take a second look at all sightings; what it did, for the summary."""
-        belief, last = self.belief, journal[-1].stamp
+    def _look_back(self) -> dict[str, object]:
+        """Lay everything sighted over the finished map, after refining that if it is wanted; what the summary gets."""
+        belief, last = self.belief, self._journal[-1].stamp
         if belief.mapper.keyframe_count < 2:
             return {}
-        drive = drive_of(journal, belief.path, belief.keyframe_stamps, belief.carried_keyframes)
+        drive = drive_of(self._journal, belief.path, belief.keyframe_stamps, belief.carried_keyframes)
         try:
+            if not self._refine:
+                belief.path = laid_path(belief.mapper, drive, belief.odometry_noise)
+                return {}
             refined = refine(belief.mapper, drive, belief.odometry_noise)
         except MapError as error:
-            self._reporter.tell(Noticed(last, f"the map is not refined: {error}"))
+            self._reporter.tell(Noticed(last, f"what was seen is not looked back at: {error}"))
             return {}
-        belief.mapper, belief.path = refined.mapper, refined.path
-        belief.pose = refined.poses[-1]
+        belief.mapper, belief.path, belief.pose = refined.mapper, refined.path, refined.poses[-1]
         self._reporter.tell_map(last, belief.mapper)
         return {"refinement": refined.summary}
 

@@ -25,7 +25,9 @@ from .evaluate import evaluate
 from .features import features
 from .info import info
 from .live import live
+from .map import export_map
 from .optimize import optimize
+from .page import report
 from .record import record
 from .replay import replay
 from .run import run
@@ -82,6 +84,8 @@ app.command()(demo)
 app.command()(run)
 app.command()(live)
 app.command()(optimize)
+app.command("map")(export_map)
+app.command()(report)
 app.command()(info)
 app.command()(simulate)
 app.command()(emulate)

@@ -30,7 +30,7 @@ def demo(
     from .session import Playback, map_feed
     from .viewer import has_display, open_viewer, viewer_command
 
-    feed = Playback(Simulation(WORLD, seed=seed))
+    feed = Playback(Simulation(WORLD, seed=seed), reopen=f"sim:{WORLD}?seed={seed}")
     outcome = map_feed(feed, Config(), out, overwrite=overwrite, review=True, picture=True, refine=refine, seed=seed)
     typer.echo("\n".join(lines_for_people(outcome, out)))
     if view and has_display():

@@ -134,6 +134,13 @@ class Drive:
             self._greet()
             yield self._messages()
 
+    @property
+    def reopen(self) -> str | None:
+        """The recording, if it is whole."""
+        from .session import lasting
+
+        return lasting(self._recorded["file"]) if self._recorded and not self._recorded["problem"] else None
+
     def facts(self) -> dict[str, Any]:
         """How the devices did, and what became of the recording."""
         told = ("spec", "identity", "port", "problem", "counters")

@@ -35,9 +35,9 @@ def run(
 
     from ..config import load_config
     from .report import lines_for_people
-    from .session import Playback, map_feed
+    from .session import Playback, lasting, map_feed
 
     effective = load_config(config, settings or ())
-    feed = Playback(drivers.open(recording))
+    feed = Playback(drivers.open(recording), reopen=lasting(recording))
     outcome = map_feed(feed, effective, out, overwrite=overwrite, review=review, picture=plot, refine=refine)
     typer.echo("\n".join(lines_for_people(outcome, out)))

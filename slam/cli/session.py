@@ -18,7 +18,7 @@ from ..config import Config, config_to_toml
 from ..errors import MapError
 from ..evaluation import ReferenceScore, score_reference
 from ..events import Event, Finished, Noticed, Sink
-from ..outputs import PICTURE, REVIEW, OutputDirectory, write_results
+from ..outputs import PICTURE, REPORT, REVIEW, OutputDirectory, unfinished_file, write_results
 from ..trajectory import Trajectory
 from .console import progress, say_if_slow
 from .report import summarise, versions
@@ -47,6 +47,11 @@ class Feed(Protocol):
         """What was left out; complete after the last message."""
         ...
 
+    @property
+    def reopen(self) -> str | None:
+        """What `drivers.open` takes for the same messages again, if anything does; known after the last message."""
+        ...
+
     def opened(self) -> AbstractContextManager[Iterable[Message]]:
         """The messages, within a context that lasts until the map is finished."""
         ...
@@ -59,8 +64,8 @@ class Feed(Protocol):
 class Playback:
     """A `Feed` out of a recording or a simulation, with a progress bar."""
 
-    def __init__(self, source: Source) -> None:
-        self.name = source.name
+    def __init__(self, source: Source, reopen: str) -> None:
+        self.name, self.reopen = source.name, reopen
         self.sinks: Sequence[Sink] = ()
         self._source = source
 
@@ -128,6 +133,11 @@ class Outcome:
     review: bool
 
 
+def lasting(recording: str) -> str:
+    """What opens the same recording from another directory, too."""
+    return recording if recording.startswith("sim:") else str(Path(recording).resolve())
+
+
 def map_feed(
     feed: Feed,
     config: Config,
@@ -165,6 +175,7 @@ def map_feed(
             took = time.perf_counter() - started
             summary = summarise(feed, finished, tally, notices.texts, score, seed=seed, slam_seconds=busy, seconds=took)
             write_results(directory, finished, config, summary)
+    _write_page(out)
     return Outcome(summary, review)
 
 
@@ -189,6 +200,15 @@ def _follow(messages: Iterable[Message], slam: Slam, tally: Tally, name: str) ->
         return finished, busy + time.perf_counter() - before
     except MapError as error:  # the pipeline knows no recording
         raise MapError(f"{name}: {error}") from error
+
+
+def _write_page(out: Path) -> None:
+    """The page follows when the results are in place: should it fail, they are not lost."""
+    from ..exports import read_session
+    from ..page import write_page
+
+    with unfinished_file(out / REPORT) as unfinished:
+        write_page(unfinished, read_session(out))
 
 
 def score_against_truth(finished: Finished, tally: Tally) -> ReferenceScore | None:

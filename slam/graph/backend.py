@@ -23,6 +23,11 @@ from slam.segments import Floats
 RELINEARIZE_THRESHOLD = 0.05  # metres and radians
 RELINEARIZE_SKIP = 10  # updates; a tenth of the cost of relinearising at each update, for the same result
 CAUCHY_SCALE = 4.0  # standard deviations at which an observation counts half
+# The kernel takes weight from honest observations, too: w = 1 / (1 + s / 16) for the squared distance s, which is
+# chi-square with 2 degrees of freedom. The Hessian so weighted claims 1 / E[w] = 1.113 times the covariance of plain
+# least squares; an M-estimator's own, E[w^2 s / 2] / E[w + s dw/ds]^2, is 1.016 times it. This is the latter divided by
+# the former, for the marginals that are told; association compares with what the graph itself believes.
+KERNEL_CAUTION = 0.912
 ODOMETRY_CAUCHY_SCALE = 2.0  # the same for odometry: single readings can be grossly wrong
 REBUILDS = 3  # Gauss-Newton steps on everything
 SETTLING_UPDATES = 5  # the first moves by what was left to the threshold, the last by less than a micrometre
@@ -31,10 +36,11 @@ FIRST_POSE_SIGMAS = np.array([1e-4, 1e-4, 1e-5])  # metres, metres, radians: the
 SAME_WALL_SIGMAS = np.array([5e-3, 3e-3])  # metres across, radians: how equal two frames of one wall are
 
 
-def _parameters() -> gtsam.ISAM2Params:
+def _parameters(factorization: str) -> gtsam.ISAM2Params:
     parameters = gtsam.ISAM2Params()
     parameters.setRelinearizeThreshold(RELINEARIZE_THRESHOLD)
     parameters.relinearizeSkip = RELINEARIZE_SKIP
+    parameters.setFactorization(factorization)
     return parameters
 
 
@@ -50,7 +56,9 @@ class FactorGraph:
     """The estimate of path and map. Additions are collected and take effect with `update`."""
 
     def __init__(self) -> None:
-        self._isam = gtsam.ISAM2(_parameters())
+        # QR takes twice the time, and solves what Cholesky cannot: walls seen many metres from their frames, say
+        self._factorization = "CHOLESKY"
+        self._isam = gtsam.ISAM2(_parameters(self._factorization))
         self._factors = gtsam.NonlinearFactorGraph()
         self._values = gtsam.Values()
         self._observation_kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(CAUCHY_SCALE)
@@ -136,7 +144,7 @@ class FactorGraph:
     def __deepcopy__(self, memo: dict[int, object]) -> FactorGraph:
         """The same estimate, to go back to or to try something on. Nothing may be waiting for `update`."""
         other = FactorGraph()
-        other._isam = gtsam.ISAM2(self._isam)
+        other._isam, other._factorization = gtsam.ISAM2(self._isam), self._factorization
         other.factor_count = self.factor_count
         other._observations = defaultdict(list, {wall: list(seen) for wall, seen in self._observations.items()})
         return other
@@ -151,17 +159,44 @@ class FactorGraph:
 
     def _update(self, parameters: gtsam.ISAM2UpdateParams) -> list[int]:
         try:
-            result = self._isam.update(self._factors, self._values, parameters)
+            numbers = list(self._isam.update(self._factors, self._values, parameters).getNewFactorsIndices())
         except RuntimeError as error:
-            raise MapError(f"the map cannot be estimated: {str(error).strip().splitlines()[0]}") from error
+            self._factorize_by_qr(error)
+            slots = self._isam.getFactorsUnsafe().size()
+            numbers = list(range(slots - self._factors.size(), slots))
         self.factor_count += self._factors.size()
         self._factors = gtsam.NonlinearFactorGraph()
         self._values = gtsam.Values()
-        numbers = list(result.getNewFactorsIndices())
         for wall, keyframe, place in self._new_observations:
             self._observations[wall].append((keyframe, numbers[place]))
         self._new_observations = []
         return numbers
+
+    def _factorize_by_qr(self, failure: RuntimeError) -> None:
+        """Solve everything afresh by QR, which goes on from here, after Cholesky has failed; what was to come in is in.
+
+        Raises MapError where the failure is no matter of rounding: something is undetermined.
+        """
+        reason = f"the map cannot be estimated: {str(failure).strip().splitlines()[0]}"
+        if self._factorization == "QR":
+            raise MapError(reason) from failure
+        self._factorization = "QR"
+        slots, values = self._isam.getFactorsUnsafe(), self._isam.getLinearizationPoint()
+        factors, renumbered = gtsam.NonlinearFactorGraph(), {}
+        for number in range(slots.size()):
+            if slots.at(number) is not None:  # else it was taken out
+                renumbered[number] = factors.size()
+                factors.add(slots.at(number))
+        self._isam = gtsam.ISAM2(_parameters(self._factorization))
+        try:
+            self._isam.update(factors, values)
+        except RuntimeError as error:
+            raise MapError(reason) from error
+        new = list(self._values.keys())
+        if not all(np.isfinite(self._isam.marginalCovariance(key)).all() for key in new):
+            raise MapError(reason) from failure
+        for wall, seen in self._observations.items():
+            self._observations[wall] = [(keyframe, renumbered[number]) for keyframe, number in seen]
 
     def forget_observations(self, walls: Iterable[int], since: int) -> None:
         """Take out what keyframes from `since` on have observed of some walls: it was of others."""
@@ -202,7 +237,7 @@ class FactorGraph:
                 graph.add(factor)
         for _ in range(REBUILDS):
             values = self._isam.calculateEstimate()
-            self._isam = gtsam.ISAM2(_parameters())
+            self._isam = gtsam.ISAM2(_parameters(self._factorization))
             self._factors, self._values = gtsam.NonlinearFactorGraph(graph), values
             self.factor_count = 0
             self.update()
@@ -241,20 +276,27 @@ class FactorGraph:
 
     def keyframe_covariance(self, index: int) -> Floats:
         """(3, 3): covariance of a keyframe's pose, in its own frame."""
-        return np.asarray(self._isam.marginalCovariance(X(index)))
+        return KERNEL_CAUTION * np.asarray(self._isam.marginalCovariance(X(index)))
 
     def wall_covariance(self, wall: int) -> Floats:
         """(2, 2): covariance of a wall's offset across and heading in the map, at its frame."""
-        return np.asarray(self._isam.marginalCovariance(L(wall)))[1:, 1:]
+        return KERNEL_CAUTION * np.asarray(self._isam.marginalCovariance(L(wall)))[1:, 1:]
 
     def corner_covariance(self, corner: int) -> Floats:
         """(2, 2): covariance of a corner's position in the map."""
-        return np.asarray(self._isam.marginalCovariance(C(corner)))
+        return KERNEL_CAUTION * np.asarray(self._isam.marginalCovariance(C(corner)))
 
     def walls_covariance(self, wall: int, other: int) -> Floats:
         """(4, 4): joint covariance of two walls' offset and heading in the map, each at its own frame."""
-        joint = np.asarray(self._isam.jointMarginalCovariance([L(wall), L(other)]).fullMatrix())
-        return joint[np.ix_([1, 2, 4, 5], [1, 2, 4, 5])]
+        joint = self._joint_covariance([L(wall), L(other)])
+        return KERNEL_CAUTION * joint[np.ix_([1, 2, 4, 5], [1, 2, 4, 5])]
+
+    def _joint_covariance(self, keys: Sequence[int]) -> Floats:
+        try:
+            return np.asarray(self._isam.jointMarginalCovariance(keys).fullMatrix())
+        except RuntimeError as error:
+            self._factorize_by_qr(error)
+        return np.asarray(self._isam.jointMarginalCovariance(keys).fullMatrix())
 
     def relative_covariances(
         self, keyframe: int, walls: Sequence[int], corners: Sequence[int]
@@ -265,7 +307,7 @@ class FactorGraph:
         Corners (m, 2, 2): of the position, in the map's axes. Cheap for the last keyframe and what it observed.
         """
         keys = [X(keyframe), *(L(j) for j in walls), *(C(j) for j in corners)]
-        joint = np.asarray(self._isam.jointMarginalCovariance(keys).fullMatrix())
+        joint = self._joint_covariance(keys)
         pose = self.keyframe_pose(keyframe)
         own = joint[:3, :3]
         c, s = np.cos(pose[2]), np.sin(pose[2])

@@ -64,9 +64,8 @@ def propose(recent: Constellation, old: OldMap, pose: se2.Pose) -> list[Hypothes
         recent.frame[order], recent.half_length[order], old.constellation.frame, old.constellation.half_length,
         translation, rotation, pose[:2], reach, turn,
     )  # fmt: skip
-    peaks = np.where(votes == maximum_filter(votes, size=3, mode="constant"), votes, 0.0)
-    flat = np.argsort(-peaks, axis=None, kind="stable")[:BEST_CELLS]
-    flat = flat[peaks.ravel()[flat] > 0]
+    peaks = np.flatnonzero((votes > 0.0) & (votes == maximum_filter(votes, size=3, mode="constant")))
+    flat = peaks[np.argsort(-votes.ravel()[peaks], kind="stable")[:BEST_CELLS]]
     cells = np.column_stack(np.unravel_index(flat, votes.shape)).astype(float)
     starts = np.column_stack([(cells[:, :2] + 0.5) * CELL - reach - CELL, (cells[:, 2] + 0.5) * CELL_TURN - turn])
     stay = refined(np.zeros(3), recent, old, pose, first=len(GATES) - 1)
@@ -99,8 +98,10 @@ def distinct(
     motion: se2.Pose, other: se2.Pose, pose: se2.Pose, by: float = DISTINCT, turn: float = DISTINCT_TURN
 ) -> bool:
     """Whether two motions put the robot at `pose` at different places."""
-    difference = se2.between(se2.compose(motion, pose), se2.compose(other, pose))
-    return bool(np.hypot(difference[0], difference[1]) > by or abs(difference[2]) > turn)
+    x, y, heading = motion - other
+    c, s = math.cos(motion[2]) - math.cos(other[2]), math.sin(motion[2]) - math.sin(other[2])
+    apart = math.hypot(x + c * pose[0] - s * pose[1], y + s * pose[0] + c * pose[1])
+    return apart > by or abs(turn_of(heading)) > turn
 
 
 def _about_origin(motion: se2.Pose, pose: se2.Pose) -> se2.Pose:

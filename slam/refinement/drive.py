@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ..belief import CARRIED_SIGMAS
-from ..front_end import Sighting
+from ..front_end import NOTHING_SEEN, Sighting
 from ..odometry import OdometryNoise
 from ..path import Path
 from ..segments import Floats
@@ -27,6 +27,7 @@ class Drive:
 
     keyframes  (k,) rows of those
     anchors    (n,) the keyframe that each sighting hangs on, and `relative` (n, 3), its pose relative to it
+    informations  (n, 3, 3) of what each was placed by on line, in its own frame; zeros where it was not
     carried    rows of the sightings to which the robot was moved without odometry's knowing
     """
 
@@ -34,6 +35,7 @@ class Drive:
     keyframes: Integers
     anchors: Integers
     relative: Floats
+    informations: Floats
     carried: frozenset[int]
 
     def __len__(self) -> int:
@@ -48,6 +50,19 @@ class Drive:
     def odometry(self) -> Floats:
         """(n, 3) where odometry was."""
         return np.array([sighting.odometry for sighting in self.sightings]).reshape(-1, 3)
+
+    @property
+    def kept(self) -> NDArray[np.bool_]:
+        """(n,) whether what a sighting showed was kept."""
+        return np.array([sighting.seen is not NOTHING_SEEN for sighting in self.sightings])
+
+    def path(self, keyframe_poses: Floats, poses: Floats) -> Path:
+        """The path with all sightings at `poses` (n, 3), hung on keyframes at theirs (k, 3)."""
+        path = Path()
+        relative = se2.between(keyframe_poses[self.anchors], poses).reshape(-1, 3)
+        for row, sighting in enumerate(self.sightings):
+            path.add(sighting.stamp, int(self.anchors[row]), relative[row], self.informations[row])
+        return path
 
     def poses(self, keyframe_poses: Floats) -> Floats:
         """(n, 3) of all sightings, given the keyframes' poses (k, 3)."""
@@ -82,10 +97,10 @@ def drive_of(
 
     A sighting that is not on the path hangs where odometry has it from the last one that is.
     """
-    stamps, anchors, relative = path.hung()
+    stamps, anchors, relative, informations = path.hung()
     keyframes = np.zeros(len(keyframe_stamps), dtype=np.int64)
     all_anchors = np.zeros(len(sightings), dtype=np.int64)
-    all_relative = np.zeros((len(sightings), 3))
+    all_relative, all_informations = np.zeros((len(sightings), 3)), np.zeros((len(sightings), 3, 3))
     placed = known = last = 0
     for row, sighting in enumerate(sightings):
         if known < len(keyframes) and sighting.stamp == keyframe_stamps[known]:
@@ -93,8 +108,10 @@ def drive_of(
             known += 1
         if placed < len(stamps) and sighting.stamp == stamps[placed]:
             all_anchors[row], all_relative[row] = anchors[placed], relative[placed]
+            all_informations[row] = informations[placed]
             placed, last = placed + 1, row
         else:
             motion = se2.between(sightings[last].odometry, sighting.odometry)
             all_anchors[row], all_relative[row] = all_anchors[last], se2.compose(all_relative[last], motion)
-    return Drive(sightings, keyframes, all_anchors, all_relative, frozenset(int(keyframes[k]) for k in carried))
+    jumps = frozenset(int(keyframes[k]) for k in carried)
+    return Drive(sightings, keyframes, all_anchors, all_relative, all_informations, jumps)

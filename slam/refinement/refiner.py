@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers import se2
-
 from ..mapper import Mapper
 from ..odometry import OdometryNoise
 from ..path import Path
@@ -30,6 +28,13 @@ class Refined:
     poses: Floats
     path: Path
     summary: dict[str, object]
+
+
+def laid_path(mapper: Mapper, drive: Drive, noise: OdometryNoise) -> Path:
+    """The path of a drive with every sighting laid over the map as it is."""
+    poses = mapper.trail
+    everywhere, _ = refine_path(mapper, drive, noise, poses, np.zeros(len(drive), dtype=bool))
+    return drive.path(poses, everywhere)
 
 
 def refine(mapper: Mapper, drive: Drive, noise: OdometryNoise) -> Refined:
@@ -60,12 +65,9 @@ def refine(mapper: Mapper, drive: Drive, noise: OdometryNoise) -> Refined:
         "scans_found_astray": int(astray.sum()),
         "largest_shift": round(float(np.max(moved, initial=0.0)), 4),
         "last_shift": round(shift, 5),
-        "explained_median": round(float(np.median(explained)), 3),
+        "explained_median": round(float(np.nanmedian(explained)), 3),
     }
-    path = Path()
-    for sighting, anchor, pose in zip(drive.sightings, drive.anchors, everywhere, strict=True):
-        path.add(sighting.stamp, int(anchor), se2.between(poses[anchor], pose), np.zeros((3, 3)))
-    return Refined(mapper, everywhere, path, summary)
+    return Refined(mapper, everywhere, drive.path(poses, everywhere), summary)
 
 
 def _close_what_was_missed(result: Round, drive: Drive) -> Mapper | None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
 from typer.testing import CliRunner, Result
 
 from drivers.messages import Message, Odometry, Scan
@@ -101,3 +102,43 @@ def wclm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Wclm:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     return Wclm()
+
+
+class MapServer:
+    """Reads a map as nav2_map_server and map_server do, from their documentation, and tells what is at a place."""
+
+    def __init__(self, yaml: Path) -> None:
+        told = YAML(typ="safe").load(yaml.read_text())
+        assert set(told) == {"image", "mode", "resolution", "origin", "negate", "occupied_thresh", "free_thresh"}
+        assert told["mode"] == "trinary"
+        self.resolution, self.origin = told["resolution"], told["origin"]
+        magic, size, most, pixels = (yaml.parent / told["image"]).read_bytes().split(b"\n", 3)
+        assert (magic, most) == (b"P5", b"255")
+        self.width, self.height = (int(word) for word in size.split())
+        picture = np.frombuffer(pixels, np.uint8).reshape(self.height, self.width)
+        shade = picture / 255.0
+        occupied = shade if told["negate"] else 1.0 - shade
+        trinary = np.full(picture.shape, -1)
+        trinary[occupied > told["occupied_thresh"]] = 100
+        trinary[occupied < told["free_thresh"]] = 0
+        self.data = np.empty(self.width * self.height, int)
+        for row in range(self.height):  # data begins with the lowest y, the picture with the highest
+            start = (self.height - row - 1) * self.width
+            self.data[start : start + self.width] = trinary[row]
+
+    def occupied(self) -> np.ndarray:
+        """(n, 2): the middles of the cells that are occupied, metres."""
+        rows, columns = np.nonzero(self.data.reshape(self.height, self.width) == 100)
+        return np.column_stack([columns + 0.5, rows + 0.5]) * self.resolution + self.origin[:2]
+
+    def at(self, x: float, y: float) -> int:
+        column = int(np.floor((x - self.origin[0]) / self.resolution))
+        row = int(np.floor((y - self.origin[1]) / self.resolution))
+        assert 0 <= column < self.width
+        assert 0 <= row < self.height
+        return int(self.data[row * self.width + column])
+
+
+@pytest.fixture
+def map_server() -> type[MapServer]:
+    return MapServer

@@ -20,6 +20,8 @@ from slam.trajectory import read_tum
 COMMANDS = (
     "demo",
     "run",
+    "map",
+    "report",
     "optimize",
     "info",
     "simulate",
@@ -33,6 +35,8 @@ COMMANDS = (
     "bench features",
     "bench relocalisation",
     "bench laps",
+    "bench consistency",
+    "bench paper",
     "bench lookalike",
     "bench false-closures",
 )
@@ -94,7 +98,12 @@ def test_run_writes_everything_and_says_where(wclm: Any, fake_slam: type, tmp_pa
     assert summary["versions"]["wclm-slam"]
     assert summary["peak_memory_mib"] > 1
     text = result.stdout
-    for words in ("sim:room: 29 scans in 3.0 s", "4 walls, 2 corners", "from the true path", "a/out: config.toml, map"):
+    for words in (
+        "sim:room: 29 scans in 3.0 s",
+        "4 walls, 2 corners",
+        "from the true path",
+        "a/out: config.toml, keyframes.csv, map",
+    ):
         assert words in text
     assert "rerun" not in text
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from drivers import se2
-from slam.consistency import chi_square_quantile, consistency, line_nees, nees, point_nees, pose_nees
+from slam.consistency import chi_square_quantile, consistency, line_nees, nees, point_nees, pose_nees, run_consistency
 from slam.errors import MapError
 
 
@@ -40,6 +40,26 @@ def test_walls_are_compared_across_and_in_direction_wherever_the_true_frame_stan
     expected = nees(errors, covariances)
     np.testing.assert_allclose(line_nees(frames, covariances, wall), expected)
     np.testing.assert_allclose(line_nees(frames, covariances, se2.compose(wall, along)), expected, rtol=1e-6)
+
+
+def test_the_band_of_runs_holds_where_the_values_of_a_run_have_much_in_common() -> None:
+    """Errors of a run share a part; taken one by one they would leave their narrow band far too often."""
+    random, kept, narrow = np.random.default_rng(8), 0, 0
+    for _ in range(200):
+        shared = random.normal(size=(30, 1, 2))
+        errors = np.sqrt(0.7) * shared + np.sqrt(0.3) * random.normal(size=(30, 25, 2))
+        runs = list((errors**2).sum(axis=-1))
+        found = run_consistency([np.append(run, np.nan) for run in runs] + [np.array([np.nan])], 2)
+        assert found.count == 30
+        kept += found.consistent
+        narrow += consistency(np.concatenate(runs), 2).consistent
+    assert kept > 0.93 * 200
+    assert narrow < 0.6 * 200
+
+
+def test_the_standard_error_is_that_of_the_mean() -> None:
+    assert consistency(np.array([1.0, 3.0]), 3).standard_error == pytest.approx(1.0)
+    assert np.isnan(consistency(np.array([1.0]), 3).standard_error)
 
 
 @pytest.mark.parametrize(("degrees", "tolerance"), [(10, 0.01), (30, 0.001), (300, 0.0001)])

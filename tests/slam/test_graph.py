@@ -11,7 +11,7 @@ import pytest
 from drivers import se2
 from slam.errors import MapError
 from slam.graph import FactorGraph
-from slam.graph.backend import FIRST_POSE_SIGMAS
+from slam.graph.backend import CAUCHY_SCALE, FIRST_POSE_SIGMAS, KERNEL_CAUTION
 from slam.mapper import _move_along
 
 ODOMETRY = np.diag([0.02, 0.02, 0.01]) ** 2
@@ -170,12 +170,24 @@ def test_the_covariances_are_the_exact_ones(seed: int) -> None:
     exact = solve(world)
     at = replace(exact, walls=graph.wall_frames(range(5)))  # wherever along the walls its frames stand
     jacobian = jacobian_of(at, world, True)
-    exact = replace(at, information=jacobian.T @ jacobian)
+    # where nothing scatters the kernel takes no weight, and what it takes otherwise is corrected for all the same
+    exact = replace(at, information=jacobian.T @ jacobian / KERNEL_CAUTION)
     shares = [apart(graph.keyframe_covariance(k), exact.covariance(3 * k, 3)) for k in range(1, 7)]
     shares += [apart(graph.wall_covariance(j), exact.covariance(21 + 2 * j, 2)) for j in range(5)]
     shares += [apart(graph.corner_covariance(j), exact.covariance(31 + 2 * j, 2)) for j in range(3)]
     assert np.mean(shares) < 0.04
     assert max(shares) < 0.15
+
+
+def test_the_kernels_caution_is_that_of_honest_observations() -> None:
+    """By drawing them: what the kernel's estimate of a point scatters by, and what its Hessian claims."""
+    random, scale = np.random.default_rng(0), CAUCHY_SCALE**2
+    drawn = random.normal(size=(4000, 100, 2))
+    estimate = np.zeros((4000, 1, 2))
+    for _ in range(10):
+        weight = 1 / (1 + ((drawn - estimate) ** 2).sum(axis=-1, keepdims=True) / scale)
+        estimate = (weight * drawn).sum(axis=1, keepdims=True) / weight.sum(axis=1, keepdims=True)
+    assert (estimate**2).mean() / (1 / weight.sum(axis=1)).mean() == pytest.approx(KERNEL_CAUTION, rel=0.04)
 
 
 def test_relative_covariances_are_those_of_a_map_that_begins_at_the_keyframe() -> None:
@@ -195,7 +207,9 @@ def test_relative_covariances_are_those_of_a_map_that_begins_at_the_keyframe() -
     pose = graph.keyframe_pose(last)
     c, s = np.cos(pose[2]), np.sin(pose[2])
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    np.testing.assert_allclose(own, turn @ graph.keyframe_covariance(last) @ turn.T, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(
+        own, turn @ graph.keyframe_covariance(last) @ turn.T / KERNEL_CAUTION, rtol=1e-6, atol=1e-12
+    )
 
 
 def test_moving_a_view_along_the_wall_changes_nothing_it_says_of_the_wall() -> None:
@@ -256,6 +270,24 @@ def test_what_is_undetermined_is_an_error() -> None:
     graph.add_wall(0, 0, np.array([1.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))
     with pytest.raises(MapError, match="the map cannot be estimated"):
         graph.update()
+
+
+def test_qr_goes_on_where_cholesky_gave_up() -> None:
+    world = make_world(1)
+    cholesky, qr = graph_of(world), graph_of(world)
+    for graph in (cholesky, qr):
+        graph.remove_factors(graph.close_loop(0, 6, se2.between(world.poses[0], world.poses[6]), np.full(3, 0.01)))
+    qr._factorize_by_qr(RuntimeError("Indeterminate linear system"))
+    for graph in (cholesky, qr):  # and it knows its observations
+        graph.forget_observations([0, 2], since=4)
+        graph.observe_wall(5, 0, se2.between(world.poses[5], world.walls[0]), np.diag([1e-4, 1e-5]))
+        graph.update()
+        graph.rebuild()
+    assert qr.factor_count == cholesky.factor_count
+    np.testing.assert_allclose(qr.keyframe_poses(7), cholesky.keyframe_poses(7), atol=1e-6)
+    np.testing.assert_allclose(qr.keyframe_covariance(6), cholesky.keyframe_covariance(6), rtol=1e-4)
+    with pytest.raises(MapError, match="Indeterminate"):
+        qr._factorize_by_qr(RuntimeError("Indeterminate linear system"))
 
 
 def test_one_wrong_view_does_not_bend_the_map() -> None:

@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 
 from drivers import se2
+from drivers.messages import Odometry, Scan
 from drivers.simulator import Simulation
 from drivers.world import World
+from slam.benchmarks.consistency import simulate, summarise, table
+from slam.deskew import deskew
 from slam.events import MapCorners, MapLines
 from slam.ground_truth import Nees, TrueWalls, corner_nees, match_walls, measure, true_walls, wall_nees
+from slam.odometry import OdometryHistory
 
 
 def lines(*frames: tuple[float, float, float], half: float = 0.5) -> MapLines:
@@ -51,27 +55,44 @@ def test_errors_are_counted_in_standard_deviations(world: TrueWalls) -> None:
     np.testing.assert_allclose(corner_nees(corners, mapped, world), [9.0, np.nan, np.nan], atol=1e-6)
 
 
-def pooled(runs: list[Nees]) -> dict[str, float]:
-    """Mean NEES by degree of freedom; 1 is perfect, more is overconfident."""
-    poses, walls, corners = (
-        np.concatenate([getattr(run, kind) for run in runs]) for kind in ("poses", "walls", "corners")
-    )
-    return {"poses": poses.mean() / 3, "walls": np.nanmean(walls) / 2, "corners": np.nanmean(corners) / 2}
-
-
 def test_short_drives_are_consistent_within_a_wide_band() -> None:
-    runs = [measure(Simulation("office", seed=seed, duration=60.0))[0] for seed in range(3)]
+    runs = list(simulate(range(3), duration=40.0))
     assert np.isfinite(np.concatenate([run.walls for run in runs])).mean() > 0.8
-    for kind, mean in pooled(runs).items():
-        assert 0.25 < mean < 3.0, f"{kind}: {mean:.2f}"
+    for row in summarise(runs):
+        mean = row.consistency.mean / row.consistency.dimensions
+        assert 0.25 < mean < 3.0, f"{row.name}: {mean:.2f}"
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(1200)
-def test_thirty_drives_are_consistent() -> None:
-    runs = [measure(Simulation("office", seed=seed))[0] for seed in range(30)]
-    for kind, mean in pooled(runs).items():
-        assert 0.7 < mean < 1.5, f"{kind}: {mean:.2f}"
+@pytest.mark.timeout(1800)
+def test_a_hundred_drives_with_the_lidar_off_centre_and_turned_are_consistent() -> None:
+    rows = summarise(list(simulate(range(100))))
+    assert all(row.consistency.consistent for row in rows), "\n".join(table(rows))
+
+
+def test_the_table_says_what_is_not_honest() -> None:
+    random = np.random.default_rng(0)
+    runs = [Nees(*(random.chisquare(k, 20) * share for k, share in ((3, 1.0), (2, 2.0), (2, 0.5)))) for _ in range(100)]
+    lines = table(summarise(runs))
+    verdicts = {line[:9].strip(): line.rsplit("  ", 1)[-1] for line in lines[1:]}
+    assert verdicts["walls"] == "overconfident"
+    assert verdicts["corners"] == "too cautious"
+    assert verdicts["poses"].strip() == verdicts["last pose"].strip() == "100"
+
+
+def test_a_scan_taken_standing_is_not_bent_by_the_jitter_of_the_wheels() -> None:
+    simulation = Simulation("office", seed=1, duration=1.0)
+    told = OdometryHistory()
+    messages = list(simulation)
+    for message in messages:
+        if isinstance(message, Odometry):
+            told.add(message)
+    assert np.ptp(told.poses[:, 2]) > 5e-4  # it does jitter
+    for message in messages:
+        if isinstance(message, Scan) and message.stamp < 0.8:
+            sweep = deskew(message, told, simulation.mount)
+            np.testing.assert_array_equal(sweep.bearings, message.angles)
+            np.testing.assert_array_equal(sweep.ranges, message.ranges)
 
 
 def test_the_first_keyframe_defines_the_map() -> None:

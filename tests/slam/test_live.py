@@ -29,7 +29,7 @@ from slam.cli.dashboard import Dashboard
 from slam.errors import OutputError
 from slam.evaluation import score_reference
 from slam.events import Noticed, ScanTracked, StateChanged
-from slam.outputs import CONFIG, MAP, REVIEW, SUMMARY, TRAJECTORY
+from slam.outputs import PICTURE, RESULTS, REVIEW, TRAJECTORY
 from slam.review import ViewerServer
 from slam.trajectory import read_tum
 
@@ -111,7 +111,7 @@ def answers(address: str, port: int) -> bool:
 def test_it_ends_with_everything_saved(driven: Driven) -> None:
     status, out, err = driven.ended
     assert status == 0, err
-    assert {file.name for file in driven.run.out.iterdir()} == {CONFIG, MAP, REVIEW, SUMMARY, TRAJECTORY}
+    assert {file.name for file in driven.run.out.iterdir()} == RESULTS - {PICTURE}
     assert err.splitlines()[-1] == "wclm: stopping; the map is saved. Ctrl-C again throws it away"
     assert f"results    {driven.run.out}" in out
     assert driven.run.summary["walls"] > 20

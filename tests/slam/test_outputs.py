@@ -8,7 +8,17 @@ from slam.config import Config, load_config
 from slam.errors import OutputError
 from slam.events import Finished
 from slam.mapfile import read_map
-from slam.outputs import CONFIG, MAP, SUMMARY, TRAJECTORY, OutputDirectory, plain, unfinished_file, write_results
+from slam.outputs import (
+    CONFIG,
+    KEYFRAMES,
+    MAP,
+    SUMMARY,
+    TRAJECTORY,
+    OutputDirectory,
+    plain,
+    unfinished_file,
+    write_results,
+)
 from slam.trajectory import read_tum
 
 
@@ -21,7 +31,7 @@ def test_results_appear_when_all_is_written(tmp_path: Path, finished: Finished) 
     with OutputDirectory(out) as directory:
         write_results(directory, finished, Config(), {"scans": 3})
         assert not out.exists()
-    assert sorted(file.name for file in out.iterdir()) == sorted([TRAJECTORY, MAP, CONFIG, SUMMARY])
+    assert sorted(file.name for file in out.iterdir()) == sorted([TRAJECTORY, KEYFRAMES, MAP, CONFIG, SUMMARY])
     assert [entry.name for entry in out.parent.iterdir()] == ["out"]
     assert len(read_tum(out / TRAJECTORY)) == len(finished.stamps)
     assert len(read_map(out / MAP).lines) == len(finished.lines)

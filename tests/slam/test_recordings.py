@@ -4,23 +4,36 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
 import drivers
+from drivers import se2
 from slam import Slam
-from slam.evaluation import read_relations, score_relations
-from slam.trajectory import Trajectory
+from slam.config import Config
+from slam.evaluation import read_relations, score_reference, score_relations
+from slam.exports import OccupancyGrid, placed_scans
+from slam.exports.occupancy import OCCUPIED
+from slam.trajectory import Trajectory, read_tum
 
 ROOT = Path(__file__).parents[2]
 FOLDER = Path(os.environ.get("WCLM_DATASETS", ROOT.parent / "shared" / "datasets"))
 
 
+def folder_of(name: str, *files: str) -> Path:
+    """The folder that holds these files of a recording; else the test is skipped."""
+    folder = FOLDER / name
+    if not all((folder / f"{name}.{file}").exists() for file in files):
+        pytest.skip(f"{folder} is not there; set WCLM_DATASETS to the folder that holds {name}/{name}.clf")
+    return folder
+
+
 def score(name: str, seconds: float | None = None, *, refine: bool = False) -> dict[str, float]:
     """The scores of the first `seconds` of a recording, or of all of it."""
-    folder = FOLDER / name
-    if not (folder / f"{name}.clf").exists() or not (folder / f"{name}.relations").exists():
-        pytest.skip(f"{folder} is not there; set WCLM_DATASETS to the folder that holds {name}/{name}.clf")
+    folder = folder_of(name, "clf", "relations")
     slam, start = Slam(refine=refine), None
     for message in drivers.open(folder / f"{name}.clf"):
         start = message.stamp if start is None else start
@@ -56,3 +69,22 @@ def test_the_second_look(name: str, translation: float, rotation: float) -> None
     assert figures["missing"] == 0
     assert figures["trans_mean"] <= translation
     assert figures["rot_mean"] <= rotation
+
+
+@pytest.mark.slow
+def test_the_picture_for_ros_agrees_with_one_of_gmappings_path(wclm: Any, map_server: Any) -> None:
+    """Both in the frame of the picture. GMapping's path is off by some 0.1 m itself, so not all walls can agree."""
+    folder = folder_of("intel", "clf", "gmapping.tum")
+    assert wclm("run", folder / "intel.clf", "--out", "out", "--no-review").exit_code == 0
+    assert wclm("map", "out", "--format", "pgm").exit_code == 0
+    ours = map_server(Path("out/map.yaml")).occupied()
+    path = read_tum(folder / "intel.gmapping.tum")
+    carried = se2.inverse(score_reference(read_tum(Path("out/trajectory.tum")), path).alignment)
+    grid = OccupancyGrid(0.05)
+    in_our_frame = Trajectory(path.stamps, se2.compose(carried, path.poses))
+    grid.add_all(placed_scans(drivers.open(folder / "intel.clf"), in_our_frame, Config().lidar))
+    theirs = grid.occupancy().centres(OCCUPIED)
+    assert min(len(ours), len(theirs)) > 10_000
+    for some, others in ((ours, theirs), (theirs, ours)):
+        distance = KDTree(others).query(some)[0]
+        assert np.mean(distance < 0.10 + 1e-9) >= 0.90  # two cells away is 0.10 m, give or take the last bit

@@ -183,7 +183,8 @@ def visited_twice() -> tuple[Drive, np.ndarray, np.ndarray]:
         seen = ScanFeatures(segments, nothing, ScanPoints(np.zeros((0, 2)), np.zeros((0, 2))))
         sightings.append(Sighting(0.5 * k, odometry, seen))
     every = np.arange(len(sightings))
-    drive = Drive(sightings, every, every, np.zeros((len(sightings), 3)), frozenset())
+    count = len(sightings)
+    drive = Drive(sightings, every, every, np.zeros((count, 3)), np.zeros((count, 3, 3)), frozenset())
     return drive, np.array(true), np.array(claimed)
 
 

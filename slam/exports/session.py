@@ -1,0 +1,82 @@
+"""A run's directory, read back; and the recording that it was made of."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import drivers
+from drivers.messages import Source
+
+from ..config import Config, load_config
+from ..errors import MapError
+from ..events import MapCorners, MapLines
+from ..keyframes import Keyframes, read_keyframes
+from ..mapfile import read_map
+from ..outputs import CONFIG, KEYFRAMES, MAP, SUMMARY, TRAJECTORY
+from ..trajectory import Trajectory, read_tum
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Session:
+    """What a run left in the directory `path`. `keyframes` is None where an older version ran."""
+
+    path: Path
+    lines: MapLines
+    corners: MapCorners
+    trajectory: Trajectory
+    summary: dict[str, Any]
+    keyframes: Keyframes | None
+
+    def config(self) -> Config:
+        """The settings of the run. Raises ConfigurationError where they cannot be read."""
+        return load_config(self.path / CONFIG)
+
+
+def read_session(path: Path) -> Session:
+    """Read the results of a run. Raises MapError naming what is not there or cannot be read."""
+    if not path.is_dir():
+        raise MapError(f"{path}: is not a directory; a session is what `wclm run --out DIR` leaves")
+    for name in (MAP, TRAJECTORY, SUMMARY):
+        if not (path / name).is_file():
+            raise MapError(f"{path}: holds no {name}; a session is what `wclm run --out DIR` leaves")
+    walls_and_corners = read_map(path / MAP)
+    return Session(
+        path,
+        walls_and_corners.lines,
+        walls_and_corners.corners,
+        read_tum(path / TRAJECTORY),
+        _read_summary(path / SUMMARY),
+        read_keyframes(path / KEYFRAMES) if (path / KEYFRAMES).is_file() else None,
+    )
+
+
+def open_recording(session: Session, override: str | None = None) -> Source:
+    """The recording that a session was made of, or `override`, as `drivers.open` takes it.
+
+    Raises MapError where the summary does not tell, or what it tells of is gone; RecordingError for an `override` that
+    cannot be opened.
+    """
+    if override is not None:
+        return drivers.open(override)
+    told = session.summary.get("recording_path")
+    if not isinstance(told, str):
+        name = session.summary.get("recording", "")
+        raise MapError(f"{session.path}: does not say where its recording {name} is; name it: --recording FILE")
+    if not told.startswith("sim:") and not Path(told).exists():
+        raise MapError(f"{session.path}: its recording {told} is not there any more; name it: --recording FILE")
+    return drivers.open(told)
+
+
+def _read_summary(path: Path) -> dict[str, Any]:
+    try:
+        summary = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise MapError(f"{path}: {error.strerror or error}") from error
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise MapError(f"{path}: is not JSON: {error}") from error
+    if not isinstance(summary, dict):
+        raise MapError(f"{path}: is not the summary of a run")
+    return summary

@@ -1,0 +1,150 @@
+"use strict";
+(() => {
+  const svg = document.querySelector("#map svg");
+  const about = document.getElementById("about");
+  const scale = document.querySelector(".scale");
+  const [left, top, width, height] = svg.getAttribute("viewBox").split(" ").map(Number);
+  const all = { x: left, y: top, width, height };
+  const MOST = 200, LEAST = 1; // times larger than when all is shown
+  let view = { ...all };
+
+  const show = () => {
+    svg.setAttribute("viewBox", [view.x, view.y, view.width, view.height].map((v) => v.toFixed(4)).join(" "));
+    // When all is shown there is nothing to drag, so a finger scrolls the page.
+    svg.style.touchAction = view.width < 0.99 * all.width ? "none" : "pan-y";
+    const pixels = svg.getScreenCTM().a; // of a metre
+    const longest = 120 / pixels;
+    const power = 10 ** Math.floor(Math.log10(longest));
+    const metres = [5, 2, 1].map((digit) => digit * power).find((length) => length <= longest);
+    scale.hidden = false;
+    scale.firstElementChild.style.width = `${metres * pixels}px`;
+    scale.lastElementChild.textContent = metres >= 1 ? `${metres} m` : `${Math.round(1000 * metres) / 10} cm`;
+  };
+
+  const inMap = (x, y) => new DOMPoint(x, y).matrixTransform(svg.getScreenCTM().inverse());
+  const middle = () => {
+    const box = svg.getBoundingClientRect();
+    return [box.left + box.width / 2, box.top + box.height / 2];
+  };
+
+  /** Make everything 1 / factor times as large and keep the point under (x, y) where it is. */
+  const zoom = (factor, x, y) => {
+    const wanted = Math.min(all.width / LEAST, Math.max(all.width / MOST, view.width * factor));
+    const real = wanted / view.width;
+    const at = inMap(x, y);
+    view = {
+      x: at.x - (at.x - view.x) * real,
+      y: at.y - (at.y - view.y) * real,
+      width: view.width * real,
+      height: view.height * real,
+    };
+    if (real > 1) hold();
+    show();
+  };
+  const move = (dx, dy) => {
+    const pixels = svg.getScreenCTM().a;
+    view.x -= dx / pixels;
+    view.y -= dy / pixels;
+    hold();
+    show();
+  };
+  /** The map does not leave the frame. */
+  const hold = () => {
+    view.x = Math.min(all.x + all.width - view.width, Math.max(all.x, view.x));
+    view.y = Math.min(all.y + all.height - view.height, Math.max(all.y, view.y));
+  };
+
+  // Buttons, wheel, keys
+  for (const button of document.querySelectorAll("[data-zoom]")) {
+    button.addEventListener("click", () => {
+      const factor = Number(button.dataset.zoom);
+      if (factor) return zoom(factor, ...middle());
+      view = { ...all };
+      show();
+    });
+  }
+  svg.addEventListener("wheel", (event) => {
+    if (!event.ctrlKey && document.activeElement !== svg) return; // the page scrolls until the map was clicked
+    event.preventDefault();
+    zoom(Math.exp(0.0015 * Math.max(-200, Math.min(200, event.deltaY))), event.clientX, event.clientY);
+  }, { passive: false });
+  svg.addEventListener("keydown", (event) => {
+    const by = { ArrowLeft: [60, 0], ArrowRight: [-60, 0], ArrowUp: [0, 60], ArrowDown: [0, -60] }[event.key];
+    const factor = { "+": 0.7, "-": 1.43 }[event.key];
+    if (by) move(...by);
+    else if (factor) zoom(factor, ...middle());
+    else return;
+    event.preventDefault();
+  });
+
+  // One pointer drags, two pinch
+  const down = new Map();
+  let dragged = 0;
+  svg.addEventListener("pointerdown", (event) => {
+    down.set(event.pointerId, event);
+    dragged = down.size > 1 ? Infinity : 0;
+  });
+  svg.addEventListener("pointermove", (event) => {
+    const before = down.get(event.pointerId);
+    if (!before) return;
+    const dx = event.clientX - before.clientX, dy = event.clientY - before.clientY;
+    dragged += Math.hypot(dx, dy);
+    if (down.size === 2) {
+      const [other] = [...down.values()].filter((pointer) => pointer.pointerId !== event.pointerId);
+      const distance = (pointer) => Math.hypot(pointer.clientX - other.clientX, pointer.clientY - other.clientY);
+      const factor = distance(before) / Math.max(1, distance(event));
+      zoom(factor, (event.clientX + other.clientX) / 2, (event.clientY + other.clientY) / 2);
+      move(dx / 2, dy / 2);
+    } else if (dragged > 4 && (event.pointerType === "mouse" || view.width < 0.99 * all.width)) {
+      svg.classList.add("moving");
+      svg.setPointerCapture(event.pointerId);
+      move(dx, dy);
+    }
+    down.set(event.pointerId, event);
+  });
+  const up = (event) => {
+    down.delete(event.pointerId);
+    svg.classList.remove("moving");
+  };
+  svg.addEventListener("pointerup", up);
+  svg.addEventListener("pointercancel", up);
+  svg.addEventListener("lostpointercapture", up);
+
+  // What is near a touch tells about itself
+  const choose = (element) => {
+    for (const old of svg.querySelectorAll(".chosen")) old.classList.remove("chosen");
+    element.classList.add("chosen");
+    about.textContent = element.querySelector("title").textContent;
+  };
+  svg.addEventListener("click", (event) => {
+    if (dragged > 4) return;
+    for (const reach of [0, 4, 8, 12, 16]) {
+      for (let turn = 0; turn < (reach ? 12 : 1); turn++) {
+        const angle = (turn * Math.PI) / 6;
+        const x = event.clientX + reach * Math.cos(angle), y = event.clientY + reach * Math.sin(angle);
+        const near = document.elementsFromPoint(x, y).find((one) => svg.contains(one) && one.querySelector("title"));
+        if (near && near !== svg && near.tagName !== "g") return choose(near);
+      }
+    }
+  });
+
+  // A decision in the table shows itself on the map
+  for (const row of document.querySelectorAll("tr[data-loop]")) {
+    row.addEventListener("click", () => {
+      const mark = svg.querySelector(`.loops [data-loop="${row.dataset.loop}"]`);
+      if (!mark) return;
+      choose(mark);
+      const box = mark.getBBox();
+      const share = Math.max(0.25, Math.min(1, (3 * Math.max(box.width, box.height)) / all.width));
+      view = { x: 0, y: 0, width: all.width * share, height: all.height * share };
+      view.x = box.x + box.width / 2 - view.width / 2;
+      view.y = box.y + box.height / 2 - view.height / 2;
+      hold();
+      show();
+      svg.scrollIntoView({ block: "center", behavior: "smooth" });
+    });
+  }
+
+  window.addEventListener("resize", show);
+  show();
+})();
