@@ -2,13 +2,20 @@
 
 Seconds that were made from nanoseconds, or written with at most nine decimals, survive the way there and
 back bit for bit.
+
+What happens now is timed by the host's steady clock, `time.monotonic`, and stamped with the time of day as it was
+known when the program started: such stamps never jump, and those of programs on one computer can be compared as long
+as nobody sets its clock.
 """
 
 from __future__ import annotations
 
 import math
+import time
 
 NANOSECONDS = 1_000_000_000
+LOOKS = 5
+"""At the clocks; a process that is put aside between two of them makes one look worthless, not all."""
 
 
 def to_nanoseconds(stamp: float) -> int:
@@ -20,3 +27,12 @@ def to_nanoseconds(stamp: float) -> int:
 def to_seconds(nanoseconds: int) -> float:
     """The stamp in seconds, correctly rounded."""
     return nanoseconds / NANOSECONDS
+
+
+def day_offset() -> float:
+    """Seconds to add to the host's steady clock to have the time of day (since 1970) as it is set now."""
+    looks = []
+    for _ in range(LOOKS):
+        before, day, after = time.monotonic(), time.time(), time.monotonic()
+        looks.append((after - before, day - 0.5 * (before + after)))
+    return min(looks)[1]

@@ -26,6 +26,7 @@ from threading import Event, Thread
 from types import TracebackType
 from typing import Self
 
+from ..clock import day_offset
 from ..errors import DriverError
 from ..messages import Message
 from .outlet import Outlet
@@ -84,9 +85,8 @@ class Acquisition:
     def __enter__(self) -> Self:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        offset = time.time() - time.monotonic()  # stamps never jump, even if the clock of the day is set
         self._process = context.Process(
-            target=_acquire, args=(theirs, tuple(self.specs), offset), name="wclm-acquisition", daemon=True
+            target=_acquire, args=(theirs, tuple(self.specs), day_offset()), name="wclm-acquisition", daemon=True
         )
         # Ctrl-C goes to all processes of a terminal; the reading one shall hear of it from this one.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})

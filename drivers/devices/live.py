@@ -38,9 +38,9 @@ class Live:
         with self._acquisition as acquisition:
             for message in acquisition:
                 self.report.messages += 1
-                self._count_losses()
+                count_losses(self.report, self.snapshot)
                 yield message
-        self._count_losses()
+        count_losses(self.report, self.snapshot)
 
     def __len__(self) -> int:
         """Nobody knows."""
@@ -50,12 +50,13 @@ class Live:
         """End the iteration after the last message that was measured."""
         self._acquisition.stop()
 
-    def _count_losses(self) -> None:
-        snapshot = self.snapshot
-        reasons = {
-            "dropped, the messages were not taken fast enough": snapshot.dropped,
-            "came after later ones had been given out": snapshot.late,
-        }
-        self.report.reasons = {reason: count for reason, count in reasons.items() if count}
-        self.report.skipped = snapshot.dropped + snapshot.late
-        self.report.first = next(iter(self.report.reasons), None)
+
+def count_losses(report: SourceReport, snapshot: Snapshot) -> None:
+    """Enter into the report what the acquisition lost."""
+    reasons = {
+        "dropped, the messages were not taken fast enough": snapshot.dropped,
+        "came after later ones had been given out": snapshot.late,
+    }
+    report.reasons = {reason: count for reason, count in reasons.items() if count}
+    report.skipped = snapshot.dropped + snapshot.late
+    report.first = next(iter(report.reasons), None)

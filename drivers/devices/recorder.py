@@ -1,61 +1,57 @@
-"""Devices to a file, with how they were doing."""
+"""What devices measure into a file, with how they were doing."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
 
 from ..mcap import McapWriter
-from ..messages import Scan, end_of
+from ..messages import Message, Scan, end_of
 from ..ros_messages import Diagnostic
-from .acquisition import Acquisition, Snapshot
+from .acquisition import Snapshot
 from .session import State
 
 DIAGNOSTICS_PERIOD = 1.0
 """Seconds."""
-LOOK_UP = 0.1
-"""Seconds without a message after which the recorder looks what else there is to do."""
 
 
-@dataclass(slots=True)
-class Recorded:
-    """What was recorded: counts, and the first and the last time (seconds)."""
+class Recorder:
+    """Writes the messages of an acquisition, and once a second how its devices are doing.
 
-    scans: int = 0
-    odometry: int = 0
-    first: float | None = None
-    last: float | None = None
+    scans, odometry  how many were written
+
+    Methods raise RecordingError where the disk is full.
+    """
+
+    def __init__(self, writer: McapWriter) -> None:
+        self.scans = self.odometry = 0
+        self._writer = writer
+        self._first: float | None = None
+        self._last = float("-inf")
+        self._told = float("-inf")
 
     @property
     def duration(self) -> float:
-        """Seconds."""
-        return 0.0 if self.first is None or self.last is None else self.last - self.first
+        """Seconds from the first to the last that was measured."""
+        return 0.0 if self._first is None else self._last - self._first
 
+    def write(self, message: Message) -> None:
+        """Append a message."""
+        self._writer.write(message)
+        self.scans += isinstance(message, Scan)
+        self.odometry += not isinstance(message, Scan)
+        self._first = message.stamp if self._first is None else self._first
+        self._last = max(end_of(message), self._last)
 
-def record(acquisition: Acquisition, writer: McapWriter, recorded: Recorded, look: Callable[[Snapshot], None]) -> None:
-    """Write all messages until the acquisition ends or is stopped, and once a second how the devices are doing.
+    def look(self, snapshot: Snapshot) -> None:
+        """Append how the devices are doing, if it is time to; cheap otherwise."""
+        if time.monotonic() >= self._told + DIAGNOSTICS_PERIOD:
+            self.tell(snapshot)
 
-    recorded  is counted up meanwhile, so that it is right after an error, too
-    look      is called several times a second
-
-    Raises RecordingError where the disk is full, DriverError where the acquisition breaks down.
-    """
-    told = float("-inf")
-    while not acquisition.ended:
-        message = acquisition.receive(LOOK_UP)
-        if message is not None:
-            writer.write(message)
-            recorded.scans += isinstance(message, Scan)
-            recorded.odometry += not isinstance(message, Scan)
-            recorded.first = message.stamp if recorded.first is None else recorded.first
-            recorded.last = max(end_of(message), recorded.last or 0.0)
-        if recorded.last is not None and time.monotonic() >= told + DIAGNOSTICS_PERIOD:
-            told = time.monotonic()
-            writer.write_diagnostics(recorded.last, diagnostics_of(acquisition.snapshot))
-        look(acquisition.snapshot)
-    if recorded.last is not None:
-        writer.write_diagnostics(recorded.last, diagnostics_of(acquisition.snapshot))
+    def tell(self, snapshot: Snapshot) -> None:
+        """Append how the devices are doing, once anything was measured."""
+        if self._first is not None:
+            self._told = time.monotonic()
+            self._writer.write_diagnostics(self._last, diagnostics_of(snapshot))
 
 
 def diagnostics_of(snapshot: Snapshot) -> list[Diagnostic]:

@@ -6,7 +6,7 @@ CONNECTING -> STARTING -> RUNNING -> LOST -> CONNECTING ...; -> ENDED
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 from enum import Enum
@@ -26,6 +26,9 @@ HELD_UP = 1.5
 """Seconds between two reads after which what waited is of unknown age: buffers have overflowed, clocks lost track."""
 PAUSES = (0.1, 0.3, 1.0, 2.0)
 """Seconds between attempts to find a lost device; the last one is repeated."""
+
+ORDINARY = frozenset({"messages", "bytes_read", "connections", "packets", "samples", "revolutions", "good", "readings"})
+"""Counters of what shall happen."""
 
 SEARCHING = Lock()
 """Held while a device is looked for on ports that nobody named: two that look there at once find each other."""
@@ -68,6 +71,11 @@ class Status:
     def ran(self) -> bool:
         """Whether it has measured anything so far."""
         return self.counters["connections"] > 0
+
+
+def troubles(counters: Mapping[str, int]) -> dict[str, int]:
+    """Those of a device's counters that count what went wrong, where anything did; see `ORDINARY`."""
+    return {name: count for name, count in counters.items() if count and name not in ORDINARY}
 
 
 class SilenceError(DriverError):

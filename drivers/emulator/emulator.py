@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import time as clocks
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from types import TracebackType
 from typing import Any
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..bases.readings import Velocity
+from ..clock import day_offset
 from ..errors import RecordingError
 from ..lidars import ld06
 from ..simulator import Lidar, warm_up
@@ -46,6 +48,7 @@ class Emulator:
 
     setup   what was asked for
     begun   the host's steady clock (seconds) at time zero
+    day     the time of day then (seconds since 1970), on which the truth is stamped
     motion  the robot's true motion
 
     Raises RecordingError where there is no such world or a file cannot be written, PortError where a port cannot be
@@ -56,6 +59,7 @@ class Emulator:
         self.setup = setup
         warm_up()  # takes seconds the first time, and must not once time runs
         self.begun = clocks.monotonic() if begun is None else begun
+        self.day = self.begun + day_offset()
         self._world = setup.world if isinstance(setup.world, World) else load_world(setup.world)
         self._pilot = CommandedPilot(self._world)
         self.motion = Motion(self._world, PathPilot(self._world) if setup.drive == "path" else self._pilot)
@@ -67,9 +71,7 @@ class Emulator:
         optics, wheels, gyro, *noises = np.random.default_rng(setup.seed).spawn(7)
         with ExitStack() as opening:
             self._keyboard = opening.enter_context(Keyboard()) if setup.drive == "keyboard" else None
-            self._truth = (
-                opening.enter_context(TruthFile(setup.truth, self.motion, self.begun)) if setup.truth else None
-            )
+            self._truth = opening.enter_context(TruthFile(setup.truth, self.motion, self.day)) if setup.truth else None
             self.lidar = self._link(opening, "lidar", self._lidar(optics), noises[:2])
             self.base = self._link(opening, "base", self._base(wheels, gyro), noises[2:])
             if setup.report is not None:
@@ -135,18 +137,19 @@ class Emulator:
     def run(self, duration: float | None = None) -> None:
         """Go on in real time, for so many seconds or until it is interrupted."""
         end = math.inf if duration is None else clocks.monotonic() - self.begun + duration
-        while (now := clocks.monotonic() - self.begun) < end:
-            self.step(now)
-            pause = self.due - (clocks.monotonic() - self.begun)
-            clocks.sleep(min(max(pause, LEAST_PAUSE), MOST_PAUSE))
+        with at_once():
+            while (now := clocks.monotonic() - self.begun) < end:
+                self.step(now)
+                pause = self.due - (clocks.monotonic() - self.begun)
+                clocks.sleep(min(max(pause, LEAST_PAUSE), MOST_PAUSE))
 
     def report(self) -> dict[str, Any]:
-        """What happened so far, as plain values; `seconds` counts from `begun`, which is on the host's steady clock."""
+        """What happened so far, as plain values; `seconds` counts from `begun`, seconds since 1970."""
         setup = self.setup
         return {
             "world": self._world.name,
             "seed": setup.seed,
-            "begun": self.begun,
+            "begun": self.day,
             "seconds": self._time,
             "mount": list(setup.mount),
             "lidar": self.lidar.report(),
@@ -160,3 +163,19 @@ class Emulator:
             path.write_text(json.dumps(self.report(), indent=2) + "\n", encoding="utf-8")
         except OSError as failure:
             raise RecordingError(path, None, f"cannot be written: {failure.strerror}") from failure
+
+
+@contextmanager
+def at_once() -> Iterator[None]:
+    """What is inside runs whenever it has something to do, before all other programs, if this one may have that.
+
+    Hardware does not wait for a processor. An emulator that has to, on a computer that is busy, sends later than any
+    device would, and programs take that for measurements lost on the way.
+    """
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    with suppress(PermissionError):
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(os.sched_get_priority_min(os.SCHED_RR)))
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, *before)

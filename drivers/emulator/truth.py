@@ -17,7 +17,7 @@ PERIOD = 0.02
 class TruthFile:
     """Grows as the robot drives. Raises RecordingError where the file cannot be written.
 
-    begun  the host's steady clock (`time.monotonic`) at the emulator's time zero; stamps are on that clock
+    begun  the time of day (seconds since 1970) at the emulator's time zero
     """
 
     def __init__(self, path: Path, motion: Motion, begun: float) -> None:

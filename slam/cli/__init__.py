@@ -16,6 +16,7 @@ from drivers.errors import SlamError
 
 from . import bench_loops as bench_loops
 from .bench import bench
+from .calibrate import calibrate
 from .console import INTERRUPTED, MISTAKE, complain
 from .demo import demo
 from .devices import devices
@@ -23,6 +24,7 @@ from .emulate import emulate
 from .evaluate import evaluate
 from .features import features
 from .info import info
+from .live import live
 from .map import export_map
 from .optimize import optimize
 from .page import report
@@ -80,6 +82,7 @@ def wclm(
 
 app.command()(demo)
 app.command()(run)
+app.command()(live)
 app.command()(optimize)
 app.command("map")(export_map)
 app.command()(report)
@@ -89,6 +92,7 @@ app.command()(emulate)
 app.command()(devices)
 app.command()(record)
 app.command()(replay)
+app.command()(calibrate)
 app.command("eval")(evaluate)
 app.command()(features)
 app.add_typer(bench, name="bench")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from threading import Timer
 from typing import Annotated, TypeVar
 
@@ -27,6 +28,11 @@ SetOption = Annotated[
         "--set", metavar="GROUP.KEY=VALUE", help="Change one setting, e.g. lidar.sigma_range=0.02; may be repeated."
     ),
 ]
+ConfigOption = Annotated[Path | None, typer.Option("--config", help="Settings, a TOML file.")]
+OutOption = Annotated[Path, typer.Option("--out", help="Directory for the results; made if it is not there.")]
+ReviewOption = Annotated[bool, typer.Option("--review/--no-review", help="Write the log for the viewer.")]
+PlotOption = Annotated[bool, typer.Option("--plot", help="Draw the map as map.png, too.")]
+DurationOption = Annotated[float | None, typer.Option("--duration", min=0.0, help="Seconds; without it until Ctrl-C.")]
 OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace results that are there already.")]
 
 RefineOption = Annotated[bool, typer.Option("--refine", help="Look at everything again after the last scan.")]

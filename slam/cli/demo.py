@@ -27,21 +27,11 @@ def demo(
 
     from ..config import Config
     from .report import lines_for_people
-    from .session import map_source
+    from .session import Playback, map_feed
     from .viewer import has_display, open_viewer, viewer_command
 
-    source = Simulation(WORLD, seed=seed)
-    outcome = map_source(
-        source,
-        Config(),
-        out,
-        overwrite=overwrite,
-        review=True,
-        picture=True,
-        refine=refine,
-        seed=seed,
-        reopen=f"sim:{WORLD}?seed={seed}",
-    )
+    feed = Playback(Simulation(WORLD, seed=seed), reopen=f"sim:{WORLD}?seed={seed}")
+    outcome = map_feed(feed, Config(), out, overwrite=overwrite, review=True, picture=True, refine=refine, seed=seed)
     typer.echo("\n".join(lines_for_people(outcome, out)))
     if view and has_display():
         open_viewer(viewer_command(out))

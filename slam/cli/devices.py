@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -64,16 +63,11 @@ def _identify(specs: list[DeviceSpec]) -> None:
 def _watch(specs: list[DeviceSpec], seconds: float | None) -> None:
     from drivers.devices.acquisition import Acquisition
 
-    from .monitor import Monitor, stopping
+    from .monitor import Monitor, attended, stopping
 
     with Acquisition(specs) as acquisition, stopping(acquisition), Monitor() as monitor:
-        end = time.monotonic() + seconds if seconds is not None else float("inf")
-        while not acquisition.ended:
-            acquisition.receive(0.05)
-            monitor.show(acquisition.snapshot)
-            if time.monotonic() >= end:
-                acquisition.stop()
-                end = float("inf")
+        for _ in attended(acquisition, seconds, monitor.show):
+            pass
     for device in acquisition.snapshot.devices:
         typer.echo(f"{device.spec}\n    {device.identity}")
         typer.echo("\n".join(f"    {name:<22} {count:10d}" for name, count in device.counters.items()))

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from .console import DurationOption
+
 _FAULTS, _TIMES = "Faults", "Seconds since the start; may be repeated."
 _CHANCE = {"min": 0.0, "max": 1.0, "rich_help_panel": _FAULTS}
 
@@ -21,9 +23,7 @@ def emulate(
     drive: Annotated[
         str, typer.Option("--drive", help="path: along the world's; base: as the base is told; keyboard: arrow keys.")
     ] = "path",
-    duration: Annotated[
-        float | None, typer.Option("--duration", min=0.0, help="Seconds; without it until Ctrl-C.")
-    ] = None,
+    duration: DurationOption = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the sensors' noise and of the faults.")] = 0,
     truth: Annotated[
         Path | None, typer.Option("--truth", metavar="FILE.tum", help="Write the true path, for scoring a live run.")

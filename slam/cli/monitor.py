@@ -5,26 +5,47 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
 from .console import complain
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from rich.console import RenderableType
 
     from drivers.devices.acquisition import Acquisition, Snapshot
+    from drivers.messages import Message
 
 PERIOD = 0.25
 """Seconds between two looks of the table."""
+LOOK_UP = 0.1
+"""Seconds without a message after which it is seen what else there is to do."""
+
+Rates: TypeAlias = Mapping[tuple[str, str], float]
+"""Counts a second, of (spec of a device, counter)."""
+
+
+def attended(acquisition: Acquisition, seconds: float | None, look: Callable[[Snapshot], None]) -> Iterator[Message]:
+    """The messages until the devices are stopped, which happens after so many seconds, if they are not None; `look` is
+    called several times a second. Raises DriverError where the acquisition breaks down.
+    """
+    end = float("inf") if seconds is None else time.monotonic() + seconds
+    while not acquisition.ended:
+        message = acquisition.receive(LOOK_UP)
+        if message is not None:
+            yield message
+        look(acquisition.snapshot)
+        if time.monotonic() >= end:
+            end = float("inf")
+            acquisition.stop()
 
 
 @contextmanager
-def stopping(acquisition: Acquisition) -> Iterator[None]:
+def stopping(acquisition: Acquisition, saying: str = "") -> Iterator[None]:
     """Ctrl-C and being told to terminate stop the devices, and what is inside the context goes on to its end; a second
-    Ctrl-C interrupts it.
+    Ctrl-C interrupts it. `saying` is told when it comes to that.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -32,6 +53,8 @@ def stopping(acquisition: Acquisition) -> Iterator[None]:
 
     def stop(*_: Any) -> None:
         acquisition.stop()
+        if saying:
+            complain(saying)
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
     before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
@@ -43,9 +66,10 @@ def stopping(acquisition: Acquisition) -> Iterator[None]:
 
 
 class Monitor:
-    """A context that shows snapshots: the table on stderr if that is a terminal, else only what changes."""
+    """A context that shows snapshots on stderr: what `draw` makes of them if that is a terminal, else what changes."""
 
-    def __init__(self) -> None:
+    def __init__(self, draw: Callable[[Snapshot, Rates], RenderableType] | None = None) -> None:
+        self._draw = draw or counters_table
         self._live: Any = None
         self._lost: set[str] = set()
         self._earlier: tuple[float, Snapshot] | None = None
@@ -76,7 +100,7 @@ class Monitor:
             return
         self._shown = now
         self._measure(now, snapshot)
-        self._live.update(self._table(snapshot), refresh=True)
+        self._live.update(self._draw(snapshot, self._rates), refresh=True)
 
     def _tell_changes(self, snapshot: Snapshot) -> None:
         from drivers.devices.session import State
@@ -103,19 +127,28 @@ class Monitor:
                 }
             self._earlier = (now, snapshot)
 
-    def _table(self, snapshot: Snapshot) -> Table:
-        from rich.table import Table
 
-        table = Table("device", "counter", box=None, pad_edge=False)
-        for name in ("count", "a second"):
-            table.add_column(name, justify="right")
-        for device in snapshot.devices:
-            age = "" if device.age is None else f", last message {device.age:.2f} s ago"
-            table.add_row(device.spec, f"[bold]{device.state.value}[/bold]{age}")
-            for text in filter(None, (device.identity, device.problem)):
-                table.add_row("", text)
-            for name, count in device.counters.items():
-                rate = self._rates.get((device.spec, name), 0.0)
-                table.add_row("", name.replace("_", " "), f"{count}", f"{rate:.1f}" if rate else "")
-        table.add_row("all", "dropped, late", f"{snapshot.dropped}, {snapshot.late}")
-        return table
+def troubles_in_words(counters: Mapping[str, int]) -> list[str]:
+    """What went wrong with a device, as `checksum failures 3`."""
+    from drivers.devices.session import troubles
+
+    return [f"{name.replace('_', ' ')} {count}" for name, count in troubles(counters).items()]
+
+
+def counters_table(snapshot: Snapshot, rates: Rates) -> RenderableType:
+    """All counters of all devices."""
+    from rich.table import Table
+
+    table = Table("device", "counter", box=None, pad_edge=False)
+    for name in ("count", "a second"):
+        table.add_column(name, justify="right")
+    for device in snapshot.devices:
+        age = "" if device.age is None else f", last message {device.age:.2f} s ago"
+        table.add_row(device.spec, f"[bold]{device.state.value}[/bold]{age}")
+        for text in filter(None, (device.identity, device.problem)):
+            table.add_row("", text)
+        for name, count in device.counters.items():
+            rate = rates.get((device.spec, name), 0.0)
+            table.add_row("", name.replace("_", " "), f"{count}", f"{rate:.1f}" if rate else "")
+    table.add_row("all", "dropped, late", f"{snapshot.dropped}, {snapshot.late}")
+    return table

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .console import OverwriteOption
+from .console import DurationOption, OverwriteOption
 
 if TYPE_CHECKING:
     from drivers.devices.acquisition import Acquisition, Snapshot
-    from drivers.devices.recorder import Recorded
+    from drivers.devices.recorder import Recorder
     from drivers.devices.specs import DeviceSpec
-    from drivers.mcap import McapWriter
 
 LidarOption = Annotated[
     list[str] | None, typer.Option("--lidar", metavar="SPEC", help="Such as rplidar:/dev/ttyUSB0, ld06:auto.")
@@ -26,9 +24,7 @@ def record(
     file: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="The recording to write.")],
     lidar: LidarOption = None,
     base: BaseOption = None,
-    duration: Annotated[
-        float | None, typer.Option("--duration", min=0.0, help="Seconds; without it until Ctrl-C.")
-    ] = None,
+    duration: DurationOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:
     """Record a lidar and a wheel base until Ctrl-C. Whatever happens, what is older than a second is in the file.
@@ -36,19 +32,25 @@ def record(
     Example: [bold]wclm record --lidar rplidar:/dev/ttyUSB0 --base create2:/dev/ttyUSB1 drive.mcap[/bold]
     """
     from drivers.devices.acquisition import Acquisition
-    from drivers.devices.recorder import Recorded
-    from drivers.errors import RecordingError
+    from drivers.devices.recorder import Recorder
     from drivers.mcap import McapWriter
 
-    if file.suffix != ".mcap":
-        raise typer.BadParameter(f"{file}: the name must end with .mcap", param_hint="FILE.mcap")
     specs = parse_specs(lidar, base)
-    if file.exists() and not overwrite:  # before anything turns
-        raise RecordingError(file, None, "exists already; choose another name or add --overwrite")
-    recorded = Recorded()
+    check_name(file, overwrite)
     with Acquisition(specs) as acquisition, McapWriter(file, overwrite) as writer:
-        _record(acquisition, writer, recorded, duration)
-    typer.echo(summary(file, recorded, acquisition.snapshot))
+        recorder = Recorder(writer)
+        _record(acquisition, recorder, duration)
+    typer.echo(summary(file, recorder, acquisition.snapshot))
+
+
+def check_name(file: Path, overwrite: bool) -> None:
+    """See before anything turns whether a recording may have this name; raises BadParameter or RecordingError."""
+    from drivers.errors import RecordingError
+
+    if file.suffix != ".mcap":
+        raise typer.BadParameter(f"{file}: the name of a recording must end with .mcap")
+    if file.exists() and not overwrite:
+        raise RecordingError(file, None, "exists already; choose another name or add --overwrite")
 
 
 def parse_specs(lidar: list[str] | None, base: list[str] | None) -> list[DeviceSpec]:
@@ -66,34 +68,31 @@ def parse_specs(lidar: list[str] | None, base: list[str] | None) -> list[DeviceS
     return specs
 
 
-def summary(file: Path, recorded: Recorded, snapshot: Snapshot) -> str:
+def summary(file: Path, recorder: Recorder, snapshot: Snapshot) -> str:
     """What a person wants to know afterwards, in a line."""
     lost = sum(device.counters["losses"] for device in snapshot.devices)
     missed = snapshot.dropped + snapshot.late
     return (
-        f"{file}: {recorded.scans} scans and {recorded.odometry} odometry readings in {recorded.duration:.1f} s"
+        f"{file}: {recorder.scans} scans and {recorder.odometry} odometry readings in {recorder.duration:.1f} s"
         f"; connections lost {lost}, messages dropped {missed}"
     )
 
 
-def _record(acquisition: Acquisition, writer: McapWriter, recorded: Recorded, duration: float | None) -> None:
-    from drivers.devices.recorder import record
+def _record(acquisition: Acquisition, recorder: Recorder, duration: float | None) -> None:
     from drivers.errors import RecordingError
 
-    from .monitor import Monitor, stopping
+    from .monitor import Monitor, attended, stopping
 
-    end = float("inf") if duration is None else time.monotonic() + duration
     with stopping(acquisition), Monitor() as monitor:
 
         def look(snapshot: Snapshot) -> None:
-            nonlocal end
             monitor.show(snapshot)
-            if time.monotonic() >= end:
-                end = float("inf")
-                acquisition.stop()
+            recorder.look(snapshot)
 
         try:
-            record(acquisition, writer, recorded, look)
+            for message in attended(acquisition, duration, look):
+                recorder.write(message)
+            recorder.tell(acquisition.snapshot)
         except RecordingError as error:
-            kept = f"{error.reason}; the recording ends here, after {recorded.duration:.1f} s, and can be read"
+            kept = f"{error.reason}; the recording ends here, after {recorder.duration:.1f} s, and can be read"
             raise RecordingError(error.path, None, kept) from error

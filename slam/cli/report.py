@@ -14,11 +14,9 @@ from typing import TYPE_CHECKING, Any
 from .viewer import viewer_command
 
 if TYPE_CHECKING:
-    from drivers.messages import Source
-
     from ..evaluation import ReferenceScore
     from ..events import Finished
-    from .session import Outcome, Tally
+    from .session import Feed, Outcome, Tally
 
 PACKAGES = ("wclm-slam", "numpy", "numba", "gtsam", "rerun-sdk")
 SHOWN_WARNINGS = 4
@@ -47,24 +45,23 @@ def peak_memory() -> float:
 
 
 def summarise(
-    source: Source,
+    feed: Feed,
     finished: Finished,
     tally: Tally,
     notices: list[str],
     score: ReferenceScore | None,
     *,
     seed: int | None,
-    reopen: str | None,
     slam_seconds: float,
     seconds: float,
 ) -> dict[str, Any]:
     """Everything worth knowing about a run: what went in, what came out, how long it took, what was odd."""
     from ..trajectory import Trajectory
 
-    report = source.report
+    report = feed.report
     return {
-        "recording": source.name,
-        "recording_path": reopen,
+        "recording": feed.name,
+        "recording_path": feed.reopen,
         "seed": seed,
         "scans": tally.scans,
         "odometry": len(tally.odometry),
@@ -82,7 +79,7 @@ def summarise(
         "skipped": {"messages": report.skipped, "reasons": report.reasons, "first": report.first},
         "slam": finished.summary,
         "versions": versions(),
-    }
+    } | feed.facts()
 
 
 def lines_for_people(outcome: Outcome, out: Path) -> list[str]:
@@ -98,6 +95,7 @@ def lines_for_people(outcome: Outcome, out: Path) -> list[str]:
         )
     if skipped := summary["skipped"]["messages"]:
         rows.append(("skipped", f"{skipped} messages, the first: {summary['skipped']['first']}"))
+    rows += [("device", _device(device)) for device in summary.get("devices", ())]
     rows += [("warning", text) for text in summary["warnings"][:SHOWN_WARNINGS]]
     if (more := len(summary["warnings"]) - SHOWN_WARNINGS) > 0:
         rows.append(("", f"and {more} more warnings in summary.json"))
@@ -109,6 +107,14 @@ def lines_for_people(outcome: Outcome, out: Path) -> list[str]:
         f"{summary['path_length']:.1f} m driven"
     )
     return [head] + [f"  {name:<11}{text}" for name, text in rows]
+
+
+def _device(device: dict[str, Any]) -> str:
+    """How a device did: its messages, and what went wrong."""
+    from .monitor import troubles_in_words
+
+    counters = device["counters"]
+    return ", ".join([f"{device['spec']}: {counters['messages']} messages", *troubles_in_words(counters)])
 
 
 def _time(summary: dict[str, Any]) -> str:

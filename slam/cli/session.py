@@ -1,32 +1,87 @@
-"""One recording through the whole system into one output directory: what `run` and `demo` have in common."""
+"""Messages through the whole system into one output directory: what `run`, `demo` and `live` have in common."""
 
 from __future__ import annotations
 
 import time
-from contextlib import ExitStack
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from drivers import se2
-from drivers.messages import GroundTruth, Message, Odometry, Scan, Source
+from drivers.messages import GroundTruth, Message, Odometry, Scan, Source, SourceReport
 
 from ..config import Config, config_to_toml
 from ..errors import MapError
 from ..evaluation import ReferenceScore, score_reference
-from ..events import Event, Finished, Noticed
+from ..events import Event, Finished, Noticed, Sink
 from ..outputs import PICTURE, REPORT, REVIEW, OutputDirectory, unfinished_file, write_results
 from ..trajectory import Trajectory
 from .console import progress, say_if_slow
 from .report import summarise, versions
 
 if TYPE_CHECKING:
+    from ..pipeline import Slam
     from ..plots.style import Floats
+    from ..review import ReviewLog, ViewerServer
 
 
 COMPILING = "compiling, once after an installation or a change; this takes about half a minute"
+
+
+class Feed(Protocol):
+    """Where a session's messages come from, and who looks on.
+
+    name   of the source
+    sinks  take the pipeline's events
+    """
+
+    name: str
+    sinks: Sequence[Sink]
+
+    @property
+    def report(self) -> SourceReport:
+        """What was left out; complete after the last message."""
+        ...
+
+    @property
+    def reopen(self) -> str | None:
+        """What `drivers.open` takes for the same messages again, if anything does; known after the last message."""
+        ...
+
+    def opened(self) -> AbstractContextManager[Iterable[Message]]:
+        """The messages, within a context that lasts until the map is finished."""
+        ...
+
+    def facts(self) -> dict[str, Any]:
+        """What else the summary should tell, after the last message."""
+        ...
+
+
+class Playback:
+    """A `Feed` out of a recording or a simulation, with a progress bar."""
+
+    def __init__(self, source: Source, reopen: str) -> None:
+        self.name, self.reopen = source.name, reopen
+        self.sinks: Sequence[Sink] = ()
+        self._source = source
+
+    @property
+    def report(self) -> SourceReport:
+        """The source's."""
+        return self._source.report
+
+    @contextmanager
+    def opened(self) -> Iterator[Iterable[Message]]:
+        """All messages."""
+        yield progress(self._source, len(self._source), self.name)
+
+    def facts(self) -> dict[str, Any]:
+        """Nothing that the source's report does not say."""
+        return {}
 
 
 @dataclass(slots=True)
@@ -83,8 +138,8 @@ def lasting(recording: str) -> str:
     return recording if recording.startswith("sim:") else str(Path(recording).resolve())
 
 
-def map_source(
-    source: Source,
+def map_feed(
+    feed: Feed,
     config: Config,
     out: Path,
     *,
@@ -93,54 +148,58 @@ def map_source(
     picture: bool,
     refine: bool = False,
     seed: int | None = None,
-    reopen: str | None = None,
+    server: ViewerServer | None = None,
 ) -> Outcome:
-    """Run SLAM over `source` and write `out`, which appears only when everything in it is complete.
+    """Run SLAM over `feed` and write `out`, which appears only when everything in it is complete.
 
-    `reopen` is what `drivers.open` takes for the same messages again, if anything does.
-    Raises SlamError; whatever is raised, nothing is left behind.
+    Viewers can look on at `server` if there is a review log. Raises SlamError; whatever is raised, nothing is left
+    behind.
     """
-    with OutputDirectory(out, overwrite) as directory, ExitStack() as cleanup:
+    with OutputDirectory(out, overwrite) as directory, ExitStack() as log:
         from ..pipeline import Slam
         from ..warmup import warm_up
 
         with say_if_slow(COMPILING):
             warm_up()
         notices, tally = Notices(), Tally()
-        sinks: list[Any] = [notices]
+        sinks: list[Sink] = [notices, *feed.sinks]
         if review:
-            from ..review import ReviewLog
-
-            log = ReviewLog(
-                directory / REVIEW, config=config_to_toml(config), recording=source.name, versions=versions()
-            )
-            sinks.append(log)
-            cleanup.callback(log.close)
+            sinks.append(log.enter_context(_review_log(directory, config, feed, server)))
         started = time.perf_counter()
-        slam = Slam(config, sinks, refine=refine)
-        busy = 0.0
-        try:
-            for message in progress(source, len(source), source.name):
-                tally.add(message)
-                before = time.perf_counter()
-                slam.add(message)
-                busy += time.perf_counter() - before
-            before = time.perf_counter()
-            finished = slam.finish()
-            busy += time.perf_counter() - before
-        except MapError as error:  # the pipeline knows no recording
-            raise MapError(f"{source.name}: {error}") from error
-        cleanup.close()
-        score = score_against_truth(finished, tally)
-        if picture:
-            _draw(directory / PICTURE, finished, tally, score, source.name)
-        took = time.perf_counter() - started
-        summary = summarise(
-            source, finished, tally, notices.texts, score, seed=seed, reopen=reopen, slam_seconds=busy, seconds=took
-        )
-        write_results(directory, finished, config, summary)
+        with feed.opened() as messages:
+            finished, busy = _follow(messages, Slam(config, sinks, refine=refine), tally, feed.name)
+            log.close()
+            score = score_against_truth(finished, tally)
+            if picture:
+                _draw(directory / PICTURE, finished, tally, score, feed.name)
+            took = time.perf_counter() - started
+            summary = summarise(feed, finished, tally, notices.texts, score, seed=seed, slam_seconds=busy, seconds=took)
+            write_results(directory, finished, config, summary)
     _write_page(out)
     return Outcome(summary, review)
+
+
+def _review_log(directory: Path, config: Config, feed: Feed, server: ViewerServer | None) -> ReviewLog:
+    from ..review import ReviewLog
+
+    settings = config_to_toml(config)
+    return ReviewLog(directory / REVIEW, config=settings, recording=feed.name, versions=versions(), server=server)
+
+
+def _follow(messages: Iterable[Message], slam: Slam, tally: Tally, name: str) -> tuple[Finished, float]:
+    """Give the pipeline all messages; what came of it, and the seconds it took. Raises MapError."""
+    busy = 0.0
+    try:
+        for message in messages:
+            tally.add(message)
+            before = time.perf_counter()
+            slam.add(message)
+            busy += time.perf_counter() - before
+        before = time.perf_counter()
+        finished = slam.finish()
+        return finished, busy + time.perf_counter() - before
+    except MapError as error:  # the pipeline knows no recording
+        raise MapError(f"{name}: {error}") from error
 
 
 def _write_page(out: Path) -> None:

@@ -13,12 +13,22 @@ from .console import complain
 
 
 def viewer_command(out: Path) -> list[str]:
-    """The command that opens the review log in `out`; the viewer is this environment's if there is none on the path."""
+    """The command that opens the review log in `out`."""
+    return [_viewer(), str(out / REVIEW)]
+
+
+def watching_command(url: str) -> list[str]:
+    """The command that looks on at a live run's server."""
+    return [_viewer(), "--bind", "127.0.0.1", "--connect", url]  # viewers listen, too, and everywhere unless told
+
+
+def _viewer() -> str:
+    """The viewer on the path, else this environment's."""
     program = "rerun"
     if shutil.which(program) is None:
         beside = Path(sys.executable).with_name(program)
         program = os.path.relpath(beside) if beside.is_relative_to(Path.cwd()) else str(beside)
-    return [program, str(out / REVIEW)]
+    return program
 
 
 def has_display() -> bool:

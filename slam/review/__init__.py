@@ -3,6 +3,7 @@
 Rerun is imported only when a ReviewLog is made.
 """
 
+from .server import ViewerServer
 from .sink import ReviewLog
 
-__all__ = ["ReviewLog"]
+__all__ = ["ReviewLog", "ViewerServer"]

@@ -39,12 +39,16 @@ from .loops import LoopLayer
 from .maps import log_corners, log_lines
 from .metrics import Metrics
 from .paths import GrowingPath
+from .server import ViewerServer
 from .shapes import Layer, bounds, lift
 from .truth import TruthComparison
 
 APPLICATION = "wclm-slam"  # the viewer keeps layouts by this name
 EPOCH_STAMPS = 1e8  # stamps above are seconds since 1970, stamps below count from the recording's own start
 NOTABLE_SHIFT = 0.1  # metres by which the path moved that are worth a line in the log
+SERVER_MEMORY = "25%"  # of the computer's: what viewers that come late are shown; older rows are in the file only
+ROOM_TO_GROW = 0.25  # of the map's size, on each side, when those who look on are shown more of it
+FLUSH_PERIOD = 0.5  # seconds; live, shorter ones cost kilobytes each for their chunks, and viewers see no more
 PATH_SPACING = 0.05  # metres between points of the odometry's and the true path
 
 _THIN, _THICK = rr.Radius.ui_points(0.7), rr.Radius.ui_points(1.2)
@@ -53,18 +57,26 @@ _THIN, _THICK = rr.Radius.ui_points(0.7), rr.Radius.ui_points(1.2)
 class EventLog:
     """Writes events to a recording file. Not safe for threads; the methods raise what Rerun raises."""
 
-    def __init__(self, path: Path, config: str, recording: str, versions: Mapping[str, str]) -> None:
-        """Open `path` and log what never changes.
+    def __init__(
+        self,
+        path: Path,
+        config: str,
+        recording: str,
+        versions: Mapping[str, str],
+        server: ViewerServer | None = None,
+    ) -> None:
+        """Open `path`, let viewers come if there is a server for them, and log what never changes.
 
         Rerun's first calls take a few tenths of a second: better here than in the path of a scan.
 
         Raises OutputError where the file cannot be written.
         """
-        self._stream = rr.RecordingStream(APPLICATION)
+        self._stream = rr.RecordingStream(APPLICATION, batcher_config=rr.ChunkBatcherConfig(flush_tick=FLUSH_PERIOD))
         self._stream.set_log_time_enabled(False)
-        self._extent = bounds(np.empty((0, 2)))
+        self._extent = self._shown = bounds(np.empty((0, 2)))
+        self._watched = server is not None
         try:
-            self._stream.save(path, default_blueprint=layout(*self._extent, truth=False))
+            self._stream.set_sinks(*_sinks(path, server), default_blueprint=layout(*self._extent, truth=False))
         except (OSError, RuntimeError) as error:
             raise OutputError(f"{path}: cannot write the review log: {error}") from error
         self._log_documents(config, recording, versions)
@@ -188,6 +200,16 @@ class EventLog:
         self._log_path("estimate", path, Layer.ESTIMATE, colours.ESTIMATE)
         self._log_path("recent", np.empty((0, 2)), Layer.ESTIMATE, colours.ESTIMATE)
         self._extent = bounds(lines.end_points(), path)
+        self._make_room()
+
+    def _make_room(self) -> None:
+        """Show those who look on the whole map when it has outgrown what they see; their own layout is lost then."""
+        low, high = self._extent
+        if not self._watched or (np.all(low >= self._shown[0]) and np.all(high <= self._shown[1])):
+            return
+        margin = ROOM_TO_GROW * float(np.max(high - low))
+        self._shown = low - margin, high + margin
+        self._stream.send_blueprint(layout(*self._shown, truth=False))
 
     def _write_truth(self, event: TruthSeen) -> None:
         self._truth.add_truth(event.stamp, event.pose)
@@ -220,6 +242,14 @@ class EventLog:
         for number, points in path.changed():
             strip = rr.LineStrips3D([lift(points, layer)], colors=colour, radii=_THIN)
             self._stream.log(f"world/{name}/{number}", strip)
+
+
+def _sinks(path: Path, server: ViewerServer | None) -> list[rr.FileSink | rr.GrpcServerSink]:
+    file = rr.FileSink(path)
+    if server is None:
+        return [file]
+    server.release()
+    return [file, rr.GrpcServerSink(server.address, server.port, server_memory_limit=SERVER_MEMORY)]
 
 
 def _state_in_words(event: StateChanged) -> tuple[str, str]:

@@ -14,6 +14,7 @@ from types import TracebackType
 import numpy as np
 
 from ..events import Event, KeyframeAdded, ScanTracked
+from .server import ViewerServer
 
 BUSY = 500  # events waiting, about a second of work: from here on scans are left out
 OVERRUN = 50_000  # events waiting: the log has stalled, a full disk perhaps; from here on everything is left out
@@ -32,10 +33,17 @@ class ReviewLog:
     config      the settings, as TOML, to show beside the map
     recording   what was mapped, the name under which the viewer lists the log
     versions    package names and their versions
+    server      where viewers can look on, however late they come
     """
 
     def __init__(
-        self, path: Path, *, config: str = "", recording: str = "", versions: Mapping[str, str] | None = None
+        self,
+        path: Path,
+        *,
+        config: str = "",
+        recording: str = "",
+        versions: Mapping[str, str] | None = None,
+        server: ViewerServer | None = None,
     ) -> None:
         """Open the log. Raises OutputError where `path` cannot be written."""
         from .log import EventLog  # Rerun is imported here, and only for those who want a log
@@ -47,7 +55,7 @@ class ReviewLog:
         self.first_failure: str | None = None
         self._queue: SimpleQueue[Event | None] = SimpleQueue()
         self._closed = False
-        self._log = EventLog(path, config, recording, versions or {})
+        self._log = EventLog(path, config, recording, versions or {}, server)
         self._worker = threading.Thread(target=self._work, name="review log", daemon=True)
         self._worker.start()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -15,10 +16,12 @@ import pytest
 
 def test_a_robot_is_emulated_for_a_while(wclm: Any, tmp_path: Path) -> None:
     ports = ("--ports", "ports", "--duration", "0.3", "--lidar", "ld06", "--base", "kobuki")
+    priority = os.sched_getscheduler(0), os.sched_getparam(0)
     result = wclm(
         "emulate", "room", *ports, "--truth", "truth.tum", "--report", "report.json", "--stall", "base@0.1:0.1"
     )
     assert result.exit_code == 0, result.output
+    assert (os.sched_getscheduler(0), os.sched_getparam(0)) == priority
     assert result.stdout.splitlines()[:2] == ["ports/lidar: ld06, 230400 baud", "ports/base: kobuki, 115200 baud"]
     assert not list((tmp_path / "ports").iterdir())
     assert len((tmp_path / "truth.tum").read_text().splitlines()) == pytest.approx(15, abs=2)
