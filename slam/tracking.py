@@ -33,10 +33,6 @@ CLEARLY_BETTER = 0.3  # by which the scan must then fit better where the robot l
 UNEVEN, UNEVEN_TURN = 0.1, np.radians(5.0)  # by which odometry's step may differ from the robot's last one unquestioned
 BETTER = 0.15  # by which a scan must fit better where the robot is if it has moved as evenly as before
 PATIENCE = 4  # scans in a row that may fit nowhere
-# What a scan explains below which it is laid beside where it was expected, too: the robot comes out of a room that was
-# mapped a little beside the corridor it lies at. Metres in the base's frame, as far as registration reaches once more.
-POORLY_EXPLAINED = 0.75
-BESIDE = np.array([[0.35, 0.0, 0.0], [-0.35, 0.0, 0.0], [0.0, 0.35, 0.0], [0.0, -0.35, 0.0]])
 LEAST_WALL = 0.5  # metres of wall that a scan must show, or SEARCHED_POINTS, for its pose to be found by it
 
 
@@ -154,9 +150,6 @@ class Tracker:
         fits = [around.lay(scan, prediction, prior) for prediction in predictions]
         best = int(np.argmax([fit.both - lead for fit, lead in zip(fits, leads, strict=True)]))
         fit = fits[best]
-        if fit.registration.explained < POORLY_EXPLAINED:
-            beside = [around.lay(scan, se2.compose(predictions[0], offset), prior) for offset in BESIDE]
-            fit = max([fit, *(other for other in beside if other.both > fit.both + BETTER)], key=lambda one: one.both)
         bears_out = after_search and best < len(predictions) - 1
         if _shows_too_little(scan) and len(around.landmarks.walls):
             return self._placement(fit, Hold.BLIND, prior)
