@@ -38,6 +38,7 @@ FAMILIAR_SIGMA, FAMILIAR_VISITS_ADRIFT = 0.05, 6  # metres
 VISIT_GAP = 20  # keyframes made elsewhere between two visits
 CARRIED_SIGMAS = np.array([10.0, 10.0, 3.0])  # metres, metres, radians: what is known of a motion that no wheel made
 CARRIED_REACH = 12.0  # metres of map around a robot that was just found again
+UNSEEN_WAY = 1.0  # metres of driving from the last placed scan, from which on the map is looked up anew
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,6 +97,7 @@ class Belief:
 
     def place(self, sighting: Sighting, clock: Clock) -> Placement:
         """Find where the robot was."""
+        self._keep_up(sighting)
         around = Surroundings(self._local_map, self._point_field, self.mapper.flatness.variance)
         placement = self._tracker.track(sighting.odometry, sighting.seen, around)
         clock.lap("registration")
@@ -103,6 +105,12 @@ class Belief:
         if placement.hold in (Hold.FIRM, Hold.SEARCHED):
             self.pose = placement.pose
         return placement
+
+    def _keep_up(self, sighting: Sighting) -> None:
+        """Where the robot has driven on without placing a scan, take the map around where odometry has it."""
+        there = self.predict(sighting.odometry)
+        if self._anchor is not None and not self._carried and np.hypot(*(there - self.pose)[:2]) > UNSEEN_WAY:
+            self._local_map = self.mapper.local_map_at(there, CARRIED_REACH)
 
     def extend(self, sighting: Sighting, placement: Placement, clock: Clock) -> Extension | None:
         """Make what was placed part of the path, and let the map grow if the robot has moved on."""

@@ -2,7 +2,8 @@
 
 Odometry may slip, stand still for a second and then catch up, or jump. A scan that falls neither on known walls nor on
 the points of the last keyframes is not believed where odometry puts it: its pose is searched for with the raw points,
-and a few scans that fit nowhere are left out before the robot is taken for lost.
+and a few scans that fit nowhere are left out before the place is taken for new, or the robot for lost where the map has
+been.
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ CLEARLY_BETTER = 0.3  # by which the scan must then fit better where the robot l
 UNEVEN, UNEVEN_TURN = 0.1, np.radians(5.0)  # by which odometry's step may differ from the robot's last one unquestioned
 BETTER = 0.15  # by which a scan must fit better where the robot is if it has moved as evenly as before
 PATIENCE = 4  # scans in a row that may fit nowhere
+KNOWN_AROUND = 1.0  # metres around a known wall where the map has been
+NEW_PLACE = 0.3  # share of what is seen that lies where the map has been, below which the place is new and nobody lost
 LEAST_WALL = 0.5  # metres of wall that a scan must show, or SEARCHED_POINTS, for its pose to be found by it
 
 
@@ -90,6 +93,16 @@ class Surroundings:
         """Lay a scan over them near a predicted pose."""
         registration = register(prediction, prior, starts, scan, self.landmarks, self.points, self.flatness)
         return _Fit(registration, likeness(self.points, scan.points.all, registration.pose))
+
+    def known_share(self, scan: ScanFeatures, pose: se2.Pose) -> float:
+        """Share of a scan's wall length, seen from `pose`, that lies where the map has been: near any known wall."""
+        walls, segments = self.landmarks, scan.segments
+        middles = se2.transform(pose, segments.frame[:, :2])
+        seen = se2.transform(se2.inverse(walls.frame)[:, None], middles[None])  # (walls, segments, 2)
+        beyond = np.maximum(0.0, np.maximum(walls.low[:, None] - seen[..., 0], seen[..., 0] - walls.high[:, None]))
+        known = np.hypot(beyond, seen[..., 1]).min(axis=0, initial=np.inf) < KNOWN_AROUND
+        total = float(segments.half_length.sum())
+        return float(segments.half_length[known].sum()) / total if total else 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,7 +173,10 @@ class Tracker:
         searched = self._search(scan, around, predictions[-1], fit.like)
         if searched is None:
             self._misfits += 1
-            return self._placement(fit, Hold.NONE, prior)
+            if not self.lost or around.known_share(scan, fit.registration.pose) >= NEW_PLACE:
+                return self._placement(fit, Hold.NONE, prior)
+            self.move_to(fit.registration.pose, odometry)
+            return self._placement(fit, Hold.FIRM, prior)
         far = around.lay(scan, searched, prior, NEAR_STARTS[:1])
         left = self._firm
         self.move_to(far.registration.pose, odometry)
