@@ -44,8 +44,6 @@ class Estimator:
 
     def _close(self, view: KeyframeView, decision: LoopDecision) -> LoopDecision:
         """Close the loop that two looks agree on, on a copy, and see whether the map comes together."""
-        if self._probation.contradicts(decision):
-            return decision
         trial = self.belief.copy()
         decision = trial.close_loop(view, decision)
         if decision.status == "accepted":

@@ -15,7 +15,6 @@ from drivers import se2
 from ..mapper import Mapper
 from .closer import LoopDecision
 from .constellation import OLD_WAY, recent_and_old
-from .proposal import DISTINCT, DISTINCT_TURN
 from .verification import contradiction
 
 if TYPE_CHECKING:
@@ -40,7 +39,6 @@ class Case:
     examined: float
     since: list[Sighting] = field(default_factory=list)
     against: int = 0
-    reason: str = ""
 
 
 class Probation:
@@ -59,14 +57,6 @@ class Probation:
         for case in self._cases:
             case.since.append(sighting)
 
-    def contradicts(self, decision: LoopDecision) -> bool:
-        """Whether a closure that is about to be made shows that the last one was wrong: had that brought the robot to
-        its place, nothing would have to move again so soon."""
-        if not self._cases or (np.hypot(*decision.motion[:2]) < DISTINCT and abs(decision.motion[2]) < DISTINCT_TURN):
-            return False
-        self._cases[-1].reason = "another closure, found twice, contradicts it"
-        return True
-
     def examine(self, mapper: Mapper, *, lost: bool) -> Case | None:
         """The oldest closure on probation that cannot be right, its decision taken back; the case ends here.
 
@@ -75,10 +65,10 @@ class Probation:
         way = mapper.ways[-1]
         self._cases = [case for case in self._cases if way - case.way <= WAY]
         for position, case in enumerate(self._cases):
-            case.reason = case.reason or ("the robot got lost after it" if lost else _seen_through(case, mapper))
-            if case.reason:
+            reason = "the robot got lost after it" if lost else _seen_through(case, mapper)
+            if reason:
                 del self._cases[position:]  # those after it rest on it
-                verdict = replace(case.decision.verdict, accepted=False, reason=case.reason)
+                verdict = replace(case.decision.verdict, accepted=False, reason=reason)
                 case.decision = replace(case.decision, status="retracted", verdict=verdict)
                 return case
         return None

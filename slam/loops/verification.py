@@ -22,7 +22,6 @@ WORST_SIGMA = 0.07  # metres: the motion must be determined in every direction, 
 # Of a motion so short less is asked: no building repeats itself so soon, and walls that have been taken for others keep
 # what staying explains high.
 NEAR, NEAR_TURN, NEAR_EXPLAINED, NEAR_GAIN = 1.0, np.radians(6.0), 0.4, 1.5  # metres, radians, share, metres of wall
-LIKELY_PART = 0.5  # of what drift may have done at most: next to a motion within it, one beyond the most is no rival
 RUNNER_UP = 0.85  # a different motion that explains this share of what the best one does makes the place ambiguous
 # Share of the wall length seen that could not have been seen through the old walls. Doors open and things are moved:
 # what contradicts staying put as much says nothing against moving.
@@ -59,8 +58,6 @@ def verify(
     gain = best.length - hypotheses[0].length
     shift, turn, part = _driftwise(best, old, pose)
     rivals = [h for h in hypotheses if h is not best and distinct(h.motion, best.motion, pose)]
-    if part <= LIKELY_PART:
-        rivals = [h for h in rivals if _driftwise(h, old, pose)[2] <= 1.0]
     runner_up = max((_rivalry(rival, best) for rival in rivals), default=0.0)
     matches, sigma = _matches(best), _sigma(best)
     contradicted = contradiction(best.motion, old, landmarks, views)
