@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from drivers.bases import Create2Device, Stream, WheelReading
+from drivers.emulator.emulator import at_once
 from drivers.lidars.rplidar import dense
 from drivers.lidars.rplidar.answers import Answer, Descriptor, Health, Info, Status
 from drivers.lidars.rplidar.decoding import descriptor_of
@@ -228,4 +229,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with at_once():  # hardware does not wait for a processor
+        main()
