@@ -10,8 +10,9 @@ import pytest
 
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry, Scan
-from drivers.simulator import Lidar, Simulation
+from drivers.simulator import DRIVES, LIDARS, Lidar, Simulation
 from slam import Finished, Slam
+from slam.loops import probation
 from slam.state import free_direction
 from slam.trajectory import Trajectory
 
@@ -126,3 +127,16 @@ def test_an_information_without_a_direction_tells_it() -> None:
     information[2, 2] = 1e5
     assert free_direction(np.array([1.0, 2.0, 0.3]), information, 0.3) == pytest.approx(0.8)
     assert free_direction(np.zeros(3), information + 1e3 * np.diag([1.0, 1.0, 0.0]), 0.3) is None
+
+
+def test_a_closure_taken_back_takes_every_sighting_once_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(probation, "_seen_through", lambda *_: "nothing is believed here")
+    slam = Slam()
+    for message in Simulation("large_loop", seed=1, lidar=LIDARS["short"], drive=DRIVES["bad"]):
+        slam.add(message)
+    stamps = slam.belief.path.hung()[0]
+    assert np.all(np.diff(stamps) > 0.0)
+    loops = slam.finish().summary["loops"]
+    assert isinstance(loops, dict)
+    assert loops["retracted"] == loops["accepted"] > 0
+    assert np.all(slam.belief.mapper.landmarks.walls.rows["last_seen"] < slam.belief.mapper.keyframe_count)
