@@ -50,10 +50,16 @@ def transform(pose: ArrayLike, points: ArrayLike) -> NDArray[np.float64]:
 
 
 def adjoint(pose: ArrayLike) -> NDArray[np.float64]:
-    """(3, 3): takes a small motion [x, y, heading] from the frame that `pose` places to the frame it is given in."""
+    """(..., 3, 3): takes a small motion [x, y, heading] from the frame that `pose` places to the frame it is given
+    in."""
     p = np.asarray(pose, dtype=np.float64)
-    c, s = np.cos(p[2]), np.sin(p[2])
-    return np.array([[c, -s, p[1]], [s, c, -p[0]], [0.0, 0.0, 1.0]])
+    result = np.zeros((*p.shape, 3))
+    c, s = _cosine_and_sine(p[..., 2])
+    result[..., 0, 0] = result[..., 1, 1] = c
+    result[..., 0, 1], result[..., 1, 0] = -s, s
+    result[..., 0, 2], result[..., 1, 2] = p[..., 1], -p[..., 0]
+    result[..., 2, 2] = 1.0
+    return result
 
 
 # What follows is called a hundred times a scan, mostly on one pose: np.stack, and trigonometry on arrays without

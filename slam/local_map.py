@@ -61,8 +61,9 @@ def local_map_around(landmarks: Landmarks, pose: se2.Pose, radius: float, pose_c
     jacobian = np.zeros((len(walls), 2, 3))
     jacobian[:, 0] = np.column_stack([-s, c, c * lever[:, 0] + s * lever[:, 1]])
     jacobian[:, 1, 2] = 1.0
-    wall_drift = jacobian @ _drift_since(walls["last_seen"], pose_covariances) @ jacobian.transpose(0, 2, 1)
-    corner_drift = _drift_since(corners["last_seen"], pose_covariances)[:, :2, :2]
+    drift = _drift_since(np.concatenate([walls["last_seen"], corners["last_seen"]]), pose_covariances)
+    wall_drift = jacobian @ drift[: len(walls)] @ jacobian.transpose(0, 2, 1)
+    corner_drift = drift[len(walls) :, :2, :2]
     return LocalMap(
         walls=near_walls,
         frame=walls["frame"],
@@ -83,6 +84,7 @@ def _drift_since(keyframes: Integers, pose_covariances: list[Floats]) -> Floats:
     The error of a later pose is that of the earlier one and what was added on the way, so the covariance of the
     difference is about the difference of the covariances; where a closed loop made it smaller, that part is zero.
     """
-    then = np.array([pose_covariances[k] for k in keyframes]).reshape(-1, 3, 3)
+    different, places = np.unique(keyframes, return_inverse=True)  # many were last seen from the same keyframe
+    then = np.array([pose_covariances[k] for k in different]).reshape(-1, 3, 3)
     values, vectors = np.linalg.eigh(pose_covariances[-1] - then)
-    return np.asarray((vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1))
+    return np.asarray((vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1))[places]
