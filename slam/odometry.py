@@ -26,8 +26,8 @@ START_COUNT = 10
 LEAST_RATE = 1e-8  # of variance; no wheels err by less than a tenth of a millimetre or of a milliradian in a metre
 HELD_SIGMA = 0.05  # metres: worse than this, what was seen does not tell how far odometry erred in a step
 ADRIFT_SIGMA = 0.3  # metres: a direction in which what is seen holds the robot worse than this is left to odometry
-# Metres of way over which the wheels' errors are the same: wheels larger than believed stay so. Where every step is seen
-# to be right or wrong that does not matter; where many steps in a row are not, their errors add up.
+# Metres of way over which the wheels' errors are the same: wheels larger than believed stay so. Where every step is
+# seen to be right or wrong that does not matter; where many steps in a row are not, their errors add up.
 ALIKE_WAY = 20.0
 NORMAL_MEDIAN = 0.4549  # median of a squared standard normal variable
 PLANE_MEDIAN = 1.3863  # of the sum of two
