@@ -25,9 +25,9 @@ def on_page_content(html: str, **_: Any) -> str:
 
 
 def _picture(match: re.Match[str]) -> str:
-    tex = " ".join(unescape(match["tex"]).split())
-    svg, height, depth = _drawn(tex)
-    tag, style = match["tag"], f"height:{height / POINTS:.3f}em;vertical-align:{-depth / POINTS:.3f}em"
+    tag, tex = match["tag"], " ".join(unescape(match["tex"]).split())
+    svg, height, depth = _drawn(tex.replace(r"\frac", r"\dfrac") if tag == "div" else tex)
+    style = f"height:{height / POINTS:.3f}em;vertical-align:{-depth / POINTS:.3f}em"
     return f'<{tag} class="formula" role="img" aria-label="{escape(tex)}"><svg style="{style}" {svg}</{tag}>'
 
 
@@ -46,4 +46,4 @@ def _drawn(tex: str) -> tuple[str, float, float]:
         figure.text(0, depth / height, f"${tex}$", fontproperties=size)
         file = StringIO()
         figure.savefig(file, format="svg", transparent=True, metadata={"Date": None})
-    return NOT_IN_A_PAGE.sub("", file.getvalue()), height, depth
+    return NOT_IN_A_PAGE.sub("", file.getvalue()).strip(), height, depth

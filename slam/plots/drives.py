@@ -46,7 +46,7 @@ def plot_honesty(path: Path, keyframes: Keyframes, truth: Trajectory, *, title: 
     _, errors = _errors(keyframes, truth)
     sigma = np.sqrt(np.diagonal(keyframes.covariance, axis1=1, axis2=2))
     seconds = keyframes.stamps - keyframes.stamps[0]
-    figure = Figure(figsize=(11, 6), dpi=DOTS_PER_INCH, layout="constrained")
+    figure = Figure(figsize=(9, 5.6), dpi=DOTS_PER_INCH, layout="constrained")
     figure.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold", color=INK)
     panels: Sequence[Axes] = figure.subplots(3, 1, sharex=True)
     for k, (axes, (name, scale)) in enumerate(zip(panels, AXES, strict=True)):
@@ -104,7 +104,7 @@ def plot_corridors(path: Path, corridors: Sequence[Corridor], *, title: str) -> 
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11, 4.4), dpi=DOTS_PER_INCH, layout="constrained")
+    figure = Figure(figsize=(9, 4.2), dpi=DOTS_PER_INCH, layout="constrained")
     figure.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold", color=INK)
     panels: Sequence[Axes] = figure.subplots(1, len(corridors), sharey=True)
     for axes, (name, keyframes, truth, states) in zip(panels, corridors, strict=True):

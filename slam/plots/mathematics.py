@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LEGEND: dict[str, Any] = {"frameon": False, "fontsize": 8.5, "labelcolor": INK}
+WIDTH = 9.0
+"""Inches; little, so that words are large beside what is drawn."""
 RADIUS_95 = 2.448
 """Standard deviations of the circle that holds 95 % of what has two dimensions."""
 SIGMAS_95 = 1.96
@@ -35,10 +37,10 @@ SHOWN = 60
 DOT: dict[str, Any] = {"marker": ".", "linestyle": "", "markersize": 2.0, "markeredgewidth": 0, "alpha": 0.35}
 
 
-def _panels(columns: int, title: str, height: float = 4.2) -> tuple[Figure, list[Axes]]:
+def _panels(columns: int, title: str, height: float = 3.8) -> tuple[Figure, list[Axes]]:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11, height), dpi=DOTS_PER_INCH, layout="constrained")
+    figure = Figure(figsize=(WIDTH, height), dpi=DOTS_PER_INCH, layout="constrained")
     figure.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold", color=INK)
     panels = list(np.atleast_1d(figure.subplots(1, columns)))
     for axes in panels:
@@ -91,7 +93,7 @@ def plot_fit(path: Path, seed: int = 0) -> None:
         ("looked at straight", Wall(3.0, 0.0, np.radians(-23.5), np.radians(23.5))),
         ("looked at from the side", Wall(1.5, 0.0, np.radians(57.0), np.radians(73.0))),
     )
-    figure, panels = _panels(2, f"What the covariance of a fit claims, and what {TRIALS} fits do", 4.6)
+    figure, panels = _panels(2, f"What the covariance of a fit claims, and what {TRIALS} fits do", 4.1)
     for axes, (name, wall) in zip(panels, cases, strict=True):
         seen = deviations(wall, seed)
         millimetres = 1e3 * seen.found
@@ -119,7 +121,7 @@ def plot_parameters(path: Path, seed: int = 0) -> None:
     wall = Wall(4.0, 0.0, np.radians(-2.5), np.radians(2.6))
     uv, polar = line_parameters(wall, noise, seed)
     title = f"A wall of {np.ptp(wall.span):.2f} m at {wall.distance:g} m: keep (u, v), not distance and direction"
-    figure, (left, right) = _panels(2, title, 4.8)
+    figure, (left, right) = _panels(2, title, 4.2)
     _draw_cloud(left, uv, scale=np.ones(2))
     _name(left, f"(u, v): {_share(uv)}", "u, 1/metres", "v, 1/metres")
     _draw_cloud(right, polar, scale=np.array([1.0, np.degrees(1.0)]))
@@ -130,7 +132,7 @@ def plot_parameters(path: Path, seed: int = 0) -> None:
 
 def plot_corners(path: Path, seed: int = 0) -> None:
     """Corners of two walls at three angles, with the ellipse that one scan claims. Raises OutputError."""
-    figure, panels = _panels(3, "The corner of two walls, by the angle at which they meet", 4.8)
+    figure, panels = _panels(3, "The corner of two walls, by the angle at which they meet", 4.2)
     at, bearing, seen = np.array([3.0, 0.0]), 0.0, np.radians(14.0)
     for axes, angle in zip(panels, (90.0, 45.0, 20.0), strict=True):
         turned = np.radians(angle / 2)
