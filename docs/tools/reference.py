@@ -65,7 +65,7 @@ def configuration() -> str:
             "## Options of devices",
             "",
             "They follow the device's place in its spec, such as "
-            "`rplidar:/dev/ttyUSB0?mount=0.1,0,3.1416&upside_down=1`; more on specs: [devices.md](devices.md).",
+            "`rplidar:/dev/ttyUSB0?mount=0.1,0,3.1416&upside_down=1`; [more on specs](devices.md).",
             "",
             *_devices(),
         ]

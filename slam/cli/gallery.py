@@ -35,7 +35,7 @@ RECORDINGS = {
 """Public recordings (datasets/catalogue.toml), looked for as NAME/NAME.clf in the folder that WCLM_DATASETS names."""
 DOTS_PER_INCH = 115
 """Pictures some 1300 pixels wide: what a page shows, even on a fine screen."""
-COLOURS = 64
+COLOURS = 200
 """Of a picture's palette: lines and their soft edges need no more, and the file has a third of the size."""
 
 Kind = TypeVar("Kind")

@@ -100,6 +100,9 @@ def fill(place: Path) -> None:
     (place / "intel.relations").write_text(
         f"{stamps[0]:.6f} {stamps[-1]:.6f} {motion[0]} {motion[1]} 0 0 0 {motion[2]}\n", encoding="ascii"
     )
+    for folder in ("monday", "tuesday"):
+        (place / folder).mkdir()
+        shutil.copy(place / "drive.mcap", place / folder / f"{folder}.mcap")
     for folder in ("intel", "out"):
         shutil.copytree(place / "map", place / folder)
         assert len(read_tum(place / folder / "trajectory.tum")) > 1
@@ -135,10 +138,15 @@ class Reader:
         for path in map(Path, self._given.intersection(outputs)):
             shutil.rmtree(path) if path.is_dir() else path.unlink()
         self._given.difference_update(outputs)
-        result = wclm(*words[1:])
+        result = wclm(*(path for word in words[1:] for path in _expanded(word)))
         if result.exception is not None and not isinstance(result.exception, SystemExit):
             raise result.exception
         assert result.exit_code == 0, f"{' '.join(words)}: {result.output}"
+
+
+def _expanded(word: str) -> list[str]:
+    """What a shell makes of a word."""
+    return [str(path) for path in sorted(Path().glob(word))] if "*" in word else [word]
 
 
 @pytest.fixture
