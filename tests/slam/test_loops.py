@@ -79,7 +79,7 @@ def test_a_room_seen_again_passes_all_tests() -> None:
     recent, old = recent_and_old(landmarks, pose, ways)
     found = propose(recent, old, pose)
     moved = np.column_stack([se2.compose(drift, ROOM[:, :3]), ROOM[:, 3]])
-    verdict = verify(found, recent, old, landmarks, pose, views_from(pose, moved))
+    verdict = verify(found, recent, old, landmarks, pose, views_from(pose, moved), near=False)
     assert verdict.accepted, verdict.reason
     assert verdict.contradicted == 0.0
 
@@ -101,7 +101,7 @@ def test_a_corridor_with_equal_doors_is_ambiguous() -> None:
     corridor = np.array([*jambs, [10.0, -0.3, 0.0, 10.0], [10.0, 2.3, np.pi, 10.0]])
     landmarks, pose, ways = seen_again(corridor, np.array([0.9, 0.3, 0.0]), way=100.0)
     recent, old = recent_and_old(landmarks, pose, ways)
-    verdict = verify(propose(recent, old, pose), recent, old, landmarks, pose, [])
+    verdict = verify(propose(recent, old, pose), recent, old, landmarks, pose, [], near=False)
     assert not verdict.accepted
     assert "another place" in verdict.reason
 
@@ -112,7 +112,7 @@ def test_walls_that_would_have_hidden_what_was_seen_speak_against_a_place() -> N
     recent, old = recent_and_old(landmarks, pose, ways)
     found = propose(recent, old, pose)
     moved = np.column_stack([se2.compose(np.array([0.9, -0.7, 0.12]), ROOM[:, :3]), ROOM[:, 3]])
-    verdict = verify(found, recent, old, landmarks, pose, views_from(pose, moved[1:2]))
+    verdict = verify(found, recent, old, landmarks, pose, views_from(pose, moved[1:2]), near=False)
     assert verdict.contradicted > 0.3
 
 
