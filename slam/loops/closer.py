@@ -12,7 +12,7 @@ from drivers import se2
 from ..mapper import Mapper
 from .constellation import OLD_WAY, Constellation, Integers, OldMap, recent_and_old
 from .proposal import Hypothesis, propose
-from .verification import Verdict, is_held, is_near, unexpected, verify
+from .verification import Verdict, is_astray, is_near, unexpected, verify
 
 INTERVAL = 1.5  # metres of driving between two looks
 LEAST_NEW = 4.0  # metres of new wall in the constellation: where all has long been known, there is nothing to close
@@ -92,8 +92,8 @@ class LoopCloser:
         pairs = _pairs(best, recent, old)
         if not pairs:
             return None
-        seen = mapper.landmarks.walls.rows["last_seen"]
-        seen_from = int(np.bincount(seen[[wall for wall, _ in pairs]]).argmax())
+        seen = mapper.landmarks.walls.rows["last_seen"][[wall for wall, _ in pairs]]
+        seen_from = int(np.bincount(np.minimum(seen, mapper.keyframe_count - 2)).argmax())  # before the last keyframe
         verdict, near = _judge(mapper, hypotheses, recent, old, seen_from)
         return self._decide(mapper, best, verdict, recent, pairs, seen_from, near=near)
 
@@ -207,9 +207,10 @@ def _pairs(best: Hypothesis, recent: Constellation, old: OldMap) -> tuple[tuple[
 def _judge(
     mapper: Mapper, hypotheses: Sequence[Hypothesis], recent: Constellation, old: OldMap, seen_from: int
 ) -> tuple[Verdict, bool]:
-    """The verdict on the second hypothesis, and whether it is one of a robot that can only be near its estimate.
+    """The verdict on the second hypothesis, and whether less was asked of it: it is near, and the estimate is astray.
 
-    How uncertain that is, relative to the keyframe that the old place was `seen_from`, costs more to ask than all else.
+    That is uncertain relative to the keyframe that the old place was `seen_from`; by how much costs more to ask than
+    all else.
     """
     motion, last = _in_robots_frame(hypotheses[1], mapper), mapper.keyframe_count - 1
     views = [(mapper.graph.keyframe_pose(k), segments) for k, segments in mapper.views]
@@ -218,7 +219,7 @@ def _judge(
     if not verdict.accepted:
         return verdict, near
     covariance = mapper.graph.relative_covariance(seen_from, last)
-    if near and not is_held(covariance):
+    if near and not is_astray(motion, covariance):
         return verify(hypotheses, recent, old, mapper.landmarks, mapper.pose, views, near=False), False
     reason = unexpected(motion, covariance)
     return (replace(verdict, accepted=False, reason=reason) if reason else verdict), near

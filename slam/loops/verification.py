@@ -19,15 +19,14 @@ LEAST_MATCHES = 4  # walls
 LEAST_GAIN = 3.0  # metres of wall that must fall on old walls more than if nothing moved
 LEAST_LENGTH = 6.0  # metres of wall that must fall on old walls
 WORST_SIGMA = 0.07  # metres: the motion must be determined in every direction, which parallel walls alone never do
-# Of a motion so short less is asked, where the robot can be no farther off: no building repeats itself so soon,
-# and walls that have been taken for others keep what staying explains high.
+# Of a motion so short less is asked where the estimate is astray: no building repeats itself so soon, and walls that
+# have been taken for others keep what staying explains high.
 NEAR, NEAR_TURN, NEAR_EXPLAINED, NEAR_GAIN = 1.0, np.radians(6.0), 0.4, 1.5  # metres, radians, share, metres of wall
+# Squared Mahalanobis distance of a motion that the estimate allows: chi-square with three degrees of freedom exceeds
+# 16.3 once in a thousand times; errors of wheels that are no noise count for half the deviation more.
+MOST_UNEXPECTED = 1.5**2 * 16.3
 # By how much walls that were taken for others may have pulled the estimate besides its uncertainty, metres and radians.
 ASTRAY_SIGMAS = np.array([0.25, 0.25, np.radians(3.0)])
-NEAR_SIGMAS = 3.0  # standard deviations of where the robot is, relative to the old place, that must lie within NEAR
-# Squared Mahalanobis distance of the motion from what the estimate itself allows: chi-square with three degrees of
-# freedom exceeds 16.3 once in a thousand times; the errors of wheels that are no noise count for twice the deviation.
-MOST_UNEXPECTED = 4.0 * 16.3
 RUNNER_UP = 0.85  # a different motion that explains this share of what the best one does makes the place ambiguous
 # Share of the wall length seen that could not have been seen through the old walls. Doors open and things are moved:
 # what contradicts staying put as much says nothing against moving.
@@ -60,7 +59,8 @@ def verify(
 ) -> Verdict:
     """Judge the second of several hypotheses by what was seen; the first is that nothing has to move.
 
-    `views` are the last keyframes' poses with the segments seen from them. `near` asks less, as of a motion `is_near`.
+    `views` are the last keyframes' poses with the segments seen from them. `near` asks less, as of
+    a motion that is short while the estimate is astray.
     """
     best = hypotheses[1]
     gain = best.length - hypotheses[0].length
@@ -90,18 +90,25 @@ def is_near(motion: se2.Pose) -> bool:
     return bool(np.hypot(motion[0], motion[1]) < NEAR and abs(motion[2]) < NEAR_TURN)
 
 
-def is_held(covariance: Floats) -> bool:
-    """Whether a robot whose pose relative to the old place has this covariance (3, 3) can only be near its estimate."""
-    return bool(NEAR_SIGMAS**2 * np.linalg.eigvalsh(covariance[:2, :2])[-1] < NEAR**2)
+def is_astray(motion: se2.Pose, covariance: Floats) -> bool:
+    """Whether a motion, were it right, would show that walls were taken for others: drift does not explain it.
+
+    `covariance` (3, 3) is that of the robot's pose relative to the old place, in the robot's frame.
+    """
+    return _unexpectedness(motion, covariance) > MOST_UNEXPECTED
 
 
 def unexpected(motion: se2.Pose, covariance: Floats) -> str:
-    """Says so if the estimate, by its covariance (3, 3), does not allow the robot to be where a motion has it.
+    """Says so if neither drift nor walls that were taken for others explain a motion, given as above.
 
     A place that looks right while the robot is known to be elsewhere is another one that looks alike.
     """
-    distance = float(motion @ np.linalg.solve(covariance + np.diag(ASTRAY_SIGMAS**2), motion))
+    distance = _unexpectedness(motion, covariance + np.diag(ASTRAY_SIGMAS**2))
     return "" if distance <= MOST_UNEXPECTED else f"{np.sqrt(distance):.0f} standard deviations from the estimate"
+
+
+def _unexpectedness(motion: se2.Pose, covariance: Floats) -> float:
+    return float(motion @ np.linalg.solve(covariance, motion))
 
 
 def _driftwise(hypothesis: Hypothesis, old: OldMap, pose: se2.Pose) -> tuple[float, float, float]:
