@@ -147,7 +147,7 @@ def test_what_was_believed_of_a_sighting_gives_way_to_what_it_shows(driven: Driv
     assert np.abs(refined.poses[row] - expected.poses[row]).max() < 0.003
 
 
-# A room with unequal sides and a niche, and a bay: walls as frames with x along them, seen from the room, and half their
+# A room with unequal sides, a niche and a bay: walls as frames with x along them, seen from the room, and half their
 # lengths.
 ROOM = np.array(
     [
