@@ -14,6 +14,9 @@ from ..segments import Floats, Segments
 from .constellation import Constellation, OldMap
 from .proposal import Hypothesis, distinct
 
+# Times as far as drift is expected to lead that a place may be: how far it can have led, the estimate's covariance says
+# better. Other places are looked for farther away still.
+FARTHEST = 1.4
 LEAST_EXPLAINED = 0.5  # share of the wall length seen where the old map has been that must fall on old walls
 LEAST_MATCHES = 4  # walls
 LEAST_GAIN = 3.0  # metres of wall that must fall on old walls more than if nothing moved
@@ -72,7 +75,7 @@ def verify(
     allowed = max(MOST_CONTRADICTED, contradiction(hypotheses[0].motion, old, landmarks, views))
     least_explained, least_gain = (NEAR_EXPLAINED, NEAR_GAIN) if near else (LEAST_EXPLAINED, LEAST_GAIN)
     tests = (
-        (part <= 1.0, f"{shift:.1f} m and {np.degrees(turn):.0f} degrees are farther than drift leads"),
+        (part <= FARTHEST, f"{shift:.1f} m and {np.degrees(turn):.0f} degrees are farther than drift leads"),
         (best.explained >= least_explained, f"explains {best.explained:.0%} < {least_explained:.0%}"),
         (best.length >= LEAST_LENGTH, f"{best.length:.1f} m of wall < {LEAST_LENGTH:.0f} m"),
         (gain >= least_gain, f"{gain:.1f} m of wall more than staying < {least_gain:.1f} m"),
@@ -112,7 +115,7 @@ def _unexpectedness(motion: se2.Pose, covariance: Floats) -> float:
 
 
 def _driftwise(hypothesis: Hypothesis, old: OldMap, pose: se2.Pose) -> tuple[float, float, float]:
-    """Metres and radians by which the robot would move, and which part that is of what drift may have done at most."""
+    """Metres and radians by which the robot would move, and how many times that is what drift is expected to do."""
     moved = se2.between(pose, se2.compose(hypothesis.motion, pose))
     shift, turn = float(np.hypot(moved[0], moved[1])), abs(float(moved[2]))
     matched = hypothesis.matches[hypothesis.matches >= 0]
