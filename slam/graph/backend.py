@@ -316,6 +316,13 @@ class FactorGraph:
             self._factorize_by_qr(error)
         return np.asarray(self._isam.jointMarginalCovariance(keys).fullMatrix())
 
+    def relative_covariance(self, old: int, keyframe: int) -> Floats:
+        """(3, 3): covariance of a keyframe's pose relative to an older one, in its own frame."""
+        joint = self._joint_covariance([X(old), X(keyframe)])
+        carry = se2.adjoint(se2.between(self.keyframe_pose(keyframe), self.keyframe_pose(old)))
+        both = np.hstack([-carry, np.eye(3)])
+        return np.asarray(KERNEL_CAUTION * both @ joint @ both.T)
+
     def relative_covariances(
         self, keyframe: int, walls: Sequence[int], corners: Sequence[int]
     ) -> tuple[Floats, Floats, Floats]:

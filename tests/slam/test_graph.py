@@ -210,6 +210,20 @@ def test_relative_covariances_are_those_of_a_map_that_begins_at_the_keyframe() -
     )
 
 
+def test_between_keyframes_of_a_chain_only_the_motions_between_them_are_uncertain() -> None:
+    graph, pose, motion = FactorGraph(), np.zeros(3), np.array([0.5, 0.1, 0.3])
+    graph.add_first_keyframe(pose)
+    for k in range(1, 7):
+        pose = se2.compose(pose, motion)
+        graph.add_keyframe(k, pose, k - 1, motion, ODOMETRY)
+    graph.update()
+    expected = np.zeros((3, 3))
+    for _ in range(3):
+        carry = se2.adjoint(se2.inverse(motion))
+        expected = carry @ expected @ carry.T + ODOMETRY
+    np.testing.assert_allclose(graph.relative_covariance(2, 5), KERNEL_CAUTION * expected, rtol=1e-6, atol=1e-12)
+
+
 def two_frames_on_one_wall() -> FactorGraph:
     graph = FactorGraph()
     graph.add_first_keyframe(np.zeros(3))
