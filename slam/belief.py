@@ -7,6 +7,7 @@ sightings since.
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,16 +18,17 @@ from .association import associate
 from .config import OdometryConfig
 from .front_end import Sighting
 from .local_map import empty_local_map
-from .loops.closer import LoopCloser, LoopDecision, close
+from .loops.closer import Looks, LoopCloser, LoopDecision, close
 from .mapper import REACH_MARGIN, KeyframeView, Mapper, Merge, Motion
 from .observability import free_direction
 from .odometry import OdometryNoise, fused_motion
 from .path import Path
+from .point_field import KEYFRAMES as RECENT_KEYFRAMES
 from .point_field import RecentPoints
 from .registration import Registration
 from .segments import Floats
 from .statistics import Clock
-from .tracking import Hold, Placement, Surroundings, Tracker
+from .tracking import Hold, Place, Placement, Surroundings, Tracker
 
 KEYFRAME_DISTANCE = 0.25  # metres
 KEYFRAME_TURN = np.radians(8.0)
@@ -50,6 +52,22 @@ class Anchor:
     relative: se2.Pose
     covariance: Floats
     odometry: se2.Pose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Standing:
+    """Where a belief stands on its map and its path: what comes next is measured from here.
+
+    firm               the last pose that is believed, and the odometry's then
+    anchor             None before the first keyframe
+    carried            whether the robot has been moved since the anchor without odometry's knowing
+    carried_keyframes  that were reached in this way
+    """
+
+    firm: Place | None
+    anchor: Anchor | None
+    carried: bool
+    carried_keyframes: Sequence[int]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,6 +98,63 @@ class Belief:
         self.carried_keyframes: list[int] = []  # that were reached in this way
         self.unplaced: list[Sighting] = []  # the last in a row that fit nowhere
         self._searched: tuple[float, int, se2.Pose, Floats] | None = None  # to be borne out by the next scan
+
+    @classmethod
+    def restored(
+        cls,
+        config: OdometryConfig,
+        odometry_samples: Floats,
+        mapper: Mapper,
+        path: Path,
+        stamps: Sequence[float],
+        standing: Standing,
+        looks: Looks,
+        sightings: Mapping[int, Sighting],
+    ) -> Belief:
+        """The belief that these were of. `stamps` and `sightings` are those of the keyframes; samples are of odometry's
+        noise.
+
+        What a closure on probation would fall back to is not remembered: it stays.
+        """
+        belief = cls(config)
+        belief.odometry_noise.take(odometry_samples)
+        belief.mapper, belief.path, belief.keyframe_stamps = mapper, path, list(stamps)
+        belief.loops.recall(looks)
+        belief._anchor, belief._carried = standing.anchor, standing.carried
+        belief.carried_keyframes = list(standing.carried_keyframes)
+        if standing.firm is not None:
+            belief._tracker.move_to(standing.firm.pose, standing.firm.odometry)
+            belief.pose = standing.firm.pose
+        if mapper.keyframe_count:
+            belief._look_back(sightings)
+        return belief
+
+    def _look_back(self, sightings: Mapping[int, Sighting]) -> None:
+        """Have the map around, and the points of keyframes: the last, in a familiar place the nearest."""
+        count = self.mapper.keyframe_count
+        near = np.arange(count)
+        if self.in_familiar_place:
+            near = np.sort(self.mapper.keyframes_near(self.pose, np.inf, np.inf)[:RECENT_KEYFRAMES])
+        for keyframe in near[-RECENT_KEYFRAMES:].tolist():
+            self._recent_points.add(keyframe, sightings[keyframe].seen.points)
+        self._point_field = self._recent_points.field(self.mapper.poses_of(self._recent_points.keyframes), self.pose)
+        reach = sightings[count - 1].seen.segments.reach()
+        self._local_map = self.mapper.local_map_at(self.pose, REACH_MARGIN + reach)
+
+    @property
+    def standing(self) -> Standing:
+        """Where it stands."""
+        return Standing(self._tracker.firm, self._anchor, self._carried, tuple(self.carried_keyframes))
+
+    def settle_on(self, mapper: Mapper, path: Path, place: Place, sightings: Mapping[int, Sighting]) -> None:
+        """Take over a map with the same keyframes, which came of a second look, and the path on it.
+
+        `place` is that of the last sighting, `sightings` are those of the keyframes.
+        """
+        self.mapper, self.path, self.pose = mapper, path, place.pose
+        self._tracker.move_to(place.pose, place.odometry)
+        self._recent_points = RecentPoints()
+        self._look_back(sightings)
 
     def copy(self) -> Belief:
         """The same estimate, to go back to."""

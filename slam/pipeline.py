@@ -21,10 +21,11 @@ from .recovery import Excursion, Suspicion
 from .refinement import drive_of, laid_path, refine
 from .reporting import Reporter
 from .segments import Floats
+from .sessions import StoredSession
 from .snapshot import map_corners, map_lines
 from .state import State, StateWatch
 from .statistics import Clock, RunStatistics
-from .tracking import Hold, Placement
+from .tracking import Hold, Place, Placement
 
 
 class Slam:
@@ -59,6 +60,7 @@ class Slam:
         self._journal: list[Sighting] = []  # everything sighted, for looking back at the end
         self._state = StateWatch()
         self._statistics = RunStatistics()
+        self._session: StoredSession | None = None
 
     # --- what goes in
 
@@ -196,8 +198,10 @@ class Slam:
         if self._excursion is not None:
             last = self._excursion.sightings[-1].stamp
             self._go_on_from(self._excursion.joined(), last, "never found again in the map; odometry has to do")
+        left = self.belief.copy()  # to be gone on from as if this had not been the end
         self.belief.mapper.settle()
         summary = self._summary() | self._look_back()
+        self._session = self._stored(self.belief if self._refine else left)
         keyframes = self.belief.mapper.trail
         stamps, poses = self.belief.path.at_odometry(keyframes, self._front_end.odometry)
         result = Finished(
@@ -213,6 +217,22 @@ class Slam:
         self._reporter.tell(result)
         return result
 
+    @property
+    def session(self) -> StoredSession:
+        """All that the estimate consists of, to be kept and gone on from; known after `finish`."""
+        assert self._session is not None, "ask after finish"
+        return self._session
+
+    def _stored(self, belief: Belief) -> StoredSession:
+        return StoredSession(
+            config=self.config,
+            belief=belief,
+            sightings=self._journal,
+            odometry=[self._front_end.odometry],
+            sigma_range=self._front_end.sigma_range,
+            closures=self._statistics.loop_rows(),
+        )
+
     def _look_back(self) -> dict[str, object]:
         """Lay everything sighted over the finished map, after refining that if it is wanted; what the summary gets."""
         belief, last = self.belief, self._journal[-1].stamp
@@ -227,7 +247,9 @@ class Slam:
         except MapError as error:
             self._reporter.tell(Noticed(last, f"what was seen is not looked back at: {error}"))
             return {}
-        belief.mapper, belief.path, belief.pose = refined.mapper, refined.path, refined.poses[-1]
+        refined.mapper.remember_covariances()
+        keyframes = {k: self._journal[row] for k, row in enumerate(drive.keyframes.tolist())}
+        belief.settle_on(refined.mapper, refined.path, Place(refined.poses[-1], self._journal[-1].odometry), keyframes)
         self._reporter.tell_map(last, belief.mapper)
         return {"refinement": refined.summary}
 

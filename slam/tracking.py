@@ -138,6 +138,11 @@ class Tracker:
         """The base is at `pose` in the map, as the map is now, when odometry is at `odometry`."""
         self._firm, self._misfits, self._left = Place(pose, odometry), 0, None
 
+    @property
+    def firm(self) -> Place | None:
+        """The last pose that is believed; None before the first scan."""
+        return self._firm
+
     def correct(self, pose: se2.Pose) -> None:
         """The map has changed, and the pose at the last scan with it."""
         assert self._firm is not None

@@ -157,6 +157,7 @@ def map_feed(
     """
     with OutputDirectory(out, overwrite) as directory, ExitStack() as log:
         from ..pipeline import Slam
+        from ..sessions import Recording, write_stored
         from ..warmup import warm_up
 
         with say_if_slow(COMPILING):
@@ -167,7 +168,8 @@ def map_feed(
             sinks.append(log.enter_context(_review_log(directory, config, feed, server)))
         started = time.perf_counter()
         with feed.opened() as messages:
-            finished, busy = _follow(messages, Slam(config, sinks, refine=refine), tally, feed.name)
+            slam = Slam(config, sinks, refine=refine)
+            finished, busy = _follow(messages, slam, tally, feed.name)
             log.close()
             score = score_against_truth(finished, tally)
             if picture:
@@ -175,6 +177,9 @@ def map_feed(
             took = time.perf_counter() - started
             summary = summarise(feed, finished, tally, notices.texts, score, seed=seed, slam_seconds=busy, seconds=took)
             write_results(directory, finished, config, summary)
+            session = slam.session
+            session.recordings.append(Recording(name=feed.name, path=feed.reopen, first=tally.first, last=tally.last))
+            write_stored(directory, session)
     _write_page(out)
     return Outcome(summary, review)
 
