@@ -1,4 +1,7 @@
-"""Walls and corners, a row for each: also those that nobody has seen twice, or that turned out to be another."""
+"""Walls and corners, a row for each: also those that nobody has seen twice, or that turned out to be another.
+
+Of what no keyframe sees any more, walls have no extent (it is infinite) and corners no position (it is NaN).
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ def write_walls(file: Path, landmarks: Landmarks) -> None:
         file,
         {
             **{name: rows["frame"][:, k] for k, name in enumerate(("x", "y", "heading"))},
-            **{name: np.where(np.isfinite(rows[name]), rows[name], 0.0) for name in ("low", "high")},
+            **{name: rows[name] for name in ("low", "high")},
             **{name: rows[name].astype(np.int32) for name in COUNTS},
             **{name: covariance[:, k] for k, name in enumerate(("offset_offset", "offset_heading", "heading_heading"))},
             "in_graph": rows["in_graph"],
@@ -37,12 +40,10 @@ def write_corners(file: Path, landmarks: Landmarks) -> None:
     """Write the table of corners. Raises OSError."""
     rows = landmarks.corners.rows
     covariance = rows["covariance"][:, UPPER[0], UPPER[1]]
-    known = np.isfinite(rows["position"]).all(axis=1)
     write_table(
         file,
         {
-            "known": known,
-            **{name: np.where(known, rows["position"][:, k], 0.0) for k, name in enumerate(("x", "y"))},
+            **{name: rows["position"][:, k] for k, name in enumerate(("x", "y"))},
             **{name: rows["headings"][:, k] for k, name in enumerate(("heading_before", "heading_after"))},
             **{name: rows["walls"][:, k].astype(np.int32) for k, name in enumerate(("wall_before", "wall_after"))},
             **{name: rows[name].astype(np.int32) for name in CORNER_COUNTS},
@@ -58,7 +59,7 @@ def read_landmarks(walls: Path, corners: Path) -> Landmarks:
     table = Columns(walls)
     rows = np.zeros(len(table), WALL)
     rows["frame"] = table.floats("x", "y", "heading")
-    rows["low"], rows["high"] = table.floats("low"), table.floats("high")
+    rows["low"], rows["high"] = table.floats("low", finite=False), table.floats("high", finite=False)
     for name in COUNTS:
         rows[name] = table.integers(name)
     rows["covariance"] = table.floats("offset_offset", "offset_heading", "heading_heading")[:, [0, 1, 1, 2]].reshape(
@@ -75,7 +76,7 @@ def read_landmarks(walls: Path, corners: Path) -> Landmarks:
 
     table = Columns(corners)
     rows = np.zeros(len(table), CORNER)
-    rows["position"] = np.where(table.flags("known")[:, None], table.floats("x", "y"), np.nan)
+    rows["position"] = table.floats("x", "y", finite=False)
     rows["headings"] = table.floats("heading_before", "heading_after")
     rows["walls"] = table.integers("wall_before", "wall_after")
     for name in CORNER_COUNTS:

@@ -86,11 +86,12 @@ class Columns:
     def __len__(self) -> int:
         return int(self._table.num_rows)
 
-    def floats(self, *names: str) -> Floats:
-        """(n,) for one name, (n, d) for several. Raises MapError where one is not there or not finite."""
+    def floats(self, *names: str, finite: bool = True) -> Floats:
+        """(n,) for one name, (n, d) for several. Raises MapError where one is not there, or should be `finite` and is
+        not."""
         columns = [np.asarray(self._column(name, pa.types.is_floating), dtype=np.float64) for name in names]
         for name, column in zip(names, columns, strict=True):
-            self._check(name, bool(np.isfinite(column).all()), "has values that are not finite")
+            self._check(name, not finite or bool(np.isfinite(column).all()), "has values that are not finite")
         return columns[0] if len(names) == 1 else np.column_stack(columns)
 
     def integers(self, *names: str) -> NDArray[np.int64]:

@@ -70,14 +70,16 @@ def test_all_that_the_estimate_rests_on_is_read_back(left: tuple[StoredSession, 
     for name in ("walls", "corners"):
         before, after = (getattr(some.mapper.landmarks, name).rows for some in (one, other))
         for column in before.dtype.names:
-            np.testing.assert_array_equal(after[column], before[column], err_msg=f"{name} {column}")
+            # of a covariance only one half is kept, and the two agree but for rounding
+            np.testing.assert_allclose(after[column], before[column], rtol=1e-9, atol=1e-15, err_msg=column)
     assert other.mapper.landmarks.covered == one.mapper.landmarks.covered
     assert other.mapper.flatness.variance == one.mapper.flatness.variance
     np.testing.assert_array_equal(other.odometry_noise.deviations, one.odometry_noise.deviations)
     for before, after in zip(one.mapper.names, other.mapper.names, strict=True):
         np.testing.assert_array_equal(after.walls, before.walls)
         np.testing.assert_array_equal(after.corners, before.corners)
-    np.testing.assert_array_equal(other.mapper.pose_covariances, one.mapper.pose_covariances)
+    covariances = one.mapper.pose_covariances
+    np.testing.assert_allclose(other.mapper.pose_covariances, covariances, rtol=1e-9, atol=1e-15)
     assert len(other.mapper.waiting) == len(one.mapper.waiting)
     np.testing.assert_array_equal(other.mapper.ways, one.mapper.ways)
     np.testing.assert_allclose(other.pose, one.pose, atol=1e-12)
