@@ -96,6 +96,7 @@ class Belief:
         self._anchor: Anchor | None = None
         self._carried = False  # whether the robot has been moved since then without odometry's knowing
         self.carried_keyframes: list[int] = []  # that were reached in this way
+        self.frozen = False  # see `freeze`
         self.unplaced: list[Sighting] = []  # the last in a row that fit nowhere
         self._searched: tuple[float, int, se2.Pose, Floats] | None = None  # to be borne out by the next scan
 
@@ -213,10 +214,12 @@ class Belief:
 
     def _familiar_keyframe(self, placement: Placement) -> int | None:
         """The nearest of the keyframes at a place that has been visited often enough for nothing new to be learned, and
-        where what is seen is what was seen before; None elsewhere.
+        where what is seen is what was seen before; None elsewhere. On a frozen map all places are like that.
 
         So the graph grows with the size of the place and not with the time spent there.
         """
+        if self.frozen:
+            return int(self.mapper.keyframes_near(self.pose, np.inf, np.inf)[0])
         if self._carried or placement.registration.explained < FAMILIAR_EXPLAINED:
             return None
         near = self.mapper.keyframes_near(self.pose, FAMILIAR_DISTANCE, FAMILIAR_TURN)
@@ -229,6 +232,7 @@ class Belief:
         """Go through a familiar place: the way goes on from there, the map stays as it is."""
         relative = se2.between(self.mapper.trail[keyframe], self.pose)
         self._anchor = Anchor(keyframe, relative, placement.covariance, sighting.odometry)
+        self._carried = self._carried and not self.frozen
         self._local_map = self.mapper.local_map_at(self.pose, REACH_MARGIN + sighting.seen.segments.reach())
         self._recent_points.add(keyframe, sighting.seen.points.seen_from(relative))
         self._point_field = self._recent_points.field(self.mapper.poses_of(self._recent_points.keyframes), self.pose)
@@ -271,6 +275,12 @@ class Belief:
         self.pose = self.mapper.pose
         self._point_field = self._recent_points.field(self.mapper.poses_of(self._recent_points.keyframes), self.pose)
         self._tracker.correct(self.pose)
+
+    def freeze(self) -> None:
+        """Bring the map to rest, and leave it as it is from now on: only the robot's place on it is looked for."""
+        self.mapper.settle()
+        self.frozen = True
+        self._local_map = self.mapper.local_map_at(self.pose, CARRIED_REACH)
 
     def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
         """The base is at `pose` in the map when odometry is at `odometry`, wherever it was believed to be."""

@@ -45,9 +45,11 @@ class Sighting:
 class FrontEnd:
     """Takes scans and odometry, gives sightings."""
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, sigma_range: float | None = None) -> None:
+        """`sigma_range` is a range's standard deviation where it is known better than the settings have it."""
         self._lidar = config.lidar
-        self._extractor = build_extractor(config)
+        start = {} if sigma_range is None or not config.lidar.adapt_noise else {"sigma_range": sigma_range}
+        self._extractor = build_extractor(config.model_copy(update={"lidar": config.lidar.model_copy(update=start)}))
         self._waiting: deque[Scan] = deque()
         self.odometry = OdometryHistory()
         self.scans = 0

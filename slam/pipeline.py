@@ -8,10 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from drivers import se2
-from drivers.messages import GroundTruth, Message, Scan
+from drivers.messages import GroundTruth, Message, Odometry, Scan
 
 from .belief import Belief, Extension
 from .config import Config
+from .drives import Drives
 from .errors import MapError
 from .estimator import Estimator, Step
 from .events import Finished, MapCorners, MapLines, Noticed, ScanTracked, Sink, StateChanged, TruthSeen
@@ -44,20 +45,31 @@ class Slam:
         *,
         refine: bool = False,
         loops: LoopCloser | None = None,
+        resumed: StoredSession | None = None,
+        frozen: bool = False,
     ) -> None:
         """`refine` asks for a second look at everything before finishing; for that, what was sighted in familiar places
         is kept, too.
 
-        `loops` looks for loops in another way than the default.
+        `loops` looks for loops in another way than the default. `resumed` is a session to go on from: straight on, if
+        odometry continues, else from wherever in its map the robot is found. Where the map is `frozen` it stays as it
+        is, and only the path on it is told.
         """
         self.config = config or Config()
         self._reporter = Reporter(sinks)
-        self._front_end = FrontEnd(self.config)
-        self._estimator = Estimator(Belief(self.config.odometry, loops))
+        self._front_end = FrontEnd(self.config, None if resumed is None else resumed.sigma_range)
+        self._estimator = Estimator(Belief(self.config.odometry, loops) if resumed is None else resumed.belief)
+        self._drives = Drives() if resumed is None else Drives(resumed.odometry, resumed.starts)
+        self._resumed, self._frozen = resumed, frozen
+        if frozen:
+            self.belief.freeze()
+        self._begun = False  # whether odometry has told of anything
         self._excursion: Excursion | None = None  # while the robot is lost
         self._suspicion: Suspicion | None = None  # while what it sees may belong elsewhere
         self._refine = refine
-        self._journal: list[Sighting] = []  # everything sighted, for looking back at the end
+        # everything sighted, for looking back at the end
+        self._journal: list[Sighting] = [] if resumed is None else list(resumed.sightings)
+        self._since = len(self._journal), self._drives.latest  # what is of this run: first row, after when
         self._state = StateWatch()
         self._statistics = RunStatistics()
         self._session: StoredSession | None = None
@@ -69,9 +81,24 @@ class Slam:
         if isinstance(message, GroundTruth):
             self._reporter.tell(TruthSeen(message.stamp, message.pose))
             return
+        if isinstance(message, Odometry) and not self._begun:
+            self._begin(message)
         self._front_end.add(message)
         while (scan := self._front_end.next_scan()) is not None:
             self._add_scan(scan)
+
+    def _begin(self, first: Odometry) -> None:
+        """The first reading of odometry: it continues that of a session, or the robot may be anywhere on its map."""
+        self._begun = True
+        straight_on = self._drives.continue_with(first)
+        history = self._drives.histories[-1] if straight_on else self._drives.begin(len(self._journal))
+        self._front_end.odometry = history
+        if self._resumed is None:
+            return
+        self._reporter.tell_map(first.stamp, self.belief.mapper)
+        if not straight_on:
+            self._excursion = Excursion(self.config.odometry, self.belief, ())
+            self._tell_state(first.stamp, self._state.lose())
 
     # --- the story of a scan
 
@@ -84,7 +111,7 @@ class Slam:
             self._look_for_the_way_back(self._excursion, sighting)
             return
         step = self._estimator.take(sighting, clock)
-        if self.belief.in_familiar_place and not self._refine:
+        if self.belief.in_familiar_place and not self._refine and not self._frozen:
             self._journal[-1] = sighting.without_view()
         self._note(sighting, step.placement)
         if step.extension is not None:
@@ -196,14 +223,16 @@ class Slam:
         while (scan := self._front_end.next_scan(last=True)) is not None:
             self._add_scan(scan)
         if self._excursion is not None:
-            last = self._excursion.sightings[-1].stamp
-            self._go_on_from(self._excursion.joined(), last, "never found again in the map; odometry has to do")
+            self._end_lost(self._excursion)
         left = self.belief.copy()  # to be gone on from as if this had not been the end
-        self.belief.mapper.settle()
+        if not self._frozen:
+            self.belief.mapper.settle()
         summary = self._summary() | self._look_back()
         self._session = self._stored(self.belief if self._refine else left)
         keyframes = self.belief.mapper.trail
-        stamps, poses = self.belief.path.at_odometry(keyframes, self._front_end.odometry)
+        stamps, poses = self._drives.trajectory(self.belief.path, keyframes)
+        if self._frozen:
+            stamps, poses = stamps[stamps > self._since[1]], poses[stamps > self._since[1]]
         result = Finished(
             lines=map_lines(self.belief.mapper, covariances=True),
             corners=map_corners(self.belief.mapper, covariances=True),
@@ -217,6 +246,33 @@ class Slam:
         self._reporter.tell(result)
         return result
 
+    def _end_lost(self, excursion: Excursion) -> None:
+        """The robot has not been found again before the end.
+
+        Raises MapError where it never was on a map that is to stay as it is.
+        """
+        last = self._journal[-1].stamp
+        if self._drives.starts[-1] < self._since[0] or self._resumed is None or self._placed_since():
+            if not self._frozen:
+                self._go_on_from(excursion.joined(), last, "never found again in the map; odometry has to do")
+            self._excursion = None
+            return
+        if self._frozen:
+            raise MapError("what was seen is nowhere on the map that it was to be found on")
+        self._drives.keep_last()
+        self._journal, self._resumed = self._journal[self._since[0] :], None
+        alone = Estimator(Belief(self.config.odometry))
+        for sighting in self._journal:
+            step = alone.take(sighting, Clock())
+            decisions = [step.extension.loop if step.extension else None, step.retracted]
+            self._statistics.loops += [(sighting.stamp, decision) for decision in decisions if decision is not None]
+        self._go_on_from(alone, last, "never found on the map of the session, and left alone: it is not in the results")
+
+    def _placed_since(self) -> bool:
+        """Whether anything of this run is on the path."""
+        stamps = self.belief.path.hung()[0]
+        return bool(len(stamps)) and bool(stamps[-1] > self._since[1])
+
     @property
     def session(self) -> StoredSession:
         """All that the estimate consists of, to be kept and gone on from; known after `finish`."""
@@ -228,9 +284,11 @@ class Slam:
             config=self.config,
             belief=belief,
             sightings=self._journal,
-            odometry=[self._front_end.odometry],
+            odometry=self._drives.histories,
+            starts=self._drives.starts,
             sigma_range=self._front_end.sigma_range,
-            closures=self._statistics.loop_rows(),
+            recordings=[] if self._resumed is None else list(self._resumed.recordings),
+            closures=[*(() if self._resumed is None else self._resumed.closures), *self._statistics.loop_rows()],
         )
 
     def _look_back(self) -> dict[str, object]:
@@ -238,9 +296,10 @@ class Slam:
         belief, last = self.belief, self._journal[-1].stamp
         if belief.mapper.keyframe_count < 2:
             return {}
-        drive = drive_of(self._journal, belief.path, belief.keyframe_stamps, belief.carried_keyframes)
+        carried, starts = belief.carried_keyframes, self._drives.starts
+        drive = drive_of(self._journal, belief.path, belief.keyframe_stamps, carried, starts)
         try:
-            if not self._refine:
+            if not self._refine or self._frozen:
                 belief.path = laid_path(belief.mapper, drive, belief.odometry_noise)
                 return {}
             refined = refine(belief.mapper, drive, belief.odometry_noise)

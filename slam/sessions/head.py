@@ -82,6 +82,7 @@ class Head(_Record):
     format: str = FORMAT
     version: int = VERSION
     recordings: list[Recording]
+    starts: list[int]
     firm: _Place | None
     anchor: _Anchor | None
     carried: bool
@@ -94,6 +95,7 @@ class Head(_Record):
     def of(
         cls,
         recordings: list[Recording],
+        starts: list[int],
         standing: Standing,
         looks: Looks,
         graph: tuple[int, bool],
@@ -105,6 +107,7 @@ class Head(_Record):
         return cls.model_validate(
             {
                 "recordings": recordings,
+                "starts": starts,
                 "firm": None if standing.firm is None else _data(standing.firm),
                 "anchor": None if standing.anchor is None else _data(standing.anchor),
                 "carried": standing.carried,

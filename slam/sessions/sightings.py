@@ -142,6 +142,7 @@ def read_sightings(file: FilePath) -> Sighted:
 
 
 def _split(values: NDArray[Number], lengths: Integers) -> list[NDArray[Number]]:
+    """The values of each row."""
     return np.split(values, np.cumsum(lengths)[:-1]) if len(lengths) else []
 
 
@@ -150,17 +151,17 @@ def _read_features(table: Columns, file: FilePath) -> list[ScanFeatures]:
     corners = _split(*table.ragged_floats(*(f"corner_{name}" for name in CORNER)))
     pairs = _split(*table.ragged_integers("corner_before", "corner_after"))
     every, loose = (_split(*table.ragged_integers(f"{kind}_x", f"{kind}_y")) for kind in ("all", "loose"))
-    seen = []
+    seen, tidy = [], np.ascontiguousarray  # compiled code is for arrays without gaps
     for row in range(len(table)):
-        frame = segments[row][:, :3]
+        frame = tidy(segments[row][:, :3])
         if len(pairs[row]) != len(corners[row]) or not ((pairs[row] >= 0) & (pairs[row] < len(frame))).all():
             raise MapError(f"{file}: a corner is of walls that are not there")
         seen.append(
             ScanFeatures(
-                Segments(frame, segments[row][:, 3], segments[row][:, [4, 5, 5, 6]].reshape(-1, 2, 2)),
+                Segments(frame, tidy(segments[row][:, 3]), tidy(segments[row][:, [4, 5, 5, 6]]).reshape(-1, 2, 2)),
                 CornerPoints(
-                    corners[row][:, :2],
-                    corners[row][:, [2, 3, 3, 4]].reshape(-1, 2, 2),
+                    tidy(corners[row][:, :2]),
+                    tidy(corners[row][:, [2, 3, 3, 4]]).reshape(-1, 2, 2),
                     pairs[row],
                     frame[pairs[row], 2].reshape(-1, 2),
                 ),

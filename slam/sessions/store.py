@@ -52,6 +52,7 @@ class StoredSession:
     belief       the estimate: map, graph, path, and all that was learned
     sightings    every one, in time order
     odometry     all of it, for each drive: a drive ends where odometry does not continue
+    starts       rows of the sightings that drives begin with
     recordings   what it was all made of
     closures     every decision on a place that looked known, a row each, as in the summary
     sigma_range  standard deviation of a range as it was estimated last, metres
@@ -61,14 +62,21 @@ class StoredSession:
     belief: Belief
     sightings: Sequence[Sighting]
     odometry: Sequence[OdometryHistory]
+    starts: Sequence[int]
     sigma_range: float
     recordings: list[Recording] = field(default_factory=list)
     closures: Sequence[Mapping[str, Any]] = ()
 
+    @property
+    def latest(self) -> float:
+        """When the last of it was measured, seconds; -inf where nothing was."""
+        stamps = [history.latest for history in self.odometry] + [sighting.stamp for sighting in self.sightings[-1:]]
+        return max(stamps, default=-np.inf)
+
     def drive(self) -> Drive:
         """All sightings, and where they belong."""
         belief = self.belief
-        return drive_of(self.sightings, belief.path, belief.keyframe_stamps, belief.carried_keyframes)
+        return drive_of(self.sightings, belief.path, belief.keyframe_stamps, belief.carried_keyframes, self.starts)
 
 
 def write_stored(directory: Path, stored: StoredSession) -> None:
@@ -78,7 +86,8 @@ def write_stored(directory: Path, stored: StoredSession) -> None:
     belief, mapper = stored.belief, stored.belief.mapper
     graph = mapper.graph.state()
     learned = stored.sigma_range, belief.odometry_noise.samples, mapper.flatness.samples
-    head = Head.of(stored.recordings, belief.standing, belief.loops.looks, (graph.updates, graph.qr), learned)
+    starts, standing, looks = list(stored.starts), belief.standing, belief.loops.looks
+    head = Head.of(stored.recordings, starts, standing, looks, (graph.updates, graph.qr), learned)
     write_sightings(
         folder / SIGHTINGS, Sighted(list(stored.sightings), belief.path, belief.keyframe_stamps, mapper.names)
     )
@@ -135,6 +144,7 @@ def read_stored(path: Path) -> StoredSession:
         belief=belief,
         sightings=sighted.sightings,
         odometry=_read_odometry(folder / ODOMETRY),
+        starts=list(head.starts),
         sigma_range=head.learned.sigma_range,
         recordings=list(head.recordings),
         closures=_read_closures(folder / CLOSURES),

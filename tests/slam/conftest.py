@@ -70,7 +70,7 @@ def fake_slam(monkeypatch: pytest.MonkeyPatch, finished: Finished) -> type:
             history = OdometryHistory()
             for reading in self.odometry:
                 history.add(reading)
-            return StoredSession(Config(), Belief(Config().odometry), [], [history], 0.01)
+            return StoredSession(Config(), Belief(Config().odometry), [], [history], [0], 0.01)
 
         def finish(self) -> Finished:
             for k in range(self.notices):

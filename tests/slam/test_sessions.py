@@ -97,6 +97,9 @@ def test_what_was_sighted_is_read_back(left: tuple[StoredSession, Path]) -> None
     np.testing.assert_array_equal(again.relative, drive.relative)
     np.testing.assert_array_equal(again.kept, drive.kept)
     for before, after in zip(drive.sightings, again.sightings, strict=True):
+        for some in (before.seen, after.seen):  # else what is compiled for the one would be compiled for the other anew
+            arrays = some.segments.frame, some.segments.half_length, some.segments.covariance, some.corners.covariance
+            assert all(array.flags.c_contiguous for array in (*arrays, some.corners.position, some.corners.headings))
         np.testing.assert_allclose(after.seen.segments.frame, before.seen.segments.frame, atol=1e-6)
         np.testing.assert_allclose(after.seen.segments.covariance, before.seen.segments.covariance, rtol=1e-6)
         np.testing.assert_allclose(after.seen.corners.position, before.seen.corners.position, atol=1e-6)
