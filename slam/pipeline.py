@@ -216,9 +216,9 @@ class Slam:
 
         Raises MapError where there was nothing to make a map of.
         """
-        if not self._front_end.scans:
+        if not self._front_end.scans and self._resumed is None:
             raise MapError("no laser scan in it, so there is nothing to map")
-        if not len(self._front_end.odometry):
+        if not self._drives.histories:
             raise MapError(f"{self._front_end.scans} scans, but no odometry; SLAM needs both")
         while (scan := self._front_end.next_scan(last=True)) is not None:
             self._add_scan(scan)
