@@ -58,13 +58,16 @@ class Anchor:
 class Standing:
     """Where a belief stands on its map and its path: what comes next is measured from here.
 
-    firm               the last pose that is believed, and the odometry's then
+    firm               the last pose that is believed, and the odometry's then; `step` led to it, and `fit` is how well
+                       the scan lay there
     anchor             None before the first keyframe
     carried            whether the robot has been moved since the anchor without odometry's knowing
     carried_keyframes  that were reached in this way
     """
 
     firm: Place | None
+    step: se2.Pose
+    fit: float
     anchor: Anchor | None
     carried: bool
     carried_keyframes: Sequence[int]
@@ -124,7 +127,7 @@ class Belief:
         belief._anchor, belief._carried = standing.anchor, standing.carried
         belief.carried_keyframes = list(standing.carried_keyframes)
         if standing.firm is not None:
-            belief._tracker.move_to(standing.firm.pose, standing.firm.odometry)
+            belief._tracker.resume(standing.firm, standing.step, standing.fit)
             belief.pose = standing.firm.pose
         if mapper.keyframe_count:
             belief._look_back(sightings)
@@ -145,7 +148,8 @@ class Belief:
     @property
     def standing(self) -> Standing:
         """Where it stands."""
-        return Standing(self._tracker.firm, self._anchor, self._carried, tuple(self.carried_keyframes))
+        tracker, carried = self._tracker, tuple(self.carried_keyframes)
+        return Standing(tracker.firm, tracker.step, tracker.fit, self._anchor, self._carried, carried)
 
     def settle_on(self, mapper: Mapper, path: Path, place: Place, sightings: Mapping[int, Sighting]) -> None:
         """Take over a map with the same keyframes, which came of a second look, and the path on it.

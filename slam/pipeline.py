@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Sequence
 
 import numpy as np
@@ -61,6 +62,7 @@ class Slam:
         self._estimator = Estimator(Belief(self.config.odometry, loops) if resumed is None else resumed.belief)
         self._drives = Drives() if resumed is None else Drives(resumed.odometry, resumed.starts)
         self._resumed, self._frozen = resumed, frozen
+        self._front_end.wait([] if resumed is None else resumed.waiting)
         if frozen:
             self.belief.freeze()
         self._begun = False  # whether odometry has told of anything
@@ -69,7 +71,8 @@ class Slam:
         self._refine = refine
         # everything sighted, for looking back at the end
         self._journal: list[Sighting] = [] if resumed is None else list(resumed.sightings)
-        self._since = len(self._journal), self._drives.latest  # what is of this run: first row, after when
+        # what is of this run: the first row, and after when
+        self._since = len(self._journal), -np.inf if resumed is None else resumed.latest
         self._state = StateWatch()
         self._statistics = RunStatistics()
         self._session: StoredSession | None = None
@@ -90,13 +93,15 @@ class Slam:
     def _begin(self, first: Odometry) -> None:
         """The first reading of odometry: it continues that of a session, or the robot may be anywhere on its map."""
         self._begun = True
-        straight_on = self._drives.continue_with(first)
-        history = self._drives.histories[-1] if straight_on else self._drives.begin(len(self._journal))
-        self._front_end.odometry = history
         if self._resumed is None:
+            self._front_end.odometry = self._drives.begin(0)
             return
         self._reporter.tell_map(first.stamp, self.belief.mapper)
-        if not straight_on:
+        self._front_end.odometry = self._drives.histories[-1]
+        if not self._drives.continue_with(first):
+            self._work_off(len(self._resumed.waiting))
+            self._front_end.odometry = self._drives.begin(len(self._journal))
+            self._since = len(self._journal), self._since[1]
             self._excursion = Excursion(self.config.odometry, self.belief, ())
             self._tell_state(first.stamp, self._state.lose())
 
@@ -220,15 +225,16 @@ class Slam:
             raise MapError("no laser scan in it, so there is nothing to map")
         if not self._drives.histories:
             raise MapError(f"{self._front_end.scans} scans, but no odometry; SLAM needs both")
-        while (scan := self._front_end.next_scan(last=True)) is not None:
-            self._add_scan(scan)
+        left = self._session_before_the_end()
+        self._work_off()
         if self._excursion is not None:
             self._end_lost(self._excursion)
-        left = self.belief.copy()  # to be gone on from as if this had not been the end
+        self._session = left or self._stored(self.belief.copy())
         if not self._frozen:
             self.belief.mapper.settle()
         summary = self._summary() | self._look_back()
-        self._session = self._stored(self.belief if self._refine else left)
+        if self._refine:
+            self._session = self._stored(self.belief)
         keyframes = self.belief.mapper.trail
         stamps, poses = self._drives.trajectory(self.belief.path, keyframes)
         if self._frozen:
@@ -245,6 +251,22 @@ class Slam:
         )
         self._reporter.tell(result)
         return result
+
+    def _work_off(self, count: int = sys.maxsize) -> None:
+        """Take the scans that wait, or the first of them, without odometry to cover them."""
+        while count > 0 and (scan := self._front_end.next_scan(last=True)) is not None:
+            self._add_scan(scan)
+            count -= 1
+
+    def _session_before_the_end(self) -> StoredSession | None:
+        """What is to be gone on from as if this had not been the end; None where that makes no difference, or where the
+        end has yet to decide where the robot is."""
+        waiting = self._front_end.waiting
+        if self._excursion is not None or not waiting or not self.belief.mapper.keyframe_count:
+            return None
+        session = self._stored(self.belief.copy())
+        session.sightings, session.waiting = list(self._journal), waiting
+        return session
 
     def _end_lost(self, excursion: Excursion) -> None:
         """The robot has not been found again before the end.
@@ -280,6 +302,7 @@ class Slam:
         return self._session
 
     def _stored(self, belief: Belief) -> StoredSession:
+        resumed = self._resumed
         return StoredSession(
             config=self.config,
             belief=belief,
@@ -287,8 +310,9 @@ class Slam:
             odometry=self._drives.histories,
             starts=self._drives.starts,
             sigma_range=self._front_end.sigma_range,
-            recordings=[] if self._resumed is None else list(self._resumed.recordings),
-            closures=[*(() if self._resumed is None else self._resumed.closures), *self._statistics.loop_rows()],
+            recordings=[] if resumed is None else list(resumed.recordings),
+            closures=[*(() if resumed is None else resumed.closures), *self._statistics.loop_rows()],
+            waiting=() if resumed is None or self._begun else resumed.waiting,
         )
 
     def _look_back(self) -> dict[str, object]:

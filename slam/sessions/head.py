@@ -84,6 +84,8 @@ class Head(_Record):
     recordings: list[Recording]
     starts: list[int]
     firm: _Place | None
+    step: Pose
+    fit: Finite
     anchor: _Anchor | None
     carried: bool
     carried_keyframes: list[int]
@@ -109,6 +111,8 @@ class Head(_Record):
                 "recordings": recordings,
                 "starts": starts,
                 "firm": None if standing.firm is None else _data(standing.firm),
+                "step": standing.step.tolist(),
+                "fit": standing.fit,
                 "anchor": None if standing.anchor is None else _data(standing.anchor),
                 "carried": standing.carried,
                 "carried_keyframes": list(standing.carried_keyframes),
@@ -128,6 +132,8 @@ class Head(_Record):
         firm, anchor = self.firm, self.anchor
         return Standing(
             None if firm is None else Place(np.array(firm.pose), np.array(firm.odometry)),
+            np.array(self.step),
+            self.fit,
             None
             if anchor is None
             else Anchor(

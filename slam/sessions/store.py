@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from drivers.messages import Scan
+
 from ..belief import Belief
 from ..config import Config, load_config
 from ..errors import MapError
@@ -27,6 +29,7 @@ from .head import Head, Recording, read_head, write_head
 from .landmarks import read_landmarks, write_corners, write_walls
 from .sightings import UPPER, Sighted, read_sightings, write_sightings
 from .tables import Columns, write_table
+from .waiting import read_waiting, write_waiting
 
 HEAD = "session.json"
 SIGHTINGS = "sightings.parquet"
@@ -37,6 +40,7 @@ CORNERS = "corners.parquet"
 VARIABLES = "variables.parquet"
 FACTORS = "factors.parquet"
 CLOSURES = "closures.parquet"
+WAITING = "waiting.parquet"
 COVARIANCE = ("xx", "xy", "xh", "yy", "yh", "hh")
 WORDS = ("status", "reason")
 COUNTS = ("candidate", "keyframe", "old", "matches", "merged")
@@ -56,6 +60,8 @@ class StoredSession:
     recordings   what it was all made of
     closures     every decision on a place that looked known, a row each, as in the summary
     sigma_range  standard deviation of a range as it was estimated last, metres
+    waiting      the last scans, for which odometry had not come yet: they are on the path that was told, and not in the
+                 estimate, since more odometry may come
     """
 
     config: Config
@@ -66,11 +72,13 @@ class StoredSession:
     sigma_range: float
     recordings: list[Recording] = field(default_factory=list)
     closures: Sequence[Mapping[str, Any]] = ()
+    waiting: Sequence[Scan] = ()
 
     @property
     def latest(self) -> float:
         """When the last of it was measured, seconds; -inf where nothing was."""
-        stamps = [history.latest for history in self.odometry] + [sighting.stamp for sighting in self.sightings[-1:]]
+        stamps = [history.latest for history in self.odometry]
+        stamps += [sighting.stamp for sighting in self.sightings[-1:]] + [scan.stamp for scan in self.waiting]
         return max(stamps, default=-np.inf)
 
     def drive(self) -> Drive:
@@ -98,6 +106,7 @@ def write_stored(directory: Path, stored: StoredSession) -> None:
     write_variables(folder / VARIABLES, graph)
     write_factors(folder / FACTORS, graph.factors, mapper.waiting)
     _write_closures(folder / CLOSURES, stored.closures)
+    write_waiting(folder / WAITING, stored.waiting)
     write_head(folder / HEAD, head)
 
 
@@ -148,6 +157,7 @@ def read_stored(path: Path) -> StoredSession:
         sigma_range=head.learned.sigma_range,
         recordings=list(head.recordings),
         closures=_read_closures(folder / CLOSURES),
+        waiting=read_waiting(folder / WAITING),
     )
 
 

@@ -105,21 +105,24 @@ class Columns:
         """n words."""
         return [str(word) for word in self._column(name, pa.types.is_string).tolist()]
 
-    def ragged_floats(self, *names: str) -> tuple[Floats, NDArray[np.int64]]:
+    def ragged_floats(self, *names: str, finite: bool = True) -> tuple[Floats, NDArray[np.int64]]:
         """Values (m, d) of the rows, one row's after the other's, and how many each has (n,)."""
         columns = [self._list(name, pa.types.is_floating) for name in names]
-        return self._stacked(names, columns, np.float64)
+        return self._stacked(names, columns, np.float64, finite=finite)
 
     def ragged_integers(self, *names: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """The same of whole numbers."""
         columns = [self._list(name, pa.types.is_integer) for name in names]
-        return self._stacked(names, columns, np.int64)
+        return self._stacked(names, columns, np.int64, finite=True)
 
-    def _stacked(self, names: Sequence[str], columns: Sequence[Ragged], dtype: type) -> tuple[Array, Array]:
+    def _stacked(
+        self, names: Sequence[str], columns: Sequence[Ragged], dtype: type, *, finite: bool
+    ) -> tuple[Array, Array]:
         lengths = columns[0].lengths
         for name, column in zip(names, columns, strict=True):
             self._check(name, np.array_equal(column.lengths, lengths), f"has other lengths than {names[0]}")
-            self._check(name, bool(np.isfinite(column.values).all()), "has values that are not finite")
+            whole = not finite or bool(np.isfinite(column.values).all())
+            self._check(name, whole, "has values that are not finite")
         return np.column_stack([column.values for column in columns]).astype(dtype), lengths
 
     def _column(self, name: str, fits: Any) -> Array:
