@@ -37,7 +37,7 @@ POINTS = "points.ply"
 SESSION = "session"
 RESULTS = frozenset({TRAJECTORY, KEYFRAMES, MAP, CONFIG, SUMMARY, REVIEW, PICTURE, REPORT, SESSION})
 GRAPH_RESULTS = frozenset({GRAPH, GRAPH_PICTURE, SUMMARY})
-EXPORTS = frozenset({f"{EXPORTED}.{suffix}" for suffix in ("pgm", "yaml", "geojson", "svg", "dxf")} | {POINTS})
+EXPORTS = frozenset({f"{EXPORTED}.{suffix}" for suffix in ("pgm", "yaml", "geojson", "svg", "dxf", "g2o")} | {POINTS})
 """What `wclm map` adds to a run's directory; it can be made again, so it does not keep the directory from being
 replaced."""
 
