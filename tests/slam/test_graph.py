@@ -11,7 +11,8 @@ import pytest
 from drivers import se2
 from slam.errors import MapError
 from slam.graph import FactorGraph
-from slam.graph.backend import CAUCHY_SCALE, FIRST_POSE_SIGMAS, KERNEL_CAUTION
+from slam.graph.backend import FIRST_POSE_SIGMAS, KERNEL_CAUTION
+from slam.graph.factors import CAUCHY_SCALE
 
 ODOMETRY = np.diag([0.02, 0.02, 0.01]) ** 2
 QUIET = 0.3  # of the claimed noise is drawn, so that the robust kernels stay out of the comparison
