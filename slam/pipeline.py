@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from .sessions import StoredSession
 from .snapshot import finished, map_corners, map_lines
 from .state import State, StateWatch
 from .statistics import Clock, RunStatistics
+from .summary import run_summary
 from .tracking import Hold, Place, Placement
 
 
@@ -45,16 +46,18 @@ class Slam:
         sinks: Sequence[Sink] = (),
         *,
         refine: bool = False,
+        keep_views: bool = False,
         loops: LoopCloser | None = None,
         resumed: StoredSession | None = None,
         frozen: bool = False,
     ) -> None:
-        """`refine` asks for a second look at everything before finishing; for that, what was sighted in familiar places
-        is kept, too.
+        """`refine` asks for a second look at everything before finishing.
 
-        `loops` looks for loops in another way than the default. `resumed` is a session to go on from: straight on, if
-        odometry continues, else from wherever in its map the robot is found. Where the map is `frozen` it stays as it
-        is, and only the path on it is told.
+        For that, or to take it later, `keep_views` keeps what was sighted in familiar places, too, where nothing of it
+        enters the map: memory then grows with the time driven. `loops` looks for loops in another way than the default.
+
+        `resumed` is a session to go on from: straight on, if odometry continues, else from wherever in its map the
+        robot is found. Where the map is `frozen` it stays as it is, and only the path on it is told.
         """
         self.config = config or Config()
         self._reporter = Reporter(sinks)
@@ -68,7 +71,8 @@ class Slam:
         self._begun = False  # whether odometry has told of anything
         self._excursion: Excursion | None = None  # while the robot is lost
         self._suspicion: Suspicion | None = None  # while what it sees may belong elsewhere
-        self._refine = refine
+        self._refine, self._keep_views = refine, refine or keep_views
+        self._familiar: set[int] = set()  # rows of the journal that were sighted in familiar places
         # everything sighted, for looking back at the end
         self._journal: list[Sighting] = [] if resumed is None else list(resumed.sightings)
         # what is of this run: the first row, and after when
@@ -116,8 +120,10 @@ class Slam:
             self._look_for_the_way_back(self._excursion, sighting)
             return
         step = self._estimator.take(sighting, clock)
-        if self.belief.in_familiar_place and not self._refine and not self._frozen:
-            self._journal[-1] = sighting.without_view()
+        if self.belief.in_familiar_place and not self._frozen:
+            self._familiar.add(len(self._journal) - 1)
+            if not self._keep_views:
+                self._journal[-1] = sighting.without_view()
         self._note(sighting, step.placement)
         if step.extension is not None:
             self._tell_keyframe(sighting, step.extension, clock)
@@ -221,9 +227,9 @@ class Slam:
 
         Raises MapError where there was nothing to make a map of.
         """
-        if not self._front_end.scans and self._resumed is None:
+        if not self._front_end.scans:
             raise MapError("no laser scan in it, so there is nothing to map")
-        if not self._drives.histories:
+        if not self._begun:
             raise MapError(f"{self._front_end.scans} scans, but no odometry; SLAM needs both")
         left = self._session_before_the_end()
         self._work_off()
@@ -232,7 +238,7 @@ class Slam:
         self._session = left or self._stored(self.belief.copy())
         if not self._frozen:
             self.belief.mapper.settle()
-        summary = self._summary() | self._look_back()
+        summary = run_summary(self._front_end, self.belief, self._statistics) | self._look_back()
         if self._refine:
             self._session = self._stored(self.belief)
         stamps, poses = self._drives.trajectory(self.belief.path, self.belief.mapper.trail)
@@ -302,7 +308,6 @@ class Slam:
             sigma_range=self._front_end.sigma_range,
             recordings=[] if resumed is None else list(resumed.recordings),
             closures=[*(() if resumed is None else resumed.closures), *self._statistics.loop_rows()],
-            waiting=() if resumed is None or self._begun else resumed.waiting,
         )
 
     def _look_back(self) -> dict[str, object]:
@@ -314,7 +319,9 @@ class Slam:
         drive = drive_of(self._journal, belief.path, belief.keyframe_stamps, carried, starts)
         try:
             if not self._refine or self._frozen:
-                belief.path = laid_path(belief.mapper, drive, belief.odometry_noise)
+                # the same path whether or not what was sighted in familiar places has been kept
+                known = [s.without_view() if row in self._familiar else s for row, s in enumerate(self._journal)]
+                belief.path = laid_path(belief.mapper, replace(drive, sightings=known), belief.odometry_noise)
                 return {}
             refined = refine(belief.mapper, drive, belief.odometry_noise)
         except MapError as error:
@@ -329,23 +336,3 @@ class Slam:
     def keyframe_covariance(self, index: int) -> Floats:
         """(3, 3): covariance of a keyframe's pose, in the keyframe's own frame (metres, metres, radians)."""
         return self.belief.mapper.graph.keyframe_covariance(index)
-
-    def _summary(self) -> dict[str, object]:
-        return {
-            "scans": self._front_end.scans,
-            "keyframes": self.belief.mapper.keyframe_count,
-            "factors": self.belief.mapper.graph.factor_count,
-            "merged_walls": self._statistics.merged_walls,
-            "loops": self._statistics.loop_counts(),
-            "loop_decisions": self._statistics.loop_rows(),
-            "states": self._statistics.state_rows(),
-            "odometry_deviation_per_metre": self.belief.odometry_noise.deviations.round(5).tolist(),
-            "sigma_range": round(self._front_end.sigma_range, 5),
-            "wall_unevenness": round(math.sqrt(self.belief.mapper.flatness.variance), 5),
-            "timings": self._statistics.timings(),
-            "health": self._statistics.health()
-            | {
-                "empty_scans": self._front_end.empty_scans,
-                "scans_without_odometry": self._front_end.scans_without_odometry,
-            },
-        }
