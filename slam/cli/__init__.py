@@ -15,6 +15,7 @@ from typer.core import TyperGroup
 from drivers.errors import SlamError
 
 from . import bench_loops as bench_loops
+from .batch import batch
 from .bench import bench
 from .calibrate import calibrate
 from .console import INTERRUPTED, MISTAKE, complain
@@ -83,6 +84,7 @@ def wclm(
 app.command()(demo)
 app.command()(run)
 app.command()(live)
+app.command()(batch)
 app.command()(optimize)
 app.command("map")(export_map)
 app.command()(report)
