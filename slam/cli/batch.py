@@ -22,7 +22,7 @@ from .console import (
 )
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from ..fleet.cluster import Client
 
 SOME_FAILED = 1
 """Exit status where the batch went to its end, but not every recording could be mapped."""
@@ -76,7 +76,7 @@ def batch(
     to_do = ledger.to_do
     try:
         if to_do:
-            with _cluster(scheduler, min(workers or os.cpu_count() or 1, len(to_do)), retries) as client:
+            with _cluster(scheduler, min(workers or os.cpu_count() or 1, len(to_do))) as client:
                 ledger.follow(dispatch(to_do, map_job, client, retries))
     except KeyboardInterrupt as error:
         complain(f"interrupted; {ledger.complete} of {len(ledger)} are complete, the same command again goes on")
@@ -97,7 +97,7 @@ def _make(out: Path) -> None:
         raise OutputError(f"{out}: cannot be made: {error.strerror or error}") from error
 
 
-def _cluster(scheduler: str | None, count: int, retries: int) -> AbstractContextManager[Client]:
+def _cluster(scheduler: str | None, count: int) -> AbstractContextManager[Client]:
     from ..fleet.cluster import local_workers, workers_of
 
     if scheduler is not None:
@@ -107,4 +107,4 @@ def _cluster(scheduler: str | None, count: int, retries: int) -> AbstractContext
 
     with say_if_slow(COMPILING):
         warm_up()  # here, once: the workers find on disk what else each of them would compile
-    return local_workers(count, retries)
+    return local_workers(count)

@@ -12,9 +12,12 @@ from distributed import Client, LocalCluster
 
 from ..errors import ClusterError
 
+__all__ = ["Client", "local_workers", "workers_of"]
+
 HERE = "127.0.0.1"  # what is sent to workers is code: nobody else may
 CONNECTING, STARTING = 10.0, 30.0  # seconds to wait for an existing scheduler and its first worker
 CONFIGURATION = {
+    "distributed.scheduler.allowed-failures": 0,
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
     "distributed.admin.system-monitor.disk": False,
@@ -22,14 +25,13 @@ CONFIGURATION = {
 
 
 @contextmanager
-def local_workers(count: int, retries: int) -> Iterator[Client]:
+def local_workers(count: int) -> Iterator[Client]:
     """`count` processes of one thread each, reached from this computer only, without a dashboard.
 
-    Killed ones come back. A task whose worker died is given to another, `retries` times. Leaving the context ends what
-    they are doing, by force after some seconds.
+    Killed ones come back; their task has failed. Leaving the context ends what they are doing, by force after some
+    seconds.
     """
-    failures = {"distributed.scheduler.allowed-failures": retries}
-    with TemporaryDirectory(prefix="wclm-") as scratch, dask.config.set(CONFIGURATION | failures):
+    with TemporaryDirectory(prefix="wclm-") as scratch, dask.config.set(CONFIGURATION):
         cluster = LocalCluster(
             n_workers=count,
             threads_per_worker=1,
@@ -55,7 +57,7 @@ def workers_of(address: str) -> Iterator[Client]:
 
     Raises ClusterError where there is no scheduler, or no worker comes.
     """
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what matters of it is in the rows
     try:
         client = Client(address, timeout=CONNECTING)
     except (OSError, ValueError) as error:
