@@ -43,6 +43,7 @@ class Extractor:
     roughness       metres by which real walls stray from straight lines; breaks must stand out from it
     penalty         gain of chi-square that a further break must bring
     tracking_distance  metres from a tracked line within which a ray belongs to it
+    known_from      scans that the given noise of ranges is worth against those seen
     """
 
     def __init__(
@@ -60,6 +61,7 @@ class Extractor:
         penalty: float = segmentation.PENALTY,
         roughness: float = ROUGHNESS,
         tracking_distance: float = tracking.PAPER_DISTANCE,
+        known_from: float = PRIOR_SCANS,
     ) -> None:
         if estimator not in ESTIMATORS:
             raise ValueError(f"no estimator {estimator!r}; there are {', '.join(ESTIMATORS)}")
@@ -69,7 +71,7 @@ class Extractor:
             raise ValueError(f"noise must be positive, is {noise}")
         self._noise = noise
         self._adapt = adapt_noise
-        self._scans = PRIOR_SCANS
+        self._scans = known_from
         self._settings = Settings(
             sigma_range=float(noise.sigma_range),
             sigma_bearing=float(noise.sigma_bearing),

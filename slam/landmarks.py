@@ -59,6 +59,11 @@ class Table:
         """The rows in use, as a view: assigning to it writes."""
         return self._storage[: self._count]
 
+    def fill(self, rows: NDArray[np.void]) -> None:
+        """Hold these rows and no others."""
+        self._storage, self._count = np.zeros(max(256, len(rows)), rows.dtype), len(rows)
+        self._storage[: len(rows)] = rows
+
     def append(self, **fields: Any) -> int:
         """Add a row; returns its index."""
         if self._count == len(self._storage):

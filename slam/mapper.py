@@ -18,7 +18,7 @@ from drivers import se2
 
 from .association import UNMATCHED, Association
 from .flatness import WallFlatness, uneven
-from .graph import FactorGraph
+from .graph import Factor, FactorGraph, GraphState, Kind
 from .landmarks import Landmarks
 from .local_map import LocalMap, local_map_around
 from .merging import LEAST_OBSERVATIONS, find_duplicate
@@ -61,6 +61,16 @@ class Names:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class KeyframeRecords:
+    """What a mapper remembers of its k keyframes, beside the graph; see there."""
+
+    trail: Floats
+    ways: Sequence[float]
+    names: Sequence[Names]
+    covariances: Sequence[Floats]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Motion:
     """The motion [x, y, heading] from an earlier keyframe to a new one, covariance (3, 3) in the new one's frame."""
 
@@ -100,6 +110,47 @@ class Mapper:
         mapper = cls()
         mapper.landmarks, mapper.flatness = copy.deepcopy(other.landmarks), copy.deepcopy(other.flatness)
         return mapper
+
+    @classmethod
+    def restored(
+        cls,
+        graph: GraphState,
+        landmarks: Landmarks,
+        flatness: WallFlatness,
+        keyframes: KeyframeRecords,
+        segments: Sequence[Segments],
+        waiting: Sequence[Factor],
+    ) -> Mapper:
+        """The mapper that these were of; `segments` are those of each keyframe.
+
+        Raises MapError where the graph leaves a variable undetermined.
+        """
+        mapper = cls()
+        mapper.graph, mapper.landmarks, mapper.flatness = FactorGraph.restored(graph), landmarks, flatness
+        mapper.keyframe_count, mapper.trail = len(keyframes.trail), keyframes.trail
+        mapper.ways, mapper.names = list(keyframes.ways), list(keyframes.names)
+        mapper.pose_covariances = list(keyframes.covariances)
+        mapper.views.extend(enumerate(segments))
+        for factor in waiting:
+            seen = factor.first, factor.measured, factor.covariance
+            waits = mapper._waiting_walls if factor.kind is Kind.WALL else mapper._waiting_corners
+            waits[factor.second].append(seen)
+        return mapper
+
+    @property
+    def waiting(self) -> list[Factor]:
+        """What was seen of landmarks that are not in the graph yet."""
+        return [
+            Factor(kind, keyframe, landmark, measured, covariance)
+            for kind, waits in ((Kind.WALL, self._waiting_walls), (Kind.CORNER, self._waiting_corners))
+            for landmark, seen in waits.items()
+            for keyframe, measured, covariance in seen
+        ]
+
+    @property
+    def keyframes(self) -> KeyframeRecords:
+        """What is remembered of the keyframes."""
+        return KeyframeRecords(self.trail, self.ways, self.names, self.pose_covariances)
 
     @property
     def pose(self) -> se2.Pose:
@@ -293,6 +344,11 @@ class Mapper:
         """Solve all that an empty mapper was given by `extend`, in batch, and read it back."""
         self.graph.solve()
         self._read_back(None)
+
+    def remember_covariances(self) -> None:
+        """Note how well every keyframe is known now. A map that was solved in batch never has."""
+        every = range(self.keyframe_count)
+        self.pose_covariances = [self.graph.relative_covariances(k, [], [])[0] for k in every]
 
     def read_back_all(self) -> None:
         """Take the whole estimate from the graph."""

@@ -33,6 +33,13 @@ class OdometryHistory:
         self._stamps: list[float] = []
         self._poses: list[se2.Pose] = []
 
+    @classmethod
+    def of(cls, stamps: Floats, poses: Floats) -> OdometryHistory:
+        """Readings (n,), (n, 3) in time order."""
+        history = cls()
+        history._stamps, history._poses = stamps.tolist(), list(poses)
+        return history
+
     def __len__(self) -> int:
         return len(self._stamps)
 
@@ -94,6 +101,16 @@ class OdometryNoise:
         """(2,): standard deviations of translation after one metre of way (metres) and of heading (radians)."""
         return np.asarray(np.sqrt(self._rates))
 
+    @property
+    def samples(self) -> Floats:
+        """(n, 2) what the estimate rests on; `take` has them again."""
+        return np.array(self._samples).reshape(-1, 2)
+
+    def take(self, samples: Floats) -> None:
+        """Go on from what another estimate rested on."""
+        self._samples.extend((float(translation), float(rotation)) for translation, rotation in samples)
+        self._estimate()
+
     def learn(self, claimed: se2.Pose, found: se2.Pose) -> None:
         """Take a motion [x, y, heading] as the odometry claims it, and as it was found to be."""
         way = way_of(claimed)
@@ -102,6 +119,11 @@ class OdometryNoise:
         error = se2.between(claimed, found)
         squared = error[0] ** 2 + error[1] ** 2
         self._samples.append((squared / (PLANE_MEDIAN * way**2), error[2] ** 2 / (NORMAL_MEDIAN * way)))
+        self._estimate()
+
+    def _estimate(self) -> None:
+        if not self._samples:
+            return
         observed = np.maximum(np.median(np.array(self._samples), axis=0), LEAST_RATE)
         trust = len(self._samples) / (len(self._samples) + START_COUNT)
         self._rates = np.maximum(self._start, LEAST_RATE) ** (1 - trust) * observed**trust

@@ -34,7 +34,8 @@ GRAPH = "graph.g2o"
 GRAPH_PICTURE = "graph.png"
 EXPORTED = "map"
 POINTS = "points.ply"
-RESULTS = frozenset({TRAJECTORY, KEYFRAMES, MAP, CONFIG, SUMMARY, REVIEW, PICTURE, REPORT})
+SESSION = "session"
+RESULTS = frozenset({TRAJECTORY, KEYFRAMES, MAP, CONFIG, SUMMARY, REVIEW, PICTURE, REPORT, SESSION})
 GRAPH_RESULTS = frozenset({GRAPH, GRAPH_PICTURE, SUMMARY})
 EXPORTS = frozenset({f"{EXPORTED}.{suffix}" for suffix in ("pgm", "yaml", "geojson", "svg", "dxf")} | {POINTS})
 """What `wclm map` adds to a run's directory; it can be made again, so it does not keep the directory from being

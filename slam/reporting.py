@@ -82,7 +82,8 @@ class Reporter:
         if not self._sinks:
             return
         keyframes = mapper.graph.keyframe_poses(mapper.keyframe_count)
-        moved = keyframes[: len(self._told_keyframes), :2] - self._told_keyframes[:, :2]
+        common = min(len(keyframes), len(self._told_keyframes))
+        moved = keyframes[:common, :2] - self._told_keyframes[:common, :2]
         self._told_keyframes = keyframes
         self.tell(
             MapUpdated(

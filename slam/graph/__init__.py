@@ -2,5 +2,6 @@
 
 from .backend import FactorGraph
 from .chain import smooth_chain
+from .factors import Factor, GraphState, Kind
 
-__all__ = ["FactorGraph", "smooth_chain"]
+__all__ = ["Factor", "FactorGraph", "GraphState", "Kind", "smooth_chain"]

@@ -53,12 +53,23 @@ class LoopDecision:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Look:
+class Look:
     """A look that passed all tests: by what motion, on which walls it rests, and after how many metres of driving."""
 
     motion: se2.Pose
     walls: frozenset[int]
     way: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Looks:
+    """What a search for loops remembers: the way (metres) at the last look, looks that wait for another, how many
+    places looked known so far, and the motions that proved wrong."""
+
+    last_way: float = 0.0
+    held: tuple[Look, ...] = ()
+    candidates: int = 0
+    refused: tuple[se2.Pose, ...] = ()
 
 
 Propose = Callable[[Constellation, OldMap, se2.Pose], list[Hypothesis]]
@@ -69,10 +80,17 @@ class LoopCloser:
 
     def __init__(self, propose: Propose = propose) -> None:
         self._propose = propose
-        self._last_way = 0.0
-        self._held: list[_Look] = []
-        self._candidates = 0
-        self._refused: list[se2.Pose] = []  # motions that proved wrong
+        self.recall(Looks())
+
+    @property
+    def looks(self) -> Looks:
+        """What it remembers."""
+        return Looks(self._last_way, tuple(self._held), self._candidates, tuple(self._refused))
+
+    def recall(self, looks: Looks) -> None:
+        """Go on from what another search remembered."""
+        self._last_way, self._candidates = looks.last_way, looks.candidates
+        self._held, self._refused = list(looks.held), list(looks.refused)
 
     def look(self, mapper: Mapper) -> LoopDecision | None:
         """Consider the last keyframe. Nothing is changed: to `close` what two looks agree on is for whoever asked."""
@@ -134,7 +152,7 @@ class LoopCloser:
             fresh = matched & ~np.isin(recent.walls, kept[list(look.walls)])
             if near or 2 * recent.half_length[fresh].sum() >= LEAST_FRESH:
                 return True
-        self._held.append(_Look(best.motion, frozenset(recent.walls[matched].tolist()), way))
+        self._held.append(Look(best.motion, frozenset(recent.walls[matched].tolist()), way))
         return False
 
 
@@ -149,7 +167,7 @@ def close(mapper: Mapper, decision: LoopDecision) -> LoopDecision:
     there = se2.compose(decision.hypothesis.motion, mapper.pose)
     relative = se2.between(mapper.graph.keyframe_pose(decision.old), there)
     strangers, since = strangers_to(mapper, decision)
-    mapper.graph.forget_observations((int(wall) for wall in strangers), since)
+    mapper.graph.forget_observations(frozenset(strangers.tolist()), since)
     mapper.landmarks.walls.rows["last_seen"][strangers] = since - 1
     carrying = mapper.graph.close_loop(decision.old, last, relative, CARRYING_SIGMAS)
     mapper.read_back_all()

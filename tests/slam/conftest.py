@@ -11,9 +11,12 @@ from ruamel.yaml import YAML
 from typer.testing import CliRunner, Result
 
 from drivers.messages import Message, Odometry, Scan
+from slam.belief import Belief
 from slam.cli import app
 from slam.config import Config
 from slam.events import Finished, MapCorners, MapLines, Noticed
+from slam.odometry import OdometryHistory
+from slam.sessions import StoredSession
 
 
 @pytest.fixture
@@ -61,6 +64,13 @@ def fake_slam(monkeypatch: pytest.MonkeyPatch, finished: Finished) -> type:
                 self.odometry.append(message)
             elif isinstance(message, Scan) and self.fails is not None:
                 raise self.fails
+
+        @property
+        def session(self) -> StoredSession:
+            history = OdometryHistory()
+            for reading in self.odometry:
+                history.add(reading)
+            return StoredSession(Config(), Belief(Config().odometry), [], [history], [0], 0.01)
 
         def finish(self) -> Finished:
             for k in range(self.notices):

@@ -11,7 +11,8 @@ import pytest
 from drivers import se2
 from slam.errors import MapError
 from slam.graph import FactorGraph
-from slam.graph.backend import CAUCHY_SCALE, FIRST_POSE_SIGMAS, KERNEL_CAUTION
+from slam.graph.backend import FIRST_POSE_SIGMAS, KERNEL_CAUTION
+from slam.graph.factors import CAUCHY_SCALE
 from slam.mapper import _move_along
 
 ODOMETRY = np.diag([0.02, 0.02, 0.01]) ** 2
