@@ -27,6 +27,7 @@ from .features import features
 from .info import info
 from .live import live
 from .map import export_map
+from .merge import merge
 from .optimize import optimize
 from .page import report
 from .record import record
@@ -86,6 +87,7 @@ app.command()(run)
 app.command()(live)
 app.command()(batch)
 app.command()(optimize)
+app.command()(merge)
 app.command("map")(export_map)
 app.command()(report)
 app.command()(info)

@@ -22,7 +22,7 @@ from .fragments import fragments
 
 SAME_PLACE, SAME_HEADING = 1.0, np.radians(5.0)  # by which pieces may differ: each map is bent in its own way
 LEAST_INDEPENDENT = 3  # pieces that agree, each on walls of its own
-MOST_SHARED = 0.5  # of a piece's walls that an earlier one may have rested on for both to count
+LEAST_OWN = 5  # walls of a piece on which none that counts rests: as many as it takes to recognise a place at all
 MOST_DISSENT = 0.2  # share of the pieces that were recognised that may be so elsewhere
 
 
@@ -42,7 +42,7 @@ class Agreement:
     looked_for   pieces
     recognised   of them
     members      the largest number that fit together
-    independent  of those, that rest on different walls
+    independent  of those, that rest on walls of their own
     """
 
     looked_for: int
@@ -73,11 +73,11 @@ def locate(mapper: Mapper, drive: Drive, index: MapIndex) -> Agreement:
         found = relocalise(fragment, index)
         if found is not None and found.verdict.accepted:
             recognised.append(Recognised(keyframes, fragment.pose, found))
-    members = _largest_agreement(recognised)
-    return Agreement(looked_for, len(recognised), members, _independent(members))
+    members = largest_agreement(recognised)
+    return Agreement(looked_for, len(recognised), members, independent(members))
 
 
-def _largest_agreement(recognised: Sequence[Recognised]) -> list[Recognised]:
+def largest_agreement(recognised: Sequence[Recognised]) -> list[Recognised]:
     """Those that fit with one of them, for the one with which most do."""
     poses = np.array([some.pose for some in recognised]).reshape(-1, 3)
     places = np.array([some.found.pose for some in recognised]).reshape(-1, 3)
@@ -94,13 +94,13 @@ def _fits(expected: Floats, found: Floats) -> NDArray[np.bool_]:
     return np.asarray(near & (np.abs(difference[:, 2]) < SAME_HEADING))
 
 
-def _independent(members: Sequence[Recognised]) -> int:
-    """How many rest for the most part on walls on which no other that counts does."""
+def independent(members: Sequence[Recognised]) -> int:
+    """How many rest on enough walls on which no other that counts does."""
     known: set[int] = set()
     count = 0
     for some in sorted(members, key=lambda member: -member.found.verdict.score):
-        walls = set(some.found.pairs[:, 0].tolist())
-        if len(walls & known) <= MOST_SHARED * len(walls):
-            known |= walls
+        own = set(some.found.pairs[:, 0].tolist()) - known
+        if len(own) >= LEAST_OWN:
+            known |= own
             count += 1
     return count

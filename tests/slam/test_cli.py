@@ -24,6 +24,7 @@ COMMANDS = (
     "map",
     "report",
     "optimize",
+    "merge",
     "info",
     "simulate",
     "emulate",
