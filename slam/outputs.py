@@ -20,6 +20,7 @@ from .errors import OutputError
 from .events import Finished
 from .keyframes import Keyframes, write_keyframes
 from .mapfile import write_map
+from .replacing import exchange
 from .trajectory import Trajectory, write_tum
 
 TRAJECTORY = "trajectory.tum"
@@ -37,7 +38,7 @@ POINTS = "points.ply"
 SESSION = "session"
 RESULTS = frozenset({TRAJECTORY, KEYFRAMES, MAP, CONFIG, SUMMARY, REVIEW, PICTURE, REPORT, SESSION})
 GRAPH_RESULTS = frozenset({GRAPH, GRAPH_PICTURE, SUMMARY})
-EXPORTS = frozenset({f"{EXPORTED}.{suffix}" for suffix in ("pgm", "yaml", "geojson", "svg", "dxf")} | {POINTS})
+EXPORTS = frozenset({f"{EXPORTED}.{suffix}" for suffix in ("pgm", "yaml", "geojson", "svg", "dxf", "g2o")} | {POINTS})
 """What `wclm map` adds to a run's directory; it can be made again, so it does not keep the directory from being
 replaced."""
 
@@ -97,11 +98,15 @@ class OutputDirectory:
             raise OutputError(f"{self._shown}: holds {foreign[0]}, which is not a result of a run; not overwritten")
 
     def _move_into_place(self, work: Path) -> None:
-        """Rename; older results step aside first, and come back should the renaming fail."""
+        """Rename. Older results change places with the new ones at a stroke: whenever the process is killed, one of the
+        two is there, whole. Where the system cannot do that they step aside, and come back should the renaming fail."""
         try:
             self._refuse_what_must_stay()
             if not self._target.exists():
                 work.rename(self._target)
+                return
+            if exchange(work, self._target):
+                shutil.rmtree(work, ignore_errors=True)
                 return
             aside = self._target.rename(work.with_name(f"{work.name}-old"))
             try:

@@ -24,7 +24,7 @@ from .refinement import drive_of, laid_path, refine
 from .reporting import Reporter
 from .segments import Floats
 from .sessions import StoredSession
-from .snapshot import map_corners, map_lines
+from .snapshot import finished, map_corners, map_lines
 from .state import State, StateWatch
 from .statistics import Clock, RunStatistics
 from .tracking import Hold, Place, Placement
@@ -235,20 +235,10 @@ class Slam:
         summary = self._summary() | self._look_back()
         if self._refine:
             self._session = self._stored(self.belief)
-        keyframes = self.belief.mapper.trail
-        stamps, poses = self._drives.trajectory(self.belief.path, keyframes)
+        stamps, poses = self._drives.trajectory(self.belief.path, self.belief.mapper.trail)
         if self._frozen:
             stamps, poses = stamps[stamps > self._since[1]], poses[stamps > self._since[1]]
-        result = Finished(
-            lines=map_lines(self.belief.mapper, covariances=True),
-            corners=map_corners(self.belief.mapper, covariances=True),
-            keyframe_stamps=np.array(self.belief.keyframe_stamps),
-            keyframes=keyframes,
-            stamps=stamps,
-            poses=poses,
-            summary=summary,
-            keyframe_covariance=np.array([self.keyframe_covariance(index) for index in range(len(keyframes))]),
-        )
+        result = finished(self.belief, (stamps, poses), summary)
         self._reporter.tell(result)
         return result
 

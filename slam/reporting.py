@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -57,11 +57,7 @@ class Reporter:
                 new_lines=view.new_walls,
                 sigma_range=sigma_range,
                 timings=timings,
-                counts={
-                    "walls": len(mapper.landmarks.walls),
-                    "corners": len(mapper.landmarks.corners),
-                    "factors": mapper.graph.factor_count,
-                },
+                counts=_sizes(mapper),
             )
         )
         if extension.merge is not None:
@@ -77,8 +73,35 @@ class Reporter:
         self.tell(_loop_event(decision, stamp))
         self.tell_map(stamp, mapper)
 
-    def tell_map(self, stamp: float, mapper: Mapper) -> None:
-        """Tell of the whole map."""
+    def tell_keyframes(self, mapper: Mapper, sightings: Mapping[int, Sighting], sigma_range: float) -> None:
+        """Tell of all keyframes where they are on a map that is finished; `sightings` are theirs."""
+        if not self._sinks:
+            return
+        for index, sighting in sightings.items():
+            names = mapper.names[index]
+            self.tell(
+                KeyframeAdded(
+                    index=index,
+                    stamp=sighting.stamp,
+                    pose=mapper.trail[index],
+                    pose_covariance=mapper.graph.keyframe_covariance(index),
+                    odometry=sighting.odometry,
+                    points=sighting.seen.points.all,
+                    segments=sighting.seen.segments,
+                    corners=sighting.seen.corners,
+                    line_match=names.walls,
+                    line_gate=np.full(len(names.walls), np.nan),
+                    corner_match=names.corners,
+                    corner_gate=np.full(len(names.corners), np.nan),
+                    new_lines=np.zeros(0, dtype=np.int64),
+                    sigma_range=sigma_range,
+                    timings={},
+                    counts=_sizes(mapper),
+                )
+            )
+
+    def tell_map(self, stamp: float, mapper: Mapper, index: int | None = None) -> None:
+        """Tell of the whole map, as it is after the last keyframe, or after the one of `index`."""
         if not self._sinks:
             return
         keyframes = mapper.graph.keyframe_poses(mapper.keyframe_count)
@@ -87,7 +110,7 @@ class Reporter:
         self._told_keyframes = keyframes
         self.tell(
             MapUpdated(
-                index=len(keyframes) - 1,
+                index=len(keyframes) - 1 if index is None else index,
                 stamp=stamp,
                 keyframes=keyframes,
                 lines=map_lines(mapper, covariances=False),
@@ -96,6 +119,12 @@ class Reporter:
                 shift=float(np.max(np.hypot(moved[:, 0], moved[:, 1]), initial=0.0)),
             )
         )
+
+
+def _sizes(mapper: Mapper) -> dict[str, int]:
+    """Of the map and the graph."""
+    landmarks = mapper.landmarks
+    return {"walls": len(landmarks.walls), "corners": len(landmarks.corners), "factors": mapper.graph.factor_count}
 
 
 def _loop_event(decision: LoopDecision, stamp: float) -> LoopDecided:

@@ -61,7 +61,7 @@ class RunStatistics:
 
     def loop_rows(self) -> list[dict[str, object]]:
         """Every decision on a place that looked known, with the scores it was decided by."""
-        return [_loop_row(stamp, decision) for stamp, decision in self.loops]
+        return [loop_row(stamp, decision) for stamp, decision in self.loops]
 
     def state_rows(self) -> list[dict[str, object]]:
         """When the state changed, and to what."""
@@ -97,7 +97,8 @@ class RunStatistics:
         }
 
 
-def _loop_row(stamp: float, decision: LoopDecision) -> dict[str, object]:
+def loop_row(stamp: float, decision: LoopDecision) -> dict[str, object]:
+    """A decision on a place that looked known, with the scores it was decided by, as it is written down."""
     verdict = decision.verdict
     scores = {
         "explained": verdict.explained,

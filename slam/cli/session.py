@@ -213,7 +213,7 @@ def map_feed(
         with feed.opened() as messages:
             slam = Slam(config, sinks, refine=refine, resumed=resumed, frozen=frozen)
             after = -np.inf if resumed is None else resumed.latest
-            finished, busy = _follow(_later(messages, after, tally), slam, tally, feed.name)
+            finished, busy = follow(_later(messages, after, tally), slam, tally, feed.name)
             log.close()
             score = score_against_truth(finished, tally)
             if picture:
@@ -227,7 +227,7 @@ def map_feed(
             write_results(directory, finished, config, summary)
             if not frozen:
                 write_stored(directory, session)
-    _write_page(out)
+    write_page_of(out)
     return Outcome(summary, review)
 
 
@@ -246,7 +246,7 @@ def _later(messages: Iterable[Message], after: float, tally: Tally) -> Iterator[
         yield replace(message, stamp=message.stamp + tally.shift) if tally.shift else message
 
 
-def _follow(messages: Iterable[Message], slam: Slam, tally: Tally, name: str) -> tuple[Finished, float]:
+def follow(messages: Iterable[Message], slam: Slam, tally: Tally, name: str) -> tuple[Finished, float]:
     """Give the pipeline all messages; what came of it, and the seconds it took. Raises MapError."""
     busy = 0.0
     try:
@@ -262,7 +262,7 @@ def _follow(messages: Iterable[Message], slam: Slam, tally: Tally, name: str) ->
         raise MapError(f"{name}: {error}") from error
 
 
-def _write_page(out: Path) -> None:
+def write_page_of(out: Path) -> None:
     """The page follows when the results are in place: should it fail, they are not lost."""
     from ..exports import read_session
     from ..page import write_page

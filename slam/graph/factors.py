@@ -42,6 +42,10 @@ class Kind(StrEnum):
     TIE = "tie"
 
 
+CAUCHY_SCALES = {Kind.MOTION: ODOMETRY_CAUCHY_SCALE, Kind.WALL: CAUCHY_SCALE, Kind.CORNER: CAUCHY_SCALE}
+"""Standard deviations at which a factor counts half; the other kinds always count in full."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Factor:
     """One statement of the graph; see Kind."""

@@ -1,7 +1,8 @@
 """What was sighted, and where it belongs: a row for each scan.
 
 Walls and corners are written in single precision, which at ten metres is a micrometre, and points to the millimetre:
-they are no better than that.
+they are no better than that. Only what the last keyframes saw is written to the last bit, in a table of its own: the
+next scans are laid over it, and what goes on from there should be what it would have been.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..errors import MapError
 from ..front_end import NOTHING_SEEN, Sighting
-from ..mapper import Names
+from ..mapper import KEPT_VIEWS, Names
 from ..path import Path
 from ..point_field import ScanPoints
 from ..registration import ScanFeatures
@@ -27,7 +28,8 @@ Integers = NDArray[np.int64]
 Number = TypeVar("Number", bound=np.generic)
 
 POINT_UNIT = 1e-3  # metres
-MOST_POINTS_AWAY = 2e6  # of these units: what no lidar reaches
+FARTHEST = 2e6  # of these units: what no lidar reaches
+RECENT = KEPT_VIEWS  # keyframes whose sightings are kept to the last bit; of fewer the points are used
 UPPER = np.triu_indices(3)
 INFORMATION = ("xx", "xy", "xh", "yy", "yh", "hh")
 SEGMENT = ("x", "y", "heading", "half_length", "offset_offset", "offset_heading", "heading_heading")
@@ -62,7 +64,7 @@ def write_sightings(file: FilePath, sighted: Sighted) -> None:
     for k, name in enumerate(INFORMATION):
         columns[f"information_{name}"] = _at(placed, upper[:, k], count, 0.0)
     columns["seen"] = np.array([sighting.seen is not NOTHING_SEEN for sighting in sightings], dtype=bool)
-    columns |= _features([sighting.seen for sighting in sightings])
+    columns |= _features([sighting.seen for sighting in sightings], exact=False)
     none = np.zeros(0, dtype=np.int64)
     walls, corners = [none] * count, [none] * count
     for row, names in zip(keyframes, sighted.names, strict=True):
@@ -88,35 +90,53 @@ def _at(rows: Integers, values: NDArray[np.generic], count: int, elsewhere: floa
     return column
 
 
-def _features(seen: Sequence[ScanFeatures]) -> dict[str, Ragged]:
+def write_recent(file: FilePath, sighted: Sighted) -> None:
+    """Write the table of what the last keyframes saw. Raises OSError."""
+    rows = _rows_of(np.array(sighted.keyframe_stamps), np.array([some.stamp for some in sighted.sightings]))[-RECENT:]
+    seen = [sighted.sightings[row].seen for row in rows.tolist()]
+    write_table(file, {"row": rows.astype(np.int32), **_features(seen, exact=True)})
+
+
+def _features(seen: Sequence[ScanFeatures], *, exact: bool) -> dict[str, Ragged]:
+    """The columns; `exact` to the last bit."""
+    number = np.float64 if exact else np.float32
     columns: dict[str, Ragged] = {}
     segments = [
         np.column_stack([s.frame, s.half_length, s.covariance[:, [0, 0, 1], [0, 1, 1]]])
         for s in (some.segments for some in seen)
     ]
     for k, name in enumerate(SEGMENT):
-        columns[f"segment_{name}"] = ragged([some[:, k] for some in segments], np.float32)
+        columns[f"segment_{name}"] = ragged([some[:, k] for some in segments], number)
     corners = [
         np.column_stack([c.position, c.covariance[:, [0, 0, 1], [0, 1, 1]]]) for c in (some.corners for some in seen)
     ]
     for k, name in enumerate(CORNER):
-        columns[f"corner_{name}"] = ragged([some[:, k] for some in corners], np.float32)
+        columns[f"corner_{name}"] = ragged([some[:, k] for some in corners], number)
     for k, name in enumerate(("before", "after")):
         columns[f"corner_{name}"] = ragged([some.corners.segments[:, k] for some in seen], np.int32)
     for kind in ("all", "loose"):
-        points = [np.rint(getattr(some.points, kind) / POINT_UNIT) for some in seen]
+        points = [getattr(some.points, kind) for some in seen]
         for k, name in enumerate(("x", "y")):
-            columns[f"{kind}_{name}"] = ragged(
-                [some[:, k].clip(-MOST_POINTS_AWAY, MOST_POINTS_AWAY) for some in points], np.int32
-            )
+            column = ragged([some[:, k] for some in points], np.float64)
+            columns[f"{kind}_{name}"] = column if exact else _in_units(column)
     return columns
 
 
-def read_sightings(file: FilePath) -> Sighted:
-    """Read the table. Raises MapError naming the file."""
+def _in_units(column: Ragged) -> Ragged:
+    counts = np.rint(column.values / POINT_UNIT).clip(-FARTHEST, FARTHEST)
+    return Ragged(counts.astype(np.int32), column.lengths)
+
+
+def read_sightings(file: FilePath, recent: FilePath) -> Sighted:
+    """Read both tables. Raises MapError naming the file."""
     table = Columns(file)
     stamps, odometry = table.floats("stamp"), table.floats("odometry_x", "odometry_y", "odometry_heading")
-    seen = _read_features(table, file)
+    seen = _read_features(table, file, exact=False)
+    latest = Columns(recent)
+    for row, some in zip(latest.integers("row").tolist(), _read_features(latest, recent, exact=True), strict=True):
+        if not 0 <= row < len(seen) or len(some.segments) != len(seen[row].segments):
+            raise MapError(f"{recent}: is not of the same session as {file.name}")
+        seen[row] = some
     kept = table.flags("seen")
     sightings = [
         Sighting(float(stamps[row]), odometry[row], seen[row] if kept[row] else NOTHING_SEEN)
@@ -135,8 +155,8 @@ def read_sightings(file: FilePath) -> Sighted:
         path.add(float(stamps[row]), int(anchor[row]), relative[row], informations[row])
     walls, corners = (_split(*table.ragged_integers(name)) for name in ("names_walls", "names_corners"))
     names = [Names(walls[row][:, 0], corners[row][:, 0]) for row in rows.tolist()]
-    for row, some in zip(rows.tolist(), names, strict=True):
-        if len(some.walls) != len(seen[row].segments) or len(some.corners) != len(seen[row].corners):
+    for row, named in zip(rows.tolist(), names, strict=True):
+        if len(named.walls) != len(seen[row].segments) or len(named.corners) != len(seen[row].corners):
             raise MapError(f"{file}: a keyframe does not say what each thing that it sees is")
     return Sighted(sightings, path, stamps[rows].tolist(), names)
 
@@ -146,11 +166,11 @@ def _split(values: NDArray[Number], lengths: Integers) -> list[NDArray[Number]]:
     return np.split(values, np.cumsum(lengths)[:-1]) if len(lengths) else []
 
 
-def _read_features(table: Columns, file: FilePath) -> list[ScanFeatures]:
+def _read_features(table: Columns, file: FilePath, *, exact: bool) -> list[ScanFeatures]:
     segments = _split(*table.ragged_floats(*(f"segment_{name}" for name in SEGMENT)))
     corners = _split(*table.ragged_floats(*(f"corner_{name}" for name in CORNER)))
     pairs = _split(*table.ragged_integers("corner_before", "corner_after"))
-    every, loose = (_split(*table.ragged_integers(f"{kind}_x", f"{kind}_y")) for kind in ("all", "loose"))
+    every, loose = (_read_points(table, kind, exact=exact) for kind in ("all", "loose"))
     seen, tidy = [], np.ascontiguousarray  # compiled code is for arrays without gaps
     for row in range(len(table)):
         frame = tidy(segments[row][:, :3])
@@ -165,7 +185,15 @@ def _read_features(table: Columns, file: FilePath) -> list[ScanFeatures]:
                     pairs[row],
                     frame[pairs[row], 2].reshape(-1, 2),
                 ),
-                ScanPoints(*(POINT_UNIT * some[row].astype(np.float64) for some in (every, loose))),
+                ScanPoints(every[row], loose[row]),
             )
         )
     return seen
+
+
+def _read_points(table: Columns, kind: str, *, exact: bool) -> list[Floats]:
+    names = f"{kind}_x", f"{kind}_y"
+    if exact:
+        return _split(*table.ragged_floats(*names))
+    counts, lengths = table.ragged_integers(*names)
+    return _split(POINT_UNIT * counts.astype(np.float64), lengths)

@@ -27,12 +27,13 @@ from ..refinement import Drive, drive_of
 from .graph import read_factors, read_graph, write_factors, write_variables
 from .head import Head, Recording, read_head, write_head
 from .landmarks import read_landmarks, write_corners, write_walls
-from .sightings import UPPER, Sighted, read_sightings, write_sightings
+from .sightings import UPPER, Sighted, read_sightings, write_recent, write_sightings
 from .tables import Columns, write_table
 from .waiting import read_waiting, write_waiting
 
 HEAD = "session.json"
 SIGHTINGS = "sightings.parquet"
+RECENT = "recent.parquet"
 ODOMETRY = "odometry.parquet"
 KEYFRAMES = "keyframes.parquet"
 WALLS = "walls.parquet"
@@ -96,9 +97,9 @@ def write_stored(directory: Path, stored: StoredSession) -> None:
     learned = stored.sigma_range, belief.odometry_noise.samples, mapper.flatness.samples
     starts, standing, looks = list(stored.starts), belief.standing, belief.loops.looks
     head = Head.of(stored.recordings, starts, standing, looks, (graph.updates, graph.qr), learned)
-    write_sightings(
-        folder / SIGHTINGS, Sighted(list(stored.sightings), belief.path, belief.keyframe_stamps, mapper.names)
-    )
+    sighted = Sighted(list(stored.sightings), belief.path, belief.keyframe_stamps, mapper.names)
+    write_sightings(folder / SIGHTINGS, sighted)
+    write_recent(folder / RECENT, sighted)
     _write_odometry(folder / ODOMETRY, stored.odometry)
     _write_keyframes(folder / KEYFRAMES, belief.keyframe_stamps, mapper.keyframes)
     write_walls(folder / WALLS, mapper.landmarks)
@@ -124,7 +125,7 @@ def read_stored(path: Path) -> StoredSession:
         raise MapError(f"{path}: holds no {SESSION}/{HEAD}, so it cannot be gone on from; make it again: `wclm run`")
     head = read_head(folder / HEAD)
     config = load_config(path / CONFIG)
-    sighted = read_sightings(folder / SIGHTINGS)
+    sighted = read_sightings(folder / SIGHTINGS, folder / RECENT)
     records = _read_keyframes(folder / KEYFRAMES, sighted)
     rows = drive_of(sighted.sightings, sighted.path, sighted.keyframe_stamps, ()).keyframes
     keyframes = {k: sighted.sightings[row] for k, row in enumerate(rows.tolist())}

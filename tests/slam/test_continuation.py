@@ -100,8 +100,7 @@ def test_interrupted_and_continued_is_uninterrupted(
     assert not notices
     np.testing.assert_array_equal(finished.stamps, uninterrupted.stamps)
     apart = np.hypot(*(finished.poses - uninterrupted.poses)[:, :2].T)
-    assert apart.max() < 0.01
-    assert np.median(apart) < 1e-3
+    assert apart.max() < 1e-3
     assert np.abs(se2.wrap(finished.poses[:, 2] - uninterrupted.poses[:, 2])).max() < np.radians(0.2)
     assert len(finished.lines) == len(uninterrupted.lines)
     assert slam.session.starts == [0]

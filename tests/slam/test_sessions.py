@@ -107,6 +107,10 @@ def test_what_was_sighted_is_read_back(left: tuple[StoredSession, Path]) -> None
         np.testing.assert_allclose(se2.wrap(after.seen.corners.headings - before.seen.corners.headings), 0, atol=1e-6)
         np.testing.assert_allclose(after.seen.points.all, before.seen.points.all, atol=6e-4)
         np.testing.assert_allclose(after.seen.points.loose, before.seen.points.loose, atol=6e-4)
+    for row in drive.keyframes[-5:]:  # which the next scans will be laid over
+        before, after = drive.sightings[row].seen, again.sightings[row].seen
+        np.testing.assert_array_equal(after.segments.frame, before.segments.frame)
+        np.testing.assert_array_equal(after.points.loose, before.points.loose)
 
 
 def test_a_session_is_small(left: tuple[StoredSession, Path]) -> None:
