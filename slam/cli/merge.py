@@ -14,6 +14,7 @@ from .console import OutOption, OverwriteOption, PlotOption, ReviewOption, say_i
 if TYPE_CHECKING:
     from ..events import Finished, Sink
     from ..joining import Joined
+    from ..sessions import Recording
     from .session import Outcome
 
 FEWEST = 2
@@ -79,7 +80,6 @@ def _merge(paths: list[Path], out: Path, *, overwrite: bool, review: bool, pictu
 
 def _summarise(name: str, joined: Joined, finished: Finished, seconds: float) -> dict[str, Any]:
     """The summary of a run, as far as there was one, and how each session was found."""
-    from ..trajectory import Trajectory
     from .report import peak_memory, versions
 
     session = joined.session
@@ -106,11 +106,7 @@ def _summarise(name: str, joined: Joined, finished: Finished, seconds: float) ->
         "keyframes": len(finished.keyframes),
         "walls": len(finished.lines),
         "corners": len(finished.corners),
-        "path_length": sum(
-            float(Trajectory(finished.stamps[part], finished.poses[part]).travelled[-1])
-            for part in ((finished.stamps >= some.first) & (finished.stamps <= some.last) for some in session.recordings)
-            if part.any()
-        ),
+        "path_length": sum(_driven(finished, recording) for recording in session.recordings),
         "slam_seconds": seconds,
         "wall_seconds": seconds,
         "real_time_factor": duration / seconds,
@@ -121,3 +117,11 @@ def _summarise(name: str, joined: Joined, finished: Finished, seconds: float) ->
         "slam": finished.summary,
         "versions": versions(),
     }
+
+
+def _driven(finished: Finished, recording: Recording) -> float:
+    """Metres driven in a recording; between two, the robot was carried."""
+    from ..trajectory import Trajectory
+
+    own = (finished.stamps >= recording.first) & (finished.stamps <= recording.last)
+    return float(Trajectory(finished.stamps[own], finished.poses[own]).travelled[-1]) if own.any() else 0.0

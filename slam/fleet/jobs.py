@@ -18,7 +18,7 @@ from drivers.opening import CARMEN_SUFFIXES
 
 from ..config import Config
 from ..errors import OutputError, RecordingError
-from ..outputs import KEYFRAMES, MAP, PICTURE, REPORT, REVIEW, SUMMARY, TRAJECTORY
+from ..outputs import KEYFRAMES, MAP, PICTURE, REPORT, REVIEW, SESSION, SUMMARY, TRAJECTORY
 
 SIMULATION, PLAYED = "sim:", "replay:"
 FINGERPRINT = "fingerprint"
@@ -38,9 +38,9 @@ class Request:
     picture: bool = False
 
     def results(self) -> tuple[str, ...]:
-        """Files that a complete directory holds at least."""
+        """What a complete directory holds at least."""
         asked = [name for name, wanted in ((REVIEW, self.review), (PICTURE, self.picture)) if wanted]
-        return (TRAJECTORY, MAP, KEYFRAMES, SUMMARY, REPORT, *asked)
+        return (TRAJECTORY, MAP, KEYFRAMES, SUMMARY, REPORT, SESSION, *asked)
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +147,7 @@ def completed(job: Job) -> dict[str, Any] | None:
         return None  # whatever it is, it is not complete; the run refuses what is not its own
     if made_of != job.recording:
         raise OutputError(f"{job.directory}: holds the results of {made_of}; choose another --out or add --overwrite")
-    whole = all((job.directory / name).is_file() for name in job.request.results())
+    whole = all((job.directory / name).exists() for name in job.request.results())
     return summary if whole and found == fingerprint(job) else None
 
 

@@ -28,7 +28,7 @@ MOST_DISSENT = 0.2  # share of the pieces that were recognised that may be so el
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recognised:
-    """A piece of a session, seen from its `keyframes`, the last of which is at `pose` in its map, and where it was found."""
+    """A piece of a session, seen from its `keyframes`, and where it was `found`; the last is at `pose` in its map."""
 
     keyframes: range
     pose: se2.Pose

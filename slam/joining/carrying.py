@@ -52,6 +52,7 @@ def later(session: StoredSession, after: float) -> StoredSession:
             recording.model_copy(update={name: getattr(recording, name) + shift for name in ("shift", "first", "last")})
             for recording in session.recordings
         ],
+        waiting=[replace(scan, stamp=scan.stamp + shift) for scan in session.waiting],
         closures=[{**closure, "stamp": closure["stamp"] + shift} for closure in session.closures],
     )
 

@@ -65,6 +65,7 @@ def united(first: StoredSession, second: StoredSession, agreement: Agreement) ->
         starts=starts,
         sigma_range=second.sigma_range,
         recordings=[*first.recordings, *second.recordings],
+        waiting=second.waiting,
         closures=[*first.closures, *_closures(second, count.keyframes)],
     )
 

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import drivers
 from drivers import se2
 from drivers.messages import GroundTruth, Message
 from slam import Slam
 from slam.benchmarks.relocalisation import halves
+from slam.cli import app
 from slam.config import config_to_toml
 from slam.errors import MapError
 from slam.evaluation import read_relations, score_reference, score_relations
@@ -21,10 +25,11 @@ from slam.joining import Agreement, join
 from slam.joining.agreement import Recognised, independent, largest_agreement
 from slam.joining.carrying import later
 from slam.loops.relocalisation import PlaceVerdict, Relocalisation
-from slam.optimisation import Optimised, optimise
-from slam.outputs import CONFIG
+from slam.mapfile import read_map
+from slam.optimisation import optimise
+from slam.outputs import CONFIG, RESULTS
 from slam.sessions import Recording, StoredSession, read_stored, write_stored
-from slam.trajectory import Trajectory
+from slam.trajectory import Trajectory, read_tum
 
 FOLDER = Path(os.environ.get("WCLM_DATASETS", Path(__file__).parents[3] / "shared" / "datasets"))
 OFFICE = {"first": ("sim:office?seed=1&duration=75", 0.0), "second": ("sim:office?seed=2&duration=105", 30.0)}
@@ -65,12 +70,16 @@ def read(sessions: dict[str, Path], *names: str) -> list[tuple[str, StoredSessio
 
 
 @pytest.fixture(scope="module")
-def both(sessions: dict[str, Path]) -> Optimised:
-    return optimise(join(read(sessions, "first", "second")).session)
+def both(sessions: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("joined") / "both"
+    result = CliRunner().invoke(app, ["merge", *(str(sessions[name]) for name in OFFICE), "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    assert "joined     " in result.stdout
+    return out
 
 
-def test_two_drives_through_one_building_become_one_map(both: Optimised, sessions: dict[str, Path]) -> None:
-    finished, recordings = both.finished, both.session.recordings
+def test_two_drives_through_one_building_become_one_map(both: Path, sessions: dict[str, Path]) -> None:
+    path, recordings = read_tum(both / "trajectory.tum"), read_stored(both).recordings
     assert [recording.name for recording in recordings] == ["first", "second"]
     truth = [
         (message.stamp + recording.shift, *message.pose)
@@ -79,28 +88,34 @@ def test_two_drives_through_one_building_become_one_map(both: Optimised, session
         if isinstance(message, GroundTruth)
     ]
     told = np.array(truth)
-    score = score_reference(Trajectory(finished.stamps, finished.poses), Trajectory(told[:, 0], told[:, 1:]))
+    score = score_reference(path, Trajectory(told[:, 0], told[:, 1:]))
     assert score.figures()["ate_max"] < 0.03
     alone = [len(session.belief.mapper.landmarks.walls) for _, session in read(sessions, "first", "second")]
-    assert len(finished.lines) < 0.75 * sum(alone)
-    np.testing.assert_allclose(finished.poses[0], np.zeros(3), atol=5e-3)  # in the frame of the first
+    assert len(read_map(both / "map.json").lines) < 0.75 * sum(alone)
+    np.testing.assert_allclose(path.poses[0], np.zeros(3), atol=5e-3)  # in the frame of the first
 
 
-def test_clocks_are_told_apart(both: Optimised) -> None:
-    first, second = both.session.recordings
+def test_clocks_are_told_apart(both: Path) -> None:
+    first, second = read_stored(both).recordings
     assert first.shift == 0.0
     assert second.shift > 40.0
     assert second.first > first.last
-    assert (np.diff(both.finished.stamps) > 0).all()
+    assert (np.diff(read_tum(both / "trajectory.tum").stamps) > 0).all()
 
 
-def test_a_joined_session_can_be_gone_on_from(both: Optimised, tmp_path: Path) -> None:
-    (tmp_path / CONFIG).write_text(config_to_toml(both.session.config))
-    write_stored(tmp_path, both.session)
-    again = read_stored(tmp_path)
-    np.testing.assert_allclose(again.belief.mapper.trail, both.session.belief.mapper.trail, atol=1e-6)
-    assert len(again.odometry) == len(again.starts) == 2
-    np.testing.assert_allclose(again.belief.pose, both.session.belief.pose, atol=1e-6)
+def test_a_joined_session_is_a_session(both: Path, sessions: dict[str, Path]) -> None:
+    assert {entry.name for entry in both.iterdir()} == RESULTS - {"map.png"}
+    summary = json.loads((both / "summary.json").read_text())
+    assert summary["joined"][0]["independent"] >= 3
+    assert 60 < summary["path_length"] < 80
+    (_, first), (_, second), (_, joined) = read(sessions | {"both": both}, "first", "second", "both")
+    assert len(joined.odometry) == len(joined.starts) == 2
+    assert len(joined.sightings) == len(first.sightings) + len(second.sightings)
+    path, last = read_tum(both / "trajectory.tum"), joined.sightings[-1].stamp
+    told = [np.interp(last, path.stamps, path.poses[:, k]) for k in range(2)]
+    np.testing.assert_allclose(joined.belief.pose[:2], told, atol=0.005)
+    with pytest.raises(MapError, match="other: is not recognised in both"):
+        join([("both", joined), *read(sessions, "other")])
 
 
 # Refused
@@ -110,6 +125,13 @@ def test_a_joined_session_can_be_gone_on_from(both: Optimised, tmp_path: Path) -
 def test_another_building_is_refused_by_name(sessions: dict[str, Path], names: tuple[str, ...]) -> None:
     with pytest.raises(MapError, match=f"^{'second' if names[0] == 'other' else 'other'}: is not recognised in "):
         join(read(sessions, *names))
+
+
+def test_what_is_asked_for_wrongly_is_one_line(wclm: Any, sessions: dict[str, Path]) -> None:
+    wclm.refuses("merge", sessions["first"], "nowhere", "--out", "out", because=["nowhere: is not a directory"])
+    wclm.refuses("merge", sessions["first"], sessions["other"], "--out", "out", because=["other: is not recognised"])
+    assert wclm("merge", sessions["first"], "--out", "out").exit_code == 2
+    assert not Path("out").exists()
 
 
 def test_a_session_without_a_map_is_refused(sessions: dict[str, Path]) -> None:
@@ -171,7 +193,7 @@ def test_pieces_at_odds_are_not_believed() -> None:
 
 def test_a_bent_map_agrees_with_itself() -> None:
     bent = [
-        recognised((5.0 * k, 0.0, 0.0), se2.compose(np.array(RIGHT), np.array([0.0, 0.1 * k, 0.0])), range(9 * k, 9 * k + 8))
+        recognised((5.0 * k, 0.0, 0.0), (RIGHT[0], RIGHT[1] + 0.1 * k, RIGHT[2]), range(9 * k, 9 * k + 8))
         for k in range(5)
     ]
     assert verdict_on(bent).accepted
@@ -212,7 +234,9 @@ def test_halves_mapped_apart_and_joined_are_as_accurate_as_the_whole(name: str, 
     for message in messages:
         whole.add(message)
     uncut = whole.finish()
-    apart = [(half, read_stored(mapped(part, half, tmp_path / half))) for half, part in zip("ab", halves(messages), strict=True)]
+    first, second = halves(messages)
+    left = {"a": mapped(first, "a", tmp_path / "a"), "b": mapped(second, "b", tmp_path / "b")}
+    apart = read(left, "a", "b")
     joined = optimise(join(apart).session).finished
     figures, expected = (
         score_relations(Trajectory(some.stamps, some.poses), relations).figures() for some in (joined, uncut)
