@@ -75,7 +75,7 @@ def deskew(scan: Scan, odometry: OdometryHistory, mount: se2.Pose) -> Sweep:
     middle = middle_of(scan)
     offsets = np.linspace(0.0, duration, KNOTS)
     moves = se2.between(odometry.at(middle), odometry.at_each(scan.stamp + offsets))
-    ways = np.array([way_of(move) for move in moves])
+    ways = way_of(moves)
     if ways[0] + ways[-1] < LEAST_WAY:
         return Sweep(middle, scan.ranges, scan.angles, np.zeros(len(scan.ranges)))
     lidars = se2.between(mount, se2.compose(moves, mount))

@@ -66,6 +66,12 @@ class OdometryHistory:
         """(n, 3) in the odometry's frame."""
         return np.array(self._poses).reshape(-1, 3)
 
+    @property
+    def ways(self) -> Floats:
+        """(n,) metres that the wheels have rolled up to each reading."""
+        poses = self.poses
+        return np.concatenate([[0.0], np.cumsum(way_of(se2.between(poses[:-1], poses[1:])))])
+
     def at(self, stamp: float) -> se2.Pose:
         """The pose at a stamp, between the readings around it; held before the first and after the last."""
         after = bisect.bisect_left(self._stamps, stamp)
@@ -113,7 +119,7 @@ class OdometryNoise:
 
     def learn(self, claimed: se2.Pose, found: se2.Pose) -> None:
         """Take a motion [x, y, heading] as the odometry claims it, and as it was found to be."""
-        way = way_of(claimed)
+        way = float(way_of(claimed))
         if not self._config.learn or way < LEAST_WAY:
             return
         error = se2.between(claimed, found)
@@ -134,15 +140,15 @@ class OdometryNoise:
 
     def covariance(self, motion: se2.Pose) -> Floats:
         """(3, 3) covariance of a motion [x, y, heading] between two readings, in the frame of its end."""
-        translation, rotation = self.variances(np.asarray(way_of(motion)))
+        translation, rotation = self.variances(way_of(motion))
         translation += self._config.translation_floor**2
         rotation += self._config.rotation_floor**2
         return np.diag([translation, translation, rotation])
 
 
-def way_of(motion: se2.Pose) -> float:
-    """Metres that the wheels roll in a motion: its length, and what turning takes."""
-    return float(np.hypot(motion[0], motion[1]) + TRACK * abs(motion[2]))
+def way_of(motion: se2.Pose) -> Floats:
+    """Metres (...,) that the wheels roll in motions (..., 3): their length, and what turning takes."""
+    return np.asarray(np.hypot(motion[..., 0], motion[..., 1]) + TRACK * np.abs(motion[..., 2]))
 
 
 def fused_motion(

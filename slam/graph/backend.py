@@ -334,19 +334,26 @@ class FactorGraph:
         own = joint[:3, :3]
         c, s = np.cos(pose[2]), np.sin(pose[2])
         rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        wall_covariances = np.empty((len(walls), 2, 2))
-        for row, frame in enumerate(self.wall_frames(walls)):
-            at = slice(3 + 3 * row, 6 + 3 * row)
-            carry = se2.adjoint(se2.between(frame, pose))
-            cross = joint[at, :3] @ carry.T
-            full = joint[at, at] + carry @ own @ carry.T - cross - cross.T
-            wall_covariances[row] = full[1:, 1:]
-        corner_covariances = np.empty((len(corners), 2, 2))
-        first = 3 + 3 * len(walls)
-        for row, position in enumerate(self.corner_positions(corners)):
-            at = slice(first + 2 * row, first + 2 * row + 2)
-            x, y = position - pose[:2]
-            carry = np.array([[1.0, 0.0, -y], [0.0, 1.0, x]]) @ rotation
-            cross = joint[at, :3] @ carry.T
-            corner_covariances[row] = joint[at, at] + carry @ own @ carry.T - cross - cross.T
-        return rotation @ own @ rotation.T, wall_covariances, corner_covariances
+        ends = np.cumsum([3, *(3 for _ in walls), *(2 for _ in corners)])
+        wall_covariances = _relative(
+            joint, ends[: len(walls)], 3, se2.adjoint(se2.between(self.wall_frames(walls), pose))
+        )
+        lever = self.corner_positions(corners) - pose[:2]
+        carry = np.zeros((len(corners), 2, 3))
+        carry[:, 0, 0] = carry[:, 1, 1] = 1.0
+        carry[:, 0, 2], carry[:, 1, 2] = -lever[:, 1], lever[:, 0]
+        corner_covariances = _relative(joint, ends[len(walls) : -1], 2, carry @ rotation)
+        return rotation @ own @ rotation.T, wall_covariances[:, 1:, 1:], corner_covariances
+
+
+def _relative(joint: Floats, begins: Floats, size: int, carry: Floats) -> Floats:
+    """(n, size, size): covariances of landmarks at `begins` (n,) of a joint covariance, less the error of the pose at
+    its beginning, which `carry` (n, size, 3) takes to each."""
+    at = begins[:, None] + np.arange(size)
+    own, cross = joint[:3, :3], joint[at, :3] @ carry.transpose(0, 2, 1)
+    return np.asarray(
+        joint[at[:, :, None], at[:, None, :]]
+        + carry @ own @ carry.transpose(0, 2, 1)
+        - cross
+        - cross.transpose(0, 2, 1)
+    )

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from drivers import se2
 
@@ -26,6 +28,7 @@ RUNNER_UP = 0.85  # a different motion that explains this share of what the best
 # Share of the wall length seen that could not have been seen through the old walls. Doors open and things are moved:
 # what contradicts staying put as much says nothing against moving.
 MOST_CONTRADICTED = 0.10
+LOOKED_AT = (-0.8, 0.0, 0.8)  # of a segment, from its middle to its ends, where lines of sight end
 SHORTENED = 0.3  # metres by which views end before what they saw, and by which old walls are shortened
 
 
@@ -116,37 +119,44 @@ def contradiction(
     walls = old.constellation.walls[old.left]
     if not len(eyes) or not len(walls):
         return 0.0
-    frame = landmarks.walls.rows["frame"][walls]
-    along = np.stack([np.cos(frame[:, 2]), np.sin(frame[:, 2])], axis=-1)
-    normal = np.stack([-along[:, 1], along[:, 0]], axis=-1)
-    eye_side = np.einsum("rwk,wk->rw", eyes[:, None] - frame[None, :, :2], normal)
-    target_side = np.einsum("rwk,wk->rw", targets[:, None] - frame[None, :, :2], normal)
-    crossing = eye_side * target_side < 0.0
-    part = np.where(crossing, eye_side / np.where(crossing, eye_side - target_side, 1.0), 0.0)
-    point = eyes[:, None] + part[..., None] * (targets - eyes)[:, None]
-    at = np.einsum("rwk,wk->rw", point - frame[None, :, :2], along)
-    ends = landmarks.walls.rows[["low", "high"]][walls]
-    crossing &= (at > ends["low"] + SHORTENED) & (at < ends["high"] - SHORTENED)
+    rows = landmarks.walls.rows[walls]
+    crossings = _crossings(eyes, targets, rows["frame"], rows["low"] + SHORTENED, rows["high"] - SHORTENED)
     blocked = np.zeros(len(eyes), dtype=bool)
-    for ray, row in np.argwhere(crossing):
-        blocked[ray] |= landmarks.is_covered(int(walls[row]), float(at[ray, row]))
+    for ray, row, at in crossings:
+        blocked[ray] |= landmarks.is_covered(int(walls[row]), at)
     return float(weights[blocked].sum() / weights.sum())
+
+
+@njit(cache=True)
+def _crossings(eyes, targets, frames, lows, highs):  # type: ignore[no-untyped-def]
+    """The lines of sight (row of `eyes`), the walls (row of `frames`) that they cross between their ends, and where."""
+    found = []
+    for row in range(len(frames)):
+        x, y = frames[row, 0], frames[row, 1]
+        c, s = math.cos(frames[row, 2]), math.sin(frames[row, 2])
+        for ray in range(len(eyes)):
+            ex, ey = eyes[ray, 0] - x, eyes[ray, 1] - y
+            tx, ty = targets[ray, 0] - x, targets[ray, 1] - y
+            eye_side, target_side = c * ey - s * ex, c * ty - s * tx
+            if eye_side * target_side < 0.0:
+                part = eye_side / (eye_side - target_side)
+                at = c * (ex + part * (tx - ex)) + s * (ey + part * (ty - ey))
+                if lows[row] < at < highs[row]:
+                    found.append((ray, row, at))
+    return found
 
 
 def _sight_lines(motion: se2.Pose, views: Sequence[tuple[se2.Pose, Segments]]) -> tuple[Floats, Floats, Floats]:
     """Eyes (r, 2), targets (r, 2) a little before what was seen, and the wall length (r,) that each stands for."""
-    eyes, targets, weights = [], [], []
-    for pose, segments in views:
-        moved = se2.compose(motion, pose)
-        frames = se2.compose(moved, segments.frame).reshape(-1, 3)
-        along = np.column_stack([np.cos(frames[:, 2]), np.sin(frames[:, 2])])
-        for part in (-0.8, 0.0, 0.8):
-            seen = frames[:, :2] + part * segments.half_length[:, None] * along
-            distance = np.hypot(*(seen - moved[:2]).T)
-            shorter = np.maximum(0.0, 1.0 - SHORTENED / np.maximum(distance, 1e-9))
-            targets.append(moved[:2] + shorter[:, None] * (seen - moved[:2]))
-            eyes.append(np.broadcast_to(moved[:2], seen.shape))
-            weights.append(segments.half_length)
-    if not eyes:
+    if not views:
         return np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)
-    return np.concatenate(eyes), np.concatenate(targets), np.concatenate(weights)
+    poses = se2.compose(motion, np.array([pose for pose, _ in views]))
+    frames = np.concatenate([se2.compose(pose, seen.frame) for pose, (_, seen) in zip(poses, views, strict=True)])
+    eyes = np.repeat(poses[:, :2], [len(segments) for _, segments in views], axis=0)
+    halves = np.concatenate([segments.half_length for _, segments in views])
+    along = np.column_stack([np.cos(frames[:, 2]), np.sin(frames[:, 2])])
+    seen = np.concatenate([frames[:, :2] + part * halves[:, None] * along for part in LOOKED_AT])
+    eyes, weights = np.tile(eyes, (len(LOOKED_AT), 1)), np.tile(halves, len(LOOKED_AT))
+    distance = np.hypot(*(seen - eyes).T)
+    shorter = np.maximum(0.0, 1.0 - SHORTENED / np.maximum(distance, 1e-9))
+    return eyes, eyes + shorter[:, None] * (seen - eyes), weights

@@ -179,6 +179,17 @@ def test_the_path_goes_through_the_scans_and_does_not_jump() -> None:
     assert np.abs(np.diff(headings)).max() < 1.5 * CIRCLE[1] * 0.04
 
 
+def test_what_odometry_misses_is_missed_while_the_wheels_roll() -> None:
+    told, path = OdometryHistory(), Path()
+    for k in range(21):  # stands for a second, then drives for one at half a metre a second
+        told.add(Odometry(0.1 * k, np.array([max(0.0, 0.05 * (k - 10)), 0.0, 0.0])))
+    path.add(0.0, 0, np.zeros(3), np.eye(3))
+    path.add(2.0, 0, np.array([0.6, 0.0, 0.2]), np.eye(3))
+    _, poses = path.at_odometry(np.zeros((1, 3)), told)
+    np.testing.assert_allclose(poses[:11], 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.diff(poses[10:], axis=0), np.tile([0.06, 0.0, 0.02], (10, 1)), atol=1e-12)
+
+
 def test_one_scan_is_path_enough() -> None:
     told, path = history(), Path()
     path.add(0.55, 0, np.array([1.0, 0.0, 0.0]), np.eye(3))
