@@ -24,8 +24,10 @@ class Joined:
 def join(sessions: Sequence[tuple[str, StoredSession]]) -> Joined:
     """Make one of named sessions, in the map of the first. One that meets it only by way of another is found, too.
 
-    The sessions are of no more use. Raises MapError naming the session that is not recognised, and why.
+    The sessions are of no more use. Raises MapError naming the session that is not recognised, and why, or that brings
+    nothing of its own.
     """
+    _refuse_what_is_there_twice(sessions)
     for name, session in sessions:
         if not session.belief.mapper.keyframe_count:
             raise MapError(f"{name}: has no keyframe, so there is nothing to join")
@@ -45,6 +47,18 @@ def join(sessions: Sequence[tuple[str, StoredSession]]) -> Joined:
             raise MapError(f"{name}: {error}") from error
         found.append((name, agreements[best]))
     return Joined(whole, found)
+
+
+def _refuse_what_is_there_twice(sessions: Sequence[tuple[str, StoredSession]]) -> None:
+    """What was seen once must not count as if it had been seen twice."""
+    known: dict[tuple[object, ...], str] = {}
+    for name, session in sessions:
+        for recording in session.recordings:
+            begin, end = (round(stamp - recording.shift, 3) for stamp in (recording.first, recording.last))
+            content = recording.name, recording.path, begin, end
+            if content in known:
+                raise MapError(f"{name}: the recording {recording.name} in it is in {known[content]}, too")
+            known[content] = name
 
 
 def _located(sessions: Sequence[tuple[str, StoredSession]], whole: StoredSession) -> list[Agreement]:

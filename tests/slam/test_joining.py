@@ -134,6 +134,11 @@ def test_what_is_asked_for_wrongly_is_one_line(wclm: Any, sessions: dict[str, Pa
     assert not Path("out").exists()
 
 
+def test_what_was_seen_once_does_not_count_twice(both: Path, sessions: dict[str, Path]) -> None:
+    with pytest.raises(MapError, match="first: the recording first in it is in both, too"):
+        join(read(sessions | {"both": both}, "both", "first"))
+
+
 def test_a_session_without_a_map_is_refused(sessions: dict[str, Path]) -> None:
     empty = Slam()
     session = read_stored(sessions["first"])
