@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Sequence
 
@@ -27,6 +26,7 @@ from .sessions import StoredSession
 from .snapshot import finished, map_corners, map_lines
 from .state import State, StateWatch
 from .statistics import Clock, RunStatistics
+from .summary import run_summary
 from .tracking import Hold, Place, Placement
 
 
@@ -221,9 +221,9 @@ class Slam:
 
         Raises MapError where there was nothing to make a map of.
         """
-        if not self._front_end.scans and self._resumed is None:
+        if not self._front_end.scans:
             raise MapError("no laser scan in it, so there is nothing to map")
-        if not self._drives.histories:
+        if not self._begun:
             raise MapError(f"{self._front_end.scans} scans, but no odometry; SLAM needs both")
         left = self._session_before_the_end()
         self._work_off()
@@ -232,7 +232,7 @@ class Slam:
         self._session = left or self._stored(self.belief.copy())
         if not self._frozen:
             self.belief.mapper.settle()
-        summary = self._summary() | self._look_back()
+        summary = run_summary(self._front_end, self.belief, self._statistics) | self._look_back()
         if self._refine:
             self._session = self._stored(self.belief)
         stamps, poses = self._drives.trajectory(self.belief.path, self.belief.mapper.trail)
@@ -302,7 +302,6 @@ class Slam:
             sigma_range=self._front_end.sigma_range,
             recordings=[] if resumed is None else list(resumed.recordings),
             closures=[*(() if resumed is None else resumed.closures), *self._statistics.loop_rows()],
-            waiting=() if resumed is None or self._begun else resumed.waiting,
         )
 
     def _look_back(self) -> dict[str, object]:
@@ -329,23 +328,3 @@ class Slam:
     def keyframe_covariance(self, index: int) -> Floats:
         """(3, 3): covariance of a keyframe's pose, in the keyframe's own frame (metres, metres, radians)."""
         return self.belief.mapper.graph.keyframe_covariance(index)
-
-    def _summary(self) -> dict[str, object]:
-        return {
-            "scans": self._front_end.scans,
-            "keyframes": self.belief.mapper.keyframe_count,
-            "factors": self.belief.mapper.graph.factor_count,
-            "merged_walls": self._statistics.merged_walls,
-            "loops": self._statistics.loop_counts(),
-            "loop_decisions": self._statistics.loop_rows(),
-            "states": self._statistics.state_rows(),
-            "odometry_deviation_per_metre": self.belief.odometry_noise.deviations.round(5).tolist(),
-            "sigma_range": round(self._front_end.sigma_range, 5),
-            "wall_unevenness": round(math.sqrt(self.belief.mapper.flatness.variance), 5),
-            "timings": self._statistics.timings(),
-            "health": self._statistics.health()
-            | {
-                "empty_scans": self._front_end.empty_scans,
-                "scans_without_odometry": self._front_end.scans_without_odometry,
-            },
-        }

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers import se2
-from drivers.messages import GroundTruth, Message
+from drivers.messages import GroundTruth, Message, Scan
 from drivers.simulator import Simulation
 from slam import Slam
 from slam.config import Config, config_to_toml
@@ -141,6 +141,28 @@ def test_on_a_frozen_map_only_the_path_is_new(first: list[Message], mapped: tupl
     np.testing.assert_allclose(finished.keyframes, before.keyframes, atol=1e-6)
     assert finished.stamps[0] > LATER
     assert error(finished, second, before, first) < 0.01
+
+
+@pytest.mark.parametrize("frozen", [False, True])
+def test_nothing_new_is_nothing_to_map(mapped: tuple[Path, Finished], frozen: bool) -> None:
+    left, _ = mapped
+    second = [m for m in drive("office", 2, 0.0, 1.0, LATER) if not isinstance(m, Scan)]
+    for messages, missing in (([], "no laser scan"), (second, "no laser scan")):
+        with pytest.raises(MapError, match=missing):
+            run(messages, left, frozen=frozen)
+
+
+def test_a_robot_that_ends_lost_on_a_frozen_map_keeps_the_path_so_far(mapped: tuple[Path, Finished]) -> None:
+    """It is found, then carried to another building."""
+    left, before = mapped
+    there = drive("office", 2, 12.0, 18.0, LATER)
+    elsewhere = drive("room", 3, 0.0, 5.0, there[-1].stamp + 0.1)
+    _, finished, notices = run([*there, *elsewhere], left, frozen=True)
+    assert notices[0] == "found again in the map"
+    known = finished.stamps < there[-1].stamp
+    poses = replace(finished, stamps=finished.stamps[known], poses=finished.poses[known])
+    assert error(poses, there, poses, there) < 0.02
+    assert len(finished.lines) == len(before.lines)
 
 
 def test_what_is_nowhere_on_the_map_is_left_alone(mapped: tuple[Path, Finished]) -> None:
