@@ -20,7 +20,6 @@ from .snapshot import finished
 from .statistics import loop_row
 from .tracking import Place
 
-ROUNDS = 6  # at most; on recordings the keyframes move by less than a millimetre after fewer
 PASS = 10  # keyframes before a closure that count as the pass that it joined to an older one
 SHOWN_SHIFTS = 5
 
@@ -46,7 +45,7 @@ def optimise(session: StoredSession, sinks: Sequence[Sink] = ()) -> Optimised:
     belief.mapper.settle()
     before, drive = belief.mapper, session.drive()
     reporter.tell_map(float(drive.stamps[0]), before, index=0)
-    refined = refine(before, drive, belief.odometry_noise, rounds=ROUNDS)
+    refined = refine(before, drive, belief.odometry_noise)
     keyframes = {k: session.sightings[row] for k, row in enumerate(drive.keyframes.tolist())}
     refined.mapper.remember_covariances()
     last = session.sightings[-1]

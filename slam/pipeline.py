@@ -45,16 +45,18 @@ class Slam:
         sinks: Sequence[Sink] = (),
         *,
         refine: bool = False,
+        keep_views: bool = False,
         loops: LoopCloser | None = None,
         resumed: StoredSession | None = None,
         frozen: bool = False,
     ) -> None:
-        """`refine` asks for a second look at everything before finishing; for that, what was sighted in familiar places
-        is kept, too.
+        """`refine` asks for a second look at everything before finishing.
 
-        `loops` looks for loops in another way than the default. `resumed` is a session to go on from: straight on, if
-        odometry continues, else from wherever in its map the robot is found. Where the map is `frozen` it stays as it
-        is, and only the path on it is told.
+        For that, or to take it later, `keep_views` keeps what was sighted in familiar places, too, where nothing of it
+        enters the map: memory then grows with the time driven. `loops` looks for loops in another way than the default.
+
+        `resumed` is a session to go on from: straight on, if odometry continues, else from wherever in its map the
+        robot is found. Where the map is `frozen` it stays as it is, and only the path on it is told.
         """
         self.config = config or Config()
         self._reporter = Reporter(sinks)
@@ -68,7 +70,7 @@ class Slam:
         self._begun = False  # whether odometry has told of anything
         self._excursion: Excursion | None = None  # while the robot is lost
         self._suspicion: Suspicion | None = None  # while what it sees may belong elsewhere
-        self._refine = refine
+        self._refine, self._keep_views = refine, refine or keep_views or frozen
         # everything sighted, for looking back at the end
         self._journal: list[Sighting] = [] if resumed is None else list(resumed.sightings)
         # what is of this run: the first row, and after when
@@ -116,7 +118,7 @@ class Slam:
             self._look_for_the_way_back(self._excursion, sighting)
             return
         step = self._estimator.take(sighting, clock)
-        if self.belief.in_familiar_place and not self._refine and not self._frozen:
+        if self.belief.in_familiar_place and not self._keep_views:
             self._journal[-1] = sighting.without_view()
         self._note(sighting, step.placement)
         if step.extension is not None:

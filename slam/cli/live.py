@@ -123,7 +123,7 @@ class Drive:
 
         from .dashboard import Dashboard
 
-        self.name = " + ".join(spec.text for spec in specs)
+        self.name, self.finite = " + ".join(spec.text for spec in specs), False
         self.report = SourceReport()
         self.failure: DriverError | None = None
         self._acquisition = Acquisition(specs)

@@ -56,7 +56,7 @@ def optimize_recording(
         notices, tally = Notices(), Tally()
         started = time.perf_counter()
         with feed.opened() as messages:
-            slam = Slam(config, [notices])
+            slam = Slam(config, [notices], keep_views=True)
             finished, busy = follow(messages, slam, tally, feed.name)
         took = time.perf_counter() - started
         summary = summarise(feed, finished, tally, notices.texts, None, seed=None, slam_seconds=busy, seconds=took)

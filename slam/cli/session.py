@@ -38,11 +38,13 @@ COMPILING = "compiling, once after an installation or a change; this takes about
 class Feed(Protocol):
     """Where a session's messages come from, and who looks on.
 
-    name   of the source
-    sinks  take the pipeline's events
+    name    of the source
+    sinks   take the pipeline's events
+    finite  whether it ends by itself; of what may last for days, memory must not grow with time
     """
 
     name: str
+    finite: bool
     sinks: Sequence[Sink]
 
     @property
@@ -68,7 +70,7 @@ class Playback:
     """A `Feed` out of a recording or a simulation, with a progress bar."""
 
     def __init__(self, source: Source, reopen: str) -> None:
-        self.name, self.reopen = source.name, reopen
+        self.name, self.reopen, self.finite = source.name, reopen, True
         self.sinks: Sequence[Sink] = ()
         self._source = source
 
@@ -211,7 +213,7 @@ def map_feed(
             sinks.append(log.enter_context(review_log(directory, config, feed.name, server)))
         started = time.perf_counter()
         with feed.opened() as messages:
-            slam = Slam(config, sinks, refine=refine, resumed=resumed, frozen=frozen)
+            slam = Slam(config, sinks, refine=refine, keep_views=feed.finite, resumed=resumed, frozen=frozen)
             after = -np.inf if resumed is None else resumed.latest
             finished, busy = follow(_later(messages, after, tally), slam, tally, feed.name)
             log.close()

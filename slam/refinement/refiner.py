@@ -16,7 +16,7 @@ from .drive import Drive
 from .rounds import Round, refine_once
 from .smoothing import refine_path
 
-ROUNDS = 3  # on recordings a fourth no longer makes the path better, though single associations still change
+MOST_ROUNDS = 3  # on recordings a fourth no longer makes the path better, though single associations still change
 MOST_CLOSURES = 5  # each is followed by all rounds again
 AT_REST = 0.001  # metres that a keyframe may still move in the last round
 
@@ -40,26 +40,25 @@ def laid_path(mapper: Mapper, drive: Drive, noise: OdometryNoise) -> Path:
     return drive.path(poses, everywhere)
 
 
-def refine(mapper: Mapper, drive: Drive, noise: OdometryNoise, rounds: int = ROUNDS) -> Refined:
-    """Refine the map of a drive, in at most so many rounds after the last closure that had been missed.
-
-    The mapper is settled; it is left as it is.
-    """
+def refine(mapper: Mapper, drive: Drive, noise: OdometryNoise) -> Refined:
+    """Refine the map of a drive. The mapper is settled; it is left as it is."""
     first, cost = mapper.graph.keyframe_poses(mapper.keyframe_count), mapper.graph.chi2()
     poses, astray = first, np.zeros(len(drive), dtype=bool)
     closures: list[LoopDecision] = []
     done = changed = merged = 0
-    left, shift = rounds, np.inf
+    left, shift = MOST_ROUNDS, np.inf
     while left and shift > AT_REST:
         result = refine_once(mapper, drive, noise, poses, astray)
         shift = float(np.max(np.hypot(*(result.poses - poses)[:, :2].T)))
         mapper, poses, astray = result.mapper, result.poses, result.astray
         done, changed, merged = done + 1, changed + result.changed, merged + result.merged
-        closed = _close_what_was_missed(result, drive) if left == rounds and len(closures) < MOST_CLOSURES else None
+        closed = (
+            _close_what_was_missed(result, drive) if left == MOST_ROUNDS and len(closures) < MOST_CLOSURES else None
+        )
         left -= 1
         if closed is not None:
             mapper, poses, shift = closed.mapper, closed.mapper.trail, np.inf
-            closures, left = [*closures, closed.decision], rounds
+            closures, left = [*closures, closed.decision], MOST_ROUNDS
     everywhere, explained = refine_path(mapper, drive, noise, poses, astray)
     moved = np.hypot(*(poses - first)[:, :2].T)
     summary: dict[str, object] = {

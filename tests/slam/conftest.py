@@ -54,7 +54,7 @@ def fake_slam(monkeypatch: pytest.MonkeyPatch, finished: Finished) -> type:
         notices = 0
         refined = False
 
-        def __init__(self, config: Config, sinks: Sequence[Any], *, refine: bool = False) -> None:
+        def __init__(self, config: Config, sinks: Sequence[Any], *, refine: bool = False, **_: object) -> None:
             self.sinks = sinks
             type(self).refined = refine
             self.odometry: list[Odometry] = []
