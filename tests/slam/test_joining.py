@@ -32,7 +32,7 @@ from slam.sessions import Recording, StoredSession, read_stored, write_stored
 from slam.trajectory import Trajectory, read_tum
 
 FOLDER = Path(os.environ.get("WCLM_DATASETS", Path(__file__).parents[3] / "shared" / "datasets"))
-OFFICE = {"first": ("sim:office?seed=1&duration=75", 0.0), "second": ("sim:office?seed=2&duration=105", 30.0)}
+OFFICE = {"first": ("sim:office?seed=1&duration=55", 0.0), "second": ("sim:office?seed=2&duration=70", 15.0)}
 """Two drives through one building, and from when on each is looked at: the second begins within the first's way."""
 
 
@@ -59,7 +59,7 @@ def messages_of(name: str) -> list[Message]:
 def sessions(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("sessions")
     left = {name: mapped(messages_of(name), name, folder / name) for name in OFFICE}
-    return left | {"other": mapped(list(drivers.open("sim:equal_doors?duration=40")), "other", folder / "other")}
+    return left | {"other": mapped(list(drivers.open("sim:equal_doors?duration=20")), "other", folder / "other")}
 
 
 def read(sessions: dict[str, Path], *names: str) -> list[tuple[str, StoredSession]]:
@@ -72,7 +72,7 @@ def read(sessions: dict[str, Path], *names: str) -> list[tuple[str, StoredSessio
 @pytest.fixture(scope="module")
 def both(sessions: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("joined") / "both"
-    result = CliRunner().invoke(app, ["merge", *(str(sessions[name]) for name in OFFICE), "--out", str(out)])
+    result = CliRunner().invoke(app, ["merge", *(str(sessions[name]) for name in OFFICE), "--out", str(out), "--no-review"])
     assert result.exit_code == 0, result.output
     assert "joined     " in result.stdout
     return out
@@ -98,16 +98,16 @@ def test_two_drives_through_one_building_become_one_map(both: Path, sessions: di
 def test_clocks_are_told_apart(both: Path) -> None:
     first, second = read_stored(both).recordings
     assert first.shift == 0.0
-    assert second.shift > 40.0
+    assert second.shift > 35.0
     assert second.first > first.last
     assert (np.diff(read_tum(both / "trajectory.tum").stamps) > 0).all()
 
 
 def test_a_joined_session_is_a_session(both: Path, sessions: dict[str, Path]) -> None:
-    assert {entry.name for entry in both.iterdir()} == RESULTS - {"map.png"}
+    assert {entry.name for entry in both.iterdir()} == RESULTS - {"map.png", "review.rrd"}
     summary = json.loads((both / "summary.json").read_text())
     assert summary["joined"][0]["independent"] >= 3
-    assert 60 < summary["path_length"] < 80
+    assert 40 < summary["path_length"] < 60
     (_, first), (_, second), (_, joined) = read(sessions | {"both": both}, "first", "second", "both")
     assert len(joined.odometry) == len(joined.starts) == 2
     assert len(joined.sightings) == len(first.sightings) + len(second.sightings)
@@ -121,7 +121,7 @@ def test_a_joined_session_is_a_session(both: Path, sessions: dict[str, Path]) ->
 # Refused
 
 
-@pytest.mark.parametrize("names", [("first", "other"), ("other", "second"), ("first", "second", "other")])
+@pytest.mark.parametrize("names", [("first", "other"), ("other", "second")])
 def test_another_building_is_refused_by_name(sessions: dict[str, Path], names: tuple[str, ...]) -> None:
     with pytest.raises(MapError, match=f"^{'second' if names[0] == 'other' else 'other'}: is not recognised in "):
         join(read(sessions, *names))
@@ -212,7 +212,7 @@ def test_nothing_recognised_is_no_agreement() -> None:
 
 def test_a_session_that_is_later_keeps_its_clock(sessions: dict[str, Path]) -> None:
     (_, session), *_ = read(sessions, "second")
-    assert later(session, 29.0) is session
+    assert later(session, 14.0) is session
     shifted = later(session, 1000.5)
     assert shifted.sightings[0].stamp > 1000.5
     assert len({b.stamp - a.stamp for a, b in zip(session.sightings, shifted.sightings, strict=True)}) < 5  # rounding
