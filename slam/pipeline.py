@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -70,7 +71,8 @@ class Slam:
         self._begun = False  # whether odometry has told of anything
         self._excursion: Excursion | None = None  # while the robot is lost
         self._suspicion: Suspicion | None = None  # while what it sees may belong elsewhere
-        self._refine, self._keep_views = refine, refine or keep_views or frozen
+        self._refine, self._keep_views = refine, refine or keep_views
+        self._familiar: set[int] = set()  # rows of the journal that were sighted in familiar places
         # everything sighted, for looking back at the end
         self._journal: list[Sighting] = [] if resumed is None else list(resumed.sightings)
         # what is of this run: the first row, and after when
@@ -118,8 +120,10 @@ class Slam:
             self._look_for_the_way_back(self._excursion, sighting)
             return
         step = self._estimator.take(sighting, clock)
-        if self.belief.in_familiar_place and not self._keep_views:
-            self._journal[-1] = sighting.without_view()
+        if self.belief.in_familiar_place and not self._frozen:
+            self._familiar.add(len(self._journal) - 1)
+            if not self._keep_views:
+                self._journal[-1] = sighting.without_view()
         self._note(sighting, step.placement)
         if step.extension is not None:
             self._tell_keyframe(sighting, step.extension, clock)
@@ -315,7 +319,9 @@ class Slam:
         drive = drive_of(self._journal, belief.path, belief.keyframe_stamps, carried, starts)
         try:
             if not self._refine or self._frozen:
-                belief.path = laid_path(belief.mapper, drive, belief.odometry_noise)
+                # the same path whether or not what was sighted in familiar places has been kept
+                known = [s.without_view() if row in self._familiar else s for row, s in enumerate(self._journal)]
+                belief.path = laid_path(belief.mapper, replace(drive, sightings=known), belief.odometry_noise)
                 return {}
             refined = refine(belief.mapper, drive, belief.odometry_noise)
         except MapError as error:

@@ -14,10 +14,26 @@ from .report import lines_for_people, peak_memory, versions
 from .session import COMPILING, READING, Notices, Outcome, Playback, Tally, follow, lasting, write_page_of
 
 if TYPE_CHECKING:
-    from ..events import Sink
+    from ..events import Event, Sink
+    from ..review import ReviewLog
     from ..sessions import StoredSession
 
 SHOWN_SHIFTS = 3
+MOST_WAITING = 100  # events for the review log
+PAUSE = 0.01  # seconds
+
+
+class Unhurried:
+    """A review log that leaves nothing out: no robot waits, so whoever tells it of something does."""
+
+    def __init__(self, log: ReviewLog) -> None:
+        self._log = log
+
+    def handle(self, event: Event) -> None:
+        """Take one event, when most of those before it are written."""
+        while self._log.waiting > MOST_WAITING:
+            time.sleep(PAUSE)
+        self._log.handle(event)
 
 
 def optimize_session(path: Path, out: Path, *, overwrite: bool, review: bool, picture: bool) -> list[str]:
@@ -82,9 +98,8 @@ def _optimise(
             from ..review import ReviewLog
 
             settings, name = config_to_toml(session.config), str(summary.get("recording", ""))
-            sinks.append(
-                log.enter_context(ReviewLog(directory / REVIEW, config=settings, recording=name, versions=versions()))
-            )
+            written = ReviewLog(directory / REVIEW, config=settings, recording=name, versions=versions())
+            sinks.append(Unhurried(log.enter_context(written)))
         optimised = optimise(session, sinks)
     finished = optimised.finished
     if picture:

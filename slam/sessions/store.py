@@ -20,6 +20,7 @@ from ..config import Config, load_config
 from ..errors import MapError
 from ..flatness import WallFlatness
 from ..front_end import Sighting
+from ..landmarks import Landmarks
 from ..mapper import KeyframeRecords, Mapper
 from ..odometry import OdometryHistory
 from ..outputs import CONFIG, SESSION
@@ -134,6 +135,7 @@ def read_stored(path: Path) -> StoredSession:
     flatness = WallFlatness()
     flatness.take(np.array(head.learned.flatness))
     landmarks = read_landmarks(folder / WALLS, folder / CORNERS)
+    _check(folder / HEAD, head, sighted, landmarks)
     try:
         segments = [keyframes[k].seen.segments for k in range(len(rows))]
         mapper = Mapper.restored(graph, landmarks, flatness, records, segments, waiting)
@@ -160,6 +162,21 @@ def read_stored(path: Path) -> StoredSession:
         closures=_read_closures(folder / CLOSURES),
         waiting=read_waiting(folder / WAITING),
     )
+
+
+def _check(file: Path, head: Head, sighted: Sighted, landmarks: Landmarks) -> None:
+    """Whether what refers to something refers to what is there. Raises MapError."""
+    count = len(sighted.keyframe_stamps)
+    if head.anchor is not None and head.anchor.keyframe >= count:
+        raise MapError(f"{file}: anchor: there is no keyframe {head.anchor.keyframe}")
+    if any(not 0 <= keyframe < count for keyframe in head.carried_keyframes):
+        raise MapError(f"{file}: carried_keyframes: there are {count} keyframes")
+    if any(not 0 <= row <= len(sighted.sightings) for row in head.starts):
+        raise MapError(f"{file}: starts: there are {len(sighted.sightings)} scans")
+    walls = max((int(names.walls.max(initial=-1)) for names in sighted.names), default=-1)
+    corners = max((int(names.corners.max(initial=-1)) for names in sighted.names), default=-1)
+    if walls >= len(landmarks.walls) or corners >= len(landmarks.corners):
+        raise MapError(f"{file.with_name(SIGHTINGS)}: a keyframe sees a landmark that is not there")
 
 
 def _write_odometry(file: Path, drives: Sequence[OdometryHistory]) -> None:

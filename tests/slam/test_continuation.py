@@ -106,6 +106,20 @@ def test_interrupted_and_continued_is_uninterrupted(
     assert slam.session.starts == [0]
 
 
+def test_kept_views_change_nothing_but_what_is_kept() -> None:
+    """A recording's run keeps them, a live one does not; the path is the same to the last bit."""
+    runs, laps = [], list(Simulation("room", seed=1, duration=75.0))  # two of them, and some more
+    for keep_views in (False, True):
+        slam = Slam(keep_views=keep_views)
+        for message in laps:
+            slam.add(message)
+        runs.append((slam.finish(), slam.session.drive().kept))
+    (first, some), (second, every) = runs
+    assert every.all()
+    assert not some.all()
+    np.testing.assert_array_equal(first.poses, second.poses)
+
+
 def test_a_drive_from_an_unknown_place_is_found_on_the_map_and_makes_it_grow(
     first: list[Message], mapped: tuple[Path, Finished], tmp_path: Path
 ) -> None:

@@ -149,6 +149,25 @@ def test_a_session_of_another_version_says_so(left: tuple[StoredSession, Path], 
         read_stored(path)
 
 
+@pytest.mark.parametrize(
+    ("instead", "told"),
+    [
+        ({"carried_keyframes": [10**6]}, "carried_keyframes: there are"),
+        ({"starts": [-1]}, "starts: there are"),
+        ({"sigma": 1}, "sigma: Extra inputs are not permitted"),
+        ({"fit": None}, "fit: Input should be a valid number"),
+    ],
+)
+def test_a_head_that_cannot_be_is_refused(
+    left: tuple[StoredSession, Path], tmp_path: Path, instead: dict[str, object], told: str
+) -> None:
+    path = shutil.copytree(left[1], tmp_path / "out")
+    head = path / SESSION / HEAD
+    head.write_text(json.dumps(json.loads(head.read_text()) | instead))
+    with pytest.raises(MapError, match=f"session.json: {told}"):
+        read_stored(path)
+
+
 @pytest.mark.parametrize("name", [SIGHTINGS, FACTORS, WALLS])
 def test_a_table_that_is_missing_or_another_is_named(
     left: tuple[StoredSession, Path], tmp_path: Path, name: str
@@ -170,9 +189,9 @@ def test_damage_is_an_error_of_one_line(
 ) -> None:
     """Whatever is overwritten or cut off: the session is read, or refused in one line."""
     path = shutil.copytree(left[1], tmp_path_factory.mktemp("damaged") / "out")
-    file = data.draw(st.sampled_from(sorted((path / SESSION).iterdir())))
+    file = path / SESSION / data.draw(st.sampled_from(sorted(file.name for file in (path / SESSION).iterdir())))
     content = bytearray(file.read_bytes())
-    start = data.draw(st.integers(0, len(content) - 1))
+    start = int(data.draw(st.floats(0.0, 1.0)) * (len(content) - 1))
     if data.draw(st.booleans()):
         content = content[:start]
     else:
