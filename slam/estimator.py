@@ -8,7 +8,7 @@ from .belief import Belief, Extension
 from .front_end import Sighting
 from .loops.closer import LoopDecision
 from .loops.probation import Probation
-from .mapper import KeyframeView
+from .mapper import KeyframeView, Mapper
 from .statistics import Clock
 from .tracking import Placement
 
@@ -16,11 +16,13 @@ from .tracking import Placement
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
     """What a sighting did: where it was taken, how it extended the map if it became a keyframe, and the closure that
-    had to be taken back after it, if any. `before` is the belief before a sighting that fits abruptly worse."""
+    had to be taken back after it, if any. `superseded` is the map before that, `before` the belief before a
+    sighting that fits abruptly worse."""
 
     placement: Placement
     extension: Extension | None
     retracted: LoopDecision | None
+    superseded: Mapper
     before: Belief | None
 
 
@@ -38,9 +40,11 @@ class Estimator:
         extension = self.belief.extend(sighting, placement, clock)
         self._probation.remember(sighting)  # before a closure: the belief that it is tried on has the sighting
         if extension is not None and extension.loop is not None and extension.loop.status == "agreed":
-            extension = replace(extension, loop=self._close(extension.view, extension.loop))
+            superseded, loop = self.belief.mapper, self._close(extension.view, extension.loop)
+            extension = replace(extension, loop=loop, superseded=superseded if loop.status == "accepted" else None)
             clock.lap("closing")
-        return Step(placement, extension, self._doubt(), before)
+        doubted = self.belief.mapper
+        return Step(placement, extension, self._doubt(), doubted, before)
 
     def _close(self, view: KeyframeView, decision: LoopDecision) -> LoopDecision:
         """Close the loop that two looks agree on, on a copy, and see whether the map comes together."""

@@ -40,15 +40,18 @@ class KeyframeView:
     """What a keyframe saw, and which landmarks that is.
 
     walls (n,) and corner_landmarks (m,) are identities, -1 for what is too ambiguous to be assigned; the distances are
-    squared Mahalanobis distances to the nearest candidate, NaN without one. new_walls are identities.
+    squared Mahalanobis distances to the nearest candidate, NaN without one; that is nearest_wall and nearest_corner,
+    identities, -1 without one, whether it was taken or not. new_walls are identities.
     """
 
     segments: Segments
     corners: CornerPoints
     walls: Integers
     wall_distance: Floats
+    nearest_wall: Integers
     corner_landmarks: Integers
     corner_distance: Floats
+    nearest_corner: Integers
     new_walls: Integers
 
 
@@ -138,8 +141,10 @@ class Mapper:
             corners,
             names.walls,
             association.wall_distance,
+            _identities(association.nearest_wall, local_map.walls),
             names.corners,
             association.corner_distance,
+            _identities(association.nearest_corner, local_map.corners),
             names.walls[names.walls >= known],
         )
 
@@ -296,7 +301,7 @@ class Mapper:
 
     def read_back_all(self) -> None:
         """Take the whole estimate from the graph."""
-        self.pose_covariances[-1] = self.graph.relative_covariances(self.keyframe_count - 1, [], [])[0]
+        self.pose_covariances[-1] = self.graph.relative_covariances(self.keyframe_count - 1, [], []).pose
         self._read_back(None)
 
     def _read_back(self, radius: float | None) -> None:
@@ -329,10 +334,12 @@ class Mapper:
         seen_walls = seen_walls[walls["in_graph"][seen_walls]]
         seen_corners = np.unique(view.corner_landmarks[view.corner_landmarks >= 0])
         seen_corners = seen_corners[corners["in_graph"][seen_corners]]
-        own, of_walls, of_corners = self.graph.relative_covariances(self.keyframe_count - 1, seen_walls, seen_corners)
-        walls["covariance"][seen_walls] = of_walls
-        corners["covariance"][seen_corners] = of_corners
-        self.pose_covariances.append(own)
+        known = self.graph.relative_covariances(self.keyframe_count - 1, seen_walls, seen_corners)
+        walls["covariance"][seen_walls] = known.walls
+        walls["covariance_in_map"][seen_walls] = known.walls_in_map
+        corners["covariance"][seen_corners] = known.corners
+        corners["covariance_in_map"][seen_corners] = known.corners_in_map
+        self.pose_covariances.append(known.pose)
 
     def _learn_flatness(self, view: KeyframeView) -> None:
         """Compare the segments with the walls they were given to, now that the graph has settled both."""
@@ -344,6 +351,11 @@ class Mapper:
         walls = rows[view.walls[known]]
         seen = se2.between(walls["frame"], se2.compose(self.pose, view.segments.frame[known]))
         self.flatness.add(seen[:, 1:], view.segments.covariance[known], view.segments.half_length[known])
+
+
+def _identities(rows: Integers, landmarks: Integers) -> Integers:
+    """What rows of the local map stand for, -1 for none."""
+    return np.where(rows >= 0, landmarks[rows], -1) if len(landmarks) else np.full(len(rows), -1)
 
 
 def _move_along(frame: se2.Pose, covariance: Floats, towards: se2.Pose) -> tuple[se2.Pose, Floats]:

@@ -88,8 +88,8 @@ class Slam:
         if step.extension is not None:
             self._tell_keyframe(sighting, step.extension, clock)
         if step.retracted is not None:
-            self._statistics.loops.append((sighting.stamp, step.retracted))
-            self._reporter.tell_loop(step.retracted, sighting.stamp, self.belief.mapper)
+            self._statistics.add_loop(sighting.stamp, step.retracted)
+            self._reporter.tell_loop(step.retracted, sighting.stamp, self.belief.mapper, step.superseded)
         self._suspect(sighting, step)
         if self.belief.lost:
             self._excursion = Excursion(self.config.odometry, self.belief, self.belief.unplaced)
@@ -150,7 +150,7 @@ class Slam:
         self._statistics.add_keyframe(clock)
         self._statistics.merged_walls += extension.merge is not None
         if extension.loop is not None:
-            self._statistics.loops.append((sighting.stamp, extension.loop))
+            self._statistics.add_loop(sighting.stamp, extension.loop)
         self._reporter.tell_keyframe(
             sighting, self.belief.mapper, extension, self._front_end.sigma_range, dict(clock.laps)
         )
@@ -210,6 +210,7 @@ class Slam:
             summary=summary,
             keyframe_covariance=np.array([self.keyframe_covariance(index) for index in range(len(keyframes))]),
         )
+        self._reporter.tell_residuals(float(stamps[-1]), self.belief.mapper)
         self._reporter.tell(result)
         return result
 
@@ -242,7 +243,7 @@ class Slam:
             "factors": self.belief.mapper.graph.factor_count,
             "merged_walls": self._statistics.merged_walls,
             "loops": self._statistics.loop_counts(),
-            "loop_decisions": self._statistics.loop_rows(),
+            "loop_decisions": self._statistics.loops,
             "states": self._statistics.state_rows(),
             "odometry_deviation_per_metre": self.belief.odometry_noise.deviations.round(5).tolist(),
             "sigma_range": round(self._front_end.sigma_range, 5),

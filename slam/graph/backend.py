@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -18,7 +19,10 @@ from gtsam.symbol_shorthand import C, L, X
 
 from drivers import se2
 from slam.errors import MapError
+from slam.residuals import Residuals
 from slam.segments import Floats
+
+from .residuals import residuals_of
 
 RELINEARIZE_THRESHOLD = 0.05  # metres and radians
 RELINEARIZE_SKIP = 10  # updates; a tenth of the cost of relinearising at each update, for the same result
@@ -50,6 +54,22 @@ def _pose2(pose: se2.Pose) -> gtsam.Pose2:
 
 def _array(pose: gtsam.Pose2) -> se2.Pose:
     return np.array([pose.x(), pose.y(), pose.theta()])
+
+
+class LandmarkCovariances(NamedTuple):
+    """How well a keyframe and landmarks are known.
+
+    pose             (3, 3) of the keyframe in the map's axes
+    walls            (n, 2, 2) of the offset across and the heading at the wall's frame, as seen from the keyframe
+    corners          (m, 2, 2) of the position in the map's axes, as seen from the keyframe
+    walls_in_map, corners_in_map   the same, in the map
+    """
+
+    pose: Floats
+    walls: Floats
+    corners: Floats
+    walls_in_map: Floats
+    corners_in_map: Floats
 
 
 class FactorGraph:
@@ -270,7 +290,15 @@ class FactorGraph:
 
     def chi2(self) -> float:
         """The robust cost of the whole graph, times two."""
-        return 2.0 * float(self._isam.getFactorsUnsafe().error(self._isam.calculateEstimate()))
+        return self.chi2_at(self)
+
+    def chi2_at(self, other: FactorGraph) -> float:
+        """The robust cost of this graph's factors, times two, at the estimate of another with the same variables."""
+        return 2.0 * float(self._isam.getFactorsUnsafe().error(other._isam.calculateEstimate()))
+
+    def residuals(self) -> Residuals:
+        """How well each factor fits the estimate: ten microseconds a factor."""
+        return residuals_of(self._isam.getFactorsUnsafe(), self._isam.calculateEstimate())
 
     # --- its uncertainty
 
@@ -298,13 +326,11 @@ class FactorGraph:
             self._factorize_by_qr(error)
         return np.asarray(self._isam.jointMarginalCovariance(keys).fullMatrix())
 
-    def relative_covariances(
-        self, keyframe: int, walls: Sequence[int], corners: Sequence[int]
-    ) -> tuple[Floats, Floats, Floats]:
+    def relative_covariances(self, keyframe: int, walls: Sequence[int], corners: Sequence[int]) -> LandmarkCovariances:
         """How well a keyframe is known in the map, and landmarks as seen from it, what is common to both left out.
 
-        Pose (3, 3), in the map's axes. Walls (n, 2, 2): of the offset across and the heading, at the wall's frame.
-        Corners (m, 2, 2): of the position, in the map's axes. Cheap for the last keyframe and what it observed.
+        Cheap for the last keyframe and what it observed. Those in the map are a by-product, and meant for people: they
+        are what `wall_covariance` and `corner_covariance` say.
         """
         keys = [X(keyframe), *(L(j) for j in walls), *(C(j) for j in corners)]
         joint = self._joint_covariance(keys)
@@ -327,7 +353,15 @@ class FactorGraph:
             carry = np.array([[1.0, 0.0, -y], [0.0, 1.0, x]]) @ rotation
             cross = joint[at, :3] @ carry.T
             corner_covariances[row] = joint[at, at] + carry @ own @ carry.T - cross - cross.T
-        return rotation @ own @ rotation.T, wall_covariances, corner_covariances
+        blocks = [joint[at : at + 3, at : at + 3][1:, 1:] for at in range(3, first, 3)]
+        points = [joint[at : at + 2, at : at + 2] for at in range(first, len(joint), 2)]
+        return LandmarkCovariances(
+            rotation @ own @ rotation.T,
+            wall_covariances,
+            corner_covariances,
+            KERNEL_CAUTION * np.array(blocks).reshape(-1, 2, 2),
+            KERNEL_CAUTION * np.array(points).reshape(-1, 2, 2),
+        )
 
 
 def _root_information(covariance: Floats) -> Floats:

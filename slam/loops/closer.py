@@ -38,6 +38,7 @@ class LoopDecision:
     hypothesis  where the recent walls lie on the old map, and `pairs` (old, recent) of walls that are one by it
     merged      those of them that were made one
     shift       metres by which the last keyframe moved
+    sight       what was compared: the recent walls and the old ones, as the map had them then
     """
 
     candidate: int
@@ -50,6 +51,7 @@ class LoopDecision:
     pairs: tuple[tuple[int, int], ...]
     merged: tuple[tuple[int, int], ...] = ()
     shift: float = 0.0
+    sight: tuple[Constellation, Constellation] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +92,7 @@ class LoopCloser:
             return None
         views = [(mapper.graph.keyframe_pose(k), segments) for k, segments in mapper.views]
         verdict = verify(hypotheses, recent, old, mapper.landmarks, mapper.pose, views)
-        return self._decide(mapper, hypotheses[1], verdict, recent, old.constellation.walls)
+        return self._decide(mapper, hypotheses[1], verdict, recent, old.constellation)
 
     def forget(self) -> None:
         """The map has changed: what was seen before it no longer counts."""
@@ -101,10 +103,9 @@ class LoopCloser:
         self._refused.append(decision.hypothesis.motion)
 
     def _decide(
-        self, mapper: Mapper, best: Hypothesis, verdict: Verdict, constellation: Constellation, old: Integers
+        self, mapper: Mapper, best: Hypothesis, verdict: Verdict, recent: Constellation, old: Constellation
     ) -> LoopDecision | None:
-        recent = constellation.walls
-        matched = [(old[j], recent[i]) for i, j in enumerate(best.matches) if j >= 0]
+        matched = [(old.walls[j], recent.walls[i]) for i, j in enumerate(best.matches) if j >= 0]
         pairs = tuple((int(wall), int(other)) for wall, other in matched if wall != other)
         if not pairs:
             return None
@@ -116,9 +117,10 @@ class LoopCloser:
             verdict = replace(verdict, accepted=False, reason="has proved wrong before")
         status = "rejected"
         if verdict.accepted:
-            status = "agreed" if self._borne_out(best, constellation, mapper) else "held"
+            status = "agreed" if self._borne_out(best, recent, mapper) else "held"
+        keyframe = mapper.keyframe_count - 1
         return LoopDecision(
-            self._candidates, mapper.keyframe_count - 1, old_keyframe, motion, verdict, status, best, pairs
+            self._candidates, keyframe, old_keyframe, motion, verdict, status, best, pairs, sight=(recent, old)
         )
 
     def _borne_out(self, best: Hypothesis, recent: Constellation, mapper: Mapper) -> bool:

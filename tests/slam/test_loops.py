@@ -136,7 +136,8 @@ def observe(mapper: Mapper, pose: se2.Pose, motion: se2.Pose, walls: Floats, kno
     if known is not None:
         local = type(local)(**{**{name: getattr(local, name) for name in local.__slots__}, "walls": np.array(known)})
     none = np.zeros(0)
-    association = Association(rows, np.zeros(len(walls)), none.astype(int), none)
+    nobody = np.zeros(0, dtype=int)
+    association = Association(rows, np.zeros(len(walls)), rows, nobody, none, nobody)
     covariance = np.diag([0.05, 0.05, 0.03]) ** 2
     first = mapper.keyframe_count == 0
     step = None if first else Motion(mapper.keyframe_count - 1, motion, covariance)
