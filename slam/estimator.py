@@ -16,13 +16,13 @@ from .tracking import Placement
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
     """What a sighting did: where it was taken, how it extended the map if it became a keyframe, and the closure that
-    had to be taken back after it, if any. `superseded` is the map before that, `before` the belief before a
-    sighting that fits abruptly worse."""
+    had to be taken back after it, if any. `mapper` is the map with the sighting, before anything was taken back;
+    `before` the belief before a sighting that fits abruptly worse."""
 
     placement: Placement
     extension: Extension | None
+    mapper: Mapper
     retracted: LoopDecision | None
-    superseded: Mapper
     before: Belief | None
 
 
@@ -43,8 +43,8 @@ class Estimator:
             superseded, loop = self.belief.mapper, self._close(extension.view, extension.loop)
             extension = replace(extension, loop=loop, superseded=superseded if loop.status == "accepted" else None)
             clock.lap("closing")
-        doubted = self.belief.mapper
-        return Step(placement, extension, self._doubt(), doubted, before)
+        mapper = self.belief.mapper
+        return Step(placement, extension, mapper, self._doubt(), before)
 
     def _close(self, view: KeyframeView, decision: LoopDecision) -> LoopDecision:
         """Close the loop that two looks agree on, on a copy, and see whether the map comes together."""

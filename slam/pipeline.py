@@ -17,6 +17,7 @@ from .estimator import Estimator, Step
 from .events import Finished, MapCorners, MapLines, Noticed, ScanTracked, Sink, StateChanged, TruthSeen
 from .front_end import FrontEnd, Sighting
 from .loops.closer import LoopCloser
+from .mapper import Mapper
 from .recovery import Excursion, Suspicion
 from .refinement import drive_of, laid_path, refine
 from .reporting import Reporter
@@ -86,10 +87,10 @@ class Slam:
             self._journal[-1] = sighting.without_view()
         self._note(sighting, step.placement)
         if step.extension is not None:
-            self._tell_keyframe(sighting, step.extension, clock)
+            self._tell_keyframe(sighting, step.mapper, step.extension, clock)
         if step.retracted is not None:
             self._statistics.add_loop(sighting.stamp, step.retracted)
-            self._reporter.tell_loop(step.retracted, sighting.stamp, self.belief.mapper, step.superseded)
+            self._reporter.tell_loop(step.retracted, sighting.stamp, self.belief.mapper, step.mapper)
         self._suspect(sighting, step)
         if self.belief.lost:
             self._excursion = Excursion(self.config.odometry, self.belief, self.belief.unplaced)
@@ -145,15 +146,13 @@ class Slam:
         keyframe = self.belief.mapper.keyframe_count - 1
         self._reporter.tell(ScanTracked(stamp, placement.pose, sighting.odometry, explained, keyframe))
 
-    def _tell_keyframe(self, sighting: Sighting, extension: Extension, clock: Clock) -> None:
+    def _tell_keyframe(self, sighting: Sighting, mapper: Mapper, extension: Extension, clock: Clock) -> None:
         """Count what the keyframe did to the map, and tell the listeners."""
         self._statistics.add_keyframe(clock)
         self._statistics.merged_walls += extension.merge is not None
         if extension.loop is not None:
             self._statistics.add_loop(sighting.stamp, extension.loop)
-        self._reporter.tell_keyframe(
-            sighting, self.belief.mapper, extension, self._front_end.sigma_range, dict(clock.laps)
-        )
+        self._reporter.tell_keyframe(sighting, mapper, extension, self._front_end.sigma_range, dict(clock.laps))
 
     # --- what comes out
 

@@ -23,12 +23,14 @@ class Residuals:
     between   (n, 2) keyframe and keyframe, keyframe and landmark, or landmark and landmark, by kind; -1 for none
     squared   (n,) squared Mahalanobis distance of what was measured from the estimate; no kernel has softened it
     freedom   (n,) how many numbers the factor measures: the mean of `squared`, were all noise as it is modelled
+    weight    (n,) what its kernel leaves of the factor, 1 for all of it
     """
 
     kind: tuple[str, ...]
     between: NDArray[np.int64]
     squared: Floats
     freedom: NDArray[np.int64]
+    weight: Floats
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -38,8 +40,9 @@ class Residuals:
         return np.array([one == kind for one in self.kind], dtype=bool)
 
     def worst(self, count: int) -> NDArray[np.int64]:
-        """The places of the factors that fit worst for what they measure, the worst first."""
-        return np.argsort(-self.squared / self.freedom, kind="stable")[:count]
+        """The places of the measurements that fit worst for how many numbers they are, the worst first."""
+        misfit = np.where(self.of(ALONG) | self.of(PRIOR), -np.inf, self.squared / self.freedom)
+        return np.argsort(-misfit, kind="stable")[: min(count, int(np.isfinite(misfit).sum()))]
 
     def name(self, place: int) -> str:
         """Like `x12 - L5`: x is a keyframe, L a wall, C a corner."""

@@ -11,8 +11,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .viewer import viewer_command
-
 if TYPE_CHECKING:
     from ..evaluation import ReferenceScore
     from ..events import Finished
@@ -101,7 +99,7 @@ def lines_for_people(outcome: Outcome, out: Path) -> list[str]:
         rows.append(("", f"and {more} more warnings in summary.json"))
     rows.append(("results", f"{out}: {', '.join(sorted(entry.name for entry in out.iterdir()))}"))
     if outcome.review:
-        rows.append(("look at it", " ".join(viewer_command(out))))
+        rows.append(("look at it", f"wclm review {out}"))
     head = (
         f"{summary['recording']}: {summary['scans']} scans in {summary['duration']:.1f} s, "
         f"{summary['path_length']:.1f} m driven"

@@ -19,7 +19,7 @@ from gtsam.symbol_shorthand import C, L, X
 
 from drivers import se2
 from slam.errors import MapError
-from slam.residuals import Residuals
+from slam.residuals import CORNER, ODOMETRY, WALL, Residuals
 from slam.segments import Floats
 
 from .residuals import residuals_of
@@ -33,6 +33,7 @@ CAUCHY_SCALE = 4.0  # standard deviations at which an observation counts half
 # the former, for the marginals that are told; association compares with what the graph itself believes.
 KERNEL_CAUTION = 0.912
 ODOMETRY_CAUCHY_SCALE = 2.0  # the same for odometry: single readings can be grossly wrong
+CAUCHY_SCALES = {ODOMETRY: ODOMETRY_CAUCHY_SCALE, WALL: CAUCHY_SCALE, CORNER: CAUCHY_SCALE}
 REBUILDS = 3  # Gauss-Newton steps on everything
 SETTLING_UPDATES = 5  # the first moves by what was left to the threshold, the last by less than a micrometre
 ALONG_SIGMA = 0.1  # metres; says once where along a wall its frame lies, which no observation does
@@ -298,7 +299,7 @@ class FactorGraph:
 
     def residuals(self) -> Residuals:
         """How well each factor fits the estimate: ten microseconds a factor."""
-        return residuals_of(self._isam.getFactorsUnsafe(), self._isam.calculateEstimate())
+        return residuals_of(self._isam.getFactorsUnsafe(), self._isam.calculateEstimate(), CAUCHY_SCALES)
 
     # --- its uncertainty
 

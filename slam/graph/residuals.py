@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import gtsam
 import numpy as np
 
@@ -10,8 +12,13 @@ from slam.residuals import ALONG, CORNER, ODOMETRY, PRIOR, SAME_WALL, WALL, Resi
 _KINDS = {"xx": ODOMETRY, "xl": WALL, "xc": CORNER, "ll": SAME_WALL}
 
 
-def residuals_of(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Residuals:
-    """Those of all factors that are there; what has been taken out leaves a gap in the graph."""
+def residuals_of(
+    factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, cauchy_scales: Mapping[str, float]
+) -> Residuals:
+    """Those of all factors that are there; what has been taken out leaves a gap in the graph.
+
+    `cauchy_scales` of the kernels, by kind; the other kinds have none.
+    """
     kinds: list[str] = []
     between: list[tuple[int, int]] = []
     squared: list[float] = []
@@ -29,7 +36,9 @@ def residuals_of(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> R
         squared.append(float(error @ error))
         freedom.append(_freedom(kind, factor.dim()))
     pairs = np.array(between, dtype=np.int64).reshape(-1, 2)
-    return Residuals(tuple(kinds), pairs, np.array(squared), np.array(freedom, dtype=np.int64))
+    distance, scale = np.array(squared), np.array([cauchy_scales.get(kind, np.inf) for kind in kinds])
+    weight = 1.0 / (1.0 + distance / scale**2)
+    return Residuals(tuple(kinds), pairs, distance, np.array(freedom, dtype=np.int64), weight)
 
 
 def _freedom(kind: str, dimension: int) -> int:

@@ -1,4 +1,8 @@
-"""The colours of the review log, on a dark ground: one meaning each, safe for colour-blind people."""
+"""The colours of the review log, on a dark ground: one meaning each, told apart by colour-blind people.
+
+Where two kinds share a colour they mean the same thing in two stages, and the later or weaker one is dashed or dimmer.
+The legend tells people of them by their names.
+"""
 
 from __future__ import annotations
 
@@ -16,17 +20,18 @@ CORNER: Colour = (240, 228, 66)
 CORNER_SIGMA: Colour = (240, 228, 66, 110)
 
 ESTIMATE: Colour = (86, 180, 233)
+ESTIMATE_SHADES: tuple[Colour, ...] = (ESTIMATE, (60, 126, 163), (39, 81, 105))  # the less certain the darker
 POSE_SIGMA: Colour = (86, 180, 233, 110)
-ODOMETRY: Colour = (100, 100, 100)
+ODOMETRY: Colour = (110, 110, 110)
 TRUTH: Colour = (0, 190, 130)
 
 SCAN: Colour = (165, 140, 255)
 MATCHED: Colour = (255, 165, 0)
 NEW: Colour = (255, 70, 200)
-UNMATCHED: Colour = (190, 130, 100)
 
-CLOSURE: Colour = (120, 255, 90)
-REFUSED: Colour = (213, 94, 0)
+CLOSURE: Colour = (150, 255, 90)
+REFUSED: Colour = (226, 88, 34)
+BEFORE: Colour = (70, 95, 215)
 
 # Series of one plot, in this order; a plot's legend names them.
 SERIES: tuple[Colour, ...] = (
@@ -37,5 +42,6 @@ SERIES: tuple[Colour, ...] = (
     (240, 228, 66),
     (165, 140, 255),
     (238, 238, 238),
-    (213, 94, 0),
+    (226, 88, 34),
+    (150, 150, 158),
 )
