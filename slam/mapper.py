@@ -18,7 +18,7 @@ from drivers import se2
 
 from .association import UNMATCHED, Association
 from .flatness import WallFlatness, uneven
-from .graph import FactorGraph
+from .graph import KERNEL_CAUTION, FactorGraph
 from .landmarks import Landmarks
 from .local_map import LocalMap, local_map_around
 from .merging import LEAST_OBSERVATIONS, find_duplicate
@@ -108,6 +108,12 @@ class Mapper:
     def pose(self) -> se2.Pose:
         """Of the last keyframe."""
         return np.zeros(3) if not len(self.trail) else self.trail[-1]
+
+    def last_pose_covariance(self) -> Floats:
+        """(3, 3) of the last keyframe's pose, in its own frame: what the graph's `keyframe_covariance` says, for nothing."""
+        c, s = np.cos(self.pose[2]), np.sin(self.pose[2])
+        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        return np.asarray(KERNEL_CAUTION * (rotation.T @ self.pose_covariances[-1] @ rotation))
 
     def poses_of(self, keyframes: Sequence[int]) -> Floats:
         """(n, 3): the poses of some keyframes as the graph has them now."""

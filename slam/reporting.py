@@ -112,12 +112,12 @@ class Reporter:
 def _keyframe_event(
     sighting: Sighting, mapper: Mapper, extension: Extension, sigma_range: float, timings: dict[str, float]
 ) -> KeyframeAdded:
-    view, index = extension.view, mapper.keyframe_count - 1
+    view = extension.view
     return KeyframeAdded(
-        index=index,
+        index=mapper.keyframe_count - 1,
         stamp=sighting.stamp,
         pose=mapper.pose,
-        pose_covariance=mapper.graph.keyframe_covariance(index),
+        pose_covariance=mapper.last_pose_covariance(),
         odometry=sighting.odometry,
         points=sighting.seen.points.all,
         segments=view.segments,

@@ -163,8 +163,9 @@ def map_feed(
             warm_up()
         notices, tally = Notices(), Tally()
         sinks: list[Sink] = [notices, *feed.sinks]
-        if review:
-            sinks.append(log.enter_context(_review_log(directory, config, feed, server)))
+        reviewed = log.enter_context(_review_log(directory, config, feed, server, seed)) if review else None
+        if reviewed is not None:
+            sinks.append(reviewed)
         started = time.perf_counter()
         with feed.opened() as messages:
             finished, busy = _follow(messages, Slam(config, sinks, refine=refine), tally, feed.name)
@@ -174,16 +175,25 @@ def map_feed(
                 _draw(directory / PICTURE, finished, tally, score, feed.name)
             took = time.perf_counter() - started
             summary = summarise(feed, finished, tally, notices.texts, score, seed=seed, slam_seconds=busy, seconds=took)
+            summary["review"] = None if reviewed is None else reviewed.left_out()
             write_results(directory, finished, config, summary)
     _write_page(out)
     return Outcome(summary, review)
 
 
-def _review_log(directory: Path, config: Config, feed: Feed, server: ViewerServer | None) -> ReviewLog:
+def _review_log(
+    directory: Path, config: Config, feed: Feed, server: ViewerServer | None, seed: int | None
+) -> ReviewLog:
     from ..review import ReviewLog
 
-    settings = config_to_toml(config)
-    return ReviewLog(directory / REVIEW, config=settings, recording=feed.name, versions=versions(), server=server)
+    return ReviewLog(
+        directory / REVIEW,
+        config=config_to_toml(config),
+        recording=feed.name,
+        versions=versions(),
+        server=server,
+        seed=seed,
+    )
 
 
 def _follow(messages: Iterable[Message], slam: Slam, tally: Tally, name: str) -> tuple[Finished, float]:

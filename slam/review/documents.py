@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtri
 
 from ..events import Correction, KeyframeAdded, LoopDecided
 from ..residuals import CORNER, ODOMETRY, SAME_WALL, WALL, Residuals
@@ -108,7 +108,7 @@ def residual_report(residuals: Residuals, count: int) -> str:
         if not chosen.any():
             continue
         freedom, squared = residuals.freedom[chosen], residuals.squared[chosen]
-        beyond = np.mean(squared > chi2_distribution.ppf(0.999, freedom))
+        beyond = np.mean(squared > chdtri(freedom, 0.001))
         lines.append(f"| {kind} | {len(squared)} | {squared.sum() / freedom.sum():.2f} | {beyond:.1%} |")
     lines += ["", "The mean is 1 where the noise is as it is modelled.", ""]
     lines += ["| worst | kind | d² | weight |", "|---|---|---|---|"]

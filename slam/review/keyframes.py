@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -15,7 +17,7 @@ from .colours import Colour
 from .matches import Matches
 from .metrics import Metrics
 from .recording import Recording
-from .shapes import ROUND_SCAN, Layer, corner_links, ellipses, lift, segment_ends, wall_links
+from .shapes import ROUND_SCAN, Drawn, Layer, corner_links, ellipses, lift, segment_ends, wall_links
 
 # An arrow that points ahead, metres.
 ROBOT_OUTLINE = np.array([[0.3, 0.0], [-0.2, 0.2], [-0.1, 0.0], [-0.2, -0.2], [0.3, 0.0]])
@@ -30,6 +32,7 @@ class KeyframeLayer:
     def __init__(self, recording: Recording, metrics: Metrics) -> None:
         self._recording = recording
         self._metrics = metrics
+        self._filled: set[str] = set()  # entities whose last row was not empty
         outline = lift(ROBOT_OUTLINE, Layer.ESTIMATE)
         recording.keep("world/robot/outline", rr.LineStrips3D([outline], colors=colours.ESTIMATE, radii=_THICK))
         dot = rr.Points3D(lift([[0.0, 0.0]], Layer.ESTIMATE), colors=colours.ESTIMATE, radii=_CORNER_SIZE)
@@ -45,9 +48,9 @@ class KeyframeLayer:
         for name, colour in (("matched", colours.MATCHED), ("gated_out", colours.REFUSED)):
             recording.keep(f"world/features/{name}", rr.LineStrips3D.from_fields(radii=_THIN, colors=colour))
 
-    def place_robot(self, pose: se2.Pose) -> None:
-        """Move the robot, not the scan of its last keyframe."""
-        self._recording.log("world/robot", _placed(pose))
+    def move_robot(self, pose: se2.Pose) -> None:
+        """Move the robot between keyframes, not the scan of the last one."""
+        self._recording.gather("world/robot", pose, _ways)
 
     def log(self, event: KeyframeAdded, explained: float, lines: MapLines | None, corners: MapCorners | None) -> float:
         """Log a keyframe; returns the largest sigma of its position, metres, NaN where unknown.
@@ -66,7 +69,7 @@ class KeyframeLayer:
 
         Returns the largest sigma of the position (metres) and the sigma of the heading (radians); NaN where unknown.
         """
-        self.place_robot(event.pose)
+        self._recording.log("world/robot", _placed(event.pose))
         covariance = event.pose_covariance
         centres, half_sizes, quaternions = ellipses(np.zeros((1, 2)), covariance[None, :2, :2], Layer.SIGMA)
         ellipse = rr.Ellipsoids3D.from_fields(centers=centres, half_sizes=half_sizes, quaternions=quaternions)
@@ -102,13 +105,13 @@ class KeyframeLayer:
                 found.append(wall_links(ends.mean(axis=1), of_walls, lines))
             if corners is not None:
                 found.append(corner_links(position, of_points, corners))
-            links = rr.LineStrips3D.from_fields(strips=lift(np.concatenate(found), Layer.LINK))
-            self._recording.log(f"world/features/{name}", links)
-        # Of empty arrays Rerun cannot tell the type, if they are the first.
-        for name, matches in (("lines", walls), ("corners", points)):
-            if len(matches.identity):
-                row = rr.AnyValues(match=matches.identity, gate=matches.gate, nearest=matches.nearest)
-                self._recording.log(f"association/{name}", row)
+            links = lift(np.concatenate(found), Layer.LINK)
+            self._log_unless_empty_again(f"world/features/{name}", links)
+
+    def _log_unless_empty_again(self, entity: str, strips: Drawn) -> None:
+        if len(strips) or entity in self._filled:
+            self._recording.log(entity, rr.LineStrips3D.from_fields(strips=strips))
+        (self._filled.add if len(strips) else self._filled.discard)(entity)
 
     def _log_metrics(self, event: KeyframeAdded, explained: float, position_sigma: float, heading_sigma: float) -> None:
         gates = event.line_gate[(event.line_match >= 0) & np.isfinite(event.line_gate)]
@@ -128,6 +131,13 @@ def _placed(pose: se2.Pose) -> rr.Transform3D:
     x, y, heading = (float(value) for value in pose)
     turn = rr.Quaternion(xyzw=[0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2)])
     return rr.Transform3D(translation=[x, y, 0.0], quaternion=turn)
+
+
+def _ways(poses: list[se2.Pose]) -> Iterable[Any]:
+    x, y, heading = np.array(poses).T
+    none = np.zeros(len(x))
+    turns = np.stack([none, none, np.sin(heading / 2), np.cos(heading / 2)], axis=-1)
+    return rr.Transform3D.columns(translation=np.stack([x, y, none], axis=-1), quaternion=turns)
 
 
 def _match_colours(matches: Matches) -> list[Colour]:

@@ -51,6 +51,7 @@ from .truth import TruthComparison
 
 NOTABLE_SHIFT = 0.1  # metres by which the path moved that are worth a line in the log
 ROOM_TO_GROW = 0.25  # of the map's size, on each side, when those who look on are shown more of it
+GROWING_INTERVAL = 5  # keyframes after which odometry's and the true path are drawn on
 PATH_SPACING = 0.05  # metres between points of the odometry's and the true path
 CERTAIN, LESS_CERTAIN = 0.05, 0.2  # metres of sigma, between the shades of keyframes
 
@@ -172,7 +173,7 @@ class EventLog:
     def _write_scan(self, event: ScanTracked) -> None:
         self._explained = event.explained
         self._between(event.stamp)
-        self._keyframes.place_robot(event.pose)
+        self._keyframes.move_robot(event.pose)
 
     def _write_keyframe(self, event: KeyframeAdded) -> None:
         self._recording.begin_part_if_full()
@@ -189,8 +190,9 @@ class EventLog:
         self._log_path("recent", np.array(self._recent), Layer.ESTIMATE, colours.ESTIMATE)
         by_odometry = se2.compose(self._odometry_start, event.odometry)
         self._odometry.append(float(by_odometry[0]), float(by_odometry[1]))
-        self._log_growing("odometry", self._odometry, Layer.ODOMETRY, colours.ODOMETRY)
-        self._log_growing("truth", self._true_path, Layer.TRUTH, colours.TRUTH)
+        if event.index % GROWING_INTERVAL == 0:
+            self._log_growing("odometry", self._odometry, Layer.ODOMETRY, colours.ODOMETRY)
+            self._log_growing("truth", self._true_path, Layer.TRUTH, colours.TRUTH)
         self._truth.add_keyframe(event.index, event.stamp, event.pose)
         self._log_truth_errors()
 

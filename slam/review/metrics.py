@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -39,8 +40,8 @@ class Metrics:
         self._largest.setdefault(group, deque(maxlen=KEPT)).append(max(values.values(), default=nan))
         for number, names in enumerate(parts):
             if any(name in values for name in names):
-                row = rr.Scalars([float(values.get(name, nan)) for name in names])
-                self._recording.log(_entity(group, number), row)
+                row = [float(values.get(name, nan)) for name in names]
+                self._recording.gather(_entity(group, number), row, _columns)
 
     def mark(self, group: str, name: str, value: float, colour: Colour, marker: rr.components.MarkerShape) -> None:
         """Log a point over the lines of a group."""
@@ -54,6 +55,10 @@ class Metrics:
         largest = np.array(self._largest.get(group, ()))
         largest = largest[np.isfinite(largest)]
         return float(np.percentile(largest, 98)) if len(largest) else None
+
+
+def _columns(rows: list[list[float]]) -> Iterable[Any]:
+    return rr.Scalars.columns(scalars=np.array(rows).ravel()).partition([len(row) for row in rows])
 
 
 def _entity(group: str, part: int) -> str:

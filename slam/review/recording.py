@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 from uuid import uuid4
@@ -16,13 +18,17 @@ from .files import part_name
 from .server import ViewerServer
 
 APPLICATION = "wclm-slam"  # the viewer keeps layouts by this name
+SENSOR_TIME = "sensor_time"
 EPOCH_STAMPS = 1e8  # stamps above are seconds since 1970, stamps below count from the recording's own start
 SERVER_MEMORY = "25%"  # of the computer's: what viewers that come late are shown; older rows are in the file only
 FLUSH_PERIOD = 0.5  # seconds; live, shorter ones cost kilobytes each for their chunks, and viewers see no more
 PART_SIZE = 200_000_000  # bytes, after which another file is begun: about four hours of driving
+GATHERED = 64  # rows at most that are sent together
+GATHERING_PERIOD = 0.5  # seconds at most that a row waits for others, as long as others come
 MOST_PARTS = 40  # files; the oldest but the first is removed then: a log that is never stopped must not fill the disk
 
 Archetype: TypeAlias = Any  # Rerun has no common type for what can be logged
+Columns: TypeAlias = Callable[[list[Any]], Iterable[Any]]
 
 
 class Recording:
@@ -41,6 +47,8 @@ class Recording:
         self._part = 1
         self._layout = layout
         self._lasting: dict[tuple[str, str], Archetype] = {}
+        self._now: dict[str, int] = {}
+        self._gathered: dict[str, Gathered] = {}
         self._file = _stream(identity)
         self._streams = [self._file]
         self._name = ""
@@ -73,6 +81,27 @@ class Recording:
         for stream in self._streams:
             stream.log(entity, row)
 
+    def gather(self, entity: str, value: object, columns: Columns) -> None:
+        """Log a row together with others of its entity, soon: a tenth of the cost of a row each.
+
+        `columns` makes what Rerun takes of many values. All rows of an entity have the same timelines.
+        """
+        gathered = self._gathered.setdefault(entity, Gathered(columns))
+        gathered.values.append(value)
+        gathered.times.append(self._now.copy())
+        if len(gathered.values) == GATHERED or time.monotonic() - gathered.since > GATHERING_PERIOD:
+            self._send(entity, self._gathered.pop(entity))
+
+    def _send(self, entity: str, gathered: Gathered) -> None:
+        indexes = [_time_column(timeline, [row[timeline] for row in gathered.times]) for timeline in gathered.times[0]]
+        columns = list(gathered.columns(gathered.values))
+        for stream in self._streams:
+            stream.send_columns(entity, indexes=indexes, columns=columns)
+
+    def _send_all(self) -> None:
+        for entity in list(self._gathered):
+            self._send(entity, self._gathered.pop(entity))
+
     def keep(self, entity: str, row: Archetype) -> None:
         """Log what holds for all times, and is in every file."""
         self._lasting[entity, type(row).__name__] = row
@@ -82,11 +111,12 @@ class Recording:
     def set_time(self, stamp: float, **sequences: int | None) -> None:
         """Stamp the next rows with the recording's time (seconds), and with sequences; None takes one out again."""
         nanoseconds = round(1e9 * stamp)
+        self._now = {SENSOR_TIME: nanoseconds} | {name: value for name, value in sequences.items() if value is not None}
         for stream in self._streams:
             if stamp > EPOCH_STAMPS:
-                stream.set_time("sensor_time", timestamp=np.datetime64(nanoseconds, "ns"))
+                stream.set_time(SENSOR_TIME, timestamp=np.datetime64(nanoseconds, "ns"))
             else:
-                stream.set_time("sensor_time", duration=np.timedelta64(nanoseconds, "ns"))
+                stream.set_time(SENSOR_TIME, duration=np.timedelta64(nanoseconds, "ns"))
             for timeline, number in sequences.items():
                 if number is None:
                     stream.disable_timeline(timeline)
@@ -103,6 +133,7 @@ class Recording:
         """Go on in another file once the present one is large enough."""
         if part_name(self._path, self._part).stat().st_size < self._part_size:
             return
+        self._send_all()
         self._part += 1
         self._file.set_sinks(rr.FileSink(part_name(self._path, self._part)), default_blueprint=self._layout)
         if self._name:
@@ -116,9 +147,28 @@ class Recording:
 
     def close(self) -> None:
         """Write the file's footer. Raises what Rerun raises where it could not be written, on a full disk for one."""
+        self._send_all()
         for stream in self._streams:
             stream.flush()  # disconnecting does not raise
             stream.disconnect()
+
+
+@dataclass(slots=True, eq=False)
+class Gathered:
+    """Rows of an entity that wait to be sent together, with their times by timeline."""
+
+    columns: Columns
+    values: list[Any] = field(default_factory=list)
+    times: list[dict[str, int]] = field(default_factory=list)
+    since: float = field(default_factory=time.monotonic)
+
+
+def _time_column(timeline: str, values: list[int]) -> rr.TimeColumn:
+    if timeline != SENSOR_TIME:
+        return rr.TimeColumn(timeline, sequence=values)
+    if values[0] > 1e9 * EPOCH_STAMPS:
+        return rr.TimeColumn(timeline, timestamp=np.array(values).astype("datetime64[ns]"))
+    return rr.TimeColumn(timeline, duration=np.array(values).astype("timedelta64[ns]"))
 
 
 def _stream(identity: str) -> rr.RecordingStream:

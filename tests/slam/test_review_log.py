@@ -131,7 +131,8 @@ class Corridor:
         return KeyframeAdded(
             index=index, stamp=stamp, pose=estimate, pose_covariance=np.diag([spread, spread / 2, 0.01]) ** 2,
             odometry=odometry, points=self.scan(local[near], near), segments=segments, corners=corners,
-            line_match=match, line_gate=gate, corner_match=seen, corner_gate=np.full(len(seen), 1.5), new_lines=new,
+            line_match=match, line_gate=gate, line_nearest=np.where(np.isnan(gate), -1, near),
+            corner_match=seen, corner_gate=np.full(len(seen), 1.5), corner_nearest=seen, new_lines=new,
             sigma_range=0.011,
             timings={"features": 1.0 + 0.2 * len(once), "registration": 2.0, "graph": 3.0 + 0.01 * index},
             counts={"walls": int((self.seen > 0).sum()), "corners": len(seen), "factors": 8 * index},
@@ -310,7 +311,8 @@ def bare_keyframe(index: int) -> KeyframeAdded:
     return KeyframeAdded(
         index=index, stamp=float(index), pose=np.zeros(3), pose_covariance=np.full((3, 3), np.nan),
         odometry=np.zeros(3), points=np.empty((0, 2)), segments=EMPTY_SEGMENTS, corners=seen_corners(np.empty((0, 2))),
-        line_match=unmatched, line_gate=nothing, corner_match=unmatched, corner_gate=nothing, new_lines=unmatched,
+        line_match=unmatched, line_gate=nothing, line_nearest=unmatched, corner_match=unmatched, corner_gate=nothing,
+        corner_nearest=unmatched, new_lines=unmatched,
         sigma_range=0.01, timings={}, counts={},
     )  # fmt: skip
 
