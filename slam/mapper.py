@@ -110,7 +110,7 @@ class Mapper:
         return np.zeros(3) if not len(self.trail) else self.trail[-1]
 
     def last_pose_covariance(self) -> Floats:
-        """(3, 3) of the last keyframe's pose, in its own frame: what the graph's `keyframe_covariance` says, for nothing."""
+        """(3, 3) of the last keyframe's pose, in its own frame: as the graph's `keyframe_covariance`, but free."""
         c, s = np.cos(self.pose[2]), np.sin(self.pose[2])
         rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         return np.asarray(KERNEL_CAUTION * (rotation.T @ self.pose_covariances[-1] @ rotation))

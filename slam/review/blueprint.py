@@ -19,7 +19,7 @@ MAP_ASPECT, CORNER_ASPECT = 1.15, 1.6  # width by height of the map's panel, and
 MARGIN = 1.1
 CLOSE_UP = 9.0  # metres across the close-up
 CONSTELLATION = 14.0  # metres across what is compared for a loop
-TABLE_COLUMNS = ("keyframe", "old_keyframe", "reason", "status")  # the viewer sorts them
+TABLE_COLUMNS = ("at_keyframe", "old_keyframe", "reason", "status")  # the viewer sorts them
 
 
 def eye_distance(width: float, height: float, aspect: float = MAP_ASPECT) -> float:

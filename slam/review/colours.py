@@ -17,11 +17,9 @@ WALL: Colour = (238, 238, 238)
 WALL_FRESH: Colour = (150, 150, 158)
 WALL_SIGMA: Colour = (85, 85, 95)
 CORNER: Colour = (240, 228, 66)
-CORNER_SIGMA: Colour = (240, 228, 66, 110)
 
 ESTIMATE: Colour = (86, 180, 233)
 ESTIMATE_SHADES: tuple[Colour, ...] = (ESTIMATE, (60, 126, 163), (39, 81, 105))  # the less certain the darker
-POSE_SIGMA: Colour = (86, 180, 233, 110)
 ODOMETRY: Colour = (110, 110, 110)
 TRUTH: Colour = (0, 190, 130)
 

@@ -126,8 +126,8 @@ def _row(event: LoopDecided, number: int) -> dict[str, Any]:
     x, y, heading = (float(value) for value in event.motion)
     row: dict[str, Any] = {
         "number": number,
-        "candidate": event.candidate,
-        "keyframe": event.index,
+        "loop": event.candidate,
+        "at_keyframe": event.index,
         "old_keyframe": event.old,
         "status": event.status,
         "reason": event.reason,

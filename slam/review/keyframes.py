@@ -40,7 +40,7 @@ class KeyframeLayer:
         scan = rr.Points3D.from_fields(colors=colours.SCAN, radii=_SCAN_SIZE)
         recording.keep("world/keyframe/scan", scan)
         ellipse = rr.components.FillMode.MajorWireframe  # what is filled hides what matters
-        spread = rr.Ellipsoids3D.from_fields(colors=colours.POSE_SIGMA, fill_mode=ellipse)
+        spread = rr.Ellipsoids3D.from_fields(colors=colours.ESTIMATE, line_radii=_THIN, fill_mode=ellipse)
         recording.keep("world/keyframe/sigma", spread)
         segments = rr.LineStrips3D.from_fields(radii=_THICK, show_labels=False)
         recording.keep("world/features/segments", segments)

@@ -12,6 +12,7 @@ from .shapes import Layer, ellipses, lift, wall_bands
 OFTEN_SEEN = 3  # keyframes; walls seen less often are drawn dimmer
 
 _WALL_WIDTH, _BAND_WIDTH, _CORNER_SIZE = rr.Radius.ui_points(1.3), rr.Radius.ui_points(0.5), rr.Radius.ui_points(2.2)
+_OUTLINE = rr.Radius.ui_points(0.7)
 
 
 def prepare(recording: Recording) -> None:
@@ -21,7 +22,9 @@ def prepare(recording: Recording) -> None:
     corners = rr.Points3D.from_fields(radii=_CORNER_SIZE, colors=colours.CORNER, show_labels=False)
     recording.keep("world/map/corners", corners)
     outline = rr.components.FillMode.MajorWireframe  # what is filled hides what matters
-    spread = rr.Ellipsoids3D.from_fields(colors=colours.CORNER_SIGMA, fill_mode=outline, show_labels=False)
+    spread = rr.Ellipsoids3D.from_fields(
+        colors=colours.CORNER, line_radii=_OUTLINE, fill_mode=outline, show_labels=False
+    )
     recording.keep("world/map/corner_sigma", spread)
 
 

@@ -115,7 +115,7 @@ def _decisions(told: Told) -> Iterator[dict[str, Any]]:
         value = {name: values[0] for name, values in row.values.items() if values}
         yield {
             "status": value["status"],
-            "keyframe": value["keyframe"],
+            "keyframe": value["at_keyframe"],
             "old": value["old_keyframe"],
             "reason": value["reason"],
             "shift": value.get("max_shift", value["shift"]),

@@ -22,6 +22,7 @@ COMMANDS = (
     "run",
     "map",
     "report",
+    "review",
     "optimize",
     "info",
     "simulate",
