@@ -19,15 +19,15 @@ SUMMARY_PENDING = "The run has not ended, or it ended without a summary."
 _LEGEND: tuple[tuple[str, str], ...] = (
     ("white", "wall of the map; dim: seen by fewer than 3 keyframes; outline in the close-up: 3 sigma"),
     ("yellow", "corner of the map; ellipse: 3 sigma"),
-    ("sky blue", "robot, its path and its keyframes, the darker the less certain (5 cm, 20 cm); ellipse: 3 sigma"),
+    ("light blue", "robot, its path and its keyframes, the darker the less certain (5 cm, 20 cm); ellipse: 3 sigma"),
     ("grey", "path by odometry alone, from the same start; factors that fit badly"),
     ("green", "true path, where known, from the same start"),
     ("lavender", "this keyframe's scan"),
     ("orange", "matched with the map: segment, corner, recent wall; thin line: to what"),
     ("pink", "new: not in the map before"),
-    ("lime", "loop closed; dashed: held, waits for a second look; arrows: how a closure moved each keyframe"),
-    ("vermillion", "refused by a gate: feature, loop; factors beyond 99.9 %; dashed: a loop taken back"),
-    ("dark blue", "before: walls, path, constellation as they were before the last closure"),
+    ("light green", "loop closed; dashed: held, waits for a second look; arrows: how a closure moved each keyframe"),
+    ("rust", "refused by a gate: feature, loop; factors beyond 99.9 %; dashed: a loop taken back"),
+    ("deep blue", "before: walls, path, constellation as they were before the last closure"),
 )
 _TIMELINES: tuple[tuple[str, str], ...] = (
     ("keyframe", "from keyframe to keyframe"),
