@@ -52,6 +52,13 @@ class KeyframeLayer:
         """Move the robot between keyframes, not the scan of the last one."""
         self._recording.gather("world/robot", pose, _ways)
 
+    def place(self, pose: se2.Pose) -> None:
+        """Move the robot and its last scan, with the map."""
+        x, y = (float(value) for value in pose[:2])
+        self._recording.log("world/robot", _placed(pose))
+        self._recording.log("world/here", rr.Transform3D(translation=[x, y, 0.0]))
+        self._recording.log("world/keyframe", _placed(pose))
+
     def log(self, event: KeyframeAdded, explained: float, lines: MapLines | None, corners: MapCorners | None) -> float:
         """Log a keyframe; returns the largest sigma of its position, metres, NaN where unknown.
 
@@ -69,14 +76,11 @@ class KeyframeLayer:
 
         Returns the largest sigma of the position (metres) and the sigma of the heading (radians); NaN where unknown.
         """
-        self._recording.log("world/robot", _placed(event.pose))
+        self.place(event.pose)
         covariance = event.pose_covariance
         centres, half_sizes, quaternions = ellipses(np.zeros((1, 2)), covariance[None, :2, :2], Layer.SIGMA)
         ellipse = rr.Ellipsoids3D.from_fields(centers=centres, half_sizes=half_sizes, quaternions=quaternions)
         points = rr.Points3D.from_fields(positions=lift(event.points, Layer.SCAN, ROUND_SCAN))
-        x, y = (float(value) for value in event.pose[:2])
-        self._recording.log("world/here", rr.Transform3D(translation=[x, y, 0.0]))
-        self._recording.log("world/keyframe", _placed(event.pose))
         self._recording.log("world/keyframe/sigma", ellipse)
         self._recording.log("world/keyframe/scan", points)
         if not np.isfinite(covariance).all():

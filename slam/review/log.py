@@ -220,6 +220,8 @@ class EventLog:
         self._log_keyframes(event.keyframes)
         self._decision_layer.log_map(event.keyframes)
         self._recent = [event.keyframes[-1]] if len(event.keyframes) else []
+        if self._corrections > self._corrected and len(event.keyframes):
+            self._keyframes.place(event.keyframes[-1])
         self._chi2 = event.chi2
         self._metrics.log("chi2", {"chi²": event.chi2})
         if event.shift > NOTABLE_SHIFT:

@@ -59,7 +59,8 @@ def _what(told: Told) -> str:
     if told.summary:
         counts = ", ".join(f"{told.summary.get(name, '?')} {name}" for name in ("keyframes", "walls", "corners"))
         return f"{told.summary.get('recording', '?')}, {counts}"
-    return f"{len(rows(told.chunks, '/world/keyframe'))} keyframes"
+    keyframes = {row.keyframe for row in rows(told.chunks, "/world/keyframe")}
+    return f"{len(keyframes)} keyframes"
 
 
 def _health(told: Told) -> Iterator[str]:
