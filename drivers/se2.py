@@ -6,6 +6,8 @@ compose(T_map_odom, T_odom_base).
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -14,23 +16,24 @@ Pose = NDArray[np.float64]
 
 def wrap(angle: ArrayLike) -> NDArray[np.float64]:
     """The same angle (radians, any shape) in [-pi, pi)."""
-    return np.asarray((np.asarray(angle, dtype=np.float64) + np.pi) % (2 * np.pi) - np.pi)
+    return np.asarray(_wrapped(np.asarray(angle, dtype=np.float64)))
 
 
 def compose(first: ArrayLike, second: ArrayLike) -> Pose:
     """The motion `first` followed by `second`, (..., 3); stacks broadcast."""
     a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
-    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
-    x = a[..., 0] + c * b[..., 0] - s * b[..., 1]
-    y = a[..., 1] + s * b[..., 0] + c * b[..., 1]
-    return np.stack([x, y, wrap(a[..., 2] + b[..., 2])], axis=-1)
+    heading = a[..., 2]
+    c, s = _cosine_and_sine(heading)
+    bx, by = b[..., 0], b[..., 1]
+    return _together(a[..., 0] + c * bx - s * by, a[..., 1] + s * bx + c * by, _wrapped(heading + b[..., 2]))
 
 
 def inverse(pose: ArrayLike) -> Pose:
     """The motion that undoes `pose`, (..., 3)."""
     p = np.asarray(pose, dtype=np.float64)
-    c, s = np.cos(p[..., 2]), np.sin(p[..., 2])
-    return np.stack([-c * p[..., 0] - s * p[..., 1], s * p[..., 0] - c * p[..., 1], wrap(-p[..., 2])], axis=-1)
+    x, y, heading = p[..., 0], p[..., 1], p[..., 2]
+    c, s = _cosine_and_sine(heading)
+    return _together(-c * x - s * y, s * x - c * y, _wrapped(-heading))
 
 
 def between(first: ArrayLike, second: ArrayLike) -> Pose:
@@ -41,12 +44,38 @@ def between(first: ArrayLike, second: ArrayLike) -> Pose:
 def transform(pose: ArrayLike, points: ArrayLike) -> NDArray[np.float64]:
     """Points (..., 2) given in the frame that `pose` places, expressed in the frame that the pose is given in."""
     p, q = np.asarray(pose, dtype=np.float64), np.asarray(points, dtype=np.float64)
-    c, s = np.cos(p[..., 2]), np.sin(p[..., 2])
-    return np.stack([p[..., 0] + c * q[..., 0] - s * q[..., 1], p[..., 1] + s * q[..., 0] + c * q[..., 1]], axis=-1)
+    c, s = _cosine_and_sine(p[..., 2])
+    x, y = q[..., 0], q[..., 1]
+    return _together(p[..., 0] + c * x - s * y, p[..., 1] + s * x + c * y)
 
 
 def adjoint(pose: ArrayLike) -> NDArray[np.float64]:
-    """(3, 3): takes a small motion [x, y, heading] from the frame that `pose` places to the frame it is given in."""
+    """(..., 3, 3): takes a small motion [x, y, heading] from the frame that `pose` places to the frame it is given
+    in."""
     p = np.asarray(pose, dtype=np.float64)
-    c, s = np.cos(p[2]), np.sin(p[2])
-    return np.array([[c, -s, p[1]], [s, c, -p[0]], [0.0, 0.0, 1.0]])
+    result = np.zeros((*p.shape, 3))
+    c, s = _cosine_and_sine(p[..., 2])
+    result[..., 0, 0] = result[..., 1, 1] = c
+    result[..., 0, 1], result[..., 1, 0] = -s, s
+    result[..., 0, 2], result[..., 1, 2] = p[..., 1], -p[..., 0]
+    result[..., 2, 2] = 1.0
+    return result
+
+
+# What follows is called a hundred times a scan, mostly on one pose: np.stack, and trigonometry on arrays without
+# dimensions, would take four times as long.
+
+
+def _wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    return (angle + math.pi) % (2 * math.pi) - math.pi
+
+
+def _cosine_and_sine(heading: NDArray[np.float64]) -> tuple[NDArray[np.float64] | float, NDArray[np.float64] | float]:
+    return (np.cos(heading), np.sin(heading)) if heading.ndim else (math.cos(heading), math.sin(heading))
+
+
+def _together(*parts: NDArray[np.float64]) -> NDArray[np.float64]:
+    result = np.empty((*parts[0].shape, len(parts)))
+    for k, part in enumerate(parts):
+        result[..., k] = part
+    return result

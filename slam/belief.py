@@ -234,8 +234,8 @@ class Belief:
             self.carried_keyframes.append(self.mapper.keyframe_count)
             claimed = actual
         else:
-            self.odometry_noise.learn(claimed, actual)
-            covariance = self.odometry_noise.covariance(claimed)
+            self.odometry_noise.learn(claimed, actual, found.held_by)
+            covariance = self.odometry_noise.covariance(claimed, found.held_by)
             claimed, covariance = fused_motion(claimed, covariance, actual, found.point_information)
         self._carried = False
         carry = se2.adjoint(se2.inverse(claimed))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,36 +44,47 @@ class LocalMap:
 
 def empty_local_map() -> LocalMap:
     """What is known before the first scan."""
-    return local_map_around(Landmarks(), np.zeros(3), 0.0, [np.zeros((3, 3))])
+    return landmarks_around(Landmarks(), np.zeros(3), 0.0)
 
 
-def local_map_around(landmarks: Landmarks, pose: se2.Pose, radius: float, pose_covariances: list[Floats]) -> LocalMap:
-    """The landmarks within `radius` (metres) of the pose of the last keyframe.
-
-    `pose_covariances` are those of all keyframes (3, 3), in the map's axes. A landmark's covariance is the one seen
-    when it was last observed, and what the robot's own pose has lost in certainty since then.
-    """
+def landmarks_around(landmarks: Landmarks, pose: se2.Pose, radius: float) -> LocalMap:
+    """The landmarks within `radius` (metres) of a pose, as certain as they were when they were last observed."""
     near_walls = landmarks.walls_near(pose, radius)
     near_corners = landmarks.corners_near(pose, radius)
     walls, corners = landmarks.walls.rows[near_walls], landmarks.corners.rows[near_corners]
-    lever = walls["frame"][:, :2] - pose[:2]
-    c, s = np.cos(walls["frame"][:, 2]), np.sin(walls["frame"][:, 2])
-    jacobian = np.zeros((len(walls), 2, 3))
-    jacobian[:, 0] = np.column_stack([-s, c, c * lever[:, 0] + s * lever[:, 1]])
-    jacobian[:, 1, 2] = 1.0
-    wall_drift = jacobian @ _drift_since(walls["last_seen"], pose_covariances) @ jacobian.transpose(0, 2, 1)
-    corner_drift = _drift_since(corners["last_seen"], pose_covariances)[:, :2, :2]
     return LocalMap(
         walls=near_walls,
         frame=walls["frame"],
         low=walls["low"],
         high=walls["high"],
-        wall_covariance=walls["covariance"] + wall_drift,
+        wall_covariance=walls["covariance"],
         observations=walls["observations"],
         corners=near_corners,
         position=corners["position"],
         headings=corners["headings"],
-        corner_covariance=corners["covariance"] + corner_drift,
+        corner_covariance=corners["covariance"],
+    )
+
+
+def local_map_around(landmarks: Landmarks, pose: se2.Pose, radius: float, pose_covariances: list[Floats]) -> LocalMap:
+    """The landmarks within `radius` (metres) of the pose of the last keyframe, as certain as they are from there.
+
+    `pose_covariances` are those of all keyframes (3, 3), in the map's axes. A landmark's covariance is the one seen
+    when it was last observed, and what the robot's own pose has lost in certainty since then.
+    """
+    around = landmarks_around(landmarks, pose, radius)
+    last_seen = (landmarks.walls.rows["last_seen"][around.walls], landmarks.corners.rows["last_seen"][around.corners])
+    drift = _drift_since(np.concatenate(last_seen), pose_covariances)
+    lever = around.frame[:, :2] - pose[:2]
+    c, s = np.cos(around.frame[:, 2]), np.sin(around.frame[:, 2])
+    jacobian = np.zeros((len(around.walls), 2, 3))
+    jacobian[:, 0] = np.column_stack([-s, c, c * lever[:, 0] + s * lever[:, 1]])
+    jacobian[:, 1, 2] = 1.0
+    wall_drift = jacobian @ drift[: len(around.walls)] @ jacobian.transpose(0, 2, 1)
+    return replace(
+        around,
+        wall_covariance=around.wall_covariance + wall_drift,
+        corner_covariance=around.corner_covariance + drift[len(around.walls) :, :2, :2],
     )
 
 
@@ -83,6 +94,7 @@ def _drift_since(keyframes: Integers, pose_covariances: list[Floats]) -> Floats:
     The error of a later pose is that of the earlier one and what was added on the way, so the covariance of the
     difference is about the difference of the covariances; where a closed loop made it smaller, that part is zero.
     """
-    then = np.array([pose_covariances[k] for k in keyframes]).reshape(-1, 3, 3)
+    different, places = np.unique(keyframes, return_inverse=True)  # many were last seen from the same keyframe
+    then = np.array([pose_covariances[k] for k in different]).reshape(-1, 3, 3)
     values, vectors = np.linalg.eigh(pose_covariances[-1] - then)
-    return np.asarray((vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1))
+    return np.asarray((vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1))[places]

@@ -45,7 +45,7 @@ class Path:
         """Stamps (m,) and poses (m, 3) at every odometry reading.
 
         From the scan before it a reading is reached by odometry; what odometry misses up to the next scan is spread
-        evenly over the time between the two.
+        over the way between the two: wheels err as they roll, not while they stand.
         """
         stamps, poses = self.at_scans(keyframe_poses)
         at = odometry.stamps
@@ -57,8 +57,10 @@ class Path:
         arrived = se2.compose(poses[before], se2.between(scan_odometry[before], scan_odometry[after]))
         missed = poses[after] - arrived
         missed[:, 2] = se2.wrap(missed[:, 2])
-        span = stamps[after] - stamps[before]
-        part = np.clip((at - stamps[before]) / np.where(span > 0, span, 1.0), 0.0, 1.0)
+        ways = odometry.ways
+        scan_ways = np.interp(stamps, at, ways)
+        span = scan_ways[after] - scan_ways[before]
+        part = np.clip((ways - scan_ways[before]) / np.where(span > 0, span, 1.0), 0.0, 1.0)
         result = bridged + part[:, None] * missed
         result[:, 2] = se2.wrap(result[:, 2])
         return at, result

@@ -1,14 +1,16 @@
 """Keyframes, walls and corners as variables, odometry and observations as factors, solved incrementally by iSAM2.
 
-A wall is a Pose2: a frame on it with x along the wall. An observation is a BetweenFactorPose2 that measures only the
-offset across the wall and its direction; its information along the wall is zero. GTSAM's Pose2 uses the full
-exponential map, in which an offset along the wall leaks into the one across it, so the observed frame is placed where
-the wall's own frame is believed to be (its covariance carried along): then the leak is of second order.
+A wall is a Pose2: a frame on it with x along the wall. An observation is two BetweenFactorPose2: one measures only the
+wall's direction, the other only its offset across, where it was seen. Along the wall neither says anything. GTSAM's
+Pose2 uses the full exponential map, in which an offset along the wall, times the error in heading, leaks into the one
+across it; so the offset is measured from the heading that is believed, not from the one observed: there the leak is of
+second order, while the noise of the observed heading would hold the robot along a bare corridor, and pull it back.
 A corner is a Point2 seen by bearing and range with a full covariance. All arithmetic stays in C++.
 """
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -27,11 +29,11 @@ from .residuals import residuals_of
 RELINEARIZE_THRESHOLD = 0.05  # metres and radians
 RELINEARIZE_SKIP = 10  # updates; a tenth of the cost of relinearising at each update, for the same result
 CAUCHY_SCALE = 4.0  # standard deviations at which an observation counts half
-# The kernel takes weight from honest observations, too: w = 1 / (1 + s / 16) for the squared distance s, which is
-# chi-square with 2 degrees of freedom. The Hessian so weighted claims 1 / E[w] = 1.113 times the covariance of plain
-# least squares; an M-estimator's own, E[w^2 s / 2] / E[w + s dw/ds]^2, is 1.016 times it. This is the latter divided by
+# The kernel takes weight from honest observations, too: w = 1 / (1 + s / 16) for the squared error s, which is
+# chi-square with 1 degree of freedom. The Hessian so weighted claims 1 / E[w] = 1.056 times the covariance of plain
+# least squares; an M-estimator's own, E[w^2 s] / E[w + 2 s dw/ds]^2, is 1.013 times it. This is the latter divided by
 # the former, for the marginals that are told; association compares with what the graph itself believes.
-KERNEL_CAUTION = 0.912
+KERNEL_CAUTION = 0.958
 ODOMETRY_CAUCHY_SCALE = 2.0  # the same for odometry: single readings can be grossly wrong
 CAUCHY_SCALES = {ODOMETRY: ODOMETRY_CAUCHY_SCALE, WALL: CAUCHY_SCALE, CORNER: CAUCHY_SCALE}
 REBUILDS = 3  # Gauss-Newton steps on everything
@@ -111,12 +113,28 @@ class FactorGraph:
         noise = gtsam.noiseModel.Gaussian.SqrtInformation(np.diag([1.0 / ALONG_SIGMA, 0.0, 0.0]), False)
         self._factors.add(gtsam.BetweenFactorPose2(X(keyframe), L(wall), _pose2(seen), noise))
 
-    def observe_wall(self, keyframe: int, wall: int, frame: se2.Pose, covariance: Floats) -> None:
-        """The wall's frame as seen from a keyframe; covariance (2, 2) of its offset across and its heading, there."""
-        noise = gtsam.noiseModel.Gaussian.SqrtInformation(_root_information(covariance), False)
-        robust = gtsam.noiseModel.Robust.Create(self._observation_kernel, noise)
+    def observe_wall(self, keyframe: int, wall: int, frame: se2.Pose, covariance: Floats, believed: se2.Pose) -> None:
+        """A segment of a wall as a keyframe sees it: its `frame`, and the covariance (2, 2) of the offset across it and
+        of its heading, at that frame. `believed` is where, as seen from there, the wall's own frame is thought to be.
+
+        With d the offset and h the heading of the wall against what is believed, the segment's centre l metres along
+        measures d + l h, its direction h; given the latter, k = C_dh / C_hh of its error is known of the former.
+        """
+        seen = se2.between(believed, frame)
+        k = covariance[0, 1] / covariance[1, 1]
+        sigma = math.sqrt(covariance[0, 0] - k * covariance[0, 1])
+        across = np.array([0.0, seen[1] - k * seen[2], 0.0])
+        self._observe(keyframe, wall, frame, np.array([0.0, 0.0, 1.0 / math.sqrt(covariance[1, 1])]))
+        self._observe(keyframe, wall, se2.compose(believed, across), np.array([0.0, 1.0, seen[0] - k]) / sigma)
+
+    def _observe(self, keyframe: int, wall: int, frame: se2.Pose, root_information: Floats) -> None:
+        """One row (3,) of the square root of the information of a wall's frame as seen from a keyframe."""
+        rows = np.vstack([root_information, np.zeros((2, 3))])
+        noise = gtsam.noiseModel.Robust.Create(
+            self._observation_kernel, gtsam.noiseModel.Gaussian.SqrtInformation(rows, False)
+        )
         self._new_observations.append((wall, keyframe, self._factors.size()))
-        self._factors.add(gtsam.BetweenFactorPose2(X(keyframe), L(wall), _pose2(frame), robust))
+        self._factors.add(gtsam.BetweenFactorPose2(X(keyframe), L(wall), _pose2(frame), noise))
 
     def add_corner(self, corner: int, position: Floats) -> None:
         """A corner near `position` in the map."""
@@ -327,6 +345,13 @@ class FactorGraph:
             self._factorize_by_qr(error)
         return np.asarray(self._isam.jointMarginalCovariance(keys).fullMatrix())
 
+    def relative_covariance(self, old: int, keyframe: int) -> Floats:
+        """(3, 3): covariance of a keyframe's pose relative to an older one, in its own frame."""
+        joint = self._joint_covariance([X(old), X(keyframe)])
+        carry = se2.adjoint(se2.between(self.keyframe_pose(keyframe), self.keyframe_pose(old)))
+        both = np.hstack([-carry, np.eye(3)])
+        return np.asarray(KERNEL_CAUTION * both @ joint @ both.T)
+
     def relative_covariances(self, keyframe: int, walls: Sequence[int], corners: Sequence[int]) -> LandmarkCovariances:
         """How well a keyframe is known in the map, and landmarks as seen from it, what is common to both left out.
 
@@ -339,26 +364,20 @@ class FactorGraph:
         own = joint[:3, :3]
         c, s = np.cos(pose[2]), np.sin(pose[2])
         rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        wall_covariances = np.empty((len(walls), 2, 2))
-        for row, frame in enumerate(self.wall_frames(walls)):
-            at = slice(3 + 3 * row, 6 + 3 * row)
-            carry = se2.adjoint(se2.between(frame, pose))
-            cross = joint[at, :3] @ carry.T
-            full = joint[at, at] + carry @ own @ carry.T - cross - cross.T
-            wall_covariances[row] = full[1:, 1:]
-        corner_covariances = np.empty((len(corners), 2, 2))
-        first = 3 + 3 * len(walls)
-        for row, position in enumerate(self.corner_positions(corners)):
-            at = slice(first + 2 * row, first + 2 * row + 2)
-            x, y = position - pose[:2]
-            carry = np.array([[1.0, 0.0, -y], [0.0, 1.0, x]]) @ rotation
-            cross = joint[at, :3] @ carry.T
-            corner_covariances[row] = joint[at, at] + carry @ own @ carry.T - cross - cross.T
-        blocks = [joint[at : at + 3, at : at + 3][1:, 1:] for at in range(3, first, 3)]
-        points = [joint[at : at + 2, at : at + 2] for at in range(first, len(joint), 2)]
+        ends = np.cumsum([3, *(3 for _ in walls), *(2 for _ in corners)])
+        wall_covariances = _relative(
+            joint, ends[: len(walls)], 3, se2.adjoint(se2.between(self.wall_frames(walls), pose))
+        )
+        lever = self.corner_positions(corners) - pose[:2]
+        carry = np.zeros((len(corners), 2, 3))
+        carry[:, 0, 0] = carry[:, 1, 1] = 1.0
+        carry[:, 0, 2], carry[:, 1, 2] = -lever[:, 1], lever[:, 0]
+        corner_covariances = _relative(joint, ends[len(walls) : -1], 2, carry @ rotation)
+        blocks = [joint[at : at + 3, at : at + 3][1:, 1:] for at in ends[: len(walls)]]
+        points = [joint[at : at + 2, at : at + 2] for at in ends[len(walls) : -1]]
         return LandmarkCovariances(
             rotation @ own @ rotation.T,
-            wall_covariances,
+            wall_covariances[:, 1:, 1:],
             corner_covariances,
             KERNEL_CAUTION * np.array(blocks).reshape(-1, 2, 2),
             KERNEL_CAUTION * np.array(points).reshape(-1, 2, 2),
@@ -370,3 +389,16 @@ def _root_information(covariance: Floats) -> Floats:
     root = np.zeros((3, 3))
     root[1:, 1:] = np.linalg.cholesky(np.linalg.inv(covariance)).T
     return root
+
+
+def _relative(joint: Floats, begins: Floats, size: int, carry: Floats) -> Floats:
+    """(n, size, size): covariances of landmarks at `begins` (n,) of a joint covariance, less the error of the pose at
+    its beginning, which `carry` (n, size, 3) takes to each."""
+    at = begins[:, None] + np.arange(size)
+    own, cross = joint[:3, :3], joint[at, :3] @ carry.transpose(0, 2, 1)
+    return np.asarray(
+        joint[at[:, :, None], at[:, None, :]]
+        + carry @ own @ carry.transpose(0, 2, 1)
+        - cross
+        - cross.transpose(0, 2, 1)
+    )

@@ -42,5 +42,5 @@ def residuals_of(
 
 
 def _freedom(kind: str, dimension: int) -> int:
-    """An observation of a wall, and that two are one, says nothing of the direction along it; ALONG of nothing else."""
-    return {WALL: dimension - 1, SAME_WALL: dimension - 1, ALONG: 1}.get(kind, dimension)
+    """Of a wall a factor measures the offset or the heading; that two are one is both; ALONG is a third."""
+    return {WALL: 1, SAME_WALL: 2, ALONG: 1}.get(kind, dimension)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from drivers import se2
 
@@ -14,18 +16,27 @@ from ..segments import Floats, Segments
 from .constellation import Constellation, OldMap
 from .proposal import Hypothesis, distinct
 
+# Times as far as drift is expected to lead that a place may be: how far it can have led, the estimate's covariance says
+# better. Other places are looked for farther away still.
+FARTHEST = 1.4
 LEAST_EXPLAINED = 0.5  # share of the wall length seen where the old map has been that must fall on old walls
 LEAST_MATCHES = 4  # walls
 LEAST_GAIN = 3.0  # metres of wall that must fall on old walls more than if nothing moved
 LEAST_LENGTH = 6.0  # metres of wall that must fall on old walls
 WORST_SIGMA = 0.07  # metres: the motion must be determined in every direction, which parallel walls alone never do
-# Of a motion so short less is asked: no building repeats itself so soon, and walls that have been taken for others keep
-# what staying explains high.
+# Of a motion so short less is asked where the estimate is astray: no building repeats itself so soon, and walls that
+# have been taken for others keep what staying explains high.
 NEAR, NEAR_TURN, NEAR_EXPLAINED, NEAR_GAIN = 1.0, np.radians(6.0), 0.4, 1.5  # metres, radians, share, metres of wall
+# Squared Mahalanobis distance of a motion that the estimate allows: chi-square with three degrees of freedom exceeds
+# 16.3 once in a thousand times; errors of wheels that are no noise count for half the deviation more.
+MOST_UNEXPECTED = 1.5**2 * 16.3
+# By how much walls that were taken for others may have pulled the estimate besides its uncertainty, metres and radians.
+ASTRAY_SIGMAS = np.array([0.25, 0.25, np.radians(3.0)])
 RUNNER_UP = 0.85  # a different motion that explains this share of what the best one does makes the place ambiguous
 # Share of the wall length seen that could not have been seen through the old walls. Doors open and things are moved:
 # what contradicts staying put as much says nothing against moving.
 MOST_CONTRADICTED = 0.10
+LOOKED_AT = (-0.8, 0.0, 0.8)  # of a segment, from its middle to its ends, where lines of sight end
 SHORTENED = 0.3  # metres by which views end before what they saw, and by which old walls are shortened
 
 
@@ -66,10 +77,13 @@ def verify(
     landmarks: Landmarks,
     pose: se2.Pose,
     views: Sequence[tuple[se2.Pose, Segments]],
+    *,
+    near: bool,
 ) -> Verdict:
-    """Judge the second of several hypotheses; the first is that nothing has to move.
+    """Judge the second of several hypotheses by what was seen; the first is that nothing has to move.
 
-    `views` are the last keyframes' poses with the segments seen from them.
+    `views` are the last keyframes' poses with the segments seen from them. `near` asks less, as of
+    a motion that is short while the estimate is astray.
     """
     best = hypotheses[1]
     gain = best.length - hypotheses[0].length
@@ -79,14 +93,13 @@ def verify(
     matches, sigma = _matches(best), _sigma(best)
     contradicted = contradiction(best.motion, old, landmarks, views)
     allowed = max(MOST_CONTRADICTED, contradiction(hypotheses[0].motion, old, landmarks, views))
-    near = shift < NEAR and turn < NEAR_TURN
     least_explained, least_gain = (NEAR_EXPLAINED, NEAR_GAIN) if near else (LEAST_EXPLAINED, LEAST_GAIN)
     drift = f"{shift:.1f} m and {np.degrees(turn):.0f} degrees are farther than drift leads"
     explains = f"explains {best.explained:.0%} < {least_explained:.0%}"
     long_enough = f"{best.length:.1f} m of wall < {LEAST_LENGTH:.0f} m"
     better = f"{gain:.1f} m of wall more than staying < {least_gain:.1f} m"
     tests = (
-        Test("drift", part, 1.0, False, drift),
+        Test("drift", part, FARTHEST, False, drift),
         Test("explained", best.explained, least_explained, True, explains),
         Test("length", best.length, LEAST_LENGTH, True, long_enough),
         Test("gain", gain, least_gain, True, better),
@@ -101,8 +114,35 @@ def verify(
     )
 
 
+def is_near(motion: se2.Pose) -> bool:
+    """Whether a motion [x, y, heading] in the robot's frame is too short to lead to a place that looks alike."""
+    return bool(np.hypot(motion[0], motion[1]) < NEAR and abs(motion[2]) < NEAR_TURN)
+
+
+def is_astray(motion: se2.Pose, covariance: Floats) -> bool:
+    """Whether a motion, were it right, would show that walls were taken for others: drift does not explain it.
+
+    `covariance` (3, 3) is that of the robot's pose relative to the old place, in the robot's frame.
+    """
+    return _unexpectedness(motion, covariance) > MOST_UNEXPECTED
+
+
+def allowed_by_estimate(motion: se2.Pose, covariance: Floats) -> Test:
+    """Whether drift, or walls that were taken for others, explain a motion, given as above.
+
+    A place that looks right while the robot is known to be elsewhere is another one that looks alike.
+    """
+    deviations = float(np.sqrt(_unexpectedness(motion, covariance + np.diag(ASTRAY_SIGMAS**2))))
+    failing = f"{deviations:.0f} standard deviations from the estimate"
+    return Test("unexpected", deviations, float(np.sqrt(MOST_UNEXPECTED)), False, failing)
+
+
+def _unexpectedness(motion: se2.Pose, covariance: Floats) -> float:
+    return float(motion @ np.linalg.solve(covariance, motion))
+
+
 def _driftwise(hypothesis: Hypothesis, old: OldMap, pose: se2.Pose) -> tuple[float, float, float]:
-    """Metres and radians by which the robot would move, and which part that is of what drift may have done at most."""
+    """Metres and radians by which the robot would move, and how many times that is what drift is expected to do."""
     moved = se2.between(pose, se2.compose(hypothesis.motion, pose))
     shift, turn = float(np.hypot(moved[0], moved[1])), abs(float(moved[2]))
     matched = hypothesis.matches[hypothesis.matches >= 0]
@@ -139,37 +179,44 @@ def contradiction(
     walls = old.constellation.walls[old.left]
     if not len(eyes) or not len(walls):
         return 0.0
-    frame = landmarks.walls.rows["frame"][walls]
-    along = np.stack([np.cos(frame[:, 2]), np.sin(frame[:, 2])], axis=-1)
-    normal = np.stack([-along[:, 1], along[:, 0]], axis=-1)
-    eye_side = np.einsum("rwk,wk->rw", eyes[:, None] - frame[None, :, :2], normal)
-    target_side = np.einsum("rwk,wk->rw", targets[:, None] - frame[None, :, :2], normal)
-    crossing = eye_side * target_side < 0.0
-    part = np.where(crossing, eye_side / np.where(crossing, eye_side - target_side, 1.0), 0.0)
-    point = eyes[:, None] + part[..., None] * (targets - eyes)[:, None]
-    at = np.einsum("rwk,wk->rw", point - frame[None, :, :2], along)
-    ends = landmarks.walls.rows[["low", "high"]][walls]
-    crossing &= (at > ends["low"] + SHORTENED) & (at < ends["high"] - SHORTENED)
+    rows = landmarks.walls.rows[walls]
+    crossings = _crossings(eyes, targets, rows["frame"], rows["low"] + SHORTENED, rows["high"] - SHORTENED)
     blocked = np.zeros(len(eyes), dtype=bool)
-    for ray, row in np.argwhere(crossing):
-        blocked[ray] |= landmarks.is_covered(int(walls[row]), float(at[ray, row]))
+    for ray, row, at in crossings:
+        blocked[ray] |= landmarks.is_covered(int(walls[row]), at)
     return float(weights[blocked].sum() / weights.sum())
+
+
+@njit(cache=True)
+def _crossings(eyes, targets, frames, lows, highs):  # type: ignore[no-untyped-def]
+    """The lines of sight (row of `eyes`), the walls (row of `frames`) that they cross between their ends, and where."""
+    found = []
+    for row in range(len(frames)):
+        x, y = frames[row, 0], frames[row, 1]
+        c, s = math.cos(frames[row, 2]), math.sin(frames[row, 2])
+        for ray in range(len(eyes)):
+            ex, ey = eyes[ray, 0] - x, eyes[ray, 1] - y
+            tx, ty = targets[ray, 0] - x, targets[ray, 1] - y
+            eye_side, target_side = c * ey - s * ex, c * ty - s * tx
+            if eye_side * target_side < 0.0:
+                part = eye_side / (eye_side - target_side)
+                at = c * (ex + part * (tx - ex)) + s * (ey + part * (ty - ey))
+                if lows[row] < at < highs[row]:
+                    found.append((ray, row, at))
+    return found
 
 
 def _sight_lines(motion: se2.Pose, views: Sequence[tuple[se2.Pose, Segments]]) -> tuple[Floats, Floats, Floats]:
     """Eyes (r, 2), targets (r, 2) a little before what was seen, and the wall length (r,) that each stands for."""
-    eyes, targets, weights = [], [], []
-    for pose, segments in views:
-        moved = se2.compose(motion, pose)
-        frames = se2.compose(moved, segments.frame).reshape(-1, 3)
-        along = np.column_stack([np.cos(frames[:, 2]), np.sin(frames[:, 2])])
-        for part in (-0.8, 0.0, 0.8):
-            seen = frames[:, :2] + part * segments.half_length[:, None] * along
-            distance = np.hypot(*(seen - moved[:2]).T)
-            shorter = np.maximum(0.0, 1.0 - SHORTENED / np.maximum(distance, 1e-9))
-            targets.append(moved[:2] + shorter[:, None] * (seen - moved[:2]))
-            eyes.append(np.broadcast_to(moved[:2], seen.shape))
-            weights.append(segments.half_length)
-    if not eyes:
+    if not views:
         return np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)
-    return np.concatenate(eyes), np.concatenate(targets), np.concatenate(weights)
+    poses = se2.compose(motion, np.array([pose for pose, _ in views]))
+    frames = np.concatenate([se2.compose(pose, seen.frame) for pose, (_, seen) in zip(poses, views, strict=True)])
+    eyes = np.repeat(poses[:, :2], [len(segments) for _, segments in views], axis=0)
+    halves = np.concatenate([segments.half_length for _, segments in views])
+    along = np.column_stack([np.cos(frames[:, 2]), np.sin(frames[:, 2])])
+    seen = np.concatenate([frames[:, :2] + part * halves[:, None] * along for part in LOOKED_AT])
+    eyes, weights = np.tile(eyes, (len(LOOKED_AT), 1)), np.tile(halves, len(LOOKED_AT))
+    distance = np.hypot(*(seen - eyes).T)
+    shorter = np.maximum(0.0, 1.0 - SHORTENED / np.maximum(distance, 1e-9))
+    return eyes, eyes + shorter[:, None] * (seen - eyes), weights

@@ -10,7 +10,7 @@ import numpy as np
 from drivers import se2
 
 from ..landmarks import Landmarks
-from ..local_map import LocalMap, local_map_around
+from ..local_map import LocalMap, landmarks_around
 from ..mapper import REACH_MARGIN
 from ..point_field import PointField, make_field
 from ..registration import NEAR_STARTS, Registration
@@ -43,13 +43,12 @@ class Place:
         self._drive, self._landmarks, self._poses, self._flatness = drive, landmarks, poses, flatness
         self._tile: tuple[int, int] | None = None
         self._fields: dict[int, PointField] = {}
-        self._certain = [np.zeros((3, 3))] * len(poses)
         self._prior = np.diag(PRIOR_SIGMAS**-2)
 
     def local_map(self, row: int, pose: se2.Pose) -> LocalMap:
         """The landmarks that a sighting may show from `pose`."""
         reach = REACH_MARGIN + self._drive.sightings[row].seen.segments.reach()
-        return local_map_around(self._landmarks, pose, reach, self._certain)
+        return landmarks_around(self._landmarks, pose, reach)
 
     def lay(self, row: int, poses: Floats, local_map: LocalMap) -> Laid:
         """Lay a sighting over the map near where it is, and where the even course between its neighbours has it, if

@@ -81,6 +81,7 @@ _TESTS = {
     "sigma": "metres, in the worst known direction",
     "runner-up": "what another place explains, relative to this",
     "contradicted": "share seen through old walls",
+    "unexpected": "standard deviations from the estimate",
 }
 
 
