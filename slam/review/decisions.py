@@ -136,11 +136,12 @@ def _row(event: LoopDecided, number: int) -> dict[str, Any]:
         "heading_deg": math.degrees(heading),
         "merged": len(event.merged),
         "shift": float(event.shift),
-        "failed_test": next((test.name for test in event.tests if not test.passed), ""),
     }
     for test in event.tests:
         name = test.name.replace("-", "_")
         row |= {name: float(test.value), f"{name}_gate": float(test.gate)}
+    if failed := next((test.name for test in event.tests if not test.passed), None):
+        row["failed_test"] = failed
     if event.correction is not None:
         correction = event.correction
         shifts = correction.shifts()

@@ -146,8 +146,9 @@ class EventLog:
     def _log_documents(self, config: str, recording: str, versions: Mapping[str, str], seed: int | None) -> None:
         if recording:
             self._recording.name(recording)
-        facts = {"recording": recording} | {name.replace("-", "_"): version for name, version in versions.items()}
-        self._recording.describe("run", facts if seed is None else facts | {"seed": seed})
+        told = {"recording": recording or None, "seed": seed} | {k.replace("-", "_"): v for k, v in versions.items()}
+        if facts := {name: value for name, value in told.items() if value is not None}:
+            self._recording.describe("run", facts)
         self._recording.keep("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         maps.prepare(self._recording)
         dots = rr.Points3D.from_fields(radii=_DOT, show_labels=False)

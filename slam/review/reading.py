@@ -15,6 +15,9 @@ from rerun.chunk import Chunk, RrdReader
 from ..errors import MapError
 from .binary import viewer_binary
 
+ROW = "rerun.controls.RowId"
+"""The column of the rows' identities; their bytes are in the order of logging."""
+
 
 @dataclass(frozen=True, slots=True)
 class Row:
@@ -45,14 +48,13 @@ def recording_id(files: Sequence[Path]) -> str:
 
 def rows(chunks: Sequence[Chunk], entity: str) -> list[Row]:
     """The rows of an entity, in the order in which they were logged, without those that hold for all times."""
-    found: list[tuple[Any, Row]] = []
+    found: list[tuple[bytes, Row]] = []
     for chunk in chunks:
         if chunk.entity_path != entity or chunk.is_static:
             continue
         for row in chunk.to_record_batch().to_pylist():
-            order = next((row[name] for name in row if name.endswith("row_id")), len(found))
             values = {name: value for name, value in row.items() if isinstance(value, list)}
-            found.append((order, Row(row.get("keyframe"), values)))
+            found.append((row[ROW], Row(row.get("keyframe"), values)))
     return [row for _, row in sorted(found, key=lambda pair: pair[0])]
 
 

@@ -24,10 +24,12 @@ from rerun.chunk import RrdReader
 
 from slam.events import Event
 from slam.outputs import REVIEW, SUMMARY
+from slam.review import recording
 from slam.review.files import find_log
 from slam.review.opening import make_ready
 
 from .corridor import keyframes_in
+from .test_review_viewer import with_a_closure, write
 
 WCLM = "from slam.cli import main; main()"
 
@@ -83,8 +85,6 @@ def test_a_session_without_a_log_is_summed_up_from_what_there_is(wclm: Any, sess
 
 @pytest.fixture
 def logged_loop(corridor: tuple[Path, list[Event]], tmp_path: Path) -> Path:
-    from .test_review_viewer import with_a_closure, write
-
     return write(tmp_path / "loop.rrd", with_a_closure(corridor[1]))
 
 
@@ -178,8 +178,11 @@ def test_an_old_log_gets_todays_layout_and_keeps_its_rows(tmp_path: Path) -> Non
     assert "old" not in names
 
 
-def test_a_log_that_was_cut_off_opens_as_far_as_it_goes(corridor: tuple[Path, list[Event]], tmp_path: Path) -> None:
-    whole = corridor[0].read_bytes()
+def test_a_log_that_was_cut_off_opens_as_far_as_it_goes(
+    corridor: tuple[Path, list[Event]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording, "FLUSH_PERIOD", 0.02)  # the log of a second is written as that of an hour
+    whole = write(tmp_path / "whole.rrd", corridor[1]).read_bytes()
     for share in (0.5, 0.77):  # in the middle of a message
         cut = tmp_path / "cut.rrd"
         cut.write_bytes(whole[: int(share * len(whole))])

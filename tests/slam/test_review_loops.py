@@ -46,7 +46,7 @@ def logged(tmp_path_factory: pytest.TempPathFactory) -> Logged:
         patch.setattr(probation, "INTERVAL", 6.0)  # so that there is a keyframe between closing and taking back
         patch.setattr(probation, "_seen_through", _nothing_is_believed)
         slam = Slam(sinks=[kept, review])
-        for message in Simulation("large_loop", seed=1, lidar=LIDARS["short"], drive=DRIVES["bad"]):
+        for message in Simulation("large_loop", seed=2, lidar=LIDARS["short"], drive=DRIVES["bad"]):
             slam.add(message)
         slam.finish()
     assert review.failures == 0, review.first_failure
@@ -66,17 +66,17 @@ def test_every_decision_is_a_row_with_its_scores_and_gates(logged: Logged) -> No
     assert len(found) == len(told)
     assert {event.status for event in told} >= {"accepted", "retracted", "rejected", "held"}
     for number, (event, row) in enumerate(zip(told, found, strict=True)):
-        value = {name: values[0] for name, values in row.values.items()}
+        value = {name: values[0] for name, values in row.values.items() if values}
         assert (value["number"], value["loop"]) == (number + 1, event.candidate)
         assert (value["status"], value["reason"]) == (event.status, event.reason)
         assert (value["at_keyframe"], value["old_keyframe"]) == (event.index, event.old)
-        assert len(event.tests) == 8
+        assert len(event.tests) in (8, 9)  # what the estimate allows is asked last
         for test in event.tests:
             name = test.name.replace("-", "_")
             assert (value[name], value[f"{name}_gate"]) == (test.value, test.gate)
         if event.status in ("accepted", "held"):
             assert all(test.passed for test in event.tests)
-            assert value["failed_test"] == ""
+            assert "failed_test" not in value
         if event.status == "rejected" and event.reason != "has proved wrong before":
             assert not next(test for test in event.tests if test.name == value["failed_test"]).passed
 
