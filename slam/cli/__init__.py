@@ -32,6 +32,7 @@ from .optimize import optimize
 from .page import report
 from .record import record
 from .replay import replay
+from .review import review
 from .run import run
 from .simulate import simulate
 
@@ -90,6 +91,7 @@ app.command()(optimize)
 app.command()(merge)
 app.command("map")(export_map)
 app.command()(report)
+app.command()(review)
 app.command()(info)
 app.command()(simulate)
 app.command()(emulate)

@@ -11,8 +11,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .viewer import viewer_command
-
 if TYPE_CHECKING:
     from ..evaluation import ReferenceScore
     from ..events import Finished
@@ -101,12 +99,14 @@ def lines_for_people(outcome: Outcome, out: Path) -> list[str]:
     if skipped := summary["skipped"]["messages"]:
         rows.append(("skipped", f"{skipped} messages, the first: {summary['skipped']['first']}"))
     rows += [("device", _device(device)) for device in summary.get("devices", ())]
+    if any((summary["review"] or {}).values()):
+        rows.append(("log", "left out: " + ", ".join(f"{count} {name}" for name, count in summary["review"].items())))
     rows += [("warning", text) for text in summary["warnings"][:SHOWN_WARNINGS]]
     if (more := len(summary["warnings"]) - SHOWN_WARNINGS) > 0:
         rows.append(("", f"and {more} more warnings in summary.json"))
     rows.append(("results", f"{out}: {', '.join(sorted(entry.name for entry in out.iterdir()))}"))
     if outcome.review:
-        rows.append(("look at it", " ".join(viewer_command(out))))
+        rows.append(("look at it", f"wclm review {out}"))
     head = (
         f"{summary['recording']}: {summary['scans']} scans in {summary['duration']:.1f} s, "
         f"{summary['path_length']:.1f} m driven"
