@@ -11,12 +11,15 @@ import numpy as np
 
 from .compiled import compiled, vectorised
 from .pieces import Pieces, add_rays, append, rotate
-from .rays import Rays, wrap
+from .rays import TURN, Rays, wrap
 from .types import Floats, Integers
-from .wclm import residual_sum
+from .wclm import residual_sum, solve
 
 MIN_PIECE = 2
 """Rays on either side of a split; two rays define a line."""
+
+LEAST_LIKELY = 9.0
+"""Chi-square by which a boundary may be worse than the best one and still count: a likelihood of one in 90."""
 
 REFINE_WINDOW = 12
 """Rays to either side over which a boundary is moved to where both neighbours fit best."""
@@ -121,6 +124,7 @@ def refine(rays: Rays, count: int, pieces: Pieces, made: int, gains: Floats) -> 
     """Move every boundary between adjoining pieces to where the two lines together fit best."""
     prefix = rays.prefix
     origin, terminus = np.empty(6), np.empty(6)
+    pieces.spread[:made] = 0.0
     for i in range(made):
         j = i + 1 if i + 1 < made else 0
         shift = count if j == 0 else 0
@@ -133,8 +137,10 @@ def refine(rays: Rays, count: int, pieces: Pieces, made: int, gains: Floats) -> 
             at = prefix[row, min(boundary, count)] + (prefix[row, boundary - count] if boundary > count else 0.0)
             origin[row], terminus[row] = at - pieces.sums[i, row], at + pieces.sums[j, row]
         position = best_boundary(prefix, count, low, high, origin, terminus, gains)
-        if position > 0 and position != boundary:
-            move_boundary(prefix, count, pieces, i, j, position, shift)
+        if position > 0:
+            add_spread(rays, count, low, high, position, origin, terminus, gains, pieces.spread[i], pieces.spread[j])
+            if position != boundary:
+                move_boundary(prefix, count, pieces, i, j, position, shift)
     if made > 1 and pieces.begin[0] < 0:
         rotate(pieces, made, count)
 
@@ -157,6 +163,72 @@ def best_boundary(
         if beyond >= 0 and gains[beyond] > best:
             position = beyond + count
     return position
+
+
+@compiled
+def lines_parted_at(
+    prefix: Floats, count: int, k: int, origin: Floats, terminus: Floats
+) -> tuple[float, float, float, float]:
+    """(u, v) of the line before ray k and of the line after it; arguments as for `best_boundary`."""
+    ray = wrap(k - 1, count) + 1
+    turn = count if k > count else 0
+    w, x, y = prefix[0, ray], prefix[1, ray], prefix[2, ray]
+    p, q = prefix[3, ray], prefix[4, ray]
+    if turn > 0:
+        w, x, y, p, q = (
+            w + prefix[0, turn],
+            x + prefix[1, turn],
+            y + prefix[2, turn],
+            p + prefix[3, turn],
+            q + prefix[4, turn],
+        )
+    u0, v0, _ = solve(w - origin[0], x - origin[1], y - origin[2], p - origin[3], q - origin[4])
+    u1, v1, _ = solve(terminus[0] - w, terminus[1] - x, terminus[2] - y, terminus[3] - p, terminus[4] - q)
+    return u0, v0, u1, v1
+
+
+@compiled
+def add_spread(
+    rays: Rays,
+    count: int,
+    low: int,
+    high: int,
+    position: int,
+    origin: Floats,
+    terminus: Floats,
+    gains: Floats,
+    before: Floats,
+    after: Floats,
+) -> None:
+    """Add to the spreads of the pieces before and after a boundary what the choice of ray `position` leaves uncertain.
+
+    A boundary k has the likelihood exp(gain_k / 2). By the law of total variance the lines B_k that go with it add
+    sum p_k (B_k - B)(B_k - B)' to the covariance of the lines B that were chosen.
+    """
+    prefix = rays.prefix
+    u0, v0, u1, v1 = lines_parted_at(prefix, count, position, origin, terminus)
+    best = gains[wrap(position - 1, count) + 1]
+    total = wander = 0.0
+    uu0 = uv0 = vv0 = uu1 = uv1 = vv1 = 0.0
+    for k in range(low, high + 1):
+        behind = best - gains[wrap(k - 1, count) + 1]
+        if not behind < LEAST_LIKELY:
+            continue
+        p = math.exp(-0.5 * behind)
+        total += p
+        if k == position:
+            continue
+        turned = (rays.bearing[wrap(k, count)] - rays.bearing[wrap(position, count)] + math.pi) % TURN - math.pi
+        wander += p * turned * turned
+        ku0, kv0, ku1, kv1 = lines_parted_at(prefix, count, k, origin, terminus)
+        du, dv = ku0 - u0, kv0 - v0
+        uu0, uv0, vv0 = uu0 + p * du * du, uv0 + p * du * dv, vv0 + p * dv * dv
+        du, dv = ku1 - u1, kv1 - v1
+        uu1, uv1, vv1 = uu1 + p * du * du, uv1 + p * du * dv, vv1 + p * dv * dv
+    if math.isfinite(uu0 + vv0 + uu1 + vv1):
+        before[0], before[1], before[2] = before[0] + uu0 / total, before[1] + uv0 / total, before[2] + vv0 / total
+        after[0], after[1], after[2] = after[0] + uu1 / total, after[1] + uv1 / total, after[2] + vv1 / total
+        before[3] = wander / total
 
 
 @compiled

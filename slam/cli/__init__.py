@@ -14,6 +14,7 @@ from typer.core import TyperGroup
 
 from drivers.errors import SlamError
 
+from . import bench_features as bench_features
 from . import bench_loops as bench_loops
 from .bench import bench
 from .calibrate import calibrate
