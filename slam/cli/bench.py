@@ -18,6 +18,12 @@ bench = typer.Typer(no_args_is_help=True, help="Measure how fast, how accurate a
 def bench_consistency(
     runs: Annotated[int, typer.Option("--runs", min=1, help="Simulated drives, each with other noise.")] = 100,
     duration: Annotated[float, typer.Option("--duration", help="Seconds of each.")] = 60.0,
+    range_bias: Annotated[
+        float, typer.Option("--range-bias", min=-0.5, max=0.5, help="Metres by which all ranges come out long.")
+    ] = 0.0,
+    calibrate: Annotated[
+        bool, typer.Option("--calibrate", help="Estimate that from one more drive, as `wclm calibrate` does.")
+    ] = False,
 ) -> None:
     """Compare errors with covariances, over simulated drives where the truth is known; two seconds a drive.
 
@@ -25,9 +31,16 @@ def bench_consistency(
 
     Example: [bold]wclm bench consistency --runs 20[/bold]
     """
-    from ..benchmarks.consistency import simulate, summarise, table
+    from ..benchmarks.consistency import calibrated, simulate, summarise, table
+    from ..config import Config
 
-    found = list(progress(simulate(range(runs), duration), runs, "drives"))
+    config = Config()
+    typer.echo("\n".join(heading(0)))
+    if calibrate:
+        config, sigma = calibrated(range_bias, duration)
+        typer.echo(f"ranges are taken to be {config.lidar.range_bias:.4f} ± {sigma:.4f} m too long")
+    drives = simulate(range(runs), duration, range_bias=range_bias, config=config)
+    found = list(progress(drives, runs, "drives"))
     typer.echo("\n".join(table(summarise(found))))
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import OutputError
-from .report import machine, versions
+from ..machine import machine, versions
 
 
 def provenance(seed: int) -> dict[str, Any]:

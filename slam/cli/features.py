@@ -31,12 +31,13 @@ def features(
     from ..config import load_config
     from ..extraction import build_extractor
 
-    extractor = build_extractor(load_config(None, settings or ()))
+    effective = load_config(None, settings or ())
+    extractor, bias = build_extractor(effective), effective.lidar.range_bias
     source = drivers.open(recording)
     scans = (message for message in source if isinstance(message, Scan))
     count = 0
     for found in islice(scans, scan + 1):
-        extracted = extractor.extract(found.ranges, found.angles)  # every scan: the noise is learnt on the way
+        extracted = extractor.extract(found.ranges - bias, found.angles)  # every scan: the noise is learnt on the way
         count += 1
     if count <= scan:
         raise RecordingError(recording, None, f"has {count} scans, counted from 0; there is no scan {scan}")
@@ -44,7 +45,7 @@ def features(
     if plot is not None:
         from ..plots import plot_scan
 
-        plot_scan(plot, found.ranges, found.angles, extracted, title=f"{source.name}, scan {scan}")
+        plot_scan(plot, found.ranges - bias, found.angles, extracted, title=f"{source.name}, scan {scan}")
 
 
 def table(extracted: Features) -> str:

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import platform
-import resource
-import sys
-from contextlib import suppress
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..machine import peak_memory, versions
 from .viewer import viewer_command
 
 if TYPE_CHECKING:
@@ -18,30 +13,7 @@ if TYPE_CHECKING:
     from ..events import Finished
     from .session import Feed, Outcome, Tally
 
-PACKAGES = ("wclm-slam", "numpy", "numba", "gtsam", "rerun-sdk")
 SHOWN_WARNINGS = 4
-CPU_LIST = Path("/proc/cpuinfo")
-"""Where Linux tells the processor's name, which Python does not ask for."""
-
-
-def versions() -> dict[str, str]:
-    """Versions of this program and of what its results depend on."""
-    return {name: metadata.version(name) for name in PACKAGES} | {"python": platform.python_version()}
-
-
-def machine() -> dict[str, str | int]:
-    """What the times were taken on."""
-    model = platform.processor() or platform.machine()
-    with suppress(OSError):
-        lines = CPU_LIST.read_text(encoding="utf-8").splitlines()
-        model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), model)
-    return {"processor": model, "cores": os.cpu_count() or 1, "system": platform.system()}
-
-
-def peak_memory() -> float:
-    """The most memory this process has had, MiB."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (1 << 20 if sys.platform == "darwin" else 1 << 10)
 
 
 def summarise(

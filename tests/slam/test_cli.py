@@ -33,6 +33,8 @@ COMMANDS = (
     "features",
     "bench",
     "bench features",
+    "bench slam",
+    "bench gate",
     "bench relocalisation",
     "bench laps",
     "bench consistency",
