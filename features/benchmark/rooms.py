@@ -142,7 +142,7 @@ def simulate(
     room = (round_room if curved else furnished_room)(rng, *size)
     place = np.array([rng.uniform(0.25, 0.75) * size[0], rng.uniform(0.25, 0.45) * size[1]])
     heading = rng.uniform(-np.pi, np.pi)
-    angles: Floats = -np.pi + 2.0 * np.pi / beams * np.arange(beams)
+    angles = np.linspace(-np.pi, np.pi, beams, endpoint=False)
     bearings = angles + rng.normal(0.0, noise.sigma_bearing, beams)
     true_ranges, surface = cast(room, place, bearings + heading)
     ranges = np.asarray(true_ranges + rng.normal(0.0, noise.sigma_range, beams), dtype=np.float64)

@@ -83,7 +83,7 @@ class Result:
 
 
 def cases(folder: Path | None, *, quick: bool = False, seed: int = 0) -> list[Case]:
-    """The recordings that `folder` holds, and simulated worlds, which are everywhere; a few of them for a quick look."""
+    """The recordings that `folder` holds, and simulated worlds, which anybody has; a few of these for a quick look."""
     if quick:
         return [Case(name, seed=seed, seconds=QUICK_SECONDS) for name in QUICK_WORLDS]
     present = [
