@@ -48,11 +48,12 @@ def frame_of(first: Floats, second: Floats) -> Frame:
 
 
 @compiled
-def local(rays: Rays, ray: int, frame: Frame, rise: float, settings: Settings) -> tuple[float, float, float]:
+def local(
+    distance: float, cos: float, sin: float, frame: Frame, rise: float, settings: Settings
+) -> tuple[float, float, float]:
     """x and y of a ray's end in the frame, and the variance of its y above a surface that rises by `rise` per x."""
-    ex = rays.cos[ray] * frame.cos + rays.sin[ray] * frame.sin
-    ey = rays.sin[ray] * frame.cos - rays.cos[ray] * frame.sin
-    distance = rays.range[ray]
+    ex = cos * frame.cos + sin * frame.sin
+    ey = sin * frame.cos - cos * frame.sin
     x = distance * ex - frame.x * frame.cos - frame.y * frame.sin
     y = distance * ey + frame.x * frame.sin - frame.y * frame.cos
     along, across = ey - rise * ex, distance * (ex + rise * ey)
@@ -66,8 +67,11 @@ def fit_parabola(
 ) -> tuple[float, float, float]:
     """(a, b, c) of y = a + b x + c x^2 through the rays begin..end-1, from `middle` on the second chord's."""
     s0 = s1 = s2 = s3 = s4 = p = q = r = 0.0
+    distances, cosines, sines = rays.range, rays.cos, rays.sin
     for i in range(begin, end):
-        x, y, variance = local(rays, wrap(i, count), frame, -frame.rise if i < middle else frame.rise, settings)
+        ray = wrap(i, count)
+        rise = -frame.rise if i < middle else frame.rise
+        x, y, variance = local(distances[ray], cosines[ray], sines[ray], frame, rise, settings)
         w = 1.0 / variance
         wx = w * x
         wxx = wx * x
@@ -97,12 +101,15 @@ def excess(
 ) -> float:
     """Chi-square of rays begin..end-1 about the curve less that about their line; each ray's at most the gate."""
     total = 0.0
-    steepness = math.sqrt((1.0 + rise * rise) / (line[0] * line[0] + line[1] * line[1]))
+    u, v = line[0], line[1]
+    steepness = math.sqrt((1.0 + rise * rise) / (u * u + v * v))
+    distances, cosines, sines = rays.range, rays.cos, rays.sin
     for i in range(begin, end):
         ray = wrap(i, count)
-        x, y, variance = local(rays, ray, frame, rise, settings)
+        distance, cos, sin = distances[ray], cosines[ray], sines[ray]
+        x, y, variance = local(distance, cos, sin, frame, rise, settings)
         above = y - curve[0] - x * (curve[1] + x * curve[2])
-        beside = steepness * (1.0 - rays.range[ray] * (line[0] * rays.cos[ray] + line[1] * rays.sin[ray]))
+        beside = steepness * (1.0 - distance * (u * cos + v * sin))
         total += min(above * above / variance, GATE) - min(beside * beside / variance, GATE)
     return total
 

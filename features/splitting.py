@@ -138,7 +138,7 @@ def refine(rays: Rays, count: int, pieces: Pieces, made: int, gains: Floats) -> 
             origin[row], terminus[row] = at - pieces.sums[i, row], at + pieces.sums[j, row]
         position = best_boundary(prefix, count, low, high, origin, terminus, gains)
         if position > 0:
-            add_spread(rays, count, low, high, position, origin, terminus, gains, pieces.spread[i], pieces.spread[j])
+            add_spread(prefix, rays.bearing, count, low, high, position, origin, terminus, gains, pieces.spread, i, j)
             if position != boundary:
                 move_boundary(prefix, count, pieces, i, j, position, shift)
     if made > 1 and pieces.begin[0] < 0:
@@ -166,30 +166,9 @@ def best_boundary(
 
 
 @compiled
-def lines_parted_at(
-    prefix: Floats, count: int, k: int, origin: Floats, terminus: Floats
-) -> tuple[float, float, float, float]:
-    """(u, v) of the line before ray k and of the line after it; arguments as for `best_boundary`."""
-    ray = wrap(k - 1, count) + 1
-    turn = count if k > count else 0
-    w, x, y = prefix[0, ray], prefix[1, ray], prefix[2, ray]
-    p, q = prefix[3, ray], prefix[4, ray]
-    if turn > 0:
-        w, x, y, p, q = (
-            w + prefix[0, turn],
-            x + prefix[1, turn],
-            y + prefix[2, turn],
-            p + prefix[3, turn],
-            q + prefix[4, turn],
-        )
-    u0, v0, _ = solve(w - origin[0], x - origin[1], y - origin[2], p - origin[3], q - origin[4])
-    u1, v1, _ = solve(terminus[0] - w, terminus[1] - x, terminus[2] - y, terminus[3] - p, terminus[4] - q)
-    return u0, v0, u1, v1
-
-
-@compiled
 def add_spread(
-    rays: Rays,
+    prefix: Floats,
+    bearing: Floats,
     count: int,
     low: int,
     high: int,
@@ -197,38 +176,52 @@ def add_spread(
     origin: Floats,
     terminus: Floats,
     gains: Floats,
-    before: Floats,
-    after: Floats,
+    spread: Floats,
+    i: int,
+    j: int,
 ) -> None:
-    """Add to the spreads of the pieces before and after a boundary what the choice of ray `position` leaves uncertain.
+    """Add to the spreads of pieces i and j what the choice of ray `position` for the boundary between leaves uncertain.
 
     A boundary k has the likelihood exp(gain_k / 2). By the law of total variance the lines B_k that go with it add
-    sum p_k (B_k - B)(B_k - B)' to the covariance of the lines B that were chosen.
+    sum p_k (B_k - B)(B_k - B)' to the covariance of the lines B that were chosen, and the bearing varies likewise.
     """
-    prefix = rays.prefix
-    u0, v0, u1, v1 = lines_parted_at(prefix, count, position, origin, terminus)
-    best = gains[wrap(position - 1, count) + 1]
-    total = wander = 0.0
+    # scalars, and no function that takes arrays: counting the references to those costs more than all the sums
+    w0, x0, y0, p0, q0 = origin[0], origin[1], origin[2], origin[3], origin[4]
+    w1, x1, y1, p1, q1 = terminus[0], terminus[1], terminus[2], terminus[3], terminus[4]
+    best = gains[position - count if position > count else position]
+    u0 = v0 = u1 = v1 = chosen = total = wander = 0.0
     uu0 = uv0 = vv0 = uu1 = uv1 = vv1 = 0.0
-    for k in range(low, high + 1):
-        behind = best - gains[wrap(k - 1, count) + 1]
-        if not behind < LEAST_LIKELY:
+    for step in range(low - 1, high + 1):
+        k = step if step >= low else position  # the lines that were chosen come first; the others are taken about them
+        ray = k - count if k > count else k
+        behind = best - gains[ray]
+        if not behind < LEAST_LIKELY or step == position:
             continue
-        p = math.exp(-0.5 * behind)
-        total += p
-        if k == position:
+        w, x, y, p, q = prefix[0, ray], prefix[1, ray], prefix[2, ray], prefix[3, ray], prefix[4, ray]
+        angle = bearing[k] if k < count else bearing[k - count] + TURN
+        if k > count:
+            w, x, y = w + prefix[0, count], x + prefix[1, count], y + prefix[2, count]
+            p, q = p + prefix[3, count], q + prefix[4, count]
+        ku0, kv0, _ = solve(w - w0, x - x0, y - y0, p - p0, q - q0)
+        ku1, kv1, _ = solve(w1 - w, x1 - x, y1 - y, p1 - p, q1 - q)
+        if step < low:
+            u0, v0, u1, v1, chosen, total = ku0, kv0, ku1, kv1, angle, 1.0
             continue
-        turned = (rays.bearing[wrap(k, count)] - rays.bearing[wrap(position, count)] + math.pi) % TURN - math.pi
-        wander += p * turned * turned
-        ku0, kv0, ku1, kv1 = lines_parted_at(prefix, count, k, origin, terminus)
+        likely = math.exp(-0.5 * behind)
+        total += likely
+        wander += likely * (angle - chosen) * (angle - chosen)
         du, dv = ku0 - u0, kv0 - v0
-        uu0, uv0, vv0 = uu0 + p * du * du, uv0 + p * du * dv, vv0 + p * dv * dv
+        uu0, uv0, vv0 = uu0 + likely * du * du, uv0 + likely * du * dv, vv0 + likely * dv * dv
         du, dv = ku1 - u1, kv1 - v1
-        uu1, uv1, vv1 = uu1 + p * du * du, uv1 + p * du * dv, vv1 + p * dv * dv
+        uu1, uv1, vv1 = uu1 + likely * du * du, uv1 + likely * du * dv, vv1 + likely * dv * dv
     if math.isfinite(uu0 + vv0 + uu1 + vv1):
-        before[0], before[1], before[2] = before[0] + uu0 / total, before[1] + uv0 / total, before[2] + vv0 / total
-        after[0], after[1], after[2] = after[0] + uu1 / total, after[1] + uv1 / total, after[2] + vv1 / total
-        before[3] = wander / total
+        spread[i, 0] += uu0 / total
+        spread[i, 1] += uv0 / total
+        spread[i, 2] += vv0 / total
+        spread[i, 3] = wander / total
+        spread[j, 0] += uu1 / total
+        spread[j, 1] += uv1 / total
+        spread[j, 2] += vv1 / total
 
 
 @compiled
