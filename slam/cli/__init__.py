@@ -14,7 +14,9 @@ from typer.core import TyperGroup
 
 from drivers.errors import SlamError
 
+from . import bench_features as bench_features
 from . import bench_loops as bench_loops
+from . import bench_slam as bench_slam
 from .batch import batch
 from .bench import bench
 from .calibrate import calibrate
@@ -65,7 +67,7 @@ app = typer.Typer(
 
 def _version(wanted: bool) -> None:
     if wanted:
-        from .report import versions
+        from ..machine import versions
 
         typer.echo(", ".join(f"{name} {version}" for name, version in versions().items()))
         raise typer.Exit

@@ -19,10 +19,11 @@ from ..config import Config, config_to_toml, load_config
 from ..errors import MapError
 from ..evaluation import ReferenceScore, score_reference
 from ..events import Event, Finished, Noticed, Sink
+from ..machine import versions
 from ..outputs import CONFIG, PICTURE, REPORT, REVIEW, OutputDirectory, unfinished_file, write_results
 from ..trajectory import Trajectory
 from .console import progress, say_if_slow
-from .report import summarise, versions
+from .report import summarise
 
 if TYPE_CHECKING:
     from ..pipeline import Slam

@@ -36,6 +36,8 @@ COMMANDS = (
     "features",
     "bench",
     "bench features",
+    "bench slam",
+    "bench gate",
     "bench relocalisation",
     "bench laps",
     "bench consistency",
