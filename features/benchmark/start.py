@@ -13,15 +13,15 @@ from typing import NamedTuple
 TIMED = """
 import json, sys, time
 from pathlib import Path
-start = time.perf_counter()
+start = time.process_time()
 import numpy as np
-numpy_only = time.perf_counter()
+numpy_only = time.process_time()
 before = status()
 from features import warm_up
 from features.benchmark.timing import measure, scans_of
-imported = time.perf_counter()
+imported = time.process_time()
 warm_up()
-ready = time.perf_counter()
+ready = time.process_time()
 angles, ranges = scans_of(920, int(sys.argv[1]), 0)
 row = measure("split", "wclm-ml", ranges, angles, int(sys.argv[2]))
 print(json.dumps([imported - numpy_only, ready - imported, row.best_us, before, status()]))
@@ -43,8 +43,8 @@ def status():
 class Start(NamedTuple):
     """One process from its start to its last scan.
 
-    import_s      seconds to import the package, once numpy is there
-    first_scan_s  seconds until the first scan is done: compiling, or loading what was compiled
+    import_s      seconds of processor to import the package, once numpy is there
+    first_scan_s  the same until the first scan is done: compiling, or loading what was compiled
     scan_us       microseconds of a scan of 920 beams from then on (median over scans of the fastest call)
     numpy_mb, memory_mb  megabytes that the process held before the package was imported, and at its end
     """
@@ -62,14 +62,14 @@ def measure_starts() -> list[Start]:
     with tempfile.TemporaryDirectory() as cache:
         kept = {"NUMBA_CACHE_DIR": cache}
         return [
-            _start("first start", kept, 20, 20),
-            _start("later starts", kept, 20, 20),
-            _start("without numba's compiler", {"NUMBA_DISABLE_JIT": "1"}, 3, 1),
+            start_once("first start", kept, 20, 20),
+            start_once("later starts", kept, 20, 20),
+            start_once("without numba's compiler", {"NUMBA_DISABLE_JIT": "1"}, 3, 3),
         ]
 
 
-def _start(name: str, environment: dict[str, str], scans: int, rounds: int) -> Start:
-    """Start an interpreter and have it measure itself."""
+def start_once(name: str, environment: dict[str, str], scans: int, rounds: int) -> Start:
+    """Start an interpreter in this environment, more than the present one, and have it measure itself."""
     root = str(Path(__file__).parents[2])
     path = os.pathsep.join(part for part in (root, os.environ.get("PYTHONPATH")) if part)
     result = subprocess.run(

@@ -104,6 +104,11 @@ def run(chosen: Sequence[Case]) -> Iterator[Result]:
 
 def drive(case: Case) -> Result:
     """Map one drive and judge it. Raises RecordingError, MapError."""
+    return follow(case)[0]
+
+
+def follow(case: Case) -> tuple[Result, Stopwatch]:
+    """The same, with all the times that were taken."""
     warm_up()
     slam, stopwatch = Slam(), Stopwatch()
     truth: list[GroundTruth] = []
@@ -123,7 +128,7 @@ def drive(case: Case) -> Result:
         finished = slam.finish()
     path = Trajectory(finished.stamps, finished.poses)
     judge, error, median, rotation = _judge(case, path, truth)
-    return Result(
+    result = Result(
         name=case.name,
         seed=case.seed,
         judge=judge,
@@ -141,15 +146,16 @@ def drive(case: Case) -> Result:
         keyframes=len(finished.keyframes),
         closures=_closures(finished),
     )
+    return result, stopwatch
 
 
 class Stopwatch:
-    """Seconds of processor in all, and of the reference."""
+    """Seconds of processor of each message, in `laps`, and each time of the reference, in `references`."""
 
     def __init__(self) -> None:
-        self.total = 0.0
+        self.laps: list[float] = []
+        self.references: list[float] = []
         self._started = 0.0
-        self._references: list[float] = []
         self._line = rays_of(2.0 / np.cos(REFERENCE_ANGLES), REFERENCE_ANGLES)
         direction_by_double_sums(*self._line)
 
@@ -157,18 +163,23 @@ class Stopwatch:
         self._started = time.process_time()
 
     def __exit__(self, *_: object) -> None:
-        self.total += time.process_time() - self._started
+        self.laps.append(time.process_time() - self._started)
 
     def time_reference(self) -> None:
         """Time the reference once more."""
         start = time.process_time()
         direction_by_double_sums(*self._line)
-        self._references.append(time.process_time() - start)
+        self.references.append(time.process_time() - start)
+
+    @property
+    def total(self) -> float:
+        """Of all messages."""
+        return sum(self.laps)
 
     @property
     def reference(self) -> float:
-        """Its median time, seconds."""
-        return float(np.median(self._references))
+        """Its median time."""
+        return float(np.median(self.references))
 
 
 def _messages(case: Case) -> Iterator[Message]:

@@ -61,10 +61,10 @@ def time_table(rows: Sequence[Time], relative: tuple[float, float]) -> Iterator[
 def start_table(rows: Sequence[Start]) -> Iterator[str]:
     """What compilation costs and brings."""
     yield ""
-    yield "                          import s  first scan s  later scans us  memory MB  of it NumPy and Python"
+    yield "Seconds of processor        import  first scan  later scans us  memory MB  of it NumPy and Python"
     for row in rows:
         yield (
-            f"{row.name:<25} {row.import_s:8.2f} {row.first_scan_s:13.2f} {row.scan_us:15.1f} {row.memory_mb:10.0f} "
+            f"{row.name:<25} {row.import_s:8.2f} {row.first_scan_s:11.2f} {row.scan_us:15.1f} {row.memory_mb:10.0f} "
             f"{row.numpy_mb:23.0f}"
         )
 

@@ -14,11 +14,14 @@ import numpy as np
 from features.benchmark.accuracy import COARSE, FINE, WAYS, Level, measure
 from features.benchmark.timing import relative
 
-from .drives import QUICK_WORLDS, Case, drive
+from .drives import QUICK_WORLDS, Case, drive, follow
 
 SCANS = 100
 """Of each level of noise."""
 SEEDS = (0, 1, 2)
+REPEATS = 4
+"""Of a drive that is timed. It is the same each time, so the fastest time of each message counts: what others do with
+the processor makes single messages slower, not the same ones again and again."""
 SECONDS = 20.0
 """Of each drive."""
 LEVELS = {"fine": Level(0.01, FINE, 0.0), "coarse": Level(0.05, COARSE, 0.0), "outliers": Level(0.01, FINE, 0.01)}
@@ -46,8 +49,9 @@ FANS = 0.1
 """Corners for each curved thing at 1 cm; 0.04 in the full benchmark, above 1 where curves are not known."""
 EXTRACTION = 1.15
 """Of the reference for a scan of 920 beams; it stands at 0.87."""
-DRIVES = {"office": (0.002, 110.0), "room": (0.0015, 80.0)}
-"""Metres (mean over the seeds) and times the reference for a scan; they stand at 0.0010 and 74, 0.0007 and 52."""
+DRIVES = {"office": (0.002, 135.0), "room": (0.0015, 95.0)}
+"""Metres (mean over the seeds) and times the reference for a scan; they stand at 0.0010 and 95, 0.0007 and 67.
+Times scatter by a few per cent from run to run, and by a fifth with what else the machine does."""
 
 
 def checks() -> Iterator[Check]:
@@ -60,10 +64,17 @@ def checks() -> Iterator[Check]:
     curved = next(measure(scans=SCANS, levels=[LEVELS["fine"]], ways=WAYS[:1], curved=True))
     yield Check("corners of curved things", curved.curved_corners, FANS)
     for world in QUICK_WORLDS:
-        results = [drive(Case(world, seed=seed, seconds=SECONDS)) for seed in SEEDS]
+        errors = [drive(Case(world, seed=seed, seconds=SECONDS)).error for seed in SEEDS]
         error, time = DRIVES[world]
-        yield Check(f"error of the path, {world}, m", float(np.mean([result.error for result in results])), error)
-        yield Check(f"a scan, {world}, by reference", min(result.by_reference for result in results), time)
+        yield Check(f"error of the path, {world}, m", float(np.mean(errors)), error)
+        yield Check(f"a scan, {world}, by reference", time_by_reference(Case(world, seconds=SECONDS)), time)
+
+
+def time_by_reference(case: Case) -> float:
+    """The time of a scan in units of the reference, the fastest of each taken over `REPEATS` equal drives."""
+    results, watches = zip(*(follow(case) for _ in range(REPEATS)), strict=True)
+    fastest = np.min([watch.laps for watch in watches], axis=0).sum() / results[0].scans
+    return float(fastest / np.min([watch.references for watch in watches]))
 
 
 def lines(found: list[Check]) -> Iterator[str]:

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from .bench import bench
-from .bench_output import heading, make_directory, provenance, write
+from .bench_output import heading, make_directory, plain, provenance, write
 from .console import say_if_slow
 
 QUICK_SCANS = 20
@@ -56,11 +56,11 @@ def bench_features(
     if as_json is not None:
         content = provenance(seed) | {
             "scans": scans,
-            "rooms": [row._asdict() for row in straight],
-            "curved rooms": [row._asdict() for row in curved],
-            "times": [row._asdict() for row in times],
+            "rooms": plain(straight),
+            "curved rooms": plain(curved),
+            "times": plain(times),
             "time by reference": ratio[0],
-            "starts": [row._asdict() for row in starts],
+            "starts": plain(starts),
         }
         write(as_json, json.dumps(content, indent=1))
     if out is not None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ..errors import OutputError
 from ..machine import machine, versions
@@ -19,6 +21,17 @@ def heading(seed: int) -> list[str]:
     return [
         "; ".join(f"{name}: {value}" for name, value in machine().items()),
         ", ".join(f"{name} {version}" for name, version in versions().items()) + f"; seed {seed}",
+    ]
+
+
+def plain(rows: Iterable[NamedTuple]) -> list[dict[str, Any]]:
+    """Rows for JSON, which knows no NaN: null."""
+    return [
+        {
+            name: None if isinstance(value, float) and math.isnan(value) else value
+            for name, value in row._asdict().items()
+        }
+        for row in rows
     ]
 
 

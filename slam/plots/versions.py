@@ -9,6 +9,8 @@ from typing import Any
 from .style import BLUE, DOTS_PER_INCH, GREEN, INK, MUTED, ORANGE, SKY, VERMILLION, calm, headline, save
 
 COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, SKY, MUTED)
+MARKERS = "os^D"
+"""By turns, where there are more drives than colours."""
 PANELS = (
     ("error", "Error", "metres: relations, or the true path"),
     ("by_reference", "Time", "of a scan, in units of the reference"),
@@ -31,8 +33,9 @@ def plot_versions(path: Path, versions: Mapping[str, Sequence[Mapping[str, Any]]
                 for drive in drives
                 if drive["name"] == name
             ]
-            axes.plot(*zip(*known, strict=True), "o-", color=COLOURS[k % len(COLOURS)], markersize=5, label=name)
-        axes.set_ylim(bottom=0.0)
+            marker, colour = MARKERS[k // len(COLOURS) % len(MARKERS)], COLOURS[k % len(COLOURS)]
+            axes.plot(*zip(*known, strict=True), f"{marker}-", color=colour, markersize=5, label=name)
+        axes.set_yscale("log")
         axes.set_xticks(range(len(versions)), list(versions))
         axes.set_xlim(-0.5, len(versions) - 0.5)
         calm(axes)

@@ -9,6 +9,7 @@ from features import warm_up
 from features.benchmark import timing
 from features.benchmark.accuracy import COARSE, FINE, WAYS, Level, Row, measure
 from features.benchmark.rooms import NOTHING, simulate
+from features.benchmark.start import start_once
 from features.types import Noise
 
 OURS = WAYS[:1]
@@ -78,3 +79,10 @@ def test_times_are_told_for_every_way() -> None:
         assert row.lines > 3
         assert 0 < row.median_us <= row.p99_us
         assert 0 < row.compiled_us < row.best_us <= row.p99_us
+
+
+def test_everything_works_without_a_compiler_but_slowly() -> None:
+    plain = start_once("plain", {"NUMBA_DISABLE_JIT": "1"}, 2, 1)
+    assert plain.scan_us > 2000
+    assert plain.import_s > 0
+    assert not plain.memory_mb <= plain.numpy_mb

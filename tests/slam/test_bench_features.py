@@ -13,6 +13,7 @@ def test_the_command_tells_all_and_writes_it(wclm: Any, tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     for word in ("processor", "numba", "seed 3", "split/wclm-ml", "tracking 20 mm", "corner NEES", "times a reference"):
         assert word in result.output
+    assert "NaN" not in file.read_text(encoding="utf-8")
     content = json.loads(file.read_text(encoding="utf-8"))
     assert content["seed"] == 3
     assert content["machine"]["cores"] >= 1
