@@ -132,8 +132,8 @@ class Mapper:
         mapper.pose_covariances = list(keyframes.covariances)
         mapper.views.extend(enumerate(segments))
         for factor in waiting:
-            seen = factor.first, factor.measured, factor.covariance
-            waits = mapper._waiting_walls if factor.kind is Kind.WALL else mapper._waiting_corners
+            seen = factor.first, factor.measured, factor.noise
+            waits = mapper._waiting_walls if factor.kind is Kind.SEGMENT else mapper._waiting_corners
             waits[factor.second].append(seen)
         return mapper
 
@@ -142,7 +142,7 @@ class Mapper:
         """What was seen of landmarks that are not in the graph yet."""
         return [
             Factor(kind, keyframe, landmark, measured, covariance)
-            for kind, waits in ((Kind.WALL, self._waiting_walls), (Kind.CORNER, self._waiting_corners))
+            for kind, waits in ((Kind.SEGMENT, self._waiting_walls), (Kind.CORNER, self._waiting_corners))
             for landmark, seen in waits.items()
             for keyframe, measured, covariance in seen
         ]
@@ -294,11 +294,11 @@ class Mapper:
         row = self.landmarks.walls.rows[wall]
         for seen_from, frame, covariance in self._waiting_walls.pop(wall):
             viewpoint = pose if seen_from == keyframe else self.graph.keyframe_pose(seen_from)
-            moved, carried = _move_along(frame, covariance, se2.between(viewpoint, row["frame"]))
+            believed = se2.between(viewpoint, row["frame"])
             if not row["in_graph"]:
-                self.graph.add_wall(seen_from, wall, row["frame"], moved)
+                self.graph.add_wall(seen_from, wall, row["frame"], believed)
                 row["in_graph"] = True
-            self.graph.observe_wall(seen_from, wall, moved, carried)
+            self.graph.observe_wall(seen_from, wall, frame, covariance, believed)
 
     def _send_corner(self, corner: int) -> None:
         row = self.landmarks.corners.rows[corner]
@@ -400,11 +400,3 @@ class Mapper:
         walls = rows[view.walls[known]]
         seen = se2.between(walls["frame"], se2.compose(self.pose, view.segments.frame[known]))
         self.flatness.add(seen[:, 1:], view.segments.covariance[known], view.segments.half_length[known])
-
-
-def _move_along(frame: se2.Pose, covariance: Floats, towards: se2.Pose) -> tuple[se2.Pose, Floats]:
-    """A segment's frame and covariance, moved along the segment to where it passes the origin of `towards`."""
-    c, s = np.cos(frame[2]), np.sin(frame[2])
-    along = c * (towards[0] - frame[0]) + s * (towards[1] - frame[1])
-    carry = np.array([[1.0, along], [0.0, 1.0]])
-    return np.array([frame[0] + c * along, frame[1] + s * along, frame[2]]), carry @ covariance @ carry.T

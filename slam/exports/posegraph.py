@@ -24,7 +24,7 @@ FIRST_WALL = 1_000_000
 """What is added to a wall's identity to have its id: keyframes come from 0 on."""
 FIRST_CORNER = 2_000_000
 BETWEEN_KEYFRAMES = (Kind.MOTION, Kind.TIE)
-MEASURES = {Kind.ALONG: slice(0, 1), Kind.WALL: slice(1, 3), Kind.SAME: slice(1, 3)}
+MEASURES = {Kind.ALONG: slice(0, 1), Kind.SAME: slice(1, 3)}
 """Which of x, y and heading a factor measures, where that is not all."""
 
 
@@ -62,7 +62,8 @@ def _edges(
     information = np.zeros((len(factors), size, size))
     for row, factor in enumerate(factors):
         part = MEASURES.get(factor.kind, slice(0, size))
-        information[row, part, part] = np.linalg.inv(factor.covariance)
+        wall = factor.kind is Kind.WALL
+        information[row, part, part] = factor.noise.T @ factor.noise if wall else np.linalg.inv(factor.noise)
     errors = _errors(sources[rows[:, 0]], targets[rows[:, 1]], measured)
     squared = np.einsum("ki,kij,kj->k", errors, information, errors)
     scale = np.array([CAUCHY_SCALES.get(factor.kind, np.inf) for factor in factors])

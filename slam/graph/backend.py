@@ -1,14 +1,16 @@
 """Keyframes, walls and corners as variables, odometry and observations as factors, solved incrementally by iSAM2.
 
-A wall is a Pose2: a frame on it with x along the wall. An observation is a BetweenFactorPose2 that measures only the
-offset across the wall and its direction; its information along the wall is zero. GTSAM's Pose2 uses the full
-exponential map, in which an offset along the wall leaks into the one across it, so the observed frame is placed where
-the wall's own frame is believed to be (its covariance carried along): then the leak is of second order.
+A wall is a Pose2: a frame on it with x along the wall. An observation is two BetweenFactorPose2: one measures only the
+wall's direction, the other only its offset across, where it was seen. Along the wall neither says anything. GTSAM's
+Pose2 uses the full exponential map, in which an offset along the wall, times the error in heading, leaks into the one
+across it; so the offset is measured from the heading that is believed, not from the one observed: there the leak is of
+second order, while the noise of the observed heading would hold the robot along a bare corridor, and pull it back.
 A corner is a Point2 seen by bearing and range with a full covariance. All arithmetic stays in C++.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Container, Sequence
 
 import gtsam
@@ -23,11 +25,11 @@ from .factors import Factor, GraphState, Kind, made, pose2
 
 RELINEARIZE_THRESHOLD = 0.05  # metres and radians
 RELINEARIZE_SKIP = 10  # updates; a tenth of the cost of relinearising at each update, for the same result
-# The observations' kernel takes weight from honest ones, too: w = 1 / (1 + s / 16) for the squared distance s, which is
-# chi-square with 2 degrees of freedom. The Hessian so weighted claims 1 / E[w] = 1.113 times the covariance of plain
-# least squares; an M-estimator's own, E[w^2 s / 2] / E[w + s dw/ds]^2, is 1.016 times it. This is the latter divided by
+# The observations' kernel takes weight from honest ones, too: w = 1 / (1 + s / 16) for the squared error s, which is
+# chi-square with 1 degree of freedom. The Hessian so weighted claims 1 / E[w] = 1.056 times the covariance of plain
+# least squares; an M-estimator's own, E[w^2 s] / E[w + 2 s dw/ds]^2, is 1.013 times it. This is the latter divided by
 # the former, for the marginals that are told; association compares with what the graph itself believes.
-KERNEL_CAUTION = 0.912
+KERNEL_CAUTION = 0.958
 REBUILDS = 3  # Gauss-Newton steps on everything
 SETTLING_UPDATES = 5  # the first moves by what was left to the threshold, the last by less than a micrometre
 ALONG_SIGMA = 0.1  # metres; says once where along a wall its frame lies, which no observation does
@@ -79,9 +81,21 @@ class FactorGraph:
         self._values.insert(L(wall), pose2(frame))
         self._add(Kind.ALONG, keyframe, wall, seen, np.array([[ALONG_SIGMA**2]]))
 
-    def observe_wall(self, keyframe: int, wall: int, frame: se2.Pose, covariance: Floats) -> None:
-        """The wall's frame as seen from a keyframe; covariance (2, 2) of its offset across and its heading, there."""
-        self._add(Kind.WALL, keyframe, wall, frame, covariance)
+    def observe_wall(self, keyframe: int, wall: int, frame: se2.Pose, covariance: Floats, believed: se2.Pose) -> None:
+        """A segment of a wall as a keyframe sees it: its `frame`, and the covariance (2, 2) of the offset across it and
+        of its heading, at that frame. `believed` is where, as seen from there, the wall's own frame is thought to be.
+
+        With d the offset and h the heading of the wall against what is believed, the segment's centre l metres along
+        measures d + l h, its direction h; given the latter, k = C_dh / C_hh of its error is known of the former.
+        """
+        seen = se2.between(believed, frame)
+        k = covariance[0, 1] / covariance[1, 1]
+        sigma = math.sqrt(covariance[0, 0] - k * covariance[0, 1])
+        across = np.array([0.0, seen[1] - k * seen[2], 0.0])
+        direction = np.array([[0.0, 0.0, 1.0 / math.sqrt(covariance[1, 1])]])
+        offset = np.array([[0.0, 1.0, seen[0] - k]]) / sigma
+        self._add(Kind.WALL, keyframe, wall, frame, direction)
+        self._add(Kind.WALL, keyframe, wall, se2.compose(believed, across), offset)
 
     def add_corner(self, corner: int, position: Floats) -> None:
         """A corner near `position` in the map."""
@@ -102,8 +116,8 @@ class FactorGraph:
         """A keyframe's pose relative to an old one (sigmas (3,) in metres and radians). No kernel, as above."""
         self._add(Kind.TIE, old, keyframe, relative, np.diag(sigmas**2))
 
-    def _add(self, kind: Kind, first: int, second: int, measured: Floats, covariance: Floats) -> None:
-        self._new.append(Factor(kind, int(first), int(second), measured, covariance))
+    def _add(self, kind: Kind, first: int, second: int, measured: Floats, noise: Floats) -> None:
+        self._new.append(Factor(kind, int(first), int(second), measured, noise))
 
     @property
     def factor_count(self) -> int:
@@ -319,6 +333,13 @@ class FactorGraph:
         except RuntimeError as error:
             self._factorize_by_qr(error)
         return np.asarray(self._isam.jointMarginalCovariance(keys).fullMatrix())
+
+    def relative_covariance(self, old: int, keyframe: int) -> Floats:
+        """(3, 3): covariance of a keyframe's pose relative to an older one, in its own frame."""
+        joint = self._joint_covariance([X(old), X(keyframe)])
+        carry = se2.adjoint(se2.between(self.keyframe_pose(keyframe), self.keyframe_pose(old)))
+        both = np.hstack([-carry, np.eye(3)])
+        return np.asarray(KERNEL_CAUTION * both @ joint @ both.T)
 
     def relative_covariances(
         self, keyframe: int, walls: Sequence[int], corners: Sequence[int]

@@ -23,13 +23,16 @@ ODOMETRY_KERNEL = gtsam.noiseModel.mEstimator.Cauchy.Create(ODOMETRY_CAUCHY_SCAL
 class Kind(StrEnum):
     """What a factor says of a keyframe `first`, or of a wall, and of something `second`.
 
-    measured [x, y, heading] or [x, y], and its covariance, are:
+    measured [x, y, heading] or [x, y], and its noise, which is a covariance matrix but for WALL, are:
     START   the pose of `first`, which defines the map's frame; no `second`
     MOTION  the keyframe `second` as seen from `first`, by odometry; (3, 3). Robust
     ALONG   the wall's frame as seen from `first`; (1, 1), along the wall: says where on it the frame stands
-    WALL    the same; (2, 2), of the offset across it and its heading. Robust
+    WALL    the same; (1, 3), one row of the square root of its information: r e is the error, in standard deviations,
+            for e [along, across, heading] between what is measured and what is. Robust
+    SEGMENT a segment of a wall as seen from `first`, of which WALLs are made once the wall is confirmed; (2, 2), of the
+            offset across it and its heading. Never in a graph
     CORNER  the corner's position as seen from `first`; (2, 2). Robust
-    SAME    the frame of the wall `second` as seen from the wall `first`: they are one; (2, 2) as for WALL
+    SAME    the frame of the wall `second` as seen from the wall `first`: they are one; (2, 2) as for SEGMENT
     TIE     the keyframe `second` as seen from `first`, by a closed loop; (3, 3)
     """
 
@@ -37,6 +40,7 @@ class Kind(StrEnum):
     MOTION = "motion"
     ALONG = "along"
     WALL = "wall"
+    SEGMENT = "segment"
     CORNER = "corner"
     SAME = "same"
     TIE = "tie"
@@ -54,7 +58,7 @@ class Factor:
     first: int
     second: int
     measured: Floats
-    covariance: Floats
+    noise: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +89,11 @@ def pose2(pose: se2.Pose) -> gtsam.Pose2:
 
 def made(factor: Factor) -> gtsam.NonlinearFactor:
     """The factor of GTSAM that a statement stands for."""
-    first, second, measured, covariance = factor.first, factor.second, factor.measured, factor.covariance
+    first, second, measured, covariance = factor.first, factor.second, factor.measured, factor.noise
+    if factor.kind is Kind.WALL:
+        rows = gtsam.noiseModel.Gaussian.SqrtInformation(np.vstack([factor.noise, np.zeros((2, 3))]), False)
+        robust = gtsam.noiseModel.Robust.Create(OBSERVATION_KERNEL, rows)
+        return gtsam.BetweenFactorPose2(X(first), L(second), pose2(measured), robust)
     if factor.kind is Kind.CORNER:
         return _corner(first, second, measured, covariance)
     if factor.kind is Kind.START:
@@ -102,8 +110,7 @@ def made(factor: Factor) -> gtsam.NonlinearFactor:
         return gtsam.BetweenFactorPose2(L(first), L(second), pose2(measured), partial)
     if factor.kind is Kind.ALONG:
         return gtsam.BetweenFactorPose2(X(first), L(second), pose2(measured), partial)
-    robust = gtsam.noiseModel.Robust.Create(OBSERVATION_KERNEL, partial)
-    return gtsam.BetweenFactorPose2(X(first), L(second), pose2(measured), robust)
+    raise ValueError(f"a {factor.kind} waits, it is in no graph")
 
 
 def _corner(keyframe: int, corner: int, position: Floats, covariance: Floats) -> gtsam.NonlinearFactor:
