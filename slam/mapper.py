@@ -132,8 +132,8 @@ class Mapper:
         mapper.pose_covariances = list(keyframes.covariances)
         mapper.views.extend(enumerate(segments))
         for factor in waiting:
-            seen = factor.first, factor.measured, factor.noise
-            waits = mapper._waiting_walls if factor.kind is Kind.SEGMENT else mapper._waiting_corners
+            seen = factor.first, factor.measured, factor.covariance
+            waits = mapper._waiting_walls if factor.kind is Kind.WALL else mapper._waiting_corners
             waits[factor.second].append(seen)
         return mapper
 
@@ -142,7 +142,7 @@ class Mapper:
         """What was seen of landmarks that are not in the graph yet."""
         return [
             Factor(kind, keyframe, landmark, measured, covariance)
-            for kind, waits in ((Kind.SEGMENT, self._waiting_walls), (Kind.CORNER, self._waiting_corners))
+            for kind, waits in ((Kind.WALL, self._waiting_walls), (Kind.CORNER, self._waiting_corners))
             for landmark, seen in waits.items()
             for keyframe, measured, covariance in seen
         ]

@@ -15,6 +15,7 @@ from typer.core import TyperGroup
 from drivers.errors import SlamError
 
 from . import bench_loops as bench_loops
+from .batch import batch
 from .bench import bench
 from .calibrate import calibrate
 from .console import INTERRUPTED, MISTAKE, complain
@@ -26,6 +27,7 @@ from .features import features
 from .info import info
 from .live import live
 from .map import export_map
+from .merge import merge
 from .optimize import optimize
 from .page import report
 from .record import record
@@ -83,7 +85,9 @@ def wclm(
 app.command()(demo)
 app.command()(run)
 app.command()(live)
+app.command()(batch)
 app.command()(optimize)
+app.command()(merge)
 app.command("map")(export_map)
 app.command()(report)
 app.command()(info)

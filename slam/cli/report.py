@@ -22,6 +22,8 @@ PACKAGES = ("wclm-slam", "numpy", "numba", "gtsam", "rerun-sdk")
 SHOWN_WARNINGS = 4
 CPU_LIST = Path("/proc/cpuinfo")
 """Where Linux tells the processor's name, which Python does not ask for."""
+MEMORY_STATUS = Path("/proc/self/status")
+"""Where Linux tells the memory of this program alone; what getrusage tells includes the one that started it."""
 
 
 def versions() -> dict[str, str]:
@@ -40,6 +42,9 @@ def machine() -> dict[str, str | int]:
 
 def peak_memory() -> float:
     """The most memory this process has had, MiB."""
+    with suppress(OSError, StopIteration):
+        lines = MEMORY_STATUS.read_text(encoding="utf-8").splitlines()
+        return int(next(line for line in lines if line.startswith("VmHWM:")).split()[1]) / (1 << 10)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (1 << 20 if sys.platform == "darwin" else 1 << 10)
 

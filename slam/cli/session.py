@@ -210,7 +210,7 @@ def map_feed(
         notices, tally = Notices(), Tally()
         sinks: list[Sink] = [notices, *feed.sinks]
         if review:
-            sinks.append(log.enter_context(_review_log(directory, config, feed, server)))
+            sinks.append(log.enter_context(review_log(directory, config, feed.name, server)))
         started = time.perf_counter()
         with feed.opened() as messages:
             slam = Slam(config, sinks, refine=refine, keep_views=feed.finite, resumed=resumed, frozen=frozen)
@@ -233,11 +233,12 @@ def map_feed(
     return Outcome(summary, review)
 
 
-def _review_log(directory: Path, config: Config, feed: Feed, server: ViewerServer | None) -> ReviewLog:
+def review_log(directory: Path, config: Config, name: str, server: ViewerServer | None = None) -> ReviewLog:
+    """A review log in a directory of results; `name` is that of the recording."""
     from ..review import ReviewLog
 
     settings = config_to_toml(config)
-    return ReviewLog(directory / REVIEW, config=settings, recording=feed.name, versions=versions(), server=server)
+    return ReviewLog(directory / REVIEW, config=settings, recording=name, versions=versions(), server=server)
 
 
 def _later(messages: Iterable[Message], after: float, tally: Tally) -> Iterator[Message]:

@@ -10,7 +10,6 @@ A corner is a Point2 seen by bearing and range with a full covariance. All arith
 
 from __future__ import annotations
 
-import math
 from collections.abc import Container, Sequence
 
 import gtsam
@@ -25,7 +24,7 @@ from .factors import Factor, GraphState, Kind, made, pose2
 
 RELINEARIZE_THRESHOLD = 0.05  # metres and radians
 RELINEARIZE_SKIP = 10  # updates; a tenth of the cost of relinearising at each update, for the same result
-# The observations' kernel takes weight from honest ones, too: w = 1 / (1 + s / 16) for the squared error s, which is
+# The kernel takes weight from honest observations, too: w = 1 / (1 + s / 16) for the squared error s, which is
 # chi-square with 1 degree of freedom. The Hessian so weighted claims 1 / E[w] = 1.056 times the covariance of plain
 # least squares; an M-estimator's own, E[w^2 s] / E[w + 2 s dw/ds]^2, is 1.013 times it. This is the latter divided by
 # the former, for the marginals that are told; association compares with what the graph itself believes.
@@ -90,12 +89,10 @@ class FactorGraph:
         """
         seen = se2.between(believed, frame)
         k = covariance[0, 1] / covariance[1, 1]
-        sigma = math.sqrt(covariance[0, 0] - k * covariance[0, 1])
         across = np.array([0.0, seen[1] - k * seen[2], 0.0])
-        direction = np.array([[0.0, 0.0, 1.0 / math.sqrt(covariance[1, 1])]])
-        offset = np.array([[0.0, 1.0, seen[0] - k]]) / sigma
-        self._add(Kind.WALL, keyframe, wall, frame, direction)
-        self._add(Kind.WALL, keyframe, wall, se2.compose(believed, across), offset)
+        self._add(Kind.HEADING, keyframe, wall, frame, covariance[1:, 1:])
+        measured = np.append(se2.compose(believed, across), seen[0] - k)
+        self._add(Kind.OFFSET, keyframe, wall, measured, covariance[:1, :1] - k * covariance[:1, 1:])
 
     def add_corner(self, corner: int, position: Floats) -> None:
         """A corner near `position` in the map."""
@@ -116,8 +113,8 @@ class FactorGraph:
         """A keyframe's pose relative to an old one (sigmas (3,) in metres and radians). No kernel, as above."""
         self._add(Kind.TIE, old, keyframe, relative, np.diag(sigmas**2))
 
-    def _add(self, kind: Kind, first: int, second: int, measured: Floats, noise: Floats) -> None:
-        self._new.append(Factor(kind, int(first), int(second), measured, noise))
+    def _add(self, kind: Kind, first: int, second: int, measured: Floats, covariance: Floats) -> None:
+        self._new.append(Factor(kind, int(first), int(second), measured, covariance))
 
     @property
     def factor_count(self) -> int:
@@ -242,7 +239,7 @@ class FactorGraph:
             [
                 number
                 for number, factor in self._factors.items()
-                if factor.kind is Kind.WALL and factor.first >= since and factor.second in walls
+                if factor.kind in (Kind.HEADING, Kind.OFFSET) and factor.first >= since and factor.second in walls
             ]
         )
 

@@ -23,30 +23,35 @@ ODOMETRY_KERNEL = gtsam.noiseModel.mEstimator.Cauchy.Create(ODOMETRY_CAUCHY_SCAL
 class Kind(StrEnum):
     """What a factor says of a keyframe `first`, or of a wall, and of something `second`.
 
-    measured [x, y, heading] or [x, y], and its noise, which is a covariance matrix but for WALL, are:
+    measured [x, y, heading] or [x, y], and its covariance, are:
     START   the pose of `first`, which defines the map's frame; no `second`
     MOTION  the keyframe `second` as seen from `first`, by odometry; (3, 3). Robust
     ALONG   the wall's frame as seen from `first`; (1, 1), along the wall: says where on it the frame stands
-    WALL    the same; (1, 3), one row of the square root of its information: r e is the error, in standard deviations,
-            for e [along, across, heading] between what is measured and what is. Robust
-    SEGMENT a segment of a wall as seen from `first`, of which WALLs are made once the wall is confirmed; (2, 2), of the
-            offset across it and its heading. Never in a graph
+    HEADING the same; (1, 1), of its heading. Robust
+    OFFSET  the same, and a lever: [x, y, heading, lever]; (1, 1), of offset across plus lever times heading. Robust
+    WALL    a segment of a wall that is not in the graph yet, and waits; (2, 2), of the offset across it and its heading
     CORNER  the corner's position as seen from `first`; (2, 2). Robust
-    SAME    the frame of the wall `second` as seen from the wall `first`: they are one; (2, 2) as for SEGMENT
+    SAME    the frame of the wall `second` as seen from the wall `first`: they are one; (2, 2) as for WALL
     TIE     the keyframe `second` as seen from `first`, by a closed loop; (3, 3)
     """
 
     START = "start"
     MOTION = "motion"
     ALONG = "along"
+    HEADING = "heading"
+    OFFSET = "offset"
     WALL = "wall"
-    SEGMENT = "segment"
     CORNER = "corner"
     SAME = "same"
     TIE = "tie"
 
 
-CAUCHY_SCALES = {Kind.MOTION: ODOMETRY_CAUCHY_SCALE, Kind.WALL: CAUCHY_SCALE, Kind.CORNER: CAUCHY_SCALE}
+CAUCHY_SCALES = {
+    Kind.MOTION: ODOMETRY_CAUCHY_SCALE,
+    Kind.HEADING: CAUCHY_SCALE,
+    Kind.OFFSET: CAUCHY_SCALE,
+    Kind.CORNER: CAUCHY_SCALE,
+}
 """Standard deviations at which a factor counts half; the other kinds always count in full."""
 
 
@@ -58,7 +63,7 @@ class Factor:
     first: int
     second: int
     measured: Floats
-    noise: Floats
+    covariance: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,11 +94,7 @@ def pose2(pose: se2.Pose) -> gtsam.Pose2:
 
 def made(factor: Factor) -> gtsam.NonlinearFactor:
     """The factor of GTSAM that a statement stands for."""
-    first, second, measured, covariance = factor.first, factor.second, factor.measured, factor.noise
-    if factor.kind is Kind.WALL:
-        rows = gtsam.noiseModel.Gaussian.SqrtInformation(np.vstack([factor.noise, np.zeros((2, 3))]), False)
-        robust = gtsam.noiseModel.Robust.Create(OBSERVATION_KERNEL, rows)
-        return gtsam.BetweenFactorPose2(X(first), L(second), pose2(measured), robust)
+    first, second, measured, covariance = factor.first, factor.second, factor.measured, factor.covariance
     if factor.kind is Kind.CORNER:
         return _corner(first, second, measured, covariance)
     if factor.kind is Kind.START:
@@ -105,12 +106,13 @@ def made(factor: Factor) -> gtsam.NonlinearFactor:
     if factor.kind is Kind.TIE:
         gaussian = gtsam.noiseModel.Gaussian.Covariance(covariance)
         return gtsam.BetweenFactorPose2(X(first), X(second), pose2(measured), gaussian)
-    partial = gtsam.noiseModel.Gaussian.SqrtInformation(_root_information(factor.kind, covariance), False)
+    partial = gtsam.noiseModel.Gaussian.SqrtInformation(root_information(factor), False)
     if factor.kind is Kind.SAME:
         return gtsam.BetweenFactorPose2(L(first), L(second), pose2(measured), partial)
     if factor.kind is Kind.ALONG:
         return gtsam.BetweenFactorPose2(X(first), L(second), pose2(measured), partial)
-    raise ValueError(f"a {factor.kind} waits, it is in no graph")
+    robust = gtsam.noiseModel.Robust.Create(OBSERVATION_KERNEL, partial)
+    return gtsam.BetweenFactorPose2(X(first), L(second), pose2(measured), robust)
 
 
 def _corner(keyframe: int, corner: int, position: Floats, covariance: Floats) -> gtsam.NonlinearFactor:
@@ -124,11 +126,16 @@ def _corner(keyframe: int, corner: int, position: Floats, covariance: Floats) ->
     return gtsam.BearingRangeFactor2D(X(keyframe), C(corner), bearing, reach, robust)
 
 
-def _root_information(kind: Kind, covariance: Floats) -> Floats:
-    """The upper square root (3, 3) of the information of (along, across, heading): along, or of the other two."""
-    root = np.zeros((3, 3))
-    if kind is Kind.ALONG:
-        root[0, 0] = 1.0 / np.sqrt(covariance[0, 0])
-    else:
-        root[1:, 1:] = np.linalg.cholesky(np.linalg.inv(covariance)).T
+def root_information(factor: Factor) -> Floats:
+    """The square root (3, 3) of the information that a factor on a wall's frame has of (along, across, heading)."""
+    root, covariance = np.zeros((3, 3)), factor.covariance
+    match factor.kind:
+        case Kind.ALONG:
+            root[0, 0] = 1.0 / np.sqrt(covariance[0, 0])
+        case Kind.HEADING:
+            root[0, 2] = 1.0 / np.sqrt(covariance[0, 0])
+        case Kind.OFFSET:
+            root[0] = np.array([0.0, 1.0, factor.measured[3]]) / np.sqrt(covariance[0, 0])
+        case _:
+            root[1:, 1:] = np.linalg.cholesky(np.linalg.inv(covariance)).T
     return root

@@ -15,10 +15,10 @@ from ..graph import Factor, GraphState, Kind
 from ..segments import Floats
 from .tables import Columns, ragged, write_table
 
-MEASURED = {Kind.CORNER: 2}
+MEASURED = {Kind.CORNER: 2, Kind.OFFSET: 4}
 """How many numbers a factor measures, if not the three of a pose."""
-DIMENSION = {Kind.ALONG: 1, Kind.SEGMENT: 2, Kind.CORNER: 2, Kind.SAME: 2}
-"""Rows of a factor's covariance, if not the three of a pose. A WALL has a row of three instead."""
+DIMENSION = {Kind.ALONG: 1, Kind.HEADING: 1, Kind.OFFSET: 1, Kind.WALL: 2, Kind.CORNER: 2, Kind.SAME: 2}
+"""Rows of a factor's covariance, if not the three of a pose."""
 KEYFRAME, WALL, CORNER = "keyframe", "wall", "corner"
 
 
@@ -33,26 +33,13 @@ def write_factors(file: Path, factors: Sequence[Factor], waiting: Sequence[Facto
             "first": np.array([factor.first for factor in every], dtype=np.int32),
             "second": np.array([factor.second for factor in every], dtype=np.int32),
             "measured": ragged([factor.measured for factor in every], np.float64),
-            "noise": ragged([_numbers(factor) for factor in every], np.float64),
+            "covariance": ragged([_upper(factor.covariance) for factor in every], np.float64),
         },
     )
 
 
-def _numbers(factor: Factor) -> Floats:
-    """The upper triangle of a covariance; the row of a WALL."""
-    if factor.kind is Kind.WALL:
-        return np.asarray(factor.noise[0])
-    return np.asarray(factor.noise[np.triu_indices(len(factor.noise))])
-
-
-def _noise(kind: Kind, numbers: Floats) -> Floats:
-    """What these are the numbers of. Raises ValueError where they are too many or too few."""
-    if kind is Kind.WALL:
-        return numbers.reshape(1, 3)
-    size = DIMENSION.get(kind, 3)
-    covariance = np.zeros((size, size))
-    covariance[np.triu_indices(size)] = numbers
-    return covariance + np.triu(covariance, 1).T
+def _upper(matrix: Floats) -> Floats:
+    return np.asarray(matrix[np.triu_indices(len(matrix))])
 
 
 def read_factors(file: Path) -> tuple[list[Factor], list[Factor]]:
@@ -61,19 +48,23 @@ def read_factors(file: Path) -> tuple[list[Factor], list[Factor]]:
     kinds, waits = table.words("kind"), table.flags("waits")
     ends = table.integers("first", "second").tolist()
     measured, sizes = table.ragged_floats("measured")
-    noises, noise_sizes = table.ragged_floats("noise")
-    measured_at, noise_at = (np.concatenate([[0], np.cumsum(s)]).tolist() for s in (sizes, noise_sizes))
+    covariances, covariance_sizes = table.ragged_floats("covariance")
+    measured_at, covariance_at = (np.concatenate([[0], np.cumsum(s)]).tolist() for s in (sizes, covariance_sizes))
     every = []
     for row, (word, (first, second)) in enumerate(zip(kinds, ends, strict=True)):
-        numbers = measured[measured_at[row] : measured_at[row + 1], 0]
         try:
             kind = Kind(word)
-            noise = _noise(kind, noises[noise_at[row] : noise_at[row + 1], 0])
         except ValueError as error:
-            raise MapError(f"{file}: row {row}: there is no such factor: {str(error).splitlines()[0]}") from error
-        if len(numbers) != MEASURED.get(kind, 3):
-            raise MapError(f"{file}: row {row}: a factor of kind {kind} does not measure {len(numbers)} numbers")
-        every.append(Factor(kind, first, second, numbers, noise))
+            raise MapError(f"{file}: {word} is no kind of factor") from error
+        numbers = measured[measured_at[row] : measured_at[row + 1], 0]
+        upper = covariances[covariance_at[row] : covariance_at[row + 1], 0]
+        size = DIMENSION.get(kind, 3)
+        if len(numbers) != MEASURED.get(kind, 3) or len(upper) != size * (size + 1) // 2:
+            raise MapError(f"{file}: a factor of kind {kind} has as many numbers as it cannot have")
+        covariance = np.zeros((size, size))
+        covariance[np.triu_indices(size)] = upper
+        covariance.T[np.triu_indices(size)] = upper
+        every.append(Factor(kind, first, second, numbers, covariance))
     split = len(every) - int(waits.sum())
     if not waits[split:].all():
         raise MapError(f"{file}: factors that wait do not come last")

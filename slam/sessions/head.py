@@ -104,8 +104,7 @@ class Head(_Record):
         learned: tuple[float, tuple[Floats, Floats], Floats],
     ) -> Head:
         """From what a session consists of; `graph` has its updates, and whether QR is used; `learned` the standard
-        deviation of a range, and samples of odometry's errors, (n,) of translation and (m,) of heading, and of the
-        walls' unevenness (k,)."""
+        deviation of a range, and samples of odometry's errors, in translation and heading, and of walls' unevenness."""
         held = [_data(look, walls=sorted(look.walls)) for look in looks.held]
         return cls.model_validate(
             {

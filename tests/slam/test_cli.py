@@ -20,9 +20,11 @@ from slam.trajectory import read_tum
 COMMANDS = (
     "demo",
     "run",
+    "batch",
     "map",
     "report",
     "optimize",
+    "merge",
     "info",
     "simulate",
     "emulate",
@@ -65,7 +67,7 @@ def test_help_loads_nothing_heavy() -> None:
     code = (
         "import sys; sys.argv = ['wclm', '--help']\nimport slam.cli\n"
         "try: slam.cli.main()\nexcept SystemExit: pass\n"
-        "heavy = {'gtsam', 'rerun', 'numba', 'matplotlib', 'rosbags', 'mcap'}\n"
+        "heavy = {'gtsam', 'rerun', 'numba', 'matplotlib', 'rosbags', 'mcap', 'distributed', 'pyarrow'}\n"
         "print(sorted(heavy & set(sys.modules)), file=sys.stderr)"
     )
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
