@@ -22,13 +22,17 @@ from slam.segments import Floats
 
 from .factors import Factor, GraphState, Kind, made, pose2
 
-RELINEARIZE_THRESHOLD = 0.05  # metres and radians
+# By how much a variable may move before it is linearised anew, metres along its axes and radians. What factors say of a
+# place is linear in it, of a heading it is not. Along a wall its frame may stand anywhere.
+RELINEARIZE_POSE = np.array([0.2, 0.2, 0.02])
+RELINEARIZE_WALL = np.array([0.4, 0.2, 0.02])
+RELINEARIZE_CORNER = np.array([0.2, 0.2])
 RELINEARIZE_SKIP = 10  # updates; a tenth of the cost of relinearising at each update, for the same result
-# The kernel takes weight from honest observations, too: w = 1 / (1 + s / 16) for the squared error s, which is
-# chi-square with 1 degree of freedom. The Hessian so weighted claims 1 / E[w] = 1.056 times the covariance of plain
-# least squares; an M-estimator's own, E[w^2 s] / E[w + 2 s dw/ds]^2, is 1.013 times it. This is the latter divided by
+# The kernel takes weight from honest observations, too: w = 1 / (1 + s / 8) for the squared error s, which is
+# chi-square with 1 degree of freedom. The Hessian so weighted claims 1 / E[w] = 1.105 times the covariance of plain
+# least squares; an M-estimator's own, E[w^2 s] / E[w + 2 s dw/ds]^2, is 1.034 times it. This is the latter divided by
 # the former, for the marginals that are told; association compares with what the graph itself believes.
-KERNEL_CAUTION = 0.958
+KERNEL_CAUTION = 0.936
 REBUILDS = 3  # Gauss-Newton steps on everything
 SETTLING_UPDATES = 5  # the first moves by what was left to the threshold, the last by less than a micrometre
 ALONG_SIGMA = 0.1  # metres; says once where along a wall its frame lies, which no observation does
@@ -38,7 +42,10 @@ SAME_WALL_SIGMAS = np.array([5e-3, 3e-3])  # metres across, radians: how equal t
 
 def _parameters(factorization: str) -> gtsam.ISAM2Params:
     parameters = gtsam.ISAM2Params()
-    parameters.setRelinearizeThreshold(RELINEARIZE_THRESHOLD)
+    thresholds = gtsam.ISAM2ThresholdMap()
+    for symbol, threshold in (("x", RELINEARIZE_POSE), ("l", RELINEARIZE_WALL), ("c", RELINEARIZE_CORNER)):
+        thresholds.insert((symbol, threshold))
+    parameters.setRelinearizeThreshold(thresholds)
     parameters.relinearizeSkip = RELINEARIZE_SKIP
     parameters.setFactorization(factorization)
     return parameters

@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from drivers import se2
 from slam.segments import Floats
 
-CAUCHY_SCALE = 4.0  # standard deviations at which an observation counts half
+CAUCHY_SCALE = 4.0  # standard deviations at which the observation of a corner counts half
+WALL_CAUCHY_SCALE = CAUCHY_SCALE / 2**0.5  # the same for one of the two numbers that a wall is observed by
 ODOMETRY_CAUCHY_SCALE = 2.0  # the same for odometry: single readings can be grossly wrong
 
-OBSERVATION_KERNEL = gtsam.noiseModel.mEstimator.Cauchy.Create(CAUCHY_SCALE)
+CORNER_KERNEL = gtsam.noiseModel.mEstimator.Cauchy.Create(CAUCHY_SCALE)
+WALL_KERNEL = gtsam.noiseModel.mEstimator.Cauchy.Create(WALL_CAUCHY_SCALE)
 ODOMETRY_KERNEL = gtsam.noiseModel.mEstimator.Cauchy.Create(ODOMETRY_CAUCHY_SCALE)
 
 
@@ -48,8 +50,8 @@ class Kind(StrEnum):
 
 CAUCHY_SCALES = {
     Kind.MOTION: ODOMETRY_CAUCHY_SCALE,
-    Kind.HEADING: CAUCHY_SCALE,
-    Kind.OFFSET: CAUCHY_SCALE,
+    Kind.HEADING: WALL_CAUCHY_SCALE,
+    Kind.OFFSET: WALL_CAUCHY_SCALE,
     Kind.CORNER: CAUCHY_SCALE,
 }
 """Standard deviations at which a factor counts half; the other kinds always count in full."""
@@ -111,7 +113,7 @@ def made(factor: Factor) -> gtsam.NonlinearFactor:
         return gtsam.BetweenFactorPose2(L(first), L(second), pose2(measured), partial)
     if factor.kind is Kind.ALONG:
         return gtsam.BetweenFactorPose2(X(first), L(second), pose2(measured), partial)
-    robust = gtsam.noiseModel.Robust.Create(OBSERVATION_KERNEL, partial)
+    robust = gtsam.noiseModel.Robust.Create(WALL_KERNEL, partial)
     return gtsam.BetweenFactorPose2(X(first), L(second), pose2(measured), robust)
 
 
@@ -121,7 +123,7 @@ def _corner(keyframe: int, corner: int, position: Floats, covariance: Floats) ->
     reach = float(np.hypot(x, y))
     to_polar = np.array([[-y / reach**2, x / reach**2], [x / reach, y / reach]])
     noise = gtsam.noiseModel.Gaussian.Covariance(to_polar @ covariance @ to_polar.T)
-    robust = gtsam.noiseModel.Robust.Create(OBSERVATION_KERNEL, noise)
+    robust = gtsam.noiseModel.Robust.Create(CORNER_KERNEL, noise)
     bearing = gtsam.Rot2.fromAngle(float(np.arctan2(y, x)))
     return gtsam.BearingRangeFactor2D(X(keyframe), C(corner), bearing, reach, robust)
 
