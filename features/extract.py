@@ -108,10 +108,14 @@ class Extractor:
         self._ranges[:] = ranges
         self._angles[:] = angles
         used = self._noise
-        lines, corners, variance = condense(self._ranges, self._angles, self._settings, *self._memory, self._found)
+        lines, corners, variance = self.condense()
         if self._adapt and not math.isnan(variance):
             self._learn(variance)
         return Features(self._lines(lines), self._corners(corners), used)
+
+    def condense(self) -> tuple[int, int, float]:
+        """The compiled part of `extract`, on the last scan: numbers of lines and corners, range variance shown."""
+        return condense(self._ranges, self._angles, self._settings, *self._memory, self._found)
 
     def _make_room(self, beams: int) -> None:
         """Memory for scans of `beams` beams; that of a larger scan stays."""
@@ -121,9 +125,9 @@ class Extractor:
         self._capacity = beams
         self._memory = (*rays.allocate(beams), *pieces.allocate(beams))
         self._found = Found(
-            lines=np.zeros((beams + 1, 11)),
-            spans=np.zeros((beams + 1, 5), dtype=np.int64),
-            corners=np.zeros((beams + 1, 6)),
+            lines=np.zeros((beams + 1, 12)),
+            spans=np.zeros((beams + 1, 6), dtype=np.int64),
+            corners=np.zeros((beams + 1, 7)),
             pairs=np.zeros((beams + 1, 2), dtype=np.int64),
             evidence=np.zeros(beams + 1),
         )
@@ -149,6 +153,7 @@ class Extractor:
             spans[:, 1],  # last
             spans[:, 2],  # count
             rows[:, 10],  # chi2
+            spans[:, 5] == 1,  # curved
         )
 
     def _corners(self, count: int) -> Corners:

@@ -75,11 +75,15 @@ class Standing:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Extension:
-    """What a keyframe did to the map: what it saw, the walls found to be one and the loop decided on, if any."""
+    """What a keyframe did to the map: what it saw, the walls found to be one and the loop decided on, if any.
+
+    `superseded` is the map before a loop was closed.
+    """
 
     view: KeyframeView
     merge: Merge | None
     loop: LoopDecision | None
+    superseded: Mapper | None = None
 
 
 class Belief:

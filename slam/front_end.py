@@ -94,7 +94,7 @@ class FrontEnd:
     def sight(self, scan: Scan, odometry_noise: OdometryNoise) -> Sighting:
         """Straighten a scan and condense it into walls and corners, and points that are on neither."""
         mount = mount_of(scan, self._lidar)
-        sweep = deskew(scan, self.odometry, mount)
+        sweep = deskew(scan, self.odometry, mount, self._lidar.range_bias)
         features = self._extractor.extract(sweep.ranges, sweep.bearings)
         seen = _in_base_frame(sweep, features, mount, odometry_noise)
         return Sighting(sweep.stamp, self.odometry.at(sweep.stamp), seen)

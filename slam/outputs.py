@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -49,7 +50,8 @@ class OutputDirectory:
     with OutputDirectory(Path("out"), overwrite=False) as directory:
         write_results(directory, ...)            # a temporary sibling of out; now it is renamed to out
 
-    On an error or Ctrl-C the temporary directory is removed and `out` is as it was. An existing directory is refused
+    On an error or Ctrl-C the temporary directory is removed and `out` is as it was; that of a process that is killed
+    stays, with what was written of the log. An existing directory is refused
     unless it is empty or `overwrite` is set, and even then if it holds anything that is not a result of a run: a slip
     in a path must not cost somebody's files.
     Raises OutputError on entering, and on leaving where the results cannot be moved into place; they are kept then.
@@ -93,7 +95,7 @@ class OutputDirectory:
             raise OutputError(f"{self._shown}: cannot be read: {error.strerror or error}") from error
         if present and not self._overwrite:
             raise OutputError(f"{self._shown}: exists already; choose another directory or add --overwrite")
-        foreign = [name for name in present if name not in RESULTS | GRAPH_RESULTS | EXPORTS]
+        foreign = [name for name in present if name not in RESULTS | GRAPH_RESULTS | EXPORTS and not _is_part(name)]
         if foreign:
             raise OutputError(f"{self._shown}: holds {foreign[0]}, which is not a result of a run; not overwritten")
 
@@ -173,6 +175,11 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value if isinstance(value, str | int | float | None) else str(value)
+
+
+def _is_part(name: str) -> bool:
+    """Whether this is a later file of a long log."""
+    return re.fullmatch(r"review-\d+\.rrd", name) is not None
 
 
 def _umask() -> int:

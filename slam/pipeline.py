@@ -19,6 +19,7 @@ from .estimator import Estimator, Step
 from .events import Finished, MapCorners, MapLines, Noticed, ScanTracked, Sink, StateChanged, TruthSeen
 from .front_end import FrontEnd, Sighting
 from .loops.closer import LoopCloser
+from .mapper import Mapper
 from .recovery import Excursion, Suspicion
 from .refinement import drive_of, laid_path, refine
 from .reporting import Reporter
@@ -126,10 +127,10 @@ class Slam:
                 self._journal[-1] = sighting.without_view()
         self._note(sighting, step.placement)
         if step.extension is not None:
-            self._tell_keyframe(sighting, step.extension, clock)
+            self._tell_keyframe(sighting, step.mapper, step.extension, clock)
         if step.retracted is not None:
-            self._statistics.loops.append((sighting.stamp, step.retracted))
-            self._reporter.tell_loop(step.retracted, sighting.stamp, self.belief.mapper)
+            self._statistics.add_loop(sighting.stamp, step.retracted)
+            self._reporter.tell_loop(step.retracted, sighting.stamp, self.belief.mapper, step.mapper)
         self._suspect(sighting, step)
         if self.belief.lost:
             self._excursion = Excursion(self.config.odometry, self.belief, self.belief.unplaced)
@@ -185,15 +186,13 @@ class Slam:
         keyframe = self.belief.mapper.keyframe_count - 1
         self._reporter.tell(ScanTracked(stamp, placement.pose, sighting.odometry, explained, keyframe))
 
-    def _tell_keyframe(self, sighting: Sighting, extension: Extension, clock: Clock) -> None:
+    def _tell_keyframe(self, sighting: Sighting, mapper: Mapper, extension: Extension, clock: Clock) -> None:
         """Count what the keyframe did to the map, and tell the listeners."""
         self._statistics.add_keyframe(clock)
         self._statistics.merged_walls += extension.merge is not None
         if extension.loop is not None:
-            self._statistics.loops.append((sighting.stamp, extension.loop))
-        self._reporter.tell_keyframe(
-            sighting, self.belief.mapper, extension, self._front_end.sigma_range, dict(clock.laps)
-        )
+            self._statistics.add_loop(sighting.stamp, extension.loop)
+        self._reporter.tell_keyframe(sighting, mapper, extension, self._front_end.sigma_range, dict(clock.laps))
 
     # --- what comes out
 
@@ -244,6 +243,7 @@ class Slam:
         stamps, poses = self._drives.trajectory(self.belief.path, self.belief.mapper.trail)
         if self._frozen:
             stamps, poses = stamps[stamps > self._since[1]], poses[stamps > self._since[1]]
+        self._reporter.tell_residuals(float(stamps[-1]), self.belief.mapper)
         result = finished(self.belief, (stamps, poses), summary)
         self._reporter.tell(result)
         return result
@@ -283,7 +283,9 @@ class Slam:
         for sighting in self._journal:
             step = alone.take(sighting, Clock())
             decisions = [step.extension.loop if step.extension else None, step.retracted]
-            self._statistics.loops += [(sighting.stamp, decision) for decision in decisions if decision is not None]
+            for decision in decisions:
+                if decision is not None:
+                    self._statistics.add_loop(sighting.stamp, decision)
         self._go_on_from(alone, last, "never found on the map of the session, and left alone: it is not in the results")
 
     def _placed_since(self) -> bool:
@@ -307,7 +309,7 @@ class Slam:
             starts=self._drives.starts,
             sigma_range=self._front_end.sigma_range,
             recordings=[] if resumed is None else list(resumed.recordings),
-            closures=[*(() if resumed is None else resumed.closures), *self._statistics.loop_rows()],
+            closures=[*(() if resumed is None else resumed.closures), *self._statistics.loops],
         )
 
     def _look_back(self) -> dict[str, object]:

@@ -99,3 +99,13 @@ def _meeting(first: se2.Pose, second: se2.Pose) -> tuple[Floats, Floats]:
     reach = np.einsum("ij,ij->i", along, point - frames[:, :2])
     jacobian = np.column_stack([inverse[:, 0], reach[0] * inverse[:, 0], inverse[:, 1], reach[1] * inverse[:, 1]])
     return point, jacobian
+
+
+def covariances_when_last_seen(mapper: Mapper, lines: MapLines, corners: MapCorners) -> tuple[Floats, Floats]:
+    """(n, 2, 2) and (m, 2, 2): those of walls and corners in the map as they were when each was last seen, which costs
+    nothing; NaN where they have not been told."""
+    of_lines = mapper.landmarks.walls.rows["covariance_in_map"][lines.identity].copy()
+    of_corners = mapper.landmarks.corners.rows["covariance_in_map"][corners.identity].copy()
+    for covariance in (of_lines, of_corners):
+        covariance[covariance[:, 0, 0] == 0.0] = np.nan
+    return of_lines, of_corners

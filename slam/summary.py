@@ -17,7 +17,7 @@ def run_summary(front_end: FrontEnd, belief: Belief, statistics: RunStatistics) 
         "factors": belief.mapper.graph.factor_count,
         "merged_walls": statistics.merged_walls,
         "loops": statistics.loop_counts(),
-        "loop_decisions": statistics.loop_rows(),
+        "loop_decisions": statistics.loops,
         "states": statistics.state_rows(),
         "odometry_deviation_per_metre": belief.odometry_noise.deviations.round(5).tolist(),
         "sigma_range": round(front_end.sigma_range, 5),

@@ -14,7 +14,9 @@ from typer.core import TyperGroup
 
 from drivers.errors import SlamError
 
+from . import bench_features as bench_features
 from . import bench_loops as bench_loops
+from . import bench_slam as bench_slam
 from .batch import batch
 from .bench import bench
 from .calibrate import calibrate
@@ -32,6 +34,7 @@ from .optimize import optimize
 from .page import report
 from .record import record
 from .replay import replay
+from .review import review
 from .run import run
 from .simulate import simulate
 
@@ -64,7 +67,7 @@ app = typer.Typer(
 
 def _version(wanted: bool) -> None:
     if wanted:
-        from .report import versions
+        from ..machine import versions
 
         typer.echo(", ".join(f"{name} {version}" for name, version in versions().items()))
         raise typer.Exit
@@ -90,6 +93,7 @@ app.command()(optimize)
 app.command()(merge)
 app.command("map")(export_map)
 app.command()(report)
+app.command()(review)
 app.command()(info)
 app.command()(simulate)
 app.command()(emulate)

@@ -80,7 +80,7 @@ def _merge(paths: list[Path], out: Path, *, overwrite: bool, review: bool, pictu
 
 def _summarise(name: str, joined: Joined, finished: Finished, seconds: float) -> dict[str, Any]:
     """The summary of a run, as far as there was one, and how each session was found."""
-    from .report import peak_memory, versions
+    from ..machine import peak_memory, versions
 
     session = joined.session
     duration = sum(recording.last - recording.first for recording in session.recordings)

@@ -90,7 +90,7 @@ def _optimize_pose_graph(path: Path, out: Path, *, overwrite: bool, robust: bool
 def _summarise(
     path: Path, file: PoseGraphFile, optimised: Optimised, *, robust: bool, solving: float, started: float
 ) -> dict[str, Any]:
-    from .report import versions
+    from ..machine import versions
 
     graph = file.graph
     return {

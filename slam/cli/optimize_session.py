@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..config import Config, config_to_toml
+from ..machine import peak_memory, versions
 from ..outputs import PICTURE, REVIEW, OutputDirectory, write_results
 from .console import say_if_slow
-from .report import lines_for_people, peak_memory, versions
+from .report import lines_for_people
 from .session import COMPILING, READING, Notices, Outcome, Playback, Tally, follow, lasting, write_page_of
 
 if TYPE_CHECKING:

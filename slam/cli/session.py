@@ -19,10 +19,11 @@ from ..config import Config, config_to_toml, load_config
 from ..errors import MapError
 from ..evaluation import ReferenceScore, score_reference
 from ..events import Event, Finished, Noticed, Sink
+from ..machine import versions
 from ..outputs import CONFIG, PICTURE, REPORT, REVIEW, OutputDirectory, unfinished_file, write_results
 from ..trajectory import Trajectory
 from .console import progress, say_if_slow
-from .report import summarise, versions
+from .report import summarise
 
 if TYPE_CHECKING:
     from ..pipeline import Slam
@@ -209,8 +210,10 @@ def map_feed(
             warm_up()
         notices, tally = Notices(), Tally()
         sinks: list[Sink] = [notices, *feed.sinks]
+        reviewed = None
         if review:
-            sinks.append(log.enter_context(review_log(directory, config, feed.name, server)))
+            reviewed = log.enter_context(review_log(directory, config, feed.name, server, seed))
+            sinks.append(reviewed)
         started = time.perf_counter()
         with feed.opened() as messages:
             slam = Slam(config, sinks, refine=refine, keep_views=feed.finite, resumed=resumed, frozen=frozen)
@@ -226,6 +229,7 @@ def map_feed(
             session.recordings.append(tally.recording(feed))
             recordings = session.recordings[-1:] if frozen else session.recordings
             summary["recordings"] = [recording.model_dump() for recording in recordings]
+            summary["review"] = None if reviewed is None else reviewed.left_out()
             write_results(directory, finished, config, summary)
             if not frozen:
                 write_stored(directory, session)
@@ -233,12 +237,14 @@ def map_feed(
     return Outcome(summary, review)
 
 
-def review_log(directory: Path, config: Config, name: str, server: ViewerServer | None = None) -> ReviewLog:
+def review_log(
+    directory: Path, config: Config, name: str, server: ViewerServer | None = None, seed: int | None = None
+) -> ReviewLog:
     """A review log in a directory of results; `name` is that of the recording."""
     from ..review import ReviewLog
 
     settings = config_to_toml(config)
-    return ReviewLog(directory / REVIEW, config=settings, recording=name, versions=versions(), server=server)
+    return ReviewLog(directory / REVIEW, config=settings, recording=name, versions=versions(), server=server, seed=seed)
 
 
 def _later(messages: Iterable[Message], after: float, tally: Tally) -> Iterator[Message]:

@@ -11,6 +11,7 @@ A corner is a Point2 seen by bearing and range with a full covariance. All arith
 from __future__ import annotations
 
 from collections.abc import Container, Sequence
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -18,9 +19,11 @@ from gtsam.symbol_shorthand import C, L, X
 
 from drivers import se2
 from slam.errors import MapError
+from slam.residuals import CORNER, ODOMETRY, WALL, Residuals
 from slam.segments import Floats
 
-from .factors import Factor, GraphState, Kind, made, pose2
+from .factors import CAUCHY_SCALE, ODOMETRY_CAUCHY_SCALE, WALL_CAUCHY_SCALE, Factor, GraphState, Kind, made, pose2
+from .residuals import residuals_of
 
 # By how much a variable may move before it is linearised anew, metres along its axes and radians. What factors say of a
 # place is linear in it, of a heading it is not. Along a wall its frame may stand anywhere.
@@ -33,6 +36,7 @@ RELINEARIZE_SKIP = 10  # updates; a tenth of the cost of relinearising at each u
 # least squares; an M-estimator's own, E[w^2 s] / E[w + 2 s dw/ds]^2, is 1.034 times it. This is the latter divided by
 # the former, for the marginals that are told; association compares with what the graph itself believes.
 KERNEL_CAUTION = 0.936
+CAUCHY_SCALES = {ODOMETRY: ODOMETRY_CAUCHY_SCALE, WALL: WALL_CAUCHY_SCALE, CORNER: CAUCHY_SCALE}
 REBUILDS = 3  # Gauss-Newton steps on everything
 SETTLING_UPDATES = 5  # the first moves by what was left to the threshold, the last by less than a micrometre
 ALONG_SIGMA = 0.1  # metres; says once where along a wall its frame lies, which no observation does
@@ -53,6 +57,22 @@ def _parameters(factorization: str) -> gtsam.ISAM2Params:
 
 def _array(pose: gtsam.Pose2) -> se2.Pose:
     return np.array([pose.x(), pose.y(), pose.theta()])
+
+
+class LandmarkCovariances(NamedTuple):
+    """How well a keyframe and landmarks are known.
+
+    pose             (3, 3) of the keyframe in the map's axes
+    walls            (n, 2, 2) of the offset across and the heading at the wall's frame, as seen from the keyframe
+    corners          (m, 2, 2) of the position in the map's axes, as seen from the keyframe
+    walls_in_map, corners_in_map   the same, in the map
+    """
+
+    pose: Floats
+    walls: Floats
+    corners: Floats
+    walls_in_map: Floats
+    corners_in_map: Floats
 
 
 class FactorGraph:
@@ -310,7 +330,15 @@ class FactorGraph:
 
     def chi2(self) -> float:
         """The robust cost of the whole graph, times two."""
-        return 2.0 * float(self._isam.getFactorsUnsafe().error(self._isam.calculateEstimate()))
+        return self.chi2_at(self)
+
+    def chi2_at(self, other: FactorGraph) -> float:
+        """The robust cost of this graph's factors, times two, at the estimate of another with the same variables."""
+        return 2.0 * float(self._isam.getFactorsUnsafe().error(other._isam.calculateEstimate()))
+
+    def residuals(self) -> Residuals:
+        """How well each factor fits the estimate: ten microseconds a factor."""
+        return residuals_of(self._isam.getFactorsUnsafe(), self._isam.calculateEstimate(), CAUCHY_SCALES)
 
     # --- its uncertainty
 
@@ -345,13 +373,11 @@ class FactorGraph:
         both = np.hstack([-carry, np.eye(3)])
         return np.asarray(KERNEL_CAUTION * both @ joint @ both.T)
 
-    def relative_covariances(
-        self, keyframe: int, walls: Sequence[int], corners: Sequence[int]
-    ) -> tuple[Floats, Floats, Floats]:
+    def relative_covariances(self, keyframe: int, walls: Sequence[int], corners: Sequence[int]) -> LandmarkCovariances:
         """How well a keyframe is known in the map, and landmarks as seen from it, what is common to both left out.
 
-        Pose (3, 3), in the map's axes. Walls (n, 2, 2): of the offset across and the heading, at the wall's frame.
-        Corners (m, 2, 2): of the position, in the map's axes. Cheap for the last keyframe and what it observed.
+        Cheap for the last keyframe and what it observed. Those in the map are a by-product, and meant for people: they
+        are what `wall_covariance` and `corner_covariance` say.
         """
         keys = [X(keyframe), *(L(j) for j in walls), *(C(j) for j in corners)]
         joint = self._joint_covariance(keys)
@@ -368,7 +394,15 @@ class FactorGraph:
         carry[:, 0, 0] = carry[:, 1, 1] = 1.0
         carry[:, 0, 2], carry[:, 1, 2] = -lever[:, 1], lever[:, 0]
         corner_covariances = _relative(joint, ends[len(walls) : -1], 2, carry @ rotation)
-        return rotation @ own @ rotation.T, wall_covariances[:, 1:, 1:], corner_covariances
+        blocks = [joint[at : at + 3, at : at + 3][1:, 1:] for at in ends[: len(walls)]]
+        points = [joint[at : at + 2, at : at + 2] for at in ends[len(walls) : -1]]
+        return LandmarkCovariances(
+            rotation @ own @ rotation.T,
+            wall_covariances[:, 1:, 1:],
+            corner_covariances,
+            KERNEL_CAUTION * np.array(blocks).reshape(-1, 2, 2),
+            KERNEL_CAUTION * np.array(points).reshape(-1, 2, 2),
+        )
 
 
 def _relative(joint: Floats, begins: Floats, size: int, carry: Floats) -> Floats:

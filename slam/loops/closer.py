@@ -12,7 +12,7 @@ from drivers import se2
 from ..mapper import Mapper
 from .constellation import OLD_WAY, Constellation, Integers, OldMap, recent_and_old
 from .proposal import Hypothesis, propose
-from .verification import Verdict, is_astray, is_near, unexpected, verify
+from .verification import Verdict, allowed_by_estimate, is_astray, is_near, verify
 
 INTERVAL = 1.5  # metres of driving between two looks
 LEAST_NEW = 4.0  # metres of new wall in the constellation: where all has long been known, there is nothing to close
@@ -38,6 +38,7 @@ class LoopDecision:
     hypothesis  where the recent walls lie on the old map, and `pairs` (old, recent) of walls that are one by it
     merged      those of them that were made one
     shift       metres by which the last keyframe moved
+    sight       what was compared: the recent walls and the old ones, as the map had them then
     """
 
     candidate: int
@@ -50,6 +51,7 @@ class LoopDecision:
     pairs: tuple[tuple[int, int], ...]
     merged: tuple[tuple[int, int], ...] = ()
     shift: float = 0.0
+    sight: tuple[Constellation, Constellation] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,7 +115,7 @@ class LoopCloser:
         seen = mapper.landmarks.walls.rows["last_seen"][[wall for wall, _ in pairs]]
         seen_from = int(np.bincount(np.minimum(seen, mapper.keyframe_count - 2)).argmax())  # before the last keyframe
         verdict, near = _judge(mapper, hypotheses, recent, old, seen_from)
-        return self._decide(mapper, best, verdict, recent, pairs, seen_from, near=near)
+        return self._decide(mapper, best, verdict, (recent, old.constellation), pairs, seen_from, near=near)
 
     def forget(self) -> None:
         """The map has changed: what was seen before it no longer counts."""
@@ -128,7 +130,7 @@ class LoopCloser:
         mapper: Mapper,
         best: Hypothesis,
         verdict: Verdict,
-        recent: Constellation,
+        sight: tuple[Constellation, Constellation],
         pairs: tuple[tuple[int, int], ...],
         old: int,
         *,
@@ -140,8 +142,9 @@ class LoopCloser:
             verdict = replace(verdict, accepted=False, reason="has proved wrong before")
         status = "rejected"
         if verdict.accepted:
-            status = "agreed" if self._borne_out(best, recent, mapper, near=near) else "held"
-        return LoopDecision(self._candidates, mapper.keyframe_count - 1, old, motion, verdict, status, best, pairs)
+            status = "agreed" if self._borne_out(best, sight[0], mapper, near=near) else "held"
+        keyframe = mapper.keyframe_count - 1
+        return LoopDecision(self._candidates, keyframe, old, motion, verdict, status, best, pairs, sight=sight)
 
     def _borne_out(self, best: Hypothesis, recent: Constellation, mapper: Mapper, *, near: bool) -> bool:
         """Whether an earlier look at other walls found the same motion, and none since found another one."""
@@ -239,8 +242,9 @@ def _judge(
     covariance = mapper.graph.relative_covariance(seen_from, last)
     if near and not is_astray(motion, covariance):
         return verify(hypotheses, recent, old, mapper.landmarks, mapper.pose, views, near=False), False
-    reason = unexpected(motion, covariance)
-    return (replace(verdict, accepted=False, reason=reason) if reason else verdict), near
+    test = allowed_by_estimate(motion, covariance)
+    verdict = replace(verdict, tests=(*verdict.tests, test))
+    return (verdict if test.passed else replace(verdict, accepted=False, reason=test.failing)), near
 
 
 def _in_robots_frame(hypothesis: Hypothesis, mapper: Mapper) -> se2.Pose:

@@ -23,6 +23,7 @@ COMMANDS = (
     "batch",
     "map",
     "report",
+    "review",
     "optimize",
     "merge",
     "info",
@@ -35,6 +36,8 @@ COMMANDS = (
     "features",
     "bench",
     "bench features",
+    "bench slam",
+    "bench gate",
     "bench relocalisation",
     "bench laps",
     "bench consistency",
@@ -132,7 +135,7 @@ def test_the_log_is_written_and_how_to_open_it_is_said(wclm: Any, fake_slam: typ
     result = wclm("run", SHORT, "--out", "out")
     assert result.exit_code == 0, result.output
     assert (tmp_path / "out" / "review.rrd").stat().st_size > 0
-    assert "rerun out/review.rrd" in result.stdout
+    assert "wclm review out" in result.stdout
 
 
 def test_warnings_are_shown_but_not_without_end(wclm: Any, fake_slam: Any) -> None:
