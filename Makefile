@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: help env demo test test-slow lint format lock clean
+.PHONY: help env demo test test-slow lint format docs reference gallery lock clean
 
 help:
 	@echo "make demo        simulate a robot in an office, map it, write demo/ (opens the viewer on a desktop)"
@@ -12,6 +12,9 @@ help:
 	@echo "make test-slow   run the long tests too"
 	@echo "make lint        ruff and mypy"
 	@echo "make format      let ruff format the code"
+	@echo "make docs        build the documentation into site/; open site/index.html"
+	@echo "make reference   write its pages of commands and settings again, from the code"
+	@echo "make gallery     make its pictures again, from simulated drives (and recordings in \$$WCLM_DATASETS)"
 	@echo "make env         set up .venv only; then .venv/bin/wclm --help"
 	@echo "make lock        compile requirements.lock again (needs uv)"
 
@@ -42,8 +45,17 @@ format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+docs: $(READY)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
+reference: $(READY)
+	$(BIN)/python docs/tools/reference.py
+
+gallery: $(READY)
+	$(BIN)/wclm demo --gallery docs/pictures
+
 lock:
 	uv pip compile pyproject.toml --group dev --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --output-file requirements.lock
 
 clean:
-	rm -rf $(VENV) demo dist build .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) demo dist build site .pytest_cache .mypy_cache .ruff_cache .hypothesis

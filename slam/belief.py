@@ -107,7 +107,7 @@ class Belief:
     def restored(
         cls,
         config: OdometryConfig,
-        odometry_samples: Floats,
+        odometry_samples: tuple[Floats, Floats],
         mapper: Mapper,
         path: Path,
         stamps: Sequence[float],
@@ -121,7 +121,7 @@ class Belief:
         What a closure on probation would fall back to is not remembered: it stays.
         """
         belief = cls(config)
-        belief.odometry_noise.take(odometry_samples)
+        belief.odometry_noise.take(*odometry_samples)
         belief.mapper, belief.path, belief.keyframe_stamps = mapper, path, list(stamps)
         belief.loops.recall(looks)
         belief._anchor, belief._carried = standing.anchor, standing.carried
@@ -319,8 +319,8 @@ class Belief:
             self.carried_keyframes.append(self.mapper.keyframe_count)
             claimed = actual
         else:
-            self.odometry_noise.learn(claimed, actual)
-            covariance = self.odometry_noise.covariance(claimed)
+            self.odometry_noise.learn(claimed, actual, found.held_by)
+            covariance = self.odometry_noise.covariance(claimed, found.held_by)
             claimed, covariance = fused_motion(claimed, covariance, actual, found.point_information)
         self._carried = False
         carry = se2.adjoint(se2.inverse(claimed))

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.messages import Scan
@@ -26,6 +27,7 @@ KNOTS = 8  # poses along the sweep between which the motion is taken as constant
 # stands: a fifth of a millimetre at either wheel looks like a milliradian of turning, which would bend the scan, and
 # the first keyframe, which the whole map hangs on, is nearly always taken standing.
 LEAST_WAY = 2e-3
+ON_LINE = 0.05  # metres from a line's continuation within which a point may be one of the same wall
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +44,8 @@ class Sweep:
     way: Floats
 
     def points(self, lines: Lines) -> tuple[Floats, Floats]:
-        """The valid returns as points (p, 2) in the lidar's frame, and those (q, 2) that lie on none of `lines`."""
+        """The valid returns as points (p, 2) in the lidar's frame, and those (q, 2) that lie on none of `lines`, nor go
+        on where one ends: the last returns from a corridor's wall move along with the robot, and hold nothing."""
         points = np.column_stack([self.ranges * np.cos(self.bearings), self.ranges * np.sin(self.bearings)])
         valid = np.asarray(np.isfinite(points).all(axis=1))
         loose = valid.copy()
@@ -52,7 +55,18 @@ class Sweep:
             else:  # over the end of a full revolution
                 loose[first:] = False
                 loose[: last + 1] = False
+        loose[loose] = ~_continues(points[loose], lines)
         return points[valid], points[loose]
+
+
+def _continues(points: Floats, lines: Lines) -> NDArray[np.bool_]:
+    """Which points (q, 2) lie on the continuation of one of the lines, by as much again as was seen of it."""
+    half = 0.5 * (lines.end - lines.start)
+    from_middle = points[:, None] - 0.5 * (lines.start + lines.end)
+    length = np.hypot(half[:, 0], half[:, 1])
+    along = (from_middle * half).sum(axis=-1) / length
+    across = (half[:, 0] * from_middle[..., 1] - half[:, 1] * from_middle[..., 0]) / length
+    return np.asarray(((np.abs(across) < ON_LINE) & (np.abs(along) < 3.0 * length)).any(axis=1))
 
 
 def middle_of(scan: Scan) -> float:

@@ -294,11 +294,11 @@ class Mapper:
         row = self.landmarks.walls.rows[wall]
         for seen_from, frame, covariance in self._waiting_walls.pop(wall):
             viewpoint = pose if seen_from == keyframe else self.graph.keyframe_pose(seen_from)
-            moved, carried = _move_along(frame, covariance, se2.between(viewpoint, row["frame"]))
+            believed = se2.between(viewpoint, row["frame"])
             if not row["in_graph"]:
-                self.graph.add_wall(seen_from, wall, row["frame"], moved)
+                self.graph.add_wall(seen_from, wall, row["frame"], believed)
                 row["in_graph"] = True
-            self.graph.observe_wall(seen_from, wall, moved, carried)
+            self.graph.observe_wall(seen_from, wall, frame, covariance, believed)
 
     def _send_corner(self, corner: int) -> None:
         row = self.landmarks.corners.rows[corner]
@@ -400,11 +400,3 @@ class Mapper:
         walls = rows[view.walls[known]]
         seen = se2.between(walls["frame"], se2.compose(self.pose, view.segments.frame[known]))
         self.flatness.add(seen[:, 1:], view.segments.covariance[known], view.segments.half_length[known])
-
-
-def _move_along(frame: se2.Pose, covariance: Floats, towards: se2.Pose) -> tuple[se2.Pose, Floats]:
-    """A segment's frame and covariance, moved along the segment to where it passes the origin of `towards`."""
-    c, s = np.cos(frame[2]), np.sin(frame[2])
-    along = c * (towards[0] - frame[0]) + s * (towards[1] - frame[1])
-    carry = np.array([[1.0, along], [0.0, 1.0]])
-    return np.array([frame[0] + c * along, frame[1] + s * along, frame[2]]), carry @ covariance @ carry.T

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bisect
+import math
 from collections import deque
 
 import numpy as np
@@ -11,6 +12,7 @@ from drivers import se2
 from drivers.messages import Odometry
 
 from .config import OdometryConfig
+from .observability import free_direction
 from .segments import Floats
 
 TRACK = (
@@ -22,6 +24,11 @@ WINDOW = 200  # motions
 # arithmetic one a start that is five times too large would still rule after a hundred motions.
 START_COUNT = 10
 LEAST_RATE = 1e-8  # of variance; no wheels err by less than a tenth of a millimetre or of a milliradian in a metre
+HELD_SIGMA = 0.05  # metres: worse than this, what was seen does not tell how far odometry erred in a step
+ADRIFT_SIGMA = 0.3  # metres: a direction in which what is seen holds the robot worse than this is left to odometry
+# Metres of way over which the wheels' errors are the same: wheels larger than believed stay so. Where every step is
+# seen to be right or wrong that does not matter; where many steps in a row are not, their errors add up.
+ALIKE_WAY = 20.0
 NORMAL_MEDIAN = 0.4549  # median of a squared standard normal variable
 PLANE_MEDIAN = 1.3863  # of the sum of two
 
@@ -99,7 +106,7 @@ class OdometryNoise:
     def __init__(self, config: OdometryConfig) -> None:
         self._config = config
         self._start = np.array([config.translation_error**2, config.rotation_walk**2])
-        self._samples: deque[tuple[float, float]] = deque(maxlen=WINDOW)
+        self._samples: tuple[deque[float], deque[float]] = deque(maxlen=WINDOW), deque(maxlen=WINDOW)
         self._rates = self._start
 
     @property
@@ -108,42 +115,63 @@ class OdometryNoise:
         return np.asarray(np.sqrt(self._rates))
 
     @property
-    def samples(self) -> Floats:
-        """(n, 2) what the estimate rests on; `take` has them again."""
-        return np.array(self._samples).reshape(-1, 2)
+    def samples(self) -> tuple[Floats, Floats]:
+        """What the estimate rests on, of translation (n,) and of heading (m,); `take` has them again."""
+        return np.array(self._samples[0]), np.array(self._samples[1])
 
-    def take(self, samples: Floats) -> None:
+    def take(self, translations: Floats, rotations: Floats) -> None:
         """Go on from what another estimate rested on."""
-        self._samples.extend((float(translation), float(rotation)) for translation, rotation in samples)
+        for samples, others in zip(self._samples, (translations, rotations), strict=True):
+            samples.extend(others.tolist())
         self._estimate()
 
-    def learn(self, claimed: se2.Pose, found: se2.Pose) -> None:
-        """Take a motion [x, y, heading] as the odometry claims it, and as it was found to be."""
+    def learn(self, claimed: se2.Pose, found: se2.Pose, held_by: Floats) -> None:
+        """Take a motion [x, y, heading] as the odometry claims it, and as it was found to be.
+
+        `held_by` (3, 3) is the information of what was seen at its end. Where that leaves a direction open, as along a
+        bare corridor, what was found is what odometry had claimed, and says nothing of how far that is right.
+        """
         way = float(way_of(claimed))
         if not self._config.learn or way < LEAST_WAY:
             return
         error = se2.between(claimed, found)
-        squared = error[0] ** 2 + error[1] ** 2
-        self._samples.append((squared / (PLANE_MEDIAN * way**2), error[2] ** 2 / (NORMAL_MEDIAN * way)))
+        translations, rotations = self._samples
+        rotations.append(error[2] ** 2 / (NORMAL_MEDIAN * way))
+        if free_direction(found, held_by, HELD_SIGMA) is None:
+            translations.append((error[0] ** 2 + error[1] ** 2) / (PLANE_MEDIAN * way**2))
         self._estimate()
 
     def _estimate(self) -> None:
-        if not self._samples:
-            return
-        observed = np.maximum(np.median(np.array(self._samples), axis=0), LEAST_RATE)
-        trust = len(self._samples) / (len(self._samples) + START_COUNT)
-        self._rates = np.maximum(self._start, LEAST_RATE) ** (1 - trust) * observed**trust
+        self._rates = np.array([self._rate(k) for k in (0, 1)])
+
+    def _rate(self, which: int) -> float:
+        samples, start = self._samples[which], max(float(self._start[which]), LEAST_RATE)
+        if not samples:
+            return start
+        observed = max(float(np.median(samples)), LEAST_RATE)
+        trust = len(samples) / (len(samples) + START_COUNT)
+        return float(start ** (1 - trust) * observed**trust)
 
     def variances(self, way: Floats) -> tuple[Floats, Floats]:
         """Variances (...,) of translation along each axis and of heading after `way` metres (...,)."""
         return self._rates[0] * way**2, self._rates[1] * way
 
-    def covariance(self, motion: se2.Pose) -> Floats:
-        """(3, 3) covariance of a motion [x, y, heading] between two readings, in the frame of its end."""
-        translation, rotation = self.variances(way_of(motion))
+    def covariance(self, motion: se2.Pose, held_by: Floats | None = None) -> Floats:
+        """(3, 3) covariance of a motion [x, y, heading] between two readings, in the frame of its end.
+
+        `held_by` (3, 3) is the information of what was seen at its end, if that is known: in a direction that it leaves
+        open the error is taken as common to this motion and its neighbours.
+        """
+        way = way_of(motion)
+        translation, rotation = self.variances(way)
         translation += self._config.translation_floor**2
         rotation += self._config.rotation_floor**2
-        return np.diag([translation, translation, rotation])
+        covariance = np.diag([translation, translation, rotation])
+        adrift = None if held_by is None else free_direction(np.zeros(3), held_by, ADRIFT_SIGMA)
+        if adrift is not None:
+            along = np.array([math.cos(adrift), math.sin(adrift), 0.0])
+            covariance += self._rates[0] * way * ALIKE_WAY * np.outer(along, along)
+        return covariance
 
 
 def way_of(motion: se2.Pose) -> Floats:

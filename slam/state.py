@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from enum import Enum
 
 from .observability import free_direction
+from .odometry import ADRIFT_SIGMA
 from .tracking import Hold, Placement
 
-LOOSE_SIGMA = 0.3  # metres: a direction in which walls, corners and points hold a scan worse than this is free
 IN_A_ROW = 3  # scans that must say so before the state changes
 
 
@@ -49,7 +49,7 @@ class StateWatch:
         """Take a scan's placement; the new state, where it has changed."""
         if placement.hold is not Hold.FIRM:
             return None
-        direction = free_direction(placement.pose, placement.registration.held_by, LOOSE_SIGMA)
+        direction = free_direction(placement.pose, placement.registration.held_by, ADRIFT_SIGMA)
         condition = Condition.OK if direction is None else Condition.DEGENERATE
         self._streak = 0 if condition is self.state.condition else self._streak + 1
         if self._streak < IN_A_ROW:

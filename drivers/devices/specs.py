@@ -54,12 +54,21 @@ class DeviceSpec:
 
 
 @dataclass(frozen=True, slots=True)
+class Option:
+    """What a device can be told in its spec: from the text typed to its value, and what it means."""
+
+    convert: Callable[[str], Any]
+    about: str
+
+
+@dataclass(frozen=True, slots=True)
 class Kind:
-    """Of devices: whether it is a lidar, what options it takes, and which of them it needs."""
+    """Of devices: whether it is a lidar, what options it takes, which of them it needs, and which devices these are."""
 
     is_lidar: bool
-    options: Mapping[str, Callable[[str], Any]]
+    options: Mapping[str, Option]
     needed: tuple[str, ...] = ()
+    about: str = ""
 
 
 def _numbers(count: int) -> Callable[[str], Any]:
@@ -106,35 +115,52 @@ def _text(text: str) -> str:
     return text
 
 
-COMMON = {"baud": _whole, "tape": _text}
-LIDAR = {**COMMON, "mount": _numbers(3), "upside_down": _yes, "range_min": _positive, "range_max": _positive}
-WHEELS = {
-    **COMMON,
-    "wheel_radius": _pair,
-    "ticks": _pair,
-    "track": _positive,
-    "top_speed": _positive,
-    "bits": _whole,
-    "dtr": _yes,
+COMMON = {
+    "baud": Option(_whole, "bits a second, where it is not the usual"),
+    "tape": Option(_text, "a file that receives all raw bytes with their times"),
+}
+LIDAR = COMMON | {
+    "mount": Option(
+        _numbers(3),
+        "x,y,heading on the base, metres and radians, of the lidar's frame: x points where the device's angle is 0, "
+        "y to its left",
+    ),
+    "upside_down": Option(_yes, "1 if it hangs"),
+    "range_min": Option(_positive, "metres; nearer measurements count as no return"),
+    "range_max": Option(_positive, "metres; farther measurements count as no return"),
+}
+MODE = Option(_text, "the name of a scan mode; a wrong one is answered with those there are")
+SERIAL = Option(_text, "only the device with this serial number will do")
+WHEELS = COMMON | {
+    "wheel_radius": Option(_pair, "metres; `0.0331,0.0329` where left and right differ"),
+    "ticks": Option(
+        _pair,
+        "encoder counts in a turn of a wheel; negative where they count backwards; left and right may differ",
+    ),
+    "track": Option(_positive, "metres between the wheels"),
+    "top_speed": Option(_positive, "m/s of a wheel; what is beyond is taken for an error of transmission"),
+    "bits": Option(_whole, "of the encoders' counters"),
+    "dtr": Option(
+        _yes, "1 or 0: how the line DTR is held. Boards that are USB devices themselves send nothing without it"
+    ),
 }
 MEASURES = ("wheel_radius", "ticks", "track")
 
 KINDS: dict[str, Kind] = {
-    "rplidar": Kind(True, {**LIDAR, "mode": _text, "serial": _text}),
-    "ld06": Kind(True, LIDAR),
-    "scip": Kind(True, {**LIDAR, "serial": _text}),
-    "create2": Kind(False, WHEELS),
-    "kobuki": Kind(False, WHEELS),
-    "arduino": Kind(False, WHEELS, MEASURES),
-    "wheels": Kind(False, WHEELS, MEASURES),
+    "rplidar": Kind(
+        True,
+        LIDAR | {"mode": MODE, "serial": SERIAL},
+        about="all RPLIDARs: A1 to A3, S1 to S3, C1. The speed of the port is found out; "
+        "the scan mode is the one the device calls typical",
+    ),
+    "ld06": Kind(True, LIDAR, about="LDROBOT LD06 and LD19"),
+    "scip": Kind(True, LIDAR | {"serial": SERIAL}, about="Hokuyo's lidars with SCIP 2.0"),
+    "create2": Kind(False, WHEELS, about="iRobot Create 2, Roomba from the 500 series on"),
+    "kobuki": Kind(False, WHEELS, about="Kobuki; its gyro's heading is used"),
+    "arduino": Kind(False, WHEELS, MEASURES, about="ros_arduino_bridge"),
+    "wheels": Kind(False, WHEELS, MEASURES, about="bases of your own making"),
 }
-"""All kinds of devices.
-
-Options of all: `baud` bits a second, `tape` a file to write the raw bytes to. Of lidars: `mount` x,y,heading on the
-base (metres, radians), `upside_down`, `range_min`, `range_max` (metres), `mode` (its name), `serial` number. Of bases:
-`wheel_radius` (metres; two numbers for different wheels), `ticks` counts a turn of a wheel (negative where they count
-backwards), `track` (metres), `top_speed` of a wheel (m/s), `bits` of the counters, `dtr` whether the line is asserted.
-"""
+"""All kinds of devices."""
 
 
 def is_device(text: str) -> bool:
@@ -168,7 +194,7 @@ def parse_device(text: str) -> DeviceSpec:
         if key not in kind.options:
             raise SpecError(f"{text}: {name} has no option {key!r}; it has {', '.join(kind.options)}")
         try:
-            options[key] = kind.options[key](unquote(value))
+            options[key] = kind.options[key].convert(unquote(value))
         except ValueError as error:
             raise SpecError(f"{text}: {key}={value}: {error}") from error
     missing = [key for key in kind.needed if key not in options]

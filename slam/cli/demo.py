@@ -18,11 +18,24 @@ def demo(
     overwrite: OverwriteOption = False,
     refine: RefineOption = False,
     view: Annotated[bool, typer.Option("--view/--no-view", help="Open the log if there is a display.")] = True,
+    pictures: Annotated[
+        Path | None,
+        typer.Option("--gallery", metavar="DIR", help="Instead, make the documentation's pictures in this directory."),
+    ] = None,
 ) -> None:
     """Drive a simulated robot through an office, map it, and open the log in the viewer.
 
+    With --gallery all pictures of the documentation are made again, over those that are there: of simulated drives,
+    and of the public recordings where the environment variable WCLM_DATASETS names the folder that has them.
+
     Example: [bold]wclm demo --out demo[/bold]
     """
+    if pictures is not None:
+        from .gallery import make_gallery
+
+        for path in make_gallery(pictures):
+            typer.echo(path)
+        return
     from drivers.simulator import Simulation
 
     from ..config import Config

@@ -4,14 +4,25 @@ from __future__ import annotations
 
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
 from .console import SetOption
 
 if TYPE_CHECKING:
+    from drivers.messages import Scan
     from features.types import Features
+
+    from ..config import Config
+
+
+class Seen(NamedTuple):
+    """A scan, of a source with this name, and what the extractor finds in it."""
+
+    source: str
+    scan: Scan
+    features: Features
 
 
 def features(
@@ -24,27 +35,35 @@ def features(
 
     Example: [bold]wclm features intel.clf --scan 100 --plot scan.png[/bold]
     """
+    from ..config import load_config
+
+    seen = extract_scan(recording, scan, load_config(None, settings or ()))
+    title = f"{seen.source}, scan {scan}"
+    typer.echo(f"{title} at {seen.scan.stamp:.3f} s\n{table(seen.features)}")
+    if plot is not None:
+        from ..plots import plot_scan
+
+        plot_scan(plot, seen.scan.ranges, seen.scan.angles, seen.features, title=title)
+
+
+def extract_scan(recording: str, number: int, config: Config) -> Seen:
+    """A scan of a recording, counted from 0, and its features. Raises RecordingError where there is no such scan."""
     import drivers
     from drivers.errors import RecordingError
     from drivers.messages import Scan
 
-    from ..config import load_config
     from ..extraction import build_extractor
 
-    extractor = build_extractor(load_config(None, settings or ()))
+    extractor = build_extractor(config)
     source = drivers.open(recording)
     scans = (message for message in source if isinstance(message, Scan))
     count = 0
-    for found in islice(scans, scan + 1):
+    for found in islice(scans, number + 1):
         extracted = extractor.extract(found.ranges, found.angles)  # every scan: the noise is learnt on the way
         count += 1
-    if count <= scan:
-        raise RecordingError(recording, None, f"has {count} scans, counted from 0; there is no scan {scan}")
-    typer.echo(f"{source.name}, scan {scan} at {found.stamp:.3f} s\n{table(extracted)}")
-    if plot is not None:
-        from ..plots import plot_scan
-
-        plot_scan(plot, found.ranges, found.angles, extracted, title=f"{source.name}, scan {scan}")
+    if count <= number:
+        raise RecordingError(recording, None, f"has {count} scans, counted from 0; there is no scan {number}")
+    return Seen(source.name, found, extracted)
 
 
 def table(extracted: Features) -> str:

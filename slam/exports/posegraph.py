@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from drivers import se2
 
-from ..graph import CAUCHY_SCALES, Factor, Kind
+from ..graph import CAUCHY_SCALES, Factor, Kind, root_information
 from ..mapper import Mapper
 from ..posegraph import Edges, PoseGraph
 from ..segments import Floats
@@ -24,8 +24,7 @@ FIRST_WALL = 1_000_000
 """What is added to a wall's identity to have its id: keyframes come from 0 on."""
 FIRST_CORNER = 2_000_000
 BETWEEN_KEYFRAMES = (Kind.MOTION, Kind.TIE)
-MEASURES = {Kind.ALONG: slice(0, 1), Kind.WALL: slice(1, 3), Kind.SAME: slice(1, 3)}
-"""Which of x, y and heading a factor measures, where that is not all."""
+OF_WALLS = (Kind.ALONG, Kind.HEADING, Kind.OFFSET, Kind.SAME)
 
 
 def pose_graph_of(mapper: Mapper) -> PoseGraph:
@@ -58,17 +57,24 @@ def _edges(
     factors: Sequence[Factor], ends: Sequence[tuple[int, int]], sources: Floats, targets: Floats, size: Literal[2, 3]
 ) -> Edges:
     rows = np.array(ends, dtype=np.int64).reshape(-1, 2)
-    measured = np.array([factor.measured for factor in factors]).reshape(-1, size)
+    measured = np.array([factor.measured[:size] for factor in factors]).reshape(-1, size)
     information = np.zeros((len(factors), size, size))
     for row, factor in enumerate(factors):
-        part = MEASURES.get(factor.kind, slice(0, size))
-        information[row, part, part] = np.linalg.inv(factor.covariance)
+        information[row] = _information(factor)
     errors = _errors(sources[rows[:, 0]], targets[rows[:, 1]], measured)
     squared = np.einsum("ki,kij,kj->k", errors, information, errors)
     scale = np.array([CAUCHY_SCALES.get(factor.kind, np.inf) for factor in factors])
     weight = 1.0 / (1.0 + squared / scale**2)
     information *= weight[:, None, None]
     return Edges(rows[:, 0], rows[:, 1], measured, information, np.zeros(len(factors), dtype=np.int64))
+
+
+def _information(factor: Factor) -> Floats:
+    """Of what a factor measures; on a wall it has none of some directions."""
+    if factor.kind not in OF_WALLS:
+        return np.asarray(np.linalg.inv(factor.covariance))
+    root = root_information(factor)
+    return np.asarray(root.T @ root)
 
 
 def _errors(sources: Floats, targets: Floats, measured: Floats) -> NDArray[np.float64]:

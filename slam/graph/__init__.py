@@ -2,6 +2,6 @@
 
 from .backend import FactorGraph
 from .chain import smooth_chain
-from .factors import CAUCHY_SCALES, Factor, GraphState, Kind
+from .factors import CAUCHY_SCALES, Factor, GraphState, Kind, root_information
 
-__all__ = ["CAUCHY_SCALES", "Factor", "FactorGraph", "GraphState", "Kind", "smooth_chain"]
+__all__ = ["CAUCHY_SCALES", "Factor", "FactorGraph", "GraphState", "Kind", "root_information", "smooth_chain"]

@@ -1,9 +1,10 @@
 """Keyframes, walls and corners as variables, odometry and observations as factors, solved incrementally by iSAM2.
 
-A wall is a Pose2: a frame on it with x along the wall. An observation is a BetweenFactorPose2 that measures only the
-offset across the wall and its direction; its information along the wall is zero. GTSAM's Pose2 uses the full
-exponential map, in which an offset along the wall leaks into the one across it, so the observed frame is placed where
-the wall's own frame is believed to be (its covariance carried along): then the leak is of second order.
+A wall is a Pose2: a frame on it with x along the wall. An observation is two BetweenFactorPose2: one measures only the
+wall's direction, the other only its offset across, where it was seen. Along the wall neither says anything. GTSAM's
+Pose2 uses the full exponential map, in which an offset along the wall, times the error in heading, leaks into the one
+across it; so the offset is measured from the heading that is believed, not from the one observed: there the leak is of
+second order, while the noise of the observed heading would hold the robot along a bare corridor, and pull it back.
 A corner is a Point2 seen by bearing and range with a full covariance. All arithmetic stays in C++.
 """
 
@@ -21,13 +22,17 @@ from slam.segments import Floats
 
 from .factors import Factor, GraphState, Kind, made, pose2
 
-RELINEARIZE_THRESHOLD = 0.05  # metres and radians
+# By how much a variable may move before it is linearised anew, metres along its axes and radians. What factors say of a
+# place is linear in it, of a heading it is not. Along a wall its frame may stand anywhere.
+RELINEARIZE_POSE = np.array([0.2, 0.2, 0.02])
+RELINEARIZE_WALL = np.array([0.4, 0.2, 0.02])
+RELINEARIZE_CORNER = np.array([0.2, 0.2])
 RELINEARIZE_SKIP = 10  # updates; a tenth of the cost of relinearising at each update, for the same result
-# The observations' kernel takes weight from honest ones, too: w = 1 / (1 + s / 16) for the squared distance s, which is
-# chi-square with 2 degrees of freedom. The Hessian so weighted claims 1 / E[w] = 1.113 times the covariance of plain
-# least squares; an M-estimator's own, E[w^2 s / 2] / E[w + s dw/ds]^2, is 1.016 times it. This is the latter divided by
+# The kernel takes weight from honest observations, too: w = 1 / (1 + s / 8) for the squared error s, which is
+# chi-square with 1 degree of freedom. The Hessian so weighted claims 1 / E[w] = 1.105 times the covariance of plain
+# least squares; an M-estimator's own, E[w^2 s] / E[w + 2 s dw/ds]^2, is 1.034 times it. This is the latter divided by
 # the former, for the marginals that are told; association compares with what the graph itself believes.
-KERNEL_CAUTION = 0.912
+KERNEL_CAUTION = 0.936
 REBUILDS = 3  # Gauss-Newton steps on everything
 SETTLING_UPDATES = 5  # the first moves by what was left to the threshold, the last by less than a micrometre
 ALONG_SIGMA = 0.1  # metres; says once where along a wall its frame lies, which no observation does
@@ -37,7 +42,10 @@ SAME_WALL_SIGMAS = np.array([5e-3, 3e-3])  # metres across, radians: how equal t
 
 def _parameters(factorization: str) -> gtsam.ISAM2Params:
     parameters = gtsam.ISAM2Params()
-    parameters.setRelinearizeThreshold(RELINEARIZE_THRESHOLD)
+    thresholds = gtsam.ISAM2ThresholdMap()
+    for symbol, threshold in (("x", RELINEARIZE_POSE), ("l", RELINEARIZE_WALL), ("c", RELINEARIZE_CORNER)):
+        thresholds.insert((symbol, threshold))
+    parameters.setRelinearizeThreshold(thresholds)
     parameters.relinearizeSkip = RELINEARIZE_SKIP
     parameters.setFactorization(factorization)
     return parameters
@@ -79,9 +87,19 @@ class FactorGraph:
         self._values.insert(L(wall), pose2(frame))
         self._add(Kind.ALONG, keyframe, wall, seen, np.array([[ALONG_SIGMA**2]]))
 
-    def observe_wall(self, keyframe: int, wall: int, frame: se2.Pose, covariance: Floats) -> None:
-        """The wall's frame as seen from a keyframe; covariance (2, 2) of its offset across and its heading, there."""
-        self._add(Kind.WALL, keyframe, wall, frame, covariance)
+    def observe_wall(self, keyframe: int, wall: int, frame: se2.Pose, covariance: Floats, believed: se2.Pose) -> None:
+        """A segment of a wall as a keyframe sees it: its `frame`, and the covariance (2, 2) of the offset across it and
+        of its heading, at that frame. `believed` is where, as seen from there, the wall's own frame is thought to be.
+
+        With d the offset and h the heading of the wall against what is believed, the segment's centre l metres along
+        measures d + l h, its direction h; given the latter, k = C_dh / C_hh of its error is known of the former.
+        """
+        seen = se2.between(believed, frame)
+        k = covariance[0, 1] / covariance[1, 1]
+        across = np.array([0.0, seen[1] - k * seen[2], 0.0])
+        self._add(Kind.HEADING, keyframe, wall, frame, covariance[1:, 1:])
+        measured = np.append(se2.compose(believed, across), seen[0] - k)
+        self._add(Kind.OFFSET, keyframe, wall, measured, covariance[:1, :1] - k * covariance[:1, 1:])
 
     def add_corner(self, corner: int, position: Floats) -> None:
         """A corner near `position` in the map."""
@@ -228,7 +246,7 @@ class FactorGraph:
             [
                 number
                 for number, factor in self._factors.items()
-                if factor.kind is Kind.WALL and factor.first >= since and factor.second in walls
+                if factor.kind in (Kind.HEADING, Kind.OFFSET) and factor.first >= since and factor.second in walls
             ]
         )
 
@@ -319,6 +337,13 @@ class FactorGraph:
         except RuntimeError as error:
             self._factorize_by_qr(error)
         return np.asarray(self._isam.jointMarginalCovariance(keys).fullMatrix())
+
+    def relative_covariance(self, old: int, keyframe: int) -> Floats:
+        """(3, 3): covariance of a keyframe's pose relative to an older one, in its own frame."""
+        joint = self._joint_covariance([X(old), X(keyframe)])
+        carry = se2.adjoint(se2.between(self.keyframe_pose(keyframe), self.keyframe_pose(old)))
+        both = np.hstack([-carry, np.eye(3)])
+        return np.asarray(KERNEL_CAUTION * both @ joint @ both.T)
 
     def relative_covariances(
         self, keyframe: int, walls: Sequence[int], corners: Sequence[int]

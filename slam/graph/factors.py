@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from drivers import se2
 from slam.segments import Floats
 
-CAUCHY_SCALE = 4.0  # standard deviations at which an observation counts half
+CAUCHY_SCALE = 4.0  # standard deviations at which the observation of a corner counts half
+WALL_CAUCHY_SCALE = CAUCHY_SCALE / 2**0.5  # the same for one of the two numbers that a wall is observed by
 ODOMETRY_CAUCHY_SCALE = 2.0  # the same for odometry: single readings can be grossly wrong
 
-OBSERVATION_KERNEL = gtsam.noiseModel.mEstimator.Cauchy.Create(CAUCHY_SCALE)
+CORNER_KERNEL = gtsam.noiseModel.mEstimator.Cauchy.Create(CAUCHY_SCALE)
+WALL_KERNEL = gtsam.noiseModel.mEstimator.Cauchy.Create(WALL_CAUCHY_SCALE)
 ODOMETRY_KERNEL = gtsam.noiseModel.mEstimator.Cauchy.Create(ODOMETRY_CAUCHY_SCALE)
 
 
@@ -27,7 +29,9 @@ class Kind(StrEnum):
     START   the pose of `first`, which defines the map's frame; no `second`
     MOTION  the keyframe `second` as seen from `first`, by odometry; (3, 3). Robust
     ALONG   the wall's frame as seen from `first`; (1, 1), along the wall: says where on it the frame stands
-    WALL    the same; (2, 2), of the offset across it and its heading. Robust
+    HEADING the same; (1, 1), of its heading. Robust
+    OFFSET  the same, and a lever: [x, y, heading, lever]; (1, 1), of offset across plus lever times heading. Robust
+    WALL    a segment of a wall that is not in the graph yet, and waits; (2, 2), of the offset across it and its heading
     CORNER  the corner's position as seen from `first`; (2, 2). Robust
     SAME    the frame of the wall `second` as seen from the wall `first`: they are one; (2, 2) as for WALL
     TIE     the keyframe `second` as seen from `first`, by a closed loop; (3, 3)
@@ -36,13 +40,20 @@ class Kind(StrEnum):
     START = "start"
     MOTION = "motion"
     ALONG = "along"
+    HEADING = "heading"
+    OFFSET = "offset"
     WALL = "wall"
     CORNER = "corner"
     SAME = "same"
     TIE = "tie"
 
 
-CAUCHY_SCALES = {Kind.MOTION: ODOMETRY_CAUCHY_SCALE, Kind.WALL: CAUCHY_SCALE, Kind.CORNER: CAUCHY_SCALE}
+CAUCHY_SCALES = {
+    Kind.MOTION: ODOMETRY_CAUCHY_SCALE,
+    Kind.HEADING: WALL_CAUCHY_SCALE,
+    Kind.OFFSET: WALL_CAUCHY_SCALE,
+    Kind.CORNER: CAUCHY_SCALE,
+}
 """Standard deviations at which a factor counts half; the other kinds always count in full."""
 
 
@@ -97,12 +108,12 @@ def made(factor: Factor) -> gtsam.NonlinearFactor:
     if factor.kind is Kind.TIE:
         gaussian = gtsam.noiseModel.Gaussian.Covariance(covariance)
         return gtsam.BetweenFactorPose2(X(first), X(second), pose2(measured), gaussian)
-    partial = gtsam.noiseModel.Gaussian.SqrtInformation(_root_information(factor.kind, covariance), False)
+    partial = gtsam.noiseModel.Gaussian.SqrtInformation(root_information(factor), False)
     if factor.kind is Kind.SAME:
         return gtsam.BetweenFactorPose2(L(first), L(second), pose2(measured), partial)
     if factor.kind is Kind.ALONG:
         return gtsam.BetweenFactorPose2(X(first), L(second), pose2(measured), partial)
-    robust = gtsam.noiseModel.Robust.Create(OBSERVATION_KERNEL, partial)
+    robust = gtsam.noiseModel.Robust.Create(WALL_KERNEL, partial)
     return gtsam.BetweenFactorPose2(X(first), L(second), pose2(measured), robust)
 
 
@@ -112,16 +123,21 @@ def _corner(keyframe: int, corner: int, position: Floats, covariance: Floats) ->
     reach = float(np.hypot(x, y))
     to_polar = np.array([[-y / reach**2, x / reach**2], [x / reach, y / reach]])
     noise = gtsam.noiseModel.Gaussian.Covariance(to_polar @ covariance @ to_polar.T)
-    robust = gtsam.noiseModel.Robust.Create(OBSERVATION_KERNEL, noise)
+    robust = gtsam.noiseModel.Robust.Create(CORNER_KERNEL, noise)
     bearing = gtsam.Rot2.fromAngle(float(np.arctan2(y, x)))
     return gtsam.BearingRangeFactor2D(X(keyframe), C(corner), bearing, reach, robust)
 
 
-def _root_information(kind: Kind, covariance: Floats) -> Floats:
-    """The upper square root (3, 3) of the information of (along, across, heading): along, or of the other two."""
-    root = np.zeros((3, 3))
-    if kind is Kind.ALONG:
-        root[0, 0] = 1.0 / np.sqrt(covariance[0, 0])
-    else:
-        root[1:, 1:] = np.linalg.cholesky(np.linalg.inv(covariance)).T
+def root_information(factor: Factor) -> Floats:
+    """The square root (3, 3) of the information that a factor on a wall's frame has of (along, across, heading)."""
+    root, covariance = np.zeros((3, 3)), factor.covariance
+    match factor.kind:
+        case Kind.ALONG:
+            root[0, 0] = 1.0 / np.sqrt(covariance[0, 0])
+        case Kind.HEADING:
+            root[0, 2] = 1.0 / np.sqrt(covariance[0, 0])
+        case Kind.OFFSET:
+            root[0] = np.array([0.0, 1.0, factor.measured[3]]) / np.sqrt(covariance[0, 0])
+        case _:
+            root[1:, 1:] = np.linalg.cholesky(np.linalg.inv(covariance)).T
     return root

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,8 +11,8 @@ from drivers import se2
 
 from ..mapper import Mapper
 from .constellation import OLD_WAY, Constellation, Integers, OldMap, recent_and_old
-from .proposal import Hypothesis, distinct, propose
-from .verification import NEAR, Verdict, verify
+from .proposal import Hypothesis, propose
+from .verification import Verdict, is_astray, is_near, unexpected, verify
 
 INTERVAL = 1.5  # metres of driving between two looks
 LEAST_NEW = 4.0  # metres of new wall in the constellation: where all has long been known, there is nothing to close
@@ -106,9 +106,14 @@ class LoopCloser:
         hypotheses = self._propose(recent, old, mapper.pose)
         if len(hypotheses) < 2:
             return None
-        views = [(mapper.graph.keyframe_pose(k), segments) for k, segments in mapper.views]
-        verdict = verify(hypotheses, recent, old, mapper.landmarks, mapper.pose, views)
-        return self._decide(mapper, hypotheses[1], verdict, recent, old.constellation.walls)
+        best = hypotheses[1]
+        pairs = _pairs(best, recent, old)
+        if not pairs:
+            return None
+        seen = mapper.landmarks.walls.rows["last_seen"][[wall for wall, _ in pairs]]
+        seen_from = int(np.bincount(np.minimum(seen, mapper.keyframe_count - 2)).argmax())  # before the last keyframe
+        verdict, near = _judge(mapper, hypotheses, recent, old, seen_from)
+        return self._decide(mapper, best, verdict, recent, pairs, seen_from, near=near)
 
     def forget(self) -> None:
         """The map has changed: what was seen before it no longer counts."""
@@ -119,34 +124,32 @@ class LoopCloser:
         self._refused.append(decision.hypothesis.motion)
 
     def _decide(
-        self, mapper: Mapper, best: Hypothesis, verdict: Verdict, constellation: Constellation, old: Integers
-    ) -> LoopDecision | None:
-        recent = constellation.walls
-        matched = [(old[j], recent[i]) for i, j in enumerate(best.matches) if j >= 0]
-        pairs = tuple((int(wall), int(other)) for wall, other in matched if wall != other)
-        if not pairs:
-            return None
+        self,
+        mapper: Mapper,
+        best: Hypothesis,
+        verdict: Verdict,
+        recent: Constellation,
+        pairs: tuple[tuple[int, int], ...],
+        old: int,
+        *,
+        near: bool,
+    ) -> LoopDecision:
         self._candidates += 1
-        seen = mapper.landmarks.walls.rows["last_seen"]
-        old_keyframe = int(np.bincount(seen[[wall for wall, _ in pairs]]).argmax())
-        motion = se2.between(mapper.pose, se2.compose(best.motion, mapper.pose))
+        motion = _in_robots_frame(best, mapper)
         if any(_agree(refused, best.motion, mapper.pose) for refused in self._refused):
             verdict = replace(verdict, accepted=False, reason="has proved wrong before")
         status = "rejected"
         if verdict.accepted:
-            status = "agreed" if self._borne_out(best, constellation, mapper) else "held"
-        return LoopDecision(
-            self._candidates, mapper.keyframe_count - 1, old_keyframe, motion, verdict, status, best, pairs
-        )
+            status = "agreed" if self._borne_out(best, recent, mapper, near=near) else "held"
+        return LoopDecision(self._candidates, mapper.keyframe_count - 1, old, motion, verdict, status, best, pairs)
 
-    def _borne_out(self, best: Hypothesis, recent: Constellation, mapper: Mapper) -> bool:
+    def _borne_out(self, best: Hypothesis, recent: Constellation, mapper: Mapper, *, near: bool) -> bool:
         """Whether an earlier look at other walls found the same motion, and none since found another one."""
         way = mapper.ways[-1]
         self._held = [look for look in self._held if way - look.way < MEMORY]
         if not all(_agree(look.motion, best.motion, mapper.pose) for look in self._held):
             self._held = []
         matched = best.matches >= 0
-        near = not distinct(best.motion, np.zeros(3), mapper.pose, NEAR)
         kept = mapper.landmarks.walls.rows["kept"]
         for look in self._held:
             fresh = matched & ~np.isin(recent.walls, kept[list(look.walls)])
@@ -211,6 +214,38 @@ def strangers_to(mapper: Mapper, decision: LoopDecision) -> tuple[Integers, int]
     moved = se2.between(walls["frame"][both], se2.compose(decision.hypothesis.motion, walls["frame"][both]))
     moved = moved.reshape(-1, 3)
     return both[(np.abs(moved[:, 1]) > STRANGE_OFFSET) | (np.abs(moved[:, 2]) > STRANGE_HEADING)], since
+
+
+def _pairs(best: Hypothesis, recent: Constellation, old: OldMap) -> tuple[tuple[int, int], ...]:
+    """(old, recent) identities of walls that are one by a hypothesis and are not known to be."""
+    matched = [(old.constellation.walls[j], recent.walls[i]) for i, j in enumerate(best.matches) if j >= 0]
+    return tuple((int(wall), int(other)) for wall, other in matched if wall != other)
+
+
+def _judge(
+    mapper: Mapper, hypotheses: Sequence[Hypothesis], recent: Constellation, old: OldMap, seen_from: int
+) -> tuple[Verdict, bool]:
+    """The verdict on the second hypothesis, and whether less was asked of it: it is near, and the estimate is astray.
+
+    That is uncertain relative to the keyframe that the old place was `seen_from`; by how much costs more to ask than
+    all else.
+    """
+    motion, last = _in_robots_frame(hypotheses[1], mapper), mapper.keyframe_count - 1
+    views = [(mapper.graph.keyframe_pose(k), segments) for k, segments in mapper.views]
+    near = is_near(motion)
+    verdict = verify(hypotheses, recent, old, mapper.landmarks, mapper.pose, views, near=near)
+    if not verdict.accepted:
+        return verdict, near
+    covariance = mapper.graph.relative_covariance(seen_from, last)
+    if near and not is_astray(motion, covariance):
+        return verify(hypotheses, recent, old, mapper.landmarks, mapper.pose, views, near=False), False
+    reason = unexpected(motion, covariance)
+    return (replace(verdict, accepted=False, reason=reason) if reason else verdict), near
+
+
+def _in_robots_frame(hypothesis: Hypothesis, mapper: Mapper) -> se2.Pose:
+    """The motion of the robot by a hypothesis, [x, y, heading] in its own frame."""
+    return se2.between(mapper.pose, se2.compose(hypothesis.motion, mapper.pose))
 
 
 def _agree(motion: se2.Pose, other: se2.Pose, pose: se2.Pose) -> bool:

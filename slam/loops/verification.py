@@ -16,14 +16,22 @@ from ..segments import Floats, Segments
 from .constellation import Constellation, OldMap
 from .proposal import Hypothesis, distinct
 
+# Times as far as drift is expected to lead that a place may be: how far it can have led, the estimate's covariance says
+# better. Other places are looked for farther away still.
+FARTHEST = 1.4
 LEAST_EXPLAINED = 0.5  # share of the wall length seen where the old map has been that must fall on old walls
 LEAST_MATCHES = 4  # walls
 LEAST_GAIN = 3.0  # metres of wall that must fall on old walls more than if nothing moved
 LEAST_LENGTH = 6.0  # metres of wall that must fall on old walls
 WORST_SIGMA = 0.07  # metres: the motion must be determined in every direction, which parallel walls alone never do
-# Of a motion so short less is asked: no building repeats itself so soon, and walls that have been taken for others keep
-# what staying explains high.
+# Of a motion so short less is asked where the estimate is astray: no building repeats itself so soon, and walls that
+# have been taken for others keep what staying explains high.
 NEAR, NEAR_TURN, NEAR_EXPLAINED, NEAR_GAIN = 1.0, np.radians(6.0), 0.4, 1.5  # metres, radians, share, metres of wall
+# Squared Mahalanobis distance of a motion that the estimate allows: chi-square with three degrees of freedom exceeds
+# 16.3 once in a thousand times; errors of wheels that are no noise count for half the deviation more.
+MOST_UNEXPECTED = 1.5**2 * 16.3
+# By how much walls that were taken for others may have pulled the estimate besides its uncertainty, metres and radians.
+ASTRAY_SIGMAS = np.array([0.25, 0.25, np.radians(3.0)])
 RUNNER_UP = 0.85  # a different motion that explains this share of what the best one does makes the place ambiguous
 # Share of the wall length seen that could not have been seen through the old walls. Doors open and things are moved:
 # what contradicts staying put as much says nothing against moving.
@@ -52,10 +60,13 @@ def verify(
     landmarks: Landmarks,
     pose: se2.Pose,
     views: Sequence[tuple[se2.Pose, Segments]],
+    *,
+    near: bool,
 ) -> Verdict:
-    """Judge the second of several hypotheses; the first is that nothing has to move.
+    """Judge the second of several hypotheses by what was seen; the first is that nothing has to move.
 
-    `views` are the last keyframes' poses with the segments seen from them.
+    `views` are the last keyframes' poses with the segments seen from them. `near` asks less, as of
+    a motion that is short while the estimate is astray.
     """
     best = hypotheses[1]
     gain = best.length - hypotheses[0].length
@@ -65,10 +76,9 @@ def verify(
     matches, sigma = _matches(best), _sigma(best)
     contradicted = contradiction(best.motion, old, landmarks, views)
     allowed = max(MOST_CONTRADICTED, contradiction(hypotheses[0].motion, old, landmarks, views))
-    near = shift < NEAR and turn < NEAR_TURN
     least_explained, least_gain = (NEAR_EXPLAINED, NEAR_GAIN) if near else (LEAST_EXPLAINED, LEAST_GAIN)
     tests = (
-        (part <= 1.0, f"{shift:.1f} m and {np.degrees(turn):.0f} degrees are farther than drift leads"),
+        (part <= FARTHEST, f"{shift:.1f} m and {np.degrees(turn):.0f} degrees are farther than drift leads"),
         (best.explained >= least_explained, f"explains {best.explained:.0%} < {least_explained:.0%}"),
         (best.length >= LEAST_LENGTH, f"{best.length:.1f} m of wall < {LEAST_LENGTH:.0f} m"),
         (gain >= least_gain, f"{gain:.1f} m of wall more than staying < {least_gain:.1f} m"),
@@ -81,8 +91,34 @@ def verify(
     return Verdict(not reason, reason or "all tests passed", best.explained, matches, runner_up, sigma, contradicted)
 
 
+def is_near(motion: se2.Pose) -> bool:
+    """Whether a motion [x, y, heading] in the robot's frame is too short to lead to a place that looks alike."""
+    return bool(np.hypot(motion[0], motion[1]) < NEAR and abs(motion[2]) < NEAR_TURN)
+
+
+def is_astray(motion: se2.Pose, covariance: Floats) -> bool:
+    """Whether a motion, were it right, would show that walls were taken for others: drift does not explain it.
+
+    `covariance` (3, 3) is that of the robot's pose relative to the old place, in the robot's frame.
+    """
+    return _unexpectedness(motion, covariance) > MOST_UNEXPECTED
+
+
+def unexpected(motion: se2.Pose, covariance: Floats) -> str:
+    """Says so if neither drift nor walls that were taken for others explain a motion, given as above.
+
+    A place that looks right while the robot is known to be elsewhere is another one that looks alike.
+    """
+    distance = _unexpectedness(motion, covariance + np.diag(ASTRAY_SIGMAS**2))
+    return "" if distance <= MOST_UNEXPECTED else f"{np.sqrt(distance):.0f} standard deviations from the estimate"
+
+
+def _unexpectedness(motion: se2.Pose, covariance: Floats) -> float:
+    return float(motion @ np.linalg.solve(covariance, motion))
+
+
 def _driftwise(hypothesis: Hypothesis, old: OldMap, pose: se2.Pose) -> tuple[float, float, float]:
-    """Metres and radians by which the robot would move, and which part that is of what drift may have done at most."""
+    """Metres and radians by which the robot would move, and how many times that is what drift is expected to do."""
     moved = se2.between(pose, se2.compose(hypothesis.motion, pose))
     shift, turn = float(np.hypot(moved[0], moved[1])), abs(float(moved[2]))
     matched = hypothesis.matches[hypothesis.matches >= 0]

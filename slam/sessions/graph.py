@@ -15,9 +15,9 @@ from ..graph import Factor, GraphState, Kind
 from ..segments import Floats
 from .tables import Columns, ragged, write_table
 
-MEASURED = {Kind.CORNER: 2}
+MEASURED = {Kind.CORNER: 2, Kind.OFFSET: 4}
 """How many numbers a factor measures, if not the three of a pose."""
-DIMENSION = {Kind.ALONG: 1, Kind.WALL: 2, Kind.CORNER: 2, Kind.SAME: 2}
+DIMENSION = {Kind.ALONG: 1, Kind.HEADING: 1, Kind.OFFSET: 1, Kind.WALL: 2, Kind.CORNER: 2, Kind.SAME: 2}
 """Rows of a factor's covariance, if not the three of a pose."""
 KEYFRAME, WALL, CORNER = "keyframe", "wall", "corner"
 

@@ -72,7 +72,7 @@ class _Graph(_Record):
 
 class _Learned(_Record):
     sigma_range: Finite
-    odometry: list[tuple[Finite, Finite]]
+    odometry: tuple[list[Finite], list[Finite]]
     flatness: list[Finite]
 
 
@@ -101,10 +101,10 @@ class Head(_Record):
         standing: Standing,
         looks: Looks,
         graph: tuple[int, bool],
-        learned: tuple[float, Floats, Floats],
+        learned: tuple[float, tuple[Floats, Floats], Floats],
     ) -> Head:
         """From what a session consists of; `graph` has its updates, and whether QR is used; `learned` the standard
-        deviation of a range, and samples of odometry's errors (n, 2) and of the walls' unevenness (m,)."""
+        deviation of a range, and samples of odometry's errors, in translation and heading, and of walls' unevenness."""
         held = [_data(look, walls=sorted(look.walls)) for look in looks.held]
         return cls.model_validate(
             {
@@ -120,7 +120,7 @@ class Head(_Record):
                 "graph": {"updates": graph[0], "qr": graph[1]},
                 "learned": {
                     "sigma_range": learned[0],
-                    "odometry": learned[1].tolist(),
+                    "odometry": [samples.tolist() for samples in learned[1]],
                     "flatness": learned[2].tolist(),
                 },
             }

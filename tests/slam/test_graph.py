@@ -13,7 +13,6 @@ from slam.errors import MapError
 from slam.graph import FactorGraph
 from slam.graph.backend import FIRST_POSE_SIGMAS, KERNEL_CAUTION
 from slam.graph.factors import CAUCHY_SCALE
-from slam.mapper import _move_along
 
 ODOMETRY = np.diag([0.02, 0.02, 0.01]) ** 2
 QUIET = 0.3  # of the claimed noise is drawn, so that the robust kernels stay out of the comparison
@@ -72,11 +71,10 @@ def graph_of(world: World, strays: float = 0.01, *, batch: bool = False) -> Fact
         else:
             graph.add_keyframe(k, start, k - 1, world.motions[k - 1], ODOMETRY)
         for _, j, frame, covariance in (view for view in world.wall_views if view[0] == k):
-            near = world.walls[j]
-            moved, carried = _move_along(frame, covariance, se2.between(start, near))
+            believed = se2.between(start, world.walls[j])
             if k == 0:
-                graph.add_wall(k, j, se2.compose(start, moved), moved)
-            graph.observe_wall(k, j, moved, carried)
+                graph.add_wall(k, j, world.walls[j], believed)
+            graph.observe_wall(k, j, frame, covariance, believed)
         for _, j, position, covariance in (view for view in world.corner_views if view[0] == k):
             if k == 0:
                 graph.add_corner(j, se2.transform(start, position))
@@ -213,23 +211,18 @@ def test_relative_covariances_are_those_of_a_map_that_begins_at_the_keyframe() -
     )
 
 
-def test_moving_a_view_along_the_wall_changes_nothing_it_says_of_the_wall() -> None:
-    random = np.random.default_rng(3)
-    for _ in range(50):
-        frame, towards = random.uniform(-3, 3, (2, 3))
-        factor = random.normal(0, 0.01, (2, 2))
-        covariance = factor @ factor.T + 1e-7 * np.eye(2)
-        moved_frame, carried = _move_along(frame, covariance, towards)
-        assert se2.between(moved_frame, towards)[0] == pytest.approx(0.0, abs=1e-12)  # abreast of the other frame
-        shift = se2.between(frame, moved_frame)
-        np.testing.assert_allclose(shift[1:], 0.0, atol=1e-12)
-        # the wall (offset, heading) of the first frame, seen from the moved one
-        wall = random.multivariate_normal(np.zeros(2), covariance)
-        there = np.array([wall[0] + shift[0] * wall[1], wall[1]])
-        assert there @ np.linalg.solve(carried, there) == pytest.approx(wall @ np.linalg.solve(covariance, wall))
-        back, again = _move_along(moved_frame, carried, frame)
-        np.testing.assert_allclose(back, frame, atol=1e-12)
-        np.testing.assert_allclose(again, covariance, rtol=1e-6, atol=1e-12)
+def test_between_keyframes_of_a_chain_only_the_motions_between_them_are_uncertain() -> None:
+    graph, pose, motion = FactorGraph(), np.zeros(3), np.array([0.5, 0.1, 0.3])
+    graph.add_first_keyframe(pose)
+    for k in range(1, 7):
+        pose = se2.compose(pose, motion)
+        graph.add_keyframe(k, pose, k - 1, motion, ODOMETRY)
+    graph.update()
+    expected = np.zeros((3, 3))
+    for _ in range(3):
+        carry = se2.adjoint(se2.inverse(motion))
+        expected = carry @ expected @ carry.T + ODOMETRY
+    np.testing.assert_allclose(graph.relative_covariance(2, 5), KERNEL_CAUTION * expected, rtol=1e-6, atol=1e-12)
 
 
 def two_frames_on_one_wall() -> FactorGraph:
@@ -238,7 +231,7 @@ def two_frames_on_one_wall() -> FactorGraph:
     covariance = np.diag([0.01, 0.01]) ** 2
     for wall, frame in enumerate(([1.0, -1.0, 0.01], [2.5, -1.02, -0.01], [3.0, 0.0, 1.57])):
         graph.add_wall(0, wall, np.array(frame), np.array(frame))
-        graph.observe_wall(0, wall, np.array(frame), covariance)
+        graph.observe_wall(0, wall, np.array(frame), covariance, np.array(frame))
     graph.update()
     return graph
 
@@ -281,7 +274,8 @@ def test_qr_goes_on_where_cholesky_gave_up() -> None:
     qr._factorize_by_qr(RuntimeError("Indeterminate linear system"))
     for graph in (cholesky, qr):  # and it knows its observations
         graph.forget_observations([0, 2], since=4)
-        graph.observe_wall(5, 0, se2.between(world.poses[5], world.walls[0]), np.diag([1e-4, 1e-5]))
+        seen = se2.between(world.poses[5], world.walls[0])
+        graph.observe_wall(5, 0, seen, np.diag([1e-4, 1e-5]), seen)
         graph.update()
         graph.rebuild()
     assert qr.factor_count == cholesky.factor_count
@@ -295,7 +289,8 @@ def test_one_wrong_view_does_not_bend_the_map() -> None:
     world = make_world(2)
     graph = graph_of(world)
     before = graph.keyframe_poses(7)
-    graph.observe_wall(3, 1, se2.compose(se2.between(before[3], world.walls[1]), [0.0, 0.5, 0.2]), np.eye(2) * 1e-5)
+    believed = se2.between(before[3], world.walls[1])
+    graph.observe_wall(3, 1, se2.compose(believed, [0.0, 0.5, 0.2]), np.eye(2) * 1e-5, believed)
     graph.update()
     graph.settle()
     np.testing.assert_allclose(graph.keyframe_poses(7), before, atol=3e-3)

@@ -75,9 +75,8 @@ def read(sessions: dict[str, Path], *names: str) -> list[tuple[str, StoredSessio
 @pytest.fixture(scope="module")
 def both(sessions: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("joined") / "both"
-    result = CliRunner().invoke(
-        app, ["merge", *(str(sessions[name]) for name in OFFICE), "--out", str(out), "--no-review"]
-    )
+    command = ["merge", *(str(sessions[name]) for name in OFFICE), "--out", str(out), "--no-review"]
+    result = CliRunner().invoke(app, command)
     assert result.exit_code == 0, result.output
     assert "joined     " in result.stdout
     return out

@@ -58,9 +58,11 @@ def test_a_loop_that_drift_left_open_is_closed_where_it_should_be() -> None:
     assert not result.wrong
 
 
-def test_no_wrong_closure_where_the_furniture_has_been_moved() -> None:
-    result = drive("moved_furniture", 1)
-    assert any(decided.error > 0.5 for decided in result.decided), "nothing wrong was proposed: this proves nothing"
+@pytest.mark.parametrize(("world", "seed"), [("moved_furniture", 3), ("equal_offices", 5)])
+def test_no_wrong_closure_where_places_look_alike(world: str, seed: int) -> None:
+    result = drive(world, seed)
+    convincing = [d for d in result.decided if d.error > 0.5 and (d.status == "held" or "deviations" in d.reason)]
+    assert convincing, "nothing wrong looked right: this proves nothing"
     assert not result.wrong
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -11,10 +13,10 @@ from drivers import se2
 from slam.association import UNMATCHED, Association
 from slam.landmarks import Landmarks
 from slam.local_map import empty_local_map
-from slam.loops.closer import LoopDecision, close
+from slam.loops.closer import LoopCloser, LoopDecision, close
 from slam.loops.constellation import OLD_WAY, recent_and_old
 from slam.loops.proposal import Hypothesis, propose
-from slam.loops.verification import Verdict, verify
+from slam.loops.verification import Verdict, is_astray, unexpected, verify
 from slam.mapper import Mapper, Motion
 from slam.segments import CornerPoints, Floats, Segments
 
@@ -79,9 +81,48 @@ def test_a_room_seen_again_passes_all_tests() -> None:
     recent, old = recent_and_old(landmarks, pose, ways)
     found = propose(recent, old, pose)
     moved = np.column_stack([se2.compose(drift, ROOM[:, :3]), ROOM[:, 3]])
-    verdict = verify(found, recent, old, landmarks, pose, views_from(pose, moved))
+    verdict = verify(found, recent, old, landmarks, pose, views_from(pose, moved), near=False)
     assert verdict.accepted, verdict.reason
     assert verdict.contradicted == 0.0
+
+
+DRIFTED_LITTLE, DRIFTED_FAR = np.array([0.4, 0.3, 0.0]), np.array([1.5, -0.9, 0.1])
+KNOWN, UNKNOWN = np.diag([0.02, 0.02, 0.01]) ** 2, np.diag([2.0, 2.0, 0.2]) ** 2  # of where the robot is
+
+
+def looks(drift: se2.Pose, covariance: Floats, count: int) -> list[LoopDecision]:
+    """What becomes of `count` looks at a room seen again, two metres of driving apart, all at the same walls."""
+    landmarks, pose, ways = seen_again(ROOM, drift)
+    graph = SimpleNamespace(relative_covariance=lambda old, keyframe: covariance)
+    closer, decisions = LoopCloser(), []
+    for look in range(count):
+        mapper = SimpleNamespace(
+            landmarks=landmarks, pose=pose, ways=[*ways, ways[-1] + 2.0 * look], views=[], keyframe_count=3, graph=graph
+        )
+        decisions.append(closer.look(cast(Mapper, mapper)))
+    assert None not in decisions
+    return [decision for decision in decisions if decision is not None]
+
+
+def test_far_places_are_refused_to_a_robot_that_knows_where_it_is() -> None:
+    (refused,) = looks(DRIFTED_FAR, KNOWN, 1)
+    assert refused.status == "rejected"
+    assert "standard deviations" in refused.verdict.reason
+    assert [decision.status for decision in looks(DRIFTED_FAR, UNKNOWN, 3)] == ["held"] * 3
+
+
+def test_the_same_walls_are_asked_twice_only_where_drift_does_not_explain_a_short_motion() -> None:
+    assert [decision.status for decision in looks(DRIFTED_LITTLE, KNOWN, 2)] == ["held", "agreed"]
+    assert [decision.status for decision in looks(DRIFTED_LITTLE, UNKNOWN, 3)] == ["held"] * 3
+
+
+def test_how_unexpected_a_motion_is_depends_on_its_direction() -> None:
+    along_a_corridor = np.diag([2.0, 0.05, 0.01]) ** 2
+    assert not unexpected(np.array([4.0, 0.0, 0.0]), along_a_corridor)
+    assert unexpected(np.array([0.0, 4.0, 0.0]), along_a_corridor)
+    assert not is_astray(np.array([0.5, 0.0, 0.0]), along_a_corridor)
+    assert is_astray(np.array([0.0, 0.5, 0.0]), along_a_corridor)
+    assert not unexpected(np.array([0.0, 0.5, 0.0]), along_a_corridor)  # walls taken for others explain it
 
 
 def test_drift_beyond_what_was_driven_is_not_considered() -> None:
@@ -101,7 +142,7 @@ def test_a_corridor_with_equal_doors_is_ambiguous() -> None:
     corridor = np.array([*jambs, [10.0, -0.3, 0.0, 10.0], [10.0, 2.3, np.pi, 10.0]])
     landmarks, pose, ways = seen_again(corridor, np.array([0.9, 0.3, 0.0]), way=100.0)
     recent, old = recent_and_old(landmarks, pose, ways)
-    verdict = verify(propose(recent, old, pose), recent, old, landmarks, pose, [])
+    verdict = verify(propose(recent, old, pose), recent, old, landmarks, pose, [], near=False)
     assert not verdict.accepted
     assert "another place" in verdict.reason
 
@@ -112,7 +153,7 @@ def test_walls_that_would_have_hidden_what_was_seen_speak_against_a_place() -> N
     recent, old = recent_and_old(landmarks, pose, ways)
     found = propose(recent, old, pose)
     moved = np.column_stack([se2.compose(np.array([0.9, -0.7, 0.12]), ROOM[:, :3]), ROOM[:, 3]])
-    verdict = verify(found, recent, old, landmarks, pose, views_from(pose, moved[1:2]))
+    verdict = verify(found, recent, old, landmarks, pose, views_from(pose, moved[1:2]), near=False)
     assert verdict.contradicted > 0.3
 
 

@@ -17,6 +17,8 @@ from slam.path import Path
 from slam.segments import corner_points, segments_from_lines
 
 CIRCLE = 0.8, 1.2  # metres a second, radians a second
+HELD = np.diag([1e6, 1e6, 1e6])  # by what is seen, in all directions
+CORRIDOR = np.diag([0.0, 1e6, 1e6])  # and across a corridor only
 
 
 def history(count: int = 20, interval: float = 0.1) -> OdometryHistory:
@@ -68,7 +70,7 @@ def test_rates_are_learned_in_spite_of_gross_errors(translation: float, rotation
         error = random.normal(size=3) * [translation * way, translation * way, rotation * np.sqrt(way)]
         if k % 10 == 0:
             error += [0.5, 0.0, 0.5]
-        noise.learn(claimed, se2.compose(claimed, error))
+        noise.learn(claimed, se2.compose(claimed, error), HELD)
     assert noise.deviations == pytest.approx([translation, rotation], rel=0.4)
 
 
@@ -76,12 +78,29 @@ def test_nothing_is_learned_where_that_is_configured_or_the_robot_stands() -> No
     claimed, found = np.array([1.0, 0.0, 0.0]), np.array([1.5, 0.0, 0.5])
     fixed = OdometryNoise(OdometryConfig(learn=False))
     before = fixed.deviations.copy()
-    fixed.learn(claimed, found)
+    fixed.learn(claimed, found, HELD)
     np.testing.assert_array_equal(fixed.deviations, before)
     noise = OdometryNoise(OdometryConfig())
-    noise.learn(0.01 * claimed, found)
+    noise.learn(0.01 * claimed, found, HELD)
     np.testing.assert_array_equal(noise.deviations, before)
     assert np.linalg.eigvalsh(noise.covariance(np.zeros(3))).min() > 0
+
+
+def test_a_corridor_does_not_teach_that_odometry_is_right_along_it() -> None:
+    random, noise = np.random.default_rng(0), OdometryNoise(OdometryConfig(translation_error=0.1))
+    claimed = np.array([0.3, 0.0, 0.0])
+    for _ in range(200):
+        noise.learn(claimed, se2.compose(claimed, [0.0, random.normal(0, 1e-3), random.normal(0, 0.01)]), CORRIDOR)
+    assert noise.deviations == pytest.approx([0.1, 0.01 / np.sqrt(0.3)], rel=0.2)
+
+
+def test_errors_add_up_where_nothing_holds_the_robot() -> None:
+    noise, step = OdometryNoise(OdometryConfig(translation_error=0.1)), np.array([0.3, 0.0, 0.0])
+    held, adrift = noise.covariance(step, HELD), noise.covariance(step, CORRIDOR)
+    np.testing.assert_array_equal(held, noise.covariance(step))
+    np.testing.assert_allclose(adrift[1:, 1:], held[1:, 1:], rtol=1e-3)
+    steps = 50  # 15 metres; a wheel that is a tenth too large errs by 1.5
+    assert np.sqrt(steps * adrift[0, 0]) > 1.5 > 5 * np.sqrt(steps * held[0, 0])
 
 
 def test_points_correct_the_motion_only_where_they_say_something() -> None:

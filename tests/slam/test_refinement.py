@@ -147,17 +147,22 @@ def test_what_was_believed_of_a_sighting_gives_way_to_what_it_shows(driven: Driv
     assert np.abs(refined.poses[row] - expected.poses[row]).max() < 0.003
 
 
-# A room with unequal sides and a niche: walls as frames with x along them, seen from the room, and half their lengths.
+# A room with unequal sides, a niche and a bay: walls as frames with x along them, seen from the room, and half their
+# lengths.
 ROOM = np.array(
     [
         [3.0, 0.0, 0.0, 3.0],
-        [6.0, 2.0, np.pi / 2, 2.0],
+        [6.0, 3.25, np.pi / 2, 0.75],
         [4.5, 4.0, np.pi, 1.5],
         [3.0, 4.75, np.pi / 2, 0.75],
         [1.5, 5.5, np.pi, 1.5],
         [0.0, 2.75, -np.pi / 2, 2.75],
+        [7.5, -0.8, 0.0, 1.5],
+        [9.0, 0.85, np.pi / 2, 1.65],
+        [7.5, 2.5, np.pi, 1.5],
     ]
 )
+WITHOUT_BAY, AT_BAY = 6, 5  # walls that are seen from the door on; steps through the room from which on all are
 STEP = 0.4  # metres
 LAP = 60  # steps of a turn through nowhere, back to the room
 
@@ -177,7 +182,8 @@ def visited_twice() -> tuple[Drive, np.ndarray, np.ndarray]:
     nothing = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)))
     sightings = []
     for k, (pose, odometry) in enumerate(zip(true, claimed, strict=True)):
-        walls = ROOM if k <= 20 or k >= len(motions) - 10 else ROOM[:0]
+        steps_in = min(k, 20 - k) if k <= 20 else k - (len(motions) - 10)
+        walls = ROOM[: 0 if steps_in < 0 else WITHOUT_BAY if steps_in < AT_BAY else len(ROOM)]
         uncertain = np.tile(np.diag([0.005, 0.004]) ** 2, (len(walls), 1, 1))
         segments = Segments(se2.between(pose, walls[:, :3]).reshape(-1, 3), walls[:, 3], uncertain)
         seen = ScanFeatures(segments, nothing, ScanPoints(np.zeros((0, 2)), np.zeros((0, 2))))

@@ -1,0 +1,57 @@
+"""The documentation's blocks of code, and what each needs to be run."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+PAGES = {
+    page.relative_to(ROOT).as_posix(): page for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+}
+BLOCK = re.compile(
+    r"(?:^<!-- needs: (?P<needs>\w+) -->\n)?^```(?P<language>sh|python)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL
+)
+MENTION = re.compile(r"`(wclm [a-z][^`]*)`")
+NEEDS = {"network", "robot", "emulator", "viewer", "cluster", "drives", "time"}
+"""What a block may need that a quick test does not have: a package index, a lidar and a base, a second terminal with an
+emulated robot, a display, other computers, several drives through one building, minutes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """A block of a page: its number there, its language, what it needs (empty: nothing), and its text."""
+
+    page: str
+    number: int
+    language: str
+    needs: str
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.page}-{self.number}"
+
+    def commands(self) -> list[list[str]]:
+        """The words of each line, comments left out."""
+        lines = [shlex.split(line, comments=True) for line in self.text.splitlines()]
+        return [words for words in lines if words]
+
+
+def blocks() -> list[Block]:
+    """All blocks of shell commands and Python of all pages."""
+    return [
+        Block(name, number, match["language"], match["needs"] or "", match["text"])
+        for name, page in PAGES.items()
+        for number, match in enumerate(BLOCK.finditer(page.read_text(encoding="utf-8")), start=1)
+    ]
+
+
+def mentions() -> list[tuple[str, list[str]]]:
+    """Pages and the words of each command that stands within a sentence."""
+    return [
+        (name, shlex.split(match[1]))
+        for name, page in PAGES.items()
+        for match in MENTION.finditer(page.read_text(encoding="utf-8"))
+    ]

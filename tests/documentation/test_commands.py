@@ -1,0 +1,133 @@
+"""Every command in the README and the documentation is there, takes the options that its page says, and runs."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from typer.main import get_command
+
+from drivers.devices.specs import parse_devices
+from slam.cli import app
+
+from .blocks import NEEDS, PAGES, ROOT, Block, blocks, mentions
+from .conftest import Reader, fill, simulations_of
+
+PLACEHOLDERS = {"FILE", "FORMAT", "WORLD", "SESSION", "DIR", "RECORDING", "GRAPH"}
+OTHER_PROGRAMS = {"make", "pip", "python3", "sudo", ".", "rerun", "dask"}
+"""Commands that are not ours; those of `make` must be targets."""
+SHORTER = {"--seeds": "1", "--runs": "2", "--count": "5", "--laps": "1"}
+"""Of benchmarks, which take as long as they are told to."""
+WITH_BLOCKS = sorted({block.page for block in blocks()})
+
+
+def understood(words: list[str]) -> None:
+    """Parse a command without running it, with its devices' specs; raises what a user would be told."""
+    command: Any = get_command(app)
+    context = typer.Context(command, info_name="wclm")
+    while hasattr(command, "commands") and words:
+        command = command.commands[words[0]]
+        words = words[1:]
+    if not hasattr(command, "commands"):
+        parsed = command.make_context(command.name, list(words), parent=context).params
+        for spec in [*(parsed.get("lidar") or []), *(parsed.get("base") or []), *(parsed.get("specs") or [])]:
+            if ":" in spec:
+                parse_devices(spec)
+
+
+def test_needs_are_known_and_every_page_is_read() -> None:
+    assert {block.needs for block in blocks()} <= NEEDS | {""}
+    assert "README.md" in WITH_BLOCKS
+    for name, page in PAGES.items():
+        found = sum(block.page == name for block in blocks())
+        text = page.read_text(encoding="utf-8")
+        assert found == text.count("```sh\n") + text.count("```python\n"), name
+
+
+@pytest.mark.parametrize("block", [block for block in blocks() if block.language == "sh"], ids=str)
+def test_commands_are_there(block: Block) -> None:
+    targets = {line.split(":")[0] for line in (ROOT / "Makefile").read_text().splitlines() if line[:1].isalpha()}
+    for words in block.commands():
+        if words[0] == "wclm":
+            if words[1:] not in (["--help"], ["--version"]):
+                understood(words[1:])
+        else:
+            assert words[0] in OTHER_PROGRAMS, words
+            assert words[0] != "make" or words[1] in targets
+            assert block.needs not in ("", "emulator", "time"), f"{block}: nothing runs {words[0]} here"
+
+
+@pytest.mark.parametrize(("page", "words"), mentions())
+def test_commands_within_sentences_are_there(page: str, words: list[str]) -> None:
+    command: Any = get_command(app)
+    rest = words[1:]
+    while hasattr(command, "commands") and rest:
+        assert rest[0] in command.commands or rest[0] in PLACEHOLDERS, words
+        command, rest = command.commands.get(rest[0]), rest[1:]
+        if command is None:
+            return
+    known = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
+    assert {word for word in rest if word.startswith("--")} <= known, words
+
+
+@pytest.mark.parametrize("page", WITH_BLOCKS)
+def test_blocks_run_in_their_order(page: str, reader: Reader) -> None:
+    with simulations_of(12.0):
+        for block in blocks():
+            if block.page != page or block.needs:
+                continue
+            if block.language == "python":
+                exec(compile(block.text, str(block), "exec"), {"__name__": "__main__"})
+            else:
+                for words in block.commands():
+                    reader.types(words)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("block", [block for block in blocks() if block.needs == "time"], ids=str)
+def test_blocks_that_take_their_time(block: Block, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with simulations_of(100.0):
+        fill(tmp_path)
+    for words in block.commands():
+        shorter = [SHORTER.get(before, word) for before, word in zip(["", *words], words, strict=False)]
+        Reader(tmp_path).types(shorter)
+
+
+@pytest.mark.slow
+def test_a_robot_in_another_terminal(tmp_path: Path) -> None:
+    """The blocks that need the emulator: the first starts it, the others use it, for some seconds."""
+    (start,), *others = [
+        block.commands()
+        for block in blocks()
+        if block.page.endswith("getting-started.md") and block.needs == "emulator"
+    ]
+    program = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from slam.cli import main; main()"
+    )
+
+    def process(words: list[str]) -> subprocess.Popen[str]:
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        return subprocess.Popen([sys.executable, "-c", program, *words[1:]], cwd=tmp_path, text=True, env=environment)
+
+    robot = process(start)
+    try:
+        deadline = time.monotonic() + 120
+        while not (tmp_path / "robot" / "base").exists() and time.monotonic() < deadline:
+            time.sleep(0.1)
+        for words in (words for commands in others for words in commands):
+            limited = [*words, "--duration", "15", "--no-serve"] if words[1] == "live" else words
+            assert process(limited).wait(200) == 0, words
+            if words[1] == "live":
+                robot.send_signal(signal.SIGINT)
+                robot.wait(60)
+    finally:
+        robot.kill()

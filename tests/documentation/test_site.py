@@ -1,0 +1,103 @@
+"""The documentation as a whole: nothing in it is broken, out of date, or fetched from elsewhere."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from .blocks import PAGES, ROOT
+
+PICTURES = ROOT / "docs" / "pictures"
+LINK = re.compile(r"\]\(([^)#]+?)(#[^)]*)?\)")
+
+
+def _tool(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / "tools" / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("page", ["commands.md", "configuration.md"])
+def test_what_is_written_from_the_code_is_up_to_date(page: str) -> None:
+    written = _tool("reference").PAGES[page]()
+    assert (ROOT / "docs" / page).read_text(encoding="utf-8") == written, "run `make reference`"
+
+
+def test_every_setting_and_every_device_is_told_of() -> None:
+    text = (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8")
+    for words in ("| `sigma_range` | `0.01` | > 0, < 1 |", "`wclm-ml`, `wclm`", "| `wheels` |", "| `dtr` | bases |"):
+        assert words in text
+
+
+def test_links_of_the_readme_lead_somewhere() -> None:
+    targets = [match[1] for match in LINK.finditer((ROOT / "README.md").read_text(encoding="utf-8"))]
+    assert len(targets) > 10
+    for target in targets:
+        assert target.startswith("https://") or (ROOT / target).exists(), target
+
+
+def test_pictures_are_small_and_all_of_them_are_shown() -> None:
+    from slam.cli.gallery import RECORDINGS, gallery
+
+    made = {file for pictures in gallery(None) for file in pictures.files} | {f"{name}.png" for name in RECORDINGS}
+    sizes = {path.name: path.stat().st_size for path in PICTURES.iterdir()}
+    assert set(sizes) == made
+    assert max(sizes.values()) < 200_000
+    assert sum(sizes.values()) < 1_500_000
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES.values())
+    for name in made:
+        assert f"pictures/{name})" in text
+
+
+class _Page(HTMLParser):
+    """What a browser fetches by itself to show a page, and the formulas that are drawn in it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.fetched: list[str] = []
+        self.formulas: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        if tag in ("script", "img", "source", "iframe"):
+            self.fetched.append(given.get("src") or "")
+        elif tag == "link" and given.get("rel") in ("stylesheet", "preconnect", "icon", "preload"):
+            self.fetched.append(given.get("href") or "")
+        elif (given.get("class") or "") == "formula":
+            self.formulas.append(given.get("aria-label") or "")
+
+
+def test_the_site_is_built_and_asks_no_other_host(tmp_path: Path) -> None:
+    answer = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", tmp_path / "site"],
+        cwd=ROOT,
+        env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        text=True,
+        timeout=200,
+    )
+    assert answer.returncode == 0, answer.stderr
+    assert answer.stdout + answer.stderr == ""
+    pages = list((tmp_path / "site").glob("*.html"))
+    assert len(pages) >= len(PAGES)  # the README is no page of the site, but 404.html is
+    formulas = []
+    for path in pages:
+        text = path.read_text(encoding="utf-8")
+        page = _Page()
+        page.feed(text)
+        assert not [url for url in page.fetched if url.startswith(("http", "//"))], path.name
+        assert "arithmatex" not in text, f"{path.name} has a formula that was not drawn"
+        formulas += page.formulas
+    assert r"u \cos\theta + v \sin\theta = \frac{1}{\rho} ." in formulas
+    assert not (tmp_path / "site" / "tools").exists()

@@ -1,0 +1,53 @@
+"""A bare corridor, whose ends are out of sight: what walls do not tell is not pretended."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers import se2
+from drivers.messages import GroundTruth
+from drivers.simulator import Lidar, Simulation
+from slam import Slam
+from slam.events import StateChanged
+
+SHORT_SIGHTED = Lidar(beams=360, range_max=12.0)
+
+
+class States:
+    """Collects the changes of state."""
+
+    def __init__(self) -> None:
+        self.changes: list[StateChanged] = []
+
+    def handle(self, event: object) -> None:
+        if isinstance(event, StateChanged):
+            self.changes.append(event)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_bare_corridor_leaves_the_way_along_it_to_odometry(seed: int) -> None:
+    states, truth = States(), []
+    slam = Slam(sinks=[states])
+    for message in Simulation("bare_corridor", seed=seed, duration=18.0, lidar=SHORT_SIGHTED):
+        if isinstance(message, GroundTruth):
+            truth.append([message.stamp, *message.pose])
+        slam.add(message)
+    result = slam.finish()
+
+    assert [change.state for change in states.changes] == ["DEGENERATE"]  # once, and to the end
+    assert states.changes[0].stamp < 1.0
+    assert states.changes[0].direction is not None
+    assert abs(np.sin(states.changes[0].direction)) < np.sin(np.radians(2.0))  # the corridor runs along x
+
+    stamps, *columns = np.array(truth).T
+    true = np.array([np.interp(result.keyframe_stamps, stamps, column) for column in columns]).T
+    driven, found = se2.between(true[0], true), se2.between(result.keyframes[0], result.keyframes)
+    error, covariance = se2.between(driven, found), result.keyframe_covariance
+    sigmas = np.sqrt(covariance[:, [0, 1, 2], [0, 1, 2]])
+    claimed = slam.config.odometry.translation_error * driven[-1, 0]  # nothing has shown that wheels are any better
+    assert sigmas[-1, 0] > claimed
+    assert (np.diff(sigmas[1:, 0]) > 0).all()  # no view of the two walls makes it any smaller
+    assert (np.abs(error[1:]) < 3 * sigmas[1:]).all()
+    assert sigmas[:, 1].max() < 0.02  # across, and in heading, the walls hold the robot
+    assert sigmas[:, 2].max() < np.radians(0.5)
