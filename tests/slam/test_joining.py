@@ -5,7 +5,10 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -146,6 +149,49 @@ def test_a_session_without_a_map_is_refused(sessions: dict[str, Path]) -> None:
     session.belief = empty.belief
     with pytest.raises(MapError, match="first: has no keyframe"):
         join([("first", session), *read(sessions, "second")])
+
+
+# The order
+
+
+@dataclass
+class Visit:
+    """A session by the rooms that it saw; two are recognised in each other where they share one."""
+
+    rooms: frozenset[int]
+    recordings: tuple[Recording, ...] = ()
+
+    @property
+    def belief(self) -> SimpleNamespace:
+        return SimpleNamespace(mapper=SimpleNamespace(keyframe_count=1, settle=lambda: None, rooms=self.rooms))
+
+    def drive(self) -> None: ...
+
+
+@pytest.fixture
+def visits(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    module = import_module("slam.joining.join")
+
+    def locate(mapper: Any, drive: None, index: Any) -> Agreement:
+        shared = len(mapper.rooms & index.rooms)
+        return Agreement(9, 3 * shared, [PIECES[0]] * 3 * shared, 3 * shared)
+
+    monkeypatch.setattr(module, "index_map", lambda mapper: mapper)
+    monkeypatch.setattr(module, "locate", locate)
+    monkeypatch.setattr(module, "united", lambda whole, session, _: Visit(whole.rooms | session.rooms))
+    rooms = {"east": {1, 2}, "west": {4, 5}, "middle": {2, 3, 4}, "elsewhere": {9}}
+    return {name: Visit(frozenset(some)) for name, some in rooms.items()}
+
+
+def test_a_session_is_joined_by_way_of_another(visits: dict[str, Any]) -> None:
+    joined = join([(name, visits[name]) for name in ("east", "west", "middle")])
+    assert [name for name, _ in joined.found] == ["middle", "west"]
+    assert joined.session.rooms == {1, 2, 3, 4, 5}  # type: ignore[attr-defined]
+
+
+def test_one_that_nothing_leads_to_is_refused(visits: dict[str, Any]) -> None:
+    with pytest.raises(MapError, match="elsewhere: is not recognised in east, middle: none of 9 pieces"):
+        join([(name, visits[name]) for name in ("east", "elsewhere", "middle")])
 
 
 # Agreement
