@@ -67,8 +67,9 @@ def lines_for_people(outcome: Outcome, out: Path) -> list[str]:
     if skipped := summary["skipped"]["messages"]:
         rows.append(("skipped", f"{skipped} messages, the first: {summary['skipped']['first']}"))
     rows += [("device", _device(device)) for device in summary.get("devices", ())]
-    if any((summary["review"] or {}).values()):
-        rows.append(("log", "left out: " + ", ".join(f"{count} {name}" for name, count in summary["review"].items())))
+    left_out = summary.get("review") or {}  # a run without a log has none to tell of
+    if any(left_out.values()):
+        rows.append(("log", "left out: " + ", ".join(f"{count} {name}" for name, count in left_out.items())))
     rows += [("warning", text) for text in summary["warnings"][:SHOWN_WARNINGS]]
     if (more := len(summary["warnings"]) - SHOWN_WARNINGS) > 0:
         rows.append(("", f"and {more} more warnings in summary.json"))

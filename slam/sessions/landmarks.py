@@ -11,25 +11,33 @@ import numpy as np
 
 from ..errors import MapError
 from ..landmarks import CORNER, WALL, Landmarks
+from ..segments import Floats
 from .tables import Columns, ragged, write_table
 
 COUNTS = ("observations", "first_seen", "last_seen", "kept")
 CORNER_COUNTS = ("observations", "last_seen")
 UPPER = (0, 0, 1), (0, 1, 1)
 
+COVARIANCES = ("covariance", "covariance_in_map")
+WALL_COVARIANCE = ("offset_offset", "offset_heading", "heading_heading")
+CORNER_COVARIANCE = ("xx", "xy", "yy")
+IN_MAP = "map_"
+"""Before the names of what is not relative to the last keyframe that saw the landmark."""
+
 
 def write_walls(file: Path, landmarks: Landmarks) -> None:
     """Write the table of walls. Raises OSError."""
     rows = landmarks.walls.rows
     covered = [np.sort(np.array(list(cells), dtype=np.int64)) for cells in landmarks.covered]
-    covariance = rows["covariance"][:, UPPER[0], UPPER[1]]
+    covariance, in_map = (rows[name][:, UPPER[0], UPPER[1]] for name in COVARIANCES)
     write_table(
         file,
         {
             **{name: rows["frame"][:, k] for k, name in enumerate(("x", "y", "heading"))},
             **{name: rows[name] for name in ("low", "high")},
             **{name: rows[name].astype(np.int32) for name in COUNTS},
-            **{name: covariance[:, k] for k, name in enumerate(("offset_offset", "offset_heading", "heading_heading"))},
+            **{name: covariance[:, k] for k, name in enumerate(WALL_COVARIANCE)},
+            **{f"{IN_MAP}{name}": in_map[:, k] for k, name in enumerate(WALL_COVARIANCE)},
             "in_graph": rows["in_graph"],
             "covered": ragged(covered, np.int32),
         },
@@ -39,7 +47,7 @@ def write_walls(file: Path, landmarks: Landmarks) -> None:
 def write_corners(file: Path, landmarks: Landmarks) -> None:
     """Write the table of corners. Raises OSError."""
     rows = landmarks.corners.rows
-    covariance = rows["covariance"][:, UPPER[0], UPPER[1]]
+    covariance, in_map = (rows[name][:, UPPER[0], UPPER[1]] for name in COVARIANCES)
     write_table(
         file,
         {
@@ -47,7 +55,8 @@ def write_corners(file: Path, landmarks: Landmarks) -> None:
             **{name: rows["headings"][:, k] for k, name in enumerate(("heading_before", "heading_after"))},
             **{name: rows["walls"][:, k].astype(np.int32) for k, name in enumerate(("wall_before", "wall_after"))},
             **{name: rows[name].astype(np.int32) for name in CORNER_COUNTS},
-            **{name: covariance[:, k] for k, name in enumerate(("xx", "xy", "yy"))},
+            **{name: covariance[:, k] for k, name in enumerate(CORNER_COVARIANCE)},
+            **{f"{IN_MAP}{name}": in_map[:, k] for k, name in enumerate(CORNER_COVARIANCE)},
             "in_graph": rows["in_graph"],
         },
     )
@@ -62,9 +71,8 @@ def read_landmarks(walls: Path, corners: Path) -> Landmarks:
     rows["low"], rows["high"] = table.floats("low", finite=False), table.floats("high", finite=False)
     for name in COUNTS:
         rows[name] = table.integers(name)
-    rows["covariance"] = table.floats("offset_offset", "offset_heading", "heading_heading")[:, [0, 1, 1, 2]].reshape(
-        -1, 2, 2
-    )
+    for name, prefix in zip(COVARIANCES, ("", IN_MAP), strict=True):
+        rows[name] = _both_halves(table.floats(*(f"{prefix}{entry}" for entry in WALL_COVARIANCE)))
     rows["in_graph"] = table.flags("in_graph")
     if (rows["kept"] >= len(rows)).any():
         raise MapError(f"{walls}: a wall is said to be one that is not there")
@@ -81,7 +89,13 @@ def read_landmarks(walls: Path, corners: Path) -> Landmarks:
     rows["walls"] = table.integers("wall_before", "wall_after")
     for name in CORNER_COUNTS:
         rows[name] = table.integers(name)
-    rows["covariance"] = table.floats("xx", "xy", "yy")[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+    for name, prefix in zip(COVARIANCES, ("", IN_MAP), strict=True):
+        rows[name] = _both_halves(table.floats(*(f"{prefix}{entry}" for entry in CORNER_COVARIANCE)))
     rows["in_graph"] = table.flags("in_graph")
     landmarks.corners.fill(rows)
     return landmarks
+
+
+def _both_halves(upper: Floats) -> Floats:
+    """(n, 2, 2) from the upper halves (n, 3)."""
+    return upper[:, [0, 1, 1, 2]].reshape(-1, 2, 2)

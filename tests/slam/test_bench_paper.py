@@ -200,7 +200,7 @@ def test_the_command_writes_tables_json_and_pictures(
     assert result.exit_code == 0, result.output
     content = json.loads(Path("all.json").read_text())
     assert content["measured"]["seed"] == 5
-    assert set(content) == {"machine", "versions", "claims", "measured", "times"}
+    assert set(content) == {"machine", "versions", "seed", "claims", "measured", "times"}
     pictures = {path.name for path in Path("pictures").glob("*.png")}
     assert pictures == {"environment-a.png", "environment-b.png", "figure-5.png", "siadat.png", "tracking.png"}
     assert Path("pictures/tables.txt").read_text() == result.stdout

@@ -51,7 +51,7 @@ def test_a_row_counts_what_was_needed_and_found() -> None:
 
 
 def test_a_loop_that_drift_left_open_is_closed_where_it_should_be() -> None:
-    result = drive("large_loop", 1)
+    result = drive("large_loop", 2)
     assert result.needed
     assert result.joined
     assert result.accepted

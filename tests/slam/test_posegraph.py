@@ -300,5 +300,5 @@ def test_optimize_refuses_what_is_no_graph(wclm: Any, tmp_path: Path) -> None:
     (tmp_path / "a.graph").write_text("EDGE2 0 1 1 0 0 1 0 1 1 0 0\nEDGE2 1 2 x 0 0 1 0 1 1 0 0\n")
     wclm.refuses("optimize", "a.graph", "--out", "out", because=["a.graph:2: x is not a number"])
     wclm.refuses("optimize", "none.g2o", "--out", "out", because=["none.g2o: No such file"])
-    wclm.refuses("optimize", "a.txt", "--out", "out", because=["a.txt: is no pose graph"])
+    wclm.refuses("optimize", "a.txt", "--out", "out", because=["a.txt: no such file"])
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.graph"]

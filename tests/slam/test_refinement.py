@@ -16,7 +16,7 @@ from slam.belief import Belief
 from slam.config import OdometryConfig
 from slam.estimator import Estimator
 from slam.evaluation import score_reference
-from slam.events import Event, MapUpdated
+from slam.events import Event, GraphInspected, MapUpdated
 from slam.front_end import FrontEnd, Sighting
 from slam.mapper import Mapper, Motion, Names
 from slam.odometry import OdometryNoise
@@ -243,7 +243,8 @@ def test_refining_twice_gives_the_same_and_tells_of_the_map() -> None:
     assert first.summary["refinement"] == second.summary["refinement"]
     np.testing.assert_array_equal(first.stamps, [m.stamp for m in messages if isinstance(m, Odometry)])
     assert np.linalg.eigvalsh(first.lines.covariance).min() > 0
-    last, finished = listener.events[-2:]
+    last, inspected, finished = listener.events[-3:]
+    assert isinstance(inspected, GraphInspected)
     assert isinstance(last, MapUpdated)
     assert isinstance(finished, Finished)
     np.testing.assert_array_equal(last.lines.frame, finished.lines.frame)
