@@ -35,7 +35,10 @@ def plot_versions(path: Path, versions: Mapping[str, Sequence[Mapping[str, Any]]
             ]
             marker, colour = MARKERS[k // len(COLOURS) % len(MARKERS)], COLOURS[k % len(COLOURS)]
             axes.plot(*zip(*known, strict=True), f"{marker}-", color=colour, markersize=5, label=name)
-        axes.set_yscale("log")
+        if key == "error":  # of recordings and of simulations, which are an order of magnitude apart
+            axes.set_yscale("log")
+        else:
+            axes.set_ylim(bottom=0.0)
         axes.set_xticks(range(len(versions)), list(versions))
         axes.set_xlim(-0.5, len(versions) - 0.5)
         calm(axes)
