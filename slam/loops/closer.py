@@ -71,6 +71,7 @@ class LoopCloser:
         self._propose = propose
         self._last_way = 0.0
         self._held: list[_Look] = []
+        self._contested = -np.inf  # metres of driving after which a look found another motion than one before it
         self._candidates = 0
         self._refused: list[se2.Pose] = []  # motions that proved wrong
 
@@ -99,7 +100,7 @@ class LoopCloser:
 
     def forget(self) -> None:
         """The map has changed: what was seen before it no longer counts."""
-        self._held = []
+        self._held, self._contested = [], -np.inf
 
     def refuse(self, decision: LoopDecision) -> None:
         """A closure proved wrong: it is not to be found again."""
@@ -126,16 +127,20 @@ class LoopCloser:
         return LoopDecision(self._candidates, mapper.keyframe_count - 1, old, motion, verdict, status, best, pairs)
 
     def _borne_out(self, best: Hypothesis, recent: Constellation, mapper: Mapper, *, near: bool) -> bool:
-        """Whether an earlier look at other walls found the same motion, and none since found another one."""
+        """Whether an earlier look at other walls found the same motion, and none since found another one.
+
+        It may have been at the same walls if the motion is near and no other one was found lately.
+        """
         way = mapper.ways[-1]
         self._held = [look for look in self._held if way - look.way < MEMORY]
         if not all(_agree(look.motion, best.motion, mapper.pose) for look in self._held):
-            self._held = []
+            self._held, self._contested = [], way
+        undisputed = near and way - self._contested > MEMORY
         matched = best.matches >= 0
         kept = mapper.landmarks.walls.rows["kept"]
         for look in self._held:
             fresh = matched & ~np.isin(recent.walls, kept[list(look.walls)])
-            if near or 2 * recent.half_length[fresh].sum() >= LEAST_FRESH:
+            if undisputed or 2 * recent.half_length[fresh].sum() >= LEAST_FRESH:
                 return True
         self._held.append(_Look(best.motion, frozenset(recent.walls[matched].tolist()), way))
         return False
