@@ -4,12 +4,13 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: help env demo test test-slow lint format docs reference gallery lock clean
+.PHONY: help env demo test test-slow gate lint format docs reference gallery lock clean
 
 help:
 	@echo "make demo        simulate a robot in an office, map it, write demo/ (opens the viewer on a desktop)"
 	@echo "make test        run the tests"
 	@echo "make test-slow   run the long tests too"
+	@echo "make gate        fail where accuracy or time has fallen back"
 	@echo "make lint        ruff and mypy"
 	@echo "make format      let ruff format the code"
 	@echo "make docs        build the documentation into site/; open site/index.html"
@@ -35,6 +36,9 @@ test: $(READY)
 
 test-slow: $(READY)
 	$(BIN)/python -m pytest
+
+gate: $(READY)
+	$(BIN)/wclm bench gate
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -39,6 +39,7 @@ class Lidar:
     range_min, range_max  metres; nearer and farther returns are invalid
     sigma_range    standard deviation of the white noise on each range, metres
     sigma_bearing  standard deviation of the white noise on each beam's direction, radians
+    range_bias     metres by which all ranges come out long
     dropouts       share of the beams that return nothing
     mixed          share of the beams beside an edge that return something between the two surfaces
     """
@@ -49,6 +50,7 @@ class Lidar:
     range_max: float = 40.0
     sigma_range: float = 0.01
     sigma_bearing: float = float(np.radians(0.05))
+    range_bias: float = 0.0
     dropouts: float = 0.01
     mixed: float = 0.3
 
@@ -197,7 +199,7 @@ class Simulation:
         step = steps(ranges)
         mixed = at_edge(step) & (is_mixed < lidar.mixed)
         ranges[mixed] += share[mixed] * step[mixed]
-        ranges = (ranges + lidar.sigma_range * range_noise).astype(np.float32).astype(np.float64)
+        ranges = (ranges + lidar.range_bias + lidar.sigma_range * range_noise).astype(np.float32).astype(np.float64)
         low, high = float(np.float32(lidar.range_min)), float(np.float32(lidar.range_max))
         ranges[~((ranges >= low) & (ranges < high)) | (dropped < lidar.dropouts)] = np.nan
         return Scan(stamp, ranges, angles, offsets, low, high, self.mount)

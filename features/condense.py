@@ -9,6 +9,7 @@ import numpy as np
 
 from .compiled import compiled, vectorised
 from .corner import intersect, parallel
+from .curves import evidence, leave_out
 from .estimators import MAXIMUM_LIKELIHOOD, fit_by_code
 from .merging import drop_small
 from .pieces import Pieces, line
@@ -44,6 +45,9 @@ CORNER_RANGE_SIGMAS = 6.0
 CORNER_RAYS = 8
 """Most rays between the walls of a corner."""
 
+CORNER_DEVIATION = 0.3
+"""Largest standard deviation of a corner's position, metres; beyond it, it is no point to know a place by."""
+
 END_RAYS = 1
 """Rays at either end of a piece that its line is not fitted to: they may lie half beside the wall, or on the jamb
 around its edge, and always pull to the same side, so that no number of scans averages it out."""
@@ -55,9 +59,9 @@ ADAPT_RAYS = 15
 class Found(NamedTuple):
     """Features as the compiled call writes them, a row each.
 
-    lines     u, v, Cuu, Cuv, Cuv, Cvv, start x, y, end x, y, chi2
-    spans     first beam, last beam, rays used, first ray, last ray (see rays)
-    corners   x, y, Cxx, Cxy, Cxy, Cyy
+    lines     u, v, Cuu, Cuv, Cuv, Cvv, start x, y, end x, y, chi2, variance of the end's bearing
+    spans     first beam, last beam, rays used, first ray, last ray (see rays), 1 if a chord of a curved surface
+    corners   x, y, Cxx, Cxy, Cxy, Cyy, evidence that it is one (see curves)
     pairs     line before, line after
     evidence  range variances that long pieces show
     """
@@ -176,14 +180,18 @@ def fit_piece(
         u, v, cuu, cuv, cvv = fit_by_code(
             settings.estimator, part.inverse, part.cos, part.sin, settings.sigma_range, settings.sigma_bearing
         )
+    cuu += pieces.spread[piece, 0]
+    cuv += pieces.spread[piece, 1]
+    cvv += pieces.spread[piece, 2]
     row = found.lines[lines]
     row[0], row[1], row[2], row[3], row[4], row[5], row[10] = u, v, cuu, cuv, cuv, cvv, chi2
+    row[11] = pieces.spread[piece, 3]
     first, last = wrap(begin, count), wrap(end - 1, count)
     for ray, column in ((first, 6), (last, 8)):
         distance = 1.0 / (u * rays.cos[ray] + v * rays.sin[ray])
         row[column], row[column + 1] = distance * rays.cos[ray], distance * rays.sin[ray]
     span = found.spans[lines]
-    span[0], span[1], span[2], span[3], span[4] = rays.beam[first], rays.beam[last], used, begin, end - 1
+    span[0], span[1], span[2], span[3], span[4], span[5] = rays.beam[first], rays.beam[last], used, begin, end - 1, 0
     return math.hypot(row[8] - row[6], row[9] - row[7]) >= settings.minimum_length, variance
 
 
@@ -213,13 +221,20 @@ def find_corner(
     if not distance < CORNER_RANGE * reach + CORNER_RANGE_SIGMAS * settings.sigma_range:
         return False
     across = (y * y * cxx - 2.0 * x * y * cxy + x * x * cyy) / distance**4
-    margin = CORNER_STEPS * step + CORNER_SIGMAS * (settings.sigma_bearing + math.sqrt(across))
+    margin = CORNER_STEPS * step + CORNER_SIGMAS * (settings.sigma_bearing + math.sqrt(across + first[11]))
     gap = (rays.bearing[following] - rays.bearing[last]) % TURN
     bearing = (math.atan2(y, x) - rays.bearing[last] + math.pi) % TURN - math.pi
     if gap > MAX_BEARING_GAP + step or not -margin <= bearing <= gap + margin:
         return False
+    if cxx + cyy > CORNER_DEVIATION**2:
+        return False
+    begin, end = found.spans[before, 3], found.spans[before, 4] + 1
+    start, stop = found.spans[after, 3], found.spans[after, 4] + 1
+    if start < begin:
+        start, stop = start + count, stop + count
     row = found.corners[corners]
     row[0], row[1], row[2], row[3], row[4], row[5] = x, y, cxx, cxy, cxy, cyy
+    row[6] = evidence(rays, count, first, second, begin, end, start, stop, settings)
     found.pairs[corners, 0], found.pairs[corners, 1] = before, after
     return True
 
@@ -252,13 +267,14 @@ def condense(
     ray_floats: Floats,
     ray_integers: Integers,
     piece_sums: Floats,
+    piece_spread: Floats,
     gains: Floats,
     piece_integers: Integers,
     found: Found,
 ) -> tuple[int, int, float]:
     """Numbers of lines and corners written into `found`, and the range variance that the scan shows, or NaN."""
     grid, rays = ray_views(ray_floats, ray_integers)
-    pieces, stack = piece_views(piece_sums, piece_integers)
+    pieces, stack = piece_views(piece_sums, piece_spread, piece_integers)
     update_grid(angles, grid)
     closest = max(settings.range_min, CLOSEST * settings.sigma_range)
     count = select(ranges, closest, settings.range_max, grid, rays)
@@ -269,6 +285,7 @@ def condense(
     accumulate(rays, count, step, settings)
     if settings.tracking_distance > 0.0:
         made = drop_small(pieces, track(rays, count, settings.tracking_distance, pieces))
+        pieces.spread[:made] = 0.0
     else:
         made = segment(rays, count, step, pieces, gains, stack, settings)
     # gains and prefix sums are used up; their memory holds the rays of one piece at a time
@@ -279,4 +296,5 @@ def condense(
         before = after - 1 if after > 0 else lines - 1
         if before != after and find_corner(rays, count, step, found, before, after, settings, corners):
             corners += 1
+    corners = leave_out(found.corners, found.pairs, found.spans[:, 5], corners)
     return lines, corners, variance

@@ -43,6 +43,7 @@ class Extractor:
     roughness       metres by which real walls stray from straight lines; breaks must stand out from it
     penalty         gain of chi-square that a further break must bring
     tracking_distance  metres from a tracked line within which a ray belongs to it
+    known_from      scans that the given noise of ranges is worth against those seen
     """
 
     def __init__(
@@ -60,6 +61,7 @@ class Extractor:
         penalty: float = segmentation.PENALTY,
         roughness: float = ROUGHNESS,
         tracking_distance: float = tracking.PAPER_DISTANCE,
+        known_from: float = PRIOR_SCANS,
     ) -> None:
         if estimator not in ESTIMATORS:
             raise ValueError(f"no estimator {estimator!r}; there are {', '.join(ESTIMATORS)}")
@@ -69,7 +71,7 @@ class Extractor:
             raise ValueError(f"noise must be positive, is {noise}")
         self._noise = noise
         self._adapt = adapt_noise
-        self._scans = PRIOR_SCANS
+        self._scans = known_from
         self._settings = Settings(
             sigma_range=float(noise.sigma_range),
             sigma_bearing=float(noise.sigma_bearing),
@@ -106,10 +108,14 @@ class Extractor:
         self._ranges[:] = ranges
         self._angles[:] = angles
         used = self._noise
-        lines, corners, variance = condense(self._ranges, self._angles, self._settings, *self._memory, self._found)
+        lines, corners, variance = self.condense()
         if self._adapt and not math.isnan(variance):
             self._learn(variance)
         return Features(self._lines(lines), self._corners(corners), used)
+
+    def condense(self) -> tuple[int, int, float]:
+        """The compiled part of `extract`, on the last scan: numbers of lines and corners, range variance shown."""
+        return condense(self._ranges, self._angles, self._settings, *self._memory, self._found)
 
     def _make_room(self, beams: int) -> None:
         """Memory for scans of `beams` beams; that of a larger scan stays."""
@@ -119,9 +125,9 @@ class Extractor:
         self._capacity = beams
         self._memory = (*rays.allocate(beams), *pieces.allocate(beams))
         self._found = Found(
-            lines=np.zeros((beams + 1, 11)),
-            spans=np.zeros((beams + 1, 5), dtype=np.int64),
-            corners=np.zeros((beams + 1, 6)),
+            lines=np.zeros((beams + 1, 12)),
+            spans=np.zeros((beams + 1, 6), dtype=np.int64),
+            corners=np.zeros((beams + 1, 7)),
             pairs=np.zeros((beams + 1, 2), dtype=np.int64),
             evidence=np.zeros(beams + 1),
         )
@@ -147,6 +153,7 @@ class Extractor:
             spans[:, 1],  # last
             spans[:, 2],  # count
             rows[:, 10],  # chi2
+            spans[:, 5] == 1,  # curved
         )
 
     def _corners(self, count: int) -> Corners:

@@ -20,17 +20,19 @@ class Pieces(NamedTuple):
     head: Integers  # end of the first uninterrupted run of rays
     tail: Integers  # begin of the last uninterrupted run
     sums: Floats  # (pieces, 6) of the rays that belong to the piece; bridged rays do not
+    spread: Floats  # (pieces, 4) variances by where boundaries may lie: uu, uv, vv of the line; bearing of its end
 
 
-def allocate(beams: int) -> tuple[Floats, Floats, Integers]:
-    """Memory for scans of up to `beams` beams: sums, gains of splits, and integers."""
-    return np.zeros((beams + 1, 6)), np.zeros(beams + 1), np.zeros((5, 2 * beams + 2), dtype=np.int64)
+def allocate(beams: int) -> tuple[Floats, Floats, Floats, Integers]:
+    """Memory for scans of up to `beams` beams: sums, spreads, gains of splits, and integers."""
+    integers = np.zeros((5, 2 * beams + 2), dtype=np.int64)
+    return np.zeros((beams + 1, 6)), np.zeros((beams + 1, 4)), np.zeros(beams + 1), integers
 
 
 @compiled
-def views(sums: Floats, integers: Integers) -> tuple[Pieces, Integers]:
+def views(sums: Floats, spread: Floats, integers: Integers) -> tuple[Pieces, Integers]:
     """Pieces in the memory that `allocate` gave, and a stack."""
-    return Pieces(integers[0], integers[1], integers[2], integers[3], sums), integers[4]
+    return Pieces(integers[0], integers[1], integers[2], integers[3], sums, spread), integers[4]
 
 
 @compiled
@@ -102,6 +104,8 @@ def copy(pieces: Pieces, source: int, target: int) -> None:
     pieces.head[target], pieces.tail[target] = pieces.head[source], pieces.tail[source]
     for row in range(6):
         pieces.sums[target, row] = pieces.sums[source, row]
+    for row in range(4):
+        pieces.spread[target, row] = pieces.spread[source, row]
 
 
 @compiled

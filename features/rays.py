@@ -103,37 +103,41 @@ def select(ranges: Floats, range_min: float, range_max: float, grid: Grid, rays:
     point is a vertex of what is seen, since the distance along a straight wall is convex, so that the start rarely
     falls within a wall; and it does not depend on where the revolution began.
     """
-    count = 0
-    farthest = -1
+    count = farthest = 0
+    most = 0.0
+    last, limit = -math.inf, math.inf
     for beam in range(len(ranges)):
         distance, angle = ranges[beam], grid.angle[beam]
-        if not (range_min <= distance <= range_max and math.isfinite(angle)):
+        if not (range_min <= distance <= range_max and last < angle < limit):
             continue
-        if count > 0:
-            first, last = grid.angle[rays.beam[0]], grid.angle[rays.beam[count - 1]]
-            if angle <= last or angle >= first + TURN - 1e-9:
-                continue
-        if farthest < 0 or distance > ranges[rays.beam[farthest]]:
-            farthest = count
-        rays.beam[count] = beam
+        if count == 0:
+            limit = angle + TURN - 1e-9
+        if distance > most:
+            most, farthest = distance, count
+        rays.broken[count] = beam  # not in use yet; holds the order in which the beams were found
+        last = angle
         count += 1
     if count == 0:
         return 0
-    seam = grid.angle[rays.beam[0]] + TURN - grid.angle[rays.beam[count - 1]]
+    seam = grid.angle[rays.broken[0]] + TURN - last
     start = farthest if seam < MAX_BEARING_GAP else 0
-    # broken[] is not in use yet and holds the order in which the beams were found
-    for k in range(count):
-        rays.broken[k] = rays.beam[k]
-    for k in range(count):
-        wrapped = start + k >= count
-        beam = rays.broken[start + k - count if wrapped else start + k]
-        rays.beam[k] = beam
-        rays.range[k] = ranges[beam]
-        rays.inverse[k] = 1.0 / ranges[beam]
-        rays.cos[k] = grid.cos[beam]
-        rays.sin[k] = grid.sin[beam]
-        rays.bearing[k] = grid.angle[beam] + (TURN if wrapped else 0.0)
+    take(ranges, grid, rays, start, count, 0, 0.0)
+    take(ranges, grid, rays, 0, start, count - start, TURN)
     return count
+
+
+@compiled
+def take(ranges: Floats, grid: Grid, rays: Rays, begin: int, end: int, at: int, turn: float) -> None:
+    """Copy the usable beams number begin..end-1 to the rays from `at` on, their bearings larger by `turn`."""
+    for k in range(begin, end):
+        beam = rays.broken[k]
+        ray = at + k - begin
+        rays.beam[ray] = beam
+        rays.range[ray] = ranges[beam]
+        rays.inverse[ray] = 1.0 / ranges[beam]
+        rays.cos[ray] = grid.cos[beam]
+        rays.sin[ray] = grid.sin[beam]
+        rays.bearing[ray] = grid.angle[beam] + turn
 
 
 @compiled

@@ -11,12 +11,15 @@ import numpy as np
 
 from .compiled import compiled, vectorised
 from .pieces import Pieces, add_rays, append, rotate
-from .rays import Rays, wrap
+from .rays import TURN, Rays, wrap
 from .types import Floats, Integers
-from .wclm import residual_sum
+from .wclm import residual_sum, solve
 
 MIN_PIECE = 2
 """Rays on either side of a split; two rays define a line."""
+
+LEAST_LIKELY = 9.0
+"""Chi-square by which a boundary may be worse than the best one and still count: a likelihood of one in 90."""
 
 REFINE_WINDOW = 12
 """Rays to either side over which a boundary is moved to where both neighbours fit best."""
@@ -121,6 +124,7 @@ def refine(rays: Rays, count: int, pieces: Pieces, made: int, gains: Floats) -> 
     """Move every boundary between adjoining pieces to where the two lines together fit best."""
     prefix = rays.prefix
     origin, terminus = np.empty(6), np.empty(6)
+    pieces.spread[:made] = 0.0
     for i in range(made):
         j = i + 1 if i + 1 < made else 0
         shift = count if j == 0 else 0
@@ -133,8 +137,10 @@ def refine(rays: Rays, count: int, pieces: Pieces, made: int, gains: Floats) -> 
             at = prefix[row, min(boundary, count)] + (prefix[row, boundary - count] if boundary > count else 0.0)
             origin[row], terminus[row] = at - pieces.sums[i, row], at + pieces.sums[j, row]
         position = best_boundary(prefix, count, low, high, origin, terminus, gains)
-        if position > 0 and position != boundary:
-            move_boundary(prefix, count, pieces, i, j, position, shift)
+        if position > 0:
+            add_spread(prefix, rays.bearing, count, low, high, position, origin, terminus, gains, pieces.spread, i, j)
+            if position != boundary:
+                move_boundary(prefix, count, pieces, i, j, position, shift)
     if made > 1 and pieces.begin[0] < 0:
         rotate(pieces, made, count)
 
@@ -157,6 +163,65 @@ def best_boundary(
         if beyond >= 0 and gains[beyond] > best:
             position = beyond + count
     return position
+
+
+@compiled
+def add_spread(
+    prefix: Floats,
+    bearing: Floats,
+    count: int,
+    low: int,
+    high: int,
+    position: int,
+    origin: Floats,
+    terminus: Floats,
+    gains: Floats,
+    spread: Floats,
+    i: int,
+    j: int,
+) -> None:
+    """Add to the spreads of pieces i and j what the choice of ray `position` for the boundary between leaves uncertain.
+
+    A boundary k has the likelihood exp(gain_k / 2). By the law of total variance the lines B_k that go with it add
+    sum p_k (B_k - B)(B_k - B)' to the covariance of the lines B that were chosen, and the bearing varies likewise.
+    """
+    # scalars, and no function that takes arrays: counting the references to those costs more than all the sums
+    w0, x0, y0, p0, q0 = origin[0], origin[1], origin[2], origin[3], origin[4]
+    w1, x1, y1, p1, q1 = terminus[0], terminus[1], terminus[2], terminus[3], terminus[4]
+    best = gains[position - count if position > count else position]
+    u0 = v0 = u1 = v1 = chosen = total = wander = 0.0
+    uu0 = uv0 = vv0 = uu1 = uv1 = vv1 = 0.0
+    for step in range(low - 1, high + 1):
+        k = step if step >= low else position  # the lines that were chosen come first; the others are taken about them
+        ray = k - count if k > count else k
+        behind = best - gains[ray]
+        if not behind < LEAST_LIKELY or step == position:
+            continue
+        w, x, y, p, q = prefix[0, ray], prefix[1, ray], prefix[2, ray], prefix[3, ray], prefix[4, ray]
+        angle = bearing[k] if k < count else bearing[k - count] + TURN
+        if k > count:
+            w, x, y = w + prefix[0, count], x + prefix[1, count], y + prefix[2, count]
+            p, q = p + prefix[3, count], q + prefix[4, count]
+        ku0, kv0, _ = solve(w - w0, x - x0, y - y0, p - p0, q - q0)
+        ku1, kv1, _ = solve(w1 - w, x1 - x, y1 - y, p1 - p, q1 - q)
+        if step < low:
+            u0, v0, u1, v1, chosen, total = ku0, kv0, ku1, kv1, angle, 1.0
+            continue
+        likely = math.exp(-0.5 * behind)
+        total += likely
+        wander += likely * (angle - chosen) * (angle - chosen)
+        du, dv = ku0 - u0, kv0 - v0
+        uu0, uv0, vv0 = uu0 + likely * du * du, uv0 + likely * du * dv, vv0 + likely * dv * dv
+        du, dv = ku1 - u1, kv1 - v1
+        uu1, uv1, vv1 = uu1 + likely * du * du, uv1 + likely * du * dv, vv1 + likely * dv * dv
+    if math.isfinite(uu0 + vv0 + uu1 + vv1):
+        spread[i, 0] += uu0 / total
+        spread[i, 1] += uv0 / total
+        spread[i, 2] += vv0 / total
+        spread[i, 3] = wander / total
+        spread[j, 0] += uu1 / total
+        spread[j, 1] += uv1 / total
+        spread[j, 2] += vv1 / total
 
 
 @compiled

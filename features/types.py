@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +33,7 @@ class Lines:
     first, last (n,) indices of the first and last ray; last < first where it runs over the end of a full revolution
     count       (n,) rays fitted
     chi2        (n,) weighted sum of squared residuals; count - 2 degrees of freedom
+    curved      (n,) whether it and a neighbour are chords of a curved surface, where a corner would seem to be
     """
 
     uv: Floats
@@ -42,6 +44,7 @@ class Lines:
     last: Integers
     count: Integers
     chi2: Floats
+    curved: Flags
 
     def __len__(self) -> int:
         return len(self.uv)

@@ -40,13 +40,16 @@ class Association:
     """For each segment (n,) and corner (m,) the row of the local map it belongs to.
 
     UNMATCHED where it shows something new, AMBIGUOUS where it is too close to something known to be new. The distances
-    are squared Mahalanobis distances to the nearest candidate, NaN without one.
+    are squared Mahalanobis distances to the nearest candidate, NaN without one; `nearest_wall` and `nearest_corner` are
+    the rows of that, -1 without one, whether it was taken or not.
     """
 
     walls: Integers
     wall_distance: Floats
+    nearest_wall: Integers
     corners: Integers
     corner_distance: Floats
+    nearest_corner: Integers
 
 
 def associate(
@@ -67,13 +70,16 @@ def associate(
     )  # fmt: skip
     nowhere = np.zeros_like(corner_distance)
     corner_rows = _take_likeliest(corner_distance, corner_distance, nowhere, nowhere)
-    return Association(walls, _nearest(distance), corner_rows, _nearest(corner_distance))
+    return Association(walls, *_nearest(distance), corner_rows, *_nearest(corner_distance))
 
 
-def _nearest(distance: Floats) -> Floats:
-    """The smallest finite distance of each row, NaN without one."""
-    nearest = distance.min(axis=1, initial=np.inf)
-    return np.where(np.isfinite(nearest), nearest, np.nan)
+def _nearest(distance: Floats) -> tuple[Floats, Integers]:
+    """The smallest finite distance of each row and where it is; NaN and -1 without one."""
+    if not distance.shape[1]:
+        return np.full(len(distance), np.nan), np.full(len(distance), -1)
+    nearest, row = distance.min(axis=1), distance.argmin(axis=1)
+    known = np.isfinite(nearest)
+    return np.where(known, nearest, np.nan), np.where(known, row, -1)
 
 
 def _take_likeliest(distance: Floats, surprise: Floats, low: Floats, high: Floats) -> Integers:

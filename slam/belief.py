@@ -7,6 +7,7 @@ sightings since.
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,16 +18,17 @@ from .association import associate
 from .config import OdometryConfig
 from .front_end import Sighting
 from .local_map import empty_local_map
-from .loops.closer import LoopCloser, LoopDecision, close
+from .loops.closer import Looks, LoopCloser, LoopDecision, close
 from .mapper import REACH_MARGIN, KeyframeView, Mapper, Merge, Motion
 from .observability import free_direction
 from .odometry import OdometryNoise, fused_motion
 from .path import Path
+from .point_field import KEYFRAMES as RECENT_KEYFRAMES
 from .point_field import RecentPoints
 from .registration import Registration
 from .segments import Floats
 from .statistics import Clock
-from .tracking import Hold, Placement, Surroundings, Tracker
+from .tracking import Hold, Place, Placement, Surroundings, Tracker
 
 KEYFRAME_DISTANCE = 0.25  # metres
 KEYFRAME_TURN = np.radians(8.0)
@@ -53,12 +55,35 @@ class Anchor:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Standing:
+    """Where a belief stands on its map and its path: what comes next is measured from here.
+
+    firm               the last pose that is believed, and the odometry's then; `step` led to it, and `fit` is how well
+                       the scan lay there
+    anchor             None before the first keyframe
+    carried            whether the robot has been moved since the anchor without odometry's knowing
+    carried_keyframes  that were reached in this way
+    """
+
+    firm: Place | None
+    step: se2.Pose
+    fit: float
+    anchor: Anchor | None
+    carried: bool
+    carried_keyframes: Sequence[int]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Extension:
-    """What a keyframe did to the map: what it saw, the walls found to be one and the loop decided on, if any."""
+    """What a keyframe did to the map: what it saw, the walls found to be one and the loop decided on, if any.
+
+    `superseded` is the map before a loop was closed.
+    """
 
     view: KeyframeView
     merge: Merge | None
     loop: LoopDecision | None
+    superseded: Mapper | None = None
 
 
 class Belief:
@@ -78,8 +103,67 @@ class Belief:
         self._anchor: Anchor | None = None
         self._carried = False  # whether the robot has been moved since then without odometry's knowing
         self.carried_keyframes: list[int] = []  # that were reached in this way
+        self.frozen = False  # see `freeze`
         self.unplaced: list[Sighting] = []  # the last in a row that fit nowhere
         self._searched: tuple[float, int, se2.Pose, Floats] | None = None  # to be borne out by the next scan
+
+    @classmethod
+    def restored(
+        cls,
+        config: OdometryConfig,
+        odometry_samples: tuple[Floats, Floats],
+        mapper: Mapper,
+        path: Path,
+        stamps: Sequence[float],
+        standing: Standing,
+        looks: Looks,
+        sightings: Mapping[int, Sighting],
+    ) -> Belief:
+        """The belief that these were of. `stamps` and `sightings` are those of the keyframes; samples are of odometry's
+        noise.
+
+        What a closure on probation would fall back to is not remembered: it stays.
+        """
+        belief = cls(config)
+        belief.odometry_noise.take(*odometry_samples)
+        belief.mapper, belief.path, belief.keyframe_stamps = mapper, path, list(stamps)
+        belief.loops.recall(looks)
+        belief._anchor, belief._carried = standing.anchor, standing.carried
+        belief.carried_keyframes = list(standing.carried_keyframes)
+        if standing.firm is not None:
+            belief._tracker.resume(standing.firm, standing.step, standing.fit)
+            belief.pose = standing.firm.pose
+        if mapper.keyframe_count:
+            belief._look_back(sightings)
+        return belief
+
+    def _look_back(self, sightings: Mapping[int, Sighting]) -> None:
+        """Have the map around, and the points of keyframes: the last, in a familiar place the nearest."""
+        count = self.mapper.keyframe_count
+        near = np.arange(count)
+        if self.in_familiar_place:
+            near = np.sort(self.mapper.keyframes_near(self.pose, np.inf, np.inf)[:RECENT_KEYFRAMES])
+        for keyframe in near[-RECENT_KEYFRAMES:].tolist():
+            self._recent_points.add(keyframe, sightings[keyframe].seen.points)
+        self._point_field = self._recent_points.field(self.mapper.poses_of(self._recent_points.keyframes), self.pose)
+        reach = sightings[count - 1].seen.segments.reach()
+        self._local_map = self.mapper.local_map_at(self.pose, REACH_MARGIN + reach)
+
+    @property
+    def standing(self) -> Standing:
+        """Where it stands."""
+        tracker, carried = self._tracker, tuple(self.carried_keyframes)
+        return Standing(tracker.firm, tracker.step, tracker.fit, self._anchor, self._carried, carried)
+
+    def settle_on(self, mapper: Mapper, path: Path, place: Place, sightings: Mapping[int, Sighting]) -> None:
+        """Take over a map with the same keyframes, which came of a second look, and the path on it.
+
+        `place` is that of the last sighting, `sightings` are those of the keyframes.
+        """
+        self.mapper, self.path, self.pose = mapper, path, place.pose
+        self._tracker.move_to(place.pose, place.odometry)
+        self._recent_points = RecentPoints()
+        self._look_back(sightings)
 
     def copy(self) -> Belief:
         """The same estimate, to go back to."""
@@ -138,10 +222,12 @@ class Belief:
 
     def _familiar_keyframe(self, placement: Placement) -> int | None:
         """The nearest of the keyframes at a place that has been visited often enough for nothing new to be learned, and
-        where what is seen is what was seen before; None elsewhere.
+        where what is seen is what was seen before; None elsewhere. On a frozen map all places are like that.
 
         So the graph grows with the size of the place and not with the time spent there.
         """
+        if self.frozen:
+            return int(self.mapper.keyframes_near(self.pose, np.inf, np.inf)[0])
         if self._carried or placement.registration.explained < FAMILIAR_EXPLAINED:
             return None
         near = self.mapper.keyframes_near(self.pose, FAMILIAR_DISTANCE, FAMILIAR_TURN)
@@ -154,6 +240,7 @@ class Belief:
         """Go through a familiar place: the way goes on from there, the map stays as it is."""
         relative = se2.between(self.mapper.trail[keyframe], self.pose)
         self._anchor = Anchor(keyframe, relative, placement.covariance, sighting.odometry)
+        self._carried = self._carried and not self.frozen
         self._local_map = self.mapper.local_map_at(self.pose, REACH_MARGIN + sighting.seen.segments.reach())
         self._recent_points.add(keyframe, sighting.seen.points.seen_from(relative))
         self._point_field = self._recent_points.field(self.mapper.poses_of(self._recent_points.keyframes), self.pose)
@@ -196,6 +283,12 @@ class Belief:
         self.pose = self.mapper.pose
         self._point_field = self._recent_points.field(self.mapper.poses_of(self._recent_points.keyframes), self.pose)
         self._tracker.correct(self.pose)
+
+    def freeze(self) -> None:
+        """Bring the map to rest, and leave it as it is from now on: only the robot's place on it is looked for."""
+        self.mapper.settle()
+        self.frozen = True
+        self._local_map = self.mapper.local_map_at(self.pose, CARRIED_REACH)
 
     def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
         """The base is at `pose` in the map when odometry is at `odometry`, wherever it was believed to be."""

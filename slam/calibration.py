@@ -1,5 +1,7 @@
 """The lidar's mount and the wheels' errors, from a drive: what the scans say of the motion against what the wheels say.
 
+What all ranges are too long by comes first, from the scans alone (see `range_bias`).
+
 Each scan is registered against the map, so the lidar's motion M from one keyframe to the next is known without the
 wheels. The base's motion B is what the wheels told, set right by three factors: for each small motion of length ds and
 turn dth that they told,
@@ -24,6 +26,7 @@ from drivers.messages import GroundTruth, Message, Odometry, Scan
 from .config import Config
 from .errors import MapError
 from .pipeline import Slam
+from .range_bias import estimate_range_bias
 from .segments import Floats
 
 ROUNDS = 3
@@ -70,6 +73,7 @@ class Calibration:
     sigma   (6,) standard errors of x, y, heading, distance, turn, pull
     pairs   of keyframes that were used
     turned  radians turned in all
+    range_bias  metres by which all ranges are too long, and its standard error
     """
 
     mount: se2.Pose
@@ -77,6 +81,7 @@ class Calibration:
     sigma: Floats
     pairs: int
     turned: float
+    range_bias: tuple[float, float] = (0.0, float("nan"))
 
 
 def calibrate(messages: Iterable[Message], config: Config | None = None) -> Calibration:
@@ -89,11 +94,12 @@ def calibrate(messages: Iterable[Message], config: Config | None = None) -> Cali
     config = config or Config()
     mount = _first_mount(drive, config)
     wheels = Wheels()
+    bias = estimate_range_bias(drive, config)
     for _ in range(ROUNDS):
-        lidar = config.lidar.model_copy(update={"mount": tuple(mount.tolist())})
+        lidar = config.lidar.model_copy(update={"mount": tuple(mount.tolist()), "range_bias": bias[0]})
         result = _estimate(drive, config.model_copy(update={"lidar": lidar}), mount, wheels)
         mount, wheels = result.mount, result.wheels
-    return result
+    return replace(result, range_bias=bias)
 
 
 def _first_mount(drive: Sequence[Message], config: Config) -> se2.Pose:

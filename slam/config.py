@@ -35,6 +35,9 @@ class LidarConfig(_Group):
     sigma_bearing: float = Field(
         math.radians(0.05), gt=0, lt=0.1, description="standard deviation of a beam's bearing, radians"
     )
+    range_bias: Finite = Field(
+        0.0, gt=-1, lt=1, description="metres by which all ranges come out long; `wclm calibrate` estimates it"
+    )
     adapt_noise: bool = Field(True, description="estimate sigma_range from the residuals of the walls while running")
     range_min: Finite = Field(0.05, ge=0, description="shorter ranges are ignored, metres")
     range_max: float = Field(

@@ -81,21 +81,25 @@ def mount_of(scan: Scan, lidar: LidarConfig) -> se2.Pose:
     return np.zeros(3) if scan.mount is None else scan.mount
 
 
-def deskew(scan: Scan, odometry: OdometryHistory, mount: se2.Pose) -> Sweep:
-    """Move every beam of a scan to the middle of its sweep, with the motion that odometry saw."""
+def deskew(scan: Scan, odometry: OdometryHistory, mount: se2.Pose, range_bias: float = 0.0) -> Sweep:
+    """Move every beam of a scan to the middle of its sweep, with the motion that odometry saw.
+
+    `range_bias` in metres is what all ranges are known to be too long by.
+    """
     duration = scan.duration
+    ranges = scan.ranges - range_bias if range_bias else scan.ranges
     if duration <= 0.0 or not len(odometry):
-        return Sweep(scan.stamp, scan.ranges, scan.angles, np.zeros(len(scan.ranges)))
+        return Sweep(scan.stamp, ranges, scan.angles, np.zeros(len(ranges)))
     middle = middle_of(scan)
     offsets = np.linspace(0.0, duration, KNOTS)
     moves = se2.between(odometry.at(middle), odometry.at_each(scan.stamp + offsets))
     ways = way_of(moves)
     if ways[0] + ways[-1] < LEAST_WAY:
-        return Sweep(middle, scan.ranges, scan.angles, np.zeros(len(scan.ranges)))
+        return Sweep(middle, ranges, scan.angles, np.zeros(len(ranges)))
     lidars = se2.between(mount, se2.compose(moves, mount))
     turned = scan.angles + np.interp(scan.time_offsets, offsets, np.unwrap(lidars[:, 2]))
-    x = np.interp(scan.time_offsets, offsets, lidars[:, 0]) + scan.ranges * np.cos(turned)
-    y = np.interp(scan.time_offsets, offsets, lidars[:, 1]) + scan.ranges * np.sin(turned)
+    x = np.interp(scan.time_offsets, offsets, lidars[:, 0]) + ranges * np.cos(turned)
+    y = np.interp(scan.time_offsets, offsets, lidars[:, 1]) + ranges * np.sin(turned)
     shift = se2.wrap(np.arctan2(y, x) - turned)
     way = np.interp(scan.time_offsets, offsets, ways)
     return Sweep(middle, np.hypot(x, y), turned + np.where(np.isfinite(shift), shift, 0.0), way)

@@ -19,6 +19,10 @@ class MapError(SlamError):
     """A map or trajectory file cannot be read, or the map cannot be estimated."""
 
 
+class ClusterError(SlamError):
+    """There is no cluster of workers where one was asked for."""
+
+
 class PoseGraphError(SlamError):
     """A pose graph cannot be read or written. Carries the `path`, the `line` (from 1; None for the whole file) and the
     `reason`.
@@ -31,6 +35,7 @@ class PoseGraphError(SlamError):
 
 
 __all__ = [
+    "ClusterError",
     "ConfigurationError",
     "DriverError",
     "MapError",

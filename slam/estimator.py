@@ -8,7 +8,7 @@ from .belief import Belief, Extension
 from .front_end import Sighting
 from .loops.closer import LoopDecision
 from .loops.probation import Probation
-from .mapper import KeyframeView
+from .mapper import KeyframeView, Mapper
 from .statistics import Clock
 from .tracking import Placement
 
@@ -16,10 +16,12 @@ from .tracking import Placement
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
     """What a sighting did: where it was taken, how it extended the map if it became a keyframe, and the closure that
-    had to be taken back after it, if any. `before` is the belief before a sighting that fits abruptly worse."""
+    had to be taken back after it, if any. `mapper` is the map with the sighting, before anything was taken back;
+    `before` the belief before a sighting that fits abruptly worse."""
 
     placement: Placement
     extension: Extension | None
+    mapper: Mapper
     retracted: LoopDecision | None
     before: Belief | None
 
@@ -38,9 +40,11 @@ class Estimator:
         extension = self.belief.extend(sighting, placement, clock)
         self._probation.remember(sighting)  # before a closure: the belief that it is tried on has the sighting
         if extension is not None and extension.loop is not None and extension.loop.status == "agreed":
-            extension = replace(extension, loop=self._close(extension.view, extension.loop))
+            superseded, loop = self.belief.mapper, self._close(extension.view, extension.loop)
+            extension = replace(extension, loop=loop, superseded=superseded if loop.status == "accepted" else None)
             clock.lap("closing")
-        return Step(placement, extension, self._doubt(), before)
+        mapper = self.belief.mapper
+        return Step(placement, extension, mapper, self._doubt(), before)
 
     def _close(self, view: KeyframeView, decision: LoopDecision) -> LoopDecision:
         """Close the loop that two looks agree on, on a copy, and see whether the map comes together."""

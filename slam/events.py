@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from drivers.se2 import Pose
 
+from .residuals import Residuals
 from .segments import CornerPoints, Floats, Segments
 
 Integers = NDArray[np.int64]
@@ -85,8 +86,9 @@ class KeyframeAdded:
     pose_covariance (3, 3) in the keyframe's own frame
     points        (p, 2) valid returns in the base's frame, metres
     line_match    (n,) identity of the wall each segment was associated with; -1: none yet
-    line_gate     (n,) squared Mahalanobis distance of that association; NaN where there was no candidate
-    corner_match, corner_gate  the same for corners
+    line_gate     (n,) squared Mahalanobis distance of the nearest candidate, matched or not; NaN where there was none
+    line_nearest  (n,) identity of that candidate; -1: none
+    corner_match, corner_gate, corner_nearest  the same for corners
     new_lines     identities of walls first seen here
     timings       milliseconds by stage
     counts        sizes of the graph and map
@@ -102,8 +104,10 @@ class KeyframeAdded:
     corners: CornerPoints
     line_match: Integers
     line_gate: Floats
+    line_nearest: Integers
     corner_match: Integers
     corner_gate: Floats
+    corner_nearest: Integers
     new_lines: Integers
     sigma_range: float
     timings: dict[str, float]
@@ -114,7 +118,8 @@ class KeyframeAdded:
 class MapUpdated:
     """The whole map and path after keyframe `index`; sent every few keyframes and whenever much of it moved.
 
-    `shift` is the largest distance a keyframe moved since the last MapUpdated, metres.
+    `shift` is the largest distance a keyframe moved since the last MapUpdated, metres. The covariances of walls and
+    corners are as they were when each was last seen.
     """
 
     index: int
@@ -138,8 +143,68 @@ class LinesMerged:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class GraphInspected:
+    """How well every factor fits the estimate after keyframe `index`; sent after closures, at the end, and now and
+    then, the seldomer the larger the graph."""
+
+    index: int
+    stamp: float
+    residuals: Residuals
+
+
+@dataclass(frozen=True, slots=True)
+class LoopTest:
+    """A test of a loop: the `value` that had to be `at_least` or at most the `gate`, and whether it `passed`."""
+
+    name: str
+    value: float
+    gate: float
+    at_least: bool
+    passed: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopSight:
+    """What was compared for a loop, all in the map as it was then, metres.
+
+    recent  (n, 2, 2) both ends of the walls of the last metres; `aligned` (n, 2, 2): the same, moved as the loop has it
+    old     (m, 2, 2) both ends of the walls known for long
+    match   (n,) row of `old` on which each recent wall would fall; -1: none
+    """
+
+    recent: Floats
+    aligned: Floats
+    old: Floats
+    match: Integers
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Correction:
+    """What a closure, or taking one back, did to path and map.
+
+    keyframes_before, keyframes  (k, 3) poses before and after
+    lines_before                 the walls before
+    chi2_before                  robust cost of the graph before
+    chi2_strained                with what the closure adds, nothing moved yet; NaN where one was taken back
+    chi2                         after
+    """
+
+    keyframes_before: Floats
+    keyframes: Floats
+    lines_before: MapLines
+    chi2_before: float
+    chi2_strained: float
+    chi2: float
+
+    def shifts(self) -> Floats:
+        """(k,) metres by which each keyframe moved."""
+        return np.asarray(np.hypot(*(self.keyframes - self.keyframes_before)[:, :2].T))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class LoopDecided:
-    """What was decided about a place that looked known, after keyframe `index`.
+    """What was decided about a place that looked known, after keyframe `index`; of a "retracted" one that is where it
+    had been accepted.
 
     candidate     running number
     old           a keyframe that saw the place before
@@ -153,6 +218,9 @@ class LoopDecided:
     contradicted  share of the wall length that old walls would have hidden
     merged        pairs of identities (old, recent) of walls that were made one
     shift         metres by which the keyframe moved
+    tests         all that had to hold
+    sight         what was compared
+    correction    what it did, if it is accepted or retracted
     """
 
     index: int
@@ -169,6 +237,9 @@ class LoopDecided:
     contradicted: float
     merged: tuple[tuple[int, int], ...]
     shift: float
+    tests: tuple[LoopTest, ...] = ()
+    sight: LoopSight | None = None
+    correction: Correction | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,7 +287,16 @@ class Finished:
 
 
 Event: TypeAlias = (
-    ScanTracked | KeyframeAdded | MapUpdated | LinesMerged | LoopDecided | StateChanged | TruthSeen | Noticed | Finished
+    ScanTracked
+    | KeyframeAdded
+    | MapUpdated
+    | GraphInspected
+    | LinesMerged
+    | LoopDecided
+    | StateChanged
+    | TruthSeen
+    | Noticed
+    | Finished
 )
 
 

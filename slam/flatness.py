@@ -28,6 +28,16 @@ class WallFlatness:
         self._samples: deque[float] = deque(maxlen=WINDOW)
         self.variance = START
 
+    @property
+    def samples(self) -> Floats:
+        """(n,) what the estimate rests on; `take` has them again."""
+        return np.array(self._samples)
+
+    def take(self, samples: Floats) -> None:
+        """Go on from what another estimate rested on."""
+        self._samples.extend(samples.tolist())
+        self._estimate()
+
     def add(self, residuals: Floats, covariances: Floats, half_lengths: Floats) -> None:
         """Take residuals (n, 2) of offset and heading, the covariances (n, 2, 2) expected of them without unevenness.
 
@@ -37,6 +47,11 @@ class WallFlatness:
         excess = residuals**2 / NORMAL_MEDIAN - np.diagonal(covariances, axis1=1, axis2=2)
         excess[:, 1] *= half_lengths**2 / 3
         self._samples.extend(excess.ravel())
+        self._estimate()
+
+    def _estimate(self) -> None:
+        if not self._samples:
+            return
         observed = max(0.0, float(np.median(self._samples)))
         trust = min(1.0, len(self._samples) / ENOUGH)
         self.variance = trust * observed + (1 - trust) * START

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,9 +46,10 @@ class Sighting:
 class FrontEnd:
     """Takes scans and odometry, gives sightings."""
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, sigma_range: float | None = None) -> None:
+        """`sigma_range` is a range's standard deviation, metres, where many scans have shown it already."""
         self._lidar = config.lidar
-        self._extractor = build_extractor(config)
+        self._extractor = build_extractor(config, sigma_range)
         self._waiting: deque[Scan] = deque()
         self.odometry = OdometryHistory()
         self.scans = 0
@@ -71,6 +73,15 @@ class FrontEnd:
             self._waiting.popleft()
             self.scans_without_odometry += 1
 
+    @property
+    def waiting(self) -> list[Scan]:
+        """The scans that wait for odometry; `wait` has them again."""
+        return list(self._waiting)
+
+    def wait(self, scans: Sequence[Scan]) -> None:
+        """Let scans wait that waited before; they have been counted."""
+        self._waiting.extend(scans)
+
     def next_scan(self, *, last: bool = False) -> Scan | None:
         """The oldest scan that waits, if odometry covers it or cannot be waited for: there are many, or no more comes
         (`last`)."""
@@ -83,7 +94,7 @@ class FrontEnd:
     def sight(self, scan: Scan, odometry_noise: OdometryNoise) -> Sighting:
         """Straighten a scan and condense it into walls and corners, and points that are on neither."""
         mount = mount_of(scan, self._lidar)
-        sweep = deskew(scan, self.odometry, mount)
+        sweep = deskew(scan, self.odometry, mount, self._lidar.range_bias)
         features = self._extractor.extract(sweep.ranges, sweep.bearings)
         seen = _in_base_frame(sweep, features, mount, odometry_noise)
         return Sighting(sweep.stamp, self.odometry.at(sweep.stamp), seen)

@@ -26,6 +26,7 @@ WALL = np.dtype(
         ("first_seen", int),  # keyframe
         ("last_seen", int),
         ("covariance", float, (2, 2)),  # of offset and heading at the frame, as seen from the keyframe last_seen
+        ("covariance_in_map", float, (2, 2)),  # the same in the map, as it was when last_seen was the last keyframe
         ("kept", int),  # the wall that speaks for this one: itself, or the wall that it turned out to be
         ("in_graph", bool),
     ]
@@ -39,6 +40,7 @@ CORNER = np.dtype(
         ("observations", int),
         ("last_seen", int),
         ("covariance", float, (2, 2)),  # as seen from the keyframe last_seen, in the map's axes
+        ("covariance_in_map", float, (2, 2)),  # in the map, as it was when last_seen was the last keyframe
         ("in_graph", bool),
     ]
 )
@@ -58,6 +60,11 @@ class Table:
     def rows(self) -> NDArray[np.void]:
         """The rows in use, as a view: assigning to it writes."""
         return self._storage[: self._count]
+
+    def fill(self, rows: NDArray[np.void]) -> None:
+        """Hold these rows and no others."""
+        self._storage, self._count = np.zeros(max(256, len(rows)), rows.dtype), len(rows)
+        self._storage[: len(rows)] = rows
 
     def append(self, **fields: Any) -> int:
         """Add a row; returns its index."""

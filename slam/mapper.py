@@ -18,7 +18,7 @@ from drivers import se2
 
 from .association import UNMATCHED, Association
 from .flatness import WallFlatness, uneven
-from .graph import FactorGraph
+from .graph import KERNEL_CAUTION, Factor, FactorGraph, GraphState, Kind
 from .landmarks import Landmarks
 from .local_map import LocalMap, local_map_around
 from .merging import LEAST_OBSERVATIONS, find_duplicate
@@ -40,15 +40,18 @@ class KeyframeView:
     """What a keyframe saw, and which landmarks that is.
 
     walls (n,) and corner_landmarks (m,) are identities, -1 for what is too ambiguous to be assigned; the distances are
-    squared Mahalanobis distances to the nearest candidate, NaN without one. new_walls are identities.
+    squared Mahalanobis distances to the nearest candidate, NaN without one; that is nearest_wall and nearest_corner,
+    identities, -1 without one, whether it was taken or not. new_walls are identities.
     """
 
     segments: Segments
     corners: CornerPoints
     walls: Integers
     wall_distance: Floats
+    nearest_wall: Integers
     corner_landmarks: Integers
     corner_distance: Floats
+    nearest_corner: Integers
     new_walls: Integers
 
 
@@ -58,6 +61,16 @@ class Names:
 
     walls: Integers
     corners: Integers
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyframeRecords:
+    """What a mapper remembers of its k keyframes, beside the graph; see there."""
+
+    trail: Floats
+    ways: Sequence[float]
+    names: Sequence[Names]
+    covariances: Sequence[Floats]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,10 +114,57 @@ class Mapper:
         mapper.landmarks, mapper.flatness = copy.deepcopy(other.landmarks), copy.deepcopy(other.flatness)
         return mapper
 
+    @classmethod
+    def restored(
+        cls,
+        graph: GraphState,
+        landmarks: Landmarks,
+        flatness: WallFlatness,
+        keyframes: KeyframeRecords,
+        segments: Sequence[Segments],
+        waiting: Sequence[Factor],
+    ) -> Mapper:
+        """The mapper that these were of; `segments` are those of each keyframe.
+
+        Raises MapError where the graph leaves a variable undetermined.
+        """
+        mapper = cls()
+        mapper.graph, mapper.landmarks, mapper.flatness = FactorGraph.restored(graph), landmarks, flatness
+        mapper.keyframe_count, mapper.trail = len(keyframes.trail), keyframes.trail
+        mapper.ways, mapper.names = list(keyframes.ways), list(keyframes.names)
+        mapper.pose_covariances = list(keyframes.covariances)
+        mapper.views.extend(enumerate(segments))
+        for factor in waiting:
+            seen = factor.first, factor.measured, factor.covariance
+            waits = mapper._waiting_walls if factor.kind is Kind.WALL else mapper._waiting_corners
+            waits[factor.second].append(seen)
+        return mapper
+
+    @property
+    def waiting(self) -> list[Factor]:
+        """What was seen of landmarks that are not in the graph yet."""
+        return [
+            Factor(kind, keyframe, landmark, measured, covariance)
+            for kind, waits in ((Kind.WALL, self._waiting_walls), (Kind.CORNER, self._waiting_corners))
+            for landmark, seen in waits.items()
+            for keyframe, measured, covariance in seen
+        ]
+
+    @property
+    def keyframes(self) -> KeyframeRecords:
+        """What is remembered of the keyframes."""
+        return KeyframeRecords(self.trail, self.ways, self.names, self.pose_covariances)
+
     @property
     def pose(self) -> se2.Pose:
         """Of the last keyframe."""
         return np.zeros(3) if not len(self.trail) else self.trail[-1]
+
+    def last_pose_covariance(self) -> Floats:
+        """(3, 3) of the last keyframe's pose, in its own frame: as the graph's `keyframe_covariance`, but free."""
+        c, s = np.cos(self.pose[2]), np.sin(self.pose[2])
+        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        return np.asarray(KERNEL_CAUTION * (rotation.T @ self.pose_covariances[-1] @ rotation))
 
     def poses_of(self, keyframes: Sequence[int]) -> Floats:
         """(n, 3): the poses of some keyframes as the graph has them now."""
@@ -138,8 +198,10 @@ class Mapper:
             corners,
             names.walls,
             association.wall_distance,
+            _identities(association.nearest_wall, local_map.walls),
             names.corners,
             association.corner_distance,
+            _identities(association.nearest_corner, local_map.corners),
             names.walls[names.walls >= known],
         )
 
@@ -294,9 +356,14 @@ class Mapper:
         self.graph.solve()
         self._read_back(None)
 
+    def remember_covariances(self) -> None:
+        """Note how well every keyframe is known now. A map that was solved in batch never has."""
+        every = range(self.keyframe_count)
+        self.pose_covariances = [self.graph.relative_covariances(k, [], [])[0] for k in every]
+
     def read_back_all(self) -> None:
         """Take the whole estimate from the graph."""
-        self.pose_covariances[-1] = self.graph.relative_covariances(self.keyframe_count - 1, [], [])[0]
+        self.pose_covariances[-1] = self.graph.relative_covariances(self.keyframe_count - 1, [], []).pose
         self._read_back(None)
 
     def _read_back(self, radius: float | None) -> None:
@@ -329,10 +396,12 @@ class Mapper:
         seen_walls = seen_walls[walls["in_graph"][seen_walls]]
         seen_corners = np.unique(view.corner_landmarks[view.corner_landmarks >= 0])
         seen_corners = seen_corners[corners["in_graph"][seen_corners]]
-        own, of_walls, of_corners = self.graph.relative_covariances(self.keyframe_count - 1, seen_walls, seen_corners)
-        walls["covariance"][seen_walls] = of_walls
-        corners["covariance"][seen_corners] = of_corners
-        self.pose_covariances.append(own)
+        known = self.graph.relative_covariances(self.keyframe_count - 1, seen_walls, seen_corners)
+        walls["covariance"][seen_walls] = known.walls
+        walls["covariance_in_map"][seen_walls] = known.walls_in_map
+        corners["covariance"][seen_corners] = known.corners
+        corners["covariance_in_map"][seen_corners] = known.corners_in_map
+        self.pose_covariances.append(known.pose)
 
     def _learn_flatness(self, view: KeyframeView) -> None:
         """Compare the segments with the walls they were given to, now that the graph has settled both."""
@@ -344,3 +413,8 @@ class Mapper:
         walls = rows[view.walls[known]]
         seen = se2.between(walls["frame"], se2.compose(self.pose, view.segments.frame[known]))
         self.flatness.add(seen[:, 1:], view.segments.covariance[known], view.segments.half_length[known])
+
+
+def _identities(rows: Integers, landmarks: Integers) -> Integers:
+    """What rows of the local map stand for, -1 for none."""
+    return np.where(rows >= 0, landmarks[rows], -1) if len(landmarks) else np.full(len(rows), -1)

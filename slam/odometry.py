@@ -40,6 +40,13 @@ class OdometryHistory:
         self._stamps: list[float] = []
         self._poses: list[se2.Pose] = []
 
+    @classmethod
+    def of(cls, stamps: Floats, poses: Floats) -> OdometryHistory:
+        """Readings (n,), (n, 3) in time order."""
+        history = cls()
+        history._stamps, history._poses = stamps.tolist(), list(poses)
+        return history
+
     def __len__(self) -> int:
         return len(self._stamps)
 
@@ -107,6 +114,17 @@ class OdometryNoise:
         """(2,): standard deviations of translation after one metre of way (metres) and of heading (radians)."""
         return np.asarray(np.sqrt(self._rates))
 
+    @property
+    def samples(self) -> tuple[Floats, Floats]:
+        """What the estimate rests on, of translation (n,) and of heading (m,); `take` has them again."""
+        return np.array(self._samples[0]), np.array(self._samples[1])
+
+    def take(self, translations: Floats, rotations: Floats) -> None:
+        """Go on from what another estimate rested on."""
+        for samples, others in zip(self._samples, (translations, rotations), strict=True):
+            samples.extend(others.tolist())
+        self._estimate()
+
     def learn(self, claimed: se2.Pose, found: se2.Pose, held_by: Floats) -> None:
         """Take a motion [x, y, heading] as the odometry claims it, and as it was found to be.
 
@@ -121,6 +139,9 @@ class OdometryNoise:
         rotations.append(error[2] ** 2 / (NORMAL_MEDIAN * way))
         if free_direction(found, held_by, HELD_SIGMA) is None:
             translations.append((error[0] ** 2 + error[1] ** 2) / (PLANE_MEDIAN * way**2))
+        self._estimate()
+
+    def _estimate(self) -> None:
         self._rates = np.array([self._rate(k) for k in (0, 1)])
 
     def _rate(self, which: int) -> float:

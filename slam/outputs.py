@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -20,6 +21,7 @@ from .errors import OutputError
 from .events import Finished
 from .keyframes import Keyframes, write_keyframes
 from .mapfile import write_map
+from .replacing import exchange
 from .trajectory import Trajectory, write_tum
 
 TRAJECTORY = "trajectory.tum"
@@ -34,9 +36,10 @@ GRAPH = "graph.g2o"
 GRAPH_PICTURE = "graph.png"
 EXPORTED = "map"
 POINTS = "points.ply"
-RESULTS = frozenset({TRAJECTORY, KEYFRAMES, MAP, CONFIG, SUMMARY, REVIEW, PICTURE, REPORT})
+SESSION = "session"
+RESULTS = frozenset({TRAJECTORY, KEYFRAMES, MAP, CONFIG, SUMMARY, REVIEW, PICTURE, REPORT, SESSION})
 GRAPH_RESULTS = frozenset({GRAPH, GRAPH_PICTURE, SUMMARY})
-EXPORTS = frozenset({f"{EXPORTED}.{suffix}" for suffix in ("pgm", "yaml", "geojson", "svg", "dxf")} | {POINTS})
+EXPORTS = frozenset({f"{EXPORTED}.{suffix}" for suffix in ("pgm", "yaml", "geojson", "svg", "dxf", "g2o")} | {POINTS})
 """What `wclm map` adds to a run's directory; it can be made again, so it does not keep the directory from being
 replaced."""
 
@@ -47,7 +50,8 @@ class OutputDirectory:
     with OutputDirectory(Path("out"), overwrite=False) as directory:
         write_results(directory, ...)            # a temporary sibling of out; now it is renamed to out
 
-    On an error or Ctrl-C the temporary directory is removed and `out` is as it was. An existing directory is refused
+    On an error or Ctrl-C the temporary directory is removed and `out` is as it was; that of a process that is killed
+    stays, with what was written of the log. An existing directory is refused
     unless it is empty or `overwrite` is set, and even then if it holds anything that is not a result of a run: a slip
     in a path must not cost somebody's files.
     Raises OutputError on entering, and on leaving where the results cannot be moved into place; they are kept then.
@@ -91,16 +95,20 @@ class OutputDirectory:
             raise OutputError(f"{self._shown}: cannot be read: {error.strerror or error}") from error
         if present and not self._overwrite:
             raise OutputError(f"{self._shown}: exists already; choose another directory or add --overwrite")
-        foreign = [name for name in present if name not in RESULTS | GRAPH_RESULTS | EXPORTS]
+        foreign = [name for name in present if name not in RESULTS | GRAPH_RESULTS | EXPORTS and not _is_part(name)]
         if foreign:
             raise OutputError(f"{self._shown}: holds {foreign[0]}, which is not a result of a run; not overwritten")
 
     def _move_into_place(self, work: Path) -> None:
-        """Rename; older results step aside first, and come back should the renaming fail."""
+        """Rename. Older results change places with the new ones at a stroke: whenever the process is killed, one of the
+        two is there, whole. Where the system cannot do that they step aside, and come back should the renaming fail."""
         try:
             self._refuse_what_must_stay()
             if not self._target.exists():
                 work.rename(self._target)
+                return
+            if exchange(work, self._target):
+                shutil.rmtree(work, ignore_errors=True)
                 return
             aside = self._target.rename(work.with_name(f"{work.name}-old"))
             try:
@@ -167,6 +175,11 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value if isinstance(value, str | int | float | None) else str(value)
+
+
+def _is_part(name: str) -> bool:
+    """Whether this is a later file of a long log."""
+    return re.fullmatch(r"review-\d+\.rrd", name) is not None
 
 
 def _umask() -> int:

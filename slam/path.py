@@ -41,13 +41,22 @@ class Path:
         relative = np.array(self._relative).reshape(-1, 3)
         return np.array(self._stamps), se2.compose(keyframe_poses[self._keyframes], relative).reshape(-1, 3)
 
+    def between(self, begin: float, end: float) -> Path:
+        """What of it is from `begin` on and before `end` (seconds)."""
+        part = Path()
+        for row in np.flatnonzero((np.array(self._stamps) >= begin) & (np.array(self._stamps) < end)).tolist():
+            part.add(self._stamps[row], self._keyframes[row], self._relative[row], self._informations[row])
+        return part
+
     def at_odometry(self, keyframe_poses: Floats, odometry: OdometryHistory) -> tuple[Floats, Floats]:
-        """Stamps (m,) and poses (m, 3) at every odometry reading.
+        """Stamps (m,) and poses (m, 3) at every odometry reading; none where no scan is on the path.
 
         From the scan before it a reading is reached by odometry; what odometry misses up to the next scan is spread
         over the way between the two: wheels err as they roll, not while they stand.
         """
         stamps, poses = self.at_scans(keyframe_poses)
+        if not len(stamps):
+            return np.zeros(0), np.zeros((0, 3))
         at = odometry.stamps
         readings = odometry.poses
         scan_odometry = odometry.at_each(stamps)

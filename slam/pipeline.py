@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
-import math
+import sys
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from drivers import se2
-from drivers.messages import GroundTruth, Message, Scan
+from drivers.messages import GroundTruth, Message, Odometry, Scan
 
 from .belief import Belief, Extension
 from .config import Config
+from .drives import Drives
 from .errors import MapError
 from .estimator import Estimator, Step
 from .events import Finished, MapCorners, MapLines, Noticed, ScanTracked, Sink, StateChanged, TruthSeen
 from .front_end import FrontEnd, Sighting
 from .loops.closer import LoopCloser
+from .mapper import Mapper
 from .recovery import Excursion, Suspicion
 from .refinement import drive_of, laid_path, refine
 from .reporting import Reporter
 from .segments import Floats
-from .snapshot import map_corners, map_lines
+from .sessions import StoredSession
+from .snapshot import finished, map_corners, map_lines
 from .state import State, StateWatch
 from .statistics import Clock, RunStatistics
-from .tracking import Hold, Placement
+from .summary import run_summary
+from .tracking import Hold, Place, Placement
 
 
 class Slam:
@@ -42,23 +47,40 @@ class Slam:
         sinks: Sequence[Sink] = (),
         *,
         refine: bool = False,
+        keep_views: bool = False,
         loops: LoopCloser | None = None,
+        resumed: StoredSession | None = None,
+        frozen: bool = False,
     ) -> None:
-        """`refine` asks for a second look at everything before finishing; for that, what was sighted in familiar places
-        is kept, too.
+        """`refine` asks for a second look at everything before finishing.
 
-        `loops` looks for loops in another way than the default.
+        For that, or to take it later, `keep_views` keeps what was sighted in familiar places, too, where nothing of it
+        enters the map: memory then grows with the time driven. `loops` looks for loops in another way than the default.
+
+        `resumed` is a session to go on from: straight on, if odometry continues, else from wherever in its map the
+        robot is found. Where the map is `frozen` it stays as it is, and only the path on it is told.
         """
         self.config = config or Config()
         self._reporter = Reporter(sinks)
-        self._front_end = FrontEnd(self.config)
-        self._estimator = Estimator(Belief(self.config.odometry, loops))
+        self._front_end = FrontEnd(self.config, None if resumed is None else resumed.sigma_range)
+        self._estimator = Estimator(Belief(self.config.odometry, loops) if resumed is None else resumed.belief)
+        self._drives = Drives() if resumed is None else Drives(resumed.odometry, resumed.starts)
+        self._resumed, self._frozen = resumed, frozen
+        self._front_end.wait([] if resumed is None else resumed.waiting)
+        if frozen:
+            self.belief.freeze()
+        self._begun = False  # whether odometry has told of anything
         self._excursion: Excursion | None = None  # while the robot is lost
         self._suspicion: Suspicion | None = None  # while what it sees may belong elsewhere
-        self._refine = refine
-        self._journal: list[Sighting] = []  # everything sighted, for looking back at the end
+        self._refine, self._keep_views = refine, refine or keep_views
+        self._familiar: set[int] = set()  # rows of the journal that were sighted in familiar places
+        # everything sighted, for looking back at the end
+        self._journal: list[Sighting] = [] if resumed is None else list(resumed.sightings)
+        # what is of this run: the first row, and after when
+        self._since = len(self._journal), -np.inf if resumed is None else resumed.latest
         self._state = StateWatch()
         self._statistics = RunStatistics()
+        self._session: StoredSession | None = None
 
     # --- what goes in
 
@@ -67,9 +89,26 @@ class Slam:
         if isinstance(message, GroundTruth):
             self._reporter.tell(TruthSeen(message.stamp, message.pose))
             return
+        if isinstance(message, Odometry) and not self._begun:
+            self._begin(message)
         self._front_end.add(message)
         while (scan := self._front_end.next_scan()) is not None:
             self._add_scan(scan)
+
+    def _begin(self, first: Odometry) -> None:
+        """The first reading of odometry: it continues that of a session, or the robot may be anywhere on its map."""
+        self._begun = True
+        if self._resumed is None:
+            self._front_end.odometry = self._drives.begin(0)
+            return
+        self._reporter.tell_map(first.stamp, self.belief.mapper)
+        self._front_end.odometry = self._drives.histories[-1]
+        if not self._drives.continue_with(first):
+            self._work_off(len(self._resumed.waiting))
+            self._front_end.odometry = self._drives.begin(len(self._journal))
+            self._since = len(self._journal), self._since[1]
+            self._excursion = Excursion(self.config.odometry, self.belief, ())
+            self._tell_state(first.stamp, self._state.lose())
 
     # --- the story of a scan
 
@@ -82,14 +121,16 @@ class Slam:
             self._look_for_the_way_back(self._excursion, sighting)
             return
         step = self._estimator.take(sighting, clock)
-        if self.belief.in_familiar_place and not self._refine:
-            self._journal[-1] = sighting.without_view()
+        if self.belief.in_familiar_place and not self._frozen:
+            self._familiar.add(len(self._journal) - 1)
+            if not self._keep_views:
+                self._journal[-1] = sighting.without_view()
         self._note(sighting, step.placement)
         if step.extension is not None:
-            self._tell_keyframe(sighting, step.extension, clock)
+            self._tell_keyframe(sighting, step.mapper, step.extension, clock)
         if step.retracted is not None:
-            self._statistics.loops.append((sighting.stamp, step.retracted))
-            self._reporter.tell_loop(step.retracted, sighting.stamp, self.belief.mapper)
+            self._statistics.add_loop(sighting.stamp, step.retracted)
+            self._reporter.tell_loop(step.retracted, sighting.stamp, self.belief.mapper, step.mapper)
         self._suspect(sighting, step)
         if self.belief.lost:
             self._excursion = Excursion(self.config.odometry, self.belief, self.belief.unplaced)
@@ -145,15 +186,13 @@ class Slam:
         keyframe = self.belief.mapper.keyframe_count - 1
         self._reporter.tell(ScanTracked(stamp, placement.pose, sighting.odometry, explained, keyframe))
 
-    def _tell_keyframe(self, sighting: Sighting, extension: Extension, clock: Clock) -> None:
+    def _tell_keyframe(self, sighting: Sighting, mapper: Mapper, extension: Extension, clock: Clock) -> None:
         """Count what the keyframe did to the map, and tell the listeners."""
         self._statistics.add_keyframe(clock)
         self._statistics.merged_walls += extension.merge is not None
         if extension.loop is not None:
-            self._statistics.loops.append((sighting.stamp, extension.loop))
-        self._reporter.tell_keyframe(
-            sighting, self.belief.mapper, extension, self._front_end.sigma_range, dict(clock.laps)
-        )
+            self._statistics.add_loop(sighting.stamp, extension.loop)
+        self._reporter.tell_keyframe(sighting, mapper, extension, self._front_end.sigma_range, dict(clock.laps))
 
     # --- what comes out
 
@@ -189,68 +228,113 @@ class Slam:
         """
         if not self._front_end.scans:
             raise MapError("no laser scan in it, so there is nothing to map")
-        if not len(self._front_end.odometry):
+        if not self._begun:
             raise MapError(f"{self._front_end.scans} scans, but no odometry; SLAM needs both")
-        while (scan := self._front_end.next_scan(last=True)) is not None:
-            self._add_scan(scan)
+        left = self._session_before_the_end()
+        self._work_off()
         if self._excursion is not None:
-            last = self._excursion.sightings[-1].stamp
-            self._go_on_from(self._excursion.joined(), last, "never found again in the map; odometry has to do")
-        self.belief.mapper.settle()
-        summary = self._summary() | self._look_back()
-        keyframes = self.belief.mapper.trail
-        stamps, poses = self.belief.path.at_odometry(keyframes, self._front_end.odometry)
-        result = Finished(
-            lines=map_lines(self.belief.mapper, covariances=True),
-            corners=map_corners(self.belief.mapper, covariances=True),
-            keyframe_stamps=np.array(self.belief.keyframe_stamps),
-            keyframes=keyframes,
-            stamps=stamps,
-            poses=poses,
-            summary=summary,
-            keyframe_covariance=np.array([self.keyframe_covariance(index) for index in range(len(keyframes))]),
-        )
+            self._end_lost(self._excursion)
+        self._session = left or self._stored(self.belief.copy())
+        if not self._frozen:
+            self.belief.mapper.settle()
+        summary = run_summary(self._front_end, self.belief, self._statistics) | self._look_back()
+        if self._refine:
+            self._session = self._stored(self.belief)
+        stamps, poses = self._drives.trajectory(self.belief.path, self.belief.mapper.trail)
+        if self._frozen:
+            stamps, poses = stamps[stamps > self._since[1]], poses[stamps > self._since[1]]
+        self._reporter.tell_residuals(float(stamps[-1]), self.belief.mapper)
+        result = finished(self.belief, (stamps, poses), summary)
         self._reporter.tell(result)
         return result
+
+    def _work_off(self, count: int = sys.maxsize) -> None:
+        """Take the scans that wait, or the first of them, without odometry to cover them."""
+        while count > 0 and (scan := self._front_end.next_scan(last=True)) is not None:
+            self._add_scan(scan)
+            count -= 1
+
+    def _session_before_the_end(self) -> StoredSession | None:
+        """What is to be gone on from as if this had not been the end; None where that makes no difference, or where the
+        end has yet to decide where the robot is."""
+        waiting = self._front_end.waiting
+        if self._excursion is not None or not waiting or not self.belief.mapper.keyframe_count:
+            return None
+        session = self._stored(self.belief.copy())
+        session.sightings, session.waiting = list(self._journal), waiting
+        return session
+
+    def _end_lost(self, excursion: Excursion) -> None:
+        """The robot has not been found again before the end.
+
+        Raises MapError where it never was on a map that is to stay as it is.
+        """
+        last = self._journal[-1].stamp
+        if self._drives.starts[-1] < self._since[0] or self._resumed is None or self._placed_since():
+            if not self._frozen:
+                self._go_on_from(excursion.joined(), last, "never found again in the map; odometry has to do")
+            self._excursion = None
+            return
+        if self._frozen:
+            raise MapError("what was seen is nowhere on the map that it was to be found on")
+        self._drives.keep_last()
+        self._journal, self._resumed = self._journal[self._since[0] :], None
+        alone = Estimator(Belief(self.config.odometry))
+        for sighting in self._journal:
+            step = alone.take(sighting, Clock())
+            decisions = [step.extension.loop if step.extension else None, step.retracted]
+            for decision in decisions:
+                if decision is not None:
+                    self._statistics.add_loop(sighting.stamp, decision)
+        self._go_on_from(alone, last, "never found on the map of the session, and left alone: it is not in the results")
+
+    def _placed_since(self) -> bool:
+        """Whether anything of this run is on the path."""
+        stamps = self.belief.path.hung()[0]
+        return bool(len(stamps)) and bool(stamps[-1] > self._since[1])
+
+    @property
+    def session(self) -> StoredSession:
+        """All that the estimate consists of, to be kept and gone on from; known after `finish`."""
+        assert self._session is not None, "ask after finish"
+        return self._session
+
+    def _stored(self, belief: Belief) -> StoredSession:
+        resumed = self._resumed
+        return StoredSession(
+            config=self.config,
+            belief=belief,
+            sightings=self._journal,
+            odometry=self._drives.histories,
+            starts=self._drives.starts,
+            sigma_range=self._front_end.sigma_range,
+            recordings=[] if resumed is None else list(resumed.recordings),
+            closures=[*(() if resumed is None else resumed.closures), *self._statistics.loops],
+        )
 
     def _look_back(self) -> dict[str, object]:
         """Lay everything sighted over the finished map, after refining that if it is wanted; what the summary gets."""
         belief, last = self.belief, self._journal[-1].stamp
         if belief.mapper.keyframe_count < 2:
             return {}
-        drive = drive_of(self._journal, belief.path, belief.keyframe_stamps, belief.carried_keyframes)
+        carried, starts = belief.carried_keyframes, self._drives.starts
+        drive = drive_of(self._journal, belief.path, belief.keyframe_stamps, carried, starts)
         try:
-            if not self._refine:
-                belief.path = laid_path(belief.mapper, drive, belief.odometry_noise)
+            if not self._refine or self._frozen:
+                # the same path whether or not what was sighted in familiar places has been kept
+                known = [s.without_view() if row in self._familiar else s for row, s in enumerate(self._journal)]
+                belief.path = laid_path(belief.mapper, replace(drive, sightings=known), belief.odometry_noise)
                 return {}
             refined = refine(belief.mapper, drive, belief.odometry_noise)
         except MapError as error:
             self._reporter.tell(Noticed(last, f"what was seen is not looked back at: {error}"))
             return {}
-        belief.mapper, belief.path, belief.pose = refined.mapper, refined.path, refined.poses[-1]
+        refined.mapper.remember_covariances()
+        keyframes = {k: self._journal[row] for k, row in enumerate(drive.keyframes.tolist())}
+        belief.settle_on(refined.mapper, refined.path, Place(refined.poses[-1], self._journal[-1].odometry), keyframes)
         self._reporter.tell_map(last, belief.mapper)
         return {"refinement": refined.summary}
 
     def keyframe_covariance(self, index: int) -> Floats:
         """(3, 3): covariance of a keyframe's pose, in the keyframe's own frame (metres, metres, radians)."""
         return self.belief.mapper.graph.keyframe_covariance(index)
-
-    def _summary(self) -> dict[str, object]:
-        return {
-            "scans": self._front_end.scans,
-            "keyframes": self.belief.mapper.keyframe_count,
-            "factors": self.belief.mapper.graph.factor_count,
-            "merged_walls": self._statistics.merged_walls,
-            "loops": self._statistics.loop_counts(),
-            "loop_decisions": self._statistics.loop_rows(),
-            "states": self._statistics.state_rows(),
-            "odometry_deviation_per_metre": self.belief.odometry_noise.deviations.round(5).tolist(),
-            "sigma_range": round(self._front_end.sigma_range, 5),
-            "wall_unevenness": round(math.sqrt(self.belief.mapper.flatness.variance), 5),
-            "timings": self._statistics.timings(),
-            "health": self._statistics.health()
-            | {
-                "empty_scans": self._front_end.empty_scans,
-                "scans_without_odometry": self._front_end.scans_without_odometry,
-            },
-        }

@@ -6,12 +6,29 @@ import numpy as np
 
 from drivers import se2
 
-from .events import MapCorners, MapLines
+from .belief import Belief
+from .events import Finished, MapCorners, MapLines
 from .mapper import Mapper
 from .segments import Floats
 
 LEAST_SINE = 0.2  # of the angle between two walls that meet in a corner
 STRAYED = 0.1  # metres from a corner beyond which its walls, as they are known now, no longer make it
+
+
+def finished(belief: Belief, path: tuple[Floats, Floats], summary: dict[str, object]) -> Finished:
+    """What came of a belief that has settled, with all covariances; `path` is stamps (m,) and poses (m, 3)."""
+    mapper = belief.mapper
+    covariances = [mapper.graph.keyframe_covariance(index) for index in range(mapper.keyframe_count)]
+    return Finished(
+        lines=map_lines(mapper, covariances=True),
+        corners=map_corners(mapper, covariances=True),
+        keyframe_stamps=np.array(belief.keyframe_stamps),
+        keyframes=mapper.trail,
+        stamps=path[0],
+        poses=path[1],
+        summary=summary,
+        keyframe_covariance=np.array(covariances).reshape(-1, 3, 3),
+    )
 
 
 def map_lines(mapper: Mapper, *, covariances: bool) -> MapLines:
@@ -82,3 +99,13 @@ def _meeting(first: se2.Pose, second: se2.Pose) -> tuple[Floats, Floats]:
     reach = np.einsum("ij,ij->i", along, point - frames[:, :2])
     jacobian = np.column_stack([inverse[:, 0], reach[0] * inverse[:, 0], inverse[:, 1], reach[1] * inverse[:, 1]])
     return point, jacobian
+
+
+def covariances_when_last_seen(mapper: Mapper, lines: MapLines, corners: MapCorners) -> tuple[Floats, Floats]:
+    """(n, 2, 2) and (m, 2, 2): those of walls and corners in the map as they were when each was last seen, which costs
+    nothing; NaN where they have not been told."""
+    of_lines = mapper.landmarks.walls.rows["covariance_in_map"][lines.identity].copy()
+    of_corners = mapper.landmarks.corners.rows["covariance_in_map"][corners.identity].copy()
+    for covariance in (of_lines, of_corners):
+        covariance[covariance[:, 0, 0] == 0.0] = np.nan
+    return of_lines, of_corners

@@ -40,7 +40,8 @@ class RunStatistics:
     lost: int = 0
     states: list[tuple[float, State]] = field(default_factory=list)
     merged_walls: int = 0
-    loops: list[tuple[float, LoopDecision]] = field(default_factory=list)  # with the time of the decision
+    loops: list[dict[str, object]] = field(default_factory=list)
+    """Every decision on a place that looked known, with the scores it was decided by."""
     explained: list[float] = field(default_factory=list)
     keyframe_times: list[float] = field(default_factory=list)
     stage_times: dict[str, float] = field(default_factory=dict)
@@ -53,15 +54,15 @@ class RunStatistics:
 
     def loop_counts(self) -> dict[str, int]:
         """How many places looked known, and what became of them; "held" ones waited for a second look in vain."""
-        decided = [decision.status for _, decision in self.loops]
+        decided = [row["status"] for row in self.loops]
         return {
             "proposed": len(decided),
             **{name: decided.count(name) for name in ("accepted", "held", "rejected", "retracted")},
         }
 
-    def loop_rows(self) -> list[dict[str, object]]:
-        """Every decision on a place that looked known, with the scores it was decided by."""
-        return [_loop_row(stamp, decision) for stamp, decision in self.loops]
+    def add_loop(self, stamp: float, decision: LoopDecision) -> None:
+        """Note a decision; what it rested on, which is large, is not kept."""
+        self.loops.append(loop_row(stamp, decision))
 
     def state_rows(self) -> list[dict[str, object]]:
         """When the state changed, and to what."""
@@ -97,7 +98,8 @@ class RunStatistics:
         }
 
 
-def _loop_row(stamp: float, decision: LoopDecision) -> dict[str, object]:
+def loop_row(stamp: float, decision: LoopDecision) -> dict[str, object]:
+    """A decision on a place that looked known, with the scores it was decided by, as it is written down."""
     verdict = decision.verdict
     scores = {
         "explained": verdict.explained,

@@ -138,6 +138,25 @@ class Tracker:
         """The base is at `pose` in the map, as the map is now, when odometry is at `odometry`."""
         self._firm, self._misfits, self._left = Place(pose, odometry), 0, None
 
+    @property
+    def firm(self) -> Place | None:
+        """The last pose that is believed; None before the first scan."""
+        return self._firm
+
+    @property
+    def step(self) -> se2.Pose:
+        """The motion that led there."""
+        return self._step
+
+    @property
+    def fit(self) -> float:
+        """How well the last scan lay that was placed."""
+        return self._last_fit
+
+    def resume(self, firm: Place, step: se2.Pose, fit: float) -> None:
+        """Go on from where another tracker was."""
+        self._firm, self._step, self._last_fit = firm, step, fit
+
     def correct(self, pose: se2.Pose) -> None:
         """The map has changed, and the pose at the last scan with it."""
         assert self._firm is not None

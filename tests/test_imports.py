@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("features", "drivers", "slam")
 FILES = sorted(file for package in PACKAGES for file in (ROOT / package).rglob("*.py"))
 
-CONFINED = {"gtsam": "slam/graph", "rerun": "slam/review", "serial": "drivers"}
+CONFINED = {"gtsam": "slam/graph", "rerun": "slam/review", "serial": "drivers", "distributed": "slam/fleet"}
 """Libraries and the one folder that may import them."""
 
 

@@ -14,7 +14,10 @@ from typer.core import TyperGroup
 
 from drivers.errors import SlamError
 
+from . import bench_features as bench_features
 from . import bench_loops as bench_loops
+from . import bench_slam as bench_slam
+from .batch import batch
 from .bench import bench
 from .calibrate import calibrate
 from .console import INTERRUPTED, MISTAKE, complain
@@ -26,10 +29,12 @@ from .features import features
 from .info import info
 from .live import live
 from .map import export_map
+from .merge import merge
 from .optimize import optimize
 from .page import report
 from .record import record
 from .replay import replay
+from .review import review
 from .run import run
 from .simulate import simulate
 
@@ -62,7 +67,7 @@ app = typer.Typer(
 
 def _version(wanted: bool) -> None:
     if wanted:
-        from .report import versions
+        from ..machine import versions
 
         typer.echo(", ".join(f"{name} {version}" for name, version in versions().items()))
         raise typer.Exit
@@ -83,9 +88,12 @@ def wclm(
 app.command()(demo)
 app.command()(run)
 app.command()(live)
+app.command()(batch)
 app.command()(optimize)
+app.command()(merge)
 app.command("map")(export_map)
 app.command()(report)
+app.command()(review)
 app.command()(info)
 app.command()(simulate)
 app.command()(emulate)

@@ -8,29 +8,22 @@ from typing import Annotated
 
 import typer
 
-from ..errors import OutputError
+from .bench_output import heading, make_directory, provenance, write
 from .console import progress
 
 bench = typer.Typer(no_args_is_help=True, help="Measure how fast, how accurate and how wary parts are.")
-
-
-@bench.command("features")
-def bench_features() -> None:
-    """Time the ways to find lines in a scan, by the number of beams, on one core.
-
-    Example: [bold]wclm bench features[/bold]
-    """
-    from features.benchmark import run
-
-    typer.echo("method/estimator      beams  lines  median us   99 % us")
-    for row in run():
-        typer.echo(f"{row.name:<21} {row.beams:5d} {row.lines:6.1f} {row.median_us:10.1f} {row.p99_us:9.1f}")
 
 
 @bench.command("consistency")
 def bench_consistency(
     runs: Annotated[int, typer.Option("--runs", min=1, help="Simulated drives, each with other noise.")] = 100,
     duration: Annotated[float, typer.Option("--duration", help="Seconds of each.")] = 60.0,
+    range_bias: Annotated[
+        float, typer.Option("--range-bias", min=-0.5, max=0.5, help="Metres by which all ranges come out long.")
+    ] = 0.0,
+    calibrate: Annotated[
+        bool, typer.Option("--calibrate", help="Estimate that from one more drive, as `wclm calibrate` does.")
+    ] = False,
 ) -> None:
     """Compare errors with covariances, over simulated drives where the truth is known; two seconds a drive.
 
@@ -38,9 +31,16 @@ def bench_consistency(
 
     Example: [bold]wclm bench consistency --runs 20[/bold]
     """
-    from ..benchmarks.consistency import simulate, summarise, table
+    from ..benchmarks.consistency import calibrated, simulate, summarise, table
+    from ..config import Config
 
-    found = list(progress(simulate(range(runs), duration), runs, "drives"))
+    config = Config()
+    typer.echo("\n".join(heading(0)))
+    if calibrate:
+        config, sigma = calibrated(range_bias, duration)
+        typer.echo(f"ranges are taken to be {config.lidar.range_bias:.4f} ± {sigma:.4f} m too long")
+    drives = simulate(range(runs), duration, range_bias=range_bias, config=config)
+    found = list(progress(drives, runs, "drives"))
     typer.echo("\n".join(table(summarise(found))))
 
 
@@ -81,34 +81,22 @@ def bench_paper(
     from ..benchmarks.paper.claims import judge
     from ..benchmarks.paper.run import measure, measure_times
     from ..benchmarks.paper.tables import lines
-    from .report import machine, versions
 
     if out is not None:
-        try:
-            out.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputError(f"{out}: cannot be made: {error.strerror or error}") from error
+        make_directory(out)
     measured, times = measure(seed), measure_times()
     claims = judge(measured, times)
-    header = {"machine": machine(), "versions": versions()}
-    text = [
-        "; ".join(f"{name}: {value}" for name, value in machine().items()),
-        ", ".join(f"{name} {version}" for name, version in versions().items()) + f"; seed {seed}",
-        *lines(measured, times, claims),
-    ]
+    text = [*heading(seed), *lines(measured, times, claims)]
     typer.echo("\n".join(text))
     if as_json is not None:
-        content = header | {"claims": [claim._asdict() for claim in claims], "measured": measured, "times": times}
-        _write(as_json, json.dumps(content, indent=1))
+        content = provenance(seed) | {
+            "claims": [claim._asdict() for claim in claims],
+            "measured": measured,
+            "times": times,
+        }
+        write(as_json, json.dumps(content, indent=1))
     if out is not None:
         from ..plots.paper import plot_paper
 
-        _write(out / "tables.txt", "\n".join(text))
+        write(out / "tables.txt", "\n".join(text))
         plot_paper(out, measured, times)
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from error

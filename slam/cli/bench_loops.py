@@ -73,8 +73,8 @@ def bench_lookalike(
     Example: [bold]wclm bench lookalike --seeds 5[/bold]
     """
     from ..benchmarks.lookalike import WORLDS, condense, run
+    from ..machine import versions
     from ..warmup import warm_up
-    from .report import versions
     from .session import COMPILING
 
     chosen = WORLDS if worlds is None else tuple(worlds.split(","))
@@ -121,8 +121,8 @@ def bench_false_closures(
     Example: [bold]wclm bench false-closures intel.clf --relations intel.relations[/bold]
     """
     from ..benchmarks.false_closures import run
+    from ..machine import versions
     from ..warmup import warm_up
-    from .report import versions
     from .session import COMPILING
 
     with say_if_slow(COMPILING):

@@ -21,10 +21,11 @@ def calibrate(
     config: ConfigOption = None,
     settings: SetOption = None,
 ) -> None:
-    """Estimate the lidar's mount, the wheels' radius and the track from a drive, with standard errors.
+    """Estimate the lidar's mount, what its ranges are too long by, the wheels' radius and the track from a drive.
 
     The mount that the recording or lidar.mount states is where the search begins; its heading should be right to 20
-    degrees. With the radius and the track that the odometry was made with, the right ones are told, too.
+    degrees. All come with standard errors. With the radius and the track that the odometry was made with, the right
+    ones are told, too.
 
     Example: [bold]wclm calibrate drive.mcap --wheel-radius 0.033 --track 0.2[/bold]
     """
@@ -44,13 +45,16 @@ def calibrate(
 def _lines(result: Calibration) -> list[str]:
     x, y, heading = result.mount
     wheels, sigma = result.wheels, result.sigma
+    bias, bias_sigma = result.range_bias
     return [
         f"mount     {x:.4f} ± {sigma[0]:.4f} m, {y:.4f} ± {sigma[1]:.4f} m, {heading:.4f} ± {sigma[2]:.4f} rad",
         f"distance  {wheels.distance:.4f} ± {sigma[3]:.4f} m for each metre that the odometry tells",
         f"turn      {wheels.turn:.4f} ± {sigma[4]:.4f} rad for each radian that it tells",
         f"pull      {wheels.pull:.4f} ± {sigma[5]:.4f} rad to the left in each metre, which it does not tell",
+        f"ranges    {bias:.4f} ± {bias_sigma:.4f} m too long",
         f"from      {result.pairs} motions between keyframes, {result.turned:.0f} rad turned",
         f"lidar: mount={x:.4f},{y:.4f},{heading:.4f}",
+        f"wclm run: --set lidar.range_bias={bias:.4f}",
     ]
 
 

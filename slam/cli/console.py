@@ -35,6 +35,13 @@ PlotOption = Annotated[bool, typer.Option("--plot", help="Draw the map as map.pn
 DurationOption = Annotated[float | None, typer.Option("--duration", min=0.0, help="Seconds; without it until Ctrl-C.")]
 OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace results that are there already.")]
 
+ContinueOption = Annotated[
+    Path | None, typer.Option("--continue", metavar="SESSION", help="Go on with the map that a run left in SESSION.")
+]
+LocalizeOption = Annotated[
+    Path | None,
+    typer.Option("--localize", metavar="SESSION", help="Only find the path on the map in SESSION; it stays as it is."),
+]
 RefineOption = Annotated[bool, typer.Option("--refine", help="Look at everything again after the last scan.")]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -54,16 +55,16 @@ def extract_scan(recording: str, number: int, config: Config) -> Seen:
 
     from ..extraction import build_extractor
 
-    extractor = build_extractor(config)
+    extractor, bias = build_extractor(config), config.lidar.range_bias
     source = drivers.open(recording)
     scans = (message for message in source if isinstance(message, Scan))
     count = 0
     for found in islice(scans, number + 1):
-        extracted = extractor.extract(found.ranges, found.angles)  # every scan: the noise is learnt on the way
+        extracted = extractor.extract(found.ranges - bias, found.angles)  # every scan: the noise is learnt on the way
         count += 1
     if count <= number:
         raise RecordingError(recording, None, f"has {count} scans, counted from 0; there is no scan {number}")
-    return Seen(source.name, found, extracted)
+    return Seen(source.name, replace(found, ranges=found.ranges - bias), extracted)
 
 
 def table(extracted: Features) -> str:

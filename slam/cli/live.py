@@ -12,7 +12,9 @@ import typer
 
 from .console import (
     ConfigOption,
+    ContinueOption,
     DurationOption,
+    LocalizeOption,
     OutOption,
     OverwriteOption,
     PlotOption,
@@ -47,6 +49,8 @@ def live(
     duration: DurationOption = None,
     overwrite: OverwriteOption = False,
     refine: RefineOption = False,
+    continued: ContinueOption = None,
+    localized: LocalizeOption = None,
     config: ConfigOption = None,
     settings: SetOption = None,
     review: ReviewOption = True,
@@ -66,11 +70,10 @@ def live(
 
     Example: [bold]wclm live --lidar rplidar:/dev/ttyUSB0 --base create2:/dev/ttyUSB1 --out map --record map.mcap[/bold]
     """
-    from ..config import load_config
     from .report import lines_for_people
-    from .session import map_feed
+    from .session import begin, map_feed
 
-    effective = load_config(config, settings or ())
+    start = begin(continued, localized, config, settings)
     if not (lidar and base):
         raise typer.BadParameter("SLAM needs a lidar and a base", param_hint="--lidar / --base")
     specs = parse_specs(lidar, base)
@@ -79,7 +82,16 @@ def live(
     with _server(address, port) if review and serve else nullcontext() as server:
         drive = Drive(specs, record, duration, server)
         outcome = map_feed(
-            drive, effective, out, overwrite=overwrite, review=review, picture=plot, refine=refine, server=server
+            drive,
+            start.config,
+            out,
+            overwrite=overwrite,
+            review=review,
+            picture=plot,
+            refine=refine,
+            resumed=start.resumed,
+            frozen=start.frozen,
+            server=server,
         )
     typer.echo("\n".join(lines_for_people(outcome, out)))
     if drive.failure is not None:
@@ -111,7 +123,7 @@ class Drive:
 
         from .dashboard import Dashboard
 
-        self.name = " + ".join(spec.text for spec in specs)
+        self.name, self.finite = " + ".join(spec.text for spec in specs), False
         self.report = SourceReport()
         self.failure: DriverError | None = None
         self._acquisition = Acquisition(specs)

@@ -24,12 +24,14 @@ class Format(StrEnum):
     SVG = "svg"
     DXF = "dxf"
     PLY = "ply"
+    G2O = "g2o"
 
 
 def export_map(
     session: Annotated[Path, typer.Argument(help="The directory that `wclm run --out DIR` left.")],
     form: Annotated[
-        Format, typer.Option("--format", help="pgm: occupancy for ROS, with its YAML; ply: the scans' points.")
+        Format,
+        typer.Option("--format", help="pgm: occupancy for ROS, with its YAML; ply: the scans' points; g2o: the graph."),
     ],
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="Without it: map.FORMAT or points.ply in SESSION.")
@@ -66,7 +68,9 @@ def export_map(
         _write_pgm(target, read, recording, resolution, Thresholds(occupied, free), overwrite)
         return
     with unfinished_file(target, overwrite) as unfinished:
-        if form is Format.PLY:
+        if form is Format.G2O:
+            told = _write_graph(unfinished, session)
+        elif form is Format.PLY:
             points = write_ply(unfinished, _scans(read, recording))
             _expect(points, read, recording)
             told = f"{points} points"
@@ -91,6 +95,20 @@ def _write_pgm(
         write_pgm_yaml(yaml, occupancy, image=target.name)
     rows, columns = occupancy.cells.shape
     typer.echo(f"{target}: {columns} x {rows} cells of {resolution:g} m; for map_server: {settings}")
+
+
+def _write_graph(file: Path, session: Path) -> str:
+    """The session's factor graph; what a person should know of it."""
+    from ..exports.posegraph import pose_graph_of
+    from ..posegraph import write_g2o
+    from ..sessions import read_stored
+
+    mapper = read_stored(session).belief.mapper
+    mapper.settle()
+    graph = pose_graph_of(mapper)
+    write_g2o(file, graph)
+    walls = len(graph.poses) - mapper.keyframe_count
+    return f"{mapper.keyframe_count} keyframes, {walls} walls, {len(graph.landmarks)} corners, {graph.edge_count} edges"
 
 
 def _scans(session: Session, recording: str | None) -> Iterator[PlacedScan]:

@@ -1,4 +1,4 @@
-"""`wclm optimize`: offline graph optimisation."""
+"""`wclm optimize`: pose graphs here, sessions and recordings beside."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..errors import PoseGraphError
-from .console import OverwriteOption, complain
+from .console import ConfigOption, OverwriteOption, ReviewOption, SetOption, complain
 
 if TYPE_CHECKING:
     from ..posegraph import Optimised, PoseGraph, PoseGraphFile
@@ -20,24 +19,50 @@ SHOWN_REJECTED = 4
 
 
 def optimize(
-    graph: Annotated[Path, typer.Argument(help="A 2-D pose graph in g2o's or TORO's format (.g2o, .graph, .toro).")],
+    what: Annotated[
+        str,
+        typer.Argument(
+            metavar="SESSION|RECORDING|GRAPH",
+            help="What `wclm run` left, a recording, or a 2-D pose graph of g2o or TORO (.g2o, .graph, .toro).",
+        ),
+    ],
     out: Annotated[Path, typer.Option("--out", help="Directory for the results; made if it is not there.")],
     overwrite: OverwriteOption = False,
     robust: Annotated[
         bool,
         typer.Option(
-            "--robust", help="Leave out edges that contradict the others; from pose to next pose all stay in."
+            "--robust", help="A graph: leave out edges that contradict the others; from pose to next pose all stay in."
         ),
     ] = False,
-    plot: Annotated[bool, typer.Option("--plot", help="Draw the graph before and after as graph.png, too.")] = False,
+    config: ConfigOption = None,
+    settings: SetOption = None,
+    review: ReviewOption = True,
+    plot: Annotated[bool, typer.Option("--plot", help="Draw the map, or the graph before and after, too.")] = False,
 ) -> None:
-    """Optimise a pose graph: write graph.g2o and summary.json.
+    """Take the time to look at everything again: associate anew, solve in batch, until it settles.
 
-    Example: [bold]wclm optimize manhattan.g2o --out results/manhattan --robust[/bold]
+    A session or a recording gives another session, a graph gives graph.g2o. Settings are for recordings: a session has
+    its own.
+
+    Example: [bold]wclm optimize results/intel --out results/intel-optimised[/bold]
     """
-    if graph.suffix.lower() not in POSE_GRAPHS:
-        raise PoseGraphError(graph, None, f"is no pose graph: its name ends in none of {', '.join(POSE_GRAPHS)}")
-    _optimize_pose_graph(graph, out, overwrite=overwrite, robust=robust, picture=plot)
+    from ..outputs import MAP
+    from ..sessions import is_stored
+
+    path = Path(what)
+    if path.suffix.lower() in POSE_GRAPHS:
+        _optimize_pose_graph(path, out, overwrite=overwrite, robust=robust, picture=plot)
+        return
+    from .optimize_session import optimize_recording, optimize_session
+
+    if is_stored(path) or (path / MAP).is_file():
+        lines = optimize_session(path, out, overwrite=overwrite, review=review, picture=plot)
+    else:
+        from ..config import load_config
+
+        effective = load_config(config, settings or ())
+        lines = optimize_recording(what, effective, out, overwrite=overwrite, review=review, picture=plot)
+    typer.echo("\n".join(lines))
 
 
 def _optimize_pose_graph(path: Path, out: Path, *, overwrite: bool, robust: bool, picture: bool) -> None:
@@ -65,7 +90,7 @@ def _optimize_pose_graph(path: Path, out: Path, *, overwrite: bool, robust: bool
 def _summarise(
     path: Path, file: PoseGraphFile, optimised: Optimised, *, robust: bool, solving: float, started: float
 ) -> dict[str, Any]:
-    from .report import versions
+    from ..machine import versions
 
     graph = file.graph
     return {

@@ -2,46 +2,17 @@
 
 from __future__ import annotations
 
-import os
-import platform
-import resource
-import sys
-from contextlib import suppress
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .viewer import viewer_command
+from ..machine import peak_memory, versions
 
 if TYPE_CHECKING:
     from ..evaluation import ReferenceScore
     from ..events import Finished
     from .session import Feed, Outcome, Tally
 
-PACKAGES = ("wclm-slam", "numpy", "numba", "gtsam", "rerun-sdk")
 SHOWN_WARNINGS = 4
-CPU_LIST = Path("/proc/cpuinfo")
-"""Where Linux tells the processor's name, which Python does not ask for."""
-
-
-def versions() -> dict[str, str]:
-    """Versions of this program and of what its results depend on."""
-    return {name: metadata.version(name) for name in PACKAGES} | {"python": platform.python_version()}
-
-
-def machine() -> dict[str, str | int]:
-    """What the times were taken on."""
-    model = platform.processor() or platform.machine()
-    with suppress(OSError):
-        lines = CPU_LIST.read_text(encoding="utf-8").splitlines()
-        model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), model)
-    return {"processor": model, "cores": os.cpu_count() or 1, "system": platform.system()}
-
-
-def peak_memory() -> float:
-    """The most memory this process has had, MiB."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (1 << 20 if sys.platform == "darwin" else 1 << 10)
 
 
 def summarise(
@@ -96,12 +67,14 @@ def lines_for_people(outcome: Outcome, out: Path) -> list[str]:
     if skipped := summary["skipped"]["messages"]:
         rows.append(("skipped", f"{skipped} messages, the first: {summary['skipped']['first']}"))
     rows += [("device", _device(device)) for device in summary.get("devices", ())]
+    if any((summary["review"] or {}).values()):
+        rows.append(("log", "left out: " + ", ".join(f"{count} {name}" for name, count in summary["review"].items())))
     rows += [("warning", text) for text in summary["warnings"][:SHOWN_WARNINGS]]
     if (more := len(summary["warnings"]) - SHOWN_WARNINGS) > 0:
         rows.append(("", f"and {more} more warnings in summary.json"))
     rows.append(("results", f"{out}: {', '.join(sorted(entry.name for entry in out.iterdir()))}"))
     if outcome.review:
-        rows.append(("look at it", " ".join(viewer_command(out))))
+        rows.append(("look at it", f"wclm review {out}"))
     head = (
         f"{summary['recording']}: {summary['scans']} scans in {summary['duration']:.1f} s, "
         f"{summary['path_length']:.1f} m driven"

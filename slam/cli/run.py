@@ -8,6 +8,8 @@ import typer
 
 from .console import (
     ConfigOption,
+    ContinueOption,
+    LocalizeOption,
     OutOption,
     OverwriteOption,
     PlotOption,
@@ -22,6 +24,8 @@ def run(
     out: OutOption,
     overwrite: OverwriteOption = False,
     refine: RefineOption = False,
+    continued: ContinueOption = None,
+    localized: LocalizeOption = None,
     config: ConfigOption = None,
     settings: SetOption = None,
     review: ReviewOption = True,
@@ -29,15 +33,26 @@ def run(
 ) -> None:
     """Map a recording: write the path, the map and a log to look at.
 
+    With --continue the new drive may begin anywhere on the old map, or go on where the old one ended.
+
     Example: [bold]wclm run intel.clf --out results/intel --plot[/bold]
     """
     import drivers
 
-    from ..config import load_config
     from .report import lines_for_people
-    from .session import Playback, lasting, map_feed
+    from .session import Playback, begin, lasting, map_feed
 
-    effective = load_config(config, settings or ())
+    start = begin(continued, localized, config, settings)
     feed = Playback(drivers.open(recording), reopen=lasting(recording))
-    outcome = map_feed(feed, effective, out, overwrite=overwrite, review=review, picture=plot, refine=refine)
+    outcome = map_feed(
+        feed,
+        start.config,
+        out,
+        overwrite=overwrite,
+        review=review,
+        picture=plot,
+        refine=refine,
+        resumed=start.resumed,
+        frozen=start.frozen,
+    )
     typer.echo("\n".join(lines_for_people(outcome, out)))

@@ -11,15 +11,17 @@ from pathlib import Path
 from ..outputs import REVIEW
 from .console import complain
 
+LOCALLY = ("--bind", "127.0.0.1")  # viewers listen, too, and everywhere unless told
+
 
 def viewer_command(out: Path) -> list[str]:
     """The command that opens the review log in `out`."""
-    return [_viewer(), str(out / REVIEW)]
+    return [_viewer(), *LOCALLY, str(out / REVIEW)]
 
 
 def watching_command(url: str) -> list[str]:
     """The command that looks on at a live run's server."""
-    return [_viewer(), "--bind", "127.0.0.1", "--connect", url]  # viewers listen, too, and everywhere unless told
+    return [_viewer(), *LOCALLY, "--connect", url]
 
 
 def _viewer() -> str:

@@ -38,7 +38,7 @@ def placed_scans(messages: Iterable[Message], trajectory: Trajectory, lidar: Lid
         if not isinstance(scan, Scan) or not first <= middle_of(scan) <= last:
             continue
         mount = mount_of(scan, lidar)
-        sweep = deskew(scan, path, mount)
+        sweep = deskew(scan, path, mount, lidar.range_bias)
         usable = (scan.ranges >= max(lidar.range_min, scan.range_min)) & (
             scan.ranges <= min(lidar.range_max, scan.range_max)
         )  # NaN is not

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import drivers
-from drivers.messages import Source
+from drivers.messages import Message, Source, SourceReport
 
 from ..config import Config, load_config
 from ..errors import MapError
@@ -54,20 +55,50 @@ def read_session(path: Path) -> Session:
 
 
 def open_recording(session: Session, override: str | None = None) -> Source:
-    """The recording that a session was made of, or `override`, as `drivers.open` takes it.
+    """The recording that a session was made of, or `override`, as `drivers.open` takes it; of a session that was gone
+    on with, all of them, one after the other.
 
     Raises MapError where the summary does not tell, or what it tells of is gone; RecordingError for an `override` that
     cannot be opened.
     """
     if override is not None:
         return drivers.open(override)
-    told = session.summary.get("recording_path")
-    if not isinstance(told, str):
-        name = session.summary.get("recording", "")
+    summary = session.summary
+    told = summary.get("recordings") or [{"name": summary.get("recording", ""), "path": summary.get("recording_path")}]
+    sources = [_opened(session, recording.get("name", ""), recording.get("path")) for recording in told]
+    shifts = [float(recording.get("shift", 0.0)) for recording in told]
+    return sources[0] if len(sources) == 1 and not shifts[0] else Chain(sources, shifts)
+
+
+def _opened(session: Session, name: str, path: object) -> Source:
+    if not isinstance(path, str):
         raise MapError(f"{session.path}: does not say where its recording {name} is; name it: --recording FILE")
-    if not told.startswith("sim:") and not Path(told).exists():
-        raise MapError(f"{session.path}: its recording {told} is not there any more; name it: --recording FILE")
-    return drivers.open(told)
+    if not path.startswith("sim:") and not Path(path).exists():
+        raise MapError(f"{session.path}: its recording {path} is not there any more; name it: --recording FILE")
+    return drivers.open(path)
+
+
+class Chain:
+    """Several sources as one, with seconds (`shifts`) added to the stamps of each."""
+
+    def __init__(self, sources: Sequence[Source], shifts: Sequence[float]) -> None:
+        self.name = ", ".join(source.name for source in sources)
+        self.report = SourceReport()
+        self._sources, self._shifts = sources, shifts
+
+    def __len__(self) -> int:
+        return sum(len(source) for source in self._sources)
+
+    def __iter__(self) -> Iterator[Message]:
+        self.report = SourceReport()
+        for source, shift in zip(self._sources, self._shifts, strict=True):
+            for message in source:
+                yield replace(message, stamp=message.stamp + shift) if shift else message
+            told = self.report
+            told.messages, told.skipped = told.messages + source.report.messages, told.skipped + source.report.skipped
+            told.first = told.first or source.report.first
+            for reason, count in source.report.reasons.items():
+                told.reasons[reason] = told.reasons.get(reason, 0) + count
 
 
 def _read_summary(path: Path) -> dict[str, Any]:

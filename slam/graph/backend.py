@@ -10,9 +10,8 @@ A corner is a Point2 seen by bearing and range with a full covariance. All arith
 
 from __future__ import annotations
 
-import math
-from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Sequence
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -20,17 +19,24 @@ from gtsam.symbol_shorthand import C, L, X
 
 from drivers import se2
 from slam.errors import MapError
+from slam.residuals import CORNER, ODOMETRY, WALL, Residuals
 from slam.segments import Floats
 
-RELINEARIZE_THRESHOLD = 0.05  # metres and radians
+from .factors import CAUCHY_SCALE, ODOMETRY_CAUCHY_SCALE, WALL_CAUCHY_SCALE, Factor, GraphState, Kind, made, pose2
+from .residuals import residuals_of
+
+# By how much a variable may move before it is linearised anew, metres along its axes and radians. What factors say of a
+# place is linear in it, of a heading it is not. Along a wall its frame may stand anywhere.
+RELINEARIZE_POSE = np.array([0.2, 0.2, 0.02])
+RELINEARIZE_WALL = np.array([0.4, 0.2, 0.02])
+RELINEARIZE_CORNER = np.array([0.2, 0.2])
 RELINEARIZE_SKIP = 10  # updates; a tenth of the cost of relinearising at each update, for the same result
-CAUCHY_SCALE = 4.0  # standard deviations at which an observation counts half
-# The kernel takes weight from honest observations, too: w = 1 / (1 + s / 16) for the squared error s, which is
-# chi-square with 1 degree of freedom. The Hessian so weighted claims 1 / E[w] = 1.056 times the covariance of plain
-# least squares; an M-estimator's own, E[w^2 s] / E[w + 2 s dw/ds]^2, is 1.013 times it. This is the latter divided by
+# The kernel takes weight from honest observations, too: w = 1 / (1 + s / 8) for the squared error s, which is
+# chi-square with 1 degree of freedom. The Hessian so weighted claims 1 / E[w] = 1.105 times the covariance of plain
+# least squares; an M-estimator's own, E[w^2 s] / E[w + 2 s dw/ds]^2, is 1.034 times it. This is the latter divided by
 # the former, for the marginals that are told; association compares with what the graph itself believes.
-KERNEL_CAUTION = 0.958
-ODOMETRY_CAUCHY_SCALE = 2.0  # the same for odometry: single readings can be grossly wrong
+KERNEL_CAUTION = 0.936
+CAUCHY_SCALES = {ODOMETRY: ODOMETRY_CAUCHY_SCALE, WALL: WALL_CAUCHY_SCALE, CORNER: CAUCHY_SCALE}
 REBUILDS = 3  # Gauss-Newton steps on everything
 SETTLING_UPDATES = 5  # the first moves by what was left to the threshold, the last by less than a micrometre
 ALONG_SIGMA = 0.1  # metres; says once where along a wall its frame lies, which no observation does
@@ -40,18 +46,33 @@ SAME_WALL_SIGMAS = np.array([5e-3, 3e-3])  # metres across, radians: how equal t
 
 def _parameters(factorization: str) -> gtsam.ISAM2Params:
     parameters = gtsam.ISAM2Params()
-    parameters.setRelinearizeThreshold(RELINEARIZE_THRESHOLD)
+    thresholds = gtsam.ISAM2ThresholdMap()
+    for symbol, threshold in (("x", RELINEARIZE_POSE), ("l", RELINEARIZE_WALL), ("c", RELINEARIZE_CORNER)):
+        thresholds.insert((symbol, threshold))
+    parameters.setRelinearizeThreshold(thresholds)
     parameters.relinearizeSkip = RELINEARIZE_SKIP
     parameters.setFactorization(factorization)
     return parameters
 
 
-def _pose2(pose: se2.Pose) -> gtsam.Pose2:
-    return gtsam.Pose2(float(pose[0]), float(pose[1]), float(pose[2]))
-
-
 def _array(pose: gtsam.Pose2) -> se2.Pose:
     return np.array([pose.x(), pose.y(), pose.theta()])
+
+
+class LandmarkCovariances(NamedTuple):
+    """How well a keyframe and landmarks are known.
+
+    pose             (3, 3) of the keyframe in the map's axes
+    walls            (n, 2, 2) of the offset across and the heading at the wall's frame, as seen from the keyframe
+    corners          (m, 2, 2) of the position in the map's axes, as seen from the keyframe
+    walls_in_map, corners_in_map   the same, in the map
+    """
+
+    pose: Floats
+    walls: Floats
+    corners: Floats
+    walls_in_map: Floats
+    corners_in_map: Floats
 
 
 class FactorGraph:
@@ -61,36 +82,30 @@ class FactorGraph:
         # QR takes twice the time, and solves what Cholesky cannot: walls seen many metres from their frames, say
         self._factorization = "CHOLESKY"
         self._isam = gtsam.ISAM2(_parameters(self._factorization))
-        self._factors = gtsam.NonlinearFactorGraph()
+        self._updates = 0
+        self._factors: dict[int, Factor] = {}  # by the numbers that iSAM2 has given them
+        self._new: list[Factor] = []
         self._values = gtsam.Values()
-        self._observation_kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(CAUCHY_SCALE)
-        self._odometry_kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(ODOMETRY_CAUCHY_SCALE)
-        self.factor_count = 0
-        self._new_observations: list[tuple[int, int, int]] = []  # wall, keyframe, place among the new factors
-        self._observations: dict[int, list[tuple[int, int]]] = defaultdict(list)  # wall: keyframes, factors' numbers
 
     # --- additions
 
     def add_first_keyframe(self, pose: se2.Pose) -> None:
         """Keyframe 0, which defines the map's frame."""
-        self._values.insert(X(0), _pose2(pose))
-        noise = gtsam.noiseModel.Diagonal.Sigmas(FIRST_POSE_SIGMAS)
-        self._factors.add(gtsam.PriorFactorPose2(X(0), _pose2(pose), noise))
+        self._values.insert(X(0), pose2(pose))
+        self._add(Kind.START, 0, 0, pose, np.diag(FIRST_POSE_SIGMAS**2))
 
     def add_keyframe(self, index: int, pose: se2.Pose, start: int, motion: se2.Pose, covariance: Floats) -> None:
         """A keyframe near `pose`, reached from the keyframe `start` by a `motion` with its covariance (3, 3)."""
-        self._values.insert(X(index), _pose2(pose))
-        noise = gtsam.noiseModel.Robust.Create(self._odometry_kernel, gtsam.noiseModel.Gaussian.Covariance(covariance))
-        self._factors.add(gtsam.BetweenFactorPose2(X(start), X(index), _pose2(motion), noise))
+        self._values.insert(X(index), pose2(pose))
+        self._add(Kind.MOTION, start, index, motion, covariance)
 
     def add_wall(self, keyframe: int, wall: int, frame: se2.Pose, seen: se2.Pose) -> None:
         """A wall whose frame in the map is near `frame`, and which a keyframe sees at `seen`.
 
         That keyframe fixes the frame along the wall, weakly: nothing else does. No kernel may loosen this.
         """
-        self._values.insert(L(wall), _pose2(frame))
-        noise = gtsam.noiseModel.Gaussian.SqrtInformation(np.diag([1.0 / ALONG_SIGMA, 0.0, 0.0]), False)
-        self._factors.add(gtsam.BetweenFactorPose2(X(keyframe), L(wall), _pose2(seen), noise))
+        self._values.insert(L(wall), pose2(frame))
+        self._add(Kind.ALONG, keyframe, wall, seen, np.array([[ALONG_SIGMA**2]]))
 
     def observe_wall(self, keyframe: int, wall: int, frame: se2.Pose, covariance: Floats, believed: se2.Pose) -> None:
         """A segment of a wall as a keyframe sees it: its `frame`, and the covariance (2, 2) of the offset across it and
@@ -101,19 +116,10 @@ class FactorGraph:
         """
         seen = se2.between(believed, frame)
         k = covariance[0, 1] / covariance[1, 1]
-        sigma = math.sqrt(covariance[0, 0] - k * covariance[0, 1])
         across = np.array([0.0, seen[1] - k * seen[2], 0.0])
-        self._observe(keyframe, wall, frame, np.array([0.0, 0.0, 1.0 / math.sqrt(covariance[1, 1])]))
-        self._observe(keyframe, wall, se2.compose(believed, across), np.array([0.0, 1.0, seen[0] - k]) / sigma)
-
-    def _observe(self, keyframe: int, wall: int, frame: se2.Pose, root_information: Floats) -> None:
-        """One row (3,) of the square root of the information of a wall's frame as seen from a keyframe."""
-        rows = np.vstack([root_information, np.zeros((2, 3))])
-        noise = gtsam.noiseModel.Robust.Create(
-            self._observation_kernel, gtsam.noiseModel.Gaussian.SqrtInformation(rows, False)
-        )
-        self._new_observations.append((wall, keyframe, self._factors.size()))
-        self._factors.add(gtsam.BetweenFactorPose2(X(keyframe), L(wall), _pose2(frame), noise))
+        self._add(Kind.HEADING, keyframe, wall, frame, covariance[1:, 1:])
+        measured = np.append(se2.compose(believed, across), seen[0] - k)
+        self._add(Kind.OFFSET, keyframe, wall, measured, covariance[:1, :1] - k * covariance[:1, 1:])
 
     def add_corner(self, corner: int, position: Floats) -> None:
         """A corner near `position` in the map."""
@@ -121,26 +127,26 @@ class FactorGraph:
 
     def observe_corner(self, keyframe: int, corner: int, position: Floats, covariance: Floats) -> None:
         """A corner's `position` in a keyframe's frame, with its covariance (2, 2)."""
-        x, y = float(position[0]), float(position[1])
-        reach = float(np.hypot(x, y))
-        to_polar = np.array([[-y / reach**2, x / reach**2], [x / reach, y / reach]])
-        noise = gtsam.noiseModel.Gaussian.Covariance(to_polar @ covariance @ to_polar.T)
-        robust = gtsam.noiseModel.Robust.Create(self._observation_kernel, noise)
-        bearing = gtsam.Rot2.fromAngle(float(np.arctan2(y, x)))
-        self._factors.add(gtsam.BearingRangeFactor2D(X(keyframe), C(corner), bearing, reach, robust))
+        self._add(Kind.CORNER, keyframe, corner, position, covariance)
 
     def tie_walls(self, wall: int, other: int, along: float) -> None:
         """Two walls are one: `other`'s frame lies on `wall`, `along` metres from its frame.
 
         No kernel: whether they are one was decided before.
         """
-        noise = gtsam.noiseModel.Gaussian.SqrtInformation(_root_information(np.diag(SAME_WALL_SIGMAS**2)), False)
-        self._factors.add(gtsam.BetweenFactorPose2(L(wall), L(other), gtsam.Pose2(along, 0.0, 0.0), noise))
+        self._add(Kind.SAME, wall, other, np.array([along, 0.0, 0.0]), np.diag(SAME_WALL_SIGMAS**2))
 
     def tie_keyframes(self, old: int, keyframe: int, relative: se2.Pose, sigmas: Floats) -> None:
         """A keyframe's pose relative to an old one (sigmas (3,) in metres and radians). No kernel, as above."""
-        noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
-        self._factors.add(gtsam.BetweenFactorPose2(X(old), X(keyframe), _pose2(relative), noise))
+        self._add(Kind.TIE, old, keyframe, relative, np.diag(sigmas**2))
+
+    def _add(self, kind: Kind, first: int, second: int, measured: Floats, covariance: Floats) -> None:
+        self._new.append(Factor(kind, int(first), int(second), measured, covariance))
+
+    @property
+    def factor_count(self) -> int:
+        """Of the factors that hold."""
+        return len(self._factors)
 
     def update(self) -> list[int]:
         """Bring everything added since the last update into the estimate; returns the numbers of the new factors.
@@ -163,31 +169,70 @@ class FactorGraph:
         """The same estimate, to go back to or to try something on. Nothing may be waiting for `update`."""
         other = FactorGraph()
         other._isam, other._factorization = gtsam.ISAM2(self._isam), self._factorization
-        other.factor_count = self.factor_count
-        other._observations = defaultdict(list, {wall: list(seen) for wall, seen in self._observations.items()})
+        other._updates, other._factors = self._updates, dict(self._factors)
         return other
+
+    def state(self) -> GraphState:
+        """All that the graph consists of. Nothing may be waiting for `update`."""
+        values = self._isam.getLinearizationPoint()
+        keys: dict[str, list[int]] = {"x": [], "l": [], "c": []}
+        for key in sorted(values.keys()):
+            symbol = gtsam.Symbol(key)
+            keys[chr(symbol.chr())].append(symbol.index())
+        return GraphState(
+            factors=[factor for _, factor in sorted(self._factors.items())],
+            keyframes=np.array([_array(values.atPose2(X(k))) for k in keys["x"]]).reshape(-1, 3),
+            walls=np.array(keys["l"], dtype=np.int64),
+            frames=np.array([_array(values.atPose2(L(j))) for j in keys["l"]]).reshape(-1, 3),
+            corners=np.array(keys["c"], dtype=np.int64),
+            positions=np.array([values.atPoint2(C(j)) for j in keys["c"]]).reshape(-1, 2),
+            updates=self._updates,
+            qr=self._factorization == "QR",
+        )
+
+    @classmethod
+    def restored(cls, state: GraphState) -> FactorGraph:
+        """The graph that was in a state. The estimate follows from where its variables were linearised.
+
+        Raises MapError where the state leaves a variable undetermined.
+        """
+        graph = cls()
+        graph._factorization = "QR" if state.qr else "CHOLESKY"
+        graph._isam = gtsam.ISAM2(_parameters(graph._factorization))
+        for k, pose in enumerate(state.keyframes):
+            graph._values.insert(X(k), pose2(pose))
+        for wall, frame in zip(state.walls.tolist(), state.frames, strict=True):
+            graph._values.insert(L(wall), pose2(frame))
+        for corner, position in zip(state.corners.tolist(), state.positions, strict=True):
+            graph._values.insert(C(corner), position)
+        graph._new = list(state.factors)
+        graph.update()
+        for _ in range((state.updates - 1) % RELINEARIZE_SKIP):  # in step with those that linearise anew
+            graph.update()
+        return graph
 
     def remove_factors(self, numbers: Sequence[int]) -> None:
         """Take factors out again."""
         parameters = gtsam.ISAM2UpdateParams()
         parameters.removeFactorIndices = list(numbers)
         parameters.force_relinearize = True
+        for number in numbers:
+            del self._factors[number]
         self._update(parameters)
-        self.factor_count -= len(numbers)
 
     def _update(self, parameters: gtsam.ISAM2UpdateParams) -> list[int]:
+        self._updates += 1
+        factors = gtsam.NonlinearFactorGraph()
+        for factor in self._new:
+            factors.add(made(factor))
         try:
-            numbers = list(self._isam.update(self._factors, self._values, parameters).getNewFactorsIndices())
+            numbers = list(self._isam.update(factors, self._values, parameters).getNewFactorsIndices())
         except RuntimeError as error:
             self._factorize_by_qr(error)
             slots = self._isam.getFactorsUnsafe().size()
-            numbers = list(range(slots - self._factors.size(), slots))
-        self.factor_count += self._factors.size()
-        self._factors = gtsam.NonlinearFactorGraph()
-        self._values = gtsam.Values()
-        for wall, keyframe, place in self._new_observations:
-            self._observations[wall].append((keyframe, numbers[place]))
-        self._new_observations = []
+            numbers = list(range(slots - len(self._new), slots))
+        self._factors.update(zip(numbers, self._new, strict=True))
+        self._new, self._values = [], gtsam.Values()
         return numbers
 
     def _factorize_by_qr(self, failure: RuntimeError) -> None:
@@ -205,7 +250,7 @@ class FactorGraph:
             if slots.at(number) is not None:  # else it was taken out
                 renumbered[number] = factors.size()
                 factors.add(slots.at(number))
-        self._isam = gtsam.ISAM2(_parameters(self._factorization))
+        self._isam, self._updates = gtsam.ISAM2(_parameters(self._factorization)), 1
         try:
             self._isam.update(factors, values)
         except RuntimeError as error:
@@ -213,24 +258,28 @@ class FactorGraph:
         new = list(self._values.keys())
         if not all(np.isfinite(self._isam.marginalCovariance(key)).all() for key in new):
             raise MapError(reason) from failure
-        for wall, seen in self._observations.items():
-            self._observations[wall] = [(keyframe, renumbered[number]) for keyframe, number in seen]
+        self._factors = {renumbered[number]: factor for number, factor in self._factors.items()}
 
-    def forget_observations(self, walls: Iterable[int], since: int) -> None:
+    def forget_observations(self, walls: Container[int], since: int) -> None:
         """Take out what keyframes from `since` on have observed of some walls: it was of others."""
-        numbers: list[int] = []
-        for wall in walls:
-            numbers += [number for keyframe, number in self._observations[wall] if keyframe >= since]
-            self._observations[wall] = [seen for seen in self._observations[wall] if seen[0] < since]
-        self.remove_factors(numbers)
+        self.remove_factors(
+            [
+                number
+                for number, factor in self._factors.items()
+                if factor.kind in (Kind.HEADING, Kind.OFFSET) and factor.first >= since and factor.second in walls
+            ]
+        )
 
     def solve(self) -> None:
         """Find the best estimate of everything added to an empty graph, in batch, and take it over.
 
         Raises MapError where the geometry leaves a variable undetermined.
         """
+        factors = gtsam.NonlinearFactorGraph()
+        for factor in self._new:
+            factors.add(made(factor))
         try:
-            self._values = gtsam.LevenbergMarquardtOptimizer(self._factors, self._values).optimize()
+            self._values = gtsam.LevenbergMarquardtOptimizer(factors, self._values).optimize()
         except RuntimeError as error:
             raise MapError(f"the map cannot be estimated: {str(error).strip().splitlines()[0]}") from error
         self.update()
@@ -246,20 +295,13 @@ class FactorGraph:
         """Solve everything afresh from the present estimate, at the end of a run.
 
         Incremental solving linearises only what moves by more than a threshold, and what it did not is weighted as it
-        was then. Factors get new numbers: none can be taken out afterwards.
+        was then.
         """
-        solved = self._isam.getFactorsUnsafe()
-        graph = gtsam.NonlinearFactorGraph()
-        for factor in (solved.at(number) for number in range(solved.size())):
-            if factor is not None:  # else it was taken out
-                graph.add(factor)
+        factors = [factor for _, factor in sorted(self._factors.items())]
         for _ in range(REBUILDS):
-            values = self._isam.calculateEstimate()
-            self._isam = gtsam.ISAM2(_parameters(self._factorization))
-            self._factors, self._values = gtsam.NonlinearFactorGraph(graph), values
-            self.factor_count = 0
+            self._values, self._new = self._isam.calculateEstimate(), list(factors)
+            self._isam, self._factors, self._updates = gtsam.ISAM2(_parameters(self._factorization)), {}, 0
             self.update()
-        self._observations.clear()
 
     # --- the estimate
 
@@ -288,7 +330,15 @@ class FactorGraph:
 
     def chi2(self) -> float:
         """The robust cost of the whole graph, times two."""
-        return 2.0 * float(self._isam.getFactorsUnsafe().error(self._isam.calculateEstimate()))
+        return self.chi2_at(self)
+
+    def chi2_at(self, other: FactorGraph) -> float:
+        """The robust cost of this graph's factors, times two, at the estimate of another with the same variables."""
+        return 2.0 * float(self._isam.getFactorsUnsafe().error(other._isam.calculateEstimate()))
+
+    def residuals(self) -> Residuals:
+        """How well each factor fits the estimate: ten microseconds a factor."""
+        return residuals_of(self._isam.getFactorsUnsafe(), self._isam.calculateEstimate(), CAUCHY_SCALES)
 
     # --- its uncertainty
 
@@ -323,13 +373,11 @@ class FactorGraph:
         both = np.hstack([-carry, np.eye(3)])
         return np.asarray(KERNEL_CAUTION * both @ joint @ both.T)
 
-    def relative_covariances(
-        self, keyframe: int, walls: Sequence[int], corners: Sequence[int]
-    ) -> tuple[Floats, Floats, Floats]:
+    def relative_covariances(self, keyframe: int, walls: Sequence[int], corners: Sequence[int]) -> LandmarkCovariances:
         """How well a keyframe is known in the map, and landmarks as seen from it, what is common to both left out.
 
-        Pose (3, 3), in the map's axes. Walls (n, 2, 2): of the offset across and the heading, at the wall's frame.
-        Corners (m, 2, 2): of the position, in the map's axes. Cheap for the last keyframe and what it observed.
+        Cheap for the last keyframe and what it observed. Those in the map are a by-product, and meant for people: they
+        are what `wall_covariance` and `corner_covariance` say.
         """
         keys = [X(keyframe), *(L(j) for j in walls), *(C(j) for j in corners)]
         joint = self._joint_covariance(keys)
@@ -346,14 +394,15 @@ class FactorGraph:
         carry[:, 0, 0] = carry[:, 1, 1] = 1.0
         carry[:, 0, 2], carry[:, 1, 2] = -lever[:, 1], lever[:, 0]
         corner_covariances = _relative(joint, ends[len(walls) : -1], 2, carry @ rotation)
-        return rotation @ own @ rotation.T, wall_covariances[:, 1:, 1:], corner_covariances
-
-
-def _root_information(covariance: Floats) -> Floats:
-    """The upper square root (3, 3) of the information of (along, across, heading): none along."""
-    root = np.zeros((3, 3))
-    root[1:, 1:] = np.linalg.cholesky(np.linalg.inv(covariance)).T
-    return root
+        blocks = [joint[at : at + 3, at : at + 3][1:, 1:] for at in ends[: len(walls)]]
+        points = [joint[at : at + 2, at : at + 2] for at in ends[len(walls) : -1]]
+        return LandmarkCovariances(
+            rotation @ own @ rotation.T,
+            wall_covariances[:, 1:, 1:],
+            corner_covariances,
+            KERNEL_CAUTION * np.array(blocks).reshape(-1, 2, 2),
+            KERNEL_CAUTION * np.array(points).reshape(-1, 2, 2),
+        )
 
 
 def _relative(joint: Floats, begins: Floats, size: int, carry: Floats) -> Floats:

@@ -9,7 +9,8 @@ from gtsam.symbol_shorthand import X
 from slam.errors import MapError
 from slam.segments import Floats
 
-from .backend import ODOMETRY_CAUCHY_SCALE, _array, _pose2
+from .backend import _array
+from .factors import ODOMETRY_KERNEL, pose2
 
 FREE_INFORMATION = 1e-6  # per square metre and radian: keeps what nothing measures from being undetermined
 
@@ -22,14 +23,13 @@ def smooth_chain(poses: Floats, informations: Floats, motions: Floats, covarianc
     undetermined.
     """
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(ODOMETRY_CAUCHY_SCALE)
     for k, (pose, information) in enumerate(zip(poses, informations, strict=True)):
-        values.insert(X(k), _pose2(pose))
+        values.insert(X(k), pose2(pose))
         noise = gtsam.noiseModel.Gaussian.Information(information + FREE_INFORMATION * np.eye(3))
-        graph.add(gtsam.PriorFactorPose2(X(k), _pose2(pose), noise))
+        graph.add(gtsam.PriorFactorPose2(X(k), pose2(pose), noise))
     for k, (motion, covariance) in enumerate(zip(motions, covariances, strict=True)):
-        robust = gtsam.noiseModel.Robust.Create(kernel, gtsam.noiseModel.Gaussian.Covariance(covariance))
-        graph.add(gtsam.BetweenFactorPose2(X(k), X(k + 1), _pose2(motion), robust))
+        robust = gtsam.noiseModel.Robust.Create(ODOMETRY_KERNEL, gtsam.noiseModel.Gaussian.Covariance(covariance))
+        graph.add(gtsam.BetweenFactorPose2(X(k), X(k + 1), pose2(motion), robust))
     try:
         solved = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
     except RuntimeError as error:

@@ -12,7 +12,7 @@ from drivers import se2
 from ..mapper import Mapper
 from .constellation import OLD_WAY, Constellation, Integers, OldMap, recent_and_old
 from .proposal import Hypothesis, propose
-from .verification import Verdict, is_astray, is_near, unexpected, verify
+from .verification import Verdict, allowed_by_estimate, is_astray, is_near, verify
 
 INTERVAL = 1.5  # metres of driving between two looks
 LEAST_NEW = 4.0  # metres of new wall in the constellation: where all has long been known, there is nothing to close
@@ -38,6 +38,7 @@ class LoopDecision:
     hypothesis  where the recent walls lie on the old map, and `pairs` (old, recent) of walls that are one by it
     merged      those of them that were made one
     shift       metres by which the last keyframe moved
+    sight       what was compared: the recent walls and the old ones, as the map had them then
     """
 
     candidate: int
@@ -50,15 +51,28 @@ class LoopDecision:
     pairs: tuple[tuple[int, int], ...]
     merged: tuple[tuple[int, int], ...] = ()
     shift: float = 0.0
+    sight: tuple[Constellation, Constellation] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Look:
+class Look:
     """A look that passed all tests: by what motion, on which walls it rests, and after how many metres of driving."""
 
     motion: se2.Pose
     walls: frozenset[int]
     way: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Looks:
+    """What a search for loops remembers: the way (metres) at the last look, looks that wait for another, how many
+    places looked known so far, the motions that proved wrong, and the way when a look last contradicted another."""
+
+    last_way: float = 0.0
+    held: tuple[Look, ...] = ()
+    candidates: int = 0
+    refused: tuple[se2.Pose, ...] = ()
+    contested: float = -MEMORY
 
 
 Propose = Callable[[Constellation, OldMap, se2.Pose], list[Hypothesis]]
@@ -69,11 +83,18 @@ class LoopCloser:
 
     def __init__(self, propose: Propose = propose) -> None:
         self._propose = propose
-        self._last_way = 0.0
-        self._held: list[_Look] = []
-        self._contested = -np.inf  # metres of driving after which a look found another motion than one before it
-        self._candidates = 0
-        self._refused: list[se2.Pose] = []  # motions that proved wrong
+        self.recall(Looks())
+
+    @property
+    def looks(self) -> Looks:
+        """What it remembers."""
+        return Looks(self._last_way, tuple(self._held), self._candidates, tuple(self._refused), self._contested)
+
+    def recall(self, looks: Looks) -> None:
+        """Go on from what another search remembered."""
+        self._last_way, self._candidates = looks.last_way, looks.candidates
+        self._held, self._refused = list(looks.held), list(looks.refused)
+        self._contested = looks.contested
 
     def look(self, mapper: Mapper) -> LoopDecision | None:
         """Consider the last keyframe. Nothing is changed: to `close` what two looks agree on is for whoever asked."""
@@ -96,11 +117,11 @@ class LoopCloser:
         seen = mapper.landmarks.walls.rows["last_seen"][[wall for wall, _ in pairs]]
         seen_from = int(np.bincount(np.minimum(seen, mapper.keyframe_count - 2)).argmax())  # before the last keyframe
         verdict, near = _judge(mapper, hypotheses, recent, old, seen_from)
-        return self._decide(mapper, best, verdict, recent, pairs, seen_from, near=near)
+        return self._decide(mapper, best, verdict, (recent, old.constellation), pairs, seen_from, near=near)
 
     def forget(self) -> None:
         """The map has changed: what was seen before it no longer counts."""
-        self._held, self._contested = [], -np.inf
+        self._held, self._contested = [], -MEMORY
 
     def refuse(self, decision: LoopDecision) -> None:
         """A closure proved wrong: it is not to be found again."""
@@ -111,7 +132,7 @@ class LoopCloser:
         mapper: Mapper,
         best: Hypothesis,
         verdict: Verdict,
-        recent: Constellation,
+        sight: tuple[Constellation, Constellation],
         pairs: tuple[tuple[int, int], ...],
         old: int,
         *,
@@ -123,8 +144,9 @@ class LoopCloser:
             verdict = replace(verdict, accepted=False, reason="has proved wrong before")
         status = "rejected"
         if verdict.accepted:
-            status = "agreed" if self._borne_out(best, recent, mapper, near=near) else "held"
-        return LoopDecision(self._candidates, mapper.keyframe_count - 1, old, motion, verdict, status, best, pairs)
+            status = "agreed" if self._borne_out(best, sight[0], mapper, near=near) else "held"
+        keyframe = mapper.keyframe_count - 1
+        return LoopDecision(self._candidates, keyframe, old, motion, verdict, status, best, pairs, sight=sight)
 
     def _borne_out(self, best: Hypothesis, recent: Constellation, mapper: Mapper, *, near: bool) -> bool:
         """Whether an earlier look at other walls found the same motion, and none since found another one.
@@ -142,7 +164,7 @@ class LoopCloser:
             fresh = matched & ~np.isin(recent.walls, kept[list(look.walls)])
             if undisputed or 2 * recent.half_length[fresh].sum() >= LEAST_FRESH:
                 return True
-        self._held.append(_Look(best.motion, frozenset(recent.walls[matched].tolist()), way))
+        self._held.append(Look(best.motion, frozenset(recent.walls[matched].tolist()), way))
         return False
 
 
@@ -157,7 +179,7 @@ def close(mapper: Mapper, decision: LoopDecision) -> LoopDecision:
     there = se2.compose(decision.hypothesis.motion, mapper.pose)
     relative = se2.between(mapper.graph.keyframe_pose(decision.old), there)
     strangers, since = strangers_to(mapper, decision)
-    mapper.graph.forget_observations((int(wall) for wall in strangers), since)
+    mapper.graph.forget_observations(frozenset(strangers.tolist()), since)
     mapper.landmarks.walls.rows["last_seen"][strangers] = since - 1
     carrying = mapper.graph.close_loop(decision.old, last, relative, CARRYING_SIGMAS)
     mapper.read_back_all()
@@ -226,8 +248,9 @@ def _judge(
     covariance = mapper.graph.relative_covariance(seen_from, last)
     if near and not is_astray(motion, covariance):
         return verify(hypotheses, recent, old, mapper.landmarks, mapper.pose, views, near=False), False
-    reason = unexpected(motion, covariance)
-    return (replace(verdict, accepted=False, reason=reason) if reason else verdict), near
+    test = allowed_by_estimate(motion, covariance)
+    verdict = replace(verdict, tests=(*verdict.tests, test))
+    return (verdict if test.passed else replace(verdict, accepted=False, reason=test.failing)), near
 
 
 def _in_robots_frame(hypothesis: Hypothesis, mapper: Mapper) -> se2.Pose:

@@ -40,6 +40,11 @@ class Constellation:
         """Metres of wall."""
         return float(2 * self.half_length.sum())
 
+    def end_points(self) -> Floats:
+        """(n, 2, 2): both ends of each wall in the map, metres."""
+        along = np.stack([np.cos(self.frame[:, 2]), np.sin(self.frame[:, 2])], axis=-1) * self.half_length[:, None]
+        return np.stack([self.frame[:, :2] - along, self.frame[:, :2] + along], axis=1)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OldMap:

@@ -40,9 +40,25 @@ LOOKED_AT = (-0.8, 0.0, 0.8)  # of a segment, from its middle to its ends, where
 SHORTENED = 0.3  # metres by which views end before what they saw, and by which old walls are shortened
 
 
+@dataclass(frozen=True, slots=True)
+class Test:
+    """One of the tests of a hypothesis: what was measured, and the gate it had to be `at_least` or at most."""
+
+    name: str
+    value: float
+    gate: float
+    at_least: bool
+    failing: str  # the reason for refusing, where it does not hold
+
+    @property
+    def passed(self) -> bool:
+        """Whether it holds."""
+        return self.value >= self.gate if self.at_least else self.value <= self.gate
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Verdict:
-    """What was decided on a hypothesis, and the scores it was decided by."""
+    """What was decided on a hypothesis, the scores it was decided by, and all tests in their order."""
 
     accepted: bool
     reason: str
@@ -51,6 +67,7 @@ class Verdict:
     runner_up: float
     sigma: float
     contradicted: float
+    tests: tuple[Test, ...] = ()
 
 
 def verify(
@@ -77,18 +94,24 @@ def verify(
     contradicted = contradiction(best.motion, old, landmarks, views)
     allowed = max(MOST_CONTRADICTED, contradiction(hypotheses[0].motion, old, landmarks, views))
     least_explained, least_gain = (NEAR_EXPLAINED, NEAR_GAIN) if near else (LEAST_EXPLAINED, LEAST_GAIN)
+    drift = f"{shift:.1f} m and {np.degrees(turn):.0f} degrees are farther than drift leads"
+    explains = f"explains {best.explained:.0%} < {least_explained:.0%}"
+    long_enough = f"{best.length:.1f} m of wall < {LEAST_LENGTH:.0f} m"
+    better = f"{gain:.1f} m of wall more than staying < {least_gain:.1f} m"
     tests = (
-        (part <= FARTHEST, f"{shift:.1f} m and {np.degrees(turn):.0f} degrees are farther than drift leads"),
-        (best.explained >= least_explained, f"explains {best.explained:.0%} < {least_explained:.0%}"),
-        (best.length >= LEAST_LENGTH, f"{best.length:.1f} m of wall < {LEAST_LENGTH:.0f} m"),
-        (gain >= least_gain, f"{gain:.1f} m of wall more than staying < {least_gain:.1f} m"),
-        (matches >= LEAST_MATCHES, f"{matches} walls < {LEAST_MATCHES}"),
-        (sigma <= WORST_SIGMA, f"one direction known to {sigma:.2f} m only"),
-        (runner_up <= RUNNER_UP, f"another place explains {runner_up:.0%} as much"),
-        (contradicted <= allowed, f"{contradicted:.0%} was seen through old walls"),
+        Test("drift", part, FARTHEST, False, drift),
+        Test("explained", best.explained, least_explained, True, explains),
+        Test("length", best.length, LEAST_LENGTH, True, long_enough),
+        Test("gain", gain, least_gain, True, better),
+        Test("walls", matches, LEAST_MATCHES, True, f"{matches} walls < {LEAST_MATCHES}"),
+        Test("sigma", sigma, WORST_SIGMA, False, f"one direction known to {sigma:.2f} m only"),
+        Test("runner-up", runner_up, RUNNER_UP, False, f"another place explains {runner_up:.0%} as much"),
+        Test("contradicted", contradicted, allowed, False, f"{contradicted:.0%} was seen through old walls"),
     )
-    reason = next((text for passed, text in tests if not passed), "")
-    return Verdict(not reason, reason or "all tests passed", best.explained, matches, runner_up, sigma, contradicted)
+    reason = next((test.failing for test in tests if not test.passed), "")
+    return Verdict(
+        not reason, reason or "all tests passed", best.explained, matches, runner_up, sigma, contradicted, tests
+    )
 
 
 def is_near(motion: se2.Pose) -> bool:
@@ -104,13 +127,14 @@ def is_astray(motion: se2.Pose, covariance: Floats) -> bool:
     return _unexpectedness(motion, covariance) > MOST_UNEXPECTED
 
 
-def unexpected(motion: se2.Pose, covariance: Floats) -> str:
-    """Says so if neither drift nor walls that were taken for others explain a motion, given as above.
+def allowed_by_estimate(motion: se2.Pose, covariance: Floats) -> Test:
+    """Whether drift, or walls that were taken for others, explain a motion, given as above.
 
     A place that looks right while the robot is known to be elsewhere is another one that looks alike.
     """
-    distance = _unexpectedness(motion, covariance + np.diag(ASTRAY_SIGMAS**2))
-    return "" if distance <= MOST_UNEXPECTED else f"{np.sqrt(distance):.0f} standard deviations from the estimate"
+    deviations = float(np.sqrt(_unexpectedness(motion, covariance + np.diag(ASTRAY_SIGMAS**2))))
+    failing = f"{deviations:.0f} standard deviations from the estimate"
+    return Test("unexpected", deviations, float(np.sqrt(MOST_UNEXPECTED)), False, failing)
 
 
 def _unexpectedness(motion: se2.Pose, covariance: Floats) -> float:

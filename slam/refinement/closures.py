@@ -44,7 +44,15 @@ def missed_closure(mapper: Mapper, drive: Drive) -> Missed | None:
     return None
 
 
-def carried_over(mapper: Mapper, drive: Drive, motions: Sequence[Motion | None], missed: Missed) -> Mapper | None:
+@dataclass(frozen=True, slots=True, eq=False)
+class Closed:
+    """The map with a loop closed, and the decision that did it."""
+
+    mapper: Mapper
+    decision: LoopDecision
+
+
+def carried_over(mapper: Mapper, drive: Drive, motions: Sequence[Motion | None], missed: Missed) -> Closed | None:
     """The map with a loop closed: its last keyframe brought to where the decision has it, and walls made one.
 
     None where too few of them come together. What drift has confused since the robot came to the place is left out;
@@ -74,4 +82,5 @@ def carried_over(mapper: Mapper, drive: Drive, motions: Sequence[Motion | None],
     for old, recent in joined:
         if rows["kept"][old] == old and rows["kept"][recent] == recent:
             new.landmarks.absorb(old, recent)
-    return new
+    shift = float(np.hypot(*(new.trail[last] - poses[last])[:2]))
+    return Closed(new, replace(decision, status="accepted", merged=tuple(joined), shift=shift))

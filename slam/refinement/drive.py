@@ -28,7 +28,7 @@ class Drive:
     keyframes  (k,) rows of those
     anchors    (n,) the keyframe that each sighting hangs on, and `relative` (n, 3), its pose relative to it
     informations  (n, 3, 3) of what each was placed by on line, in its own frame; zeros where it was not
-    carried    rows of the sightings to which the robot was moved without odometry's knowing
+    carried    rows of the sightings to which the robot was moved without odometry's knowing; a new drive begins so, too
     """
 
     sightings: Sequence[Sighting]
@@ -91,27 +91,41 @@ class Drive:
 
 
 def drive_of(
-    sightings: Sequence[Sighting], path: Path, keyframe_stamps: Sequence[float], carried: Sequence[int]
+    sightings: Sequence[Sighting],
+    path: Path,
+    keyframe_stamps: Sequence[float],
+    carried: Sequence[int],
+    starts: Sequence[int] = (),
 ) -> Drive:
-    """The drive of a run: all its sightings, its path, and when its keyframes were; `carried` are keyframes.
+    """The drive of a run: all its sightings, its path, and when its keyframes were; `carried` are keyframes, `starts`
+    rows from which on odometry does not continue what came before.
 
-    A sighting that is not on the path hangs where odometry has it from the last one that is.
+    A sighting that is not on the path hangs where odometry has it from the last one that is; or, where there is none
+    since odometry began, from the next.
     """
     stamps, anchors, relative, informations = path.hung()
     keyframes = np.zeros(len(keyframe_stamps), dtype=np.int64)
     all_anchors = np.zeros(len(sightings), dtype=np.int64)
     all_relative, all_informations = np.zeros((len(sightings), 3)), np.zeros((len(sightings), 3, 3))
     placed = known = last = 0
+    waiting: list[int] = []  # since odometry began anew
     for row, sighting in enumerate(sightings):
+        if row in starts and row:
+            waiting, last = [row], -1
         if known < len(keyframes) and sighting.stamp == keyframe_stamps[known]:
             keyframes[known] = row
             known += 1
         if placed < len(stamps) and sighting.stamp == stamps[placed]:
             all_anchors[row], all_relative[row] = anchors[placed], relative[placed]
             all_informations[row] = informations[placed]
+            for before in waiting if last < 0 else ():
+                motion = se2.between(sighting.odometry, sightings[before].odometry)
+                all_anchors[before], all_relative[before] = anchors[placed], se2.compose(relative[placed], motion)
             placed, last = placed + 1, row
+        elif last < 0:
+            waiting.append(row)
         else:
             motion = se2.between(sightings[last].odometry, sighting.odometry)
             all_anchors[row], all_relative[row] = all_anchors[last], se2.compose(all_relative[last], motion)
-    jumps = frozenset(int(keyframes[k]) for k in carried)
+    jumps = frozenset([*(int(keyframes[k]) for k in carried), *(row for row in starts if row)])
     return Drive(sightings, keyframes, all_anchors, all_relative, all_informations, jumps)

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..loops.closer import LoopDecision
 from ..mapper import Mapper
 from ..odometry import OdometryNoise
 from ..path import Path
 from ..segments import Floats
-from .closures import carried_over, missed_closure
+from .closures import Closed, carried_over, missed_closure
 from .drive import Drive
 from .rounds import Round, refine_once
 from .smoothing import refine_path
@@ -22,11 +23,13 @@ AT_REST = 0.001  # metres that a keyframe may still move in the last round
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Refined:
-    """The refined map, the poses (n, 3) of all sightings on it, alone and as a path, and what was done."""
+    """The refined map, the poses (n, 3) of all sightings on it, alone and as a path, the closures that had been missed,
+    and what was done."""
 
     mapper: Mapper
     poses: Floats
     path: Path
+    closures: list[LoopDecision]
     summary: dict[str, object]
 
 
@@ -41,36 +44,39 @@ def refine(mapper: Mapper, drive: Drive, noise: OdometryNoise) -> Refined:
     """Refine the map of a drive. The mapper is settled; it is left as it is."""
     first, cost = mapper.graph.keyframe_poses(mapper.keyframe_count), mapper.graph.chi2()
     poses, astray = first, np.zeros(len(drive), dtype=bool)
-    rounds = changed = merged = closures = 0
+    closures: list[LoopDecision] = []
+    done = changed = merged = 0
     left, shift = MOST_ROUNDS, np.inf
     while left and shift > AT_REST:
         result = refine_once(mapper, drive, noise, poses, astray)
         shift = float(np.max(np.hypot(*(result.poses - poses)[:, :2].T)))
         mapper, poses, astray = result.mapper, result.poses, result.astray
-        rounds, changed, merged = rounds + 1, changed + result.changed, merged + result.merged
-        closed = _close_what_was_missed(result, drive) if left == MOST_ROUNDS and closures < MOST_CLOSURES else None
+        done, changed, merged = done + 1, changed + result.changed, merged + result.merged
+        closed = (
+            _close_what_was_missed(result, drive) if left == MOST_ROUNDS and len(closures) < MOST_CLOSURES else None
+        )
         left -= 1
         if closed is not None:
-            mapper, poses, shift = closed, closed.trail, np.inf
-            closures, left = closures + 1, MOST_ROUNDS
+            mapper, poses, shift = closed.mapper, closed.mapper.trail, np.inf
+            closures, left = [*closures, closed.decision], MOST_ROUNDS
     everywhere, explained = refine_path(mapper, drive, noise, poses, astray)
     moved = np.hypot(*(poses - first)[:, :2].T)
     summary: dict[str, object] = {
-        "rounds": rounds,
+        "rounds": done,
         "cost_before": round(cost, 3),
         "cost_after": round(mapper.graph.chi2(), 3),
         "associations_changed": changed,
         "walls_merged": merged,
-        "closures_added": closures,
+        "closures_added": len(closures),
         "scans_found_astray": int(astray.sum()),
         "largest_shift": round(float(np.max(moved, initial=0.0)), 4),
         "last_shift": round(shift, 5),
         "explained_median": round(float(np.nanmedian(explained)), 3),
     }
-    return Refined(mapper, everywhere, drive.path(poses, everywhere), summary)
+    return Refined(mapper, everywhere, drive.path(poses, everywhere), closures, summary)
 
 
-def _close_what_was_missed(result: Round, drive: Drive) -> Mapper | None:
+def _close_what_was_missed(result: Round, drive: Drive) -> Closed | None:
     """The map of a round with the first loop closed that was missed so far; None where there is none."""
     missed = missed_closure(result.mapper, drive)
     return None if missed is None else carried_over(result.mapper, drive, result.motions, missed)

@@ -56,7 +56,7 @@ def refine_once(old: Mapper, drive: Drive, noise: OdometryNoise, poses: Floats, 
     recount(new.landmarks, drive, names, placed)
     motions: list[Motion | None] = [None]
     motions += [
-        _motion(k, drive, noise, placed, laid[k].point_information, astray) for k in range(1, len(drive.keyframes))
+        motion_to(k, drive, noise, placed, laid[k].point_information, astray) for k in range(1, len(drive.keyframes))
     ]
     for k, row in enumerate(drive.keyframes):
         seen = drive.sightings[row].seen
@@ -93,7 +93,7 @@ def _associate(
     return laid, names, astray
 
 
-def _motion(
+def motion_to(
     keyframe: int,
     drive: Drive,
     noise: OdometryNoise,

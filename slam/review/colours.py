@@ -1,4 +1,9 @@
-"""The colours of the review log, on a dark ground: one meaning each, safe for colour-blind people."""
+"""The colours of the review log, on a dark ground: one meaning each, told apart by colour-blind people.
+
+They were chosen to be as far apart as they can be in CIELAB for all kinds of colour vision, each near the colour that
+its name says. Where two things share a colour they mean the same in two stages, and the later or weaker one is dashed
+or dimmer. The legend tells people of them by their names.
+"""
 
 from __future__ import annotations
 
@@ -9,33 +14,24 @@ Colour: TypeAlias = tuple[int, int, int] | tuple[int, int, int, int]
 BACKGROUND: Colour = (18, 18, 24)
 GRID: Colour = (255, 255, 255, 16)
 
-WALL: Colour = (238, 238, 238)
-WALL_FRESH: Colour = (150, 150, 158)
-WALL_SIGMA: Colour = (85, 85, 95)
-CORNER: Colour = (240, 228, 66)
-CORNER_SIGMA: Colour = (240, 228, 66, 110)
+WALL: Colour = (255, 255, 255)
+CORNER: Colour = (240, 227, 0)
+ESTIMATE: Colour = (107, 150, 253)
+ODOMETRY: Colour = (93, 93, 93)
+TRUTH: Colour = (23, 190, 111)
+SCAN: Colour = (215, 185, 249)
+MATCHED: Colour = (240, 137, 38)
+NEW: Colour = (255, 75, 170)
+CLOSURE: Colour = (129, 255, 140)
+REFUSED: Colour = (190, 70, 38)
+BEFORE: Colour = (30, 81, 226)
+MEANINGFUL: tuple[Colour, ...] = (
+    WALL, CORNER, ESTIMATE, ODOMETRY, TRUTH, SCAN, MATCHED, NEW, CLOSURE, REFUSED, BEFORE,
+)  # fmt: skip
 
-ESTIMATE: Colour = (86, 180, 233)
-POSE_SIGMA: Colour = (86, 180, 233, 110)
-ODOMETRY: Colour = (100, 100, 100)
-TRUTH: Colour = (0, 190, 130)
-
-SCAN: Colour = (165, 140, 255)
-MATCHED: Colour = (255, 165, 0)
-NEW: Colour = (255, 70, 200)
-UNMATCHED: Colour = (190, 130, 100)
-
-CLOSURE: Colour = (120, 255, 90)
-REFUSED: Colour = (213, 94, 0)
+WALL_FRESH: Colour = (165, 165, 172)
+WALL_SIGMA: Colour = (105, 105, 115)
+ESTIMATE_SHADES: tuple[Colour, ...] = (ESTIMATE, (75, 105, 177), (48, 68, 114))  # the less certain the darker
 
 # Series of one plot, in this order; a plot's legend names them.
-SERIES: tuple[Colour, ...] = (
-    (86, 180, 233),
-    (255, 165, 0),
-    (0, 190, 130),
-    (255, 70, 200),
-    (240, 228, 66),
-    (165, 140, 255),
-    (238, 238, 238),
-    (213, 94, 0),
-)
+SERIES: tuple[Colour, ...] = (ESTIMATE, MATCHED, TRUTH, NEW, CORNER, SCAN, WALL, REFUSED, WALL_FRESH)

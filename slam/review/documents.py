@@ -5,38 +5,119 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 
-from ..events import KeyframeAdded
+import numpy as np
+from scipy.special import chdtri
+
+from ..events import Correction, KeyframeAdded, LoopDecided
+from ..residuals import CORNER, ODOMETRY, SAME_WALL, WALL, Residuals
 from .matches import Matches
 
+MOVED = 0.05  # metres by which a keyframe moved that is counted
 SUMMARY_PENDING = "The run has not ended, or it ended without a summary."
 
 # The names of the colours in colours.py.
 _LEGEND: tuple[tuple[str, str], ...] = (
-    ("white", "wall of the map; outline in the close-up: 3 sigma"),
-    ("dim white", "wall seen by fewer than 3 keyframes"),
+    ("white", "wall of the map; dim: seen by fewer than 3 keyframes; outline in the close-up: 3 sigma"),
     ("yellow", "corner of the map; ellipse: 3 sigma"),
-    ("sky blue", "robot and its estimated path; ellipse: 3 sigma"),
-    ("grey", "path by odometry alone, from the same start"),
+    ("light blue", "robot, its path and its keyframes, the darker the less certain (5 cm, 20 cm); ellipse: 3 sigma"),
+    ("grey", "path by odometry alone, from the same start; factors that fit badly"),
     ("green", "true path, where known, from the same start"),
-    ("bright green", "loop closed: the keyframe and one that saw the place before"),
-    ("vermillion", "last place that looked known, held or refused; the log says why"),
     ("lavender", "this keyframe's scan"),
-    ("orange", "segment or corner matched with the map; thin line: to what"),
-    ("pink", "segment or corner new in the map"),
-    ("brown", "segment or corner left out: ambiguous or unmatched"),
+    ("orange", "matched with the map: segment, corner, recent wall; thin line: to what"),
+    ("pink", "new: not in the map before"),
+    ("light green", "loop closed; dashed: held, waits for a second look; arrows: how a closure moved each keyframe"),
+    ("rust", "refused by a gate: feature, loop; factors beyond 99.9 %; dashed: a loop taken back"),
+    ("deep blue", "before: walls, path, constellation as they were before the last closure"),
+)
+_TIMELINES: tuple[tuple[str, str], ...] = (
+    ("keyframe", "from keyframe to keyframe"),
+    ("sensor_time", "the robot moves with every scan"),
+    ("candidate", "from decision to decision on a place that looked known"),
+    ("closure", "from one correction of the map to the next: loops closed and taken back"),
 )
 
 
 def legend() -> str:
-    """What the colours and panels mean."""
-    rows = "\n".join(f"| {name} | {meaning} |" for name, meaning in _LEGEND)
+    """What the colours and timelines mean."""
+    colours = "\n".join(f"- **{name}** {meaning}" for name, meaning in _LEGEND)
+    timelines = "\n".join(f"- **{name}** {meaning}" for name, meaning in _TIMELINES)
     return (
-        f"| colour | meaning |\n|---|---|\n{rows}\n\n"
-        "Seen from above: x to the right, y up, metres. Hover over anything for its label: `L12 n=7` is wall 12, "
-        "seen by 7 keyframes; `d²` is the squared Mahalanobis distance at which a match was accepted.\n\n"
-        "On the timeline `keyframe` the robot steps from keyframe to keyframe; on `sensor_time` it moves with every "
-        "scan. The path and the whole map are drawn anew every few keyframes, as they were estimated then."
+        f"{colours}\n\nTimelines, below at the left:\n\n{timelines}\n\n"
+        "Seen from above: x to the right, y up, metres. Hover over anything for its label: `L12 n=7` is wall 12, seen "
+        "by 7 keyframes; `x` is a keyframe, `C` a corner; `d²` is the squared Mahalanobis distance, and a match is "
+        "refused above 13.8.\n\n"
+        "The whole map is drawn anew every few keyframes and at closures, as it was estimated then; its covariances "
+        "are those of when each landmark was last seen, at the end those of the final map."
     )
+
+
+def loop_report(event: LoopDecided) -> str:
+    """A decision on a loop: what was found, each test with its gate, and what closing it did."""
+    x, y, heading = (float(value) for value in event.motion)
+    lines = [
+        f"**Loop {event.candidate}: keyframe {event.index} at {event.old}, {event.status}**",
+        "",
+        f"{event.reason}; the robot would move by ({x:.2f}, {y:.2f}) m and {math.degrees(heading):.1f}°",
+        "",
+        "| test | value | gate | |",
+        "|---|---|---|---|",
+    ]
+    for test in event.tests:
+        relation = "≥" if test.at_least else "≤"
+        verdict = "" if test.passed else "**fails**"
+        name = _TESTS.get(test.name, test.name)
+        lines.append(f"| {name} | {test.value:.3g} | {relation} {test.gate:.3g} | {verdict} |")
+    if event.correction is not None:
+        lines += _corrected(event.correction, len(event.merged))
+    return "\n".join(lines)
+
+
+_TESTS = {
+    "drift": "motion, as a share of the drift to be expected",
+    "explained": "share of recent wall that falls on old wall",
+    "length": "metres of it",
+    "gain": "metres more than where the robot is believed to be",
+    "walls": "walls that fall on old ones",
+    "sigma": "metres, in the worst known direction",
+    "runner-up": "what another place explains, relative to this",
+    "contradicted": "share seen through old walls",
+    "unexpected": "standard deviations from the estimate",
+}
+
+
+def _corrected(correction: Correction, merged: int) -> list[str]:
+    shifts = correction.shifts()
+    moved = int((shifts > MOVED).sum())
+    chi2 = [correction.chi2_before, correction.chi2_strained, correction.chi2]
+    steps = " → ".join("?" if math.isnan(value) else f"{value:.0f}" for value in chi2)
+    return [
+        "",
+        "| correction | |",
+        "|---|---|",
+        f"| walls made one | {merged} |",
+        f"| chi² before → strained → after | {steps} |",
+        f"| largest, mean shift | {shifts.max(initial=0.0):.2f} m, {shifts.mean() if len(shifts) else 0.0:.2f} m |",
+        f"| keyframes moved by more than {100 * MOVED:.0f} cm | {moved} of {len(shifts)} |",
+    ]
+
+
+def residual_report(residuals: Residuals, count: int) -> str:
+    """How well the factors fit by kind, and the `count` worst by name."""
+    lines = ["| factors | number | mean d² / numbers measured | beyond 99.9 % |", "|---|---|---|---|"]
+    for kind in (ODOMETRY, WALL, CORNER, SAME_WALL):
+        chosen = residuals.of(kind)
+        if not chosen.any():
+            continue
+        freedom, squared = residuals.freedom[chosen], residuals.squared[chosen]
+        beyond = np.mean(squared > chdtri(freedom, 0.001))
+        lines.append(f"| {kind} | {len(squared)} | {squared.sum() / freedom.sum():.2f} | {beyond:.1%} |")
+    lines += ["", "The mean is 1 where the noise is as it is modelled.", ""]
+    lines += ["| worst | kind | d² | weight |", "|---|---|---|---|"]
+    for place in residuals.worst(count).tolist():
+        squared, weight = residuals.squared[place], residuals.weight[place]
+        lines.append(f"| {residuals.name(place)} | {residuals.kind[place]} | {squared:.1f} | {weight:.2f} |")
+    lines += ["", "The weight is what the kernel leaves of a factor that does not fit."]
+    return "\n".join(lines)
 
 
 def configuration(config: str, recording: str, versions: Mapping[str, str]) -> str:

@@ -1,7 +1,10 @@
 """From events to what is drawn: each kind of event and the entities it becomes.
 
-Rows of a keyframe are stamped with both timelines. What happens between keyframes is stamped with `sensor_time` only:
-on the timeline `keyframe` it would show the robot ahead of the scan that belongs to the keyframe.
+Rows of a keyframe are stamped with all timelines. What happens between keyframes is stamped with `sensor_time` only: on
+the timeline `keyframe` it would show the robot ahead of the scan that belongs to the keyframe.
+
+On `candidate` and `closure` a row has the number of the decision, or the correction of the map, that comes next. So at
+each step of these timelines everything is seen as it was right after that decision.
 """
 
 from __future__ import annotations
@@ -15,10 +18,10 @@ import rerun as rr
 
 from drivers import se2
 
-from ..errors import OutputError
 from ..events import (
     Event,
     Finished,
+    GraphInspected,
     KeyframeAdded,
     LinesMerged,
     LoopDecided,
@@ -31,27 +34,28 @@ from ..events import (
     TruthSeen,
 )
 from ..segments import Floats
-from . import colours, documents
-from .blueprint import layout
+from . import colours, documents, maps
+from .blueprint import Extent, layout
 from .colours import Colour
+from .corrections import CorrectionLayer
+from .decisions import DecisionLayer
+from .inspection import InspectionLayer
 from .keyframes import KeyframeLayer
-from .loops import LoopLayer
-from .maps import log_corners, log_lines
 from .metrics import Metrics
 from .paths import GrowingPath
+from .recording import PART_SIZE, Recording
 from .server import ViewerServer
 from .shapes import Layer, bounds, lift
+from .states import StateLayer
 from .truth import TruthComparison
 
-APPLICATION = "wclm-slam"  # the viewer keeps layouts by this name
-EPOCH_STAMPS = 1e8  # stamps above are seconds since 1970, stamps below count from the recording's own start
 NOTABLE_SHIFT = 0.1  # metres by which the path moved that are worth a line in the log
-SERVER_MEMORY = "25%"  # of the computer's: what viewers that come late are shown; older rows are in the file only
 ROOM_TO_GROW = 0.25  # of the map's size, on each side, when those who look on are shown more of it
-FLUSH_PERIOD = 0.5  # seconds; live, shorter ones cost kilobytes each for their chunks, and viewers see no more
+GROWING_INTERVAL = 5  # keyframes after which odometry's and the true path are drawn on
 PATH_SPACING = 0.05  # metres between points of the odometry's and the true path
+CERTAIN, LESS_CERTAIN = 0.05, 0.2  # metres of sigma, between the shades of keyframes
 
-_THIN, _THICK = rr.Radius.ui_points(0.7), rr.Radius.ui_points(1.2)
+_THIN, _THICK, _DOT = rr.Radius.ui_points(0.7), rr.Radius.ui_points(1.0), rr.Radius.ui_points(1.6)
 
 
 class EventLog:
@@ -64,6 +68,8 @@ class EventLog:
         recording: str,
         versions: Mapping[str, str],
         server: ViewerServer | None = None,
+        part_size: int = PART_SIZE,
+        seed: int | None = None,
     ) -> None:
         """Open `path`, let viewers come if there is a server for them, and log what never changes.
 
@@ -71,24 +77,27 @@ class EventLog:
 
         Raises OutputError where the file cannot be written.
         """
-        self._stream = rr.RecordingStream(APPLICATION, batcher_config=rr.ChunkBatcherConfig(flush_tick=FLUSH_PERIOD))
-        self._stream.set_log_time_enabled(False)
         self._extent = self._shown = bounds(np.empty((0, 2)))
         self._watched = server is not None
-        try:
-            self._stream.set_sinks(*_sinks(path, server), default_blueprint=layout(*self._extent, truth=False))
-        except (OSError, RuntimeError) as error:
-            raise OutputError(f"{path}: cannot write the review log: {error}") from error
-        self._log_documents(config, recording, versions)
-        self._metrics = Metrics(self._stream)
-        self._loops = LoopLayer(self._stream)
+        self._recording = Recording(path, layout(Extent(*self._extent)), server, part_size)
+        self._log_documents(config, recording, versions, seed)
+        self._decided = self._corrected = 0  # decisions on loops, and corrections of the map, before the last keyframe
+        self._decisions = self._corrections = 0  # and until now
+        self._metrics = Metrics(self._recording)
+        self._decision_layer = DecisionLayer(self._recording, self._metrics)
+        self._correction_layer = CorrectionLayer(self._recording)
+        self._inspection = InspectionLayer(self._recording, self._metrics)
+        self._states = StateLayer(self._recording)
         self._pose = np.zeros(3)  # of the last keyframe
-        self._keyframes = KeyframeLayer(self._stream, self._metrics)
+        self._chi2 = math.nan
+        self._keyframes = KeyframeLayer(self._recording, self._metrics)
         self._odometry, self._true_path = GrowingPath(PATH_SPACING), GrowingPath(PATH_SPACING)
         self._odometry_start: se2.Pose | None = None  # T_map_odom by the first keyframe
         self._truth = TruthComparison()
         self._truth_waiting: list[se2.Pose] = []  # true poses before there was an alignment
         self._recent: list[se2.Pose] = []  # keyframes since the whole path was drawn
+        self._sigmas: dict[int, float] = {}  # of the keyframes' positions, metres
+        self._path = np.zeros((0, 3))  # all keyframes, as last heard of
         self._lines: MapLines | None = None
         self._corners: MapCorners | None = None
         self._index = 0
@@ -104,16 +113,17 @@ class EventLog:
                 self._write_keyframe(event)
             case MapUpdated():
                 self._write_map(event)
+            case GraphInspected():
+                self._write_inspection(event)
             case LinesMerged():
                 self._at(event.index, event.stamp)
-                self._say(f"L{event.absorbed} is the same wall as L{event.kept}: merged, d²={event.gate:.1f}", "INFO")
+                self._inspection.merge(event.index, event.absorbed, event.kept, loop=False)
+                self._say(f"L{event.absorbed} is the same wall as L{event.kept}: merged, d²={event.gate:.1f}", "TRACE")
             case LoopDecided():
-                self._at(event.index, event.stamp)
-                self._say(*self._loops.describe(event))
-                self._loops.log(event, self._pose)
+                self._write_decision(event)
             case StateChanged():
                 self._at(self._index, event.stamp)
-                self._say(*_state_in_words(event))
+                self._states.log(event)
             case TruthSeen():
                 self._write_truth(event)
             case Noticed():
@@ -128,79 +138,119 @@ class EventLog:
         self._say(text, "WARN")
 
     def close(self) -> None:
-        """Fit the layout to the map and write the file's footer."""
-        final = layout(
-            *self._extent, truth=self._truth.alignment is not None, usual_time=self._metrics.usual_top("time")
-        )
-        self._stream.send_blueprint(final)
-        self._stream.flush()  # raises where the file could not be written, a full disk for one; disconnecting does not
-        self._stream.disconnect()
+        """Fit the layout to the map and finish the file."""
+        truth, usual = self._truth.alignment is not None, self._metrics.usual_top("time")
+        self._recording.lay_out(layout(Extent(*self._extent, truth=truth, usual_time=usual)))
+        self._recording.close()
 
-    def _log_documents(self, config: str, recording: str, versions: Mapping[str, str]) -> None:
+    def _log_documents(self, config: str, recording: str, versions: Mapping[str, str], seed: int | None) -> None:
         if recording:
-            self._stream.send_recording_name(recording)
-        self._stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+            self._recording.name(recording)
+        told = {"recording": recording or None, "seed": seed} | {k.replace("-", "_"): v for k, v in versions.items()}
+        if facts := {name: value for name, value in told.items() if value is not None}:
+            self._recording.describe("run", facts)
+        self._recording.keep("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        maps.prepare(self._recording)
+        dots = rr.Points3D.from_fields(radii=_DOT, show_labels=False)
+        self._recording.keep("world/path/keyframes", dots)
         self._log_document("legend", documents.legend())
         self._log_document("config", documents.configuration(config, recording, versions))
         self._log_document("summary", documents.SUMMARY_PENDING)
 
     def _log_document(self, entity: str, markdown: str) -> None:
-        self._stream.log(entity, rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN), static=True)
+        self._recording.keep(entity, rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN))
 
     def _at(self, index: int, stamp: float) -> None:
-        """Stamp the next rows with a keyframe and the recording's time."""
-        self._between(stamp)
-        self._stream.set_time("keyframe", sequence=index)
+        """Stamp the next rows with all timelines."""
+        self._recording.set_time(stamp, keyframe=index, candidate=self._decided + 1, closure=self._corrected + 1)
 
     def _between(self, stamp: float) -> None:
         """Stamp the next rows with the recording's time only."""
-        self._stream.disable_timeline("keyframe")
-        nanoseconds = round(1e9 * stamp)
-        if stamp > EPOCH_STAMPS:
-            self._stream.set_time("sensor_time", timestamp=np.datetime64(nanoseconds, "ns"))
-        else:
-            self._stream.set_time("sensor_time", duration=np.timedelta64(nanoseconds, "ns"))
+        self._recording.set_time(stamp, keyframe=None, candidate=None, closure=None)
 
     def _say(self, text: str, level: str) -> None:
-        self._stream.log("log", rr.TextLog(text, level=level))
+        self._recording.log("log", rr.TextLog(text, level=level))
 
     def _write_scan(self, event: ScanTracked) -> None:
         self._explained = event.explained
         self._between(event.stamp)
-        self._keyframes.place_robot(event.pose)
+        self._keyframes.move_robot(event.pose)
 
     def _write_keyframe(self, event: KeyframeAdded) -> None:
+        self._recording.begin_part_if_full()
         self._index, self._stamp, self._pose = event.index, event.stamp, event.pose
+        self._decided, self._corrected = self._decisions, self._corrections
         self._at(event.index, event.stamp)
-        self._keyframes.log(event, self._explained, self._lines, self._corners)
-        self._recent.append(event.pose)
-        self._log_path("recent", np.array(self._recent), Layer.ESTIMATE, colours.ESTIMATE)
         if self._odometry_start is None:
             self._odometry_start = se2.compose(event.pose, se2.inverse(event.odometry))
+            self._decision_layer.begin()
+            self._states.begin()
+        self._decision_layer.clear()
+        self._sigmas[event.index] = self._keyframes.log(event, self._explained, self._lines, self._corners)
+        self._recent.append(event.pose)
+        self._log_path("recent", np.array(self._recent), Layer.ESTIMATE, colours.ESTIMATE)
         by_odometry = se2.compose(self._odometry_start, event.odometry)
         self._odometry.append(float(by_odometry[0]), float(by_odometry[1]))
-        self._log_growing("odometry", self._odometry, Layer.ODOMETRY, colours.ODOMETRY)
-        self._log_growing("truth", self._true_path, Layer.TRUTH, colours.TRUTH)
+        if event.index % GROWING_INTERVAL == 0:
+            self._log_growing("odometry", self._odometry, Layer.ODOMETRY, colours.ODOMETRY)
+            self._log_growing("truth", self._true_path, Layer.TRUTH, colours.TRUTH)
         self._truth.add_keyframe(event.index, event.stamp, event.pose)
         self._log_truth_errors()
 
+    def _write_decision(self, event: LoopDecided) -> None:
+        """A decision, at the last keyframe: a closure that is taken back was closed at an earlier one."""
+        self._decided = self._decisions  # should there be two at a keyframe
+        self._decisions += 1
+        self._at(max(self._index, event.index), event.stamp)
+        pose = self._pose
+        if event.correction is not None:
+            self._corrections += 1
+            self._chi2 = event.correction.chi2
+            pose = event.correction.keyframes_before[-1]
+        if event.status == "retracted":
+            self._inspection.unmerge(event.index)
+        self._decision_layer.log(event, self._decisions, pose, self._chi2)
+        self._correction_layer.log(event)
+        for old, recent in event.merged if event.status == "accepted" else ():
+            self._inspection.merge(event.index, recent, old, loop=True)
+
     def _write_map(self, event: MapUpdated) -> None:
-        self._at(event.index, event.stamp)
-        self._lines, self._corners = event.lines, event.corners
+        self._at(max(self._index, event.index), event.stamp)
+        self._lines, self._corners, self._path = event.lines, event.corners, event.keyframes
         self._log_map(event.lines, event.corners, event.keyframes)
-        self._loops.log_accepted(event.keyframes)
+        self._log_keyframes(event.keyframes)
+        self._decision_layer.log_map(event.keyframes)
         self._recent = [event.keyframes[-1]] if len(event.keyframes) else []
+        if self._corrections > self._corrected and len(event.keyframes):
+            self._keyframes.place(event.keyframes[-1])
+        self._chi2 = event.chi2
         self._metrics.log("chi2", {"chi²": event.chi2})
         if event.shift > NOTABLE_SHIFT:
             self._say(f"the path moved by up to {event.shift:.2f} m", "INFO")
 
+    def _write_inspection(self, event: GraphInspected) -> None:
+        if self._lines is not None and self._corners is not None:
+            self._at(max(self._index, event.index), event.stamp)
+            self._inspection.log(event, self._path, self._lines, self._corners)
+
     def _log_map(self, lines: MapLines, corners: MapCorners, path: Floats) -> None:
-        log_lines(self._stream, lines)
-        log_corners(self._stream, corners)
+        maps.log_lines(self._recording, lines)
+        maps.log_corners(self._recording, corners)
         self._log_path("estimate", path, Layer.ESTIMATE, colours.ESTIMATE)
         self._log_path("recent", np.empty((0, 2)), Layer.ESTIMATE, colours.ESTIMATE)
         self._extent = bounds(lines.end_points(), path)
         self._make_room()
+
+    def _log_keyframes(self, keyframes: Floats) -> None:
+        """The keyframes (k, 3) as dots, the darker the less certain they were when they were added."""
+        sigmas = np.array([self._sigmas.get(index, math.nan) for index in range(len(keyframes))])
+        shade = (sigmas > CERTAIN).astype(int) + (sigmas > LESS_CERTAIN)
+        dots = rr.Points3D.from_fields(
+            positions=lift(keyframes, Layer.KEYFRAME),
+            colors=np.array(colours.ESTIMATE_SHADES, dtype=np.uint8)[shade],
+            labels=[f"x{index} σ={100 * sigma:.0f} cm" for index, sigma in enumerate(sigmas.tolist())],
+        )
+        self._recording.log("world/path/keyframes", dots)
 
     def _make_room(self) -> None:
         """Show those who look on the whole map when it has outgrown what they see; their own layout is lost then."""
@@ -209,7 +259,7 @@ class EventLog:
             return
         margin = ROOM_TO_GROW * float(np.max(high - low))
         self._shown = low - margin, high + margin
-        self._stream.send_blueprint(layout(*self._shown, truth=False))
+        self._recording.lay_out(layout(Extent(*self._shown)))
 
     def _write_truth(self, event: TruthSeen) -> None:
         self._truth.add_truth(event.stamp, event.pose)
@@ -229,35 +279,21 @@ class EventLog:
 
     def _write_finish(self, event: Finished) -> None:
         self._at(self._index, self._stamp)
+        if event.keyframe_covariance is not None:
+            largest = np.linalg.eigvalsh(event.keyframe_covariance[:, :2, :2])[:, -1]
+            self._sigmas = dict(enumerate(np.sqrt(np.maximum(largest, 0.0)).tolist()))
         self._log_map(event.lines, event.corners, event.poses if len(event.poses) else event.keyframes)
+        self._log_keyframes(event.keyframes)
+        self._decision_layer.log_map(event.keyframes)
         self._log_growing("odometry", self._odometry, Layer.ODOMETRY, colours.ODOMETRY)
         self._log_growing("truth", self._true_path, Layer.TRUTH, colours.TRUTH)
         self._log_document("summary", documents.summary(event.summary))
 
     def _log_path(self, name: str, poses: Floats, layer: Layer, colour: Colour) -> None:
         strips = [lift(poses, layer)] if len(poses) > 1 else []
-        self._stream.log(f"world/path/{name}", rr.LineStrips3D(strips, colors=colour, radii=_THICK))
+        self._recording.log(f"world/path/{name}", rr.LineStrips3D(strips, colors=colour, radii=_THICK))
 
     def _log_growing(self, name: str, path: GrowingPath, layer: Layer, colour: Colour) -> None:
         for number, points in path.changed():
             strip = rr.LineStrips3D([lift(points, layer)], colors=colour, radii=_THIN)
-            self._stream.log(f"world/{name}/{number}", strip)
-
-
-def _sinks(path: Path, server: ViewerServer | None) -> list[rr.FileSink | rr.GrpcServerSink]:
-    file = rr.FileSink(path)
-    if server is None:
-        return [file]
-    server.release()
-    return [file, rr.GrpcServerSink(server.address, server.port, server_memory_limit=SERVER_MEMORY)]
-
-
-def _state_in_words(event: StateChanged) -> tuple[str, str]:
-    """The state as a line of the text log, and the line's level."""
-    match event.state:
-        case "LOST":
-            return "LOST: the robot is not where it was believed to be, and looks for itself in its map", "ERROR"
-        case "DEGENERATE":
-            heading = math.degrees(event.direction or 0.0)
-            return f"DEGENERATE: along {heading:.0f}° in the map the pose rests on odometry alone", "WARN"
-    return "OK: the pose is held in every direction", "INFO"
+            self._recording.log(f"world/{name}/{number}", strip)

@@ -12,12 +12,16 @@ BLOCK = 128  # points; a block is logged again while it grows, and never after
 
 
 class GrowingPath:
-    """Points (x, y) in metres that never change; points closer than `spacing` to the last one are left out."""
+    """Points (x, y) in metres that never change; points closer than `spacing` to the last one are left out.
+
+    Blocks that were given out and are full are forgotten.
+    """
 
     def __init__(self, spacing: float) -> None:
         self._spacing = spacing
+        self._number = 0  # of the first block that is kept
         self._blocks: list[list[tuple[float, float]]] = [[]]
-        self._unlogged = 0
+        self._grown = False
 
     def append(self, x: float, y: float) -> None:
         """Add a point."""
@@ -28,11 +32,12 @@ class GrowingPath:
             block = [block[-1]]  # without a gap between the blocks
             self._blocks.append(block)
         block.append((x, y))
-        self._unlogged = min(self._unlogged, len(self._blocks) - 1)
+        self._grown = True
 
     def changed(self) -> Iterator[tuple[int, Floats]]:
         """The number and points (n, 2) of each block that grew since it was last given out here."""
-        for number in range(self._unlogged, len(self._blocks)):
-            if self._blocks[number]:
-                yield number, np.array(self._blocks[number])
-        self._unlogged = len(self._blocks)
+        if not self._grown:
+            return
+        yield from [(self._number + place, np.array(block)) for place, block in enumerate(self._blocks)]
+        self._number += len(self._blocks) - 1
+        self._blocks, self._grown = self._blocks[-1:], False

@@ -28,19 +28,31 @@ class ViewerServer:
     has no such address.
 
     address  of this computer
-    port     None asks for PORT, or where that is taken for any
+    port     None asks for the `usual` one, or where that is taken for any
     """
 
-    def __init__(self, address: str = LOCAL, port: int | None = None) -> None:
-        self._held = _first_free(address, (PORT, 0) if port is None else (port,))
+    def __init__(self, address: str = LOCAL, port: int | None = None, *, usual: int = PORT) -> None:
+        self._held = _first_free(address, (usual, 0) if port is None else (port,))
         self.address: str = self._held.getsockname()[0]
         self.port: int = self._held.getsockname()[1]
 
     @property
     def url(self) -> str:
         """What a viewer is told: `rerun --connect URL`."""
-        host = socket.gethostname() if self.address == EVERYWHERE else self.address
-        return f"rerun+http://{host}:{self.port}/proxy"
+        return f"rerun+http://{self.host}:{self.port}/proxy"
+
+    @property
+    def host(self) -> str:
+        """By what name those who may connect reach this computer."""
+        return socket.gethostname() if self.address == EVERYWHERE else self.address
+
+    def answers(self) -> bool:
+        """Whether somebody has taken the port over and accepts connections."""
+        try:
+            socket.create_connection((LOCAL if self.address == EVERYWHERE else self.address, self.port), 1.0).close()
+        except OSError:
+            return False
+        return True
 
     def release(self) -> None:
         """Let the port go; further calls do nothing."""

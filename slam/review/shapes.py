@@ -20,6 +20,7 @@ Drawn = NDArray[np.float32]
 
 SIGMAS = 3.0
 ELLIPSE_HALF_THICKNESS = 5e-4  # metres; an ellipsoid must not be flat
+DASHES = 9  # of a dashed line
 ROUND_ESTIMATE = 1024.0  # parts of a metre kept of what was estimated, far below its sigmas; rounding shrinks the file
 ROUND_SCAN = 256.0  # parts of a metre kept of scan points; a third less than unrounded
 
@@ -32,10 +33,13 @@ class Layer(float, Enum):
     WALL = 0.0
     CORNER = 0.002
     ESTIMATE = 0.004
+    KEYFRAME = 0.0045
     TRUTH = 0.005  # thin, over the estimate: they should coincide
     FEATURE = 0.006
     LINK = 0.008
     SCAN = 0.010  # small, over the segments: they show how well those fit
+    LOOP = 0.012
+    DECISION = 0.014
 
 
 def lift(points: ArrayLike, layer: Layer, parts: float = ROUND_ESTIMATE) -> Drawn:
@@ -85,6 +89,13 @@ def wall_bands(lines: MapLines) -> Floats:
     outline_x = np.stack([x[:, 0], x[:, 1], x[:, 1], x[:, 0], x[:, 0]], axis=-1)
     outline_y = np.stack([-y[:, 0], -y[:, 1], y[:, 1], y[:, 0], -y[:, 0]], axis=-1)
     return se2.transform(frame[:, None, :], np.stack([outline_x, outline_y], axis=-1))
+
+
+def dashed(ends: Floats) -> Floats:
+    """(k, 2, 2): the dashes of lines between ends (n, 2, 2); always DASHES of them, so that long lines stay cheap."""
+    parts = (np.arange(DASHES)[:, None] + np.array([0.2, 0.8])) / DASHES
+    along = ends[:, 1] - ends[:, 0]
+    return np.asarray(ends[:, None, None, 0] + parts[None, :, :, None] * along[:, None, None]).reshape(-1, 2, 2)
 
 
 def wall_links(centres: Floats, match: Integers, lines: MapLines) -> Floats:

@@ -13,11 +13,22 @@ from types import TracebackType
 
 import numpy as np
 
-from ..events import Event, KeyframeAdded, ScanTracked
+from ..events import (
+    Event,
+    Finished,
+    KeyframeAdded,
+    LinesMerged,
+    LoopDecided,
+    ScanTracked,
+    StateChanged,
+    TruthSeen,
+)
 from .server import ViewerServer
 
 BUSY = 500  # events waiting, about a second of work: from here on scans are left out
-OVERRUN = 50_000  # events waiting: the log has stalled, a full disk perhaps; from here on everything is left out
+OVERRUN = 5_000  # events waiting: the log has stalled, a full disk perhaps; from here on only what is seldom is kept
+SELDOM = (LoopDecided, LinesMerged, StateChanged, Finished)
+"""What is never left out: it comes so seldom that even the events of a day can wait."""
 
 _logger = logging.getLogger(__name__)
 
@@ -26,14 +37,16 @@ class ReviewLog:
     """Writes the pipeline's events to a Rerun recording, without ever holding the pipeline up.
 
     While the log cannot keep up, scan points and the robot's way between keyframes are left out and counted; keyframes,
-    maps, merges and notices are kept. Nothing that goes wrong while logging reaches the pipeline: it is reported once,
-    by `close`.
+    maps and notices follow should it stall, decisions on loops never. Nothing that goes wrong while logging reaches the
+    pipeline: it is reported once, by `close`.
 
-    path        the .rrd file to write; an existing one is overwritten
+    path        the .rrd file to write; an existing one is overwritten. A long log goes on in others beside it
     config      the settings, as TOML, to show beside the map
     recording   what was mapped, the name under which the viewer lists the log
     versions    package names and their versions
     server      where viewers can look on, however late they come
+    seed        of the randomness in what was run, if there is any
+    part_size   bytes after which another file is begun
     """
 
     def __init__(
@@ -44,9 +57,13 @@ class ReviewLog:
         recording: str = "",
         versions: Mapping[str, str] | None = None,
         server: ViewerServer | None = None,
+        seed: int | None = None,
+        part_size: int | None = None,
     ) -> None:
         """Open the log. Raises OutputError where `path` cannot be written."""
-        from .log import EventLog  # Rerun is imported here, and only for those who want a log
+        # Rerun is imported here, and only for those who want a log
+        from .log import EventLog
+        from .recording import PART_SIZE
 
         self.path = path
         self.thinned = 0  # events that were left out, or lost their points, while the log was busy
@@ -55,9 +72,14 @@ class ReviewLog:
         self.first_failure: str | None = None
         self._queue: SimpleQueue[Event | None] = SimpleQueue()
         self._closed = False
-        self._log = EventLog(path, config, recording, versions or {}, server)
+        size = PART_SIZE if part_size is None else part_size
+        self._log = EventLog(path, config, recording, versions or {}, server, size, seed)
         self._worker = threading.Thread(target=self._work, name="review log", daemon=True)
         self._worker.start()
+
+    def left_out(self) -> dict[str, int]:
+        """How many events are not in the log as they were told, by what became of them."""
+        return {"thinned": self.thinned, "lost": self.lost, "failed": self.failures}
 
     @property
     def waiting(self) -> int:
@@ -69,11 +91,11 @@ class ReviewLog:
         if self._closed:
             return
         waiting = self.waiting
-        if waiting >= OVERRUN:
+        if waiting >= OVERRUN and not isinstance(event, SELDOM):
             self.lost += 1
             return
         if waiting >= BUSY:
-            if isinstance(event, ScanTracked):
+            if isinstance(event, ScanTracked | TruthSeen):
                 self.thinned += 1
                 return
             if isinstance(event, KeyframeAdded):

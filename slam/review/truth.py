@@ -9,6 +9,7 @@ import numpy as np
 
 from drivers import se2
 
+KEPT = 20_000  # true poses; half of them outlast any delay of a keyframe
 LONGEST_GAP = 1.0  # seconds between true poses that are interpolated
 
 
@@ -63,7 +64,13 @@ class TruthComparison:
                 self.alignment = se2.compose(pose, se2.inverse(truth))
             off = se2.between(self.in_map(truth), pose)
             found.append(TruthError(index, stamp, float(np.hypot(off[0], off[1])), abs(float(off[2]))))
+        self._forget()
         return found
+
+    def _forget(self) -> None:
+        """Drop true poses that no keyframe can ask for any more, now and then."""
+        if not self._waiting and len(self._stamps) > KEPT:
+            del self._stamps[: -KEPT // 2], self._poses[: -KEPT // 2]
 
     def _at(self, stamp: float) -> se2.Pose | None:
         """The true pose at a stamp that is not after the last one; None before the first and in gaps."""

@@ -15,9 +15,9 @@ BLOCK = re.compile(
     r"(?:^<!-- needs: (?P<needs>\w+) -->\n)?^```(?P<language>sh|python)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL
 )
 MENTION = re.compile(r"`(wclm [a-z][^`]*)`")
-NEEDS = {"network", "robot", "emulator", "viewer", "cluster", "time"}
+NEEDS = {"network", "robot", "emulator", "viewer", "cluster", "drives", "time"}
 """What a block may need that a quick test does not have: a package index, a lidar and a base, a second terminal with an
-emulated robot, a display, other computers, minutes."""
+emulated robot, a display, other computers, several drives through one building, minutes."""
 
 
 @dataclass(frozen=True, slots=True)

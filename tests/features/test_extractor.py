@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from features import Extractor, Features, Noise, benchmark, warm_up
+from features import Extractor, Features, Noise
 from features.condense import END_RAYS
 
 NOISE = Noise(0.01, 0.001)
@@ -234,13 +234,3 @@ def test_wrong_settings_are_refused(wrong: dict[str, object]) -> None:
 def test_unequal_lengths_are_refused() -> None:
     with pytest.raises(ValueError, match="as many"):
         extract(np.ones(10), np.zeros(9))
-
-
-def test_benchmark_reports_rows() -> None:
-    warm_up()
-    rows = benchmark.run(beams=(180,), scans=3, rounds=1)
-    assert {row.name for row in rows} >= {"split/wclm-ml", "split/siadat", "tracking/wclm"}
-    for row in rows:
-        assert row.beams == 180
-        assert row.lines > 3
-        assert 0 < row.median_us <= row.p99_us

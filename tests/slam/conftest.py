@@ -1,5 +1,6 @@
 """What several tests need: a small map, a pipeline that finds it, and a way to run commands."""
 
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,9 +12,15 @@ from ruamel.yaml import YAML
 from typer.testing import CliRunner, Result
 
 from drivers.messages import Message, Odometry, Scan
+from slam.belief import Belief
 from slam.cli import app
 from slam.config import Config
-from slam.events import Finished, MapCorners, MapLines, Noticed
+from slam.events import Event, Finished, MapCorners, MapLines, Noticed
+from slam.odometry import OdometryHistory
+from slam.review import ReviewLog
+from slam.sessions import StoredSession
+
+from .corridor import Corridor
 
 
 @pytest.fixture
@@ -51,7 +58,7 @@ def fake_slam(monkeypatch: pytest.MonkeyPatch, finished: Finished) -> type:
         notices = 0
         refined = False
 
-        def __init__(self, config: Config, sinks: Sequence[Any], *, refine: bool = False) -> None:
+        def __init__(self, config: Config, sinks: Sequence[Any], *, refine: bool = False, **_: object) -> None:
             self.sinks = sinks
             type(self).refined = refine
             self.odometry: list[Odometry] = []
@@ -61,6 +68,13 @@ def fake_slam(monkeypatch: pytest.MonkeyPatch, finished: Finished) -> type:
                 self.odometry.append(message)
             elif isinstance(message, Scan) and self.fails is not None:
                 raise self.fails
+
+        @property
+        def session(self) -> StoredSession:
+            history = OdometryHistory()
+            for reading in self.odometry:
+                history.add(reading)
+            return StoredSession(Config(), Belief(Config().odometry), [], [history], [0], 0.01)
 
         def finish(self) -> Finished:
             for k in range(self.notices):
@@ -142,3 +156,18 @@ class MapServer:
 @pytest.fixture
 def map_server() -> type[MapServer]:
     return MapServer
+
+
+@pytest.fixture(scope="session")
+def corridor(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Event]]:
+    """One lap logged, slowly enough that nothing is left out: the file and the events."""
+    path = tmp_path_factory.mktemp("review") / "review.rrd"
+    events = list(Corridor().events())
+    versions = {"wclm-slam": "0.1.0"}
+    with ReviewLog(path, config="[lidar]\nsigma_range = 0.01", recording="corridor", versions=versions) as review:
+        for event in events:
+            review.handle(event)
+            while review.waiting > 50:
+                time.sleep(0.001)
+    assert (review.failures, review.thinned, review.lost) == (0, 0, 0), review.first_failure
+    return path, events

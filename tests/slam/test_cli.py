@@ -20,9 +20,12 @@ from slam.trajectory import read_tum
 COMMANDS = (
     "demo",
     "run",
+    "batch",
     "map",
     "report",
+    "review",
     "optimize",
+    "merge",
     "info",
     "simulate",
     "emulate",
@@ -33,6 +36,8 @@ COMMANDS = (
     "features",
     "bench",
     "bench features",
+    "bench slam",
+    "bench gate",
     "bench relocalisation",
     "bench laps",
     "bench consistency",
@@ -65,7 +70,7 @@ def test_help_loads_nothing_heavy() -> None:
     code = (
         "import sys; sys.argv = ['wclm', '--help']\nimport slam.cli\n"
         "try: slam.cli.main()\nexcept SystemExit: pass\n"
-        "heavy = {'gtsam', 'rerun', 'numba', 'matplotlib', 'rosbags', 'mcap'}\n"
+        "heavy = {'gtsam', 'rerun', 'numba', 'matplotlib', 'rosbags', 'mcap', 'distributed', 'pyarrow'}\n"
         "print(sorted(heavy & set(sys.modules)), file=sys.stderr)"
     )
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
@@ -130,7 +135,7 @@ def test_the_log_is_written_and_how_to_open_it_is_said(wclm: Any, fake_slam: typ
     result = wclm("run", SHORT, "--out", "out")
     assert result.exit_code == 0, result.output
     assert (tmp_path / "out" / "review.rrd").stat().st_size > 0
-    assert "rerun out/review.rrd" in result.stdout
+    assert "wclm review out" in result.stdout
 
 
 def test_warnings_are_shown_but_not_without_end(wclm: Any, fake_slam: Any) -> None:

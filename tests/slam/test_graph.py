@@ -11,7 +11,8 @@ import pytest
 from drivers import se2
 from slam.errors import MapError
 from slam.graph import FactorGraph
-from slam.graph.backend import CAUCHY_SCALE, FIRST_POSE_SIGMAS, KERNEL_CAUTION
+from slam.graph.backend import FIRST_POSE_SIGMAS, KERNEL_CAUTION
+from slam.graph.factors import CAUCHY_SCALE
 
 ODOMETRY = np.diag([0.02, 0.02, 0.01]) ** 2
 QUIET = 0.3  # of the claimed noise is drawn, so that the robust kernels stay out of the comparison
@@ -195,7 +196,7 @@ def test_relative_covariances_are_those_of_a_map_that_begins_at_the_keyframe() -
     jacobian = jacobian_of(state, world, prior=False)
     free = np.r_[0 : 3 * last, 3 * last + 3 : jacobian.shape[1]]  # the keyframe does not move, nothing else is given
     covariance = np.linalg.inv(jacobian[:, free].T @ jacobian[:, free])
-    own, walls, corners = graph.relative_covariances(last, range(5), range(3))
+    own, walls, corners, *_ = graph.relative_covariances(last, range(5), range(3))
     for j in range(5):
         at = slice(18 + 2 * j, 20 + 2 * j)
         assert apart(walls[j], covariance[at, at]) < 0.2

@@ -1,4 +1,7 @@
 import json
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -82,6 +85,44 @@ def test_existing_results_are_replaced_only_when_asked_for(tmp_path: Path) -> No
     assert [entry.name for entry in tmp_path.iterdir()] == ["out"]
     with pytest.raises(OutputError, match="out: exists already; choose another directory or add --overwrite"):
         OutputDirectory(out).__enter__()
+
+
+SAVES = """
+import sys
+from pathlib import Path
+from slam.outputs import SUMMARY, TRAJECTORY, OutputDirectory
+
+for number in range(10**9):
+    with OutputDirectory(Path(sys.argv[1]), overwrite=True) as directory:
+        (directory / SUMMARY).write_text(f"{number}")
+        (directory / TRAJECTORY).write_text(f"{number}")
+    if number == 0:
+        print("saved", flush=True)
+"""
+
+
+def test_killed_at_any_moment_the_results_are_there_and_whole(tmp_path: Path) -> None:
+    """Saved again and again, and killed at random moments."""
+    out, random = tmp_path / "out", np.random.default_rng(1)
+    for _ in range(5):
+        with subprocess.Popen([sys.executable, "-c", SAVES, out], stdout=subprocess.PIPE) as process:
+            assert process.stdout is not None
+            assert process.stdout.readline() == b"saved\n"
+            time.sleep(random.uniform(0.0, 0.05))
+            process.kill()
+        saved = contents(out)
+        assert saved[SUMMARY] == saved[TRAJECTORY] != ""
+
+
+def test_where_directories_cannot_be_exchanged_the_older_steps_aside(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slam.outputs.exchange", lambda *_: False)
+    for text in ("old", "new"):
+        with OutputDirectory(tmp_path / "out", overwrite=True) as directory:
+            (directory / SUMMARY).write_text(text)
+    assert contents(tmp_path / "out") == {SUMMARY: "new"}
+    assert [entry.name for entry in tmp_path.iterdir()] == ["out"]
 
 
 def test_an_empty_directory_is_taken(tmp_path: Path) -> None:

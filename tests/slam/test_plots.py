@@ -33,6 +33,7 @@ def scan() -> tuple[np.ndarray, np.ndarray, Features]:
         last=np.array([131]),
         count=np.array([80]),
         chi2=np.array([78.0]),
+        curved=np.array([False]),
     )
     corners = Corners(np.array([[3.0, 2.6]]), 1e-4 * np.eye(2)[None], np.array([[0, 0]]))
     return ranges, angles, Features(lines, corners, Noise(0.01, 0.001))

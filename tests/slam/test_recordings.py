@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,14 @@ from scipy.spatial import KDTree
 import drivers
 from drivers import se2
 from slam import Slam
-from slam.config import Config
+from slam.config import Config, config_to_toml
 from slam.evaluation import read_relations, score_reference, score_relations
+from slam.events import Finished
 from slam.exports import OccupancyGrid, placed_scans
 from slam.exports.occupancy import OCCUPIED
+from slam.optimisation import optimise
+from slam.outputs import CONFIG
+from slam.sessions import StoredSession, read_stored, write_stored
 from slam.trajectory import Trajectory, read_tum
 
 ROOT = Path(__file__).parents[2]
@@ -69,6 +74,51 @@ def test_the_second_look(name: str, translation: float, rotation: float) -> None
     assert figures["missing"] == 0
     assert figures["trans_mean"] <= translation
     assert figures["rot_mean"] <= rotation
+
+
+def scored(name: str, finished: Finished) -> dict[str, float]:
+    relations = read_relations(folder_of(name, "clf", "relations") / f"{name}.relations")
+    return score_relations(Trajectory(finished.stamps, finished.poses), relations).figures()
+
+
+def kept(slam: Slam, directory: Path) -> StoredSession:
+    """What a run leaves, written down and read again."""
+    directory.mkdir()
+    (directory / CONFIG).write_text(config_to_toml(slam.config))
+    write_stored(directory, slam.session)
+    return read_stored(directory)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["intel", "fr079", "csail"])
+def test_optimised_later_is_as_good_as_refined_at_once(name: str, tmp_path: Path) -> None:
+    slam = Slam(keep_views=True)
+    for message in drivers.open(folder_of(name, "clf", "relations") / f"{name}.clf"):
+        slam.add(message)
+    slam.finish()
+    started = time.process_time()
+    figures = scored(name, optimise(kept(slam, tmp_path / "out")).finished)
+    assert time.process_time() - started < 60.0
+    assert figures["missing"] == 0
+    assert figures["trans_mean"] <= score(name, refine=True)["trans_mean"] + 2e-4  # points are kept to the millimetre
+
+
+@pytest.mark.slow
+def test_intel_cut_in_two_and_gone_on_with(tmp_path: Path) -> None:
+    messages = list(drivers.open(folder_of("intel", "clf", "relations") / "intel.clf"))
+    middle = 0.5 * (messages[0].stamp + messages[-1].stamp)
+    first = Slam()
+    for message in messages:
+        if message.stamp < middle:
+            first.add(message)
+    first.finish()
+    second = Slam(resumed=kept(first, tmp_path / "out"))
+    for message in messages:
+        if message.stamp >= middle:
+            second.add(message)
+    figures = scored("intel", second.finish())
+    assert figures["missing"] == 0
+    assert figures["trans_mean"] <= 1.1 * score("intel")["trans_mean"]
 
 
 @pytest.mark.slow

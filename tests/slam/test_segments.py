@@ -23,6 +23,7 @@ def lines_of(frames: np.ndarray, half_length: np.ndarray, covariance: np.ndarray
         last=np.arange(count),
         count=np.full(count, 20),
         chi2=np.full(count, 18.0),
+        curved=np.zeros(count, dtype=bool),
     )
 
 

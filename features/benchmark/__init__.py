@@ -1,0 +1,1 @@
+"""How well, and how fast, features are found in simulated scans: what `wclm bench features` runs."""

@@ -1,0 +1,82 @@
+"""What compilation costs and brings: the first start, the starts after it, memory, and the same without a compiler."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+TIMED = """
+import json, sys, time
+from pathlib import Path
+start = time.process_time()
+import numpy as np
+numpy_only = time.process_time()
+before = status()
+from features import warm_up
+from features.benchmark.timing import measure, scans_of
+imported = time.process_time()
+warm_up()
+ready = time.process_time()
+angles, ranges = scans_of(920, int(sys.argv[1]), 0)
+row = measure("split", "wclm-ml", ranges, angles, int(sys.argv[2]))
+print(json.dumps([imported - numpy_only, ready - imported, row.best_us, before, status()]))
+"""
+"""Run by an interpreter of its own, with the number of scans and of rounds as its arguments."""
+
+STATUS = """
+def status():
+    try:
+        pages = int(open("/proc/self/statm").read().split()[1])
+    except OSError:
+        return float("nan")
+    import resource
+    return pages * resource.getpagesize() / 1e6
+"""
+"""Megabytes that a process holds, where the system tells."""
+
+
+class Start(NamedTuple):
+    """One process from its start to its last scan.
+
+    import_s      seconds of processor to import the package, once numpy is there
+    first_scan_s  the same until the first scan is done: compiling, or loading what was compiled
+    scan_us       microseconds of a scan of 920 beams from then on (median over scans of the fastest call)
+    numpy_mb, memory_mb  megabytes that the process held before the package was imported, and at its end
+    """
+
+    name: str
+    import_s: float
+    first_scan_s: float
+    scan_us: float
+    numpy_mb: float
+    memory_mb: float
+
+
+def measure_starts() -> list[Start]:
+    """A first start, with nothing compiled; a second one; and one with the compiler switched off."""
+    with tempfile.TemporaryDirectory() as cache:
+        kept = {"NUMBA_CACHE_DIR": cache}
+        return [
+            start_once("first start", kept, 20, 20),
+            start_once("later starts", kept, 20, 20),
+            start_once("without numba's compiler", {"NUMBA_DISABLE_JIT": "1"}, 3, 3),
+        ]
+
+
+def start_once(name: str, environment: dict[str, str], scans: int, rounds: int) -> Start:
+    """Start an interpreter in this environment, more than the present one, and have it measure itself."""
+    root = str(Path(__file__).parents[2])
+    path = os.pathsep.join(part for part in (root, os.environ.get("PYTHONPATH")) if part)
+    result = subprocess.run(
+        [sys.executable, "-c", STATUS + TIMED, str(scans), str(rounds)],
+        env={**os.environ, "PYTHONPATH": path, **environment},
+        capture_output=True,
+        check=True,
+        text=True,
+    )
+    return Start(name, *json.loads(result.stdout))

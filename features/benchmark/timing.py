@@ -1,0 +1,124 @@
+"""How long the extraction of features takes, on rooms made here."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from ..arras_siegwart import direction_by_double_sums
+from ..estimators import ESTIMATORS
+from ..extract import Extractor, warm_up
+from ..fit import rays_of
+from ..types import Floats, Noise
+
+NOISE = Noise(sigma_range=0.01, sigma_bearing=0.001)
+BEAMS = (180, 360, 920, 1100)
+SIZE = (7.0, 5.0)
+"""Of the rooms, metres."""
+
+
+REFERENCE_RAYS = 230
+"""Of the reference: the most rays of a line in the paper's environments."""
+
+
+class Row(NamedTuple):
+    """One measurement: what was run, on how many beams, lines found per scan (mean), microseconds per scan.
+
+    The median and the 99th percentile are over all calls. `best_us` is the median over scans of each scan's fastest
+    call, which another user of the processor disturbs least, and `compiled_us` the same of the compiled call inside.
+    """
+
+    name: str
+    beams: int
+    lines: float
+    median_us: float
+    p99_us: float
+    best_us: float
+    compiled_us: float
+
+
+def run(*, beams: Sequence[int] = BEAMS, scans: int = 100, rounds: int = 10, seed: int = 0) -> list[Row]:
+    """Time every estimator, and the paper's tracking, on `scans` scans, `rounds` times over; seeded, warmed up.
+
+    The names read method/estimator. Times are of whole calls of Extractor.extract on one core.
+    """
+    warm_up()
+    rows = []
+    for count in beams:
+        angles, ranges = scans_of(count, scans, seed)
+        for estimator in ESTIMATORS:
+            rows.append(measure("split", estimator, ranges, angles, rounds))
+        rows.append(measure("tracking", "wclm", ranges, angles, rounds))
+    return rows
+
+
+def scans_of(beams: int, scans: int, seed: int) -> tuple[Floats, list[Floats]]:
+    """Bearings (n,), and ranges (n,) of `scans` rooms."""
+    angles = np.linspace(-np.pi, np.pi, beams, endpoint=False)
+    rng = np.random.default_rng(seed)
+    return angles, [room_scan(rng, angles) for _ in range(scans)]
+
+
+def measure(
+    method: Literal["split", "tracking"], estimator: str, ranges: list[Floats], angles: Floats, rounds: int
+) -> Row:
+    """Time one way of extraction on scans of one grid of bearings."""
+    extractor = Extractor(NOISE, method=method, estimator=estimator)
+    lines = [len(extractor.extract(scan, angles).lines) for scan in ranges]
+    times, inside = np.empty((rounds, len(ranges))), np.empty((rounds, len(ranges)))
+    for of_round, compiled in zip(times, inside, strict=True):
+        for k, scan in enumerate(ranges):
+            start = time.perf_counter()
+            extractor.extract(scan, angles)
+            middle = time.perf_counter()
+            extractor.condense()
+            of_round[k], compiled[k] = middle - start, time.perf_counter() - middle
+    median, p99 = np.percentile(times, (50, 99)) * 1e6
+    best, within = (float(np.median(each.min(axis=0))) * 1e6 for each in (times, inside))
+    return Row(f"{method}/{estimator}", len(angles), float(np.mean(lines)), float(median), float(p99), best, within)
+
+
+def relative(*, beams: int = 920, scans: int = 20, rounds: int = 100, seed: int = 0) -> tuple[float, float]:
+    """(ratio, microseconds): the time of a scan in units of a reference, and the reference.
+
+    The reference is eq. (27) of the paper as it is printed, double sums over 230 rays: compiled scalar code that no
+    change of the extractor touches. Both are timed in turns and the fastest of each counts, so that neither a slower
+    processor nor other work on it changes the ratio much.
+    """
+    angles, ranges = scans_of(beams, scans, seed)
+    extractor = Extractor(NOISE, adapt_noise=False)
+    line = rays_of(ranges[0][:REFERENCE_RAYS], angles[:REFERENCE_RAYS])
+    direction_by_double_sums(*line)
+    extractor.extract(ranges[0], angles)
+    times, reference = np.empty((rounds, scans)), np.empty(rounds)
+    for k in range(rounds):
+        start = time.perf_counter()
+        direction_by_double_sums(*line)
+        reference[k] = time.perf_counter() - start
+        for i, scan in enumerate(ranges):
+            start = time.perf_counter()
+            extractor.extract(scan, angles)
+            times[k, i] = time.perf_counter() - start
+    unit = float(reference.min())
+    return float(np.median(times.min(axis=0))) / unit, unit * 1e6
+
+
+def room_scan(rng: np.random.Generator, angles: Floats) -> Floats:
+    """Ranges (n,) from a random place in a room with a niche in one wall and a cabinet at another."""
+    width, height = SIZE
+    niche, cabinet = rng.uniform(0.15, 0.6, 2) * width
+    outline = [(0, 0), (cabinet, 0), (cabinet, 0.4), (cabinet + 1, 0.4), (cabinet + 1, 0), (width, 0), (width, height)]
+    outline += [(niche + 1, height), (niche + 1, height + 0.3), (niche, height + 0.3), (niche, height), (0, height)]
+    start = np.array(outline, dtype=np.float64) - rng.uniform(0.3, 0.7, 2) * SIZE
+    along = np.roll(start, -1, axis=0) - start
+    bearings = angles + rng.uniform(-np.pi, np.pi) + rng.normal(0.0, NOISE.sigma_bearing, len(angles))
+    c, s = np.cos(bearings)[:, None], np.sin(bearings)[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cross = c * along[:, 1] - s * along[:, 0]
+        distance = (start[:, 0] * along[:, 1] - start[:, 1] * along[:, 0]) / cross
+        share = (start[:, 0] * s - start[:, 1] * c) / cross
+        hit = np.where((distance > 0.0) & (share >= 0.0) & (share <= 1.0), distance, np.inf).min(axis=1)
+    return np.asarray(hit + rng.normal(0.0, NOISE.sigma_range, len(angles)))

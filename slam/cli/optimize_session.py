@@ -1,0 +1,147 @@
+"""`wclm optimize` of a session, or of a recording, which is made one first."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..config import Config, config_to_toml
+from ..machine import peak_memory, versions
+from ..outputs import PICTURE, REVIEW, OutputDirectory, write_results
+from .console import say_if_slow
+from .report import lines_for_people
+from .session import COMPILING, READING, Notices, Outcome, Playback, Tally, follow, lasting, write_page_of
+
+if TYPE_CHECKING:
+    from ..events import Event, Sink
+    from ..review import ReviewLog
+    from ..sessions import StoredSession
+
+SHOWN_SHIFTS = 3
+MOST_WAITING = 100  # events for the review log
+PAUSE = 0.01  # seconds
+
+
+class Unhurried:
+    """A review log that leaves nothing out: no robot waits, so whoever tells it of something does."""
+
+    def __init__(self, log: ReviewLog) -> None:
+        self._log = log
+
+    def handle(self, event: Event) -> None:
+        """Take one event, when most of those before it are written."""
+        while self._log.waiting > MOST_WAITING:
+            time.sleep(PAUSE)
+        self._log.handle(event)
+
+
+def optimize_session(path: Path, out: Path, *, overwrite: bool, review: bool, picture: bool) -> list[str]:
+    """Optimise the session in a run's directory and write another; what a person should read of it.
+
+    Raises SlamError; then nothing is left behind.
+    """
+    with OutputDirectory(out, overwrite) as directory:
+        from ..exports import read_session
+        from ..sessions import read_stored
+
+        started = time.perf_counter()
+        summary = read_session(path).summary
+        with say_if_slow(READING):
+            session = read_stored(path)
+        summary = _optimise(directory, session, summary, started, review=review, picture=picture)
+    write_page_of(out)
+    return _lines(summary, out, review=review)
+
+
+def optimize_recording(
+    recording: str, config: Config, out: Path, *, overwrite: bool, review: bool, picture: bool
+) -> list[str]:
+    """Map a recording, then optimise it, likewise."""
+    import drivers
+
+    from .report import summarise
+
+    with OutputDirectory(out, overwrite) as directory:
+        from ..pipeline import Slam
+        from ..warmup import warm_up
+
+        with say_if_slow(COMPILING):
+            warm_up()
+        feed = Playback(drivers.open(recording), reopen=lasting(recording))
+        notices, tally = Notices(), Tally()
+        started = time.perf_counter()
+        with feed.opened() as messages:
+            slam = Slam(config, [notices], keep_views=True)
+            finished, busy = follow(messages, slam, tally, feed.name)
+        took = time.perf_counter() - started
+        summary = summarise(feed, finished, tally, notices.texts, None, seed=None, slam_seconds=busy, seconds=took)
+        session = slam.session
+        session.recordings.append(tally.recording(feed))
+        started = time.perf_counter()
+        summary = _optimise(directory, session, summary, started, review=review, picture=picture)
+    write_page_of(out)
+    return _lines(summary, out, review=review)
+
+
+def _optimise(
+    directory: Path, session: StoredSession, summary: dict[str, Any], started: float, *, review: bool, picture: bool
+) -> dict[str, Any]:
+    """Optimise a session into a directory; its summary, from that of the run that left it."""
+    from ..optimisation import optimise
+    from ..sessions import write_stored
+    from ..trajectory import Trajectory
+
+    with ExitStack() as log:
+        sinks: list[Sink] = []
+        if review:
+            from ..review import ReviewLog
+
+            settings, name = config_to_toml(session.config), str(summary.get("recording", ""))
+            written = ReviewLog(directory / REVIEW, config=settings, recording=name, versions=versions())
+            sinks.append(Unhurried(log.enter_context(written)))
+        optimised = optimise(session, sinks)
+    finished = optimised.finished
+    if picture:
+        from ..plots import plot_map
+
+        title = f"{summary.get('recording', '')}, optimised"
+        plot_map(directory / PICTURE, finished.lines, finished.corners, finished.poses, title=title)
+    summary = summary | {
+        "keyframes": len(finished.keyframes),
+        "walls": len(finished.lines),
+        "corners": len(finished.corners),
+        "path_length": float(Trajectory(finished.stamps, finished.poses).travelled[-1]),
+        "truth": None,  # what was told of the path before
+        "recordings": [recording.model_dump() for recording in session.recordings],
+        "slam": summary.get("slam", {})
+        | {"refinement": optimised.summary, "factors": optimised.summary["factors_after"]},
+        "optimisation_seconds": time.perf_counter() - started,
+        "peak_memory_mib": peak_memory(),
+        "versions": versions(),
+    }
+    write_results(directory, finished, session.config, summary)
+    write_stored(directory, optimised.session)
+    return summary
+
+
+def _lines(summary: dict[str, Any], out: Path, *, review: bool) -> list[str]:
+    """The lines that a run tells, with what was changed in the place of its time."""
+    changed = summary["slam"]["refinement"]
+    head, first, _, *others = lines_for_people(Outcome(summary, review), out)
+    rows = [
+        ("before", f"cost {changed['cost_before']:.6g} of {changed['factors_before']} factors"),
+        ("after", f"cost {changed['cost_after']:.6g} of {changed['factors_after']}, {changed['rounds']} rounds"),
+        ("changed", f"{changed['associations_changed']} associations, {changed['walls_merged']} walls made one"),
+        ("closures", f"{changed['closures_added']} added, {changed['closures_removed']} removed"),
+        ("moved", _moved(changed)),
+        ("time", f"{summary['optimisation_seconds']:.1f} s, {summary['peak_memory_mib']:.0f} MiB"),
+    ]
+    return [head, first, *(f"  {name:<11}{text}" for name, text in rows), *others]
+
+
+def _moved(changed: dict[str, Any]) -> str:
+    shifts = changed["largest_shifts"][:SHOWN_SHIFTS]
+    named = ", ".join(f"{shift['metres']:.3f} m (keyframe {shift['keyframe']})" for shift in shifts)
+    return f"keyframes by {changed['median_shift']:.3f} m in the median, most of all {named}"

@@ -1,0 +1,96 @@
+"""A whole session looked at again, with time to spare: associated anew and solved in batch until it settles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from .drives import Drives
+from .errors import MapError
+from .events import Finished, Sink
+from .loops.constellation import OLD_WAY
+from .mapper import Mapper
+from .refinement import Drive, Refined, refine
+from .reporting import Reporter
+from .sessions import StoredSession
+from .snapshot import finished
+from .statistics import loop_row
+from .tracking import Place
+
+PASS = 10  # keyframes before a closure that count as the pass that it joined to an older one
+SHOWN_SHIFTS = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Optimised:
+    """The map and path that came of it, and the session to go on from; `summary` says what changed."""
+
+    finished: Finished
+    session: StoredSession
+    summary: dict[str, Any]
+
+
+def optimise(session: StoredSession, sinks: Sequence[Sink] = ()) -> Optimised:
+    """Optimise a session, which is not to be used any more.
+
+    Listeners are told of the map before, of every keyframe where it is now, and of the map after. Raises MapError where
+    there is nothing to optimise, or the estimate is undetermined.
+    """
+    belief, reporter = session.belief, Reporter(sinks)
+    if belief.mapper.keyframe_count < 2:
+        raise MapError("there are fewer than two keyframes, so there is nothing to optimise")
+    belief.mapper.settle()
+    before, drive = belief.mapper, session.drive()
+    reporter.tell_map(float(drive.stamps[0]), before, index=0)
+    refined = refine(before, drive, belief.odometry_noise)
+    keyframes = {k: session.sightings[row] for k, row in enumerate(drive.keyframes.tolist())}
+    refined.mapper.remember_covariances()
+    last = session.sightings[-1]
+    belief.settle_on(refined.mapper, refined.path, Place(refined.poses[-1], last.odometry), keyframes)
+    closures = _closures(session.closures, refined, drive)
+    summary = refined.summary | _changes(before, refined.mapper, session.closures, closures)
+    reporter.tell_keyframes(refined.mapper, keyframes, session.sigma_range)
+    reporter.tell_map(last.stamp, refined.mapper)
+    drives = Drives(session.odometry, session.starts)
+    result = finished(belief, drives.trajectory(belief.path, belief.mapper.trail), {"refinement": summary})
+    reporter.tell(result)
+    return Optimised(result, replace(session, closures=closures), summary)
+
+
+def _changes(
+    before: Mapper, after: Mapper, old: Sequence[Mapping[str, Any]], new: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    """What the summary tells besides."""
+    moved = np.hypot(*(after.trail - before.trail)[:, :2].T)
+    farthest = np.argsort(-moved, kind="stable")[:SHOWN_SHIFTS]
+    removed = sum(a["status"] == "accepted" != b["status"] for a, b in zip(old, new, strict=False))
+    return {
+        "factors_before": before.graph.factor_count,
+        "factors_after": after.graph.factor_count,
+        "closures_removed": removed,
+        "median_shift": round(float(np.median(moved)), 4),
+        "largest_shifts": [{"keyframe": int(k), "metres": round(float(moved[k]), 4)} for k in farthest],
+    }
+
+
+def _closures(rows: Sequence[Mapping[str, Any]], refined: Refined, drive: Drive) -> list[dict[str, Any]]:
+    """The decisions on closures as they stand now: what held and holds no more is removed, what was found is added."""
+    told = [dict(row) for row in rows]
+    for row in told:
+        if row["status"] == "accepted" and not _holds(refined.mapper, int(row["keyframe"])):
+            row |= {"status": "removed", "reason": "the two passes see no wall in common any more"}
+    stamps = drive.stamps[drive.keyframes]
+    return told + [loop_row(float(stamps[decision.keyframe]), decision) for decision in refined.closures]
+
+
+def _holds(mapper: Mapper, keyframe: int) -> bool:
+    """Whether what was seen on the way to a keyframe is on any wall that an older pass saw."""
+    ways = np.array(mapper.ways)
+    walls = [mapper.names[k].walls for k in range(max(0, keyframe - PASS), keyframe + 1)]
+    seen = np.unique(np.concatenate(walls))
+    seen = mapper.landmarks.walls.rows["kept"][seen[seen >= 0]]
+    first = mapper.landmarks.walls.rows["first_seen"][seen[seen >= 0]]
+    return bool((ways[keyframe] - ways[first] > OLD_WAY).any())

@@ -1,0 +1,70 @@
+"""A picture of how well walls and corners are found over levels of noise, by every segmentation and estimator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from features.benchmark.accuracy import Row
+
+from .style import BLUE, DOTS_PER_INCH, GREEN, INK, MUTED, ORANGE, SKY, VERMILLION, calm, headline, save
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+COLOURS = (VERMILLION, BLUE, ORANGE, GREEN, SKY, MUTED)
+"""Of the ways, in their order."""
+IDEAL, LARGEST = 2.0, 6.0
+"""NEES of two dimensions, and the largest shown."""
+
+
+def plot_features(path: Path, rooms: Sequence[Row], curved: Sequence[Row]) -> None:
+    """Draw three panels: corners found, corners' NEES, corners made of curves. Raises OutputError."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12.5, 4.6), dpi=DOTS_PER_INCH, layout="constrained")
+    found, honest, curves = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 0.7))
+    headline(found, "Corners found", "share of those seen")
+    _by_level(found, rooms, lambda row: row.corner_recall)
+    found.set_ylim(0.0, 1.02)
+    headline(honest, "Errors against covariances", "mean NEES of corners; 2 is ideal; higher than 6 is not shown")
+    _by_level(honest, rooms, lambda row: row.corner_nees if row.corner_nees <= LARGEST else np.nan)
+    honest.axhline(IDEAL, color=INK, linewidth=0.8, zorder=1)
+    honest.set_ylim(0.0, LARGEST)
+    headline(curves, "Round things", "false corners and lines on each")
+    places = np.arange(len(curved))
+    curves.bar(places - 0.2, [row.curved_lines for row in curved], 0.38, color=SKY, label="lines")
+    curves.bar(places + 0.2, [row.curved_corners for row in curved], 0.38, color=VERMILLION, label="corners")
+    curves.set_ylim(0.0, 1.15 * curves.get_ylim()[1])
+    _name_levels(curves, [_level(row) for row in curved])
+    curves.legend(frameon=False, fontsize=8.5, labelcolor=INK, loc="upper left", ncols=2)
+    for axes in (found, honest, curves):
+        calm(axes)
+    handles, labels = found.get_legend_handles_labels()
+    figure.legend(
+        handles, labels, loc="outside lower left", ncols=len(labels), frameon=False, fontsize=8.5, labelcolor=INK
+    )
+    save(figure, path)
+
+
+def _by_level(axes: Axes, rows: Sequence[Row], value: Callable[[Row], float]) -> None:
+    """A point for every way at every level, side by side."""
+    levels = list(dict.fromkeys(_level(row) for row in rows))
+    ways = list(dict.fromkeys(row.way for row in rows))
+    for k, way in enumerate(ways):
+        own = [row for row in rows if row.way == way]
+        places = np.array([levels.index(_level(row)) for row in own]) + 0.11 * (k - 0.5 * (len(ways) - 1))
+        axes.plot(places, [value(row) for row in own], "o", color=COLOURS[k % len(COLOURS)], markersize=5, label=way)
+    _name_levels(axes, levels)
+
+
+def _name_levels(axes: Axes, levels: Sequence[str]) -> None:
+    axes.set_xticks(range(len(levels)), levels)
+
+
+def _level(row: Row) -> str:
+    noise = f"{100 * row.sigma_range:g} cm\n{np.degrees(row.sigma_bearing):.2f}°"
+    return noise + (f"\n{100 * row.outliers:g} % out" if row.outliers else "")

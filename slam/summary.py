@@ -1,0 +1,31 @@
+"""What the pipeline counted and learned, for the summary of a run."""
+
+from __future__ import annotations
+
+import math
+
+from .belief import Belief
+from .front_end import FrontEnd
+from .statistics import RunStatistics
+
+
+def run_summary(front_end: FrontEnd, belief: Belief, statistics: RunStatistics) -> dict[str, object]:
+    """As plain data."""
+    return {
+        "scans": front_end.scans,
+        "keyframes": belief.mapper.keyframe_count,
+        "factors": belief.mapper.graph.factor_count,
+        "merged_walls": statistics.merged_walls,
+        "loops": statistics.loop_counts(),
+        "loop_decisions": statistics.loops,
+        "states": statistics.state_rows(),
+        "odometry_deviation_per_metre": belief.odometry_noise.deviations.round(5).tolist(),
+        "sigma_range": round(front_end.sigma_range, 5),
+        "wall_unevenness": round(math.sqrt(belief.mapper.flatness.variance), 5),
+        "timings": statistics.timings(),
+        "health": statistics.health()
+        | {
+            "empty_scans": front_end.empty_scans,
+            "scans_without_odometry": front_end.scans_without_odometry,
+        },
+    }

@@ -1,0 +1,145 @@
+"""`wclm batch` with real workers: results as of `wclm run`, whatever happens to one recording or to the batch."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+
+WCLM = """
+import signal
+from slam.cli import main
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # which shells take from what runs in the background
+    main()
+"""
+SHORT = ("sim:room?duration=3", "sim:room?duration=4")
+
+
+def table(out: Path) -> dict[str, dict[str, Any]]:
+    return {row["name"]: row for row in pq.read_table(out / "batch.parquet").to_pylist()}
+
+
+def unfinished(out: Path) -> list[Path]:
+    return list(out.glob(".*"))
+
+
+def test_a_batch_maps_what_it_can_and_goes_on_where_it_was(wclm: Any, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    (tmp_path / "garbage.clf").write_bytes(bytes(range(256)) * 8)
+    batch = ("batch", *SHORT, "garbage.clf", "missing.mcap", "--out", "out", "--no-review", "--workers", 2)
+    result = wclm(*batch)
+    assert result.exit_code == 1, result.output
+    assert "Traceback" not in result.output
+    found = table(out)
+    assert {name: row["status"] for name, row in found.items()} == {
+        "sim-room-duration=3": "done",
+        "sim-room-duration=4": "done",
+        "garbage": "failed",
+        "missing": "failed",
+    }
+    assert re.search(r"sim-room-duration=3 +done +3\.0 s +\d+ m +29 ", result.stdout)
+    assert "missing: failed: " in result.stdout
+    assert "no such file" in found["missing"]["error"]
+    assert "no such file" in Path(found["missing"]["log"]).read_text()
+    assert (found["sim-room-duration=3"]["scans"], found["sim-room-duration=3"]["error_rmse"] < 0.01) == (29, True)
+    assert 50 < found["sim-room-duration=3"]["memory"] < 2000
+    assert not unfinished(out)
+
+    assert wclm("run", SHORT[0], "--out", "alone", "--no-review").exit_code == 0
+    for name in ("trajectory.tum", "map.json"):
+        assert (out / "sim-room-duration=3" / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
+
+    before = (out / "sim-room-duration=3" / "summary.json").stat()
+    result = wclm("batch", *SHORT, "--out", "out", "--no-review")
+    assert result.exit_code == 0, result.output
+    assert {row["status"] for row in table(out).values()} == {"kept"}
+    assert (out / "sim-room-duration=3" / "summary.json").stat() == before
+
+
+def test_what_is_asked_for_wrongly_is_one_line(wclm: Any, tmp_path: Path) -> None:
+    wclm.refuses("batch", "rplidar:/dev/ttyUSB0", "--out", "out", because=["is no recording"])
+    wclm.refuses("batch", *SHORT, "--out", "out", "--set", "lidar.x=1", because=["lidar.x"])
+    (tmp_path / "file").write_text("x")
+    wclm.refuses("batch", *SHORT, "--out", "file", because=["file: cannot be made"])
+    wclm.refuses("batch", *SHORT, "--out", "out", "--scheduler", "nowhere", because=["nowhere: no Dask scheduler"])
+    both = wclm("batch", *SHORT, "--out", "out", "--scheduler", "tcp://127.0.0.1:1", "--workers", 2)
+    assert both.exit_code == 2
+
+
+def test_an_interrupted_batch_keeps_what_is_complete_and_leaves_nothing_else(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    recordings = [SHORT[0], "sim:office?duration=300", "sim:office?duration=301"]
+    process = _started(tmp_path, recordings, "out", 2)
+    deadline = time.monotonic() + 200  # compiling may come first
+    while len(unfinished(out)) < 2 or not (out / "sim-room-duration=3").exists():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    assert table(out)["sim-office-duration=300"]["status"] == "running"
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers, too
+    printed, said = process.communicate(timeout=60)
+    assert process.returncode == 130, said
+    assert "interrupted; 1 of 3 are complete" in said
+    assert "Traceback" not in said
+    assert printed == ""
+    assert [row["status"] for row in table(out).values()] == ["done", "waiting", "waiting"]
+    assert not unfinished(out)
+    assert not (out / "sim-office-duration=300").exists()
+
+
+@pytest.mark.slow
+def test_two_workers_are_nearly_twice_as_fast_as_one_and_one_may_be_killed(tmp_path: Path) -> None:
+    recordings = [f"sim:office?seed={seed}&duration=60" for seed in range(24)]
+    took = {}
+    for workers in (1, 2):
+        started = time.perf_counter()
+        process = _started(tmp_path, recordings, f"with-{workers}", workers)
+        assert _ended(process, 1000) == 0
+        took[workers] = time.perf_counter() - started
+    assert took[1] / took[2] >= 1.7, took
+
+    out = tmp_path / "killed"
+    process = _started(tmp_path, recordings[:4], "killed", 2)
+    log = out / "logs" / "sim-office-seed=0-duration=60.log"
+    while not list(out.glob(".sim-office-seed=0*")):
+        assert process.poll() is None
+        time.sleep(0.05)
+    found = re.search(r"process (\d+)", log.read_text())
+    assert found is not None
+    os.kill(int(found[1]), signal.SIGKILL)
+    assert _ended(process, 200) == 0
+    assert {row["status"] for row in table(out).values()} == {"done"}
+    assert log.read_text().count("started by process") == 2
+    assert not unfinished(out)
+    for name in ("trajectory.tum", "map.json"):
+        same = [tmp_path / made / "sim-office-seed=0-duration=60" / name for made in ("with-1", "with-2", "killed")]
+        assert len({path.read_bytes() for path in same}) == 1
+
+
+def _started(directory: Path, recordings: list[str], out: str, workers: int) -> subprocess.Popen[str]:
+    """The command in a process, and a group of processes, of its own."""
+    (directory / "wclm.py").write_text(WCLM)
+    options = ["--out", out, "--no-review", "--workers", str(workers)]
+    return subprocess.Popen(
+        [sys.executable, "wclm.py", "batch", *recordings, *options],
+        cwd=directory,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def _ended(process: subprocess.Popen[str], timeout: float) -> int:
+    process.communicate(timeout=timeout)
+    return process.returncode

@@ -1,0 +1,193 @@
+"""A session is gone on from: where it was interrupted, from anywhere on its map, or with the map as it is."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers import se2
+from drivers.messages import GroundTruth, Message, Scan
+from drivers.simulator import Simulation
+from slam import Slam
+from slam.config import Config, config_to_toml
+from slam.errors import MapError
+from slam.evaluation import align
+from slam.events import Event, Finished, Noticed
+from slam.outputs import CONFIG
+from slam.sessions import read_stored, write_stored
+from slam.trajectory import Trajectory
+
+DRIVEN, INTERRUPTED = 30.0, 17.0  # seconds of the first drive
+LATER = 1000.0  # seconds until the next
+
+
+def drive(world: str, seed: int, begin: float, end: float, shift: float = 0.0) -> list[Message]:
+    """What is measured between two times after the start of a drive."""
+    messages = list(Simulation(world, seed=seed, duration=end))
+    return [
+        replace(message, stamp=message.stamp + shift)
+        for message in messages
+        if message.stamp - messages[0].stamp > begin
+    ]
+
+
+class Notices:
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+
+    def handle(self, event: Event) -> None:
+        if isinstance(event, Noticed):
+            self.texts.append(event.text)
+
+
+def run(messages: Sequence[Message], left: Path | None = None, *, frozen: bool = False) -> tuple[Slam, Finished, list]:
+    notices = Notices()
+    resumed = None if left is None else read_stored(left)
+    slam = Slam(sinks=[notices], resumed=resumed, frozen=frozen)
+    for message in messages:
+        slam.add(message)
+    return slam, slam.finish(), notices.texts
+
+
+def leave(slam: Slam, directory: Path) -> Path:
+    directory.mkdir()
+    (directory / CONFIG).write_text(config_to_toml(Config()))
+    write_stored(directory, slam.session)
+    return directory
+
+
+@pytest.fixture(scope="module")
+def first() -> list[Message]:
+    return drive("office", 1, 0.0, DRIVEN)
+
+
+@pytest.fixture(scope="module")
+def mapped(first: list[Message], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Finished]:
+    slam, finished, _ = run(first)
+    return leave(slam, tmp_path_factory.mktemp("run") / "out"), finished
+
+
+def error(finished: Finished, messages: Sequence[Message], like: Finished, first: Sequence[Message]) -> float:
+    """Root mean square of the distance from the true positions, where `like` is aligned with those of `first`."""
+    there = aligned(like, first)
+    poses, truth = at_truth(finished, messages)
+    return float(np.sqrt(np.mean(np.sum((se2.compose(there, poses)[:, :2] - truth[:, :2]) ** 2, axis=1))))
+
+
+def aligned(finished: Finished, messages: Sequence[Message]) -> se2.Pose:
+    poses, truth = at_truth(finished, messages)
+    return align(poses[:, :2], truth[:, :2])
+
+
+def at_truth(finished: Finished, messages: Sequence[Message]) -> tuple[np.ndarray, np.ndarray]:
+    true = [message for message in messages if isinstance(message, GroundTruth)]
+    truth = Trajectory(np.array([m.stamp for m in true]), np.array([m.pose for m in true]))
+    looked = truth.at(finished.stamps)
+    assert looked.covered.any()
+    return finished.poses[looked.covered], looked.poses[looked.covered]
+
+
+def test_interrupted_and_continued_is_uninterrupted(
+    first: list[Message], mapped: tuple[Path, Finished], tmp_path: Path
+) -> None:
+    _, uninterrupted = mapped
+    cut = first[0].stamp + INTERRUPTED
+    slam, _, _ = run([message for message in first if message.stamp < cut])
+    left = leave(slam, tmp_path / "left")
+    slam, finished, notices = run([message for message in first if message.stamp >= cut], left)
+    assert not notices
+    np.testing.assert_array_equal(finished.stamps, uninterrupted.stamps)
+    apart = np.hypot(*(finished.poses - uninterrupted.poses)[:, :2].T)
+    assert apart.max() < 1e-3
+    assert np.abs(se2.wrap(finished.poses[:, 2] - uninterrupted.poses[:, 2])).max() < np.radians(0.2)
+    assert len(finished.lines) == len(uninterrupted.lines)
+    assert slam.session.starts == [0]
+
+
+def test_kept_views_change_nothing_but_what_is_kept() -> None:
+    """A recording's run keeps them, a live one does not; the path is the same to the last bit."""
+    runs, laps = [], list(Simulation("room", seed=1, duration=75.0))  # two of them, and some more
+    for keep_views in (False, True):
+        slam = Slam(keep_views=keep_views)
+        for message in laps:
+            slam.add(message)
+        runs.append((slam.finish(), slam.session.drive().kept))
+    (first, some), (second, every) = runs
+    assert every.all()
+    assert not some.all()
+    np.testing.assert_array_equal(first.poses, second.poses)
+
+
+def test_a_drive_from_an_unknown_place_is_found_on_the_map_and_makes_it_grow(
+    first: list[Message], mapped: tuple[Path, Finished], tmp_path: Path
+) -> None:
+    left, before = mapped
+    second = drive("office", 2, 20.0, 40.0, LATER)
+    slam, finished, notices = run(second, left)
+    assert notices == ["found again in the map"]
+    assert len(finished.lines) > len(before.lines)
+    assert len(finished.keyframes) > len(before.keyframes)
+    assert error(finished, first, finished, first) < 0.01
+    assert error(finished, second, finished, first) < 0.01
+    session = slam.session
+    assert session.starts == [0, len(read_stored(left).sightings)]
+    drives = session.drive()
+    assert session.starts[1] in drives.carried
+    poses = drives.poses(finished.keyframes)  # of all sightings, also before the place was known
+    there = aligned(finished, second)
+    rows = [k for k, sighting in enumerate(session.sightings) if sighting.stamp > LATER]
+    truth = at_truth(replace(finished, stamps=drives.stamps[rows], poses=poses[rows]), second)
+    assert np.hypot(*(se2.compose(there, truth[0]) - truth[1])[:, :2].T).max() < 0.05
+    again = read_stored(leave(slam, tmp_path / "both"))
+    assert again.starts == session.starts
+    assert [len(history) for history in again.odometry] == [len(history) for history in session.odometry]
+
+
+def test_on_a_frozen_map_only_the_path_is_new(first: list[Message], mapped: tuple[Path, Finished]) -> None:
+    left, before = mapped
+    second = drive("office", 2, 12.0, 24.0, LATER)
+    _, finished, notices = run(second, left, frozen=True)
+    assert notices == ["found again in the map"]
+    for name in ("frame", "covariance", "low", "high", "observations"):
+        np.testing.assert_allclose(getattr(finished.lines, name), getattr(before.lines, name), rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(finished.keyframes, before.keyframes, atol=1e-6)
+    assert finished.stamps[0] > LATER
+    assert error(finished, second, before, first) < 0.01
+
+
+@pytest.mark.parametrize("frozen", [False, True])
+def test_nothing_new_is_nothing_to_map(mapped: tuple[Path, Finished], frozen: bool) -> None:
+    left, _ = mapped
+    second = [m for m in drive("office", 2, 0.0, 1.0, LATER) if not isinstance(m, Scan)]
+    for messages, missing in (([], "no laser scan"), (second, "no laser scan")):
+        with pytest.raises(MapError, match=missing):
+            run(messages, left, frozen=frozen)
+
+
+def test_a_robot_that_ends_lost_on_a_frozen_map_keeps_the_path_so_far(mapped: tuple[Path, Finished]) -> None:
+    """It is found, then carried to another building."""
+    left, before = mapped
+    there = drive("office", 2, 12.0, 18.0, LATER)
+    elsewhere = drive("room", 3, 0.0, 5.0, there[-1].stamp + 0.1)
+    _, finished, notices = run([*there, *elsewhere], left, frozen=True)
+    assert notices[0] == "found again in the map"
+    known = finished.stamps < there[-1].stamp
+    poses = replace(finished, stamps=finished.stamps[known], poses=finished.poses[known])
+    assert error(poses, there, poses, there) < 0.02
+    assert len(finished.lines) == len(before.lines)
+
+
+def test_what_is_nowhere_on_the_map_is_left_alone(mapped: tuple[Path, Finished]) -> None:
+    left, _ = mapped
+    elsewhere = drive("room", 3, 0.0, 6.0, LATER)
+    slam, finished, notices = run(elsewhere, left)
+    assert len(notices) == 1
+    assert "left alone" in notices[0]
+    assert finished.stamps[0] >= LATER
+    assert slam.session.starts == [0]
+    assert all(sighting.stamp >= LATER for sighting in slam.session.sightings)
+    assert error(finished, elsewhere, finished, elsewhere) < 0.02
+    with pytest.raises(MapError, match="nowhere on the map"):
+        run(elsewhere, left, frozen=True)
