@@ -66,12 +66,13 @@ class Look:
 @dataclass(frozen=True, slots=True, eq=False)
 class Looks:
     """What a search for loops remembers: the way (metres) at the last look, looks that wait for another, how many
-    places looked known so far, and the motions that proved wrong."""
+    places looked known so far, the motions that proved wrong, and the way when a look last contradicted another."""
 
     last_way: float = 0.0
     held: tuple[Look, ...] = ()
     candidates: int = 0
     refused: tuple[se2.Pose, ...] = ()
+    contested: float = -MEMORY
 
 
 Propose = Callable[[Constellation, OldMap, se2.Pose], list[Hypothesis]]
@@ -87,12 +88,13 @@ class LoopCloser:
     @property
     def looks(self) -> Looks:
         """What it remembers."""
-        return Looks(self._last_way, tuple(self._held), self._candidates, tuple(self._refused))
+        return Looks(self._last_way, tuple(self._held), self._candidates, tuple(self._refused), self._contested)
 
     def recall(self, looks: Looks) -> None:
         """Go on from what another search remembered."""
         self._last_way, self._candidates = looks.last_way, looks.candidates
         self._held, self._refused = list(looks.held), list(looks.refused)
+        self._contested = looks.contested
 
     def look(self, mapper: Mapper) -> LoopDecision | None:
         """Consider the last keyframe. Nothing is changed: to `close` what two looks agree on is for whoever asked."""
@@ -119,7 +121,7 @@ class LoopCloser:
 
     def forget(self) -> None:
         """The map has changed: what was seen before it no longer counts."""
-        self._held = []
+        self._held, self._contested = [], -MEMORY
 
     def refuse(self, decision: LoopDecision) -> None:
         """A closure proved wrong: it is not to be found again."""
@@ -147,16 +149,20 @@ class LoopCloser:
         return LoopDecision(self._candidates, keyframe, old, motion, verdict, status, best, pairs, sight=sight)
 
     def _borne_out(self, best: Hypothesis, recent: Constellation, mapper: Mapper, *, near: bool) -> bool:
-        """Whether an earlier look at other walls found the same motion, and none since found another one."""
+        """Whether an earlier look at other walls found the same motion, and none since found another one.
+
+        It may have been at the same walls if the motion is near and no other one was found lately.
+        """
         way = mapper.ways[-1]
         self._held = [look for look in self._held if way - look.way < MEMORY]
         if not all(_agree(look.motion, best.motion, mapper.pose) for look in self._held):
-            self._held = []
+            self._held, self._contested = [], way
+        undisputed = near and way - self._contested > MEMORY
         matched = best.matches >= 0
         kept = mapper.landmarks.walls.rows["kept"]
         for look in self._held:
             fresh = matched & ~np.isin(recent.walls, kept[list(look.walls)])
-            if near or 2 * recent.half_length[fresh].sum() >= LEAST_FRESH:
+            if undisputed or 2 * recent.half_length[fresh].sum() >= LEAST_FRESH:
                 return True
         self._held.append(Look(best.motion, frozenset(recent.walls[matched].tolist()), way))
         return False

@@ -63,6 +63,7 @@ class _Looks(_Record):
     held: list[_Look]
     candidates: int
     refused: list[Pose]
+    contested: Finite
 
 
 class _Graph(_Record):
@@ -148,7 +149,7 @@ class Head(_Record):
         """What the search for loops remembers."""
         held = tuple(Look(np.array(look.motion), frozenset(look.walls), look.way) for look in self.looks.held)
         refused = tuple(np.array(motion) for motion in self.looks.refused)
-        return Looks(self.looks.last_way, held, self.looks.candidates, refused)
+        return Looks(self.looks.last_way, held, self.looks.candidates, refused, self.looks.contested)
 
 
 def _data(thing: Any, **instead: Any) -> dict[str, Any]:
