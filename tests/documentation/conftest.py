@@ -63,9 +63,15 @@ def simulations_of(seconds: float) -> Iterator[None]:
     whole = simulator.Simulation
 
     def short(
-        world: Any = "office", seed: int = 0, duration: Any = None, lidar: Any = None, drive: Any = None, *mount: Any
+        world: Any = "office",
+        seed: int = 0,
+        duration: Any = None,
+        lidar: Any = None,
+        drive: Any = None,
+        *rest: Any,
+        **more: Any,
     ) -> Any:
-        return whole(world, seed, min(duration or seconds, seconds), FEW_BEAMS, drive, *mount)
+        return whole(world, seed, min(duration or seconds, seconds), FEW_BEAMS, drive, *rest, **more)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(simulator, "Simulation", short)
