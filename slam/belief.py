@@ -111,7 +111,7 @@ class Belief:
     def restored(
         cls,
         config: OdometryConfig,
-        odometry_samples: tuple[Floats, Floats],
+        odometry_samples: Floats,
         mapper: Mapper,
         path: Path,
         stamps: Sequence[float],
@@ -125,7 +125,7 @@ class Belief:
         What a closure on probation would fall back to is not remembered: it stays.
         """
         belief = cls(config)
-        belief.odometry_noise.take(*odometry_samples)
+        belief.odometry_noise.take(odometry_samples)
         belief.mapper, belief.path, belief.keyframe_stamps = mapper, path, list(stamps)
         belief.loops.recall(looks)
         belief._anchor, belief._carried = standing.anchor, standing.carried
@@ -324,6 +324,7 @@ class Belief:
             claimed = actual
         else:
             self.odometry_noise.learn(claimed, actual, found.held_by)
+            claimed = self.odometry_noise.corrected(claimed)
             covariance = self.odometry_noise.covariance(claimed, found.held_by)
             claimed, covariance = fused_motion(claimed, covariance, actual, found.point_information)
         self._carried = False

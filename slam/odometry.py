@@ -29,6 +29,9 @@ ADRIFT_SIGMA = 0.3  # metres: a direction in which what is seen holds the robot 
 # Metres of way over which the wheels' errors are the same: wheels larger than believed stay so. Where every step is
 # seen to be right or wrong that does not matter; where many steps in a row are not, their errors add up.
 ALIKE_WAY = 20.0
+MEMORY = 500  # motions from which is learned what is common to all
+
+STRAIGHT = math.radians(4.0)  # a motion that turns by less tells of length and veer, one that turns by more of turning
 NORMAL_MEDIAN = 0.4549  # median of a squared standard normal variable
 PLANE_MEDIAN = 1.3863  # of the sum of two
 
@@ -98,16 +101,19 @@ class OdometryHistory:
 class OdometryNoise:
     """How far wheel odometry strays, learned by comparing its motion between keyframes with what registration finds.
 
-    Translation errs in proportion to the way (wheels are larger than believed, and slip), heading as a random walk over
-    it. The median of the squared errors is deaf to single gross ones, which the kernel of the graph's odometry factors
-    has to bear.
+    What is common to all motions is taken out of them: wheels larger or smaller than believed make a motion longer by a
+    factor, a track wider than believed turns by another, unequal wheels veer with the way. The rest is noise:
+    translation errs in proportion to the way, heading as a random walk over it. Medians are deaf to single gross
+    errors, which the kernel of the graph's odometry factors has to bear.
     """
 
     def __init__(self, config: OdometryConfig) -> None:
         self._config = config
         self._start = np.array([config.translation_error**2, config.rotation_walk**2])
-        self._samples: tuple[deque[float], deque[float]] = deque(maxlen=WINDOW), deque(maxlen=WINDOW)
+        self._samples: deque[Floats] = deque(maxlen=MEMORY)
         self._rates = self._start
+        self._length = self._turning = 1.0
+        self._veer = 0.0  # radians a metre
 
     @property
     def deviations(self) -> Floats:
@@ -115,14 +121,18 @@ class OdometryNoise:
         return np.asarray(np.sqrt(self._rates))
 
     @property
-    def samples(self) -> tuple[Floats, Floats]:
-        """What the estimate rests on, of translation (n,) and of heading (m,); `take` has them again."""
-        return np.array(self._samples[0]), np.array(self._samples[1])
+    def systematic(self) -> Floats:
+        """(3,): factors of length and of turning, and radians that are turned a metre besides what odometry says."""
+        return np.array([self._length, self._turning, self._veer])
 
-    def take(self, translations: Floats, rotations: Floats) -> None:
+    @property
+    def samples(self) -> Floats:
+        """(n, 6) motions as they were claimed and found, on which the estimate rests; `take` has them again."""
+        return np.array(self._samples).reshape(-1, 6)
+
+    def take(self, samples: Floats) -> None:
         """Go on from what another estimate rested on."""
-        for samples, others in zip(self._samples, (translations, rotations), strict=True):
-            samples.extend(others.tolist())
+        self._samples.extend(samples)
         self._estimate()
 
     def learn(self, claimed: se2.Pose, found: se2.Pose, held_by: Floats) -> None:
@@ -131,26 +141,38 @@ class OdometryNoise:
         `held_by` (3, 3) is the information of what was seen at its end. Where that leaves a direction open, as along a
         bare corridor, what was found is what odometry had claimed, and says nothing of how far that is right.
         """
-        way = float(way_of(claimed))
-        if not self._config.learn or way < LEAST_WAY:
+        if not self._config.learn or way_of(claimed) < LEAST_WAY:
             return
-        error = se2.between(claimed, found)
-        translations, rotations = self._samples
-        rotations.append(error[2] ** 2 / (NORMAL_MEDIAN * way))
         if free_direction(found, held_by, HELD_SIGMA) is None:
-            translations.append((error[0] ** 2 + error[1] ** 2) / (PLANE_MEDIAN * way**2))
-        self._estimate()
+            self._samples.append(np.concatenate([claimed, found]))
+            self._estimate()
 
     def _estimate(self) -> None:
-        self._rates = np.array([self._rate(k) for k in (0, 1)])
+        claimed, found = np.split(self.samples, 2, axis=1)
+        ahead, turned = claimed[:, 0], claimed[:, 2]
+        straight = (np.abs(ahead) > LEAST_WAY) & (np.abs(turned) < STRAIGHT)
+        self._length = 1.0 + _trusted(found[straight, 0] / ahead[straight] - 1.0)
+        self._veer = _trusted(se2.wrap(found[straight, 2] - turned[straight]) / ahead[straight])
+        turns = np.abs(turned) > STRAIGHT
+        excess = se2.wrap(found[turns, 2] - turned[turns]) - self._veer * ahead[turns]
+        self._turning = 1.0 + _trusted(excess / turned[turns])
+        claimed, found = claimed[-WINDOW:], found[-WINDOW:]
+        error, way = se2.between(self.corrected(claimed), found), way_of(claimed)
+        squared = (
+            (error[:, 0] ** 2 + error[:, 1] ** 2) / (PLANE_MEDIAN * way**2),
+            error[:, 2] ** 2 / NORMAL_MEDIAN / way,
+        )
+        observed = np.maximum([np.median(some) if len(some) else LEAST_RATE for some in squared], LEAST_RATE)
+        trust = len(claimed) / (len(claimed) + START_COUNT)
+        self._rates = np.maximum(self._start, LEAST_RATE) ** (1 - trust) * observed**trust
 
-    def _rate(self, which: int) -> float:
-        samples, start = self._samples[which], max(float(self._start[which]), LEAST_RATE)
-        if not samples:
-            return start
-        observed = max(float(np.median(samples)), LEAST_RATE)
-        trust = len(samples) / (len(samples) + START_COUNT)
-        return float(start ** (1 - trust) * observed**trust)
+    def corrected(self, motion: se2.Pose) -> se2.Pose:
+        """Motions (..., 3) as odometry claims them, without the errors that are common to all."""
+        turn = self._turning * motion[..., 2] + self._veer * motion[..., 0]
+        bend = 0.5 * (turn - motion[..., 2])  # the chord of an arc points half its turn ahead
+        x, y = self._length * motion[..., 0], self._length * motion[..., 1]
+        c, s = np.cos(bend), np.sin(bend)
+        return np.stack([c * x - s * y, s * x + c * y, se2.wrap(turn)], axis=-1)
 
     def variances(self, way: Floats) -> tuple[Floats, Floats]:
         """Variances (...,) of translation along each axis and of heading after `way` metres (...,)."""
@@ -191,3 +213,8 @@ def fused_motion(
     correction = found - claimed
     correction[2] = se2.wrap(correction[2])
     return claimed + fused @ point_information @ correction, fused
+
+
+def _trusted(values: Floats) -> float:
+    """The median of how far motions stray from none, as far as there are enough of them to believe it."""
+    return float(np.median(values)) * len(values) / (len(values) + START_COUNT) if len(values) else 0.0

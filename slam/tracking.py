@@ -76,9 +76,9 @@ class Place:
     pose: se2.Pose
     odometry: se2.Pose
 
-    def predict(self, odometry: se2.Pose) -> se2.Pose:
-        """Where the base is in the map when odometry is at `odometry`."""
-        return se2.compose(self.pose, se2.between(self.odometry, odometry))
+    def step(self, odometry: se2.Pose) -> se2.Pose:
+        """The motion since, as odometry claims it."""
+        return se2.between(self.odometry, odometry)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,7 +164,7 @@ class Tracker:
 
     def predict(self, odometry: se2.Pose) -> se2.Pose:
         """Where the base is in the map when odometry is at `odometry`."""
-        return np.zeros(3) if self._firm is None else self._firm.predict(odometry)
+        return np.zeros(3) if self._firm is None else self._led(self._firm, odometry)
 
     @property
     def lost(self) -> bool:
@@ -217,17 +217,20 @@ class Tracker:
         has it from where the robot was before.
         """
         assert self._firm is not None
-        predictions, leads = [self._firm.predict(odometry)], [0.0]
-        step = se2.between(self._firm.odometry, odometry)
+        predictions, leads = [self._led(self._firm, odometry)], [0.0]
+        step = self._noise.corrected(self._firm.step(odometry))
         unlike = se2.between(self._step, step)
         if np.hypot(unlike[0], unlike[1]) > UNEVEN or abs(unlike[2]) > UNEVEN_TURN:
             predictions.append(se2.compose(self._firm.pose, self._step))
             leads.append(BETTER)
         if self._left is not None:
-            return [*predictions, self._firm.pose, self._left.predict(odometry)], [*leads, 0.0, 0.0]
+            return [*predictions, self._firm.pose, self._led(self._left, odometry)], [*leads, 0.0, 0.0]
         if way_of(step) > LARGE_STEP:
             return [*predictions, self._firm.pose], [*leads, CLEARLY_BETTER]
         return predictions, leads
+
+    def _led(self, place: Place, odometry: se2.Pose) -> se2.Pose:
+        return se2.compose(place.pose, self._noise.corrected(place.step(odometry)))
 
     def _search(self, scan: ScanFeatures, around: Surroundings, near: se2.Pose, like: float) -> se2.Pose | None:
         """A pose where the scan's points lie clearly better than they do (`like`) where it was expected."""
@@ -239,8 +242,9 @@ class Tracker:
     def _prior(self, odometry: se2.Pose) -> Floats:
         """(3, 3): information of the pose predicted with `odometry`, in the base's frame."""
         assert self._firm is not None
-        step = se2.between(self._firm.odometry, odometry)
-        return np.asarray(np.linalg.inv(self._noise.covariance(step) + np.diag(PREDICTION_SIGMAS**2)))
+        return np.asarray(
+            np.linalg.inv(self._noise.covariance(self._firm.step(odometry)) + np.diag(PREDICTION_SIGMAS**2))
+        )
 
 
 def _shows_too_little(scan: ScanFeatures) -> bool:

@@ -37,9 +37,8 @@ def united(first: StoredSession, second: StoredSession, agreement: Agreement) ->
     shift = second.sightings[0].stamp - own.sightings[0].stamp
     one, other = first.belief, own.belief
     noise = OdometryNoise(first.config.odometry)
-    errors, more = one.odometry_noise.samples, other.odometry_noise.samples
-    samples = np.concatenate([errors[0], more[0]]), np.concatenate([errors[1], more[1]])
-    noise.take(*samples)
+    samples = np.concatenate([one.odometry_noise.samples, other.odometry_noise.samples])
+    noise.take(samples)
     path = joined_path(one.path, other.path, count.keyframes, shift)
     stamps = [*one.keyframe_stamps, *(stamp + shift for stamp in other.keyframe_stamps)]
     sightings = [*first.sightings, *second.sightings]

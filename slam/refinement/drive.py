@@ -78,6 +78,7 @@ class Drive:
             return motion, np.diag(CARRIED_SIGMAS**2)
         if astray[row : to + 1].any():
             return motion, np.diag(ASTRAY_SIGMAS**2)
+        motion = noise.corrected(motion)
         return motion, noise.covariance(motion, self.informations[to])
 
     def start_of(self, keyframe: int) -> int:

@@ -73,7 +73,7 @@ class _Graph(_Record):
 
 class _Learned(_Record):
     sigma_range: Finite
-    odometry: tuple[list[Finite], list[Finite]]
+    odometry: list[list[Finite]]
     flatness: list[Finite]
 
 
@@ -102,10 +102,10 @@ class Head(_Record):
         standing: Standing,
         looks: Looks,
         graph: tuple[int, bool],
-        learned: tuple[float, tuple[Floats, Floats], Floats],
+        learned: tuple[float, Floats, Floats],
     ) -> Head:
         """From what a session consists of; `graph` has its updates, and whether QR is used; `learned` the standard
-        deviation of a range, and samples of odometry's errors, in translation and heading, and of walls' unevenness."""
+        deviation of a range, motions as odometry claims them and as they were found (n, 6), and walls' unevenness."""
         held = [_data(look, walls=sorted(look.walls)) for look in looks.held]
         return cls.model_validate(
             {
@@ -121,7 +121,7 @@ class Head(_Record):
                 "graph": {"updates": graph[0], "qr": graph[1]},
                 "learned": {
                     "sigma_range": learned[0],
-                    "odometry": [samples.tolist() for samples in learned[1]],
+                    "odometry": learned[1].tolist(),
                     "flatness": learned[2].tolist(),
                 },
             }

@@ -141,7 +141,7 @@ def read_stored(path: Path) -> StoredSession:
         mapper = Mapper.restored(graph, landmarks, flatness, records, segments, waiting)
         belief = Belief.restored(
             config.odometry,
-            (np.array(head.learned.odometry[0]), np.array(head.learned.odometry[1])),
+            np.array(head.learned.odometry).reshape(-1, 6),
             mapper,
             sighted.path,
             sighted.keyframe_stamps,

@@ -91,7 +91,25 @@ def test_a_corridor_does_not_teach_that_odometry_is_right_along_it() -> None:
     claimed = np.array([0.3, 0.0, 0.0])
     for _ in range(200):
         noise.learn(claimed, se2.compose(claimed, [0.0, random.normal(0, 1e-3), random.normal(0, 0.01)]), CORRIDOR)
-    assert noise.deviations == pytest.approx([0.1, 0.01 / np.sqrt(0.3)], rel=0.2)
+    assert noise.deviations == pytest.approx(OdometryNoise(OdometryConfig(translation_error=0.1)).deviations)
+
+
+def test_what_is_common_to_all_motions_is_taken_out_of_them() -> None:
+    random, noise = np.random.default_rng(0), OdometryNoise(OdometryConfig())
+    length, turning, veer = 0.96, 1.1, 0.05
+    for k in range(400):
+        claimed = np.array([random.uniform(0.2, 0.4), 0.0, random.choice([0.0, random.uniform(-0.4, 0.4)])])
+        turn = turning * claimed[2] + veer * claimed[0]
+        bend = 0.5 * (turn - claimed[2])
+        found = np.array([length * claimed[0] * np.cos(bend), length * claimed[0] * np.sin(bend), turn])
+        gross = [0.5, 0.0, 0.5] if k % 10 == 0 else [0.0, 0.0, 0.0]
+        noise.learn(claimed, se2.compose(found, random.normal(0, [3e-3, 3e-3, 5e-3]) + gross), HELD)
+    assert noise.systematic == pytest.approx([length, turning, veer], abs=0.01)
+    np.testing.assert_allclose(noise.corrected(claimed), found, atol=0.01)
+    assert noise.deviations[0] < 0.02  # what was taken out is not noise any more
+    again = OdometryNoise(OdometryConfig())
+    again.take(noise.samples)
+    np.testing.assert_array_equal(again.systematic, noise.systematic)
 
 
 def test_errors_add_up_where_nothing_holds_the_robot() -> None:
