@@ -74,7 +74,7 @@ class OccupancyGrid:
         ends = scan.points / self._resolution
         corners = np.vstack([start, ends])
         self._make_room(np.floor(corners.min(axis=0)), np.floor(corners.max(axis=0)))
-        trace(self._ended, self._passed, start - self._low, ends - self._low)
+        trace(self._ended, self._passed, self._low, start, ends)
 
     def add_all(self, scans: Iterable[PlacedScan]) -> int:
         """Count the beams of several scans; how many scans there were."""
@@ -120,8 +120,10 @@ class OccupancyGrid:
 
 
 @njit(cache=True)
-def trace(ended: Counts, passed: Counts, start: Floats, ends: Floats) -> None:
+def trace(ended: Counts, passed: Counts, low: Cells, start: Floats, ends: Floats) -> None:
     """Count each beam from `start` (2,) to `ends` (n, 2), in cells: the cell it ends in, and those it passes before.
+
+    `low` (2,) is the first cell of the counts; where they begin must not decide which cell a beam ends in.
 
     A beam goes from cell to cell across the edge that it meets next (Amanatides and Woo 1987).
     """
@@ -139,7 +141,7 @@ def trace(ended: Counts, passed: Counts, start: Floats, ends: Floats) -> None:
         next_x = abs((x + (step_x > 0)) - start[0]) * each_x if left_x else np.inf
         next_y = abs((y + (step_y > 0)) - start[1]) * each_y if left_y else np.inf
         while left_x or left_y:
-            passed[y, x] += 1
+            passed[y - low[1], x - low[0]] += 1
             if left_x and (next_x <= next_y or not left_y):
                 x += step_x
                 left_x -= 1
@@ -148,4 +150,4 @@ def trace(ended: Counts, passed: Counts, start: Floats, ends: Floats) -> None:
                 y += step_y
                 left_y -= 1
                 next_y += each_y
-        ended[last_y, last_x] += 1
+        ended[last_y - low[1], last_x - low[0]] += 1
