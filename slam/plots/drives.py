@@ -125,11 +125,11 @@ def plot_corridors(path: Path, corridors: Sequence[Corridor], *, title: str) -> 
         dashes: dict[str, Any] = {"color": INK, "linewidth": 1.2, "linestyle": (0, (3, 2))}
         axes.plot(seconds, 1e3 * SIGMAS * sigma, label="3σ along that the map claims", **dashes)
         axes.set_yscale("log")
-        axes.set_ylim(0.1, None)
         axes.yaxis.set_major_formatter("{x:g}")
         axes.set_title(name, loc="left", fontsize=9, color=MUTED, pad=8)
         axes.set_xlabel("seconds", fontsize=9, color=INK)
         calm(axes)
+    panels[0].set_ylim(bottom=0.1)  # both panels share it, so only when all is drawn
     panels[0].set_ylabel("mm", fontsize=9, color=INK)
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower left", ncols=len(labels), **LEGEND)
