@@ -101,7 +101,7 @@ class Kobuki:
         if left != right:
             arc = half * (right + left) / (right - left)
             if abs(arc) <= LARGEST_RADIUS:
-                radius = round(arc) if abs(arc) > 1.5 else 1
+                radius = _radius(arc)
                 outer = right if abs(right) >= abs(left) else left
                 speed = outer if radius != 1 else (right - left) / 2
         return packet((BASE_CONTROL, BASE_CONTROL_DATA.pack(round(speed), radius)))
@@ -120,6 +120,13 @@ class Kobuki:
                 self.counters.good += 1
                 readings.append(_reading(found[CORE], found.get(INERTIA)))
         return readings
+
+
+def _radius(arc: float) -> int:
+    """The radius (mm) to order for an arc: 1 is kept for a spin, so no arc has it; the nearest that is left."""
+    if abs(arc) < 1:
+        return 1
+    return round(math.copysign(max(2.0, abs(arc)), arc))
 
 
 def _reading(core: bytes, inertia: bytes | None) -> WheelReading:
