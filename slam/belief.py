@@ -30,8 +30,8 @@ from .segments import Floats
 from .statistics import Clock
 from .tracking import Hold, Place, Placement, Surroundings, Tracker
 
-KEYFRAME_DISTANCE = 0.25  # metres
-KEYFRAME_TURN = np.radians(8.0)
+KEYFRAME_DISTANCE = 0.33  # metres
+KEYFRAME_TURN = np.radians(10.0)
 # A place is familiar that keyframes so near were made of on so many visits, where so much of what is seen is known.
 FAMILIAR_VISITS, FAMILIAR_DISTANCE, FAMILIAR_TURN, FAMILIAR_EXPLAINED = 2, 0.3, np.radians(10.0), 0.8
 # Where walls and corners do not hold the pose, along a corridor, it is better known once later scans are; for that it
