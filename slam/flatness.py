@@ -8,8 +8,6 @@ of a segment of length l moves it by f across and turns it by 12 f / l^2 (both v
 
 from __future__ import annotations
 
-from collections import deque
-
 import numpy as np
 
 from .segments import Floats
@@ -25,17 +23,17 @@ class WallFlatness:
     """Variance of the walls' unevenness (metres squared), estimated from the residuals of associated segments."""
 
     def __init__(self) -> None:
-        self._samples: deque[float] = deque(maxlen=WINDOW)
+        self._samples: Floats = np.zeros(0)
         self.variance = START
 
     @property
     def samples(self) -> Floats:
         """(n,) what the estimate rests on; `take` has them again."""
-        return np.array(self._samples)
+        return self._samples
 
     def take(self, samples: Floats) -> None:
         """Go on from what another estimate rested on."""
-        self._samples.extend(samples.tolist())
+        self._samples = np.concatenate([self._samples, samples])[-WINDOW:]
         self._estimate()
 
     def add(self, residuals: Floats, covariances: Floats, half_lengths: Floats) -> None:
@@ -46,11 +44,10 @@ class WallFlatness:
         """
         excess = residuals**2 / NORMAL_MEDIAN - np.diagonal(covariances, axis1=1, axis2=2)
         excess[:, 1] *= half_lengths**2 / 3
-        self._samples.extend(excess.ravel())
-        self._estimate()
+        self.take(excess.ravel())
 
     def _estimate(self) -> None:
-        if not self._samples:
+        if not len(self._samples):
             return
         observed = max(0.0, float(np.median(self._samples)))
         trust = min(1.0, len(self._samples) / ENOUGH)

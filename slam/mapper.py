@@ -62,6 +62,10 @@ class Names:
     walls: Integers
     corners: Integers
 
+    def __deepcopy__(self, memo: dict[int, object]) -> Names:
+        """Itself: names are never changed."""
+        return self
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyframeRecords:

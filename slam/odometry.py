@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import bisect
 import math
-from collections import deque
 
 import numpy as np
 
@@ -110,7 +109,7 @@ class OdometryNoise:
     def __init__(self, config: OdometryConfig) -> None:
         self._config = config
         self._start = np.array([config.translation_error**2, config.rotation_walk**2])
-        self._samples: deque[Floats] = deque(maxlen=MEMORY)
+        self._samples: Floats = np.zeros((0, 6))
         self._rates = self._start
         self._length = self._turning = 1.0
         self._veer = 0.0  # radians a metre
@@ -128,11 +127,11 @@ class OdometryNoise:
     @property
     def samples(self) -> Floats:
         """(n, 6) motions as they were claimed and found, on which the estimate rests; `take` has them again."""
-        return np.array(self._samples).reshape(-1, 6)
+        return self._samples
 
     def take(self, samples: Floats) -> None:
         """Go on from what another estimate rested on."""
-        self._samples.extend(samples)
+        self._samples = np.concatenate([self._samples, samples])[-MEMORY:]
         self._estimate()
 
     def learn(self, claimed: se2.Pose, found: se2.Pose, held_by: Floats) -> None:
@@ -144,11 +143,10 @@ class OdometryNoise:
         if not self._config.learn or way_of(claimed) < LEAST_WAY:
             return
         if free_direction(found, held_by, HELD_SIGMA) is None:
-            self._samples.append(np.concatenate([claimed, found]))
-            self._estimate()
+            self.take(np.concatenate([claimed, found])[None])
 
     def _estimate(self) -> None:
-        claimed, found = np.split(self.samples, 2, axis=1)
+        claimed, found = self._samples[:, :3], self._samples[:, 3:]
         ahead, turned = claimed[:, 0], claimed[:, 2]
         straight = (np.abs(ahead) > LEAST_WAY) & (np.abs(turned) < STRAIGHT)
         self._length = 1.0 + _trusted(found[straight, 0] / ahead[straight] - 1.0)

@@ -20,6 +20,13 @@ class Path:
         self._relative: list[se2.Pose] = []
         self._informations: list[Floats] = []
 
+    def __deepcopy__(self, memo: dict[int, object]) -> Path:
+        """The same path; what was added is never changed, so it is shared."""
+        other = Path()
+        other._stamps, other._keyframes = list(self._stamps), list(self._keyframes)
+        other._relative, other._informations = list(self._relative), list(self._informations)
+        return other
+
     def __len__(self) -> int:
         return len(self._stamps)
 

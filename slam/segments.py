@@ -20,6 +20,7 @@ if TYPE_CHECKING:  # the features bring numba along, which takes a second to loa
     from features.types import Corners, Lines
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

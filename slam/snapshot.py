@@ -62,6 +62,7 @@ def map_corners(mapper: Mapper, *, covariances: bool) -> MapCorners:
     lines = np.full((len(chosen), 2), -1)
     position = rows["position"][chosen].copy()
     covariance = np.full((len(chosen), 2, 2), np.nan)
+    met, jacobians = [], []  # rows of corners where both walls meet
     for row, corner in enumerate(chosen):
         named = rows["walls"][corner]
         lines[row] = np.where(named >= 0, walls["kept"][named], -1)
@@ -72,10 +73,13 @@ def map_corners(mapper: Mapper, *, covariances: bool) -> MapCorners:
             meeting, jacobian = _meeting(walls["frame"][first], walls["frame"][second])
         if meeting is not None and np.hypot(*(meeting - position[row])) < STRAYED:
             position[row] = meeting
-            if covariances:
-                covariance[row] = jacobian @ mapper.graph.walls_covariance(first, second) @ jacobian.T
+            met.append(row)
+            jacobians.append(jacobian)
         elif covariances:
             covariance[row] = mapper.graph.corner_covariance(int(corner))
+    if covariances and met:
+        moved = np.array(jacobians)
+        covariance[met] = moved @ mapper.graph.walls_covariances(lines[met]) @ moved.transpose(0, 2, 1)
     return MapCorners(
         identity=chosen,
         position=position,

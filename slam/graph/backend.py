@@ -20,7 +20,7 @@ from gtsam.symbol_shorthand import C, L, X
 from drivers import se2
 from slam.errors import MapError
 from slam.residuals import CORNER, ODOMETRY, WALL, Residuals
-from slam.segments import Floats
+from slam.segments import Floats, Integers
 
 from .factors import CAUCHY_SCALE, ODOMETRY_CAUCHY_SCALE, WALL_CAUCHY_SCALE, Factor, GraphState, Kind, made, pose2
 from .residuals import residuals_of
@@ -38,9 +38,13 @@ RELINEARIZE_SKIP = 10  # updates; a tenth of the cost of relinearising at each u
 KERNEL_CAUTION = 0.936
 CAUCHY_SCALES = {ODOMETRY: ODOMETRY_CAUCHY_SCALE, WALL: WALL_CAUCHY_SCALE, CORNER: CAUCHY_SCALE}
 REBUILDS = 3  # Gauss-Newton steps on everything
-SETTLING_UPDATES = 5  # the first moves by what was left to the threshold, the last by less than a micrometre
+SETTLING_UPDATES = 5  # at most; the first moves by what was left to the threshold
+# The same while a loop is closed, in the time of one keyframe: to within centimetres, what is left follows while driving.
+CLOSING_UPDATES = 2
+SETTLED = 1e-5  # metres and radians that all variables together move by in an update, when the estimate rests
 ALONG_SIGMA = 0.1  # metres; says once where along a wall its frame lies, which no observation does
 FIRST_POSE_SIGMAS = np.array([1e-4, 1e-4, 1e-5])  # metres, metres, radians: the first keyframe defines the map's frame
+PAIRS_TOGETHER = 25  # of walls, whose covariances are asked for at once
 SAME_WALL_SIGMAS = np.array([5e-3, 3e-3])  # metres across, radians: how equal two frames of one wall are
 
 
@@ -57,6 +61,13 @@ def _parameters(factorization: str) -> gtsam.ISAM2Params:
 
 def _array(pose: gtsam.Pose2) -> se2.Pose:
     return np.array([pose.x(), pose.y(), pose.theta()])
+
+
+def _graph_of(factors: Sequence[Factor]) -> gtsam.NonlinearFactorGraph:
+    graph = gtsam.NonlinearFactorGraph()
+    for factor in factors:
+        graph.add(made(factor))
+    return graph
 
 
 class LandmarkCovariances(NamedTuple):
@@ -156,13 +167,13 @@ class FactorGraph:
         return self._update(gtsam.ISAM2UpdateParams())
 
     def close_loop(self, old: int, keyframe: int, relative: se2.Pose, sigmas: Floats) -> list[int]:
-        """Pull a keyframe to where it stands relative to an old one (sigmas (3,) in metres and radians), and settle.
+        """Pull a keyframe to where it stands relative to an old one (sigmas (3,) in metres and radians).
 
         No kernel: after drift the residual is large at first. Returns the numbers of the factors made.
         """
         self.tie_keyframes(old, keyframe, relative, sigmas)
         made = self.update()
-        self.settle()
+        self.settle(CLOSING_UPDATES)
         return made
 
     def __deepcopy__(self, memo: dict[int, object]) -> FactorGraph:
@@ -220,11 +231,12 @@ class FactorGraph:
             del self._factors[number]
         self._update(parameters)
 
-    def _update(self, parameters: gtsam.ISAM2UpdateParams) -> list[int]:
+    def _update(
+        self, parameters: gtsam.ISAM2UpdateParams, factors: gtsam.NonlinearFactorGraph | None = None
+    ) -> list[int]:
+        """Bring in what is new; `factors` are GTSAM's of it, if they have been made."""
         self._updates += 1
-        factors = gtsam.NonlinearFactorGraph()
-        for factor in self._new:
-            factors.add(made(factor))
+        factors = _graph_of(self._new) if factors is None else factors
         try:
             numbers = list(self._isam.update(factors, self._values, parameters).getNewFactorsIndices())
         except RuntimeError as error:
@@ -275,21 +287,23 @@ class FactorGraph:
 
         Raises MapError where the geometry leaves a variable undetermined.
         """
-        factors = gtsam.NonlinearFactorGraph()
-        for factor in self._new:
-            factors.add(made(factor))
         try:
-            self._values = gtsam.LevenbergMarquardtOptimizer(factors, self._values).optimize()
+            self._values = gtsam.LevenbergMarquardtOptimizer(_graph_of(self._new), self._values).optimize()
         except RuntimeError as error:
             raise MapError(f"the map cannot be estimated: {str(error).strip().splitlines()[0]}") from error
         self.update()
 
-    def settle(self) -> None:
-        """Update until the estimate rests; what has moved by more than the threshold is linearised anew."""
+    def settle(self, at_most: int = SETTLING_UPDATES) -> None:
+        """Update until the estimate rests, or some times; what has moved by more than the threshold is linearised
+        anew."""
         parameters = gtsam.ISAM2UpdateParams()
         parameters.force_relinearize = True
-        for _ in range(SETTLING_UPDATES):
+        left = np.inf  # how far the estimate is from where its variables were linearised
+        for _ in range(at_most):
             self._update(parameters)
+            before, left = left, self._isam.getDelta().norm()
+            if abs(left - before) < SETTLED:
+                return
 
     def rebuild(self) -> None:
         """Solve everything afresh from the present estimate, at the end of a run.
@@ -297,11 +311,12 @@ class FactorGraph:
         Incremental solving linearises only what moves by more than a threshold, and what it did not is weighted as it
         was then.
         """
-        factors = [factor for _, factor in sorted(self._factors.items())]
+        every = [factor for _, factor in sorted(self._factors.items())]
+        factors = _graph_of(every)
         for _ in range(REBUILDS):
-            self._values, self._new = self._isam.calculateEstimate(), list(factors)
+            self._values, self._new = self._isam.calculateEstimate(), every
             self._isam, self._factors, self._updates = gtsam.ISAM2(_parameters(self._factorization)), {}, 0
-            self.update()
+            self._update(gtsam.ISAM2UpdateParams(), factors)
 
     # --- the estimate
 
@@ -354,10 +369,19 @@ class FactorGraph:
         """(2, 2): covariance of a corner's position in the map."""
         return KERNEL_CAUTION * np.asarray(self._isam.marginalCovariance(C(corner)))
 
-    def walls_covariance(self, wall: int, other: int) -> Floats:
-        """(4, 4): joint covariance of two walls' offset and heading in the map, each at its own frame."""
-        joint = self._joint_covariance([L(wall), L(other)])
-        return KERNEL_CAUTION * joint[np.ix_([1, 2, 4, 5], [1, 2, 4, 5])]
+    def walls_covariances(self, pairs: Integers) -> Floats:
+        """(n, 4, 4): joint covariances of pairs (n, 2) of walls: offset and heading in the map, each at its own frame.
+
+        Many pairs together cost little more than one, up to a limit; they are best neighbours.
+        """
+        covariances = np.zeros((len(pairs), 4, 4))
+        for first in range(0, len(pairs), PAIRS_TOGETHER):
+            some = pairs[first : first + PAIRS_TOGETHER]
+            walls, at = np.unique(some, return_inverse=True)
+            joint = self._joint_covariance([L(wall) for wall in walls.tolist()])
+            numbers = (3 * at.reshape(-1, 2, 1) + [1, 2]).reshape(-1, 4)  # of an offset and a heading in three
+            covariances[first : first + len(some)] = joint[numbers[:, :, None], numbers[:, None, :]]
+        return KERNEL_CAUTION * covariances
 
     def _joint_covariance(self, keys: Sequence[int]) -> Floats:
         try:

@@ -9,6 +9,7 @@ import numpy as np
 
 from drivers import se2
 
+from ..graph import CLOSING_UPDATES
 from ..mapper import Mapper
 from .constellation import OLD_WAY, Constellation, Integers, OldMap, recent_and_old
 from .proposal import Hypothesis, propose
@@ -193,9 +194,8 @@ def close(mapper: Mapper, decision: LoopDecision) -> LoopDecision:
         if rows["kept"][old] == old and rows["kept"][recent] == recent:
             mapper.merge_walls(old, recent)
     mapper.graph.update()
-    mapper.graph.settle()
+    mapper.graph.settle(CLOSING_UPDATES)
     mapper.graph.remove_factors(carrying)
-    mapper.graph.settle()
     mapper.read_back_all()
     shift = float(np.hypot(*(mapper.pose - before)[:2]))
     return replace(decision, status="accepted", merged=tuple(joined), shift=shift)

@@ -18,10 +18,11 @@ def merge_everywhere(landmarks: Landmarks, graph: FactorGraph, flatness: float) 
     walls = landmarks.walls.rows
     active = walls["in_graph"] & (walls["kept"] == np.arange(len(walls)))
     rows = np.flatnonzero(active & (walls["observations"] >= LEAST_OBSERVATIONS))
+    alike = overlaps(walls["frame"][rows], walls["low"][rows], walls["high"][rows])
+    pairs = np.array([rows[[pair.first, pair.second]] for pair in alike], dtype=np.int64).reshape(-1, 2)
     found = []
-    for pair in overlaps(walls["frame"][rows], walls["low"][rows], walls["high"][rows]):
-        first, second = int(rows[pair.first]), int(rows[pair.second])
-        distance = pair.distance(_relative(graph.walls_covariance(first, second), pair), flatness)
+    for pair, (first, second), joint in zip(alike, pairs.tolist(), graph.walls_covariances(pairs), strict=True):
+        distance = pair.distance(_relative(joint, pair), flatness)
         if distance < GATE:
             found.append((distance, first, second))
     merged = 0

@@ -19,6 +19,7 @@ MEASURED = {Kind.CORNER: 2, Kind.OFFSET: 4}
 """How many numbers a factor measures, if not the three of a pose."""
 DIMENSION = {Kind.ALONG: 1, Kind.HEADING: 1, Kind.OFFSET: 1, Kind.WALL: 2, Kind.CORNER: 2, Kind.SAME: 2}
 """Rows of a factor's covariance, if not the three of a pose."""
+UPPER = {size: np.triu_indices(size) for size in (1, 2, 3)}
 KEYFRAME, WALL, CORNER = "keyframe", "wall", "corner"
 
 
@@ -39,7 +40,7 @@ def write_factors(file: Path, factors: Sequence[Factor], waiting: Sequence[Facto
 
 
 def _upper(matrix: Floats) -> Floats:
-    return np.asarray(matrix[np.triu_indices(len(matrix))])
+    return np.asarray(matrix[UPPER[len(matrix)]])
 
 
 def read_factors(file: Path) -> tuple[list[Factor], list[Factor]]:
