@@ -117,24 +117,28 @@ def _vote(  # type: ignore[no-untyped-def]
     """Votes, in metres of wall, for cells of motions [shift x, shift y, turn about `centre`]."""
     across = 2 * math.ceil((reach + CELL) / CELL) + 1
     votes = np.zeros((across, across, 2 * math.ceil(turn / CELL_TURN) + 1))
+    turns = np.empty((len(frames), len(olds)))
+    for a in range(len(frames)):
+        for c in range(len(olds)):
+            turns[a, c] = turn_of(olds[c, 2] - frames[a, 2])
+    normals = np.column_stack((-np.sin(olds[:, 2]), np.cos(olds[:, 2])))
     for a in range(len(frames)):
         for b in range(a + 1, len(frames)):
             angle = turn_of(frames[b, 2] - frames[a, 2])
             if abs(math.sin(angle)) < LEAST_SINE:
                 continue
             for c in range(len(olds)):
-                first = turn_of(olds[c, 2] - frames[a, 2])
+                first = turns[a, c]
                 if abs(first) > rotations[c]:
                     continue
                 for d in range(len(olds)):
-                    second = turn_of(olds[d, 2] - frames[b, 2])
+                    second = turns[b, d]
                     if d == c or abs(second) > rotations[d] or abs(second - first) > SAME_ANGLE:
                         continue
                     rotation = 0.5 * (first + second)
                     rc, rs = math.cos(rotation), math.sin(rotation)
                     # offsets of the turned walls' middles from the old walls, along the old walls' normals
-                    nxc, nyc = -math.sin(olds[c, 2]), math.cos(olds[c, 2])
-                    nxd, nyd = -math.sin(olds[d, 2]), math.cos(olds[d, 2])
+                    (nxc, nyc), (nxd, nyd) = normals[c], normals[d]
                     ax, ay = frames[a, 0] - centre[0], frames[a, 1] - centre[1]
                     bx, by = frames[b, 0] - centre[0], frames[b, 1] - centre[1]
                     ax, ay = centre[0] + rc * ax - rs * ay, centre[1] + rs * ax + rc * ay
@@ -163,7 +167,9 @@ def _refine(start, frames, halves, olds, old_halves, centre, first):  # type: ig
     motion = start.copy()
     matches = np.full(len(frames), -1)
     information, length, covered = np.zeros((3, 3)), 0.0, 0.0
+    cosines, sines = np.cos(olds[:, 2]), np.sin(olds[:, 2])
     for step in range(first, len(GATES)):
+        judging = step == len(GATES) - 1
         information, gradient, length, covered = np.eye(3) * 1e-3, np.zeros(3), 0.0, 0.0
         c, s = math.cos(motion[2]), math.sin(motion[2])
         for i in range(len(frames)):
@@ -173,12 +179,15 @@ def _refine(start, frames, halves, olds, old_halves, centre, first):  # type: ig
             best, overlap, offset, turned, known = np.inf, 0.0, 0.0, 0.0, False
             matches[i] = -1
             for j in range(len(olds)):
-                oc, os = math.cos(olds[j, 2]), math.sin(olds[j, 2])
+                oc, os = cosines[j], sines[j]
                 dx, dy = x - olds[j, 0], y - olds[j, 1]
                 across, along = -os * dx + oc * dy, oc * dx + os * dy
-                known = known or math.hypot(across, max(0.0, abs(along) - old_halves[j])) < KNOWN_AROUND
+                if judging and not known:
+                    known = math.hypot(across, max(0.0, abs(along) - old_halves[j])) < KNOWN_AROUND
+                if abs(across) > GATES[step]:
+                    continue
                 angle = turn_of(frames[i, 2] + motion[2] - olds[j, 2])
-                if abs(angle) > TURN_GATES[step] or abs(across) > GATES[step]:
+                if abs(angle) > TURN_GATES[step]:
                     continue
                 reach = old_halves[j] + OVERLAP_MARGIN
                 shared = min(along + halves[i], reach) - max(along - halves[i], -reach)
@@ -190,7 +199,7 @@ def _refine(start, frames, halves, olds, old_halves, centre, first):  # type: ig
             if matches[i] < 0:
                 continue
             length += overlap
-            nx, ny = -math.sin(olds[matches[i], 2]), math.cos(olds[matches[i], 2])
+            nx, ny = -sines[matches[i]], cosines[matches[i]]
             lever = -nx * lever_y + ny * lever_x
             row = np.array([nx, ny, lever])
             weight = overlap / OFFSET_SIGMA**2
@@ -201,6 +210,6 @@ def _refine(start, frames, halves, olds, old_halves, centre, first):  # type: ig
                     information[p, q] += weight * row[p] * row[q]
             information[2, 2] += turn_weight
             gradient[2] += turn_weight * turned
-        if step < len(GATES) - 1:
+        if not judging:
             motion = motion - np.linalg.solve(information, gradient)
     return motion, information, matches, length, max(covered, length)
