@@ -209,7 +209,7 @@ def map_feed(
 
         with say_if_slow(COMPILING):
             warm_up()
-        gc.freeze()  # all that was imported stays: a search for garbage in it would hold up a scan by a tenth of a second
+        gc.freeze()  # what was imported stays: to search it for garbage would hold up a scan by 0.1 s
         notices, tally = Notices(), Tally()
         sinks: list[Sink] = [notices, *feed.sinks]
         reviewed = None

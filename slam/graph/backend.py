@@ -39,7 +39,7 @@ KERNEL_CAUTION = 0.936
 CAUCHY_SCALES = {ODOMETRY: ODOMETRY_CAUCHY_SCALE, WALL: WALL_CAUCHY_SCALE, CORNER: CAUCHY_SCALE}
 REBUILDS = 3  # Gauss-Newton steps on everything
 SETTLING_UPDATES = 5  # at most; the first moves by what was left to the threshold
-# The same while a loop is closed, in the time of one keyframe: to within centimetres, what is left follows while driving.
+# The same while a loop is closed, within one keyframe: what is left, a centimetre or so, follows while driving on.
 CLOSING_UPDATES = 2
 SETTLED = 1e-5  # metres and radians that all variables together move by in an update, when the estimate rests
 ALONG_SIGMA = 0.1  # metres; says once where along a wall its frame lies, which no observation does
