@@ -37,13 +37,15 @@ class Numbers:
         return cls(len(session.sightings), mapper.keyframe_count, walls, corners)
 
 
-def later(session: StoredSession, after: float) -> StoredSession:
-    """The session with stamps that go on after a time (seconds); as it is if they do. Its belief keeps its own."""
+def shift_after(session: StoredSession, after: float) -> float:
+    """Seconds to add to the stamps of a session that they go on after a time (seconds); none if they do."""
     begins = [float(history.stamps[0]) for history in session.odometry if len(history)]
     first = min([session.sightings[0].stamp, *begins])
-    if first > after:
-        return session
-    shift = math.ceil(after - first) + CLOCK_GAP
+    return 0.0 if first > after else math.ceil(after - first) + CLOCK_GAP
+
+
+def shifted(session: StoredSession, shift: float) -> StoredSession:
+    """The session with seconds added to its stamps. Its belief keeps its own."""
     return replace(
         session,
         sightings=[replace(sighting, stamp=sighting.stamp + shift) for sighting in session.sightings],

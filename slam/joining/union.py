@@ -22,7 +22,7 @@ from ..refinement.rounds import motion_to
 from ..segments import Floats
 from ..sessions import StoredSession
 from .agreement import Agreement
-from .carrying import Numbers, joined_landmarks, joined_names, joined_path, later
+from .carrying import Numbers, joined_landmarks, joined_names, joined_path, shift_after, shifted
 
 
 def united(first: StoredSession, second: StoredSession, agreement: Agreement) -> StoredSession:
@@ -33,8 +33,8 @@ def united(first: StoredSession, second: StoredSession, agreement: Agreement) ->
     the first's if it has to be. Raises MapError where the maps do not come together.
     """
     count, own = Numbers.of(first), second
-    second = later(second, first.latest)
-    shift = second.sightings[0].stamp - own.sightings[0].stamp
+    shift = shift_after(second, first.latest)
+    second = shifted(second, shift)
     one, other = first.belief, own.belief
     noise = OdometryNoise(first.config.odometry)
     samples = np.concatenate([one.odometry_noise.samples, other.odometry_noise.samples])

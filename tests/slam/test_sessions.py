@@ -60,7 +60,7 @@ def test_the_estimate_is_read_back(left: tuple[StoredSession, Path]) -> None:
     one.settle()
     other.settle()
     for before, after in zip(estimate(one), estimate(other), strict=True):
-        np.testing.assert_allclose(after, before, rtol=1e-6, atol=1e-7)
+        np.testing.assert_allclose(after, before, rtol=1e-6, atol=1e-6)  # both are a micrometre from rest
 
 
 def test_all_that_the_estimate_rests_on_is_read_back(left: tuple[StoredSession, Path]) -> None:
