@@ -27,18 +27,20 @@ KNOTS = 8  # poses along the sweep between which the motion is taken as constant
 # stands: a fifth of a millimetre at either wheel looks like a milliradian of turning, which would bend the scan, and
 # the first keyframe, which the whole map hangs on, is nearly always taken standing.
 LEAST_WAY = 2e-3
+JITTER = np.array([2e-4, 2e-4, 8e-4])  # of one reading: a fifth of a millimetre at either wheel. Metres, metres, radians
 ON_LINE = 0.05  # metres from a line's continuation within which a point may be one of the same wall
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sweep:
-    """A scan seen from where the lidar was at `stamp`.
+    """A scan seen from where the lidar was at `stamp`, when odometry was at `odometry`.
 
     ranges, bearings  (n,); bearings in the order of the beams, unwrapped: a full turn may cover a little more or less
     way               (n,) metres the wheels rolled between each beam and the stamp
     """
 
     stamp: float
+    odometry: se2.Pose
     ranges: Floats
     bearings: Floats
     way: Floats
@@ -84,25 +86,30 @@ def mount_of(scan: Scan, lidar: LidarConfig) -> se2.Pose:
 def deskew(scan: Scan, odometry: OdometryHistory, mount: se2.Pose, range_bias: float = 0.0) -> Sweep:
     """Move every beam of a scan to the middle of its sweep, with the motion that odometry saw.
 
+    Where odometry was then is the mean over the sweep, as far as that differs from the reading in the middle by no more
+    than its jitter: by a step of an encoder the whole scan would be turned. What differs more is a change of speed.
     `range_bias` in metres is what all ranges are known to be too long by.
     """
     duration = scan.duration
     ranges = scan.ranges - range_bias if range_bias else scan.ranges
     if duration <= 0.0 or not len(odometry):
-        return Sweep(scan.stamp, ranges, scan.angles, np.zeros(len(ranges)))
+        return Sweep(scan.stamp, odometry.at(scan.stamp), ranges, scan.angles, np.zeros(len(ranges)))
     middle = middle_of(scan)
     offsets = np.linspace(0.0, duration, KNOTS)
-    moves = se2.between(odometry.at(middle), odometry.at_each(scan.stamp + offsets))
+    reference = odometry.at(middle)
+    moves = se2.between(reference, odometry.at_each(scan.stamp + offsets))
     ways = way_of(moves)
     if ways[0] + ways[-1] < LEAST_WAY:
-        return Sweep(middle, ranges, scan.angles, np.zeros(len(ranges)))
+        return Sweep(middle, reference, ranges, scan.angles, np.zeros(len(ranges)))
+    mean = np.clip(moves.mean(axis=0), -JITTER, JITTER)
+    moves = se2.between(mean, moves)
     lidars = se2.between(mount, se2.compose(moves, mount))
     turned = scan.angles + np.interp(scan.time_offsets, offsets, np.unwrap(lidars[:, 2]))
     x = np.interp(scan.time_offsets, offsets, lidars[:, 0]) + ranges * np.cos(turned)
     y = np.interp(scan.time_offsets, offsets, lidars[:, 1]) + ranges * np.sin(turned)
     shift = se2.wrap(np.arctan2(y, x) - turned)
     way = np.interp(scan.time_offsets, offsets, ways)
-    return Sweep(middle, np.hypot(x, y), turned + np.where(np.isfinite(shift), shift, 0.0), way)
+    return Sweep(middle, se2.compose(reference, mean), np.hypot(x, y), turned + np.where(np.isfinite(shift), shift, 0.0), way)
 
 
 def loosen(

@@ -97,7 +97,7 @@ class FrontEnd:
         sweep = deskew(scan, self.odometry, mount, self._lidar.range_bias)
         features = self._extractor.extract(sweep.ranges, sweep.bearings)
         seen = _in_base_frame(sweep, features, mount, odometry_noise)
-        return Sighting(sweep.stamp, self.odometry.at(sweep.stamp), seen)
+        return Sighting(sweep.stamp, sweep.odometry, seen)
 
 
 def _in_base_frame(sweep: Sweep, features: Features, mount: se2.Pose, odometry_noise: OdometryNoise) -> ScanFeatures:

@@ -180,6 +180,28 @@ def test_a_sweep_at_once_is_left_as_it_is() -> None:
     assert len(deskew(empty, history(), np.zeros(3)).ranges) == 0
 
 
+def test_the_jitter_of_a_reading_does_not_turn_the_scan() -> None:
+    random, told, stamps = np.random.default_rng(2), OdometryHistory(), np.arange(0.0, 40.0, 0.04)
+    for stamp in stamps:
+        told.add(Odometry(stamp, on_circle(stamp) + np.array([0.0, 0.0, random.normal(0.0, 5e-4)])))
+    errors = []
+    for stamp in np.arange(1.0, 39.0, 0.1):
+        scan = Scan(stamp, np.full(9, 2.0), np.linspace(-1, 1, 9), np.linspace(0.0, 0.1, 9), 0.1, 10.0)
+        sweep = deskew(scan, told, np.zeros(3))
+        true = on_circle(sweep.stamp)
+        errors.append([se2.wrap(pose[2] - true[2]) for pose in (sweep.odometry, told.at(sweep.stamp))])
+    smoothed, read = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert smoothed < 0.8 * read
+
+
+def test_a_change_of_speed_is_no_jitter() -> None:
+    told = OdometryHistory()
+    for stamp in np.arange(0.0, 2.0, 0.01):  # stands, then turns at a stroke
+        told.add(Odometry(stamp, np.array([0.0, 0.0, 2.0 * max(0.0, stamp - 1.0)])))
+    scan = Scan(0.95, np.full(9, 2.0), np.linspace(-1, 1, 9), np.linspace(0.0, 0.1, 9), 0.1, 10.0)
+    assert abs(deskew(scan, told, np.zeros(3)).odometry[2]) < 1e-3  # not the 25 milliradians that it is on the mean
+
+
 def test_a_longer_sweep_makes_lines_less_certain() -> None:
     angles = np.linspace(-np.pi, np.pi, 360, endpoint=False)
     ranges = 2.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))
