@@ -58,7 +58,7 @@ def test_a_loop_that_drift_left_open_is_closed_where_it_should_be() -> None:
     assert not result.wrong
 
 
-@pytest.mark.parametrize(("world", "seed"), [("moved_furniture", 4), ("equal_offices", 3)])
+@pytest.mark.parametrize(("world", "seed"), [("moved_furniture", 6), ("equal_offices", 3)])
 def test_no_wrong_closure_where_places_look_alike(world: str, seed: int) -> None:
     result = drive(world, seed)
     convincing = [d for d in result.decided if d.error > 0.5 and (d.status == "held" or "deviations" in d.reason)]
