@@ -27,7 +27,7 @@ KNOTS = 8  # poses along the sweep between which the motion is taken as constant
 # stands: a fifth of a millimetre at either wheel looks like a milliradian of turning, which would bend the scan, and
 # the first keyframe, which the whole map hangs on, is nearly always taken standing.
 LEAST_WAY = 2e-3
-JITTER = np.array([2e-4, 2e-4, 8e-4])  # of one reading: a fifth of a millimetre at either wheel. Metres, metres, radians
+JITTER = np.array([2e-4, 2e-4, 8e-4])  # metres, metres, radians, of one reading, likewise
 ON_LINE = 0.05  # metres from a line's continuation within which a point may be one of the same wall
 
 
@@ -109,7 +109,8 @@ def deskew(scan: Scan, odometry: OdometryHistory, mount: se2.Pose, range_bias: f
     y = np.interp(scan.time_offsets, offsets, lidars[:, 1]) + ranges * np.sin(turned)
     shift = se2.wrap(np.arctan2(y, x) - turned)
     way = np.interp(scan.time_offsets, offsets, ways)
-    return Sweep(middle, se2.compose(reference, mean), np.hypot(x, y), turned + np.where(np.isfinite(shift), shift, 0.0), way)
+    bearings = turned + np.where(np.isfinite(shift), shift, 0.0)
+    return Sweep(middle, se2.compose(reference, mean), np.hypot(x, y), bearings, way)
 
 
 def loosen(
