@@ -8,13 +8,14 @@ been.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
 
 from drivers import se2
 
+from .continuity import View
 from .local_map import LocalMap
 from .odometry import OdometryNoise, way_of
 from .point_field import PointField, likeness, search
@@ -54,7 +55,8 @@ class Placement:
 
     covariance        (3, 3) of the pose in the map as it stands, in the base's frame
     bears_out_search  whether this scan confirms the pose that was searched for one scan earlier
-    abrupt            whether it fits far worse than the scan before it: the robot may have been carried elsewhere
+    abrupt            whether it fits far worse than the scan before it, and shows something else: the robot may have been
+                      carried elsewhere
     """
 
     registration: Registration
@@ -133,10 +135,12 @@ class Tracker:
         # Where the robot was before its last pose was searched for: odometry may make up for what it missed in a step,
         # and the search may have been wrong.
         self._left: Place | None = None
+        self._view: View | None = None  # the last one that can be compared
+        self._broken_off = False  # whether one of the scans that fit nowhere shows something else than the one before it
 
     def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
         """The base is at `pose` in the map, as the map is now, when odometry is at `odometry`."""
-        self._firm, self._misfits, self._left = Place(pose, odometry), 0, None
+        self._firm, self._misfits, self._left, self._broken_off = Place(pose, odometry), 0, None, False
 
     @property
     def firm(self) -> Place | None:
@@ -171,8 +175,30 @@ class Tracker:
         """Whether too many scans in a row fitted nowhere for the last pose to be still of use."""
         return self._misfits >= PATIENCE
 
+    @property
+    def broken_off(self) -> bool:
+        """Whether what is seen has changed at a stroke since the last scan that was placed."""
+        return self._broken_off
+
     def track(self, odometry: se2.Pose, scan: ScanFeatures, around: Surroundings) -> Placement:
         """Where the base was at a scan taken when odometry was at `odometry`."""
+        broken_off = self._broken_off
+        placement = self._track(odometry, scan, around)
+        view = View(odometry, scan.points.all)
+        if placement.hold is Hold.NONE or placement.abrupt:
+            broken_off = broken_off or self._breaks_off_before(view)
+            self._broken_off = broken_off and placement.hold is Hold.NONE
+        if view.comparable:
+            self._view = view
+        return replace(placement, abrupt=placement.abrupt and broken_off)
+
+    def _breaks_off_before(self, view: View) -> bool:
+        """Whether the view is another one than the last; a tracker that has seen none cannot rule it out."""
+        if self._view is None:
+            return True
+        return self._view.breaks_off_before(view, self._noise.corrected(se2.between(self._view.odometry, view.odometry)))
+
+    def _track(self, odometry: se2.Pose, scan: ScanFeatures, around: Surroundings) -> Placement:
         if self._firm is None:
             self.move_to(np.zeros(3), odometry)
         assert self._firm is not None
