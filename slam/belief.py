@@ -176,8 +176,8 @@ class Belief:
 
     @property
     def broken_off(self) -> bool:
-        """Whether what is seen changed at a stroke when the robot got lost: it may have been carried away. If not, it is
-        near where odometry has it."""
+        """Whether what is seen has changed at a stroke lately: the robot may have been carried away. If not, it is near
+        where odometry has it."""
         return self._tracker.broken_off
 
     @property
@@ -315,8 +315,8 @@ class Belief:
         return self._tracker.predict(odometry)
 
     def covariance_since(self, keyframe: int, odometry: se2.Pose) -> Floats:
-        """(3, 3): of the base's pose when odometry is at `odometry`, by odometry alone since the last sighting, relative
-        to a keyframe; in the base's frame."""
+        """(3, 3): of the base's pose when odometry is at `odometry`, by odometry alone since the anchor, relative to a
+        keyframe; in the base's frame."""
         assert self._anchor is not None
         anchor, covariance = self._anchor, np.zeros((3, 3))
         if keyframe != anchor.keyframe:

@@ -3,8 +3,8 @@
 It may have been carried away, or have seen nothing for so long that odometry has led astray. Nothing enters the old map
 in the meantime. Once the place is recognised, the sightings since are taken as if the robot had known it all along.
 
-Places may look alike. A robot that was carried away has seen what is around it change at a stroke; then it may be anywhere.
-One that has not is where odometry has it, as well as that is known: if it is not found there, its map ends there.
+Places may look alike. A robot that was carried away has seen what is around it change at a stroke; it may be anywhere.
+One that has not is where odometry has it, as well as that is known: if it is not found there, the place is a new one.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ LEAST_PLACED = 0.8  # share of the sightings since getting lost that must fit th
 class Excursion:
     """The sightings since the robot got lost, and the small map of its own that they make.
 
-    `whole` is the belief before that. It is never changed; what comes of the excursion is a new one. `carried` is whether
-    the robot may have been carried away.
+    `whole` is the belief before that. It is never changed; what comes of the excursion is a new one. `carried` is
+    whether the robot may have been carried away.
     """
 
     def __init__(self, config: OdometryConfig, whole: Belief, sightings: Sequence[Sighting], *, carried: bool) -> None:
@@ -76,7 +76,7 @@ class Excursion:
 
     @property
     def over(self) -> bool:
-        """Whether it is no use to look any longer: the robot must be where odometry has it, and that is nowhere known."""
+        """Whether it is no use to look any longer: the robot is where odometry has it, and that is no known place."""
         return not self._carried and not self._whole.frozen and self.way > ODOMETRY_WAY
 
     def recognised(self) -> Estimator | None:

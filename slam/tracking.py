@@ -57,8 +57,8 @@ class Placement:
 
     covariance        (3, 3) of the pose in the map as it stands, in the base's frame
     bears_out_search  whether this scan confirms the pose that was searched for one scan earlier
-    abrupt            whether it fits far worse than the scan before it, and shows something else: the robot may have been
-                      carried elsewhere
+    abrupt            whether it fits far worse than the scan before it, and the view broke off lately: the robot may
+                      have been carried elsewhere
     """
 
     registration: Registration
@@ -201,7 +201,8 @@ class Tracker:
         """Whether the view is another one than the last; a tracker that has seen none cannot rule it out."""
         if self._view is None:
             return True
-        return self._view.breaks_off_before(view, self._noise.corrected(se2.between(self._view.odometry, view.odometry)))
+        motion = self._noise.corrected(se2.between(self._view.odometry, view.odometry))
+        return self._view.breaks_off_before(view, motion)
 
     def _track(self, odometry: se2.Pose, scan: ScanFeatures, around: Surroundings) -> Placement:
         if self._firm is None:

@@ -89,8 +89,8 @@ class Row:
 
     needed, found  drives of which the map could be made one only by closing a loop, and those in which it was
     relocated      how often a robot that was lost was found, `misplaced` of them in another place
-    ended_off      drives that ended more than MISPLACED from the truth, as seen from where they began: by wrong closures,
-                   wrong places, or by drift that no loop took out
+    ended_off      drives that ended more than MISPLACED from the truth, as seen from where they began: because of a
+                   wrong closure or place, or of drift that no loop took out
     failed         drives that came to no map
     reasons        why candidates were rejected, how often, without the figures
     """

@@ -55,7 +55,8 @@ class Witness:
 
     decided    every decision on a loop
     visits     every keyframe at a place known before
-    misplaced  metres, for each time that a robot that was lost was found: how far off, as seen from the nearest keyframe
+    misplaced  metres, for each time that a robot that was lost was found: how far off that is, as seen from the nearest
+               keyframe
     """
 
     def __init__(self, simulation: Simulation) -> None:

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from ..benchmarks.lookalike import Row
 
 WRONG_ACCEPTED = 1
-"""Exit status where a wrong closure was accepted, or the robot found in a wrong place: the figures are right, the map is
-not."""
+"""Exit status where a wrong closure was accepted, or the robot found in a wrong place: the figures are right, the map
+is not."""
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one line of JSON.")]
 
@@ -102,8 +102,8 @@ def bench_lookalike(
 
 
 def _print_lookalikes(rows: list[Row]) -> None:
-    columns = "drift m  proposed  rejected  held  accepted  wrong  found/needed  doubled  ATE m  relocated  misplaced  ended off  failed"
-    typer.echo(f"{'world':<15} drives  {columns}")
+    loops = "drift m  proposed  rejected  held  accepted  wrong  found/needed  doubled  ATE m"
+    typer.echo(f"{'world':<15} drives  {loops}  relocated  misplaced  ended off  failed")
     for row in rows:
         typer.echo(
             f"{row.world:<15} {row.drives:6d} {row.drift:8.2f} {row.proposed:9d} {row.rejected:9d} {row.held:5d} "

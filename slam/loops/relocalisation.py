@@ -38,8 +38,8 @@ MOST_CONTRADICTED = 0.10  # share of what was seen that the map's walls would ha
 # never been, pieces came out at 0.05 and 0.06 m, hanging on one wall along a corridor. Right ones rarely reach 0.035 m.
 WORST_SIGMA, WORST_TURN = 0.04, np.radians(1.5)
 RUNNER_UP = 0.60  # share of its score that another place may reach
-# Another place must lie on clearly less wall as well, whatever is seen from there: how well a view agrees depends on how
-# much of a place was mapped, and on what was moved there. By metres that is an office's wall, by share one of a few.
+# Another place must explain clearly less wall as well, in metres or by share of it, whatever is seen from there: how
+# well a view agrees depends on how much of a place was mapped, and on what was moved there.
 LEAST_LEAD, AS_MUCH_WALL = 4.0, 0.75
 LIKELY_RUNNER_UP = 0.85  # share that another place may reach where it is asked again with more seen
 

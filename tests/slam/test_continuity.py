@@ -32,8 +32,8 @@ def seen_from(pose: list[float], room: Floats = ROOM) -> View:
 @pytest.mark.parametrize("error", [0.0, 0.12, -0.2])
 def test_a_view_goes_on_where_the_robot_drives(motion: list[float], error: float) -> None:
     """Also where odometry errs in turning."""
-    claimed = np.array(motion) + [0.0, 0.0, error]
-    assert not seen_from([0.0, 0.0, 0.0]).breaks_off_before(seen_from(motion), claimed)
+    x, y, turn = motion
+    assert not seen_from([0.0, 0.0, 0.0]).breaks_off_before(seen_from(motion), np.array([x, y, turn + error]))
 
 
 @pytest.mark.parametrize("pose", [[0.0, 0.0, 0.0], [-1.5, 0.7, 1.0], [0.3, 3.0, -2.0]])
@@ -48,4 +48,5 @@ def test_next_to_nothing_seen_says_nothing() -> None:
 
 
 def test_views_from_far_apart_say_nothing() -> None:
-    assert not seen_from([0.0, 0.0, 0.0]).breaks_off_before(seen_from([0.0, 0.0, 0.0], OTHER), np.array([1.5, 0.0, 0.0]))
+    far = np.array([1.5, 0.0, 0.0])
+    assert not seen_from([0.0, 0.0, 0.0]).breaks_off_before(seen_from([0.0, 0.0, 0.0], OTHER), far)
