@@ -18,8 +18,8 @@ from .point_field import likeness, make_field
 from .registration import NEAR_STARTS
 from .segments import Floats
 
-# Likeness that two scans in a row reach, moved as odometry has it. Of those of a driving robot 97 in 100 and more did, in
-# simulation and on recordings; of scans from anywhere in one building 1 to 10 in 100, where places do not look alike.
+# Likeness that two scans in a row reach, moved as odometry has it. Of those of a driving robot 97 in 100 and more did,
+# in simulation and on recordings; of scans from anywhere in a building 1 to 10 in 100, where places do not look alike.
 ALIKE = 0.4
 LEAST_POINTS = 30  # that both must have: few of them lie well nearly everywhere
 OVERLAPPING = 1.0  # metres of driving after which much the same is still seen
