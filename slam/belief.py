@@ -175,6 +175,12 @@ class Belief:
         return self._tracker.lost
 
     @property
+    def broken_off(self) -> bool:
+        """Whether what is seen has changed at a stroke lately: the robot may have been carried away. If not, it is near
+        where odometry has it."""
+        return self._tracker.broken_off
+
+    @property
     def in_familiar_place(self) -> bool:
         """Whether the robot goes through a familiar place, where the map stays as it is."""
         return self._anchor is not None and self._anchor.keyframe != self.mapper.keyframe_count - 1
@@ -296,14 +302,30 @@ class Belief:
         self.pose, self._carried, self.unplaced = pose, True, []
         self._local_map = self.mapper.local_map_at(pose, CARRIED_REACH)
 
-    def start_anew(self, odometry: se2.Pose) -> None:
-        """The base is where odometry has it, as far as that can be known, in a place of which there is no map."""
+    def start_anew(self, odometry: se2.Pose, *, carried: bool) -> None:
+        """The base is where odometry has it, as far as that can be known, in a place of which there is no map; it may
+        have been `carried` there, or has come by itself."""
+        before = self._carried
         self.move_to(self.predict(odometry), odometry)
+        self._carried = before or carried
         self._local_map = empty_local_map()
 
     def predict(self, odometry: se2.Pose) -> se2.Pose:
         """Where the base is in the map when odometry is at `odometry`, by odometry alone since the last sighting."""
         return self._tracker.predict(odometry)
+
+    def covariance_since(self, keyframe: int, odometry: se2.Pose) -> Floats:
+        """(3, 3): of the base's pose when odometry is at `odometry`, by odometry alone since the anchor, relative to a
+        keyframe; in the base's frame."""
+        assert self._anchor is not None
+        anchor, covariance = self._anchor, np.zeros((3, 3))
+        if keyframe != anchor.keyframe:
+            covariance = self.mapper.graph.relative_covariance(keyframe, anchor.keyframe)
+        carry = se2.adjoint(se2.inverse(anchor.relative))
+        covariance = carry @ covariance @ carry.T + anchor.covariance
+        motion = self.odometry_noise.corrected(se2.between(anchor.odometry, odometry))
+        carry = se2.adjoint(se2.inverse(motion))
+        return np.asarray(carry @ covariance @ carry.T + self.odometry_noise.covariance(motion))
 
     def close_loop(self, view: KeyframeView, decision: LoopDecision) -> LoopDecision:
         """Close a loop that was agreed on right after the keyframe of `view`. If the decision that is returned is a

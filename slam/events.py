@@ -270,6 +270,14 @@ class StateChanged:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class FoundAgain:
+    """The robot was recognised somewhere on the map where odometry has not led it: the base is at `pose` there."""
+
+    stamp: float
+    pose: Pose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Finished:
     """The run is over; the final map with the covariances of its marginals, and the path at every odometry stamp.
 
@@ -294,6 +302,7 @@ Event: TypeAlias = (
     | LinesMerged
     | LoopDecided
     | StateChanged
+    | FoundAgain
     | TruthSeen
     | Noticed
     | Finished

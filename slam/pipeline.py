@@ -16,7 +16,7 @@ from .config import Config
 from .drives import Drives
 from .errors import MapError
 from .estimator import Estimator, Step
-from .events import Finished, MapCorners, MapLines, Noticed, ScanTracked, Sink, StateChanged, TruthSeen
+from .events import Finished, FoundAgain, MapCorners, MapLines, Noticed, ScanTracked, Sink, StateChanged, TruthSeen
 from .front_end import FrontEnd, Sighting
 from .loops.closer import LoopCloser
 from .mapper import Mapper
@@ -107,7 +107,7 @@ class Slam:
             self._work_off(len(self._resumed.waiting))
             self._front_end.odometry = self._drives.begin(len(self._journal))
             self._since = len(self._journal), self._since[1]
-            self._excursion = Excursion(self.config.odometry, self.belief, ())
+            self._excursion = Excursion(self.config.odometry, self.belief, (), carried=True)
             self._tell_state(first.stamp, self._state.lose())
 
     # --- the story of a scan
@@ -133,7 +133,10 @@ class Slam:
             self._reporter.tell_loop(step.retracted, sighting.stamp, self.belief.mapper, step.mapper)
         self._suspect(sighting, step)
         if self.belief.lost:
-            self._excursion = Excursion(self.config.odometry, self.belief, self.belief.unplaced)
+            belief = self.belief
+            self._excursion = Excursion(
+                self.config.odometry, belief, belief.unplaced, carried=belief.broken_off or self._suspicion is not None
+            )
             self._suspicion = None
             self._tell_state(sighting.stamp, self._state.lose())
 
@@ -146,7 +149,7 @@ class Slam:
         self._suspicion.add(sighting, step.placement)
         found = self._suspicion.borne_out()
         if found is not None:
-            self._go_on_from(found, sighting.stamp, "carried away: found elsewhere in the map")
+            self._found_again(found, sighting.stamp, "carried away: found elsewhere in the map")
         elif self._suspicion.over:
             self._suspicion = None
 
@@ -156,7 +159,14 @@ class Slam:
         self._statistics.lost += 1
         found = excursion.recognised()
         if found is not None:
-            self._go_on_from(found, sighting.stamp, "found again in the map")
+            self._found_again(found, sighting.stamp, "found again in the map")
+        elif excursion.over:
+            text = "what is seen is not in the map where odometry has the robot; taken for a new place"
+            self._go_on_from(excursion.joined(), sighting.stamp, text)
+
+    def _found_again(self, estimator: Estimator, stamp: float, text: str) -> None:
+        self._reporter.tell(FoundAgain(stamp, estimator.belief.pose.copy()))
+        self._go_on_from(estimator, stamp, text)
 
     def _go_on_from(self, estimator: Estimator, stamp: float, text: str) -> None:
         self._estimator, self._excursion, self._suspicion = estimator, None, None

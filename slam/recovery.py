@@ -2,6 +2,9 @@
 
 It may have been carried away, or have seen nothing for so long that odometry has led astray. Nothing enters the old map
 in the meantime. Once the place is recognised, the sightings since are taken as if the robot had known it all along.
+
+Places may look alike. A robot that was carried away has seen what is around it change at a stroke; it may be anywhere.
+One that has not is where odometry has it, as well as that is known: if it is not found there, the place is a new one.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ from .config import OdometryConfig
 from .estimator import Estimator
 from .front_end import Sighting
 from .loops.relocalisation import Relocalisation, fragment_of, index_map, relocalise
+from .loops.verification import allowed_by_estimate
 from .statistics import Clock
 from .tracking import Hold, Placement
 
@@ -26,18 +30,20 @@ ENOUGH_LOOKS = 4  # looks in a row that find the same place, other places being 
 SAME_PLACE, SAME_HEADING = 0.3, math.radians(3.0)  # by which they may differ
 SUSPICION_WAY = 10.0  # metres of driving
 CLEARLY_MORE = 0.05  # share of the wall length seen that must fall on known walls more than where it was believed to be
+ODOMETRY_WAY = 10.0  # metres of driving in which a robot that was not carried must be found near where odometry has it
 LEAST_PLACED = 0.8  # share of the sightings since getting lost that must fit the map where they are believed to belong
 
 
 class Excursion:
     """The sightings since the robot got lost, and the small map of its own that they make.
 
-    `whole` is the belief before that. It is never changed; what comes of the excursion is a new one.
+    `whole` is the belief before that. It is never changed; what comes of the excursion is a new one. `carried` is
+    whether the robot may have been carried away.
     """
 
-    def __init__(self, config: OdometryConfig, whole: Belief, sightings: Sequence[Sighting]) -> None:
+    def __init__(self, config: OdometryConfig, whole: Belief, sightings: Sequence[Sighting], *, carried: bool) -> None:
         self._config = config
-        self._whole = whole
+        self._whole, self._carried = whole, carried
         self._index = index_map(whole.mapper)
         self._start(sightings)
 
@@ -55,6 +61,7 @@ class Excursion:
         self._estimator.take(sighting, Clock())
         self.sightings.append(sighting)
         if self._estimator.belief.lost:
+            self._carried = self._carried or self._estimator.belief.broken_off
             self._start(self._estimator.belief.unplaced)
 
     @property
@@ -67,6 +74,11 @@ class Excursion:
         """Where odometry has the base in the old map, which is all that is known."""
         return self._whole.predict(self.sightings[-1].odometry)
 
+    @property
+    def over(self) -> bool:
+        """Whether it is no use to look any longer: the robot is where odometry has it, and that is no known place."""
+        return not self._carried and not self._whole.frozen and self.way > ODOMETRY_WAY
+
     def recognised(self) -> Estimator | None:
         """The old map with the excursion's sightings where they belong on it; None if that is not known yet."""
         mapper = self._estimator.belief.mapper
@@ -75,7 +87,18 @@ class Excursion:
             return None
         self._looked_keyframe, self._looked_way = count, way
         found = relocalise(fragment_of(mapper), self._index)
-        return None if found is None or not self._believed(found) else self._at(found.motion)
+        if found is None or not self._believed(found) or not self._possible(found):
+            return None
+        return self._at(found.motion)
+
+    def _possible(self, found: Relocalisation) -> bool:
+        """Whether the robot can have come there: carried anywhere, by itself as far as odometry may lead astray."""
+        if self._carried:
+            return True
+        odometry = self.sightings[0].odometry
+        seen = self._whole.mapper.landmarks.walls.rows["last_seen"][found.pairs[:, 0]]
+        covariance = self._whole.covariance_since(int(np.bincount(seen).argmax()), odometry)
+        return allowed_by_estimate(se2.between(self._whole.predict(odometry), found.motion), covariance).passed
 
     def _believed(self, found: Relocalisation) -> bool:
         """Whether a place is accepted at once, or has been the likeliest often enough while more and more was seen."""
@@ -99,7 +122,7 @@ class Excursion:
         The uncertainty of that is in the covariances.
         """
         belief = self._whole.copy()
-        belief.start_anew(self.sightings[0].odometry)
+        belief.start_anew(self.sightings[0].odometry, carried=self._carried)
         return self._taken_from(belief)[0]
 
     def _taken_from(self, belief: Belief) -> tuple[Estimator, list[Placement]]:
@@ -116,7 +139,7 @@ class Suspicion:
     """
 
     def __init__(self, config: OdometryConfig, before: Belief) -> None:
-        self._excursion = Excursion(config, before, ())
+        self._excursion = Excursion(config, before, (), carried=True)
         self._explained: list[float] = []  # where the robot is believed to be
 
     def add(self, sighting: Sighting, placement: Placement) -> None:

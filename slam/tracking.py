@@ -8,13 +8,14 @@ been.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
 
 from drivers import se2
 
+from .continuity import View
 from .local_map import LocalMap
 from .odometry import OdometryNoise, way_of
 from .point_field import PointField, likeness, search
@@ -30,6 +31,8 @@ SEARCHED_LIKE = 0.5  # likeness that a searched pose must reach
 SEARCHED_POINTS = 30  # points that a scan must have for that: few of them lie well nearly everywhere
 LARGE_STEP = 0.8  # metres of way between two scans, from which on odometry may be making up for what it missed
 ABRUPTLY_WORSE = 1.0  # by which a scan fits worse than the one before where the view has changed at a stroke
+DOUBTFULLY_WORSE = 0.5  # the same, from which on it is looked whether it does
+BREAK_REMEMBERED = 10.0  # metres of driving: what looks alike at first fits nowhere some way on
 CLEARLY_BETTER = 0.3  # by which the scan must then fit better where the robot last was
 UNEVEN, UNEVEN_TURN = 0.1, np.radians(5.0)  # by which odometry's step may differ from the robot's last one unquestioned
 BETTER = 0.15  # by which a scan must fit better where the robot is if it has moved as evenly as before
@@ -54,7 +57,8 @@ class Placement:
 
     covariance        (3, 3) of the pose in the map as it stands, in the base's frame
     bears_out_search  whether this scan confirms the pose that was searched for one scan earlier
-    abrupt            whether it fits far worse than the scan before it: the robot may have been carried elsewhere
+    abrupt            whether it fits far worse than the scan before it, and the view broke off lately: the robot may
+                      have been carried elsewhere
     """
 
     registration: Registration
@@ -133,6 +137,9 @@ class Tracker:
         # Where the robot was before its last pose was searched for: odometry may make up for what it missed in a step,
         # and the search may have been wrong.
         self._left: Place | None = None
+        self._view: View | None = None  # the last one that can be compared
+        self._odometry: se2.Pose | None = None  # at the last scan
+        self._since_break = np.inf  # metres driven since a scan showed something else than the one before it
 
     def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
         """The base is at `pose` in the map, as the map is now, when odometry is at `odometry`."""
@@ -171,8 +178,33 @@ class Tracker:
         """Whether too many scans in a row fitted nowhere for the last pose to be still of use."""
         return self._misfits >= PATIENCE
 
+    @property
+    def broken_off(self) -> bool:
+        """Whether what is seen has changed at a stroke lately."""
+        return bool(self._since_break < BREAK_REMEMBERED)
+
     def track(self, odometry: se2.Pose, scan: ScanFeatures, around: Surroundings) -> Placement:
         """Where the base was at a scan taken when odometry was at `odometry`."""
+        fit, view = self._last_fit, View(odometry, scan.points.all)
+        placement = self._track(odometry, scan, around)
+        if self._odometry is not None:
+            self._since_break += float(way_of(se2.between(self._odometry, odometry)))
+        doubtful = placement.hold in (Hold.NONE, Hold.SEARCHED) or self._last_fit < fit - DOUBTFULLY_WORSE
+        if doubtful and self._breaks_off_before(view):
+            self._since_break = 0.0
+        self._odometry = odometry
+        if view.comparable:
+            self._view = view
+        return replace(placement, abrupt=placement.abrupt and self.broken_off)
+
+    def _breaks_off_before(self, view: View) -> bool:
+        """Whether the view is another one than the last; a tracker that has seen none cannot rule it out."""
+        if self._view is None:
+            return True
+        motion = self._noise.corrected(se2.between(self._view.odometry, view.odometry))
+        return self._view.breaks_off_before(view, motion)
+
+    def _track(self, odometry: se2.Pose, scan: ScanFeatures, around: Surroundings) -> Placement:
         if self._firm is None:
             self.move_to(np.zeros(3), odometry)
         assert self._firm is not None

@@ -1,4 +1,5 @@
-"""Places that look alike: whether a wrong loop closure is ever accepted, and how often a needed one is found.
+"""Places that look alike: whether a wrong loop closure is ever accepted, how often a needed one is found, and whether a
+robot that gets lost is found where it is.
 
 The robot is short-sighted and its wheels are worn, so that it comes back to places it has seen with more drift than
 association bridges.
@@ -31,6 +32,7 @@ WORLDS = (
     "moved_furniture",
 )
 WRONG, WRONG_TURN = 0.5, np.radians(10.0)  # by which a closure misses the true motion when it is called wrong
+MISPLACED = 1.0  # metres: found so far off, the robot is in another place; ending so far off, the map is another one
 NEEDED = 0.5  # metres of drift at a place that is visited again: more than association bridges
 JOINED = 0.3  # metres that may be left between two visits to a place of which the final map has made one
 JOINED_SHARE = 0.9  # of all visits that must be joined
@@ -44,6 +46,8 @@ class Drive:
     joined   whether the final map has one place where there is one
     doubled  walls that the final map has more than once
     ate      metres, root mean square of the keyframes' errors after alignment
+    found    metres, for each time that the robot was lost and found: how far off, as seen from the keyframes around
+    last     metres by which the last keyframe is off, as seen from the first
     failed   why there is no final map, where there is none
     """
 
@@ -54,6 +58,8 @@ class Drive:
     joined: bool
     doubled: int
     ate: float
+    found: tuple[float, ...] = ()
+    last: float = 0.0
     failed: str = ""
 
     @property
@@ -71,12 +77,20 @@ class Drive:
         """Those that lead to another place than the one where the robot was."""
         return [decided for decided in self.accepted if decided.error > WRONG or decided.turn > WRONG_TURN]
 
+    @property
+    def misplaced(self) -> int:
+        """How often the robot was found in another place than the one where it was."""
+        return sum(error > MISPLACED for error in self.found)
+
 
 @dataclass(frozen=True, slots=True)
 class Row:
     """All drives through one world: counts; drift and ate are medians in metres.
 
     needed, found  drives of which the map could be made one only by closing a loop, and those in which it was
+    relocated      how often a robot that was lost was found, `misplaced` of them in another place
+    ended_off      drives that ended more than MISPLACED from the truth, as seen from where they began: because of a
+                   wrong closure or place, or of drift that no loop took out
     failed         drives that came to no map
     reasons        why candidates were rejected, how often, without the figures
     """
@@ -93,6 +107,9 @@ class Row:
     found: int
     doubled: int
     ate: float
+    relocated: int
+    misplaced: int
+    ended_off: int
     failed: int
     reasons: dict[str, int]
 
@@ -117,7 +134,8 @@ def drive(world: str, seed: int) -> Drive:
             slam.add(message)
         finished = slam.finish()
     except MapError as error:
-        return Drive(world, seed, tuple(witness.decided), witness.drift, False, 0, np.nan, failed=str(error))
+        found = tuple(witness.misplaced)
+        return Drive(world, seed, tuple(witness.decided), witness.drift, False, 0, np.nan, found, failed=str(error))
     return Drive(
         world,
         seed,
@@ -126,6 +144,8 @@ def drive(world: str, seed: int) -> Drive:
         joined=witness.joined(finished, JOINED) >= JOINED_SHARE,
         doubled=witness.doubled(finished.lines),
         ate=witness.ate(finished),
+        found=tuple(witness.misplaced),
+        last=witness.last_error(finished),
     )
 
 
@@ -151,6 +171,9 @@ def _row(world: str, drives: list[Drive]) -> Row:
         found=sum(drive.joined for drive in needed),
         doubled=sum(drive.doubled for drive in drives),
         ate=float(np.median([drive.ate for drive in drives if not drive.failed] or [np.nan])),
+        relocated=sum(len(drive.found) for drive in drives),
+        misplaced=sum(drive.misplaced for drive in drives),
+        ended_off=sum(drive.last > MISPLACED for drive in drives),
         failed=sum(bool(drive.failed) for drive in drives),
         reasons=dict(Counter(_kind(d.reason) for d in decided if d.status == "rejected").most_common()),
     )

@@ -11,7 +11,17 @@ from drivers import se2
 from drivers.simulator import Simulation
 
 from ..evaluation import align, motion_errors
-from ..events import Event, Finished, KeyframeAdded, LinesMerged, LoopDecided, MapLines, MapUpdated, ScanTracked
+from ..events import (
+    Event,
+    Finished,
+    FoundAgain,
+    KeyframeAdded,
+    LinesMerged,
+    LoopDecided,
+    MapLines,
+    MapUpdated,
+    ScanTracked,
+)
 from ..ground_truth import match_walls, true_walls
 
 SAME_PLACE = 1.0  # metres between two true poses that are at one place
@@ -43,8 +53,10 @@ class Visit:
 class Witness:
     """A sink for one run of a simulation.
 
-    decided  every decision on a loop
-    visits   every keyframe at a place known before
+    decided    every decision on a loop
+    visits     every keyframe at a place known before
+    misplaced  metres, for each time that a robot that was lost was found: how far off that is, as seen from the nearest
+               keyframe
     """
 
     def __init__(self, simulation: Simulation) -> None:
@@ -58,6 +70,7 @@ class Witness:
         self._sightings: dict[int, dict[int, list[tuple[float, float]]]] = defaultdict(lambda: defaultdict(list))
         self.decided: list[Decided] = []
         self.visits: list[Visit] = []
+        self.misplaced: list[float] = []
 
     def handle(self, event: Event) -> None:
         """Take one event."""
@@ -72,6 +85,8 @@ class Witness:
                 self._kept[event.absorbed] = event.kept
             case LoopDecided():
                 self._judge(event)
+            case FoundAgain():
+                self._look_up(event)
 
     def _add(self, event: KeyframeAdded) -> None:
         truth = self._path.at(np.array([event.stamp]))[0]
@@ -102,6 +117,13 @@ class Witness:
         error, turn = self._motion_error(event.old, event.index, there)
         self.decided.append(Decided(event.index, event.status, event.reason, error, turn))
 
+    def _look_up(self, event: FoundAgain) -> None:
+        told = list(self._truth)
+        nearest = told[int(np.hypot(*(np.array([self._estimate[k] for k in told]) - event.pose)[:, :2].T).argmin())]
+        estimated = se2.between(self._estimate[nearest], event.pose)
+        true = se2.between(self._truth[nearest], self._path.at(np.array([event.stamp]))[0])
+        self.misplaced.append(float(motion_errors(estimated[None], true[None]).translation[0]))
+
     @property
     def drift(self) -> float:
         """Metres by which the robot was off at most, relative to its earlier visit, when it came back to a place."""
@@ -114,6 +136,12 @@ class Witness:
         self._estimate = dict(enumerate(finished.keyframes))
         errors = [self._motion_error(v.earlier, v.keyframe, self._estimate[v.keyframe])[0] for v in self.visits]
         return float(np.mean(np.array(errors) < within)) if errors else 1.0
+
+    def last_error(self, finished: Finished) -> float:
+        """Metres by which the last keyframe is off, as seen from the first."""
+        truth = self._path.at(finished.keyframe_stamps[[0, -1]])
+        ends = np.array([se2.between(poses[0], poses[-1]) for poses in (finished.keyframes, truth)])
+        return float(motion_errors(ends[:1], ends[1:]).translation[0])
 
     def ate(self, finished: Finished) -> float:
         """Metres, root mean square of the keyframes' positions after alignment with the truth."""

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from ..benchmarks.lookalike import Row
 
 WRONG_ACCEPTED = 1
-"""Exit status where a wrong closure was accepted: the figures are right, the map is not."""
+"""Exit status where a wrong closure was accepted, or the robot found in a wrong place: the figures are right, the map
+is not."""
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one line of JSON.")]
 
@@ -68,7 +69,10 @@ def bench_lookalike(
     processes: Annotated[int, typer.Option("--processes", min=1, help="Drives at a time.")] = 2,
     as_json: JsonOption = False,
 ) -> None:
-    """Drive through worlds whose places look alike; exit status 1 if a wrong loop closure was accepted.
+    """Drive through worlds whose places look alike; exit status 1 if the map was made wrong there.
+
+    That is if a wrong loop closure was accepted, or if a robot that was lost was found in another place than the one
+    where it was. Drives are counted besides that ended more than 1 m off: there drift is counted, too.
 
     Example: [bold]wclm bench lookalike --seeds 5[/bold]
     """
@@ -91,17 +95,20 @@ def bench_lookalike(
         _print_lookalikes(rows)
     if wrong := [drive for drive in drives if drive.wrong]:
         complain("wrong closures in " + ", ".join(f"{drive.world} seed {drive.seed}" for drive in wrong))
+    if misplaced := [drive for drive in drives if drive.misplaced]:
+        complain("found in wrong places in " + ", ".join(f"{drive.world} seed {drive.seed}" for drive in misplaced))
+    if wrong or misplaced:
         raise typer.Exit(WRONG_ACCEPTED)
 
 
 def _print_lookalikes(rows: list[Row]) -> None:
-    columns = "drift m  proposed  rejected  held  accepted  wrong  found/needed  doubled  ATE m  failed"
-    typer.echo(f"{'world':<15} drives  {columns}")
+    loops = "drift m  proposed  rejected  held  accepted  wrong  found/needed  doubled  ATE m"
+    typer.echo(f"{'world':<15} drives  {loops}  relocated  misplaced  ended off  failed")
     for row in rows:
         typer.echo(
             f"{row.world:<15} {row.drives:6d} {row.drift:8.2f} {row.proposed:9d} {row.rejected:9d} {row.held:5d} "
             f"{row.accepted:9d} {row.wrong:6d} {f'{row.found}/{row.needed}':>13} {row.doubled:8d} {row.ate:6.2f} "
-            f"{row.failed:7d}"
+            f"{row.relocated:10d} {row.misplaced:10d} {row.ended_off:10d} {row.failed:7d}"
         )
     for row in rows:
         reasons = ", ".join(f"{count} x {reason}" for reason, count in row.reasons.items())

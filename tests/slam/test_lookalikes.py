@@ -28,8 +28,8 @@ def decided(status: str, error: float, turn: float = 0.0, reason: str = "all tes
     return Decided(10, status, reason, error, turn)
 
 
-def a_drive(*decisions: Decided, drift: float = 2.0, joined: bool = True) -> Drive:
-    return Drive("here", 0, decisions, drift, joined, doubled=0, ate=0.1)
+def a_drive(*decisions: Decided, drift: float = 2.0, joined: bool = True, found: tuple[float, ...] = ()) -> Drive:
+    return Drive("here", 0, decisions, drift, joined, doubled=0, ate=0.1, found=found)
 
 
 def test_only_accepted_closures_can_be_wrong() -> None:
@@ -50,6 +50,13 @@ def test_a_row_counts_what_was_needed_and_found() -> None:
     assert row.reasons == {"m of wall m": 2}
 
 
+def test_a_row_counts_robots_found_in_wrong_places_and_drives_that_end_off() -> None:
+    twice, once = a_drive(found=(0.02, 18.7)), replace(a_drive(found=(0.4,)), last=1.2)
+    (row,) = condense([twice, once, a_drive()])
+    assert (row.relocated, row.misplaced, row.ended_off) == (3, 1, 1)
+    assert (twice.misplaced, once.misplaced) == (1, 0)
+
+
 def test_a_loop_that_drift_left_open_is_closed_where_it_should_be() -> None:
     result = drive("large_loop", 2)
     assert result.needed
@@ -66,12 +73,22 @@ def test_no_wrong_closure_where_places_look_alike(world: str, seed: int) -> None
     assert not result.wrong
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_robot_that_was_not_carried_is_not_found_where_it_only_looks_alike(seed: int) -> None:
+    """Out of a court that is too wide to see across it comes into what looks like the corridor that it left by."""
+    result = drive("symmetric_room", seed)
+    assert result.misplaced == 0
+    assert not result.wrong
+    assert result.last < 4.0  # drift
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 def test_no_wrong_closure_in_any_look_alike_world() -> None:
     drives = list(run(processes=2))
     rows = {row.world: row for row in condense(drives)}
     assert [(d.world, d.seed, d.wrong) for d in drives if d.wrong] == []
+    assert [(d.world, d.seed, d.found) for d in drives if d.misplaced] == []
     assert [(d.world, d.seed, d.failed) for d in drives if d.failed] == []
     assert set(rows) == set(WORLDS)
     assert rows["large_loop"].needed >= 10
@@ -96,6 +113,10 @@ def test_the_bench_prints_a_row_a_world(wclm: Any, monkeypatch: pytest.MonkeyPat
     result = wclm(*options, "--seeds", "2")
     assert result.exit_code == 1
     assert "wrong closures in square seed 1, large_loop seed 1" in result.stderr
+    outcomes[1] = replace(a_drive(found=(18.7,)), seed=1)
+    result = wclm(*options, "--seeds", "2")
+    assert result.exit_code == 1
+    assert "found in wrong places in square seed 1, large_loop seed 1" in result.stderr
     assert wclm("bench", "lookalike", "--worlds", "moon").exit_code == 2
 
 

@@ -121,6 +121,17 @@ def test_one_of_two_equal_rooms_is_ambiguous() -> None:
     refused(relocalise(fragment_at(INSIDE[1], ROOMS[1], np.zeros(3)), index_of(walls)), "another place")
 
 
+def test_a_twin_in_which_something_was_moved_is_ambiguous_all_the_same() -> None:
+    """What is seen from there tells the two apart, but that may have been moved back."""
+    away = np.array([50.0, 20.0, 0.0, 0.0])
+    screens = np.array([[INSIDE[1][0] + 0.4, 1.5, -np.pi / 2, 1.4], [INSIDE[1][0] - 0.4, 1.5, np.pi / 2, 1.4]])
+    index = index_of(np.concatenate([*ROOMS, ROOMS[1] + away, screens + away]))
+    found = relocalise(fragment_at(INSIDE[1], ROOMS[1], np.zeros(3)), index)
+    refused(found, "another place explains")
+    assert found is not None
+    assert found.verdict.runner_up < 0.6 * found.verdict.score
+
+
 def test_parallel_walls_alone_propose_nothing() -> None:
     corridor = np.array([[x, y, h, 4.0] for x in (-4.0, 4.0, 12.0) for y, h in ((0.0, 0.0), (2.0, np.pi))])
     assert relocalise(fragment_at(np.array([1.0, 1.0, 0.0]), corridor, np.zeros(3)), index_of(corridor)) is None
