@@ -16,7 +16,7 @@ def merge_everywhere(landmarks: Landmarks, graph: FactorGraph, flatness: float) 
     The walls are compared with their joint covariances in the graph, which does not hear of it.
     """
     walls = landmarks.walls.rows
-    active = walls["in_graph"] & (walls["kept"] == np.arange(len(walls)))
+    active = walls["in_graph"] & landmarks.standing()
     rows = np.flatnonzero(active & (walls["observations"] >= LEAST_OBSERVATIONS))
     found = []
     for pair in overlaps(walls["frame"][rows], walls["low"][rows], walls["high"][rows]):
