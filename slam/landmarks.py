@@ -178,13 +178,14 @@ class Landmarks:
             row["low"] = max(row["low"], CELL * (min(covered) - 1))
             row["high"] = min(row["high"], CELL * (max(covered) + 2))
 
-    def standing(self, keyframe: int | None = None) -> NDArray[np.bool_]:
-        """(n,): the walls that speak for themselves and are still there, or were after a keyframe."""
-        walls = self.walls.rows
-        there = walls["retired_at"] == STANDING
+    def standing(self, walls: NDArray[np.int64] | None = None, *, keyframe: int | None = None) -> NDArray[np.bool_]:
+        """(n,): which walls, of all or of some, speak for themselves and are still there, or were after a keyframe."""
+        rows, walls = self.walls.rows, np.arange(len(self.walls)) if walls is None else walls
+        retired_at = rows["retired_at"][walls]
+        there = retired_at == STANDING
         if keyframe is not None:
-            there |= walls["retired_at"] >= keyframe
-        return np.asarray(there & (walls["kept"] == np.arange(len(walls))))
+            there |= retired_at >= keyframe
+        return np.asarray(there & (rows["kept"][walls] == walls))
 
     def retired_count(self) -> int:
         """How many confirmed walls are no longer there."""
@@ -216,20 +217,16 @@ class Landmarks:
         end = np.concatenate([CELL * (cells[breaks] + 1), [row["high"]]])
         return np.column_stack([begin, end])
 
-    def walls_near(
-        self, pose: se2.Pose, radius: float, *, keyframe: int | None = None, behind: float = BEHIND_MARGIN
-    ) -> NDArray[np.int64]:
-        """Identities of the walls with a part within `radius` (metres) of the pose that may be seen from there.
-
-        Those that are still there, or were after a `keyframe`. The robot may be `behind` a wall's line by some metres.
-        """
+    def walls_near(self, pose: se2.Pose, radius: float, *, keyframe: int | None = None) -> NDArray[np.int64]:
+        """Identities of the walls with a part within `radius` (metres) of the pose that may be seen from there, and that
+        are still there, or were after a `keyframe`."""
         walls = self.walls.rows
         if not len(walls):
             return np.zeros(0, dtype=np.int64)
         seen = se2.transform(se2.inverse(walls["frame"]), pose[:2])
         beyond = np.maximum(0.0, np.maximum(walls["low"] - seen[:, 0], seen[:, 0] - walls["high"]))
-        near = (np.hypot(beyond, seen[:, 1]) < radius) & (seen[:, 1] > -behind)
-        return np.flatnonzero(near & self.standing(keyframe))
+        near = np.flatnonzero((np.hypot(beyond, seen[:, 1]) < radius) & (seen[:, 1] > -BEHIND_MARGIN))
+        return near[self.standing(near, keyframe=keyframe)]
 
     def corners_near(self, pose: se2.Pose, radius: float, *, keyframe: int | None = None) -> NDArray[np.int64]:
         """Identities of the corners within `radius` (metres) of the pose, of walls as above."""

@@ -42,10 +42,11 @@ LEAST_TIE, MORE_SEEN = 1.0, 2.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Look:
-    """What one look saw of the n walls around; `first` (n,) is the first of their cells, `ends` (n + 1,) where in the
-    flat arrays a wall's cells begin: `seen`, and `depth`, metres between a wall's line and the nearer end of the sight
-    line that went through the cell (0 without one). `drift` (n,) is the variance of the robot's place across the
-    wall since that was seen last."""
+    """What one look saw of the n walls around: their identities, and their `rows` in the table of walls.
+
+    `first` (n,) is the first of a wall's cells; in the flat arrays its cells are from ends[k] to ends[k + 1]: whether
+    each was `seen`, and its `depth`, see `sight`. `length` (n,) are the metres seen of each.
+    """
 
     walls: Integers
     rows: NDArray[np.void]
@@ -53,15 +54,11 @@ class _Look:
     ends: Integers
     seen: NDArray[np.bool_]
     depth: Floats
-    eye: Floats
-
-    def seen_length(self) -> Floats:
-        """(n,) metres of each wall."""
-        return np.asarray(CELL * np.add.reduceat(self.seen, self.ends[:-1], dtype=np.int64))
+    length: Floats
 
     def cells(self, row: int, chosen: NDArray[np.bool_]) -> Integers:
         """The cells of a wall that are chosen in the flat arrays."""
-        return self.first[row] + np.flatnonzero(chosen[self.ends[row] : self.ends[row + 1]])
+        return self.first[row] + chosen[self.ends[row] : self.ends[row + 1]].nonzero()[0]
 
 
 class Doubts:
@@ -105,16 +102,16 @@ class Doubts:
         if self._stood is not None and np.hypot(*(pose[:2] - self._stood)) < STEP:
             return False
         self._stood = pose[:2].copy()
-        look = _looked(landmarks, pose, points)
-        if look is None:
-            return False
-        for row in np.flatnonzero([wall in self.counts for wall in look.walls.tolist()]):
-            self._take_back(int(look.walls[row]), look.cells(row, look.seen))
+        look = _looked(landmarks, pose, np.ascontiguousarray(points))
+        for row, wall in enumerate(look.walls.tolist()):
+            if wall in self.counts and look.length[row]:
+                self._take_back(wall, look.cells(row, look.seen))
         through = _seen_through(look, landmarks, pose, pose_covariances)
         retired = False
-        for wall in _believed(look, through, ways):
+        for row in _believed(look, through, ways):
+            wall = int(look.walls[row])
             counts = self.counts.setdefault(wall, {})
-            for cell in through[wall]:
+            for cell in through[row]:
                 counts[cell] = counts.get(cell, 0) + 1
             retired |= self._judge(landmarks, wall, len(ways) - 1)
         return retired
@@ -131,7 +128,8 @@ class Doubts:
 
     def _judge(self, landmarks: Landmarks, wall: int, keyframe: int) -> bool:
         """Retire a wall, or a stretch of it, if it has been seen through often enough."""
-        asked = min(MOST_ASKED, int(landmarks.walls.rows["observations"][wall]) + 1)
+        observations = int(landmarks.walls.rows["observations"][wall])
+        asked = min(MOST_ASKED, observations + 1)
         counts = self.counts[wall]
         gone = [cell for cell, count in counts.items() if count >= asked]
         if not gone:
@@ -139,120 +137,147 @@ class Doubts:
         covered = landmarks.covered[wall]
         stretches = _stretches(sorted(gone), covered)
         left = CELL * (len(covered) - sum(len(stretch) for stretch in stretches))
-        if left < min(MOST_LEFT, max(LEAST_LEFT, LEAST_LEFT_SHARE * CELL * len(covered))):
+        nothing_left = left < min(MOST_LEFT, max(LEAST_LEFT, LEAST_LEFT_SHARE * CELL * len(covered)))
+        opened = [cell for stretch in stretches if CELL * len(stretch) >= LEAST_OPENING for cell in stretch]
+        if nothing_left or (opened and observations == 1):  # what was seen but once, and in part wrongly, was no wall
             landmarks.retire(wall, keyframe)
             self.settle([wall])
             return True
-        opened = [cell for stretch in stretches if CELL * len(stretch) >= LEAST_OPENING for cell in stretch]
         if opened:
             landmarks.open(wall, opened, keyframe)
             self.counts[wall] = {cell: count for cell, count in counts.items() if cell in landmarks.covered[wall]}
         return bool(opened)
 
 
-def _looked(landmarks: Landmarks, pose: se2.Pose, points: Floats) -> _Look | None:
-    """What is seen from a pose of the walls around; None where there are none, or nothing is seen."""
+def _looked(landmarks: Landmarks, pose: se2.Pose, points: Floats) -> _Look:
+    """What is seen from a pose of the walls around, from whichever side."""
+    every = landmarks.walls.rows
     reach = float(np.hypot(points[:, 0], points[:, 1]).max(initial=0.0))
-    walls = landmarks.walls_near(pose, reach, behind=np.inf)
-    if not len(walls):
-        return None
-    rows = landmarks.walls.rows[walls]
+    walls = _within(every["frame"], every["low"], every["high"], pose, reach).nonzero()[0]
+    rows = every[walls]
+    standing = landmarks.standing(walls)
+    walls, rows = walls[standing], rows[standing]
     first = np.floor(rows["low"] / CELL).astype(np.int64)
-    sizes = np.maximum(1, np.ceil(rows["high"] / CELL).astype(np.int64) - first)
+    sizes = np.ceil(rows["high"] / CELL).astype(np.int64) - first
     ends = np.concatenate([[0], np.cumsum(sizes)])
-    seen, depth = sight(pose[:2], se2.transform(pose, points).reshape(-1, 2), rows["frame"].copy(), first, ends)
-    return _Look(walls, rows, first, ends, seen, depth, pose[:2])
+    return _Look(walls, rows, first, ends, *sight(pose, points, rows["frame"].copy(), first, ends))
 
 
 @njit(cache=True)
-def sight(eye, points, frames, first, ends):  # type: ignore[no-untyped-def]
-    """What sight lines from `eye` (2,) to points (p, 2) show of walls with frames (n, 3), cells as in a look.
-
-    Whether a point lies on a cell; and for each cell the most, over the sight lines that go through it steeply enough,
-    of the distance of their nearer end from the wall's line. A cell that is seen is not seen through.
-    """
-    seen, depth = np.zeros(ends[-1], dtype=np.bool_), np.zeros(ends[-1])
+def _within(frames, lows, highs, pose, reach):  # type: ignore[no-untyped-def]
+    """(n,) which walls have a part within reach of a pose."""
+    within = np.zeros(len(frames), dtype=np.bool_)
     for wall in range(len(frames)):
-        x, y = frames[wall, 0], frames[wall, 1]
         c, s = math.cos(frames[wall, 2]), math.sin(frames[wall, 2])
-        ex, ey = c * (eye[0] - x) + s * (eye[1] - y), c * (eye[1] - y) - s * (eye[0] - x)
+        dx, dy = pose[0] - frames[wall, 0], pose[1] - frames[wall, 1]
+        along, across = c * dx + s * dy, c * dy - s * dx
+        beyond = max(0.0, lows[wall] - along, along - highs[wall])
+        within[wall] = beyond * beyond + across * across < reach * reach
+    return within
+
+
+@njit(cache=True)
+def sight(pose, points, frames, first, ends):  # type: ignore[no-untyped-def]
+    """What sight lines from a pose to points (p, 2), in its frame, show of walls: of n frames (n, 3), the first of the
+    cells (n,) of each, and where they begin and end (n + 1,) in what is returned.
+
+    Whether a point lies on a cell; for each cell the most, over the sight lines that go through it steeply enough, of
+    the distance of their nearer end from the wall's line, 0 without one; and the metres (n,) of each wall that points
+    lie on. A cell that is seen is not seen through.
+    """
+    seen, depth, length = np.zeros(ends[-1], dtype=np.bool_), np.zeros(ends[-1]), np.zeros(len(frames))
+    for wall in range(len(frames)):
+        c, s = math.cos(frames[wall, 2]), math.sin(frames[wall, 2])
+        dx, dy = pose[0] - frames[wall, 0], pose[1] - frames[wall, 1]
+        ex, ey = c * dx + s * dy, c * dy - s * dx  # the eye in the wall's frame
+        c, s = math.cos(pose[2] - frames[wall, 2]), math.sin(pose[2] - frames[wall, 2])
         start, size = ends[wall], ends[wall + 1] - ends[wall]
         for p in range(len(points)):
-            ty = c * (points[p, 1] - y) - s * (points[p, 0] - x)
-            near = abs(ty) < SAME
-            if not near and (ey * ty > 0.0 or min(abs(ty), abs(ey)) < BEHIND):
+            rise = s * points[p, 0] + c * points[p, 1]
+            across = ey + rise
+            near = abs(across) < SAME
+            if not near and (ey * across > 0.0 or min(abs(across), abs(ey)) < BEHIND):
                 continue
-            at = c * (points[p, 0] - x) + s * (points[p, 1] - y)
+            run = c * points[p, 0] - s * points[p, 1]
             if not near:
-                if abs(ty - ey) < STEEPEST * math.hypot(at - ex, ty - ey):
+                if abs(rise) < STEEPEST * math.hypot(run, rise):
                     continue
-                at = ex + (at - ex) * ey / (ey - ty)
-            cell = int(math.floor(at / CELL)) - first[wall]
+                run *= -ey / rise
+            cell = int(math.floor((ex + run) / CELL)) - first[wall]
             if 0 <= cell < size:
                 if near:
                     seen[start + cell] = True
                 else:
-                    depth[start + cell] = max(depth[start + cell], min(abs(ty), abs(ey)))
+                    depth[start + cell] = max(depth[start + cell], min(abs(across), abs(ey)))
         for cell in range(start, start + size):
             if seen[cell]:
                 depth[cell] = 0.0
-    return seen, depth
+                length[wall] += CELL
+    return seen, depth, length
 
 
 def _seen_through(
     look: _Look, landmarks: Landmarks, pose: se2.Pose, pose_covariances: Sequence[Floats]
 ) -> dict[int, list[int]]:
-    """The cells that were seen through, by wall: well within what is known of it, and far enough on either side."""
+    """The cells that were seen through, by row: well within what is known of a wall, and far enough on either side.
+
+    What is behind, and the eye before, must be farther from the wall's line than that is uncertain, as the wall was
+    seen last, and by what the robot's own pose has lost in certainty since then; see `local_map_around`.
+    """
     through: dict[int, list[int]] = {}
-    for row in np.flatnonzero(np.maximum.reduceat(look.depth, look.ends[:-1]) > 0.0).tolist():
-        wall = int(look.walls[row])
-        covered = landmarks.covered[wall]
-        cells = look.cells(row, look.depth > 0.0)
+    rows = np.searchsorted(look.ends, look.depth.nonzero()[0], side="right") - 1
+    for row in dict.fromkeys(rows.tolist()):
+        wall, covered = look.rows[row], landmarks.covered[look.walls[row]]
         margin = min(MARGIN, (len(covered) - 1) // 4)
-        inside = [covered.issuperset(range(cell - margin, cell + margin + 1)) for cell in cells.tolist()]
-        cells = cells[inside]
-        if not len(cells):
-            continue
-        variance = _variance(look.rows[row], CELL * (cells + 0.5), pose, pose_covariances)
-        depth = look.depth[look.ends[row] - look.first[row] + cells]
-        cells = cells[depth > BEHIND + BEHIND_SIGMAS * np.sqrt(variance)]
-        if len(cells):
-            through[wall] = cells.tolist()
+        depth = look.depth[look.ends[row] : look.ends[row + 1]]
+        lost = pose_covariances[-1] - pose_covariances[wall["last_seen"]]
+        deep = _deep(depth, look.first[row], wall["frame"].copy(), wall["covariance"].copy(), pose, lost)
+        cells = (look.first[row] + deep.nonzero()[0]).tolist()
+        cells = [cell for cell in cells if covered.issuperset(range(cell - margin, cell + margin + 1))]
+        if cells:
+            through[row] = cells
     return through
 
 
-def _variance(wall: np.void, along: Floats, pose: se2.Pose, pose_covariances: Sequence[Floats]) -> Floats:
-    """(k,): of how far a wall is across itself from the robot at `pose`, at some places along it: as it was when it was
-    seen last, and what the robot's own pose has lost in certainty since then; see `local_map_around`."""
-    own = wall["covariance"]
-    c, s = math.cos(wall["frame"][2]), math.sin(wall["frame"][2])
-    lever = wall["frame"][:2] + along[:, None] * np.array([c, s]) - pose[:2]
-    jacobian = np.column_stack([np.full(len(along), -s), np.full(len(along), c), lever @ np.array([c, s])])
-    lost = pose_covariances[-1] - pose_covariances[wall["last_seen"]]
-    drift = np.einsum("ki,ij,kj->k", jacobian, lost, jacobian)
-    return np.asarray(own[0, 0] + 2 * along * own[0, 1] + along**2 * own[1, 1] + np.maximum(0.0, drift))
+@njit(cache=True)
+def _deep(depth, first, frame, covariance, pose, lost):  # type: ignore[no-untyped-def]
+    """(k,) of a wall's cells, which of them are seen through with enough `depth` for how uncertain the wall is there.
+
+    `covariance` (2, 2) is the wall's, as it was seen last; `lost` (3, 3) what the pose has lost in certainty since.
+    """
+    c, s = math.cos(frame[2]), math.sin(frame[2])
+    deep = np.zeros(len(depth), dtype=np.bool_)
+    for cell in range(len(depth)):
+        if depth[cell] > 0.0:
+            along = CELL * (first + cell + 0.5)
+            lever = c * (frame[0] - pose[0]) + s * (frame[1] - pose[1]) + along
+            jacobian = np.array([-s, c, lever])
+            variance = covariance[0, 0] + 2 * along * covariance[0, 1] + along * along * covariance[1, 1]
+            variance += max(0.0, jacobian @ (lost @ jacobian))
+            deep[cell] = depth[cell] > BEHIND + BEHIND_SIGMAS * math.sqrt(variance)
+    return deep
 
 
 def _believed(look: _Look, through: dict[int, list[int]], ways: Sequence[float]) -> list[int]:
-    """The walls of which it is believed that they were seen through.
+    """The rows of the walls of which it is believed that they were seen through.
 
     The look must see other walls, known no later than the doubted one was seen last, as far as the map may have bent
     since: in every direction, and more of them than it sees through.
     """
     if not through:
         return []
-    length, heading = look.seen_length(), look.rows["frame"][:, 2]
-    doubled = length * np.exp(2j * heading)
-    against = np.array([CELL * len(through.get(wall, ())) for wall in look.walls.tolist()])
+    against = np.zeros(len(look.walls))
+    against[list(through)] = [CELL * len(cells) for cells in through.values()]
     lately = bisect_left(ways, ways[-1] - RECENT_WAY)
+    rows = look.rows
+    doubled = look.length * np.exp(2j * rows["frame"][:, 2])
     believed = []
-    for row in np.flatnonzero(against):
-        first, last = look.rows["first_seen"][row], look.rows["last_seen"][row]
-        known = look.rows["first_seen"] <= min(last, max(first, lately))
-        seen = length[known].sum()
+    for row in through:
+        known = rows["first_seen"] <= min(rows["last_seen"][row], max(rows["first_seen"][row], lately))
+        seen = look.length[known].sum()
         tie = 0.5 * (seen - abs(doubled[known].sum()))  # the smaller eigenvalue of the sum of length n n'
         if tie >= LEAST_TIE and seen >= MORE_SEEN * against[known].sum():
-            believed.append(int(look.walls[row]))
+            believed.append(row)
     return believed
 
 
