@@ -279,6 +279,8 @@ class Belief:
         self._look_around()
         clock.lap("local map")
         decision = self.loops.look(mapper)
+        if decision is not None and decision.verdict.casts_doubt:
+            mapper.doubts.suspend(mapper.ways[-1])
         clock.lap("loops")
         return Extension(view, merge, decision)
 

@@ -37,7 +37,8 @@ LEAST_LEFT, LEAST_LEFT_SHARE, MOST_LEFT = 0.3, 1 / 3, 1.0  # metres, share, metr
 RECENT_WAY = 15.0  # metres of driving, in which the map does not bend
 # Metres of wall, known no later than the doubted one, that a look must see in every direction; and how many times as
 # many as it sees through. A robot that has drifted, or is elsewhere, sees through a lot.
-LEAST_TIE, MORE_SEEN = 1.0, 2.0
+LEAST_TIE, MORE_SEEN = 1.0, 3.0
+SUSPENDED_WAY = 3.0  # metres of driving for which nothing counts where the robot may be elsewhere: two looks for a loop
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,16 +71,23 @@ class Doubts:
     def __init__(self) -> None:
         self.counts: dict[int, dict[int, int]] = {}
         self._stood: Floats | None = None
+        self._suspended = -np.inf
 
     def __deepcopy__(self, memo: dict[int, object]) -> Doubts:
         other = Doubts()
         other.counts = {wall: dict(cells) for wall, cells in self.counts.items()}
-        other._stood = self._stood
+        other._stood, other._suspended = self._stood, self._suspended
         return other
 
     def forget(self) -> None:
         """The map has moved: what was counted was counted against another one."""
         self.counts, self._stood = {}, None
+
+    def suspend(self, way: float) -> None:
+        """After so many metres of driving, another place explains more of what is seen than where the robot is believed
+        to be: what was counted may be wrong, and what is seen next, too."""
+        self.forget()
+        self._suspended = way
 
     def settle(self, walls: Sequence[int]) -> None:
         """Something is known of some walls that makes what was counted pointless."""
@@ -99,6 +107,8 @@ class Doubts:
         `ways` and `pose_covariances` are the metres driven up to each keyframe and how well its pose was known, in the
         map's axes. Returns whether anything was retired.
         """
+        if ways[-1] - self._suspended < SUSPENDED_WAY:
+            return False
         if self._stood is not None and np.hypot(*(pose[:2] - self._stood)) < STEP:
             return False
         self._stood = pose[:2].copy()
