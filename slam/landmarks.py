@@ -187,10 +187,10 @@ class Landmarks:
             there |= retired_at >= keyframe
         return np.asarray(there & (rows["kept"][walls] == walls))
 
-    def retired_count(self) -> int:
-        """How many confirmed walls are no longer there."""
+    def retired(self) -> NDArray[np.int64]:
+        """Identities of the confirmed walls that are no longer there."""
         walls = self.walls.rows
-        return int(np.count_nonzero(walls["in_graph"] & (walls["retired_at"] != STANDING)))
+        return np.flatnonzero(walls["in_graph"] & (walls["retired_at"] != STANDING))
 
     def standing_corners(self, corners: NDArray[np.int64], keyframe: int | None = None) -> NDArray[np.bool_]:
         """(m,): whether the walls of some corners (m,), as far as they are known, are still there, or were."""
@@ -218,8 +218,8 @@ class Landmarks:
         return np.column_stack([begin, end])
 
     def walls_near(self, pose: se2.Pose, radius: float, *, keyframe: int | None = None) -> NDArray[np.int64]:
-        """Identities of the walls with a part within `radius` (metres) of the pose that may be seen from there, and that
-        are still there, or were after a `keyframe`."""
+        """Identities of the walls with a part within `radius` (metres) of the pose that may be seen from there, and
+        that are still there, or were after a `keyframe`."""
         walls = self.walls.rows
         if not len(walls):
             return np.zeros(0, dtype=np.int64)

@@ -47,9 +47,7 @@ def empty_local_map() -> LocalMap:
     return landmarks_around(Landmarks(), np.zeros(3), 0.0)
 
 
-def landmarks_around(
-    landmarks: Landmarks, pose: se2.Pose, radius: float, *, keyframe: int | None = None
-) -> LocalMap:
+def landmarks_around(landmarks: Landmarks, pose: se2.Pose, radius: float, *, keyframe: int | None = None) -> LocalMap:
     """The landmarks within `radius` (metres) of a pose, as certain as they were when they were last observed; those
     that are still there, or were after a `keyframe`."""
     near_walls = landmarks.walls_near(pose, radius, keyframe=keyframe)

@@ -352,8 +352,8 @@ class Mapper:
         self.doubts.settle([kept, absorbed])
 
     def retire(self, pose: se2.Pose, points: Floats) -> bool:
-        """Look from `pose`, at or near the last keyframe, at points (p, 2) in its frame, and retire walls that have been
-        seen through often enough; returns whether there were any."""
+        """Look from `pose`, at or near the last keyframe, at points (p, 2) in its frame, and retire walls that have
+        been seen through often enough; returns whether there were any."""
         return self.doubts.look(self.landmarks, pose, points, self.ways, self.pose_covariances)
 
     def settle(self) -> None:

@@ -33,7 +33,11 @@ MOST_ASKED = 6  # looks that must have seen through a place; fewer where the wal
 MARGIN = 2  # cells from a wall's end or from a gap in it, where sight lines may have passed it by
 GAP = 2  # cells not looked at between two that were seen through
 LEAST_OPENING = 0.5  # metres of wall that are opened: a door, not a hole between two beams
-LEAST_LEFT, LEAST_LEFT_SHARE, MOST_LEFT = 0.3, 1 / 3, 1.0  # metres, share, metres: what is left of a wall and less is none
+LEAST_LEFT, LEAST_LEFT_SHARE, MOST_LEFT = (
+    0.3,
+    1 / 3,
+    1.0,
+)  # metres, share, metres: what is left of a wall and less is none
 RECENT_WAY = 15.0  # metres of driving, in which the map does not bend
 # Metres of wall, known no later than the doubted one, that a look must see in every direction; and how many times as
 # many as it sees through. A robot that has drifted, or is elsewhere, sees through a lot.
@@ -59,7 +63,7 @@ class _Look:
 
     def cells(self, row: int, chosen: NDArray[np.bool_]) -> Integers:
         """The cells of a wall that are chosen in the flat arrays."""
-        return self.first[row] + chosen[self.ends[row] : self.ends[row + 1]].nonzero()[0]
+        return np.asarray(self.first[row] + chosen[self.ends[row] : self.ends[row + 1]].nonzero()[0])
 
 
 class Doubts:
@@ -213,7 +217,7 @@ def sight(pose, points, frames, first, ends):  # type: ignore[no-untyped-def]
                 if abs(rise) < STEEPEST * math.hypot(run, rise):
                     continue
                 run *= -ey / rise
-            cell = int(math.floor((ex + run) / CELL)) - first[wall]
+            cell = math.floor((ex + run) / CELL) - first[wall]
             if 0 <= cell < size:
                 if near:
                     seen[start + cell] = True

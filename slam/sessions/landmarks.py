@@ -1,5 +1,5 @@
-"""Walls and corners, a row for each: also those that nobody has seen twice, that turned out to be another, or that are no
-longer there.
+"""Walls and corners, a row for each: also those that nobody has seen twice, that turned out to be another, or that are
+no longer there.
 
 Of what no keyframe sees any more, walls have no extent (it is infinite) and corners no position (it is NaN).
 """
@@ -75,7 +75,9 @@ def write_corners(file: Path, landmarks: Landmarks) -> None:
 def _by_cell(names: tuple[str, str], table: Mapping[int, Mapping[int, int]], walls: int) -> dict[str, Ragged]:
     """Two columns of what some cells of some walls have."""
     cells = [sorted(table.get(wall, {}).items()) for wall in range(walls)]
-    return {name: ragged([np.array(some).reshape(-1, 2)[:, k] for some in cells], np.int32) for k, name in enumerate(names)}
+    return {
+        name: ragged([np.array(some).reshape(-1, 2)[:, k] for some in cells], np.int32) for k, name in enumerate(names)
+    }
 
 
 def _read_by_cell(table: Columns, names: tuple[str, str]) -> dict[int, dict[int, int]]:
