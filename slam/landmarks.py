@@ -149,14 +149,17 @@ class Landmarks:
         row["low"] = min(row["low"], along + other["low"])
         row["high"] = max(row["high"], along + other["high"])
         shift = round(along / CELL)
-        opened = self.opened.get(kept, {})
-        self.covered[kept] |= frozenset(
-            cell + shift for cell in self.covered[absorbed] if opened.get(cell + shift, STANDING) < other["last_seen"]
+        opened, also = self.opened.get(kept, {}), self.opened.get(absorbed, {})
+        also = {cell + shift: keyframe for cell, keyframe in also.items()}
+        shifted = [cell + shift for cell in self.covered[absorbed]]
+        # either may have been opened after the other was seen last
+        own = {cell for cell in self.covered[kept] if also.get(cell, STANDING) < row["last_seen"]}
+        self.covered[kept] = frozenset(
+            own | {cell for cell in shifted if opened.get(cell, STANDING) < other["last_seen"]}
         )
-        for cell, keyframe in self.opened.get(absorbed, {}).items():
-            opened[cell + shift] = max(keyframe, opened.get(cell + shift, STANDING))
-        if opened:
-            self.opened[kept] = opened
+        if opened or also:
+            both = opened.keys() | also.keys()
+            self.opened[kept] = {cell: max(opened.get(cell, STANDING), also.get(cell, STANDING)) for cell in both}
         row["observations"] += other["observations"]
         row["first_seen"] = min(row["first_seen"], other["first_seen"])
         row["last_seen"] = max(row["last_seen"], other["last_seen"])
@@ -170,6 +173,10 @@ class Landmarks:
         self.opened.setdefault(wall, {}).update(dict.fromkeys(cells, keyframe))
         self.covered[wall] -= frozenset(cells)
         self.shorten(wall)
+
+    def opened_cells(self, wall: int) -> frozenset[int]:
+        """The cells of a wall that were seen once and are no longer there."""
+        return frozenset(self.opened.get(wall, ())) - self.covered[wall]
 
     def shorten(self, wall: int) -> None:
         """Let a wall end where what is left of it does."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -144,23 +144,23 @@ class Doubts:
         """Retire a wall, or a stretch of it, if it has been seen through often enough."""
         observations = int(landmarks.walls.rows["observations"][wall])
         asked = min(MOST_ASKED, observations + 1)
-        counts = self.counts[wall]
-        gone = [cell for cell, count in counts.items() if count >= asked]
+        counts, covered = self.counts[wall], landmarks.covered[wall]
+        gone = {cell for cell, count in counts.items() if count >= asked}
         if not gone:
             return False
-        covered = landmarks.covered[wall]
-        stretches = _stretches(sorted(gone), covered)
-        left = CELL * (len(covered) - sum(len(stretch) for stretch in stretches))
+        opened = landmarks.opened_cells(wall)  # which may go on
+        stretches = _stretches(gone | opened, covered | opened)
+        left = CELL * len(covered - frozenset(cell for stretch in stretches for cell in stretch))
         nothing_left = left < min(MOST_LEFT, max(LEAST_LEFT, LEAST_LEFT_SHARE * CELL * len(covered)))
-        opened = [cell for stretch in stretches if CELL * len(stretch) >= LEAST_OPENING for cell in stretch]
-        if nothing_left or (opened and observations == 1):  # what was seen but once, and in part wrongly, was no wall
+        wide = [stretch for stretch in stretches if CELL * len(stretch) >= LEAST_OPENING]
+        opening = covered.intersection(cell for stretch in wide for cell in stretch)
+        if nothing_left or (opening and observations == 1):  # what was seen but once, and in part wrongly, was no wall
             landmarks.retire(wall, keyframe)
             self.settle([wall])
-            return True
-        if opened:
-            landmarks.open(wall, opened, keyframe)
-            self.counts[wall] = {cell: count for cell, count in counts.items() if cell in landmarks.covered[wall]}
-        return bool(opened)
+        elif opening:
+            landmarks.open(wall, opening, keyframe)
+            self.counts[wall] = {cell: count for cell, count in counts.items() if cell not in opening}
+        return bool(nothing_left or opening)
 
 
 def _looked(landmarks: Landmarks, pose: se2.Pose, points: Floats) -> _Look:
@@ -242,12 +242,14 @@ def _seen_through(
     rows = np.searchsorted(look.ends, look.depth.nonzero()[0], side="right") - 1
     for row in dict.fromkeys(rows.tolist()):
         wall, covered = look.rows[row], landmarks.covered[look.walls[row]]
+        known = covered | landmarks.opened_cells(int(look.walls[row]))
         margin = min(MARGIN, (len(covered) - 1) // 4)
         depth = look.depth[look.ends[row] : look.ends[row + 1]]
         lost = pose_covariances[-1] - pose_covariances[wall["last_seen"]]
         deep = _deep(depth, look.first[row], wall["frame"].copy(), wall["covariance"].copy(), pose, lost)
         cells = (look.first[row] + deep.nonzero()[0]).tolist()
-        cells = [cell for cell in cells if covered.issuperset(range(cell - margin, cell + margin + 1))]
+        around = range(-margin, margin + 1)
+        cells = [cell for cell in cells if cell in covered and known.issuperset(cell + by for by in around)]
         if cells:
             through[row] = cells
     return through
@@ -295,15 +297,15 @@ def _believed(look: _Look, through: dict[int, list[int]], ways: Sequence[float])
     return believed
 
 
-def _stretches(gone: Sequence[int], covered: frozenset[int]) -> list[list[int]]:
-    """The covered cells in stretches of some that are gone: with what lies between, and up to an end that is near."""
-    breaks = np.flatnonzero(np.diff(gone) > GAP + 1)
+def _stretches(gone: Set[int], known: Set[int]) -> list[list[int]]:
+    """The known cells in stretches of some that are gone: with what lies between, and up to an end that is near."""
+    ordered = np.sort(np.fromiter(gone, dtype=np.int64, count=len(gone)))
     stretches = []
-    for low, high in zip([gone[0], *np.array(gone)[breaks + 1]], [*np.array(gone)[breaks], gone[-1]], strict=True):
-        begin, end = int(low), int(high)
-        before = [cell for cell in range(begin - MARGIN - 1, begin) if cell in covered]
-        after = [cell for cell in range(end + 1, end + MARGIN + 2) if cell in covered]
-        begin = begin - len(before) if len(before) <= MARGIN else begin
-        end = end + len(after) if len(after) <= MARGIN else end
-        stretches.append([cell for cell in range(begin, end + 1) if cell in covered])
+    for part in np.split(ordered, np.flatnonzero(np.diff(ordered) > GAP + 1) + 1):
+        low, high = int(part[0]), int(part[-1])
+        before = [cell for cell in range(low - MARGIN - 1, low) if cell in known]
+        after = [cell for cell in range(high + 1, high + MARGIN + 2) if cell in known]
+        begin = low - MARGIN if len(before) <= MARGIN else low
+        end = high + MARGIN if len(after) <= MARGIN else high
+        stretches.append([cell for cell in range(begin, end + 1) if cell in known])
     return stretches
