@@ -201,10 +201,11 @@ class Landmarks:
 
     def standing_corners(self, corners: NDArray[np.int64], keyframe: int | None = None) -> NDArray[np.bool_]:
         """(m,): whether the walls of some corners (m,), as far as they are known, are still there, or were."""
-        walls = self.walls.rows
-        named = self.corners.rows["walls"][corners]
-        kept = np.where(named >= 0, walls["kept"][named], -1) if len(walls) else named
-        retired_at = np.where(kept >= 0, walls["retired_at"][kept], STANDING) if len(walls) else kept
+        walls, named = self.walls.rows, self.corners.rows["walls"][corners]
+        if not len(walls):
+            return np.ones(len(corners), dtype=bool)
+        kept = np.where(named >= 0, walls["kept"][named], -1)
+        retired_at = np.where(kept >= 0, walls["retired_at"][kept], STANDING)
         gone = retired_at != STANDING
         if keyframe is not None:
             gone &= retired_at < keyframe
