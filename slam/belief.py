@@ -247,6 +247,8 @@ class Belief:
         relative = se2.between(self.mapper.trail[keyframe], self.pose)
         self._anchor = Anchor(keyframe, relative, placement.covariance, sighting.odometry)
         self._carried = self._carried and not self.frozen
+        if not self.frozen:
+            self.mapper.retire(self.pose, sighting.seen.points.all)
         self._local_map = self.mapper.local_map_at(self.pose, REACH_MARGIN + sighting.seen.segments.reach())
         self._recent_points.add(keyframe, sighting.seen.points.seen_from(relative))
         self._point_field = self._recent_points.field(self.mapper.poses_of(self._recent_points.keyframes), self.pose)
@@ -276,11 +278,15 @@ class Belief:
         self.keyframe_stamps.append(sighting.stamp)
         clock.lap("graph")
         self._local_map, merge = mapper.refresh(view)
+        if mapper.retire(mapper.pose, seen.points.all):
+            self._local_map = mapper.local_map(view)
         self._anchor = Anchor(mapper.keyframe_count - 1, np.zeros(3), np.zeros((3, 3)), sighting.odometry)
         self._recent_points.add(mapper.keyframe_count - 1, seen.points)
         self._look_around()
         clock.lap("local map")
         decision = self.loops.look(mapper)
+        if decision is not None and decision.verdict.casts_doubt:
+            mapper.doubts.suspend(mapper.ways[-1])
         clock.lap("loops")
         return Extension(view, merge, decision)
 
@@ -333,6 +339,7 @@ class Belief:
         decision = close(self.mapper, decision)
         if decision.status == "accepted":
             self.loops.forget()
+            self.mapper.doubts.forget()
             self._local_map = self.mapper.local_map(view)
             self._look_around()
         return decision

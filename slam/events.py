@@ -143,6 +143,15 @@ class LinesMerged:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class LinesRetired:
+    """Walls that are no longer where they were: they are not in the map any more. Told with the next MapUpdated."""
+
+    index: int
+    stamp: float
+    lines: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class GraphInspected:
     """How well every factor fits the estimate after keyframe `index`; sent after closures, at the end, and now and
     then, the seldomer the larger the graph."""
@@ -300,6 +309,7 @@ Event: TypeAlias = (
     | MapUpdated
     | GraphInspected
     | LinesMerged
+    | LinesRetired
     | LoopDecided
     | StateChanged
     | FoundAgain

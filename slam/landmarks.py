@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from .segments import Floats
 BEHIND_MARGIN = 0.5  # metres the robot may stand behind a wall's line and still be about to see it: drift, and far ends
 CELL = 0.1  # metres of wall whose having been seen is remembered together
 OPENING = 0.5  # metres of a wall never seen between two stretches that were: a door, a passage
+STANDING = -1  # stands for the keyframe after which a wall was no longer there, where it still is
 
 WALL = np.dtype(
     [
@@ -29,6 +31,7 @@ WALL = np.dtype(
         ("covariance_in_map", float, (2, 2)),  # the same in the map, as it was when last_seen was the last keyframe
         ("kept", int),  # the wall that speaks for this one: itself, or the wall that it turned out to be
         ("in_graph", bool),
+        ("retired_at", int),  # the keyframe after which it was no longer there, STANDING where it is
     ]
 )
 
@@ -84,11 +87,14 @@ class Landmarks:
         self.corners = Table(CORNER)
         # of each wall, the cells of CELL metres along it where it was seen
         self.covered: list[frozenset[int]] = []
+        # of walls that have been opened, the cells that were no longer there after a keyframe; they may be again
+        self.opened: dict[int, dict[int, int]] = {}
 
     def __deepcopy__(self, memo: dict[int, object]) -> Landmarks:
         other = Landmarks()
         other.walls, other.corners = copy.deepcopy(self.walls), copy.deepcopy(self.corners)
         other.covered = list(self.covered)  # of what never changes
+        other.opened = {wall: dict(cells) for wall, cells in self.opened.items()}
         return other
 
     def add_wall(self, frame: se2.Pose, half_length: float, keyframe: int) -> int:
@@ -103,6 +109,7 @@ class Landmarks:
             first_seen=keyframe,
             last_seen=keyframe,
             kept=identity,
+            retired_at=STANDING,
         )
 
     def add_corner(self, position: Floats, headings: Floats, walls: Floats, keyframe: int) -> int:
@@ -117,7 +124,11 @@ class Landmarks:
         along = se2.between(row["frame"], frame)[0]
         row["low"] = min(row["low"], along - half_length)
         row["high"] = max(row["high"], along + half_length)
-        self.covered[wall] |= _cells(along - half_length, along + half_length)
+        cells = _cells(along - half_length, along + half_length)
+        if wall in self.opened:  # when all is looked at again, what was seen before a stretch was opened is seen anew
+            opened = self.opened[wall]
+            cells = frozenset(cell for cell in cells if opened.get(cell, STANDING) < keyframe)
+        self.covered[wall] |= cells
         if row["last_seen"] != keyframe:
             row["observations"] += 1
             row["last_seen"] = keyframe
@@ -138,10 +149,67 @@ class Landmarks:
         row["low"] = min(row["low"], along + other["low"])
         row["high"] = max(row["high"], along + other["high"])
         shift = round(along / CELL)
-        self.covered[kept] |= frozenset(cell + shift for cell in self.covered[absorbed])
+        opened, also = self.opened.get(kept, {}), self.opened.get(absorbed, {})
+        also = {cell + shift: keyframe for cell, keyframe in also.items()}
+        shifted = [cell + shift for cell in self.covered[absorbed]]
+        # either may have been opened after the other was seen last
+        own = {cell for cell in self.covered[kept] if also.get(cell, STANDING) < row["last_seen"]}
+        self.covered[kept] = frozenset(
+            own | {cell for cell in shifted if opened.get(cell, STANDING) < other["last_seen"]}
+        )
+        if opened or also:
+            both = opened.keys() | also.keys()
+            self.opened[kept] = {cell: max(opened.get(cell, STANDING), also.get(cell, STANDING)) for cell in both}
         row["observations"] += other["observations"]
         row["first_seen"] = min(row["first_seen"], other["first_seen"])
         row["last_seen"] = max(row["last_seen"], other["last_seen"])
+
+    def retire(self, wall: int, keyframe: int) -> None:
+        """A wall is no longer there after a keyframe. What is known of it is kept."""
+        self.walls.rows["retired_at"][wall] = keyframe
+
+    def open(self, wall: int, cells: Iterable[int], keyframe: int) -> None:
+        """Some cells of a wall are no longer there after a keyframe, though the rest of it is."""
+        self.opened.setdefault(wall, {}).update(dict.fromkeys(cells, keyframe))
+        self.covered[wall] -= frozenset(cells)
+        self.shorten(wall)
+
+    def opened_cells(self, wall: int) -> frozenset[int]:
+        """The cells of a wall that were seen once and are no longer there."""
+        return frozenset(self.opened.get(wall, ())) - self.covered[wall]
+
+    def shorten(self, wall: int) -> None:
+        """Let a wall end where what is left of it does."""
+        row, covered = self.walls.rows[wall], self.covered[wall]
+        if covered:
+            row["low"] = max(row["low"], CELL * (min(covered) - 1))
+            row["high"] = min(row["high"], CELL * (max(covered) + 2))
+
+    def standing(self, walls: NDArray[np.int64] | None = None, *, keyframe: int | None = None) -> NDArray[np.bool_]:
+        """(n,): which walls, of all or of some, speak for themselves and are still there, or were after a keyframe."""
+        rows, walls = self.walls.rows, np.arange(len(self.walls)) if walls is None else walls
+        retired_at = rows["retired_at"][walls]
+        there = retired_at == STANDING
+        if keyframe is not None:
+            there |= retired_at >= keyframe
+        return np.asarray(there & (rows["kept"][walls] == walls))
+
+    def retired(self) -> NDArray[np.int64]:
+        """Identities of the confirmed walls that are no longer there."""
+        walls = self.walls.rows
+        return np.flatnonzero(walls["in_graph"] & (walls["retired_at"] != STANDING))
+
+    def standing_corners(self, corners: NDArray[np.int64], keyframe: int | None = None) -> NDArray[np.bool_]:
+        """(m,): whether the walls of some corners (m,), as far as they are known, are still there, or were."""
+        walls, named = self.walls.rows, self.corners.rows["walls"][corners]
+        if not len(walls):
+            return np.ones(len(corners), dtype=bool)
+        kept = np.where(named >= 0, walls["kept"][named], -1)
+        retired_at = np.where(kept >= 0, walls["retired_at"][kept], STANDING)
+        gone = retired_at != STANDING
+        if keyframe is not None:
+            gone &= retired_at < keyframe
+        return np.asarray(~gone.any(axis=1))
 
     def is_covered(self, wall: int, along: float) -> bool:
         """Whether a wall was seen at a place `along` metres from its frame: between its ends there may be doors."""
@@ -157,20 +225,22 @@ class Landmarks:
         end = np.concatenate([CELL * (cells[breaks] + 1), [row["high"]]])
         return np.column_stack([begin, end])
 
-    def walls_near(self, pose: se2.Pose, radius: float) -> NDArray[np.int64]:
-        """Identities of the walls with a part within `radius` (metres) of the pose that may be seen from there."""
+    def walls_near(self, pose: se2.Pose, radius: float, *, keyframe: int | None = None) -> NDArray[np.int64]:
+        """Identities of the walls with a part within `radius` (metres) of the pose that may be seen from there, and
+        that are still there, or were after a `keyframe`."""
         walls = self.walls.rows
         if not len(walls):
             return np.zeros(0, dtype=np.int64)
         seen = se2.transform(se2.inverse(walls["frame"]), pose[:2])
         beyond = np.maximum(0.0, np.maximum(walls["low"] - seen[:, 0], seen[:, 0] - walls["high"]))
-        near = (np.hypot(beyond, seen[:, 1]) < radius) & (seen[:, 1] > -BEHIND_MARGIN)
-        return np.flatnonzero(near & (walls["kept"] == np.arange(len(walls))))
+        near = np.flatnonzero((np.hypot(beyond, seen[:, 1]) < radius) & (seen[:, 1] > -BEHIND_MARGIN))
+        return near[self.standing(near, keyframe=keyframe)]
 
-    def corners_near(self, pose: se2.Pose, radius: float) -> NDArray[np.int64]:
-        """Identities of the corners within `radius` (metres) of the pose."""
+    def corners_near(self, pose: se2.Pose, radius: float, *, keyframe: int | None = None) -> NDArray[np.int64]:
+        """Identities of the corners within `radius` (metres) of the pose, of walls as above."""
         offset = self.corners.rows["position"] - pose[:2]
-        return np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) < radius)
+        near = np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) < radius)
+        return near[self.standing_corners(near, keyframe)]
 
 
 def _cells(low: float, high: float) -> frozenset[int]:

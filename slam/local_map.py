@@ -47,10 +47,11 @@ def empty_local_map() -> LocalMap:
     return landmarks_around(Landmarks(), np.zeros(3), 0.0)
 
 
-def landmarks_around(landmarks: Landmarks, pose: se2.Pose, radius: float) -> LocalMap:
-    """The landmarks within `radius` (metres) of a pose, as certain as they were when they were last observed."""
-    near_walls = landmarks.walls_near(pose, radius)
-    near_corners = landmarks.corners_near(pose, radius)
+def landmarks_around(landmarks: Landmarks, pose: se2.Pose, radius: float, *, keyframe: int | None = None) -> LocalMap:
+    """The landmarks within `radius` (metres) of a pose, as certain as they were when they were last observed; those
+    that are still there, or were after a `keyframe`."""
+    near_walls = landmarks.walls_near(pose, radius, keyframe=keyframe)
+    near_corners = landmarks.corners_near(pose, radius, keyframe=keyframe)
     walls, corners = landmarks.walls.rows[near_walls], landmarks.corners.rows[near_corners]
     return LocalMap(
         walls=near_walls,

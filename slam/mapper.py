@@ -22,6 +22,7 @@ from .graph import KERNEL_CAUTION, Factor, FactorGraph, GraphState, Kind
 from .landmarks import Landmarks
 from .local_map import LocalMap, local_map_around
 from .merging import LEAST_OBSERVATIONS, find_duplicate
+from .retirement import Doubts
 from .segments import CornerPoints, Floats, Segments
 
 Integers = NDArray[np.int64]
@@ -102,6 +103,7 @@ class Mapper:
         self.graph = FactorGraph()
         self.landmarks = Landmarks()
         self.flatness = WallFlatness()
+        self.doubts = Doubts()
         self.keyframe_count = 0
         self.trail: Floats = np.zeros((0, 3))  # the keyframes' poses, those long past as they were lately read back
         self.ways = [0.0]  # metres driven up to each keyframe
@@ -116,6 +118,7 @@ class Mapper:
         """A mapper without keyframes yet, that knows the landmarks of another."""
         mapper = cls()
         mapper.landmarks, mapper.flatness = copy.deepcopy(other.landmarks), copy.deepcopy(other.flatness)
+        mapper.doubts = copy.deepcopy(other.doubts)
         return mapper
 
     @classmethod
@@ -124,6 +127,7 @@ class Mapper:
         graph: GraphState,
         landmarks: Landmarks,
         flatness: WallFlatness,
+        doubts: Doubts,
         keyframes: KeyframeRecords,
         segments: Sequence[Segments],
         waiting: Sequence[Factor],
@@ -134,6 +138,7 @@ class Mapper:
         """
         mapper = cls()
         mapper.graph, mapper.landmarks, mapper.flatness = FactorGraph.restored(graph), landmarks, flatness
+        mapper.doubts = doubts
         mapper.keyframe_count, mapper.trail = len(keyframes.trail), keyframes.trail
         mapper.ways, mapper.names = list(keyframes.ways), list(keyframes.names)
         mapper.pose_covariances = list(keyframes.covariances)
@@ -348,6 +353,12 @@ class Mapper:
         along = float(se2.between(walls["frame"][kept], walls["frame"][absorbed])[0])
         self.graph.tie_walls(kept, absorbed, along)
         self.landmarks.absorb(kept, absorbed)
+        self.doubts.settle([kept, absorbed])
+
+    def retire(self, pose: se2.Pose, points: Floats) -> bool:
+        """Look from `pose`, at or near the last keyframe, at points (p, 2) in its frame, and retire walls that have
+        been seen through often enough; returns whether there were any."""
+        return self.doubts.look(self.landmarks, pose, points, self.ways, self.pose_covariances)
 
     def settle(self) -> None:
         """Bring the estimate to rest: everything linearised anew, then read back."""

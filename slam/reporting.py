@@ -17,6 +17,7 @@ from .events import (
     GraphInspected,
     KeyframeAdded,
     LinesMerged,
+    LinesRetired,
     LoopDecided,
     LoopSight,
     LoopTest,
@@ -39,6 +40,7 @@ class Reporter:
     def __init__(self, sinks: Sequence[Sink]) -> None:
         self._sinks = tuple(sinks)
         self._told_keyframes = np.zeros((0, 3))
+        self._told_retired: frozenset[int] | None = None  # walls; what a session knows already is no news
         self._inspected = 0  # keyframes at the last inspection
 
     def tell(self, event: Event) -> None:
@@ -117,6 +119,7 @@ class Reporter:
         common = min(len(keyframes), len(self._told_keyframes))
         moved = keyframes[:common, :2] - self._told_keyframes[:common, :2]
         self._told_keyframes = keyframes
+        self._tell_retired(len(keyframes) - 1 if index is None else index, stamp, mapper)
         lines, corners = map_lines(mapper, covariances=False), map_corners(mapper, covariances=False)
         of_lines, of_corners = covariances_when_last_seen(mapper, lines, corners)
         self.tell(
@@ -130,6 +133,14 @@ class Reporter:
                 shift=float(np.max(np.hypot(moved[:, 0], moved[:, 1]), initial=0.0)),
             )
         )
+
+    def _tell_retired(self, index: int, stamp: float, mapper: Mapper) -> None:
+        """Tell of the walls that are no longer there since the map was told last."""
+        retired = frozenset(mapper.landmarks.retired().tolist())
+        news = retired - self._told_retired if self._told_retired is not None else frozenset()
+        self._told_retired = retired
+        if news:
+            self.tell(LinesRetired(index, stamp, tuple(sorted(news))))
 
     def tell_residuals(self, stamp: float, mapper: Mapper) -> None:
         """Tell how well every factor fits."""

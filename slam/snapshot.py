@@ -34,7 +34,7 @@ def finished(belief: Belief, path: tuple[Floats, Floats], summary: dict[str, obj
 def map_lines(mapper: Mapper, *, covariances: bool) -> MapLines:
     """The confirmed walls; with the covariances of their marginals if asked for, about a millisecond each."""
     rows = mapper.landmarks.walls.rows
-    chosen = np.flatnonzero(rows["in_graph"] & (rows["kept"] == np.arange(len(rows))))
+    chosen = np.flatnonzero(rows["in_graph"] & mapper.landmarks.standing())
     covariance = np.full((len(chosen), 2, 2), np.nan)
     if covariances:
         for row, wall in enumerate(chosen):
@@ -59,6 +59,7 @@ def map_corners(mapper: Mapper, *, covariances: bool) -> MapCorners:
     """
     rows, walls = mapper.landmarks.corners.rows, mapper.landmarks.walls.rows
     chosen = np.flatnonzero(rows["in_graph"])
+    chosen = chosen[mapper.landmarks.standing_corners(chosen)]
     lines = np.full((len(chosen), 2), -1)
     position = rows["position"][chosen].copy()
     covariance = np.full((len(chosen), 2, 2), np.nan)

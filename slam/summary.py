@@ -16,6 +16,7 @@ def run_summary(front_end: FrontEnd, belief: Belief, statistics: RunStatistics) 
         "keyframes": belief.mapper.keyframe_count,
         "factors": belief.mapper.graph.factor_count,
         "merged_walls": statistics.merged_walls,
+        "retired_walls": len(belief.mapper.landmarks.retired()),
         "loops": statistics.loop_counts(),
         "loop_decisions": statistics.loops,
         "states": statistics.state_rows(),

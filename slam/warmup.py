@@ -19,6 +19,7 @@ from .loops.proposal import propose
 from .loops.relocalisation import fragment_of, index_map, relocalise
 from .loops.verification import contradiction
 from .pipeline import Slam
+from .retirement import Doubts
 from .segments import Segments
 
 ROOM = 4.0, 3.0  # metres
@@ -36,6 +37,7 @@ def warm_up() -> None:
     mapper = slam.belief.mapper
     relocalise(fragment_of(mapper), index_map(mapper))
     _find_loop([(mapper.graph.keyframe_pose(keyframe), seen) for keyframe, seen in mapper.views])
+    _see_through()
     slam.finish()
 
 
@@ -73,3 +75,10 @@ def _find_loop(views: Sequence[tuple[se2.Pose, Segments]]) -> None:
     recent, old = recent_and_old(landmarks, np.zeros(3), np.array([0.0, 2 * OLD_WAY]))
     propose(recent, old, np.zeros(3))
     contradiction(np.zeros(3), old, landmarks, views)
+
+
+def _see_through() -> None:
+    """A wall with a point behind it."""
+    landmarks = Landmarks()
+    landmarks.add_wall(np.zeros(3), 1.0, 0)
+    Doubts().look(landmarks, np.array([0.0, -1.0, 0.0]), np.array([[0.0, 2.0]]), [0.0], [np.zeros((3, 3))])

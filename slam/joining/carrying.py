@@ -68,6 +68,7 @@ def joined_landmarks(first: Mapper, second: Mapper, motion: se2.Pose) -> Landmar
     more_walls["kept"] = _numbered(more_walls["kept"], len(walls))
     for name in ("first_seen", "last_seen"):
         more_walls[name] += first.keyframe_count
+    more_walls["retired_at"] = _numbered(more_walls["retired_at"], first.keyframe_count)
     more_corners["position"] = se2.transform(motion, more_corners["position"])
     more_corners["headings"] = se2.wrap(more_corners["headings"] + motion[2])
     more_corners["walls"] = _numbered(more_corners["walls"], len(walls))
@@ -79,6 +80,9 @@ def joined_landmarks(first: Mapper, second: Mapper, motion: se2.Pose) -> Landmar
     landmarks.corners.fill(np.concatenate([corners, more_corners]))
     landmarks.walls.rows["in_graph"] = landmarks.corners.rows["in_graph"] = False
     landmarks.covered = [*first.landmarks.covered, *second.landmarks.covered]
+    landmarks.opened = {wall: dict(cells) for wall, cells in first.landmarks.opened.items()}
+    for wall, cells in second.landmarks.opened.items():
+        landmarks.opened[wall + len(walls)] = {cell: at + first.keyframe_count for cell, at in cells.items()}
     return landmarks
 
 

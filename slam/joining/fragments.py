@@ -33,6 +33,7 @@ def _fragment(mapper: Mapper, drive: Drive, keyframes: range) -> Fragment:
     """What some keyframes in a row saw, and nothing that others did."""
     rows, poses = drive.keyframes[keyframes.start : keyframes.stop], mapper.trail[keyframes.start : keyframes.stop]
     landmarks = copy.deepcopy(mapper.landmarks)
+    landmarks.opened = {}  # what these keyframes saw was there
     kept = landmarks.walls.rows["kept"]
     names = [
         Names(np.where(seen_as.walls >= 0, kept[seen_as.walls], -1), seen_as.corners)

@@ -66,7 +66,7 @@ def recent_and_old(landmarks: Landmarks, pose: se2.Pose, ways: Floats) -> tuple[
     `ways` (k,) are the metres driven up to each keyframe.
     """
     walls = landmarks.walls.rows
-    active = walls["in_graph"] & (walls["kept"] == np.arange(len(walls)))
+    active = walls["in_graph"] & landmarks.standing()
     since_seen = ways[-1] - ways[walls["last_seen"]]
     recent = np.flatnonzero(active & (since_seen < RECENT_WAY) & (walls["observations"] >= 2))
     low, high = _clipped(walls["frame"][recent], walls["low"][recent], walls["high"][recent], pose)

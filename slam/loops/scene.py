@@ -46,7 +46,7 @@ class Scene:
 def scene_of(landmarks: Landmarks, flatness: float) -> Scene:
     """All that is confirmed of some landmarks; `flatness` is the variance of the walls' unevenness, metres squared."""
     rows = landmarks.walls.rows
-    walls = np.flatnonzero(rows["in_graph"] & (rows["kept"] == np.arange(len(rows))))
+    walls = np.flatnonzero(rows["in_graph"] & landmarks.standing())
     rows = rows[walls]
     middle, half = 0.5 * (rows["low"] + rows["high"]), 0.5 * (rows["high"] - rows["low"])
     along = np.column_stack([middle, np.zeros((len(walls), 2))])
@@ -56,7 +56,8 @@ def scene_of(landmarks: Landmarks, flatness: float) -> Scene:
     covariance[:, 0, 0] += flatness
     covariance[:, 1, 1] += 3 * flatness / np.maximum(half, CELL) ** 2
     found = [_stretches(landmarks, int(wall)) - by for wall, by in zip(walls, middle, strict=True)]
-    corners = landmarks.corners.rows[landmarks.corners.rows["in_graph"]]
+    confirmed = np.flatnonzero(landmarks.corners.rows["in_graph"])
+    corners = landmarks.corners.rows[confirmed[landmarks.standing_corners(confirmed)]]
     return Scene(
         walls=walls,
         frame=se2.compose(rows["frame"], along).reshape(-1, 3),

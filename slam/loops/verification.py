@@ -69,6 +69,11 @@ class Verdict:
     contradicted: float
     tests: tuple[Test, ...] = ()
 
+    @property
+    def casts_doubt(self) -> bool:
+        """Whether the place explains clearly more than where the robot is believed to be, accepted or not."""
+        return any(test.name == "gain" and test.passed for test in self.tests)
+
 
 def verify(
     hypotheses: Sequence[Hypothesis],

@@ -16,7 +16,7 @@ def merge_everywhere(landmarks: Landmarks, graph: FactorGraph, flatness: float) 
     The walls are compared with their joint covariances in the graph, which does not hear of it.
     """
     walls = landmarks.walls.rows
-    active = walls["in_graph"] & (walls["kept"] == np.arange(len(walls)))
+    active = walls["in_graph"] & landmarks.standing()
     rows = np.flatnonzero(active & (walls["observations"] >= LEAST_OBSERVATIONS))
     alike = overlaps(walls["frame"][rows], walls["low"][rows], walls["high"][rows])
     pairs = np.array([rows[[pair.first, pair.second]] for pair in alike], dtype=np.int64).reshape(-1, 2)

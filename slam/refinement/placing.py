@@ -46,9 +46,10 @@ class Place:
         self._prior = np.diag(PRIOR_SIGMAS**-2)
 
     def local_map(self, row: int, pose: se2.Pose) -> LocalMap:
-        """The landmarks that a sighting may show from `pose`."""
+        """The landmarks that a sighting may show from `pose`: those that were there then."""
         reach = REACH_MARGIN + self._drive.sightings[row].seen.segments.reach()
-        return landmarks_around(self._landmarks, pose, reach)
+        keyframe = int(np.searchsorted(self._drive.keyframes, row, side="right")) - 1
+        return landmarks_around(self._landmarks, pose, reach, keyframe=keyframe)
 
     def lay(self, row: int, poses: Floats, local_map: LocalMap) -> Laid:
         """Lay a sighting over the map near where it is, and where the even course between its neighbours has it, if

@@ -36,6 +36,8 @@ def recount(landmarks: Landmarks, drive: Drive, names: Sequence[Names], poses: F
             walls["first_seen"][wall] = min(walls["first_seen"][wall], k)
         for i in np.flatnonzero(seen_as.corners >= 0):
             landmarks.see_corner(int(seen_as.corners[i]), se2.wrap(seen.corners.headings[i] + poses[k, 2]), k)
+    for wall in landmarks.opened:
+        landmarks.shorten(wall)
     unseen = (walls["observations"] == 0) & (walls["kept"] == np.arange(len(walls)))
     walls["kept"][unseen] = GONE
     walls["kept"][(walls["kept"] >= 0) & np.isin(walls["kept"], np.flatnonzero(unseen))] = GONE

@@ -24,6 +24,7 @@ from ..events import (
     GraphInspected,
     KeyframeAdded,
     LinesMerged,
+    LinesRetired,
     LoopDecided,
     MapCorners,
     MapLines,
@@ -119,6 +120,10 @@ class EventLog:
                 self._at(event.index, event.stamp)
                 self._inspection.merge(event.index, event.absorbed, event.kept, loop=False)
                 self._say(f"L{event.absorbed} is the same wall as L{event.kept}: merged, d²={event.gate:.1f}", "TRACE")
+            case LinesRetired():
+                self._at(event.index, event.stamp)
+                names = ", ".join(f"L{wall}" for wall in event.lines)
+                self._say(f"{names}: no longer there, seen through again and again; retired from the map", "INFO")
             case LoopDecided():
                 self._write_decision(event)
             case StateChanged():

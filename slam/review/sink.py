@@ -18,6 +18,7 @@ from ..events import (
     Finished,
     KeyframeAdded,
     LinesMerged,
+    LinesRetired,
     LoopDecided,
     ScanTracked,
     StateChanged,
@@ -27,7 +28,7 @@ from .server import ViewerServer
 
 BUSY = 500  # events waiting, about a second of work: from here on scans are left out
 OVERRUN = 5_000  # events waiting: the log has stalled, a full disk perhaps; from here on only what is seldom is kept
-SELDOM = (LoopDecided, LinesMerged, StateChanged, Finished)
+SELDOM = (LoopDecided, LinesMerged, LinesRetired, StateChanged, Finished)
 """What is never left out: it comes so seldom that even the events of a day can wait."""
 
 _logger = logging.getLogger(__name__)

@@ -16,8 +16,9 @@ from ..segments import Floats
 from ..tracking import Place
 
 FORMAT = "wclm-slam session"
-VERSION = 1
-KNOWN_VERSIONS = (1,)
+VERSION = 2
+KNOWN_VERSIONS = (1, 2)
+"""Version 1 does not know of walls that are no longer there."""
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Pose = tuple[Finite, Finite, Finite]

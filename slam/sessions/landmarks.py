@@ -1,18 +1,21 @@
-"""Walls and corners, a row for each: also those that nobody has seen twice, or that turned out to be another.
+"""Walls and corners, a row for each: also those that nobody has seen twice, that turned out to be another, or that are
+no longer there.
 
 Of what no keyframe sees any more, walls have no extent (it is infinite) and corners no position (it is NaN).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import MapError
-from ..landmarks import CORNER, WALL, Landmarks
+from ..landmarks import CORNER, STANDING, WALL, Landmarks
+from ..retirement import Doubts
 from ..segments import Floats
-from .tables import Columns, ragged, write_table
+from .tables import Columns, Ragged, ragged, write_table
 
 COUNTS = ("observations", "first_seen", "last_seen", "kept")
 CORNER_COUNTS = ("observations", "last_seen")
@@ -25,7 +28,12 @@ IN_MAP = "map_"
 """Before the names of what is not relative to the last keyframe that saw the landmark."""
 
 
-def write_walls(file: Path, landmarks: Landmarks) -> None:
+OPENED = ("opened", "opened_at")
+DOUBTED = ("doubted", "doubts")
+"""Cells of a wall, and the number that goes with each. Not in tables of version 1, nor is `retired_at`."""
+
+
+def write_walls(file: Path, landmarks: Landmarks, doubts: Doubts) -> None:
     """Write the table of walls. Raises OSError."""
     rows = landmarks.walls.rows
     covered = [np.sort(np.array(list(cells), dtype=np.int64)) for cells in landmarks.covered]
@@ -35,11 +43,13 @@ def write_walls(file: Path, landmarks: Landmarks) -> None:
         {
             **{name: rows["frame"][:, k] for k, name in enumerate(("x", "y", "heading"))},
             **{name: rows[name] for name in ("low", "high")},
-            **{name: rows[name].astype(np.int32) for name in COUNTS},
+            **{name: rows[name].astype(np.int32) for name in (*COUNTS, "retired_at")},
             **{name: covariance[:, k] for k, name in enumerate(WALL_COVARIANCE)},
             **{f"{IN_MAP}{name}": in_map[:, k] for k, name in enumerate(WALL_COVARIANCE)},
             "in_graph": rows["in_graph"],
             "covered": ragged(covered, np.int32),
+            **_by_cell(OPENED, landmarks.opened, len(rows)),
+            **_by_cell(DOUBTED, doubts.counts, len(rows)),
         },
     )
 
@@ -62,8 +72,30 @@ def write_corners(file: Path, landmarks: Landmarks) -> None:
     )
 
 
-def read_landmarks(walls: Path, corners: Path) -> Landmarks:
-    """Read both tables. Raises MapError naming the file."""
+def _by_cell(names: tuple[str, str], table: Mapping[int, Mapping[int, int]], walls: int) -> dict[str, Ragged]:
+    """Two columns of what some cells of some walls have."""
+    cells = [sorted(table.get(wall, {}).items()) for wall in range(walls)]
+    return {
+        name: ragged([np.array(some).reshape(-1, 2)[:, k] for some in cells], np.int32) for k, name in enumerate(names)
+    }
+
+
+def _read_by_cell(table: Columns, names: tuple[str, str]) -> dict[int, dict[int, int]]:
+    values, lengths = table.ragged_integers(*names)
+    ends = np.concatenate([[0], np.cumsum(lengths)])
+    return {wall: dict(values[ends[wall] : ends[wall + 1]].tolist()) for wall in np.flatnonzero(lengths).tolist()}
+
+
+def read_doubts(walls: Path, version: int) -> Doubts:
+    """Read what was counted of walls that may no longer be there. Raises MapError naming the file."""
+    doubts = Doubts()
+    if version > 1:
+        doubts.counts = _read_by_cell(Columns(walls), DOUBTED)
+    return doubts
+
+
+def read_landmarks(walls: Path, corners: Path, version: int) -> Landmarks:
+    """Read both tables of a session of a version. Raises MapError naming the file."""
     landmarks = Landmarks()
     table = Columns(walls)
     rows = np.zeros(len(table), WALL)
@@ -71,6 +103,7 @@ def read_landmarks(walls: Path, corners: Path) -> Landmarks:
     rows["low"], rows["high"] = table.floats("low", finite=False), table.floats("high", finite=False)
     for name in COUNTS:
         rows[name] = table.integers(name)
+    rows["retired_at"] = table.integers("retired_at") if version > 1 else STANDING
     for name, prefix in zip(COVARIANCES, ("", IN_MAP), strict=True):
         rows[name] = _both_halves(table.floats(*(f"{prefix}{entry}" for entry in WALL_COVARIANCE)))
     rows["in_graph"] = table.flags("in_graph")
@@ -81,6 +114,7 @@ def read_landmarks(walls: Path, corners: Path) -> Landmarks:
     ends = np.concatenate([[0], np.cumsum(lengths)])
     flat = cells[:, 0].tolist()
     landmarks.covered = [frozenset(flat[ends[k] : ends[k + 1]]) for k in range(len(rows))]
+    landmarks.opened = _read_by_cell(table, OPENED) if version > 1 else {}
 
     table = Columns(corners)
     rows = np.zeros(len(table), CORNER)

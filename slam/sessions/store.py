@@ -27,7 +27,7 @@ from ..outputs import CONFIG, SESSION
 from ..refinement import Drive, drive_of
 from .graph import read_factors, read_graph, write_factors, write_variables
 from .head import Head, Recording, read_head, write_head
-from .landmarks import read_landmarks, write_corners, write_walls
+from .landmarks import read_doubts, read_landmarks, write_corners, write_walls
 from .sightings import UPPER, Sighted, read_sightings, write_recent, write_sightings
 from .tables import Columns, write_table
 from .waiting import read_waiting, write_waiting
@@ -103,7 +103,7 @@ def write_stored(directory: Path, stored: StoredSession) -> None:
     write_recent(folder / RECENT, sighted)
     _write_odometry(folder / ODOMETRY, stored.odometry)
     _write_keyframes(folder / KEYFRAMES, belief.keyframe_stamps, mapper.keyframes)
-    write_walls(folder / WALLS, mapper.landmarks)
+    write_walls(folder / WALLS, mapper.landmarks, mapper.doubts)
     write_corners(folder / CORNERS, mapper.landmarks)
     write_variables(folder / VARIABLES, graph)
     write_factors(folder / FACTORS, graph.factors, mapper.waiting)
@@ -134,11 +134,12 @@ def read_stored(path: Path) -> StoredSession:
     graph = read_graph(folder / VARIABLES, factors, updates=head.graph.updates, qr=head.graph.qr)
     flatness = WallFlatness()
     flatness.take(np.array(head.learned.flatness))
-    landmarks = read_landmarks(folder / WALLS, folder / CORNERS)
+    landmarks = read_landmarks(folder / WALLS, folder / CORNERS, head.version)
+    doubts = read_doubts(folder / WALLS, head.version)
     _check(folder / HEAD, head, sighted, landmarks)
     try:
         segments = [keyframes[k].seen.segments for k in range(len(rows))]
-        mapper = Mapper.restored(graph, landmarks, flatness, records, segments, waiting)
+        mapper = Mapper.restored(graph, landmarks, flatness, doubts, records, segments, waiting)
         belief = Belief.restored(
             config.odometry,
             np.array(head.learned.odometry).reshape(-1, 6),

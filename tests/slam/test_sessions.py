@@ -5,6 +5,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -15,6 +16,7 @@ from slam import Slam
 from slam.config import Config, config_to_toml
 from slam.errors import MapError, SlamError
 from slam.front_end import NOTHING_SEEN
+from slam.landmarks import STANDING
 from slam.mapper import Mapper
 from slam.outputs import CONFIG, SESSION
 from slam.sessions import Recording, StoredSession, is_stored, read_stored, write_stored
@@ -73,6 +75,8 @@ def test_all_that_the_estimate_rests_on_is_read_back(left: tuple[StoredSession, 
             # of a covariance only one half is kept, and the two agree but for rounding
             np.testing.assert_allclose(after[column], before[column], rtol=1e-9, atol=1e-15, err_msg=column)
     assert other.mapper.landmarks.covered == one.mapper.landmarks.covered
+    assert other.mapper.landmarks.opened == one.mapper.landmarks.opened
+    assert other.mapper.doubts.counts == one.mapper.doubts.counts
     assert other.mapper.flatness.variance == one.mapper.flatness.variance
     np.testing.assert_array_equal(other.odometry_noise.deviations, one.odometry_noise.deviations)
     for before, after in zip(one.mapper.names, other.mapper.names, strict=True):
@@ -139,6 +143,20 @@ def test_a_directory_of_an_older_version_says_so(tmp_path: Path) -> None:
         read_stored(tmp_path)
     with pytest.raises(MapError, match="is not a directory"):
         read_stored(tmp_path / "nowhere")
+
+
+def test_a_session_that_knows_of_no_retired_walls_is_read(left: tuple[StoredSession, Path], tmp_path: Path) -> None:
+    """As version 1 left it."""
+    path = shutil.copytree(left[1], tmp_path / "out")
+    head, walls = path / SESSION / HEAD, path / SESSION / WALLS
+    head.write_text(json.dumps(json.loads(head.read_text()) | {"version": 1}))
+    new = ["retired_at", "opened", "opened_at", "doubted", "doubts"]
+    pq.write_table(pq.read_table(walls).drop_columns(new), walls)
+    mapper = read_stored(path).belief.mapper
+    assert (mapper.landmarks.walls.rows["retired_at"] == STANDING).all()
+    assert len(mapper.landmarks.walls) == len(left[0].belief.mapper.landmarks.walls)
+    assert not mapper.landmarks.opened
+    assert not mapper.doubts.counts
 
 
 def test_a_session_of_another_version_says_so(left: tuple[StoredSession, Path], tmp_path: Path) -> None:
