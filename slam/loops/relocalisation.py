@@ -32,6 +32,8 @@ LEAST_WALLS = 3  # in a fragment
 LEAST_EVIDENCE, UNMATCHED = 5.0, 0.6
 LEAST_LENGTH = 6.0  # metres of wall that must lie on the map's
 LEAST_EXPLAINED = 0.55  # share of the fragment's walls that must
+# Share of the fragment's walls that the score must reach: what passes one test after the other narrowly is doubtful.
+LEAST_ALL_IN_ALL = 0.5
 LEAST_AGREEMENT = 0.6  # share of what is seen, where the map knows what there is to be seen
 MOST_CONTRADICTED = 0.10  # share of what was seen that the map's walls would have hidden
 # Metres and radians, in any direction. One wall by itself leaves 0.03 m and more across it; in buildings where they had
@@ -189,7 +191,8 @@ def _judge(best: _Place, rivals: Sequence[_Place], covariance: Floats) -> PlaceV
     laid, sight = best.laid, best.sight
     matches = int((laid.matches >= 0).sum())
     evidence = matches - UNMATCHED * (len(laid.matches) - matches)
-    explained = laid.length / max(float(laid.seen.sum()), 1e-9)
+    seen = max(float(laid.seen.sum()), 1e-9)
+    explained, all_in_all = laid.length / seen, best.score / seen
     sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
     turn_sigma = float(np.sqrt(covariance[2, 2]))
     uncertain = f"uncertain by {sigma:.2f} m and {np.degrees(turn_sigma):.1f} degrees"
@@ -203,6 +206,7 @@ def _judge(best: _Place, rivals: Sequence[_Place], covariance: Floats) -> PlaceV
         (explained >= LEAST_EXPLAINED, f"explains {explained:.0%} < {LEAST_EXPLAINED:.0%}"),
         (sight.contradicted <= MOST_CONTRADICTED, f"{sight.contradicted:.0%} was seen through walls of the map"),
         (sight.agreement >= LEAST_AGREEMENT, f"the view agrees by {sight.agreement:.0%} < {LEAST_AGREEMENT:.0%}"),
+        (all_in_all >= LEAST_ALL_IN_ALL, f"all in all {all_in_all:.0%} < {LEAST_ALL_IN_ALL:.0%}"),
     ]
     fits = all(passed for passed, _ in tests)
     tests += [
