@@ -30,6 +30,7 @@ ADRIFT_SIGMA = 0.3  # metres: a direction in which what is seen holds the robot 
 ALIKE_WAY = 20.0
 MEMORY = 500  # motions from which is learned what is common to all
 
+MOST_WRONG = 2.0  # factor; wheels that turn the robot by more or less than that are not calibrated badly, but broken
 STRAIGHT = math.radians(4.0)  # a motion that turns by less tells of length and veer, one that turns by more of turning
 NORMAL_MEDIAN = 0.4549  # median of a squared standard normal variable
 PLANE_MEDIAN = 1.3863  # of the sum of two
@@ -148,12 +149,13 @@ class OdometryNoise:
     def _estimate(self) -> None:
         claimed, found = self._samples[:, :3], self._samples[:, 3:]
         ahead, turned = claimed[:, 0], claimed[:, 2]
-        straight = (np.abs(ahead) > LEAST_WAY) & (np.abs(turned) < STRAIGHT)
+        # Chosen by what was found: what is claimed is noisy, and of turns chosen by noise most are too large.
+        turns = np.abs(found[:, 2]) > STRAIGHT
+        straight = (np.abs(ahead) > LEAST_WAY) & ~turns
         self._length = 1.0 + _trusted(found[straight, 0] / ahead[straight] - 1.0)
         self._veer = _trusted(se2.wrap(found[straight, 2] - turned[straight]) / ahead[straight])
-        turns = np.abs(turned) > STRAIGHT
-        excess = se2.wrap(found[turns, 2] - turned[turns]) - self._veer * ahead[turns]
-        self._turning = 1.0 + _trusted(excess / turned[turns])
+        by_wheels = se2.wrap(found[turns, 2] - self._veer * ahead[turns])
+        self._turning = 1.0 / np.clip(1.0 + _trusted(turned[turns] / by_wheels - 1.0), 1 / MOST_WRONG, MOST_WRONG)
         claimed, found = claimed[-WINDOW:], found[-WINDOW:]
         error, way = se2.between(self.corrected(claimed), found), way_of(claimed)
         squared = (
