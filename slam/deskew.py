@@ -93,7 +93,8 @@ def deskew(scan: Scan, odometry: OdometryHistory, mount: se2.Pose, range_bias: f
     duration = scan.duration
     ranges = scan.ranges - range_bias if range_bias else scan.ranges
     if duration <= 0.0 or not len(odometry):
-        return Sweep(scan.stamp, odometry.at(scan.stamp), ranges, scan.angles, np.zeros(len(ranges)))
+        at = odometry.at(scan.stamp) if len(odometry) else np.zeros(3)
+        return Sweep(scan.stamp, at, ranges, scan.angles, np.zeros(len(ranges)))
     middle = middle_of(scan)
     offsets = np.linspace(0.0, duration, KNOTS)
     reference = odometry.at(middle)

@@ -58,7 +58,7 @@ def test_a_row_counts_robots_found_in_wrong_places_and_drives_that_end_off() -> 
 
 
 def test_a_loop_that_drift_left_open_is_closed_where_it_should_be() -> None:
-    result = drive("large_loop", 2)
+    result = drive("large_loop", 0)
     assert result.needed
     assert result.joined
     assert result.accepted

@@ -132,7 +132,7 @@ def test_an_information_without_a_direction_tells_it() -> None:
 def test_a_closure_taken_back_takes_every_sighting_once_more(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(probation, "_seen_through", lambda *_: "nothing is believed here")
     slam = Slam()
-    for message in Simulation("large_loop", seed=2, lidar=LIDARS["short"], drive=DRIVES["bad"]):
+    for message in Simulation("large_loop", seed=0, lidar=LIDARS["short"], drive=DRIVES["bad"]):
         slam.add(message)
     stamps = slam.belief.path.hung()[0]
     assert np.all(np.diff(stamps) > 0.0)
