@@ -12,15 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from drivers import se2
 
 from .angles import turn_of
 from .local_map import LocalMap
-from .segments import CornerPoints, Floats, Segments
-
-Integers = NDArray[np.int64]
+from .segments import CornerPoints, Floats, Integers, Segments
 
 GATE = 13.8  # squared Mahalanobis distance, chi-square with 2 degrees of freedom at 99.9 %
 WIDEST_OFFSET = 0.30  # metres: two faces of furniture this far apart are not one, however uncertain the pose

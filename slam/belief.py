@@ -21,7 +21,7 @@ from .local_map import empty_local_map
 from .loops.closer import Looks, LoopCloser, LoopDecision, close
 from .mapper import REACH_MARGIN, KeyframeView, Mapper, Merge, Motion
 from .observability import free_direction
-from .odometry import OdometryNoise, fused_motion
+from .odometry_model import OdometryModel, fused_motion
 from .path import Path
 from .point_field import KEYFRAMES as RECENT_KEYFRAMES
 from .point_field import RecentPoints
@@ -91,12 +91,12 @@ class Belief:
 
     def __init__(self, config: OdometryConfig, loops: LoopCloser | None = None) -> None:
         self.mapper = Mapper()
-        self.odometry_noise = OdometryNoise(config)
+        self.odometry_model = OdometryModel(config)
         self.path = Path()
         self.keyframe_stamps: list[float] = []
         self.pose = np.zeros(3)  # of the base in the map, at the last sighting
         self.loops = loops or LoopCloser()
-        self._tracker = Tracker(self.odometry_noise)
+        self._tracker = Tracker(self.odometry_model)
         self._local_map = empty_local_map()
         self._recent_points = RecentPoints()
         self._point_field = self._recent_points.field(np.zeros((0, 3)), self.pose)
@@ -125,7 +125,7 @@ class Belief:
         What a closure on probation would fall back to is not remembered: it stays.
         """
         belief = cls(config)
-        belief.odometry_noise.take(odometry_samples)
+        belief.odometry_model.take(odometry_samples)
         belief.mapper, belief.path, belief.keyframe_stamps = mapper, path, list(stamps)
         belief.loops.recall(looks)
         belief._anchor, belief._carried = standing.anchor, standing.carried
@@ -329,9 +329,9 @@ class Belief:
             covariance = self.mapper.graph.relative_covariance(keyframe, anchor.keyframe)
         carry = se2.adjoint(se2.inverse(anchor.relative))
         covariance = carry @ covariance @ carry.T + anchor.covariance
-        motion = self.odometry_noise.corrected(se2.between(anchor.odometry, odometry))
+        motion = self.odometry_model.corrected(se2.between(anchor.odometry, odometry))
         carry = se2.adjoint(se2.inverse(motion))
-        return np.asarray(carry @ covariance @ carry.T + self.odometry_noise.covariance(motion))
+        return np.asarray(carry @ covariance @ carry.T + self.odometry_model.covariance(motion))
 
     def close_loop(self, view: KeyframeView, decision: LoopDecision) -> LoopDecision:
         """Close a loop that was agreed on right after the keyframe of `view`. If the decision that is returned is a
@@ -352,9 +352,9 @@ class Belief:
             self.carried_keyframes.append(self.mapper.keyframe_count)
             claimed = actual
         else:
-            self.odometry_noise.learn(claimed, actual, found.held_by)
-            claimed = self.odometry_noise.corrected(claimed)
-            covariance = self.odometry_noise.covariance(claimed, found.held_by)
+            self.odometry_model.learn(claimed, actual, found.held_by)
+            claimed = self.odometry_model.corrected(claimed)
+            covariance = self.odometry_model.covariance(claimed, found.held_by)
             claimed, covariance = fused_motion(claimed, covariance, actual, found.point_information)
         self._carried = False
         carry = se2.adjoint(se2.inverse(claimed))

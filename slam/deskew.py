@@ -16,7 +16,8 @@ from drivers import se2
 from drivers.messages import Scan
 
 from .config import LidarConfig
-from .odometry import OdometryHistory, OdometryNoise, way_of
+from .odometry import OdometryHistory, way_of
+from .odometry_model import OdometryModel
 from .segments import CornerPoints, Floats, Segments
 
 if TYPE_CHECKING:
@@ -115,13 +116,13 @@ def deskew(scan: Scan, odometry: OdometryHistory, mount: se2.Pose, range_bias: f
 
 
 def loosen(
-    segments: Segments, corners: CornerPoints, lines: Lines, sweep: Sweep, noise: OdometryNoise
+    segments: Segments, corners: CornerPoints, lines: Lines, sweep: Sweep, model: OdometryModel
 ) -> tuple[Segments, CornerPoints]:
-    """Add to the covariances what the odometry's `noise` leaves uncertain of the motion during the sweep."""
+    """Add to the covariances what the odometry's `model` leaves uncertain of the motion during the sweep."""
     if not len(segments) or not sweep.way.any():
         return segments, corners
     middle = np.where(lines.last >= lines.first, (lines.first + lines.last) // 2, 0)
-    translation, rotation = noise.variances(sweep.way[middle])
+    translation, rotation = model.variances(sweep.way[middle])
     across = np.column_stack([-np.sin(segments.frame[:, 2]), np.cos(segments.frame[:, 2])])
     lever = across[:, 1] * segments.frame[:, 0] - across[:, 0] * segments.frame[:, 1]
     covariance = segments.covariance.copy()

@@ -6,14 +6,11 @@ from dataclasses import dataclass, field
 from typing import Protocol, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.se2 import Pose
 
 from .residuals import Residuals
-from .segments import CornerPoints, Floats, Segments
-
-Integers = NDArray[np.int64]
+from .segments import CornerPoints, Floats, Integers, Segments
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,8 @@ from features import Features
 from .config import Config
 from .deskew import Sweep, deskew, loosen, mount_of
 from .extraction import build_extractor
-from .odometry import OdometryHistory, OdometryNoise
+from .odometry import OdometryHistory
+from .odometry_model import OdometryModel
 from .point_field import MOST_POINTS, ScanPoints, thinned
 from .registration import ScanFeatures
 from .segments import CornerPoints, Segments, corner_points, segments_from_lines
@@ -91,19 +92,19 @@ class FrontEnd:
         ready = covered or last or len(self._waiting) > LONGEST_WAIT
         return self._waiting.popleft() if ready else None
 
-    def sight(self, scan: Scan, odometry_noise: OdometryNoise) -> Sighting:
+    def sight(self, scan: Scan, odometry_model: OdometryModel) -> Sighting:
         """Straighten a scan and condense it into walls and corners, and points that are on neither."""
         mount = mount_of(scan, self._lidar)
         sweep = deskew(scan, self.odometry, mount, self._lidar.range_bias)
         features = self._extractor.extract(sweep.ranges, sweep.bearings)
-        seen = _in_base_frame(sweep, features, mount, odometry_noise)
+        seen = _in_base_frame(sweep, features, mount, odometry_model)
         return Sighting(sweep.stamp, sweep.odometry, seen)
 
 
-def _in_base_frame(sweep: Sweep, features: Features, mount: se2.Pose, odometry_noise: OdometryNoise) -> ScanFeatures:
+def _in_base_frame(sweep: Sweep, features: Features, mount: se2.Pose, odometry_model: OdometryModel) -> ScanFeatures:
     """What a scan shows, moved from the lidar's frame into the base's."""
     segments = segments_from_lines(features.lines, mount)
     corners = corner_points(features.corners, segments, mount)
-    segments, corners = loosen(segments, corners, features.lines, sweep, odometry_noise)
+    segments, corners = loosen(segments, corners, features.lines, sweep, odometry_model)
     points = [thinned(se2.transform(mount, some), MOST_POINTS) for some in sweep.points(features.lines)]
     return ScanFeatures(segments, corners, ScanPoints(*points))

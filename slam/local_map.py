@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers import se2
 
 from .landmarks import Landmarks
-from .segments import Floats
-
-Integers = NDArray[np.int64]
+from .segments import Floats, Integers
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers import se2
 
@@ -23,9 +22,7 @@ from .landmarks import Landmarks
 from .local_map import LocalMap, local_map_around
 from .merging import LEAST_OBSERVATIONS, find_duplicate
 from .retirement import Doubts
-from .segments import CornerPoints, Floats, Segments
-
-Integers = NDArray[np.int64]
+from .segments import CornerPoints, Floats, Integers, Segments
 
 CORNER_SHARE = 0.1  # of its segments' information that a corner's factor takes; measured by consistency in simulation
 CONFIRMING_KEYFRAMES = 2  # that must see a landmark before it enters the graph: people and noise are seen once

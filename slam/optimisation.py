@@ -45,7 +45,7 @@ def optimise(session: StoredSession, sinks: Sequence[Sink] = ()) -> Optimised:
     belief.mapper.settle()
     before, drive = belief.mapper, session.drive()
     reporter.tell_map(float(drive.stamps[0]), before, index=0)
-    refined = refine(before, drive, belief.odometry_noise)
+    refined = refine(before, drive, belief.odometry_model)
     keyframes = {k: session.sightings[row] for k, row in enumerate(drive.keyframes.tolist())}
     refined.mapper.remember_covariances()
     last = session.sightings[-1]

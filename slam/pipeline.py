@@ -114,7 +114,7 @@ class Slam:
 
     def _add_scan(self, scan: Scan) -> None:
         clock = Clock()
-        sighting = self._front_end.sight(scan, self.belief.odometry_noise)
+        sighting = self._front_end.sight(scan, self.belief.odometry_model)
         clock.lap("features")
         self._journal.append(sighting)
         if self._excursion is not None:
@@ -333,9 +333,9 @@ class Slam:
             if not self._refine or self._frozen:
                 # the same path whether or not what was sighted in familiar places has been kept
                 known = [s.without_view() if row in self._familiar else s for row, s in enumerate(self._journal)]
-                belief.path = laid_path(belief.mapper, replace(drive, sightings=known), belief.odometry_noise)
+                belief.path = laid_path(belief.mapper, replace(drive, sightings=known), belief.odometry_model)
                 return {}
-            refined = refine(belief.mapper, drive, belief.odometry_noise)
+            refined = refine(belief.mapper, drive, belief.odometry_model)
         except MapError as error:
             self._reporter.tell(Noticed(last, f"what was seen is not looked back at: {error}"))
             return {}

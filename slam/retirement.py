@@ -19,9 +19,7 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from .landmarks import CELL, Landmarks
-from .segments import Floats
-
-Integers = NDArray[np.int64]
+from .segments import Floats, Integers
 
 STEP = 0.2  # metres between two looks that count: what is mistaken once is mistaken again from the same place
 BEHIND = 0.3  # metres from a wall's line on either side, and as many standard deviations of it besides, where
@@ -33,11 +31,7 @@ MOST_ASKED = 6  # looks that must have seen through a place; fewer where the wal
 MARGIN = 2  # cells from a wall's end or from a gap in it, where sight lines may have passed it by
 GAP = 2  # cells not looked at between two that were seen through
 LEAST_OPENING = 0.5  # metres of wall that are opened: a door, not a hole between two beams
-LEAST_LEFT, LEAST_LEFT_SHARE, MOST_LEFT = (
-    0.3,
-    1 / 3,
-    1.0,
-)  # metres, share, metres: what is left of a wall and less is none
+LEAST_LEFT, LEAST_LEFT_SHARE, MOST_LEFT = 0.3, 1 / 3, 1.0  # metres, share, metres: of a wall; less than that is none
 RECENT_WAY = 15.0  # metres of driving, in which the map does not bend
 # Metres of wall, known no later than the doubted one, that a look must see in every direction; and how many times as
 # many as it sees through. A robot that has drifted, or is elsewhere, sees through a lot.

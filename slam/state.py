@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from .observability import free_direction
-from .odometry import ADRIFT_SIGMA
+from .odometry_model import ADRIFT_SIGMA
 from .tracking import Hold, Placement
 
 IN_A_ROW = 3  # scans that must say so before the state changes

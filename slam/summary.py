@@ -20,7 +20,7 @@ def run_summary(front_end: FrontEnd, belief: Belief, statistics: RunStatistics) 
         "loops": statistics.loop_counts(),
         "loop_decisions": statistics.loops,
         "states": statistics.state_rows(),
-        "odometry_deviation_per_metre": belief.odometry_noise.deviations.round(5).tolist(),
+        "odometry_deviation_per_metre": belief.odometry_model.deviations.round(5).tolist(),
         "sigma_range": round(front_end.sigma_range, 5),
         "wall_unevenness": round(math.sqrt(belief.mapper.flatness.variance), 5),
         "timings": statistics.timings(),

@@ -17,7 +17,8 @@ from drivers import se2
 
 from .continuity import View
 from .local_map import LocalMap
-from .odometry import OdometryNoise, way_of
+from .odometry import way_of
+from .odometry_model import OdometryModel
 from .point_field import PointField, likeness, search
 from .registration import NEAR_STARTS, Registration, ScanFeatures, register
 from .segments import Floats
@@ -128,8 +129,8 @@ class _Fit:
 class Tracker:
     """The last pose that is believed, and the odometry's at that time."""
 
-    def __init__(self, noise: OdometryNoise) -> None:
-        self._noise = noise
+    def __init__(self, model: OdometryModel) -> None:
+        self._model = model
         self._firm: Place | None = None
         self._step = np.zeros(3)  # from the scan before last to the last
         self._misfits = 0  # scans in a row
@@ -201,7 +202,7 @@ class Tracker:
         """Whether the view is another one than the last; a tracker that has seen none cannot rule it out."""
         if self._view is None:
             return True
-        motion = self._noise.corrected(se2.between(self._view.odometry, view.odometry))
+        motion = self._model.corrected(se2.between(self._view.odometry, view.odometry))
         return self._view.breaks_off_before(view, motion)
 
     def _track(self, odometry: se2.Pose, scan: ScanFeatures, around: Surroundings) -> Placement:
@@ -250,7 +251,7 @@ class Tracker:
         """
         assert self._firm is not None
         predictions, leads = [self._led(self._firm, odometry)], [0.0]
-        step = self._noise.corrected(self._firm.step(odometry))
+        step = self._model.corrected(self._firm.step(odometry))
         unlike = se2.between(self._step, step)
         if np.hypot(unlike[0], unlike[1]) > UNEVEN or abs(unlike[2]) > UNEVEN_TURN:
             predictions.append(se2.compose(self._firm.pose, self._step))
@@ -262,7 +263,7 @@ class Tracker:
         return predictions, leads
 
     def _led(self, place: Place, odometry: se2.Pose) -> se2.Pose:
-        return se2.compose(place.pose, self._noise.corrected(place.step(odometry)))
+        return se2.compose(place.pose, self._model.corrected(place.step(odometry)))
 
     def _search(self, scan: ScanFeatures, around: Surroundings, near: se2.Pose, like: float) -> se2.Pose | None:
         """A pose where the scan's points lie clearly better than they do (`like`) where it was expected."""
@@ -275,7 +276,7 @@ class Tracker:
         """(3, 3): information of the pose predicted with `odometry`, in the base's frame."""
         assert self._firm is not None
         return np.asarray(
-            np.linalg.inv(self._noise.covariance(self._firm.step(odometry)) + np.diag(PREDICTION_SIGMAS**2))
+            np.linalg.inv(self._model.covariance(self._firm.step(odometry)) + np.diag(PREDICTION_SIGMAS**2))
         )
 
 

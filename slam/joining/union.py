@@ -15,7 +15,7 @@ from ..errors import MapError
 from ..flatness import WallFlatness
 from ..loops.closer import CARRYING_SIGMAS, LEAST_MERGED, Looks, together
 from ..mapper import Mapper
-from ..odometry import OdometryNoise
+from ..odometry_model import OdometryModel
 from ..refinement import drive_of
 from ..refinement.drive import Drive
 from ..refinement.rounds import motion_to
@@ -36,9 +36,9 @@ def united(first: StoredSession, second: StoredSession, agreement: Agreement) ->
     shift = shift_after(second, first.latest)
     second = shifted(second, shift)
     one, other = first.belief, own.belief
-    noise = OdometryNoise(first.config.odometry)
-    samples = np.concatenate([one.odometry_noise.samples, other.odometry_noise.samples])
-    noise.take(samples)
+    model = OdometryModel(first.config.odometry)
+    samples = np.concatenate([one.odometry_model.samples, other.odometry_model.samples])
+    model.take(samples)
     path = joined_path(one.path, other.path, count.keyframes, shift)
     stamps = [*one.keyframe_stamps, *(stamp + shift for stamp in other.keyframe_stamps)]
     sightings = [*first.sightings, *second.sightings]
@@ -46,7 +46,7 @@ def united(first: StoredSession, second: StoredSession, agreement: Agreement) ->
     starts = [*first.starts, *(row + count.sightings for row in second.starts)]
     drive = drive_of(sightings, path, stamps, carried, starts)
     motion = agreement.members[0].found.motion
-    mapper = _solved(one.mapper, other.mapper, motion, drive, noise, agreement)
+    mapper = _solved(one.mapper, other.mapper, motion, drive, model, agreement)
     belief = Belief.restored(
         first.config.odometry,
         samples,
@@ -71,7 +71,7 @@ def united(first: StoredSession, second: StoredSession, agreement: Agreement) ->
 
 
 def _solved(
-    first: Mapper, second: Mapper, motion: se2.Pose, drive: Drive, noise: OdometryNoise, agreement: Agreement
+    first: Mapper, second: Mapper, motion: se2.Pose, drive: Drive, model: OdometryModel, agreement: Agreement
 ) -> Mapper:
     """The map of both. Raises MapError where too few of the walls that are the same come together."""
     walls = len(first.landmarks.walls)
@@ -83,7 +83,7 @@ def _solved(
     nowhere = np.zeros(len(drive), dtype=bool)
     for k, (row, names) in enumerate(zip(drive.keyframes, joined_names(first, second), strict=True)):
         seen = drive.sightings[row].seen
-        reached = None if k == 0 else motion_to(k, drive, noise, poses, np.zeros((3, 3)), nowhere)
+        reached = None if k == 0 else motion_to(k, drive, model, poses, np.zeros((3, 3)), nowhere)
         mapper.extend(poses[k], reached, seen.segments, seen.corners, names)
     for member in agreement.members:
         old = _nearest(first.trail, member.found.pose)

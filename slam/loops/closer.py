@@ -11,7 +11,8 @@ from drivers import se2
 
 from ..graph import CLOSING_UPDATES
 from ..mapper import Mapper
-from .constellation import OLD_WAY, Constellation, Integers, OldMap, recent_and_old
+from ..segments import Integers
+from .constellation import OLD_WAY, Constellation, OldMap, recent_and_old
 from .proposal import Hypothesis, propose
 from .verification import Verdict, allowed_by_estimate, is_astray, is_near, verify
 

@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ..landmarks import Landmarks
-from ..segments import Floats
-
-Integers = NDArray[np.int64]
+from ..segments import Floats, Integers
 
 RECENT_WAY = 6.0  # metres of driving whose walls make the constellation, and its radius around the robot
 OLD_WAY = 15.0  # metres of driving after which a wall belongs to the old map

@@ -11,8 +11,7 @@ from numba import njit
 from drivers import se2
 
 from ..angles import turn_of
-from ..segments import Floats
-from .constellation import Integers
+from ..segments import Floats, Integers
 from .scene import Scene
 
 GATES = np.array([0.8, 0.6, 0.45, 0.3, 0.25, 0.2, 0.2])  # metres across, one a Gauss-Newton step; the last one judges

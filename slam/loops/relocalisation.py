@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ..mapper import Mapper
-from ..segments import Floats, Segments
-from .constellation import Integers
+from ..segments import Floats, Integers, Segments
 from .laying import Laid, lay, samples_of
 from .proposal import DISTINCT, DISTINCT_TURN
 from .scene import Scene, scene_of, seen_from

@@ -9,8 +9,7 @@ import numpy as np
 from drivers import se2
 
 from ..landmarks import CELL, Landmarks
-from ..segments import Floats
-from .constellation import Integers
+from ..segments import Floats, Integers
 
 BRIDGED = 2  # cells of a wall not seen between two that were: the ends of two segments, no door
 

@@ -15,8 +15,7 @@ import numpy as np
 from numba import njit
 
 from ..angles import turn_of
-from ..segments import Floats
-from .constellation import Integers
+from ..segments import Floats, Integers
 from .scene import Scene
 
 LEAST_SINE = 0.5  # of the angle between two walls that fix a motion

@@ -11,7 +11,8 @@ from drivers import se2
 
 from ..loops.closer import CARRYING_SIGMAS, LEAST_MERGED, LoopCloser, LoopDecision, strangers_to, together
 from ..mapper import Mapper, Motion
-from .drive import Drive, Integers
+from ..segments import Integers
+from .drive import Drive
 
 
 @dataclass(frozen=True, slots=True, eq=False)

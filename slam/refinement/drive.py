@@ -12,11 +12,9 @@ from drivers import se2
 
 from ..belief import CARRIED_SIGMAS
 from ..front_end import NOTHING_SEEN, Sighting
-from ..odometry import OdometryNoise
+from ..odometry_model import OdometryModel
 from ..path import Path
-from ..segments import Floats
-
-Integers = NDArray[np.int64]
+from ..segments import Floats, Integers
 
 ASTRAY_SIGMAS = np.array([0.5, 0.5, 0.3])  # metres, metres, radians: of a motion in which odometry proved wrong
 
@@ -68,7 +66,7 @@ class Drive:
         """(n, 3) of all sightings, given the keyframes' poses (k, 3)."""
         return se2.compose(keyframe_poses[self.anchors], self.relative).reshape(-1, 3)
 
-    def motion(self, row: int, to: int, noise: OdometryNoise, astray: NDArray[np.bool_]) -> tuple[se2.Pose, Floats]:
+    def motion(self, row: int, to: int, model: OdometryModel, astray: NDArray[np.bool_]) -> tuple[se2.Pose, Floats]:
         """Odometry's motion from one sighting to another, and its covariance (3, 3).
 
         `astray` (n,) says at which sightings odometry was found to be wrong: it had stood still, or jumped.
@@ -78,8 +76,8 @@ class Drive:
             return motion, np.diag(CARRIED_SIGMAS**2)
         if astray[row : to + 1].any():
             return motion, np.diag(ASTRAY_SIGMAS**2)
-        motion = noise.corrected(motion)
-        return motion, noise.covariance(motion, self.informations[to])
+        motion = model.corrected(motion)
+        return motion, model.covariance(motion, self.informations[to])
 
     def start_of(self, keyframe: int) -> int:
         """The row of the sighting from which odometry led to a keyframe: the keyframe before it, or, where a familiar

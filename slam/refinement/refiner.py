@@ -8,7 +8,7 @@ import numpy as np
 
 from ..loops.closer import LoopDecision
 from ..mapper import Mapper
-from ..odometry import OdometryNoise
+from ..odometry_model import OdometryModel
 from ..path import Path
 from ..segments import Floats
 from .closures import Closed, carried_over, missed_closure
@@ -33,14 +33,14 @@ class Refined:
     summary: dict[str, object]
 
 
-def laid_path(mapper: Mapper, drive: Drive, noise: OdometryNoise) -> Path:
+def laid_path(mapper: Mapper, drive: Drive, model: OdometryModel) -> Path:
     """The path of a drive with every sighting laid over the map as it is."""
     poses = mapper.trail
-    everywhere, _ = refine_path(mapper, drive, noise, poses, np.zeros(len(drive), dtype=bool))
+    everywhere, _ = refine_path(mapper, drive, model, poses, np.zeros(len(drive), dtype=bool))
     return drive.path(poses, everywhere)
 
 
-def refine(mapper: Mapper, drive: Drive, noise: OdometryNoise) -> Refined:
+def refine(mapper: Mapper, drive: Drive, model: OdometryModel) -> Refined:
     """Refine the map of a drive. The mapper is settled; it is left as it is."""
     first, cost = mapper.graph.keyframe_poses(mapper.keyframe_count), mapper.graph.chi2()
     poses, astray = first, np.zeros(len(drive), dtype=bool)
@@ -48,7 +48,7 @@ def refine(mapper: Mapper, drive: Drive, noise: OdometryNoise) -> Refined:
     done = changed = merged = 0
     left, shift = MOST_ROUNDS, np.inf
     while left and shift > AT_REST:
-        result = refine_once(mapper, drive, noise, poses, astray)
+        result = refine_once(mapper, drive, model, poses, astray)
         shift = float(np.max(np.hypot(*(result.poses - poses)[:, :2].T)))
         mapper, poses, astray = result.mapper, result.poses, result.astray
         done, changed, merged = done + 1, changed + result.changed, merged + result.merged
@@ -59,7 +59,7 @@ def refine(mapper: Mapper, drive: Drive, noise: OdometryNoise) -> Refined:
         if closed is not None:
             mapper, poses, shift = closed.mapper, closed.mapper.trail, np.inf
             closures, left = [*closures, closed.decision], MOST_ROUNDS
-    everywhere, explained = refine_path(mapper, drive, noise, poses, astray)
+    everywhere, explained = refine_path(mapper, drive, model, poses, astray)
     moved = np.hypot(*(poses - first)[:, :2].T)
     summary: dict[str, object] = {
         "rounds": done,

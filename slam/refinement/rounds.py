@@ -11,7 +11,7 @@ from drivers import se2
 
 from ..association import associate
 from ..mapper import Mapper, Motion, Names
-from ..odometry import OdometryNoise, fused_motion
+from ..odometry_model import OdometryModel, fused_motion
 from ..registration import Registration
 from ..segments import Floats
 from .drive import Drive
@@ -42,7 +42,7 @@ class Round:
     changed: int
 
 
-def refine_once(old: Mapper, drive: Drive, noise: OdometryNoise, poses: Floats, astray: NDArray[np.bool_]) -> Round:
+def refine_once(old: Mapper, drive: Drive, model: OdometryModel, poses: Floats, astray: NDArray[np.bool_]) -> Round:
     """Associate what every keyframe of the drive saw with the landmarks of `old`, and solve all from there.
 
     `poses` (k, 3) are those of the keyframes; `astray` (n,) says which sightings are already known to be.
@@ -56,7 +56,7 @@ def refine_once(old: Mapper, drive: Drive, noise: OdometryNoise, poses: Floats, 
     recount(new.landmarks, drive, names, placed)
     motions: list[Motion | None] = [None]
     motions += [
-        motion_to(k, drive, noise, placed, laid[k].point_information, astray) for k in range(1, len(drive.keyframes))
+        motion_to(k, drive, model, placed, laid[k].point_information, astray) for k in range(1, len(drive.keyframes))
     ]
     for k, row in enumerate(drive.keyframes):
         seen = drive.sightings[row].seen
@@ -96,7 +96,7 @@ def _associate(
 def motion_to(
     keyframe: int,
     drive: Drive,
-    noise: OdometryNoise,
+    model: OdometryModel,
     placed: Floats,
     point_information: Floats,
     astray: NDArray[np.bool_],
@@ -104,7 +104,7 @@ def motion_to(
     """The motion to a keyframe from an earlier one, when keyframes are placed at (k, 3)."""
     start, row = drive.start_of(keyframe), int(drive.keyframes[keyframe])
     anchor, relative = int(drive.anchors[start]), drive.relative[start]
-    claimed, covariance = drive.motion(start, row, noise, astray)
+    claimed, covariance = drive.motion(start, row, model, astray)
     found = se2.between(se2.compose(placed[anchor], relative), placed[keyframe])
     claimed, covariance = fused_motion(claimed, covariance, found, point_information)
     if start != drive.keyframes[keyframe - 1]:

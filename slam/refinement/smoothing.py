@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ..graph import smooth_chain
 from ..mapper import Mapper
-from ..odometry import OdometryNoise
+from ..odometry_model import OdometryModel
 from ..segments import Floats
 from .drive import Drive
 from .placing import Place
@@ -18,7 +18,7 @@ CLAIMED_SHARE = 0.3
 
 
 def refine_path(
-    mapper: Mapper, drive: Drive, noise: OdometryNoise, poses: Floats, astray: NDArray[np.bool_]
+    mapper: Mapper, drive: Drive, model: OdometryModel, poses: Floats, astray: NDArray[np.bool_]
 ) -> tuple[Floats, Floats]:
     """Poses (n, 3) of all sightings, and the share (n,) of its wall that the map explains of each.
 
@@ -37,7 +37,7 @@ def refine_path(
             placed[row] = laid.registration.pose
             informations[row] = laid.registration.held_by
         astray[row] |= laid.astray
-    motions = [drive.motion(row, row + 1, noise, astray) for row in range(len(drive) - 1)]
+    motions = [drive.motion(row, row + 1, model, astray) for row in range(len(drive) - 1)]
     smoothed = smooth_chain(
         placed,
         CLAIMED_SHARE * informations,

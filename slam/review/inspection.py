@@ -6,9 +6,9 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from ..events import GraphInspected, Integers, MapCorners, MapLines
+from ..events import GraphInspected, MapCorners, MapLines
 from ..residuals import ALONG, CORNER, ODOMETRY, SAME_WALL, WALL, Residuals
-from ..segments import Floats
+from ..segments import Floats, Integers
 from . import colours
 from .colours import Colour
 from .documents import residual_report

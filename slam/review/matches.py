@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..events import Integers, KeyframeAdded
-from ..segments import Floats
+from ..events import KeyframeAdded
+from ..segments import Floats, Integers
 
 
 @dataclass(frozen=True, slots=True, eq=False)

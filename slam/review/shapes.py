@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from drivers import se2
 
-from ..events import Integers, MapCorners, MapLines
-from ..segments import Floats, Segments
+from ..events import MapCorners, MapLines
+from ..segments import Floats, Integers, Segments
 
 Drawn = NDArray[np.float32]
 

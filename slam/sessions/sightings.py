@@ -21,10 +21,9 @@ from ..mapper import KEPT_VIEWS, Names
 from ..path import Path
 from ..point_field import ScanPoints
 from ..registration import ScanFeatures
-from ..segments import CornerPoints, Floats, Segments
+from ..segments import CornerPoints, Floats, Integers, Segments
 from .tables import Columns, Ragged, ragged, write_table
 
-Integers = NDArray[np.int64]
 Number = TypeVar("Number", bound=np.generic)
 
 POINT_UNIT = 1e-3  # metres

@@ -95,7 +95,7 @@ def write_stored(directory: Path, stored: StoredSession) -> None:
     folder.mkdir()
     belief, mapper = stored.belief, stored.belief.mapper
     graph = mapper.graph.state()
-    learned = stored.sigma_range, belief.odometry_noise.samples, mapper.flatness.samples
+    learned = stored.sigma_range, belief.odometry_model.samples, mapper.flatness.samples
     starts, standing, looks = list(stored.starts), belief.standing, belief.loops.looks
     head = Head.of(stored.recordings, starts, standing, looks, (graph.updates, graph.qr), learned)
     sighted = Sighted(list(stored.sightings), belief.path, belief.keyframe_stamps, mapper.names)

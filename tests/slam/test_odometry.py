@@ -12,7 +12,8 @@ from drivers.world import World
 from features import Extractor, Noise
 from slam.config import OdometryConfig
 from slam.deskew import deskew, loosen, middle_of
-from slam.odometry import OdometryHistory, OdometryNoise, fused_motion, way_of
+from slam.odometry import OdometryHistory, way_of
+from slam.odometry_model import OdometryModel, fused_motion
 from slam.path import Path
 from slam.segments import corner_points, segments_from_lines
 
@@ -63,7 +64,7 @@ def test_a_stamp_told_twice_or_too_late_replaces_the_last() -> None:
 
 @pytest.mark.parametrize(("translation", "rotation"), [(0.05, 0.03), (0.2, 0.1)])
 def test_rates_are_learned_in_spite_of_gross_errors(translation: float, rotation: float) -> None:
-    random, noise = np.random.default_rng(0), OdometryNoise(OdometryConfig())
+    random, noise = np.random.default_rng(0), OdometryModel(OdometryConfig())
     for k in range(400):
         claimed = np.array([random.uniform(0.1, 0.5), 0.0, random.uniform(-0.2, 0.2)])
         way = way_of(claimed)
@@ -76,26 +77,26 @@ def test_rates_are_learned_in_spite_of_gross_errors(translation: float, rotation
 
 def test_nothing_is_learned_where_that_is_configured_or_the_robot_stands() -> None:
     claimed, found = np.array([1.0, 0.0, 0.0]), np.array([1.5, 0.0, 0.5])
-    fixed = OdometryNoise(OdometryConfig(learn=False))
+    fixed = OdometryModel(OdometryConfig(learn=False))
     before = fixed.deviations.copy()
     fixed.learn(claimed, found, HELD)
     np.testing.assert_array_equal(fixed.deviations, before)
-    noise = OdometryNoise(OdometryConfig())
+    noise = OdometryModel(OdometryConfig())
     noise.learn(0.01 * claimed, found, HELD)
     np.testing.assert_array_equal(noise.deviations, before)
     assert np.linalg.eigvalsh(noise.covariance(np.zeros(3))).min() > 0
 
 
 def test_a_corridor_does_not_teach_that_odometry_is_right_along_it() -> None:
-    random, noise = np.random.default_rng(0), OdometryNoise(OdometryConfig(translation_error=0.1))
+    random, noise = np.random.default_rng(0), OdometryModel(OdometryConfig(translation_error=0.1))
     claimed = np.array([0.3, 0.0, 0.0])
     for _ in range(200):
         noise.learn(claimed, se2.compose(claimed, [0.0, random.normal(0, 1e-3), random.normal(0, 0.01)]), CORRIDOR)
-    assert noise.deviations == pytest.approx(OdometryNoise(OdometryConfig(translation_error=0.1)).deviations)
+    assert noise.deviations == pytest.approx(OdometryModel(OdometryConfig(translation_error=0.1)).deviations)
 
 
 def test_what_is_common_to_all_motions_is_taken_out_of_them() -> None:
-    random, noise = np.random.default_rng(0), OdometryNoise(OdometryConfig())
+    random, noise = np.random.default_rng(0), OdometryModel(OdometryConfig())
     length, turning, veer = 0.96, 1.1, 0.05
     for k in range(400):
         claimed = np.array([random.uniform(0.2, 0.4), 0.0, random.choice([0.0, random.uniform(-0.4, 0.4)])])
@@ -107,13 +108,13 @@ def test_what_is_common_to_all_motions_is_taken_out_of_them() -> None:
     assert noise.systematic == pytest.approx([length, turning, veer], abs=0.01)
     np.testing.assert_allclose(noise.corrected(claimed), found, atol=0.01)
     assert noise.deviations[0] < 0.02  # what was taken out is not noise any more
-    again = OdometryNoise(OdometryConfig())
+    again = OdometryModel(OdometryConfig())
     again.take(noise.samples)
     np.testing.assert_array_equal(again.systematic, noise.systematic)
 
 
 def test_errors_add_up_where_nothing_holds_the_robot() -> None:
-    noise, step = OdometryNoise(OdometryConfig(translation_error=0.1)), np.array([0.3, 0.0, 0.0])
+    noise, step = OdometryModel(OdometryConfig(translation_error=0.1)), np.array([0.3, 0.0, 0.0])
     held, adrift = noise.covariance(step, HELD), noise.covariance(step, CORRIDOR)
     np.testing.assert_array_equal(held, noise.covariance(step))
     np.testing.assert_allclose(adrift[1:, 1:], held[1:, 1:], rtol=1e-3)
@@ -205,7 +206,7 @@ def test_a_change_of_speed_is_no_jitter() -> None:
 def test_a_longer_sweep_makes_lines_less_certain() -> None:
     angles = np.linspace(-np.pi, np.pi, 360, endpoint=False)
     ranges = 2.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))
-    noise, variances = OdometryNoise(OdometryConfig()), []
+    noise, variances = OdometryModel(OdometryConfig()), []
     for duration in (0.0, 0.1, 0.4):
         scan = Scan(0.5, ranges, angles, np.linspace(0.0, duration, 360), 0.1, 10.0)
         sweep = deskew(scan, history(), np.zeros(3))

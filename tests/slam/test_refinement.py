@@ -19,7 +19,7 @@ from slam.evaluation import score_reference
 from slam.events import Event, GraphInspected, MapUpdated
 from slam.front_end import FrontEnd, Sighting
 from slam.mapper import Mapper, Motion, Names
-from slam.odometry import OdometryNoise
+from slam.odometry_model import OdometryModel
 from slam.point_field import ScanPoints
 from slam.refinement import Drive, drive_of, refine
 from slam.refinement.renaming import recount
@@ -54,7 +54,7 @@ class Driven:
 
     mapper: Mapper
     drive: Drive
-    noise: OdometryNoise
+    noise: OdometryModel
     messages: list[Message]
 
     @property
@@ -71,12 +71,12 @@ def driven() -> Driven:
             continue
         front_end.add(message)
         while (scan := front_end.next_scan()) is not None:
-            sightings.append(front_end.sight(scan, estimator.belief.odometry_noise))
+            sightings.append(front_end.sight(scan, estimator.belief.odometry_model))
             estimator.take(sightings[-1], Clock())
     belief = estimator.belief
     belief.mapper.settle()
     drive = drive_of(sightings, belief.path, belief.keyframe_stamps, belief.carried_keyframes)
-    return Driven(belief.mapper, drive, belief.odometry_noise, messages)
+    return Driven(belief.mapper, drive, belief.odometry_model, messages)
 
 
 def walls_of(mapper: Mapper) -> np.ndarray:
@@ -196,7 +196,7 @@ def visited_twice() -> tuple[Drive, np.ndarray, np.ndarray]:
 
 def test_a_loop_that_was_never_closed_is_closed() -> None:
     drive, true, claimed = visited_twice()
-    noise, mapper = OdometryNoise(OdometryConfig()), Mapper()
+    noise, mapper = OdometryModel(OdometryConfig()), Mapper()
     certain = np.zeros(len(drive), dtype=bool)
     for end in (0, -1):  # the room as the first and the last sighting have it
         for wall in ROOM:

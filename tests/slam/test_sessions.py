@@ -78,7 +78,7 @@ def test_all_that_the_estimate_rests_on_is_read_back(left: tuple[StoredSession, 
     assert other.mapper.landmarks.opened == one.mapper.landmarks.opened
     assert other.mapper.doubts.counts == one.mapper.doubts.counts
     assert other.mapper.flatness.variance == one.mapper.flatness.variance
-    np.testing.assert_array_equal(other.odometry_noise.deviations, one.odometry_noise.deviations)
+    np.testing.assert_array_equal(other.odometry_model.deviations, one.odometry_model.deviations)
     for before, after in zip(one.mapper.names, other.mapper.names, strict=True):
         np.testing.assert_array_equal(after.walls, before.walls)
         np.testing.assert_array_equal(after.corners, before.corners)
