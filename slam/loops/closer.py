@@ -14,7 +14,15 @@ from ..mapper import Mapper
 from ..segments import Integers
 from .constellation import OLD_WAY, Constellation, OldMap, recent_and_old
 from .proposal import Hypothesis, propose
-from .verification import Verdict, allowed_by_estimate, is_astray, is_near, verify
+from .verification import (
+    Verdict,
+    allowed_by_estimate,
+    is_astray,
+    is_near,
+    rivalled_by_odometry,
+    robot_motion,
+    verify,
+)
 
 INTERVAL = 1.5  # metres of driving between two looks
 LEAST_NEW = 4.0  # metres of new wall in the constellation: where all has long been known, there is nothing to close
@@ -141,7 +149,7 @@ class LoopCloser:
         near: bool,
     ) -> LoopDecision:
         self._candidates += 1
-        motion = _in_robots_frame(best, mapper)
+        motion = robot_motion(best, mapper.pose)
         if any(_agree(refused, best.motion, mapper.pose) for refused in self._refused):
             verdict = replace(verdict, accepted=False, reason="has proved wrong before")
         status = "rejected"
@@ -240,7 +248,7 @@ def _judge(
     That is uncertain relative to the keyframe that the old place was `seen_from`; by how much costs more to ask than
     all else.
     """
-    motion, last = _in_robots_frame(hypotheses[1], mapper), mapper.keyframe_count - 1
+    motion, last = robot_motion(hypotheses[1], mapper.pose), mapper.keyframe_count - 1
     views = [(mapper.graph.keyframe_pose(k), segments) for k, segments in mapper.views]
     near = is_near(motion)
     verdict = verify(hypotheses, recent, old, mapper.landmarks, mapper.pose, views, near=near)
@@ -249,14 +257,12 @@ def _judge(
     covariance = mapper.graph.relative_covariance(seen_from, last)
     if near and not is_astray(motion, covariance):
         return verify(hypotheses, recent, old, mapper.landmarks, mapper.pose, views, near=False), False
-    test = allowed_by_estimate(motion, covariance)
-    verdict = replace(verdict, tests=(*verdict.tests, test))
-    return (verdict if test.passed else replace(verdict, accepted=False, reason=test.failing)), near
-
-
-def _in_robots_frame(hypothesis: Hypothesis, mapper: Mapper) -> se2.Pose:
-    """The motion of the robot by a hypothesis, [x, y, heading] in its own frame."""
-    return se2.between(mapper.pose, se2.compose(hypothesis.motion, mapper.pose))
+    tests = [allowed_by_estimate(motion, covariance)]
+    if not near:  # else walls that were taken for others have pulled the estimate elsewhere
+        tests.append(rivalled_by_odometry(hypotheses, mapper.pose, covariance))
+    verdict = replace(verdict, tests=(*verdict.tests, *tests))
+    failed = next((test.failing for test in tests if not test.passed), None)
+    return (verdict if failed is None else replace(verdict, accepted=False, reason=failed)), near
 
 
 def _agree(motion: se2.Pose, other: se2.Pose, pose: se2.Pose) -> bool:

@@ -32,7 +32,9 @@ NEAR, NEAR_TURN, NEAR_EXPLAINED, NEAR_GAIN = 1.0, np.radians(6.0), 0.4, 1.5  # m
 MOST_UNEXPECTED = 1.5**2 * 16.3
 # By how much walls that were taken for others may have pulled the estimate besides its uncertainty, metres and radians.
 ASTRAY_SIGMAS = np.array([0.25, 0.25, np.radians(3.0)])
-RUNNER_UP = 0.85  # a different motion that explains this share of what the best one does makes the place ambiguous
+# A different motion that explains this share of what the best one does makes the place ambiguous; less of it will do
+# where odometry speaks for the other one rather.
+RUNNER_UP, LIKELIER_RUNNER_UP = 0.85, 0.70
 # Share of the wall length seen that could not have been seen through the old walls. Doors open and things are moved:
 # what contradicts staying put as much says nothing against moving.
 MOST_CONTRADICTED = 0.10
@@ -142,13 +144,31 @@ def allowed_by_estimate(motion: se2.Pose, covariance: Floats) -> Test:
     return Test("unexpected", deviations, float(np.sqrt(MOST_UNEXPECTED)), False, failing)
 
 
+def rivalled_by_odometry(hypotheses: Sequence[Hypothesis], pose: se2.Pose, covariance: Floats) -> Test:
+    """Whether of another place nearly as much is explained as of the second hypothesis', and odometry speaks for that
+    rather. `covariance` is given as above."""
+    best = hypotheses[1]
+    loose = covariance + np.diag(ASTRAY_SIGMAS**2)
+    own = _unexpectedness(robot_motion(best, pose), loose)
+    rivals = [h for h in hypotheses if h is not best and distinct(h.motion, best.motion, pose)]
+    likelier = [h for h in rivals if _unexpectedness(robot_motion(h, pose), loose) <= own]
+    share = max((_rivalry(rival, best) for rival in likelier), default=0.0)
+    failing = f"another place explains {share:.0%} as much, and odometry speaks for it rather"
+    return Test("likelier-rival", share, LIKELIER_RUNNER_UP, False, failing)
+
+
+def robot_motion(hypothesis: Hypothesis, pose: se2.Pose) -> se2.Pose:
+    """The motion [x, y, heading] of the robot at `pose` by a hypothesis, in its own frame."""
+    return se2.between(pose, se2.compose(hypothesis.motion, pose))
+
+
 def _unexpectedness(motion: se2.Pose, covariance: Floats) -> float:
     return float(motion @ np.linalg.solve(covariance, motion))
 
 
 def _driftwise(hypothesis: Hypothesis, old: OldMap, pose: se2.Pose) -> tuple[float, float, float]:
     """Metres and radians by which the robot would move, and how many times that is what drift is expected to do."""
-    moved = se2.between(pose, se2.compose(hypothesis.motion, pose))
+    moved = robot_motion(hypothesis, pose)
     shift, turn = float(np.hypot(moved[0], moved[1])), abs(float(moved[2]))
     matched = hypothesis.matches[hypothesis.matches >= 0]
     translation, rotation = old.translation[matched].max(initial=1e-9), old.rotation[matched].max(initial=1e-9)
