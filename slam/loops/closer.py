@@ -153,6 +153,8 @@ class LoopCloser:
         if any(_agree(refused, best.motion, mapper.pose) for refused in self._refused):
             verdict = replace(verdict, accepted=False, reason="has proved wrong before")
         status = "rejected"
+        if verdict.ambiguous:  # now that more was seen: so were the looks before it
+            self._held = [look for look in self._held if not _agree(look.motion, best.motion, mapper.pose)]
         if verdict.accepted:
             status = "agreed" if self._borne_out(best, sight[0], mapper, near=near) else "held"
         keyframe = mapper.keyframe_count - 1

@@ -35,6 +35,7 @@ ASTRAY_SIGMAS = np.array([0.25, 0.25, np.radians(3.0)])
 # A different motion that explains this share of what the best one does makes the place ambiguous; less of it will do
 # where odometry speaks for the other one rather.
 RUNNER_UP, LIKELIER_RUNNER_UP = 0.85, 0.70
+RIVAL, LIKELIER_RIVAL = "runner-up", "likelier-rival"  # names of the tests for that
 # Share of the wall length seen that could not have been seen through the old walls. Doors open and things are moved:
 # what contradicts staying put as much says nothing against moving.
 MOST_CONTRADICTED = 0.10
@@ -70,6 +71,11 @@ class Verdict:
     sigma: float
     contradicted: float
     tests: tuple[Test, ...] = ()
+
+    @property
+    def ambiguous(self) -> bool:
+        """Whether another place is nearly as good."""
+        return any(test.name in (RIVAL, LIKELIER_RIVAL) and not test.passed for test in self.tests)
 
     @property
     def casts_doubt(self) -> bool:
@@ -112,7 +118,7 @@ def verify(
         Test("gain", gain, least_gain, True, better),
         Test("walls", matches, LEAST_MATCHES, True, f"{matches} walls < {LEAST_MATCHES}"),
         Test("sigma", sigma, WORST_SIGMA, False, f"one direction known to {sigma:.2f} m only"),
-        Test("runner-up", runner_up, RUNNER_UP, False, f"another place explains {runner_up:.0%} as much"),
+        Test(RIVAL, runner_up, RUNNER_UP, False, f"another place explains {runner_up:.0%} as much"),
         Test("contradicted", contradicted, allowed, False, f"{contradicted:.0%} was seen through old walls"),
     )
     reason = next((test.failing for test in tests if not test.passed), "")
@@ -154,7 +160,7 @@ def rivalled_by_odometry(hypotheses: Sequence[Hypothesis], pose: se2.Pose, covar
     likelier = [h for h in rivals if _unexpectedness(robot_motion(h, pose), loose) <= own]
     share = max((_rivalry(rival, best) for rival in likelier), default=0.0)
     failing = f"another place explains {share:.0%} as much, and odometry speaks for it rather"
-    return Test("likelier-rival", share, LIKELIER_RUNNER_UP, False, failing)
+    return Test(LIKELIER_RIVAL, share, LIKELIER_RUNNER_UP, False, failing)
 
 
 def robot_motion(hypothesis: Hypothesis, pose: se2.Pose) -> se2.Pose:
