@@ -10,7 +10,7 @@ A corner is a Point2 seen by bearing and range with a full covariance. All arith
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
+from collections.abc import Callable, Container, Sequence
 from typing import NamedTuple
 
 import gtsam
@@ -359,15 +359,15 @@ class FactorGraph:
 
     def keyframe_covariance(self, index: int) -> Floats:
         """(3, 3): covariance of a keyframe's pose, in its own frame."""
-        return KERNEL_CAUTION * np.asarray(self._isam.marginalCovariance(X(index)))
+        return KERNEL_CAUTION * self._marginal_covariance(X(index))
 
     def wall_covariance(self, wall: int) -> Floats:
         """(2, 2): covariance of a wall's offset across and heading in the map, at its frame."""
-        return KERNEL_CAUTION * np.asarray(self._isam.marginalCovariance(L(wall)))[1:, 1:]
+        return KERNEL_CAUTION * self._marginal_covariance(L(wall))[1:, 1:]
 
     def corner_covariance(self, corner: int) -> Floats:
         """(2, 2): covariance of a corner's position in the map."""
-        return KERNEL_CAUTION * np.asarray(self._isam.marginalCovariance(C(corner)))
+        return KERNEL_CAUTION * self._marginal_covariance(C(corner))
 
     def walls_covariances(self, pairs: Integers) -> Floats:
         """(n, 4, 4): joint covariances of pairs (n, 2) of walls: offset and heading in the map, each at its own frame.
@@ -383,12 +383,20 @@ class FactorGraph:
             covariances[first : first + len(some)] = joint[numbers[:, :, None], numbers[:, None, :]]
         return KERNEL_CAUTION * covariances
 
+    def _marginal_covariance(self, key: int) -> Floats:
+        return self._ask(lambda isam: np.asarray(isam.marginalCovariance(key)))
+
     def _joint_covariance(self, keys: Sequence[int]) -> Floats:
-        try:
-            return np.asarray(self._isam.jointMarginalCovariance(keys).fullMatrix())
-        except RuntimeError as error:
-            self._factorize_by_qr(error)
-        return np.asarray(self._isam.jointMarginalCovariance(keys).fullMatrix())
+        return self._ask(lambda isam: np.asarray(isam.jointMarginalCovariance(keys).fullMatrix()))
+
+    def _ask(self, question: Callable[[gtsam.ISAM2], Floats]) -> Floats:
+        """What Cholesky cannot answer is asked of QR; which is slower, and stays. Raises MapError where it cannot
+        either."""
+        while True:
+            try:
+                return question(self._isam)
+            except RuntimeError as error:
+                self._factorize_by_qr(error)
 
     def relative_covariance(self, old: int, keyframe: int) -> Floats:
         """(3, 3): covariance of a keyframe's pose relative to an older one, in its own frame."""

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
+import gtsam
 import numpy as np
 import pytest
 
@@ -283,6 +286,33 @@ def test_qr_goes_on_where_cholesky_gave_up() -> None:
     np.testing.assert_allclose(qr.keyframe_covariance(6), cholesky.keyframe_covariance(6), rtol=1e-4)
     with pytest.raises(MapError, match="Indeterminate"):
         qr._factorize_by_qr(RuntimeError("Indeterminate linear system"))
+
+
+class Choking:
+    """An ISAM2 that cannot answer."""
+
+    def __init__(self, isam: gtsam.ISAM2) -> None:
+        self._isam = isam
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._isam, name)
+
+    def marginalCovariance(self, key: int) -> None:  # noqa: N802
+        raise RuntimeError("Indeterminate linear system")
+
+    def jointMarginalCovariance(self, keys: Sequence[int]) -> None:  # noqa: N802
+        raise RuntimeError("Indeterminate linear system")
+
+
+@pytest.mark.parametrize("ask", [lambda g: g.keyframe_covariance(6), lambda g: g.relative_covariance(0, 6)])
+def test_qr_answers_what_cholesky_cannot(ask: Callable[[FactorGraph], np.ndarray]) -> None:
+    graph = graph_of(make_world(1))
+    before = ask(graph)
+    graph._isam = Choking(graph._isam)
+    np.testing.assert_allclose(ask(graph), before, rtol=1e-4, atol=1e-12)
+    graph._isam = Choking(graph._isam)
+    with pytest.raises(MapError, match="Indeterminate"):
+        ask(graph)
 
 
 def test_one_wrong_view_does_not_bend_the_map() -> None:
