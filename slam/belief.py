@@ -17,9 +17,10 @@ from drivers import se2
 from .association import associate
 from .config import OdometryConfig
 from .front_end import Sighting
+from .keyframe_records import KeyframeView, Merge, Motion
 from .local_map import empty_local_map
 from .loops.closer import Looks, LoopCloser, LoopDecision, close
-from .mapper import REACH_MARGIN, KeyframeView, Mapper, Merge, Motion
+from .mapper import REACH_MARGIN, Mapper
 from .observability import free_direction
 from .odometry_model import OdometryModel, fused_motion
 from .path import Path

@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 
 from .belief import Belief, Extension
 from .front_end import Sighting
+from .keyframe_records import KeyframeView
 from .loops.closer import LoopDecision
 from .loops.probation import Probation
-from .mapper import KeyframeView, Mapper
+from .mapper import Mapper
 from .statistics import Clock
 from .tracking import Placement
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import copy
 from collections import defaultdict, deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from drivers import se2
 from .association import UNMATCHED, Association
 from .flatness import WallFlatness, uneven
 from .graph import KERNEL_CAUTION, Factor, FactorGraph, GraphState, Kind
+from .keyframe_records import KeyframeRecords, KeyframeView, Merge, Motion, Names
 from .landmarks import Landmarks
 from .local_map import LocalMap, local_map_around
 from .merging import LEAST_OBSERVATIONS, find_duplicate
@@ -31,66 +31,6 @@ WELL_KNOWN_OBSERVATIONS = 4  # keyframes after which a wall can judge the scatte
 KEPT_VIEWS = 25  # keyframes whose segments are kept for judging loop closures
 REFRESH_ALL = 20  # keyframes after which the estimate of every landmark is read back, not only of those around
 SMALLEST_REACH = 0.2  # metres: a corner nearer to the base's origin has no bearing to speak of
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class KeyframeView:
-    """What a keyframe saw, and which landmarks that is.
-
-    walls (n,) and corner_landmarks (m,) are identities, -1 for what is too ambiguous to be assigned; the distances are
-    squared Mahalanobis distances to the nearest candidate, NaN without one; that is nearest_wall and nearest_corner,
-    identities, -1 without one, whether it was taken or not. new_walls are identities.
-    """
-
-    segments: Segments
-    corners: CornerPoints
-    walls: Integers
-    wall_distance: Floats
-    nearest_wall: Integers
-    corner_landmarks: Integers
-    corner_distance: Floats
-    nearest_corner: Integers
-    new_walls: Integers
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Names:
-    """Which landmarks a keyframe saw: identities for its segments (n,) and corners (m,), -1 for what is ambiguous."""
-
-    walls: Integers
-    corners: Integers
-
-    def __deepcopy__(self, memo: dict[int, object]) -> Names:
-        """Itself: names are never changed."""
-        return self
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class KeyframeRecords:
-    """What a mapper remembers of its k keyframes, beside the graph; see there."""
-
-    trail: Floats
-    ways: Sequence[float]
-    names: Sequence[Names]
-    covariances: Sequence[Floats]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Motion:
-    """The motion [x, y, heading] from an earlier keyframe to a new one, covariance (3, 3) in the new one's frame."""
-
-    start: int
-    motion: se2.Pose
-    covariance: Floats
-
-
-@dataclass(frozen=True, slots=True)
-class Merge:
-    """The wall `absorbed` is the wall `kept`, found at a squared Mahalanobis distance."""
-
-    kept: int
-    absorbed: int
-    distance: float
 
 
 class Mapper:

@@ -1,7 +1,8 @@
 """The factor graph; the only place that knows GTSAM."""
 
-from .backend import CLOSING_UPDATES, KERNEL_CAUTION, FactorGraph
+from .backend import CLOSING_UPDATES, FactorGraph
 from .chain import smooth_chain
+from .covariances import KERNEL_CAUTION
 from .factors import CAUCHY_SCALES, Factor, GraphState, Kind, root_information
 
 __all__ = [

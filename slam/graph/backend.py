@@ -11,7 +11,6 @@ A corner is a Point2 seen by bearing and range with a full covariance. All arith
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Sequence
-from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -22,6 +21,7 @@ from slam.errors import MapError
 from slam.residuals import CORNER, ODOMETRY, WALL, Residuals
 from slam.segments import Floats, Integers
 
+from .covariances import KERNEL_CAUTION, LandmarkCovariances, landmark_covariances
 from .factors import CAUCHY_SCALE, ODOMETRY_CAUCHY_SCALE, WALL_CAUCHY_SCALE, Factor, GraphState, Kind, made, pose2
 from .residuals import residuals_of
 
@@ -31,11 +31,6 @@ RELINEARIZE_POSE = np.array([0.2, 0.2, 0.02])
 RELINEARIZE_WALL = np.array([0.4, 0.2, 0.02])
 RELINEARIZE_CORNER = np.array([0.2, 0.2])
 RELINEARIZE_SKIP = 10  # updates; a tenth of the cost of relinearising at each update, for the same result
-# The kernel takes weight from honest observations, too: w = 1 / (1 + s / 8) for the squared error s, which is
-# chi-square with 1 degree of freedom. The Hessian so weighted claims 1 / E[w] = 1.105 times the covariance of plain
-# least squares; an M-estimator's own, E[w^2 s] / E[w + 2 s dw/ds]^2, is 1.034 times it. This is the latter divided by
-# the former, for the marginals that are told; association compares with what the graph itself believes.
-KERNEL_CAUTION = 0.936
 CAUCHY_SCALES = {ODOMETRY: ODOMETRY_CAUCHY_SCALE, WALL: WALL_CAUCHY_SCALE, CORNER: CAUCHY_SCALE}
 REBUILDS = 3  # Gauss-Newton steps on everything
 SETTLING_UPDATES = 5  # at most; the first moves by what was left to the threshold
@@ -68,22 +63,6 @@ def _graph_of(factors: Sequence[Factor]) -> gtsam.NonlinearFactorGraph:
     for factor in factors:
         graph.add(made(factor))
     return graph
-
-
-class LandmarkCovariances(NamedTuple):
-    """How well a keyframe and landmarks are known.
-
-    pose             (3, 3) of the keyframe in the map's axes
-    walls            (n, 2, 2) of the offset across and the heading at the wall's frame, as seen from the keyframe
-    corners          (m, 2, 2) of the position in the map's axes, as seen from the keyframe
-    walls_in_map, corners_in_map   the same, in the map
-    """
-
-    pose: Floats
-    walls: Floats
-    corners: Floats
-    walls_in_map: Floats
-    corners_in_map: Floats
 
 
 class FactorGraph:
@@ -414,37 +393,4 @@ class FactorGraph:
         keys = [X(keyframe), *(L(j) for j in walls), *(C(j) for j in corners)]
         joint = self._joint_covariance(keys)
         pose = self.keyframe_pose(keyframe)
-        own = joint[:3, :3]
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        ends = np.cumsum([3, *(3 for _ in walls), *(2 for _ in corners)])
-        wall_covariances = _relative(
-            joint, ends[: len(walls)], 3, se2.adjoint(se2.between(self.wall_frames(walls), pose))
-        )
-        lever = self.corner_positions(corners) - pose[:2]
-        carry = np.zeros((len(corners), 2, 3))
-        carry[:, 0, 0] = carry[:, 1, 1] = 1.0
-        carry[:, 0, 2], carry[:, 1, 2] = -lever[:, 1], lever[:, 0]
-        corner_covariances = _relative(joint, ends[len(walls) : -1], 2, carry @ rotation)
-        blocks = [joint[at : at + 3, at : at + 3][1:, 1:] for at in ends[: len(walls)]]
-        points = [joint[at : at + 2, at : at + 2] for at in ends[len(walls) : -1]]
-        return LandmarkCovariances(
-            rotation @ own @ rotation.T,
-            wall_covariances[:, 1:, 1:],
-            corner_covariances,
-            KERNEL_CAUTION * np.array(blocks).reshape(-1, 2, 2),
-            KERNEL_CAUTION * np.array(points).reshape(-1, 2, 2),
-        )
-
-
-def _relative(joint: Floats, begins: Floats, size: int, carry: Floats) -> Floats:
-    """(n, size, size): covariances of landmarks at `begins` (n,) of a joint covariance, less the error of the pose at
-    its beginning, which `carry` (n, size, 3) takes to each."""
-    at = begins[:, None] + np.arange(size)
-    own, cross = joint[:3, :3], joint[at, :3] @ carry.transpose(0, 2, 1)
-    return np.asarray(
-        joint[at[:, :, None], at[:, None, :]]
-        + carry @ own @ carry.transpose(0, 2, 1)
-        - cross
-        - cross.transpose(0, 2, 1)
-    )
+        return landmark_covariances(joint, pose, self.wall_frames(walls), self.corner_positions(corners))

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from drivers import se2
 
+from ..keyframe_records import Names
 from ..landmarks import Landmarks
-from ..mapper import Mapper, Names
+from ..mapper import Mapper
 from ..odometry import OdometryHistory
 from ..path import Path
 from ..sessions import StoredSession

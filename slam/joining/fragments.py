@@ -8,9 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..keyframe_records import Names
 from ..loops.relocalisation import Fragment
 from ..loops.scene import scene_of
-from ..mapper import CONFIRMING_KEYFRAMES, KEPT_VIEWS, Mapper, Names
+from ..mapper import CONFIRMING_KEYFRAMES, KEPT_VIEWS, Mapper
 from ..refinement.drive import Drive
 from ..refinement.renaming import measure, recount
 

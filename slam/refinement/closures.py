@@ -9,8 +9,9 @@ import numpy as np
 
 from drivers import se2
 
+from ..keyframe_records import Motion
 from ..loops.closer import CARRYING_SIGMAS, LEAST_MERGED, LoopCloser, LoopDecision, strangers_to, together
-from ..mapper import Mapper, Motion
+from ..mapper import Mapper
 from ..segments import Integers
 from .drive import Drive
 

@@ -9,8 +9,8 @@ import numpy as np
 from drivers import se2
 
 from ..flatness import uneven
+from ..keyframe_records import Names
 from ..landmarks import Landmarks
-from ..mapper import Names
 from ..segments import Floats
 from .drive import Drive
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ..association import associate
-from ..mapper import Mapper, Motion, Names
+from ..keyframe_records import Motion, Names
+from ..mapper import Mapper
 from ..odometry_model import OdometryModel, fused_motion
 from ..registration import Registration
 from ..segments import Floats

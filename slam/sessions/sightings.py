@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from ..errors import MapError
 from ..front_end import NOTHING_SEEN, Sighting
-from ..mapper import KEPT_VIEWS, Names
+from ..keyframe_records import Names
+from ..mapper import KEPT_VIEWS
 from ..path import Path
 from ..point_field import ScanPoints
 from ..registration import ScanFeatures

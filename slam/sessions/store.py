@@ -20,8 +20,9 @@ from ..config import Config, load_config
 from ..errors import MapError
 from ..flatness import WallFlatness
 from ..front_end import Sighting
+from ..keyframe_records import KeyframeRecords
 from ..landmarks import Landmarks
-from ..mapper import KeyframeRecords, Mapper
+from ..mapper import Mapper
 from ..odometry import OdometryHistory
 from ..outputs import CONFIG, SESSION
 from ..refinement import Drive, drive_of

@@ -13,8 +13,8 @@ import pytest
 
 from drivers import se2
 from slam.errors import MapError
-from slam.graph import FactorGraph
-from slam.graph.backend import FIRST_POSE_SIGMAS, KERNEL_CAUTION
+from slam.graph import KERNEL_CAUTION, FactorGraph
+from slam.graph.backend import FIRST_POSE_SIGMAS
 from slam.graph.factors import CAUCHY_SCALE
 
 ODOMETRY = np.diag([0.02, 0.02, 0.01]) ** 2

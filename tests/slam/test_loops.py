@@ -11,13 +11,14 @@ import pytest
 
 from drivers import se2
 from slam.association import UNMATCHED, Association
+from slam.keyframe_records import Motion
 from slam.landmarks import Landmarks
 from slam.local_map import empty_local_map
 from slam.loops.closer import LoopCloser, LoopDecision, close
 from slam.loops.constellation import OLD_WAY, recent_and_old
 from slam.loops.proposal import Hypothesis, propose
 from slam.loops.verification import Verdict, allowed_by_estimate, is_astray, verify
-from slam.mapper import Mapper, Motion
+from slam.mapper import Mapper
 from slam.segments import CornerPoints, Floats, Segments
 
 # A room with unequal sides and a niche: walls as frames with x along them, seen from the room, and half their lengths.

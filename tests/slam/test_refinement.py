@@ -18,7 +18,8 @@ from slam.estimator import Estimator
 from slam.evaluation import score_reference
 from slam.events import Event, GraphInspected, MapUpdated
 from slam.front_end import FrontEnd, Sighting
-from slam.mapper import Mapper, Motion, Names
+from slam.keyframe_records import Motion, Names
+from slam.mapper import Mapper
 from slam.odometry_model import OdometryModel
 from slam.point_field import ScanPoints
 from slam.refinement import Drive, drive_of, refine
