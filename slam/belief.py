@@ -31,7 +31,8 @@ from .segments import Floats
 from .statistics import Clock
 from .tracking import Hold, Place, Placement, Surroundings, Tracker
 
-KEYFRAME_DISTANCE = 0.33  # metres
+# Metres and radians. On recordings 0.25 to 0.40 m are equally accurate; the time goes with the number of keyframes.
+KEYFRAME_DISTANCE = 0.33
 KEYFRAME_TURN = np.radians(10.0)
 # A place is familiar that keyframes so near were made of on so many visits, where so much of what is seen is known.
 FAMILIAR_VISITS, FAMILIAR_DISTANCE, FAMILIAR_TURN, FAMILIAR_EXPLAINED = 2, 0.3, np.radians(10.0), 0.8
@@ -328,11 +329,9 @@ class Belief:
         anchor, covariance = self._anchor, np.zeros((3, 3))
         if keyframe != anchor.keyframe:
             covariance = self.mapper.graph.relative_covariance(keyframe, anchor.keyframe)
-        carry = se2.adjoint(se2.inverse(anchor.relative))
-        covariance = carry @ covariance @ carry.T + anchor.covariance
+        covariance = _covariance_after(covariance, anchor.relative) + anchor.covariance
         motion = self.odometry_model.corrected(se2.between(anchor.odometry, odometry))
-        carry = se2.adjoint(se2.inverse(motion))
-        return np.asarray(carry @ covariance @ carry.T + self.odometry_model.covariance(motion))
+        return _covariance_after(covariance, motion) + self.odometry_model.covariance(motion)
 
     def close_loop(self, view: KeyframeView, decision: LoopDecision) -> LoopDecision:
         """Close a loop that was agreed on right after the keyframe of `view`. If the decision that is returned is a
@@ -358,6 +357,11 @@ class Belief:
             covariance = self.odometry_model.covariance(claimed, found.held_by)
             claimed, covariance = fused_motion(claimed, covariance, actual, found.point_information)
         self._carried = False
-        carry = se2.adjoint(se2.inverse(claimed))
-        covariance = covariance + carry @ anchor.covariance @ carry.T
+        covariance = covariance + _covariance_after(anchor.covariance, claimed)
         return Motion(anchor.keyframe, se2.compose(anchor.relative, claimed), covariance)
+
+
+def _covariance_after(covariance: Floats, motion: se2.Pose) -> Floats:
+    """(3, 3): what the covariance of a pose, in its own frame, is after a motion that is known."""
+    carry = se2.adjoint(se2.inverse(motion))
+    return np.asarray(carry @ covariance @ carry.T)

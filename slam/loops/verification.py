@@ -35,7 +35,7 @@ ASTRAY_SIGMAS = np.array([0.25, 0.25, np.radians(3.0)])
 # A different motion that explains this share of what the best one does makes the place ambiguous; less of it will do
 # where odometry speaks for the other one rather.
 RUNNER_UP, LIKELIER_RUNNER_UP = 0.85, 0.70
-RIVAL, LIKELIER_RIVAL = "runner-up", "likelier-rival"  # names of the tests for that
+GAIN, RIVAL, LIKELIER_RIVAL = "gain", "runner-up", "likelier-rival"  # names of tests that are asked for later
 # Share of the wall length seen that could not have been seen through the old walls. Doors open and things are moved:
 # what contradicts staying put as much says nothing against moving.
 MOST_CONTRADICTED = 0.10
@@ -80,7 +80,7 @@ class Verdict:
     @property
     def casts_doubt(self) -> bool:
         """Whether the place explains clearly more than where the robot is believed to be, accepted or not."""
-        return any(test.name == "gain" and test.passed for test in self.tests)
+        return any(test.name == GAIN and test.passed for test in self.tests)
 
 
 def verify(
@@ -115,7 +115,7 @@ def verify(
         Test("drift", part, FARTHEST, False, drift),
         Test("explained", best.explained, least_explained, True, explains),
         Test("length", best.length, LEAST_LENGTH, True, long_enough),
-        Test("gain", gain, least_gain, True, better),
+        Test(GAIN, gain, least_gain, True, better),
         Test("walls", matches, LEAST_MATCHES, True, f"{matches} walls < {LEAST_MATCHES}"),
         Test("sigma", sigma, WORST_SIGMA, False, f"one direction known to {sigma:.2f} m only"),
         Test(RIVAL, runner_up, RUNNER_UP, False, f"another place explains {runner_up:.0%} as much"),
