@@ -115,8 +115,12 @@ def _spread(points, origin, squared, nearest):  # type: ignore[no-untyped-def]
 
 def likeness(field: PointField, points: Floats, pose: se2.Pose) -> float:
     """How well a scan's points (p, 2), in the base's frame at `pose`, lie on those of the last keyframes: 0 to 1."""
-    poses = np.asarray(pose, dtype=np.float64).reshape(1, 3)
-    return float(_likenesses(field.squared, field.origin, thinned(points, SEARCH_POINTS), poses)[0])
+    return float(likenesses(field, points, np.asarray(pose, dtype=np.float64).reshape(1, 3))[0])
+
+
+def likenesses(field: PointField, points: Floats, poses: Floats) -> Floats:
+    """(n,): how well a scan's points (p, 2) lie there at each of the poses (n, 3)."""
+    return np.asarray(_likenesses(field.squared, field.origin, thinned(points, SEARCH_POINTS), poses))
 
 
 def search(field: PointField, points: Floats, prediction: se2.Pose) -> tuple[se2.Pose, float]:
@@ -126,7 +130,7 @@ def search(field: PointField, points: Floats, prediction: se2.Pose) -> tuple[se2
     turns = np.arange(-SEARCH_HALF_TURN, SEARCH_HALF_TURN + 1e-9, SEARCH_TURN_STEP)
     grid = np.stack(np.meshgrid(offsets, offsets, turns, indexing="ij"), axis=-1).reshape(-1, 3)
     poses = prediction + grid
-    scores = _likenesses(field.squared, field.origin, thinned(points, SEARCH_POINTS), poses)
+    scores = likenesses(field, points, poses)
     best = int(np.argmax(scores))
     return poses[best], float(scores[best])
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -14,15 +15,7 @@ from ..mapper import Mapper
 from ..segments import Integers
 from .constellation import OLD_WAY, Constellation, OldMap, recent_and_old
 from .proposal import Hypothesis, propose
-from .verification import (
-    Verdict,
-    allowed_by_estimate,
-    is_astray,
-    is_near,
-    rivalled_by_odometry,
-    robot_motion,
-    verify,
-)
+from .verification import Outlook, Verdict, robot_motion, verify
 
 INTERVAL = 1.5  # metres of driving between two looks
 LEAST_NEW = 4.0  # metres of new wall in the constellation: where all has long been known, there is nothing to close
@@ -126,8 +119,8 @@ class LoopCloser:
             return None
         seen = mapper.landmarks.walls.rows["last_seen"][[wall for wall, _ in pairs]]
         seen_from = int(np.bincount(np.minimum(seen, mapper.keyframe_count - 2)).argmax())  # before the last keyframe
-        verdict, near = _judge(mapper, hypotheses, recent, old, seen_from)
-        return self._decide(mapper, best, verdict, (recent, old.constellation), pairs, seen_from, near=near)
+        verdict = verify(hypotheses, _outlook(mapper, recent, old, seen_from))
+        return self._decide(mapper, best, verdict, (recent, old.constellation), pairs, seen_from)
 
     def forget(self) -> None:
         """The map has changed: what was seen before it no longer counts."""
@@ -145,8 +138,6 @@ class LoopCloser:
         sight: tuple[Constellation, Constellation],
         pairs: tuple[tuple[int, int], ...],
         old: int,
-        *,
-        near: bool,
     ) -> LoopDecision:
         self._candidates += 1
         motion = robot_motion(best, mapper.pose)
@@ -156,7 +147,7 @@ class LoopCloser:
         if verdict.ambiguous:  # now that more was seen: so were the looks before it
             self._held = [look for look in self._held if not _agree(look.motion, best.motion, mapper.pose)]
         if verdict.accepted:
-            status = "agreed" if self._borne_out(best, sight[0], mapper, near=near) else "held"
+            status = "agreed" if self._borne_out(best, sight[0], mapper, near=verdict.near) else "held"
         keyframe = mapper.keyframe_count - 1
         return LoopDecision(self._candidates, keyframe, old, motion, verdict, status, best, pairs, sight=sight)
 
@@ -242,29 +233,12 @@ def _pairs(best: Hypothesis, recent: Constellation, old: OldMap) -> tuple[tuple[
     return tuple((int(wall), int(other)) for wall, other in matched if wall != other)
 
 
-def _judge(
-    mapper: Mapper, hypotheses: Sequence[Hypothesis], recent: Constellation, old: OldMap, seen_from: int
-) -> tuple[Verdict, bool]:
-    """The verdict on the second hypothesis, and whether less was asked of it: it is near, and the estimate is astray.
-
-    That is uncertain relative to the keyframe that the old place was `seen_from`; by how much costs more to ask than
-    all else.
-    """
-    motion, last = robot_motion(hypotheses[1], mapper.pose), mapper.keyframe_count - 1
-    views = [(mapper.graph.keyframe_pose(k), segments) for k, segments in mapper.views]
-    near = is_near(motion)
-    verdict = verify(hypotheses, recent, old, mapper.landmarks, mapper.pose, views, near=near)
-    if not verdict.accepted:
-        return verdict, near
-    covariance = mapper.graph.relative_covariance(seen_from, last)
-    if near and not is_astray(motion, covariance):
-        return verify(hypotheses, recent, old, mapper.landmarks, mapper.pose, views, near=False), False
-    tests = [allowed_by_estimate(motion, covariance)]
-    if not near:  # else walls that were taken for others have pulled the estimate elsewhere
-        tests.append(rivalled_by_odometry(hypotheses, mapper.pose, covariance))
-    verdict = replace(verdict, tests=(*verdict.tests, *tests))
-    failed = next((test.failing for test in tests if not test.passed), None)
-    return (verdict if failed is None else replace(verdict, accepted=False, reason=failed)), near
+def _outlook(mapper: Mapper, recent: Constellation, old: OldMap, seen_from: int) -> Outlook:
+    """What a place is judged by that the keyframe `seen_from` saw."""
+    views = [(mapper.graph.keyframe_pose(keyframe), segments) for keyframe, segments in mapper.views]
+    last = mapper.keyframe_count - 1
+    uncertainty = cache(lambda: mapper.graph.relative_covariance(seen_from, last))
+    return Outlook(recent, old, mapper.landmarks, mapper.pose, views, uncertainty)
 
 
 def _agree(motion: se2.Pose, other: se2.Pose, pose: se2.Pose) -> bool:

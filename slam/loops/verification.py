@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,10 +32,9 @@ NEAR, NEAR_TURN, NEAR_EXPLAINED, NEAR_GAIN = 1.0, np.radians(6.0), 0.4, 1.5  # m
 MOST_UNEXPECTED = 1.5**2 * 16.3
 # By how much walls that were taken for others may have pulled the estimate besides its uncertainty, metres and radians.
 ASTRAY_SIGMAS = np.array([0.25, 0.25, np.radians(3.0)])
-# A different motion that explains this share of what the best one does makes the place ambiguous; less of it will do
-# where odometry speaks for the other one rather.
+# A different motion that explains this share of what the best one does makes the place ambiguous, unless the estimate
+# rules it out; less of it will do where odometry speaks for the other one rather.
 RUNNER_UP, LIKELIER_RUNNER_UP = 0.85, 0.70
-GAIN, RIVAL, LIKELIER_RIVAL = "gain", "runner-up", "likelier-rival"  # names of tests that are asked for later
 # Share of the wall length seen that could not have been seen through the old walls. Doors open and things are moved:
 # what contradicts staying put as much says nothing against moving.
 MOST_CONTRADICTED = 0.10
@@ -61,7 +60,12 @@ class Test:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verdict:
-    """What was decided on a hypothesis, the scores it was decided by, and all tests in their order."""
+    """What was decided on a hypothesis, the scores it was decided by, and all tests in their order.
+
+    casts_doubt  whether the place explains clearly more than where the robot is believed to be, accepted or not
+    ambiguous    whether another place is nearly as good
+    near         whether less was asked of it, the motion being short and the estimate astray
+    """
 
     accepted: bool
     reason: str
@@ -70,61 +74,110 @@ class Verdict:
     runner_up: float
     sigma: float
     contradicted: float
+    casts_doubt: bool
+    ambiguous: bool
+    near: bool
     tests: tuple[Test, ...] = ()
 
-    @property
-    def ambiguous(self) -> bool:
-        """Whether another place is nearly as good."""
-        return any(test.name in (RIVAL, LIKELIER_RIVAL) and not test.passed for test in self.tests)
 
-    @property
-    def casts_doubt(self) -> bool:
-        """Whether the place explains clearly more than where the robot is believed to be, accepted or not."""
-        return any(test.name == GAIN and test.passed for test in self.tests)
+@dataclass(frozen=True, slots=True, eq=False)
+class Outlook:
+    """What hypotheses are judged by.
 
-
-def verify(
-    hypotheses: Sequence[Hypothesis],
-    recent: Constellation,
-    old: OldMap,
-    landmarks: Landmarks,
-    pose: se2.Pose,
-    views: Sequence[tuple[se2.Pose, Segments]],
-    *,
-    near: bool,
-) -> Verdict:
-    """Judge the second of several hypotheses by what was seen; the first is that nothing has to move.
-
-    `views` are the last keyframes' poses with the segments seen from them. `near` asks less, as of
-    a motion that is short while the estimate is astray.
+    pose         of the robot
+    views        the last keyframes' poses, each with the segments seen from there
+    uncertainty  gives the covariance (3, 3) of the pose relative to the old place, in the robot's frame; to ask for it
+                 costs more than all else
     """
-    best = hypotheses[1]
-    gain = best.length - hypotheses[0].length
-    shift, turn, part = _driftwise(best, old, pose)
-    rivals = [h for h in hypotheses if h is not best and distinct(h.motion, best.motion, pose)]
-    runner_up = max((_rivalry(rival, best) for rival in rivals), default=0.0)
+
+    recent: Constellation
+    old: OldMap
+    landmarks: Landmarks
+    pose: se2.Pose
+    views: Sequence[tuple[se2.Pose, Segments]]
+    uncertainty: Callable[[], Floats]
+
+
+def verify(hypotheses: Sequence[Hypothesis], outlook: Outlook) -> Verdict:
+    """Judge the second of several hypotheses by what was seen; the first is that nothing has to move."""
+    motion = robot_motion(hypotheses[1], outlook.pose)
+    near = is_near(motion)
+    gain, *fits = _fit_tests(hypotheses, outlook, near=near)
+    if near and all(test.passed for test in (gain, *fits)) and not is_astray(motion, outlook.uncertainty()):
+        near = False
+        gain, *fits = _fit_tests(hypotheses, outlook, near=False)
+    rivals = _rival_tests(hypotheses, outlook, near=near)
+    tests = [gain, *fits, *rivals]
+    if all(test.passed for test in tests):
+        tests.append(allowed_by_estimate(motion, outlook.uncertainty()))
+    reason = next((test.failing for test in tests if not test.passed), "")
+    values = {test.name: test.value for test in tests}
+    return Verdict(
+        accepted=not reason,
+        reason=reason or "all tests passed",
+        explained=values["explained"],
+        matches=int(values["walls"]),
+        runner_up=values["runner-up"],
+        sigma=values["sigma"],
+        contradicted=values["contradicted"],
+        casts_doubt=gain.passed,
+        ambiguous=not all(test.passed for test in rivals),
+        near=near,
+        tests=tuple(tests),
+    )
+
+
+def _fit_tests(hypotheses: Sequence[Hypothesis], outlook: Outlook, *, near: bool) -> list[Test]:
+    """Whether the place fits what was seen; the first test is by how much better than staying. `near` asks less."""
+    stay, best = hypotheses[:2]
+    gain = best.length - stay.length
+    shift, turn, part = _driftwise(best, outlook.old, outlook.pose)
     matches, sigma = _matches(best), _sigma(best)
-    contradicted = contradiction(best.motion, old, landmarks, views)
-    allowed = max(MOST_CONTRADICTED, contradiction(hypotheses[0].motion, old, landmarks, views))
+    contradicted, allowed = (
+        contradiction(some.motion, outlook.old, outlook.landmarks, outlook.views) for some in (best, stay)
+    )
     least_explained, least_gain = (NEAR_EXPLAINED, NEAR_GAIN) if near else (LEAST_EXPLAINED, LEAST_GAIN)
     drift = f"{shift:.1f} m and {np.degrees(turn):.0f} degrees are farther than drift leads"
     explains = f"explains {best.explained:.0%} < {least_explained:.0%}"
     long_enough = f"{best.length:.1f} m of wall < {LEAST_LENGTH:.0f} m"
     better = f"{gain:.1f} m of wall more than staying < {least_gain:.1f} m"
-    tests = (
+    through = f"{contradicted:.0%} was seen through old walls"
+    return [
+        Test("gain", gain, least_gain, True, better),
         Test("drift", part, FARTHEST, False, drift),
         Test("explained", best.explained, least_explained, True, explains),
         Test("length", best.length, LEAST_LENGTH, True, long_enough),
-        Test(GAIN, gain, least_gain, True, better),
         Test("walls", matches, LEAST_MATCHES, True, f"{matches} walls < {LEAST_MATCHES}"),
         Test("sigma", sigma, WORST_SIGMA, False, f"one direction known to {sigma:.2f} m only"),
-        Test(RIVAL, runner_up, RUNNER_UP, False, f"another place explains {runner_up:.0%} as much"),
-        Test("contradicted", contradicted, allowed, False, f"{contradicted:.0%} was seen through old walls"),
-    )
-    reason = next((test.failing for test in tests if not test.passed), "")
-    return Verdict(
-        not reason, reason or "all tests passed", best.explained, matches, runner_up, sigma, contradicted, tests
-    )
+        Test("contradicted", contradicted, max(MOST_CONTRADICTED, allowed), False, through),
+    ]
+
+
+def _rival_tests(hypotheses: Sequence[Hypothesis], outlook: Outlook, *, near: bool) -> list[Test]:
+    """Whether of another place nearly as much is explained; the less will do, if odometry speaks for that rather.
+
+    A place that the estimate rules out is no rival. Where a near motion shows the estimate to be astray, it has no say.
+    """
+    best = hypotheses[1]
+    others = [h for h in hypotheses if h is not best and distinct(h.motion, best.motion, outlook.pose)]
+    rivals = [(_rivalry(other, best), other) for other in others]
+    likelier = 0.0
+    if not near and any(share > LIKELIER_RUNNER_UP for share, _ in rivals):
+        loose = outlook.uncertainty() + np.diag(ASTRAY_SIGMAS**2)
+        own = _unexpectedness(robot_motion(best, outlook.pose), loose)
+        unexpected = [_unexpectedness(robot_motion(rival, outlook.pose), loose) for _, rival in rivals]
+        shares = [share for share, _ in rivals]
+        likelier = max((share for share, far in zip(shares, unexpected, strict=True) if far <= own), default=0.0)
+        rivals = [rival for rival, far in zip(rivals, unexpected, strict=True) if far <= MOST_UNEXPECTED]
+    runner_up = max((share for share, _ in rivals), default=0.0)
+    explains = "another place explains"
+    return [
+        Test("runner-up", runner_up, RUNNER_UP, False, f"{explains} {runner_up:.0%} as much"),
+        Test(
+            "likelier-rival", likelier, LIKELIER_RUNNER_UP, False,
+            f"{explains} {likelier:.0%} as much, and odometry speaks for it rather",
+        ),
+    ]  # fmt: skip
 
 
 def is_near(motion: se2.Pose) -> bool:
@@ -148,19 +201,6 @@ def allowed_by_estimate(motion: se2.Pose, covariance: Floats) -> Test:
     deviations = float(np.sqrt(_unexpectedness(motion, covariance + np.diag(ASTRAY_SIGMAS**2))))
     failing = f"{deviations:.0f} standard deviations from the estimate"
     return Test("unexpected", deviations, float(np.sqrt(MOST_UNEXPECTED)), False, failing)
-
-
-def rivalled_by_odometry(hypotheses: Sequence[Hypothesis], pose: se2.Pose, covariance: Floats) -> Test:
-    """Whether of another place nearly as much is explained as of the second hypothesis', and odometry speaks for that
-    rather. `covariance` is given as above."""
-    best = hypotheses[1]
-    loose = covariance + np.diag(ASTRAY_SIGMAS**2)
-    own = _unexpectedness(robot_motion(best, pose), loose)
-    rivals = [h for h in hypotheses if h is not best and distinct(h.motion, best.motion, pose)]
-    likelier = [h for h in rivals if _unexpectedness(robot_motion(h, pose), loose) <= own]
-    share = max((_rivalry(rival, best) for rival in likelier), default=0.0)
-    failing = f"another place explains {share:.0%} as much, and odometry speaks for it rather"
-    return Test(LIKELIER_RIVAL, share, LIKELIER_RUNNER_UP, False, failing)
 
 
 def robot_motion(hypothesis: Hypothesis, pose: se2.Pose) -> se2.Pose:

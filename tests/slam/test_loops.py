@@ -17,7 +17,7 @@ from slam.local_map import empty_local_map
 from slam.loops.closer import LoopCloser, LoopDecision, close
 from slam.loops.constellation import OLD_WAY, recent_and_old
 from slam.loops.proposal import Hypothesis, propose
-from slam.loops.verification import Verdict, allowed_by_estimate, is_astray, verify
+from slam.loops.verification import Outlook, Verdict, allowed_by_estimate, is_astray, verify
 from slam.mapper import Mapper
 from slam.segments import CornerPoints, Floats, Segments
 
@@ -33,6 +33,7 @@ ROOM = np.array(
     ]
 )
 INSIDE = np.array([2.0, 2.0, 0.3])
+KNOWN, UNKNOWN = np.diag([0.02, 0.02, 0.01]) ** 2, np.diag([2.0, 2.0, 0.2]) ** 2  # of where the robot is
 
 
 def add(landmarks: Landmarks, walls: Floats, keyframe: int, moved: se2.Pose | None = None) -> list[int]:
@@ -66,6 +67,18 @@ def views_from(pose: se2.Pose, walls: Floats) -> list[tuple[se2.Pose, Segments]]
     return [(pose, Segments(frames, walls[:, 3], np.tile(np.eye(2) * 1e-4, (len(walls), 1, 1))))]
 
 
+def judged(
+    landmarks: Landmarks,
+    pose: se2.Pose,
+    ways: Floats,
+    views: list[tuple[se2.Pose, Segments]],
+    covariance: Floats,
+) -> Verdict:
+    """The verdict on the best place, where the estimate has the `covariance` of the pose."""
+    recent, old = recent_and_old(landmarks, pose, ways)
+    return verify(propose(recent, old, pose), Outlook(recent, old, landmarks, pose, views, lambda: covariance))
+
+
 @pytest.mark.parametrize("drift", [[0.9, -0.7, 0.12], [-1.5, 0.4, -0.1], [0.3, 0.25, 0.0]])
 def test_the_drift_of_a_room_seen_again_is_found(drift: list[float]) -> None:
     landmarks, pose, ways = seen_again(ROOM, np.array(drift))
@@ -79,16 +92,13 @@ def test_the_drift_of_a_room_seen_again_is_found(drift: list[float]) -> None:
 def test_a_room_seen_again_passes_all_tests() -> None:
     drift = np.array([0.9, -0.7, 0.12])
     landmarks, pose, ways = seen_again(ROOM, drift)
-    recent, old = recent_and_old(landmarks, pose, ways)
-    found = propose(recent, old, pose)
     moved = np.column_stack([se2.compose(drift, ROOM[:, :3]), ROOM[:, 3]])
-    verdict = verify(found, recent, old, landmarks, pose, views_from(pose, moved), near=False)
+    verdict = judged(landmarks, pose, ways, views_from(pose, moved), UNKNOWN)
     assert verdict.accepted, verdict.reason
     assert verdict.contradicted == 0.0
 
 
 DRIFTED_LITTLE, DRIFTED_FAR = np.array([0.4, 0.3, 0.0]), np.array([1.5, -0.9, 0.1])
-KNOWN, UNKNOWN = np.diag([0.02, 0.02, 0.01]) ** 2, np.diag([2.0, 2.0, 0.2]) ** 2  # of where the robot is
 
 
 def looks(drifts: list[se2.Pose], covariance: Floats) -> list[LoopDecision]:
@@ -143,23 +153,23 @@ def test_parallel_walls_alone_never_close_a_loop() -> None:
     assert len(hypotheses_of(landmarks, pose, ways)) == 1  # to stay
 
 
-def test_a_corridor_with_equal_doors_is_ambiguous() -> None:
+@pytest.mark.parametrize(("sigma", "accepted"), [(2.0, False), (0.1, True)])
+def test_a_corridor_with_equal_doors_is_ambiguous_unless_the_estimate_rules_the_others_out(
+    sigma: float, accepted: bool
+) -> None:
     jambs = [[x, y, np.pi / 2, 0.3] for x in np.arange(0.0, 20.0, 2.0) for y in (0.0, 2.0)]
     corridor = np.array([*jambs, [10.0, -0.3, 0.0, 10.0], [10.0, 2.3, np.pi, 10.0]])
-    landmarks, pose, ways = seen_again(corridor, np.array([0.9, 0.3, 0.0]), way=100.0)
-    recent, old = recent_and_old(landmarks, pose, ways)
-    verdict = verify(propose(recent, old, pose), recent, old, landmarks, pose, [], near=False)
-    assert not verdict.accepted
-    assert "another place" in verdict.reason
+    landmarks, pose, ways = seen_again(corridor, np.array([0.3, 0.1, 0.0]), way=100.0)
+    verdict = judged(landmarks, pose, ways, [], np.diag([sigma, sigma, 0.02]) ** 2)
+    assert (verdict.accepted, verdict.ambiguous) == (accepted, not accepted), verdict.reason
+    assert accepted or "another place" in verdict.reason
 
 
 def test_walls_that_would_have_hidden_what_was_seen_speak_against_a_place() -> None:
     landmarks, pose, ways = seen_again(ROOM, np.array([0.9, -0.7, 0.12]))
     add(landmarks, np.array([[4.0, 2.0, np.pi / 2, 1.8]]), 0)  # the old room had a partition where now the view is free
-    recent, old = recent_and_old(landmarks, pose, ways)
-    found = propose(recent, old, pose)
     moved = np.column_stack([se2.compose(np.array([0.9, -0.7, 0.12]), ROOM[:, :3]), ROOM[:, 3]])
-    verdict = verify(found, recent, old, landmarks, pose, views_from(pose, moved[1:2]), near=False)
+    verdict = judged(landmarks, pose, ways, views_from(pose, moved[1:2]), UNKNOWN)
     assert verdict.contradicted > 0.3
 
 
@@ -218,7 +228,7 @@ def drifted_mapper(drift: se2.Pose) -> tuple[Mapper, list[int], list[int]]:
 def decision(motion: se2.Pose, first: list[int], second: list[int]) -> LoopDecision:
     """Two looks agree that what was seen `second` lies on what was seen `first`, if moved."""
     hypothesis = Hypothesis(motion, 1.0, 20.0, np.eye(3), np.arange(len(ROOM)))
-    verdict = Verdict(True, "all tests passed", 1.0, len(ROOM), 0.0, 0.01, 0.0)
+    verdict = Verdict(True, "all tests passed", 1.0, len(ROOM), 0.0, 0.01, 0.0, True, False, False)
     return LoopDecision(1, 9, 1, np.zeros(3), verdict, "agreed", hypothesis, tuple(zip(first, second, strict=True)))
 
 
