@@ -20,7 +20,7 @@ from .graph import KERNEL_CAUTION, Factor, FactorGraph, GraphState, Kind
 from .keyframe_records import KeyframeRecords, KeyframeView, Merge, Motion, Names
 from .landmarks import Landmarks
 from .local_map import LocalMap, local_map_around
-from .merging import LEAST_OBSERVATIONS, find_duplicate
+from .merging import LEAST_OBSERVATIONS, find_duplicate, merge_everywhere
 from .retirement import Doubts
 from .segments import CornerPoints, Floats, Integers, Segments
 
@@ -297,11 +297,17 @@ class Mapper:
         been seen through often enough; returns whether there were any."""
         return self.doubts.look(self.landmarks, pose, points, self.ways, self.pose_covariances)
 
-    def settle(self) -> None:
-        """Bring the estimate to rest: everything linearised anew, then read back."""
+    def settle(self) -> int:
+        """Bring the estimate to rest: walls that are one made one wherever they are, everything linearised anew, then
+        read back. Returns how many walls were merged."""
+        self.read_back_all()
+        merged = merge_everywhere(self.landmarks, self.graph, self.flatness.variance, self.merge_walls)
+        if merged:
+            self.graph.update()
         self.graph.settle()
         self.graph.rebuild()
         self.read_back_all()
+        return merged
 
     def solve(self) -> None:
         """Solve all that an empty mapper was given by `extend`, in batch, and read it back."""

@@ -1,8 +1,13 @@
-"""Walls that were mapped twice: two frames on what is one wall, found when both have been seen well enough to tell."""
+"""Walls that were mapped twice: two frames on what is one wall, found when both have been seen well enough to tell.
+
+While the robot drives, what is around it is compared as it is known from there; once it has come to rest, all of the
+map with the joint covariances of the graph.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +15,8 @@ from numpy.typing import NDArray
 
 from drivers import se2
 
+from .graph import FactorGraph
+from .landmarks import Landmarks
 from .local_map import LocalMap
 from .segments import Floats
 
@@ -17,7 +24,7 @@ GATE = 5.99  # squared Mahalanobis distance, chi-square with 2 degrees of freedo
 WIDEST_OFFSET = 0.10  # metres between two walls that may be one, where they overlap
 WIDEST_HEADING = math.radians(4.0)
 LEAST_OVERLAP = 0.2  # metres along the wall
-LEAST_OBSERVATIONS = 3
+LEAST_OBSERVATIONS = 3  # keyframes, where only what is known from the robot's place tells two walls apart
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +88,32 @@ def find_duplicate(
     return best
 
 
+def merge_everywhere(
+    landmarks: Landmarks, graph: FactorGraph, flatness: float, merge: Callable[[int, int], None]
+) -> int:
+    """Have `merge` make one of each pair of walls (kept, absorbed) that are one, the most certain first; returns how
+    many there were.
+
+    All confirmed walls are compared with their joint covariances in the graph; `flatness` is the variance of their
+    unevenness.
+    """
+    walls = landmarks.walls.rows
+    rows = np.flatnonzero(walls["in_graph"] & landmarks.standing())
+    alike = overlaps(walls["frame"][rows], walls["low"][rows], walls["high"][rows])
+    pairs = np.array([rows[[pair.first, pair.second]] for pair in alike], dtype=np.int64).reshape(-1, 2)
+    found = []
+    for pair, (first, second), joint in zip(alike, pairs.tolist(), graph.walls_covariances(pairs), strict=True):
+        distance = pair.distance(_relative(joint, pair), flatness)
+        if distance < GATE:
+            found.append((distance, first, second))
+    merged = 0
+    for _, first, second in sorted(found):
+        if walls["kept"][first] == first and walls["kept"][second] == second:
+            merge(first, second)
+            merged += 1
+    return merged
+
+
 def overlaps(frame: Floats, low: Floats, high: Floats) -> list[Overlap]:
     """All pairs of walls, of frames (n, 3) and known from `low` to `high` (n,), that run alike along one another."""
     other = se2.between(frame[:, None], frame[None, :])  # (n, n, 3): the second wall's frame in the first's
@@ -100,3 +133,10 @@ def overlaps(frame: Floats, low: Floats, high: Floats) -> list[Overlap]:
 def _carried(covariance: Floats, along: float) -> Floats:
     carry = np.array([[1.0, along], [0.0, 1.0]])
     return np.asarray(carry @ covariance @ carry.T)
+
+
+def _relative(joint: Floats, pair: Overlap) -> Floats:
+    """(2, 2): covariance of offset and turn between two walls in the middle of what they share, from their joint
+    covariance (4, 4), each at its own frame."""
+    jacobian = np.array([[-1.0, -pair.middle, 1.0, pair.middle - pair.along], [0.0, -1.0, 0.0, 1.0]])
+    return np.asarray(jacobian @ joint @ jacobian.T)

@@ -25,7 +25,7 @@ from .refinement import drive_of, laid_path, refine
 from .reporting import Reporter
 from .segments import Floats
 from .sessions import StoredSession
-from .snapshot import finished, map_corners, map_lines
+from .snapshot import finished, map_features
 from .state import State, StateWatch
 from .statistics import Clock, RunStatistics
 from .summary import run_summary
@@ -224,12 +224,12 @@ class Slam:
     @property
     def walls(self) -> MapLines:
         """The walls as they are known now, without covariances: those cost time, `finish` gives them."""
-        return map_lines(self.belief.mapper, covariances=False)
+        return map_features(self.belief.mapper, covariances=False)[0]
 
     @property
     def corners(self) -> MapCorners:
         """The corners as they are known now, without covariances."""
-        return map_corners(self.belief.mapper, covariances=False)
+        return map_features(self.belief.mapper, covariances=False)[1]
 
     def finish(self) -> Finished:
         """Work off what waits, settle the estimate, and return path and map with the covariances of their marginals.
@@ -246,7 +246,7 @@ class Slam:
             self._end_lost(self._excursion)
         self._session = left or self._stored(self.belief.copy())
         if not self._frozen:
-            self.belief.mapper.settle()
+            self._statistics.merged_walls += self.belief.mapper.settle()
         summary = run_summary(self._front_end, self.belief, self._statistics) | self._look_back()
         if self._refine:
             self._session = self._stored(self.belief)

@@ -27,7 +27,7 @@ from .events import (
 from .front_end import Sighting
 from .loops.closer import LoopDecision
 from .mapper import Mapper
-from .snapshot import covariances_when_last_seen, map_corners, map_lines
+from .snapshot import covariances_when_last_seen, map_features
 
 MAP_INTERVAL = 20  # keyframes between two events with the whole map
 MAP_SHARE = 0.01  # of the keyframes: for long runs the interval grows, lest telling them take longer than making them
@@ -120,7 +120,7 @@ class Reporter:
         moved = keyframes[:common, :2] - self._told_keyframes[:common, :2]
         self._told_keyframes = keyframes
         self._tell_retired(len(keyframes) - 1 if index is None else index, stamp, mapper)
-        lines, corners = map_lines(mapper, covariances=False), map_corners(mapper, covariances=False)
+        lines, corners = map_features(mapper, covariances=False)
         of_lines, of_corners = covariances_when_last_seen(mapper, lines, corners)
         self.tell(
             MapUpdated(
@@ -219,7 +219,7 @@ def _correction(decision: LoopDecision, mapper: Mapper, superseded: Mapper) -> C
     return Correction(
         keyframes_before=superseded.graph.keyframe_poses(count),
         keyframes=mapper.graph.keyframe_poses(count),
-        lines_before=map_lines(superseded, covariances=False),
+        lines_before=map_features(superseded, covariances=False)[0],
         chi2_before=superseded.graph.chi2(),
         chi2_strained=mapper.graph.chi2_at(superseded.graph) if closed else math.nan,
         chi2=mapper.graph.chi2(),

@@ -8,7 +8,9 @@ from drivers import se2
 
 from .belief import Belief
 from .events import Finished, MapCorners, MapLines
+from .landmarks import Landmarks
 from .mapper import Mapper
+from .relief import with_one_front
 from .segments import Floats
 
 LEAST_SINE = 0.2  # of the angle between two walls that meet in a corner
@@ -18,10 +20,11 @@ STRAYED = 0.1  # metres from a corner beyond which its walls, as they are known 
 def finished(belief: Belief, path: tuple[Floats, Floats], summary: dict[str, object]) -> Finished:
     """What came of a belief that has settled, with all covariances; `path` is stamps (m,) and poses (m, 3)."""
     mapper = belief.mapper
+    lines, corners = map_features(mapper, covariances=True)
     covariances = [mapper.graph.keyframe_covariance(index) for index in range(mapper.keyframe_count)]
     return Finished(
-        lines=map_lines(mapper, covariances=True),
-        corners=map_corners(mapper, covariances=True),
+        lines=lines,
+        corners=corners,
         keyframe_stamps=np.array(belief.keyframe_stamps),
         keyframes=mapper.trail,
         stamps=path[0],
@@ -31,10 +34,16 @@ def finished(belief: Belief, path: tuple[Floats, Floats], summary: dict[str, obj
     )
 
 
-def map_lines(mapper: Mapper, *, covariances: bool) -> MapLines:
-    """The confirmed walls; with the covariances of their marginals if asked for, about a millisecond each."""
-    rows = mapper.landmarks.walls.rows
-    chosen = np.flatnonzero(rows["in_graph"] & mapper.landmarks.standing())
+def map_features(mapper: Mapper, *, covariances: bool) -> tuple[MapLines, MapCorners]:
+    """The confirmed walls, no two of them along the same stretch, and the corners; with the covariances of their
+    marginals if asked for, about a millisecond each."""
+    shown = with_one_front(mapper.landmarks)
+    return _lines(mapper, shown, covariances=covariances), _corners(mapper, shown, covariances=covariances)
+
+
+def _lines(mapper: Mapper, landmarks: Landmarks, *, covariances: bool) -> MapLines:
+    rows = landmarks.walls.rows
+    chosen = np.flatnonzero(rows["in_graph"] & landmarks.standing())
     covariance = np.full((len(chosen), 2, 2), np.nan)
     if covariances:
         for row, wall in enumerate(chosen):
@@ -47,19 +56,17 @@ def map_lines(mapper: Mapper, *, covariances: bool) -> MapLines:
         high=walls["high"].copy(),
         observations=walls["observations"].copy(),
         covariance=covariance,
-        pieces=tuple(mapper.landmarks.pieces(int(wall)) for wall in chosen),
+        pieces=tuple(landmarks.pieces(int(wall)) for wall in chosen),
     )
 
 
-def map_corners(mapper: Mapper, *, covariances: bool) -> MapCorners:
-    """The confirmed corners, likewise.
-
-    A corner lies on both of its walls, and they carry most of what was measured of it. So where both are in the map
+def _corners(mapper: Mapper, landmarks: Landmarks, *, covariances: bool) -> MapCorners:
+    """A corner lies on both of its walls, and they carry most of what was measured of it. So where both are in the map
     the corner is where they meet, with the covariance that follows from theirs; elsewhere it is its own estimate.
     """
-    rows, walls = mapper.landmarks.corners.rows, mapper.landmarks.walls.rows
+    rows, walls = landmarks.corners.rows, landmarks.walls.rows
     chosen = np.flatnonzero(rows["in_graph"])
-    chosen = chosen[mapper.landmarks.standing_corners(chosen)]
+    chosen = chosen[landmarks.standing_corners(chosen)]
     lines = np.full((len(chosen), 2), -1)
     position = rows["position"][chosen].copy()
     covariance = np.full((len(chosen), 2, 2), np.nan)

@@ -12,11 +12,11 @@ from drivers import se2
 from ..association import associate
 from ..keyframe_records import Motion, Names
 from ..mapper import Mapper
+from ..merging import merge_everywhere
 from ..odometry_model import OdometryModel, fused_motion
 from ..registration import Registration
 from ..segments import Floats
 from .drive import Drive
-from .duplicates import merge_everywhere
 from .placing import Place
 from .renaming import measure, recount
 
@@ -49,7 +49,7 @@ def refine_once(old: Mapper, drive: Drive, model: OdometryModel, poses: Floats, 
     `poses` (k, 3) are those of the keyframes; `astray` (n,) says which sightings are already known to be.
     """
     new = Mapper.on(old)
-    merged = merge_everywhere(new.landmarks, old.graph, new.flatness.variance)
+    merged = merge_everywhere(new.landmarks, old.graph, new.flatness.variance, new.landmarks.absorb)
     laid, names, found_astray = _associate(new, drive, poses)
     astray = astray | found_astray
     placed = np.array([registration.pose for registration in laid])

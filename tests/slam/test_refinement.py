@@ -137,6 +137,15 @@ def test_a_wall_that_was_mapped_twice_becomes_one(driven: Driven) -> None:
     assert error(driven.drive.stamps, refined.poses, driven.messages) < before + 2e-4
 
 
+def test_a_map_that_comes_to_rest_has_no_wall_twice(driven: Driven) -> None:
+    spoilt = doubled(driven)
+    spoilt.remember_covariances()
+    before = walls_of(spoilt)
+    assert spoilt.settle() >= 1
+    assert len(walls_of(spoilt)) < len(before)
+    assert spoilt.settle() == 0
+
+
 def test_what_was_believed_of_a_sighting_gives_way_to_what_it_shows(driven: Driven) -> None:
     """Keyframes that are given to the wrong walls, and a pose that is off, find back."""
     drive = driven.drive
