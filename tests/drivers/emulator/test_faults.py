@@ -330,7 +330,9 @@ def test_in_real_time_bytes_keep_their_pace(tmp_path: Path) -> None:
         with_lidar.close()
     samples, times = np.array(arrivals).T
     assert np.ptp(times) > 0.5
-    assert np.polyfit(times - times[0], samples, 1)[0] == pytest.approx(9200, rel=0.02)
+    half = len(times) // 2
+    paces = (samples[half:] - samples[:-half]) / (times[half:] - times[:-half])
+    assert np.median(paces) == pytest.approx(9200, rel=0.02)  # however long a busy machine kept some of them waiting
     assert decoder.counters.checksum_failures == 0
     assert emulator.lidar.counts.overrun == 0
     assert not os.path.lexists(tmp_path / "lidar")
