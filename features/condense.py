@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from .compiled import compiled, vectorised
 from .corner import intersect, parallel
 from .curves import evidence, leave_out
@@ -18,6 +16,7 @@ from .rays import MAX_BEARING_GAP, TURN, Rays, accumulate, mark_breaks, select, 
 from .rays import views as ray_views
 from .segmentation import segment
 from .settings import Settings
+from .sums import at, bearing_variance
 from .tracking import track
 from .types import Floats, Integers
 from .wclm import GATE, ITERATIONS, reweighted
@@ -63,7 +62,7 @@ class Found(NamedTuple):
     spans     first beam, last beam, rays used, first ray, last ray (see rays), 1 if a chord of a curved surface
     corners   x, y, Cxx, Cxy, Cxy, Cyy, evidence that it is one (see curves)
     pairs     line before, line after
-    evidence  range variances that long pieces show
+    evidence  range variances that long pieces show, sorted
     """
 
     lines: Floats
@@ -151,7 +150,7 @@ def fit_piece(
     rays: Rays, count: int, pieces: Pieces, piece: int, room: Part, settings: Settings, found: Found, lines: int
 ) -> tuple[bool, float]:
     """Fit a piece and write it as line `lines` unless it is none; the range variance it shows, or NaN."""
-    begin, end, sums = pieces.begin[piece], pieces.end[piece], pieces.sums[piece]
+    begin, end = pieces.begin[piece], pieces.end[piece]
     if end - begin < settings.minimum_count:
         return False, math.nan
     spare = min(END_RAYS, (end - begin - settings.minimum_count) // 2)
@@ -168,7 +167,7 @@ def fit_piece(
     variance = math.nan
     if used >= ADAPT_RAYS:
         variance = shown_variance(part, u, v, settings.sigma_range, settings.sigma_bearing)
-    spread = 0.25 * (1.0 - (sums[1] ** 2 + sums[2] ** 2) / sums[0] ** 2)
+    spread = bearing_variance(at(pieces.sums, piece))
     if not (chi2 <= MAX_CHI2 * (used - 2) and spread >= MIN_BEARING_VARIANCE * settings.sigma_bearing**2):
         return False, variance
     while begin < end - 1 and not lies_on(rays, wrap(begin, count), u, v, settings):
@@ -254,9 +253,19 @@ def fit_all(
         if is_line:
             lines += 1
         if math.isfinite(variance):
-            found.evidence[shown] = variance
+            insert(found.evidence, shown, variance)
             shown += 1
-    return lines, np.median(found.evidence[:shown]) if shown > 0 else math.nan
+    return lines, 0.5 * (found.evidence[(shown - 1) // 2] + found.evidence[shown // 2]) if shown > 0 else math.nan
+
+
+@compiled
+def insert(values: Floats, count: int, value: float) -> None:
+    """Put a value among `count` sorted ones."""
+    k = count
+    while k > 0 and values[k - 1] > value:
+        values[k] = values[k - 1]
+        k -= 1
+    values[k] = value
 
 
 @compiled

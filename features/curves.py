@@ -173,9 +173,11 @@ def leave_out(corners: Floats, pairs: Integers, curved: Integers, made: int) -> 
                 marked = True
     kept = 0
     for k in range(made):
-        if corners[k, -1] < (BESIDE_A_CHORD if curved[pairs[k, 0]] + curved[pairs[k, 1]] else 0.0):
+        before, after = pairs[k, 0], pairs[k, 1]
+        if corners[k, -1] < (BESIDE_A_CHORD if curved[before] + curved[after] else 0.0):
             continue
-        corners[kept] = corners[k]
-        pairs[kept] = pairs[k]
+        for column in range(corners.shape[1]):
+            corners[kept, column] = corners[k, column]
+        pairs[kept, 0], pairs[kept, 1] = before, after
         kept += 1
     return kept
