@@ -20,19 +20,23 @@ class Pieces(NamedTuple):
     head: Integers  # end of the first uninterrupted run of rays
     tail: Integers  # begin of the last uninterrupted run
     sums: Floats  # (6, pieces) table of the rays that belong to the piece; bridged rays do not
-    spread: Floats  # (pieces, 4) variances by where boundaries may lie: uu, uv, vv of the line; bearing of its end
+    spread: Floats  # (4, pieces) variances by where boundaries may lie: uu, uv, vv of the line; bearing of its end
 
 
-def allocate(beams: int) -> tuple[Floats, Floats, Floats, Integers]:
-    """Memory for scans of up to `beams` beams: sums, spreads, gains of splits, and integers."""
-    integers = np.zeros((5, 2 * beams + 2), dtype=np.int64)
-    return np.zeros((6, beams + 1)), np.zeros((beams + 1, 4)), np.zeros(beams + 1), integers
+FLOAT_ROWS = 6 + 4 + 1
+INTEGER_ROWS = 5
+
+
+def allocate(beams: int) -> tuple[Floats, Integers]:
+    """Memory for scans of up to `beams` beams."""
+    return np.zeros((FLOAT_ROWS, beams + 1)), np.zeros((INTEGER_ROWS, 2 * beams + 2), dtype=np.int64)
 
 
 @compiled
-def views(sums: Floats, spread: Floats, integers: Integers) -> tuple[Pieces, Integers]:
-    """Pieces in the memory that `allocate` gave, and a stack."""
-    return Pieces(integers[0], integers[1], integers[2], integers[3], sums, spread), integers[4]
+def views(floats: Floats, integers: Integers) -> tuple[Pieces, Floats, Integers]:
+    """Pieces in the memory that `allocate` gave, and gains and a stack to split by."""
+    pieces = Pieces(integers[0], integers[1], integers[2], integers[3], floats[0:6], floats[6:10])
+    return pieces, floats[10], integers[4]
 
 
 @compiled
@@ -93,7 +97,7 @@ def copy(pieces: Pieces, source: int, target: int) -> None:
     pieces.head[target], pieces.tail[target] = pieces.head[source], pieces.tail[source]
     put(pieces.sums, target, at(pieces.sums, source))
     for row in range(4):
-        pieces.spread[target, row] = pieces.spread[source, row]
+        pieces.spread[row, target] = pieces.spread[row, source]
 
 
 @compiled

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from .compiled import compiled, vectorised
 from .pieces import Pieces, append, rotate
 from .rays import TURN, Rays, wrap
@@ -21,6 +23,9 @@ LEAST_LIKELY = 9.0
 
 REFINE_WINDOW = 12
 """Rays to either side over which a boundary is moved to where both neighbours fit best."""
+
+INFINITY_BITS = 0x7FF0000000000000
+"""Infinity's, read as an integer."""
 
 
 @compiled
@@ -48,19 +53,26 @@ def explained(prefix: Floats, low: int, high: int, origin: Sums, terminus: Sums,
         wr, xr, yr, pr, qr = w1 - w, x1 - x, y1 - y, p1 - p, q1 - q
         dl = wl * wl - xl * xl - yl * yl
         dr = wr * wr - xr * xr - yr * yr
-        al = wl * (pl * pl + ql * ql) - xl * (pl * pl - ql * ql) - 2.0 * yl * pl * ql
-        ar = wr * (pr * pr + qr * qr) - xr * (pr * pr - qr * qr) - 2.0 * yr * pr * qr
+        al = (wl - xl) * pl * pl + (wl + xl) * ql * ql - 2.0 * yl * pl * ql
+        ar = (wr - xr) * pr * pr + (wr + xr) * qr * qr - 2.0 * yr * pr * qr
         values[k] = 2.0 * (al * dr + ar * dl) / (dl * dr)
 
 
-@compiled
+@vectorised
 def largest(values: Floats, low: int, high: int) -> int:
-    """Index of the largest of values[low..high], or -1 where none is a number."""
-    best, position = -math.inf, -1
-    for k in range(low, high + 1):
-        if values[k] > best:
-            best, position = values[k], k
-    return position
+    """Index of the largest of values[low..high], or -1 where none is positive.
+
+    Positive numbers are in the order of their bits, and of integers a vector unit finds the largest; of floats it does
+    not, for NaN's sake. Where not negative, the bits of NaN are beyond those of infinity.
+    """
+    bits = values[low : high + 1].view(np.int64)
+    best = 1
+    for k in range(len(bits)):
+        best = max(best, bits[k] if bits[k] <= INFINITY_BITS else 0)
+    for k in range(len(bits)):
+        if bits[k] == best:
+            return low + k
+    return -1
 
 
 @compiled
@@ -111,7 +123,7 @@ def split(rays: Rays, count: int, penalty: float, pieces: Pieces, gains: Floats,
 def refine(rays: Rays, count: int, pieces: Pieces, made: int, gains: Floats) -> None:
     """Move every boundary between adjoining pieces to where the two lines together fit best."""
     prefix = rays.prefix
-    pieces.spread[:made] = 0.0
+    pieces.spread[:, :made] = 0.0
     for i in range(made):
         j = i + 1 if i + 1 < made else 0
         shift = count if j == 0 else 0
@@ -191,13 +203,13 @@ def add_spread(
         du, dv = u - u1, v - v1
         uu1, uv1, vv1 = uu1 + likely * du * du, uv1 + likely * du * dv, vv1 + likely * dv * dv
     if math.isfinite(uu0 + vv0 + uu1 + vv1):
-        spread[i, 0] += uu0 / total
-        spread[i, 1] += uv0 / total
-        spread[i, 2] += vv0 / total
-        spread[i, 3] = wander / total
-        spread[j, 0] += uu1 / total
-        spread[j, 1] += uv1 / total
-        spread[j, 2] += vv1 / total
+        spread[0, i] += uu0 / total
+        spread[1, i] += uv0 / total
+        spread[2, i] += vv0 / total
+        spread[3, i] = wander / total
+        spread[0, j] += uu1 / total
+        spread[1, j] += uv1 / total
+        spread[2, j] += vv1 / total
 
 
 @compiled
