@@ -12,7 +12,20 @@ from .estimators import MAXIMUM_LIKELIHOOD, fit_by_code
 from .merging import drop_small
 from .pieces import Pieces, line
 from .pieces import views as piece_views
-from .rays import MAX_BEARING_GAP, TURN, Rays, accumulate, mark_breaks, select, spacing, update_grid, wrap
+from .rays import (
+    MAX_BEARING_GAP,
+    TURN,
+    Part,
+    Rays,
+    accumulate,
+    head_of,
+    mark_breaks,
+    part_of,
+    select,
+    spacing,
+    update_grid,
+    wrap,
+)
 from .rays import views as ray_views
 from .segmentation import segment
 from .settings import Settings
@@ -72,33 +85,6 @@ class Found(NamedTuple):
     corners: Floats
     pairs: Integers
     evidence: Floats
-
-
-class Part(NamedTuple):
-    """The rays of one piece side by side."""
-
-    inverse: Floats
-    cos: Floats
-    sin: Floats
-
-
-@compiled
-def part_of(rays: Rays, count: int, begin: int, end: int, room: Part) -> Part:
-    """Rays begin..end-1: where they are, or copied into `room` where they run over ray n."""
-    if end <= count:
-        return Part(rays.inverse[begin:end], rays.cos[begin:end], rays.sin[begin:end])
-    for k in range(begin, end):
-        ray = wrap(k, count)
-        room.inverse[k - begin] = rays.inverse[ray]
-        room.cos[k - begin] = rays.cos[ray]
-        room.sin[k - begin] = rays.sin[ray]
-    return head_of(room, end - begin)
-
-
-@compiled
-def head_of(part: Part, size: int) -> Part:
-    """The first `size` rays."""
-    return Part(part.inverse[:size], part.cos[:size], part.sin[:size])
 
 
 @compiled

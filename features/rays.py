@@ -53,6 +53,14 @@ class Rays(NamedTuple):
     prefix: Floats  # (6, n + 1) sums over rays before k of W, Re E, Im E, Re H, Im H, K (see wclm)
 
 
+class Part(NamedTuple):
+    """The rays of one piece side by side."""
+
+    inverse: Floats
+    cos: Floats
+    sin: Floats
+
+
 class Grid(NamedTuple):
     """Bearings of the last scan with their sines and cosines; the next scan mostly has the same."""
 
@@ -201,6 +209,25 @@ def distance_squared(rays: Rays, first: int, second: int) -> float:
     dx = rays.range[first] * rays.cos[first] - rays.range[second] * rays.cos[second]
     dy = rays.range[first] * rays.sin[first] - rays.range[second] * rays.sin[second]
     return float(dx * dx + dy * dy)
+
+
+@compiled
+def part_of(rays: Rays, count: int, begin: int, end: int, room: Part) -> Part:
+    """Rays begin..end-1: where they are, or copied into `room` where they run over ray n."""
+    if end <= count:
+        return Part(rays.inverse[begin:end], rays.cos[begin:end], rays.sin[begin:end])
+    for k in range(begin, end):
+        ray = wrap(k, count)
+        room.inverse[k - begin] = rays.inverse[ray]
+        room.cos[k - begin] = rays.cos[ray]
+        room.sin[k - begin] = rays.sin[ray]
+    return head_of(room, end - begin)
+
+
+@compiled
+def head_of(part: Part, size: int) -> Part:
+    """The first `size` rays."""
+    return Part(part.inverse[:size], part.cos[:size], part.sin[:size])
 
 
 @vectorised
