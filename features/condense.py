@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
-
-import numpy as np
+from typing import Any, NamedTuple
 
 from .compiled import compiled, vectorised
 from .corner import intersect, parallel
@@ -14,12 +12,26 @@ from .estimators import MAXIMUM_LIKELIHOOD, fit_by_code
 from .merging import drop_small
 from .pieces import Pieces, line
 from .pieces import views as piece_views
-from .rays import MAX_BEARING_GAP, TURN, Rays, accumulate, mark_breaks, select, spacing, update_grid, wrap
+from .rays import (
+    MAX_BEARING_GAP,
+    TURN,
+    Part,
+    Rays,
+    accumulate,
+    head_of,
+    mark_breaks,
+    part_of,
+    select,
+    spacing,
+    update_grid,
+    wrap,
+)
 from .rays import views as ray_views
 from .segmentation import segment
 from .settings import Settings
+from .sums import at, bearing_variance
 from .tracking import track
-from .types import Floats, Integers
+from .types import Flags, Floats, Integers
 from .wclm import GATE, ITERATIONS, reweighted
 
 CLOSEST = 5.0
@@ -60,42 +72,19 @@ class Found(NamedTuple):
     """Features as the compiled call writes them, a row each.
 
     lines     u, v, Cuu, Cuv, Cuv, Cvv, start x, y, end x, y, chi2, variance of the end's bearing
-    spans     first beam, last beam, rays used, first ray, last ray (see rays), 1 if a chord of a curved surface
+    spans     first beam, last beam, rays used, first ray, last ray (see rays)
+    curved    whether a line is a chord of a curved surface
     corners   x, y, Cxx, Cxy, Cxy, Cyy, evidence that it is one (see curves)
     pairs     line before, line after
-    evidence  range variances that long pieces show
+    evidence  range variances that long pieces show, sorted
     """
 
     lines: Floats
     spans: Integers
+    curved: Flags
     corners: Floats
     pairs: Integers
     evidence: Floats
-
-
-class Part(NamedTuple):
-    """The rays of one piece side by side."""
-
-    inverse: Floats
-    cos: Floats
-    sin: Floats
-
-
-@compiled
-def gather(rays: Rays, count: int, begin: int, end: int, room: Part) -> Part:
-    """Copy rays begin..end-1 into `room`."""
-    for k in range(begin, end):
-        ray = wrap(k, count)
-        room.inverse[k - begin] = rays.inverse[ray]
-        room.cos[k - begin] = rays.cos[ray]
-        room.sin[k - begin] = rays.sin[ray]
-    return head_of(room, end - begin)
-
-
-@compiled
-def head_of(part: Part, size: int) -> Part:
-    """The first `size` rays."""
-    return Part(part.inverse[:size], part.cos[:size], part.sin[:size])
 
 
 @compiled
@@ -136,14 +125,14 @@ def shown_variance(part: Part, u: float, v: float, sigma_range: float, sigma_bea
 
 
 @compiled
-def inliers(part: Part, u: float, v: float, settings: Settings) -> Part:
-    """The rays within the gate of the line, moved to the front."""
+def inliers(part: Part, u: float, v: float, settings: Settings, room: Part) -> Part:
+    """The rays within the gate of the line, copied into `room`."""
     kept = 0
     for i in range(len(part.inverse)):
         if within_gate(part.inverse[i], part.cos[i], part.sin[i], u, v, settings):
-            part.inverse[kept], part.cos[kept], part.sin[kept] = part.inverse[i], part.cos[i], part.sin[i]
+            room.inverse[kept], room.cos[kept], room.sin[kept] = part.inverse[i], part.cos[i], part.sin[i]
             kept += 1
-    return head_of(part, kept)
+    return head_of(room, kept)
 
 
 @compiled
@@ -151,11 +140,11 @@ def fit_piece(
     rays: Rays, count: int, pieces: Pieces, piece: int, room: Part, settings: Settings, found: Found, lines: int
 ) -> tuple[bool, float]:
     """Fit a piece and write it as line `lines` unless it is none; the range variance it shows, or NaN."""
-    begin, end, sums = pieces.begin[piece], pieces.end[piece], pieces.sums[piece]
+    begin, end = pieces.begin[piece], pieces.end[piece]
     if end - begin < settings.minimum_count:
         return False, math.nan
     spare = min(END_RAYS, (end - begin - settings.minimum_count) // 2)
-    part = gather(rays, count, begin + spare, end - spare, room)
+    part = part_of(rays, count, begin + spare, end - spare, room)
     u, v = line(pieces, piece)
     cuu = cuv = cvv = chi2 = math.nan
     used = 0
@@ -168,7 +157,7 @@ def fit_piece(
     variance = math.nan
     if used >= ADAPT_RAYS:
         variance = shown_variance(part, u, v, settings.sigma_range, settings.sigma_bearing)
-    spread = 0.25 * (1.0 - (sums[1] ** 2 + sums[2] ** 2) / sums[0] ** 2)
+    spread = bearing_variance(at(pieces.sums, piece))
     if not (chi2 <= MAX_CHI2 * (used - 2) and spread >= MIN_BEARING_VARIANCE * settings.sigma_bearing**2):
         return False, variance
     while begin < end - 1 and not lies_on(rays, wrap(begin, count), u, v, settings):
@@ -176,22 +165,23 @@ def fit_piece(
     while begin < end - 1 and not lies_on(rays, wrap(end - 1, count), u, v, settings):
         end -= 1
     if settings.estimator != MAXIMUM_LIKELIHOOD:
-        part = inliers(part, u, v, settings)
+        part = inliers(part, u, v, settings, room)
         u, v, cuu, cuv, cvv = fit_by_code(
             settings.estimator, part.inverse, part.cos, part.sin, settings.sigma_range, settings.sigma_bearing
         )
-    cuu += pieces.spread[piece, 0]
-    cuv += pieces.spread[piece, 1]
-    cvv += pieces.spread[piece, 2]
+    cuu += pieces.spread[0, piece]
+    cuv += pieces.spread[1, piece]
+    cvv += pieces.spread[2, piece]
     row = found.lines[lines]
     row[0], row[1], row[2], row[3], row[4], row[5], row[10] = u, v, cuu, cuv, cuv, cvv, chi2
-    row[11] = pieces.spread[piece, 3]
+    row[11] = pieces.spread[3, piece]
     first, last = wrap(begin, count), wrap(end - 1, count)
     for ray, column in ((first, 6), (last, 8)):
         distance = 1.0 / (u * rays.cos[ray] + v * rays.sin[ray])
         row[column], row[column + 1] = distance * rays.cos[ray], distance * rays.sin[ray]
     span = found.spans[lines]
-    span[0], span[1], span[2], span[3], span[4], span[5] = rays.beam[first], rays.beam[last], used, begin, end - 1, 0
+    span[0], span[1], span[2], span[3], span[4] = rays.beam[first], rays.beam[last], used, begin, end - 1
+    found.curved[lines] = False
     return math.hypot(row[8] - row[6], row[9] - row[7]) >= settings.minimum_length, variance
 
 
@@ -254,30 +244,40 @@ def fit_all(
         if is_line:
             lines += 1
         if math.isfinite(variance):
-            found.evidence[shown] = variance
+            insert(found.evidence, shown, variance)
             shown += 1
-    return lines, np.median(found.evidence[:shown]) if shown > 0 else math.nan
+    return lines, 0.5 * (found.evidence[(shown - 1) // 2] + found.evidence[shown // 2]) if shown > 0 else math.nan
+
+
+@compiled
+def insert(values: Floats, count: int, value: float) -> None:
+    """Put a value among `count` sorted ones."""
+    k = count
+    while k > 0 and values[k - 1] > value:
+        values[k] = values[k - 1]
+        k -= 1
+    values[k] = value
 
 
 @compiled
 def condense(
     ranges: Floats,
     angles: Floats,
-    settings: Settings,
-    ray_floats: Floats,
-    ray_integers: Integers,
-    piece_sums: Floats,
-    piece_spread: Floats,
-    gains: Floats,
-    piece_integers: Integers,
-    found: Found,
+    setting_values: tuple[Any, ...],
+    memory: tuple[Floats, Integers, Floats, Integers],
+    found_arrays: tuple[Any, ...],
 ) -> tuple[int, int, float]:
-    """Numbers of lines and corners written into `found`, and the range variance that the scan shows, or NaN."""
-    grid, rays = ray_views(ray_floats, ray_integers)
-    pieces, stack = piece_views(piece_sums, piece_spread, piece_integers)
+    """Numbers of lines and corners written into the arrays, and the range variance that the scan shows, or NaN.
+
+    Settings and Found come as plain tuples: to pass the names of their fields costs a microsecond each. `memory` is
+    what `rays.allocate` and `pieces.allocate` gave.
+    """
+    settings, found = Settings(*setting_values), Found(*found_arrays)
+    grid, space = ray_views(memory[0], memory[1])
+    pieces, gains, stack = piece_views(memory[2], memory[3])
     update_grid(angles, grid)
     closest = max(settings.range_min, CLOSEST * settings.sigma_range)
-    count = select(ranges, closest, settings.range_max, grid, rays)
+    rays, count = select(ranges, closest, settings.range_max, grid, space)
     if count < settings.minimum_count:
         return 0, 0, math.nan
     step = spacing(angles, rays, count)
@@ -285,7 +285,7 @@ def condense(
     accumulate(rays, count, step, settings)
     if settings.tracking_distance > 0.0:
         made = drop_small(pieces, track(rays, count, settings.tracking_distance, pieces))
-        pieces.spread[:made] = 0.0
+        pieces.spread[:, :made] = 0.0
     else:
         made = segment(rays, count, step, pieces, gains, stack, settings)
     # gains and prefix sums are used up; their memory holds the rays of one piece at a time
@@ -296,5 +296,5 @@ def condense(
         before = after - 1 if after > 0 else lines - 1
         if before != after and find_corner(rays, count, step, found, before, after, settings, corners):
             corners += 1
-    corners = leave_out(found.corners, found.pairs, found.spans[:, 5], corners)
+    corners = leave_out(found.corners, found.pairs, found.curved, corners)
     return lines, corners, variance

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from .compiled import compiled
 from .rays import Rays, wrap
 from .settings import Settings
-from .types import Floats, Integers
+from .types import Flags, Floats, Integers
 from .wclm import GATE
 
 BULGE = 4.0 / 45.0
@@ -156,7 +156,7 @@ def evidence(
 
 
 @compiled
-def leave_out(corners: Floats, pairs: Integers, curved: Integers, made: int) -> int:
+def leave_out(corners: Floats, pairs: Integers, curved: Flags, made: int) -> int:
     """Leave out the corners that are none, and mark the lines in `curved` that are chords; the number of corners left.
 
     The last column of `corners` is the evidence for each, as above. A line known to be a chord needs less of it that
@@ -167,15 +167,18 @@ def leave_out(corners: Floats, pairs: Integers, curved: Integers, made: int) -> 
         marked = False
         for k in range(made):
             before, after = pairs[k, 0], pairs[k, 1]
-            known = curved[before] + curved[after]
-            if known < 2 and corners[k, -1] < (BESIDE_A_CHORD if known else 0.0):
-                curved[before] = curved[after] = 1
+            if curved[before] and curved[after]:
+                continue
+            if corners[k, -1] < (BESIDE_A_CHORD if curved[before] or curved[after] else 0.0):
+                curved[before] = curved[after] = True
                 marked = True
     kept = 0
     for k in range(made):
-        if corners[k, -1] < (BESIDE_A_CHORD if curved[pairs[k, 0]] + curved[pairs[k, 1]] else 0.0):
+        before, after = pairs[k, 0], pairs[k, 1]
+        if corners[k, -1] < (BESIDE_A_CHORD if curved[before] or curved[after] else 0.0):
             continue
-        corners[kept] = corners[k]
-        pairs[kept] = pairs[k]
+        for column in range(corners.shape[1]):
+            corners[kept, column] = corners[k, column]
+        pairs[kept, 0], pairs[kept, 1] = before, after
         kept += 1
     return kept

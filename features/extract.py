@@ -72,7 +72,7 @@ class Extractor:
         self._noise = noise
         self._adapt = adapt_noise
         self._scans = known_from
-        self._settings = Settings(
+        settings = Settings(
             sigma_range=float(noise.sigma_range),
             sigma_bearing=float(noise.sigma_bearing),
             range_min=max(float(range_min), 1e-3),
@@ -85,6 +85,7 @@ class Extractor:
             tracking_distance=float(tracking_distance) if method == "tracking" else 0.0,
             estimator=ESTIMATORS[estimator].code,
         )
+        self._settings = tuple(settings)
         self._capacity = 0
         self._make_room(1)
 
@@ -115,7 +116,7 @@ class Extractor:
 
     def condense(self) -> tuple[int, int, float]:
         """The compiled part of `extract`, on the last scan: numbers of lines and corners, range variance shown."""
-        return condense(self._ranges, self._angles, self._settings, *self._memory, self._found)
+        return condense(self._ranges, self._angles, self._settings, self._memory, tuple(self._found))
 
     def _make_room(self, beams: int) -> None:
         """Memory for scans of `beams` beams; that of a larger scan stays."""
@@ -126,7 +127,8 @@ class Extractor:
         self._memory = (*rays.allocate(beams), *pieces.allocate(beams))
         self._found = Found(
             lines=np.zeros((beams + 1, 12)),
-            spans=np.zeros((beams + 1, 6), dtype=np.int64),
+            spans=np.zeros((beams + 1, 5), dtype=np.int64),
+            curved=np.zeros(beams + 1, dtype=np.bool_),
             corners=np.zeros((beams + 1, 7)),
             pairs=np.zeros((beams + 1, 2), dtype=np.int64),
             evidence=np.zeros(beams + 1),
@@ -139,7 +141,7 @@ class Extractor:
         shown = min(max(variance, NOISE_FLOOR**2), NOISE_CEILING**2)
         sigma = self._noise.sigma_range ** (1.0 - gain) * shown ** (0.5 * gain)
         self._noise = Noise(sigma, self._noise.sigma_bearing)
-        self._settings = Settings(self._noise.sigma_range, *self._settings[1:])
+        self._settings = (sigma, *self._settings[1:])
 
     def _lines(self, count: int) -> Lines:
         rows = self._found.lines[:count].copy()
@@ -153,7 +155,7 @@ class Extractor:
             spans[:, 1],  # last
             spans[:, 2],  # count
             rows[:, 10],  # chi2
-            spans[:, 5] == 1,  # curved
+            self._found.curved[:count].copy(),
         )
 
     def _corners(self, count: int) -> Corners:

@@ -6,9 +6,10 @@ The test is exact: the increase of chi-square by giving two pieces one line is t
 from __future__ import annotations
 
 from .compiled import compiled
-from .pieces import Pieces, absorb, add_rays, copy, cost, joint_line, line
+from .pieces import Pieces, absorb, add, copy, cost, joint_line, line
 from .rays import MAX_BEARING_GAP, MISSING_STEPS, TURN, Rays, distance_squared, wrap
 from .settings import Settings
+from .sums import over
 from .types import Integers
 
 MIN_SOLID = 4
@@ -128,7 +129,7 @@ def extend(rays: Rays, count: int, pieces: Pieces, made: int, settings: Settings
             end += 1
         if pieces.head[i] == pieces.end[i]:
             pieces.head[i] = end
-        add_rays(rays.prefix, count, pieces.end[i], end, 1.0, pieces.sums[i])
+        add(pieces, i, over(rays.prefix, count, pieces.end[i], end))
         pieces.end[i] = end
         limit = pieces.end[i - 1] if i > 0 else max(0, pieces.end[made - 1] - count)
         begin = pieces.begin[i]
@@ -138,5 +139,5 @@ def extend(rays: Rays, count: int, pieces: Pieces, made: int, settings: Settings
             begin -= 1
         if pieces.tail[i] == pieces.begin[i]:
             pieces.tail[i] = begin
-        add_rays(rays.prefix, count, begin, pieces.begin[i], 1.0, pieces.sums[i])
+        add(pieces, i, over(rays.prefix, count, begin, pieces.begin[i]))
         pieces.begin[i] = begin

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from .compiled import compiled
+from .sums import Sums, at, plus, put, residual_sum, solve
 from .types import Floats, Integers
-from .wclm import residual_sum, solve
 
 
 class Pieces(NamedTuple):
@@ -19,30 +19,24 @@ class Pieces(NamedTuple):
     end: Integers  # one past the last ray
     head: Integers  # end of the first uninterrupted run of rays
     tail: Integers  # begin of the last uninterrupted run
-    sums: Floats  # (pieces, 6) of the rays that belong to the piece; bridged rays do not
-    spread: Floats  # (pieces, 4) variances by where boundaries may lie: uu, uv, vv of the line; bearing of its end
+    sums: Floats  # (6, pieces) table of the rays that belong to the piece; bridged rays do not
+    spread: Floats  # (4, pieces) variances by where boundaries may lie: uu, uv, vv of the line; bearing of its end
 
 
-def allocate(beams: int) -> tuple[Floats, Floats, Floats, Integers]:
-    """Memory for scans of up to `beams` beams: sums, spreads, gains of splits, and integers."""
-    integers = np.zeros((5, 2 * beams + 2), dtype=np.int64)
-    return np.zeros((beams + 1, 6)), np.zeros((beams + 1, 4)), np.zeros(beams + 1), integers
+FLOAT_ROWS = 6 + 4 + 1
+INTEGER_ROWS = 5
 
 
-@compiled
-def views(sums: Floats, spread: Floats, integers: Integers) -> tuple[Pieces, Integers]:
-    """Pieces in the memory that `allocate` gave, and a stack."""
-    return Pieces(integers[0], integers[1], integers[2], integers[3], sums, spread), integers[4]
+def allocate(beams: int) -> tuple[Floats, Integers]:
+    """Memory for scans of up to `beams` beams."""
+    return np.zeros((FLOAT_ROWS, beams + 1)), np.zeros((INTEGER_ROWS, 2 * beams + 2), dtype=np.int64)
 
 
 @compiled
-def add_rays(prefix: Floats, count: int, begin: int, end: int, sign: float, sums: Floats) -> None:
-    """Add (or subtract, by `sign`) the sums of rays begin..end-1 of n = `count`; end may exceed n."""
-    for row in range(6):
-        total = prefix[row, min(end, count)] - prefix[row, min(begin, count)]
-        if end > count:
-            total += prefix[row, end - count] - prefix[row, max(begin - count, 0)]
-        sums[row] += sign * total
+def views(floats: Floats, integers: Integers) -> tuple[Pieces, Floats, Integers]:
+    """Pieces in the memory that `allocate` gave, and gains and a stack to split by."""
+    pieces = Pieces(integers[0], integers[1], integers[2], integers[3], floats[0:6], floats[6:10])
+    return pieces, floats[10], integers[4]
 
 
 @compiled
@@ -54,30 +48,30 @@ def append(pieces: Pieces, made: int, begin: int, end: int) -> int:
 
 
 @compiled
+def add(pieces: Pieces, i: int, sums: Sums) -> None:
+    """Add rays to piece i."""
+    put(pieces.sums, i, plus(at(pieces.sums, i), sums))
+
+
+@compiled
 def cost(pieces: Pieces, i: int) -> float:
     """Chi-square of piece i."""
-    if pieces.end[i] - pieces.begin[i] <= 2:
-        return 0.0
-    s = pieces.sums
-    return residual_sum(s[i, 0], s[i, 1], s[i, 2], s[i, 3], s[i, 4], s[i, 5])
+    return residual_sum(at(pieces.sums, i)) if pieces.end[i] - pieces.begin[i] > 2 else 0.0
 
 
 @compiled
 def line(pieces: Pieces, i: int) -> tuple[float, float]:
     """(u, v) of piece i."""
-    s = pieces.sums
-    u, v, _ = solve(s[i, 0], s[i, 1], s[i, 2], s[i, 3], s[i, 4])
+    u, v, _ = solve(at(pieces.sums, i))
     return u, v
 
 
 @compiled
 def joint_line(pieces: Pieces, i: int, j: int) -> tuple[float, float, float]:
     """(u, v, chi-square) of the one line through pieces i and j."""
-    s = pieces.sums
-    w, x, y = s[i, 0] + s[j, 0], s[i, 1] + s[j, 1], s[i, 2] + s[j, 2]
-    p, q, k = s[i, 3] + s[j, 3], s[i, 4] + s[j, 4], s[i, 5] + s[j, 5]
-    u, v, _ = solve(w, x, y, p, q)
-    return u, v, max(0.0, k - u * p - v * q) if math.isfinite(u) else math.inf
+    sums = plus(at(pieces.sums, i), at(pieces.sums, j))
+    u, v, _ = solve(sums)
+    return u, v, residual_sum(sums) if math.isfinite(u) else math.inf
 
 
 @compiled
@@ -91,8 +85,7 @@ def absorb(pieces: Pieces, i: int, j: int, adjacent: bool, shift: int) -> None:
     else:
         pieces.tail[i] = pieces.tail[j] + shift
     pieces.end[i] = pieces.end[j] + shift
-    for row in range(6):
-        pieces.sums[i, row] += pieces.sums[j, row]
+    add(pieces, i, at(pieces.sums, j))
 
 
 @compiled
@@ -102,10 +95,9 @@ def copy(pieces: Pieces, source: int, target: int) -> None:
         return
     pieces.begin[target], pieces.end[target] = pieces.begin[source], pieces.end[source]
     pieces.head[target], pieces.tail[target] = pieces.head[source], pieces.tail[source]
-    for row in range(6):
-        pieces.sums[target, row] = pieces.sums[source, row]
+    put(pieces.sums, target, at(pieces.sums, source))
     for row in range(4):
-        pieces.spread[target, row] = pieces.spread[source, row]
+        pieces.spread[row, target] = pieces.spread[row, source]
 
 
 @compiled

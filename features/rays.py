@@ -40,7 +40,7 @@ MAX_SLOPE = 11.0
 
 
 class Rays(NamedTuple):
-    """The usable rays of one scan. Arrays are as long as the workspace; the first n entries are valid."""
+    """The usable rays of one scan. Of the arrays, the first n entries are valid."""
 
     range: Floats
     inverse: Floats
@@ -49,7 +49,16 @@ class Rays(NamedTuple):
     bearing: Floats  # radians, increasing, unwrapped
     beam: Integers  # index of the ray in the scan
     broken: Integers  # 1 where no wall can continue from ray k - 1 to ray k
+    slope: Floats  # of 1/range in bearing before ray k, also for k a little beyond n (see find_slopes)
     prefix: Floats  # (6, n + 1) sums over rays before k of W, Re E, Im E, Re H, Im H, K (see wclm)
+
+
+class Part(NamedTuple):
+    """The rays of one piece side by side."""
+
+    inverse: Floats
+    cos: Floats
+    sin: Floats
 
 
 class Grid(NamedTuple):
@@ -60,21 +69,23 @@ class Grid(NamedTuple):
     sin: Floats
 
 
-FLOAT_ROWS = 3 + 5 + 6
+FLOAT_ROWS = 3 + 5 + 1 + 6
 INTEGER_ROWS = 2
 
 
 def allocate(beams: int) -> tuple[Floats, Integers]:
-    """Memory for scans of up to `beams` beams."""
-    floats = np.full((FLOAT_ROWS, beams + 1), np.nan)
-    return floats, np.zeros((INTEGER_ROWS, beams + 1), dtype=np.int64)
+    """Memory for scans of up to `beams` beams, twice as long: see `start_at`."""
+    size = 2 * beams + MAX_SLOPE_RAYS
+    return np.full((FLOAT_ROWS, size), np.nan), np.zeros((INTEGER_ROWS, size), dtype=np.int64)
 
 
 @compiled
 def views(floats: Floats, integers: Integers) -> tuple[Grid, Rays]:
     """The named parts of the memory that `allocate` gave."""
     grid = Grid(floats[0], floats[1], floats[2])
-    rays = Rays(floats[3], floats[4], floats[5], floats[6], floats[7], integers[0], integers[1], floats[8:14])
+    rays = Rays(
+        floats[3], floats[4], floats[5], floats[6], floats[7], integers[0], integers[1], floats[8], floats[9:15]
+    )
     return grid, rays
 
 
@@ -95,8 +106,8 @@ def update_grid(angles: Floats, grid: Grid) -> None:
 
 
 @compiled
-def select(ranges: Floats, range_min: float, range_max: float, grid: Grid, rays: Rays) -> int:
-    """Copy the usable rays, from the start on; their number.
+def select(ranges: Floats, range_min: float, range_max: float, grid: Grid, space: Rays) -> tuple[Rays, int]:
+    """The usable rays, from the start on, in the memory of `space`, and their number.
 
     A beam is usable if its range is within the limits and its bearing above that of the usable beam before; what
     exceeds one revolution is left out. On a closed revolution the start is the farthest ray. The farthest visible
@@ -114,30 +125,52 @@ def select(ranges: Floats, range_min: float, range_max: float, grid: Grid, rays:
             limit = angle + TURN - 1e-9
         if distance > most:
             most, farthest = distance, count
-        rays.broken[count] = beam  # not in use yet; holds the order in which the beams were found
+        space.range[count], space.bearing[count], space.beam[count] = distance, angle, beam
+        space.cos[count], space.sin[count] = grid.cos[beam], grid.sin[beam]
         last = angle
         count += 1
     if count == 0:
-        return 0
-    seam = grid.angle[rays.broken[0]] + TURN - last
-    start = farthest if seam < MAX_BEARING_GAP else 0
-    take(ranges, grid, rays, start, count, 0, 0.0)
-    take(ranges, grid, rays, 0, start, count - start, TURN)
-    return count
+        return space, 0
+    closed = space.bearing[0] + TURN - last < MAX_BEARING_GAP
+    return start_at(farthest if closed else 0, count, space), count
 
 
 @compiled
-def take(ranges: Floats, grid: Grid, rays: Rays, begin: int, end: int, at: int, turn: float) -> None:
-    """Copy the usable beams number begin..end-1 to the rays from `at` on, their bearings larger by `turn`."""
-    for k in range(begin, end):
-        beam = rays.broken[k]
-        ray = at + k - begin
-        rays.beam[ray] = beam
-        rays.range[ray] = ranges[beam]
-        rays.inverse[ray] = 1.0 / ranges[beam]
-        rays.cos[ray] = grid.cos[beam]
-        rays.sin[ray] = grid.sin[beam]
-        rays.bearing[ray] = grid.angle[beam] + turn
+def start_at(start: int, count: int, space: Rays) -> Rays:
+    """The rays from ray `start` on; those before it are repeated after the last one, a revolution later."""
+    repeat(space.range, start, count, 0.0)
+    repeat(space.cos, start, count, 0.0)
+    repeat(space.sin, start, count, 0.0)
+    repeat(space.bearing, start, count, TURN)
+    repeat(space.beam, start, count, 0)
+    end = start + count
+    invert(space.range[start:end], space.inverse)
+    return Rays(
+        space.range[start:end],
+        space.inverse,
+        space.cos[start:end],
+        space.sin[start:end],
+        space.bearing[start:end],
+        space.beam[start:end],
+        space.broken,
+        space.slope,
+        space.prefix,
+    )
+
+
+@vectorised
+def repeat(values: Floats | Integers, start: int, count: int, difference: float) -> None:
+    """Write the first `start` of `count` values after the last one, larger by `difference`."""
+    source, target = values[:start], values[count : count + start]
+    for k in range(start):
+        target[k] = source[k] + difference
+
+
+@vectorised
+def invert(values: Floats, inverse: Floats) -> None:
+    """1/x of every value x."""
+    for k in range(len(values)):
+        inverse[k] = 1.0 / values[k]
 
 
 @compiled
@@ -178,33 +211,68 @@ def distance_squared(rays: Rays, first: int, second: int) -> float:
     return float(dx * dx + dy * dy)
 
 
+@compiled
+def part_of(rays: Rays, count: int, begin: int, end: int, room: Part) -> Part:
+    """Rays begin..end-1: where they are, or copied into `room` where they run over ray n."""
+    if end <= count:
+        return Part(rays.inverse[begin:end], rays.cos[begin:end], rays.sin[begin:end])
+    for k in range(begin, end):
+        ray = wrap(k, count)
+        room.inverse[k - begin] = rays.inverse[ray]
+        room.cos[k - begin] = rays.cos[ray]
+        room.sin[k - begin] = rays.sin[ray]
+    return head_of(room, end - begin)
+
+
+@compiled
+def head_of(part: Part, size: int) -> Part:
+    """The first `size` rays."""
+    return Part(part.inverse[:size], part.cos[:size], part.sin[:size])
+
+
+@vectorised
+def find_slopes(rays: Rays, count: int, reach: int) -> None:
+    """Absolute slope of 1/range in bearing from ray k - `reach` to ray k, at k = 0..n+reach-1; infinite at the ends."""
+    for k in range(reach):
+        rays.slope[k] = rays.slope[count + k] = math.inf
+    slope, inverse, inverse_before = rays.slope[reach:count], rays.inverse[reach:count], rays.inverse[: count - reach]
+    bearing, bearing_before = rays.bearing[reach:count], rays.bearing[: count - reach]
+    for k in range(len(slope)):
+        slope[k] = abs((inverse[k] - inverse_before[k]) / (bearing[k] - bearing_before[k]))
+
+
+@vectorised
+def weigh(rays: Rays, count: int, reach: int, range_variance: float, bearing_variance: float, weights: Floats) -> None:
+    """Inverse variance of 1/range of every ray.
+
+    It needs the slope of 1/range in bearing. No line is known yet, so that is taken from the rays around: the smaller
+    one of forward and backward slope, as the other may lead around a corner.
+    """
+    inverse, backward, forward = rays.inverse[:count], rays.slope[:count], rays.slope[reach : count + reach]
+    for k in range(len(inverse)):
+        slope = min(MAX_SLOPE * inverse[k], backward[k], forward[k])
+        square = inverse[k] * inverse[k]
+        weights[k] = 1.0 / (range_variance * square * square + bearing_variance * slope * slope)
+
+
 @vectorised
 def accumulate(rays: Rays, count: int, step: float, settings: Settings) -> None:
-    """Prefix sums of the weighted normal equations.
-
-    No line is known yet, so the slope of 1/range in bearing, which the weight of a ray needs, is taken from the rays
-    around it: the smaller one of forward and backward slope, as the other may lead around a corner.
-    """
+    """Prefix sums of the weighted normal equations."""
     range_variance = settings.sigma_range**2 + settings.roughness**2
     bearing_variance = settings.sigma_bearing**2
     reach = 2
     while reach < MAX_SLOPE_RAYS and reach * step < SLOPE_WINDOW:
         reach += 1
     reach = min(reach, count - 1)
+    find_slopes(rays, count, reach)
+    weights = rays.prefix[0, 1:]  # where their sums will be
+    weigh(rays, count, reach, range_variance, bearing_variance, weights)
     weight = er = ei = hr = hi = total = 0.0
     prefix = rays.prefix
-    for row in range(6):
-        prefix[row, 0] = 0.0
+    prefix[:, 0] = 0.0
     for k in range(count):
-        eta, c, s = rays.inverse[k], rays.cos[k], rays.sin[k]
-        slope = MAX_SLOPE * eta
-        if k + reach < count:
-            slope = min(slope, abs((rays.inverse[k + reach] - eta) / (rays.bearing[k + reach] - rays.bearing[k])))
-        if k >= reach:
-            slope = min(slope, abs((eta - rays.inverse[k - reach]) / (rays.bearing[k] - rays.bearing[k - reach])))
-        square = eta * eta
-        w = 1.0 / (range_variance * square * square + bearing_variance * slope * slope)
-        eta *= 1.0 - range_variance * square
+        w, eta, c, s = weights[k], rays.inverse[k], rays.cos[k], rays.sin[k]
+        eta *= 1.0 - range_variance * eta * eta
         weight += w
         er += w * (c * c - s * s)
         ei += 2.0 * w * c * s

@@ -10,10 +10,10 @@ import math
 import numpy as np
 
 from .compiled import compiled, vectorised
-from .pieces import Pieces, add_rays, append, rotate
+from .pieces import Pieces, append, rotate
 from .rays import TURN, Rays, wrap
+from .sums import Sums, at, minus, over, plus, put, residual_sum, solve, up_to
 from .types import Floats, Integers
-from .wclm import residual_sum, solve
 
 MIN_PIECE = 2
 """Rays on either side of a split; two rays define a line."""
@@ -24,32 +24,26 @@ LEAST_LIKELY = 9.0
 REFINE_WINDOW = 12
 """Rays to either side over which a boundary is moved to where both neighbours fit best."""
 
+INFINITY_BITS = 0x7FF0000000000000
+"""Infinity's, read as an integer."""
+
 
 @compiled
 def chi_square(prefix: Floats, begin: int, end: int) -> float:
     """Chi-square of the best line through rays begin..end-1, end <= n; any two rays fit exactly."""
-    if end - begin <= 2:
-        return 0.0
-    return residual_sum(
-        prefix[0, end] - prefix[0, begin],
-        prefix[1, end] - prefix[1, begin],
-        prefix[2, end] - prefix[2, begin],
-        prefix[3, end] - prefix[3, begin],
-        prefix[4, end] - prefix[4, begin],
-        prefix[5, end] - prefix[5, begin],
-    )
+    return residual_sum(minus(at(prefix, end), at(prefix, begin))) if end - begin > 2 else 0.0
 
 
 @vectorised
-def explained(prefix: Floats, low: int, high: int, origin: Floats, terminus: Floats, gains: Floats) -> None:
+def explained(prefix: Floats, low: int, high: int, origin: Sums, terminus: Sums, gains: Floats) -> None:
     """Into gains[k], k = low..high: what two lines parted at ray k explain of the weighted sum of (1/range)^2.
 
-    The sums of the line before the boundary are prefix[:, k] - origin, of the line after it terminus - prefix[:, k].
+    The sums of the line before the boundary are column k - origin, of the line after it terminus - column k.
     A line explains A/D = Re(conj(B) H), with D from `solve`; two of them, on one denominator,
     (A1 D2 + A2 D1) / (D1 D2).
     """
-    w0, x0, y0, p0, q0 = origin[0], origin[1], origin[2], origin[3], origin[4]
-    w1, x1, y1, p1, q1 = terminus[0], terminus[1], terminus[2], terminus[3], terminus[4]
+    w0, x0, y0, p0, q0, _ = origin
+    w1, x1, y1, p1, q1, _ = terminus
     # contiguous views indexed from 0, which the compiler can prove to be in range and so vectorises
     weight, er, ei = prefix[0][low : high + 1], prefix[1][low : high + 1], prefix[2][low : high + 1]
     hr, hi, values = prefix[3][low : high + 1], prefix[4][low : high + 1], gains[low : high + 1]
@@ -59,19 +53,26 @@ def explained(prefix: Floats, low: int, high: int, origin: Floats, terminus: Flo
         wr, xr, yr, pr, qr = w1 - w, x1 - x, y1 - y, p1 - p, q1 - q
         dl = wl * wl - xl * xl - yl * yl
         dr = wr * wr - xr * xr - yr * yr
-        al = wl * (pl * pl + ql * ql) - xl * (pl * pl - ql * ql) - 2.0 * yl * pl * ql
-        ar = wr * (pr * pr + qr * qr) - xr * (pr * pr - qr * qr) - 2.0 * yr * pr * qr
+        al = (wl - xl) * pl * pl + (wl + xl) * ql * ql - 2.0 * yl * pl * ql
+        ar = (wr - xr) * pr * pr + (wr + xr) * qr * qr - 2.0 * yr * pr * qr
         values[k] = 2.0 * (al * dr + ar * dl) / (dl * dr)
 
 
-@compiled
+@vectorised
 def largest(values: Floats, low: int, high: int) -> int:
-    """Index of the largest of values[low..high], or -1 where none is a number."""
-    best, position = -math.inf, -1
-    for k in range(low, high + 1):
-        if values[k] > best:
-            best, position = values[k], k
-    return position
+    """Index of the largest of values[low..high], or -1 where none is positive.
+
+    Positive numbers are in the order of their bits, and of integers a vector unit finds the largest; of floats it does
+    not, for NaN's sake. Where not negative, the bits of NaN are beyond those of infinity.
+    """
+    bits = values[low : high + 1].view(np.int64)
+    best = 1
+    for k in range(len(bits)):
+        best = max(best, bits[k] if bits[k] <= INFINITY_BITS else 0)
+    for k in range(len(bits)):
+        if bits[k] == best:
+            return low + k
+    return -1
 
 
 @compiled
@@ -83,7 +84,7 @@ def best_split(prefix: Floats, begin: int, end: int, penalty: float, gains: Floa
     if whole <= penalty:  # nothing can gain more than all of it
         return -1
     low, high = begin + MIN_PIECE, end - MIN_PIECE
-    explained(prefix, low, high, prefix[:, begin], prefix[:, end], gains)
+    explained(prefix, low, high, at(prefix, begin), at(prefix, end), gains)
     position = largest(gains, low, high)
     if position < 0:
         return -1
@@ -114,8 +115,7 @@ def split(rays: Rays, count: int, penalty: float, pieces: Pieces, gains: Floats,
             depth += 4
         run = stop
     for i in range(made):
-        pieces.sums[i, :] = 0.0
-        add_rays(rays.prefix, count, pieces.begin[i], pieces.end[i], 1.0, pieces.sums[i])
+        put(pieces.sums, i, over(rays.prefix, count, pieces.begin[i], pieces.end[i]))
     return made
 
 
@@ -123,8 +123,7 @@ def split(rays: Rays, count: int, penalty: float, pieces: Pieces, gains: Floats,
 def refine(rays: Rays, count: int, pieces: Pieces, made: int, gains: Floats) -> None:
     """Move every boundary between adjoining pieces to where the two lines together fit best."""
     prefix = rays.prefix
-    origin, terminus = np.empty(6), np.empty(6)
-    pieces.spread[:made] = 0.0
+    pieces.spread[:, :made] = 0.0
     for i in range(made):
         j = i + 1 if i + 1 < made else 0
         shift = count if j == 0 else 0
@@ -133,12 +132,11 @@ def refine(rays: Rays, count: int, pieces: Pieces, made: int, gains: Floats) -> 
             continue
         low = max(pieces.tail[i] + MIN_PIECE, boundary - REFINE_WINDOW)
         high = min(pieces.head[j] + shift - MIN_PIECE, boundary + REFINE_WINDOW)
-        for row in range(6):
-            at = prefix[row, min(boundary, count)] + (prefix[row, boundary - count] if boundary > count else 0.0)
-            origin[row], terminus[row] = at - pieces.sums[i, row], at + pieces.sums[j, row]
+        middle = up_to(prefix, count, boundary)
+        origin, terminus = minus(middle, at(pieces.sums, i)), plus(middle, at(pieces.sums, j))
         position = best_boundary(prefix, count, low, high, origin, terminus, gains)
         if position > 0:
-            add_spread(prefix, rays.bearing, count, low, high, position, origin, terminus, gains, pieces.spread, i, j)
+            add_spread(rays, count, low, high, position, origin, terminus, gains, pieces, i, j)
             if position != boundary:
                 move_boundary(prefix, count, pieces, i, j, position, shift)
     if made > 1 and pieces.begin[0] < 0:
@@ -146,9 +144,7 @@ def refine(rays: Rays, count: int, pieces: Pieces, made: int, gains: Floats) -> 
 
 
 @compiled
-def best_boundary(
-    prefix: Floats, count: int, low: int, high: int, origin: Floats, terminus: Floats, gains: Floats
-) -> int:
+def best_boundary(prefix: Floats, count: int, low: int, high: int, origin: Sums, terminus: Sums, gains: Floats) -> int:
     """The ray low..high at which two lines are best parted, or -1; as `explained`, but may run over ray n = `count`."""
     best, position = -math.inf, -1
     if low <= count:
@@ -157,8 +153,8 @@ def best_boundary(
         best = gains[position] if position >= 0 else best
     if high > count:
         first = max(low, count + 1) - count
-        seam = prefix[:, count]
-        explained(prefix, first, high - count, origin - seam, terminus - seam, gains)
+        seam = at(prefix, count)
+        explained(prefix, first, high - count, minus(origin, seam), minus(terminus, seam), gains)
         beyond = largest(gains, first, high - count)
         if beyond >= 0 and gains[beyond] > best:
             position = beyond + count
@@ -167,16 +163,15 @@ def best_boundary(
 
 @compiled
 def add_spread(
-    prefix: Floats,
-    bearing: Floats,
+    rays: Rays,
     count: int,
     low: int,
     high: int,
     position: int,
-    origin: Floats,
-    terminus: Floats,
+    origin: Sums,
+    terminus: Sums,
     gains: Floats,
-    spread: Floats,
+    pieces: Pieces,
     i: int,
     j: int,
 ) -> None:
@@ -185,53 +180,57 @@ def add_spread(
     A boundary k has the likelihood exp(gain_k / 2). By the law of total variance the lines B_k that go with it add
     sum p_k (B_k - B)(B_k - B)' to the covariance of the lines B that were chosen, and the bearing varies likewise.
     """
-    # scalars, and no function that takes arrays: counting the references to those costs more than all the sums
-    w0, x0, y0, p0, q0 = origin[0], origin[1], origin[2], origin[3], origin[4]
-    w1, x1, y1, p1, q1 = terminus[0], terminus[1], terminus[2], terminus[3], terminus[4]
-    best = gains[position - count if position > count else position]
-    u0 = v0 = u1 = v1 = chosen = total = wander = 0.0
+    prefix, spread = rays.prefix, pieces.spread
+    middle = up_to(prefix, count, position)
+    u0, v0, _ = solve(minus(middle, origin))
+    u1, v1, _ = solve(minus(terminus, middle))
+    chosen, best = unwrapped(rays.bearing, count, position), gain_at(gains, count, position)
+    total, wander = 1.0, 0.0
     uu0 = uv0 = vv0 = uu1 = uv1 = vv1 = 0.0
-    for step in range(low - 1, high + 1):
-        k = step if step >= low else position  # the lines that were chosen come first; the others are taken about them
-        ray = k - count if k > count else k
-        behind = best - gains[ray]
-        if not behind < LEAST_LIKELY or step == position:
-            continue
-        w, x, y, p, q = prefix[0, ray], prefix[1, ray], prefix[2, ray], prefix[3, ray], prefix[4, ray]
-        angle = bearing[k] if k < count else bearing[k - count] + TURN
-        if k > count:
-            w, x, y = w + prefix[0, count], x + prefix[1, count], y + prefix[2, count]
-            p, q = p + prefix[3, count], q + prefix[4, count]
-        ku0, kv0, _ = solve(w - w0, x - x0, y - y0, p - p0, q - q0)
-        ku1, kv1, _ = solve(w1 - w, x1 - x, y1 - y, p1 - p, q1 - q)
-        if step < low:
-            u0, v0, u1, v1, chosen, total = ku0, kv0, ku1, kv1, angle, 1.0
+    for k in range(low, high + 1):
+        behind = best - gain_at(gains, count, k)
+        if not behind < LEAST_LIKELY or k == position:
             continue
         likely = math.exp(-0.5 * behind)
         total += likely
-        wander += likely * (angle - chosen) * (angle - chosen)
-        du, dv = ku0 - u0, kv0 - v0
+        angle = unwrapped(rays.bearing, count, k) - chosen
+        wander += likely * angle * angle
+        middle = up_to(prefix, count, k)
+        u, v, _ = solve(minus(middle, origin))
+        du, dv = u - u0, v - v0
         uu0, uv0, vv0 = uu0 + likely * du * du, uv0 + likely * du * dv, vv0 + likely * dv * dv
-        du, dv = ku1 - u1, kv1 - v1
+        u, v, _ = solve(minus(terminus, middle))
+        du, dv = u - u1, v - v1
         uu1, uv1, vv1 = uu1 + likely * du * du, uv1 + likely * du * dv, vv1 + likely * dv * dv
     if math.isfinite(uu0 + vv0 + uu1 + vv1):
-        spread[i, 0] += uu0 / total
-        spread[i, 1] += uv0 / total
-        spread[i, 2] += vv0 / total
-        spread[i, 3] = wander / total
-        spread[j, 0] += uu1 / total
-        spread[j, 1] += uv1 / total
-        spread[j, 2] += vv1 / total
+        spread[0, i] += uu0 / total
+        spread[1, i] += uv0 / total
+        spread[2, i] += vv0 / total
+        spread[3, i] = wander / total
+        spread[0, j] += uu1 / total
+        spread[1, j] += uv1 / total
+        spread[2, j] += vv1 / total
+
+
+@compiled
+def gain_at(gains: Floats, count: int, k: int) -> float:
+    """What `explained` found for a boundary before ray k, which may be one of the next revolution."""
+    return float(gains[k] if k <= count else gains[k - count])
+
+
+@compiled
+def unwrapped(bearing: Floats, count: int, k: int) -> float:
+    """Bearing of ray k, which may be one of the next revolution."""
+    return float(bearing[k] if k < count else bearing[k - count] + TURN)
 
 
 @compiled
 def move_boundary(prefix: Floats, count: int, pieces: Pieces, i: int, j: int, position: int, shift: int) -> None:
     """Let piece i end and piece j, which counts `shift` less, begin at ray `position`."""
     boundary = pieces.end[i]
-    sign = 1.0 if position > boundary else -1.0
-    low, high = min(position, boundary), max(position, boundary)
-    add_rays(prefix, count, low, high, sign, pieces.sums[i])
-    add_rays(prefix, count, low, high, -sign, pieces.sums[j])
+    moved = over(prefix, count, boundary, position)  # negative where the boundary goes back
+    put(pieces.sums, i, plus(at(pieces.sums, i), moved))
+    put(pieces.sums, j, minus(at(pieces.sums, j), moved))
     if pieces.head[i] == boundary:
         pieces.head[i] = position
     if pieces.tail[j] == pieces.begin[j]:

@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 
 from .compiled import compiled
-from .pieces import Pieces, add_rays, append, line
+from .pieces import Pieces, add, append, line
 from .rays import Rays
+from .sums import no_rays, over, put
 
 PAPER_DISTANCE = 0.02
 """Threshold of the paper, metres."""
@@ -22,7 +23,7 @@ def track(rays: Rays, count: int, distance: float, pieces: Pieces) -> int:
     made = 0
     begin = 0
     while begin < count:
-        pieces.sums[made, :] = 0.0
+        put(pieces.sums, made, no_rays())
         end = begin
         while end < count and (end == begin or rays.broken[end] == 0):
             if end - begin >= 2:
@@ -31,7 +32,7 @@ def track(rays: Rays, count: int, distance: float, pieces: Pieces) -> int:
                 # 1 - u x - v y = range * residual; over |(u, v)| it is the distance to the line
                 if not abs(residual) * rays.range[end] <= distance * math.hypot(u, v):
                     break
-            add_rays(rays.prefix, count, end, end + 1, 1.0, pieces.sums[made])
+            add(pieces, made, over(rays.prefix, count, end, end + 1))
             end += 1
         made = append(pieces, made, begin, end)
         begin = end

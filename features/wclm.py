@@ -17,8 +17,9 @@ import math
 
 import numpy as np
 
-from .compiled import compiled, vectorised
+from .compiled import vectorised
 from .fit import LineFit, rays_of
+from .sums import Sums, solve
 from .types import Floats, Noise
 
 GATE = 25.0
@@ -26,23 +27,6 @@ GATE = 25.0
 
 ITERATIONS = 2
 """Reweightings of the maximum-likelihood fit; from a least-squares start the first lands within 1 % of the optimum."""
-
-
-@compiled
-def solve(weight: float, er: float, ei: float, hr: float, hi: float) -> tuple[float, float, float]:
-    """(u, v) of the normal equations from their sums, and D = W^2 - |E|^2, four times their determinant."""
-    determinant = weight * weight - er * er - ei * ei
-    if not determinant > 0.0:
-        return math.nan, math.nan, 0.0
-    scale = 2.0 / determinant
-    return scale * ((weight - er) * hr - ei * hi), scale * ((weight + er) * hi - ei * hr), determinant
-
-
-@compiled
-def residual_sum(weight: float, er: float, ei: float, hr: float, hi: float, k: float) -> float:
-    """Weighted sum of squared residuals at the optimum, K - Re(conj(B) H) with B = u + i v; NaN without one."""
-    u, v, _ = solve(weight, er, ei, hr, hi)
-    return max(0.0, k - u * hr - v * hi) if math.isfinite(u) else math.nan
 
 
 @vectorised
@@ -55,7 +39,7 @@ def least_squares(inverse: Floats, cos: Floats, sin: Floats) -> tuple[float, flo
         hr += inverse[i] * cos[i]
         hi += inverse[i] * sin[i]
     count = float(len(inverse))
-    u, v, determinant = solve(count, er, ei, hr, hi)
+    u, v, determinant = solve(Sums(count, er, ei, hr, hi, math.nan))
     return u, v, count, er, ei, determinant
 
 
@@ -133,7 +117,7 @@ def reweighted(
         hi += w * eta * s
         k += w * eta * eta
     shrunk, halved = 1.0 + 2.0 * bearing_variance, 1.0 + 0.5 * bearing_variance
-    u, v, determinant = solve(total, shrunk * er, shrunk * ei, halved * hr, halved * hi)
+    u, v, determinant = solve(Sums(total, shrunk * er, shrunk * ei, halved * hr, halved * hi, k))
     if not determinant > 0.0:
         return math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, 0
     squares = 0.5 * (total * (u * u + v * v) + er * (u * u - v * v)) + ei * u * v

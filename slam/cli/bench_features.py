@@ -28,7 +28,7 @@ def bench_features(
 
     Over levels of noise and of outliers: precision, recall, errors, and errors against covariances; what becomes of
     curved walls; times by the number of beams; what compilation costs. But for times, the same seed gives the same
-    figures. Takes about five minutes.
+    figures. Takes a minute or two.
 
     Example: [bold]wclm bench features --quick[/bold]
     """

@@ -6,9 +6,13 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 
 from features import Extractor, Features, Noise
 from features.condense import END_RAYS
+from features.splitting import largest
 
 FINE = Noise(0.01, np.radians(0.05))
 COARSE = Noise(0.05, np.radians(0.196))
@@ -166,6 +170,17 @@ def test_every_estimator_finds_the_same_walls(simulate: Callable[..., object], e
     deviation = np.sqrt(np.einsum("nii->ni", expected.lines.covariance))
     assert (np.abs(difference) < 3 * deviation).all()
     np.testing.assert_allclose(found.lines.covariance, expected.lines.covariance, atol=1.0 * deviation.max() ** 2)
+
+
+@given(
+    hnp.arrays(np.float64, st.integers(1, 60), elements=st.floats(width=16) | st.sampled_from([1.0, np.inf])), st.data()
+)
+def test_the_best_split_is_the_first_of_the_largest_gains(gains: np.ndarray, data: st.DataObject) -> None:
+    low = data.draw(st.integers(0, len(gains) - 1))
+    high = data.draw(st.integers(low, len(gains) - 1))
+    positive = np.where(gains[low : high + 1] > 0.0, gains[low : high + 1], 0.0)
+    assert largest(gains, low, high) == (low + positive.argmax() if positive.any() else -1)
+    assert largest(np.array([1.0, -np.nan, np.nan, 2.0, 2.0]), 0, 4) == 3
 
 
 def test_minimum_length_and_count(simulate: Callable[..., object]) -> None:
