@@ -11,7 +11,7 @@ from typing import Any
 import serial
 
 from ..errors import ConnectionLostError, PortError
-from .transport import Received
+from .transport import Received, take_promptly
 
 WRITE_TIMEOUT = 1.0
 """Seconds; requests are a few bytes, and a port that takes none for so long is stuck."""
@@ -59,12 +59,13 @@ class SerialPort:
         try:
             if timeout != self._timeout:  # setting it configures the port
                 self._serial.timeout = self._timeout = timeout
-            data = self._serial.read(1)
-            if data:
-                data += self._serial.read(self._serial.in_waiting)
+            first = self._serial.read(1)
+            if not first:
+                return Received(b"", time.monotonic())
+            rest, arrived = take_promptly(lambda: self._serial.read(self._serial.in_waiting))
         except FAILURES as failure:
             raise self._lost(failure) from failure
-        return Received(data, time.monotonic())
+        return Received(first + rest, arrived)
 
     def write(self, data: bytes) -> None:
         """Send; raises ConnectionLostError, too, where the port takes no bytes for a second."""

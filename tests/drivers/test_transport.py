@@ -11,13 +11,15 @@ import tty
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import ConnectionLostError, DriverError, EndOfTapeError, PortError, RecordingError
-from drivers.transport import Received, SerialPort, Tap, TapePlayer, TcpConnection, Transport
+from drivers.transport import Received, SerialPort, Tap, TapePlayer, TcpConnection, Transport, transport
+from drivers.transport.transport import TAKES, take_promptly
 
 ALL_BYTES = bytes(range(256))
 
@@ -101,6 +103,46 @@ def test_read_takes_all_that_is_there_and_waits_no_longer(pair: tuple[Transport,
     received = transport.read(5.0)
     assert received.data == b"abc" * 100
     assert before <= received.time <= time.monotonic() < before + 1.0
+
+
+@pytest.mark.parametrize("held_up", [0, 3, 1000])
+def test_a_host_that_is_held_up_between_bytes_and_clock_takes_what_came_meanwhile(
+    held_up: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So that the last bytes have the time when they came, unless every look at the clock is late."""
+    now, taken, calls = 100.0, 0, 0
+
+    def take() -> bytes:
+        nonlocal now, taken, calls
+        came = round((now - 100.0) * 1000)  # a byte a millisecond
+        data, taken, calls = bytes(came - taken), came, calls + 1
+        now += 0.05 if calls <= held_up else 1e-5
+        return data
+
+    monkeypatch.setattr(transport, "time", SimpleNamespace(monotonic=lambda: now))
+    now += 0.01
+    data, arrived = take_promptly(take)
+    assert len(data) == taken
+    assert calls == min(held_up + 1, TAKES)
+    assert arrived - (100.0 + len(data) / 1000) == pytest.approx(1e-5 if held_up < TAKES else 0.05)
+
+
+def test_reads_look_at_the_clock_promptly(pair: tuple[Transport, Peer], monkeypatch: pytest.MonkeyPatch) -> None:
+    """What comes while the host is held up after the first bytes belongs to the same read."""
+    connection, peer = pair
+    looks = 0
+
+    def monotonic() -> float:
+        nonlocal looks
+        looks += 1
+        if looks == 2:
+            peer.write(b"more")
+            time.sleep(0.05)
+        return time.monotonic()
+
+    monkeypatch.setattr(transport, "time", SimpleNamespace(monotonic=monotonic))
+    peer.write(b"some")
+    assert connection.read(5.0).data == b"somemore"
 
 
 def test_unplugging_is_a_typed_error(pair: tuple[Transport, Peer]) -> None:
