@@ -34,22 +34,19 @@ class CountingClock:
     def __init__(self, period: float) -> None:
         self.clock = DeviceClock(period)
         self.lost = 0
-        self._late: list[float] = []
+        self._late: dict[float, float] = {}  # arrivals of the last reads, all of them late: by how much
 
-    def stamp(self, count: int, arrived: float, newest: bool = True) -> float:
-        """The host's time (seconds) at packet number `count`, known at `arrived`; `newest` is false for a packet behind
-        which others were waiting.
-        """
+    def stamp(self, count: int, arrived: float) -> float:
+        """The host's time (seconds) at packet number `count`, known at `arrived`, the last one of those known then."""
         stamp = self.clock.stamp(count, arrived)
-        if not newest:
-            return stamp
         if arrived - stamp < LATE:
             self._late.clear()
             return stamp
-        self._late.append(arrived - stamp)
+        # A read is as late as its last packet, which may be known only when the next read has completed it.
+        self._late[arrived] = arrived - stamp
         if len(self._late) < CERTAIN:
             return stamp
-        self.lost += round(min(self._late) / self.clock.tick)
+        self.lost += round(min(self._late.values()) / self.clock.tick)
         self._late.clear()
         self.clock.jumped()
         return self.clock.stamp(count, arrived)

@@ -9,6 +9,8 @@ from dataclasses import asdict, replace
 from math import pi
 from typing import Any
 
+import numpy as np
+
 from ..bases import (
     ArduinoBridge,
     Create2,
@@ -23,7 +25,7 @@ from ..bases import (
 )
 from ..device_clock import DeviceClock
 from ..errors import NoAnswerError
-from ..messages import Message, Odometry
+from ..messages import Floats, Message, Odometry
 from ..transport import Received, Transport
 from .device import READ_TIMEOUT, Device
 from .stamping import CountingClock
@@ -126,7 +128,7 @@ class Base(Device):
         readings = self._protocol.feed(received.data)
         if readings and before:
             self._frame = min(self._frame, max(1, round(self._bytes / self._protocol.counters.good)))
-        stamps = [self._stamp(reading, received.time, reading is readings[-1]) for reading in readings]
+        stamps = self._stamps(readings, received.time).tolist()
         return [message for pair in zip(readings, stamps, strict=True) if (message := self._odometry(*pair))]
 
     def halt(self, transport: Transport) -> None:
@@ -156,16 +158,18 @@ class Base(Device):
         lost = self._counting.lost if self._counting else 0
         return {"lost": lost} | ({"clock_jumps": clock.jumps, "clock_strays": clock.strays} if clock else {})
 
-    def _stamp(self, reading: WheelReading, arrived: float, newest: bool) -> float:
-        if reading.time is None:
-            return arrived
+    def _stamps(self, readings: list[WheelReading], arrived: float) -> Floats:
+        """When readings (n,) that arrived together were measured, in seconds, as far as the clock knows."""
+        clock = self._counting.clock if self._counting else self._clock
+        if clock is None or not readings:
+            return np.full(len(readings), arrived)
+        # The last one was held up least; the others follow from it.
+        times = np.array([reading.time for reading in readings])
+        last = int(times[-1])
+        known = self._counting.stamp(last, arrived) if self._counting else clock.stamp(last, arrived)
+        ages = last - times if clock.wraps_at is None else np.mod(last - times, clock.wraps_at)
         frame = self._frame if self._frame < LONGEST_FRAME else 0
-        if self._counting is not None:
-            known = self._counting.stamp(reading.time, arrived, newest)
-        else:
-            assert self._clock is not None
-            known = self._clock.stamp(reading.time, arrived)
-        return known - frame * 10.0 / self._baud
+        return np.asarray(known - ages * clock.tick * (1.0 + clock.drift) - frame * 10.0 / self._baud)
 
     def _odometry(self, reading: WheelReading, stamp: float) -> Odometry | None:
         return self._odometer.add(reading, stamp)

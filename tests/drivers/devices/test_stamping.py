@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.devices.stamping import PacketStamper
+from drivers.devices.stamping import LATE, CountingClock, PacketStamper
 from drivers.lidars.rplidar import dense, standard
 from drivers.lidars.rplidar.decoding import decoder_for
 from drivers.transport import Received
@@ -74,3 +74,25 @@ def decoder_delay() -> float:
     nodes = standard.encode(np.linspace(0.0, 0.1, 40), np.ones(40), np.full(40, 20), np.arange(40) == 0)
     offset = decoder_for(0x81, 1 / RATE, BAUD, False).feed(nodes).samples["offset"][0]
     return float((-offset - 5 * 10 / BAUD) * RATE)
+
+
+@pytest.mark.parametrize("period", [0.0043, 0.015])
+def test_one_late_read_is_no_loss(period: float) -> None:
+    """Not even where its last packet becomes known only with the read after it."""
+    clock = CountingClock(period)
+    for count in range(200):
+        arrived = START + count * period
+        late = count in (100, 101)
+        stamp = clock.stamp(count, START + 101 * period + 2 * LATE if late else arrived)
+        assert stamp == pytest.approx(arrived, abs=1e-6)
+    assert (clock.lost, clock.clock.jumps) == (0, 0)
+
+
+def test_packets_that_are_lost_whole_are_noticed() -> None:
+    clock = CountingClock(0.015)
+    for count in range(200):
+        true = START + (count + (20 if count >= 100 else 0)) * 0.015
+        stamp = clock.stamp(count, true)
+        if count != 100:  # which may have waited
+            assert stamp == pytest.approx(true, abs=1e-6)
+    assert (clock.lost, clock.clock.jumps) == (20, 1)
