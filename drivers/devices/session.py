@@ -104,6 +104,7 @@ class Session:
         self._connected = self._ran = False
         self._problem = ""
         self._latest: float | None = None  # end of the last message
+        self._read: float | None = None  # when it was read last, as long as it is connected
         self._counts = {"messages": 0, "bytes_read": 0, "connections": 0, "losses": 0, "silences": 0, "pauses": 0}
 
     def run(self, stop: Event) -> None:
@@ -129,6 +130,14 @@ class Session:
                 attempts = 0 if lost_now else attempts + 1
                 stop.wait(PAUSES[min(attempts, len(PAUSES) - 1)])
         self.state = State.ENDED
+
+    @property
+    def read_until(self) -> float:
+        """Up to when all that the device measured and sent has been put (seconds on the steady clock): until it was
+        read last, however long ago that is; until now where it is not connected.
+        """
+        read = self._read
+        return time.monotonic() if read is None else read
 
     def status(self) -> Status:
         """How it is doing now. To the device's own counters come: messages, bytes_read, connections made, losses of a
@@ -186,6 +195,7 @@ class Session:
         """Read until told to stop; raises SilenceError or ConnectionLostError."""
         try:
             device, started = self._device, time.monotonic()
+            self._read = started
             self.state = State.STARTING
             units, heard, before = device.units, None, started
             while not stop.is_set():
@@ -204,7 +214,9 @@ class Session:
                     self._counts["silences"] += 1
                     raise SilenceError(f"{transport.name}: no measurements for {SILENCE:g} s")
                 self._pass_on(messages)
+                self._read = received.time
         finally:
+            self._read = None
             self._leave(transport)
 
     def _check_pace(self, transport: Transport, pause: float) -> None:

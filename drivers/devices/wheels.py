@@ -28,7 +28,7 @@ from ..errors import NoAnswerError
 from ..messages import Floats, Message, Odometry
 from ..transport import Received, Transport
 from .device import READ_TIMEOUT, Device
-from .stamping import CountingClock
+from .stamping import CountingClock, Onward
 
 ASK_AGAIN = 1.0
 """Seconds after which a base that has not sent a reading yet is asked to once more: boards restart when a port is
@@ -80,6 +80,7 @@ class Base(Device):
         self._name = NAMES[kind]
         self._wheels = drive_of(kind, options)
         self._odometer = Odometer(self._wheels)
+        self._onward = Onward()
         self._protocol = self._make(self._wheels)
         self._past: Counter[str] = Counter()  # of earlier connections
         self._frame: int
@@ -128,7 +129,7 @@ class Base(Device):
         readings = self._protocol.feed(received.data)
         if readings and before:
             self._frame = min(self._frame, max(1, round(self._bytes / self._protocol.counters.good)))
-        stamps = self._stamps(readings, received.time).tolist()
+        stamps = self._onward.stamps(self._stamps(readings, received.time)).tolist()
         return [message for pair in zip(readings, stamps, strict=True) if (message := self._odometry(*pair))]
 
     def halt(self, transport: Transport) -> None:
