@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import pty
 import socket
+import termios
 import threading
 import time
 import tty
@@ -226,6 +228,61 @@ def test_modem_lines(terminal: tuple[str, int], monkeypatch: pytest.MonkeyPatch)
     assert port.set_dtr(True) is True
     assert set_to[-1] == ("dtr", True)
     port.close()
+
+
+@pytest.fixture
+def lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pseudo terminals have modem lines, as far as anybody can see who sets them."""
+    for line in ("dtr", "rts"):
+        monkeypatch.setattr(f"serial.Serial._update_{line}_state", lambda port: None)
+
+
+@pytest.mark.usefixtures("lines")
+@pytest.mark.parametrize("baud", [115200, 256000])
+def test_lines_stay_as_they_are_when_the_port_is_closed(baud: int) -> None:
+    ours, theirs = pty.openpty()
+    port = SerialPort(os.ttyname(theirs), baud)
+    attributes = termios.tcgetattr(theirs)
+    attributes[2] |= termios.HUPCL
+    termios.tcsetattr(theirs, termios.TCSANOW, attributes)
+    assert port.set_dtr(True) is True
+    assert termios.tcgetattr(theirs)[2] & termios.HUPCL == 0
+    port.close()
+    os.close(theirs)
+    os.close(ours)
+
+
+@pytest.mark.usefixtures("lines")
+def test_a_line_of_a_port_that_is_gone(terminal: tuple[str, int]) -> None:
+    port = SerialPort(terminal[0], 115200)
+    os.close(terminal[1])
+    with pytest.raises(ConnectionLostError):
+        port.set_dtr(True)
+    port.close()
+
+
+@pytest.mark.parametrize("failure", [ValueError("no such flag"), NotImplementedError("not on this system")])
+def test_a_port_without_low_latency_is_opened(
+    failure: Exception, terminal: tuple[str, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[bool] = []
+
+    def refuse(port: object, wanted: bool) -> None:
+        asked.append(wanted)
+        raise failure
+
+    monkeypatch.setattr("serial.Serial.set_low_latency_mode", refuse)
+    SerialPort(terminal[0], 115200).close()
+    assert asked == [True]
+
+
+def test_a_port_that_fails_while_it_is_opened(terminal: tuple[str, int], monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(port: object, wanted: bool) -> None:
+        raise OSError(errno.EACCES, "refused")
+
+    monkeypatch.setattr("serial.Serial.set_low_latency_mode", fail)
+    with pytest.raises(PortError, match="permission denied"):
+        SerialPort(terminal[0], 115200)
 
 
 def test_a_port_that_takes_nothing_is_lost(terminal: tuple[str, int], monkeypatch: pytest.MonkeyPatch) -> None:
