@@ -5,6 +5,7 @@ CONNECTING -> STARTING -> RUNNING -> LOST -> CONNECTING ...; -> ENDED
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Collection, Mapping
 from contextlib import nullcontext, suppress
@@ -104,7 +105,7 @@ class Session:
         self._connected = self._ran = False
         self._problem = ""
         self._latest: float | None = None  # end of the last message
-        self._read: float | None = None  # when it was read last, as long as it is connected
+        self._read = math.inf  # when it was read last; infinite while it is not connected
         self._counts = {"messages": 0, "bytes_read": 0, "connections": 0, "losses": 0, "silences": 0, "pauses": 0}
 
     def run(self, stop: Event) -> None:
@@ -133,11 +134,10 @@ class Session:
 
     @property
     def read_until(self) -> float:
-        """Up to when all that the device measured and sent has been put (seconds on the steady clock): until it was
-        read last, however long ago that is; until now where it is not connected.
+        """When the device was read last, all of which has been put (seconds on the steady clock); infinite where it is
+        not connected, so that there is nothing to wait for.
         """
-        read = self._read
-        return time.monotonic() if read is None else read
+        return self._read
 
     def status(self) -> Status:
         """How it is doing now. To the device's own counters come: messages, bytes_read, connections made, losses of a
@@ -216,7 +216,7 @@ class Session:
                 self._pass_on(messages)
                 self._read = received.time
         finally:
-            self._read = None
+            self._read = math.inf
             self._leave(transport)
 
     def _check_pace(self, transport: Transport, pause: float) -> None:
