@@ -83,9 +83,10 @@ def sweep(
 ) -> Floats:
     """The distances (n,) that a lidar measures while its robot drives, without noise, metres.
 
-    times     (n,) when each beam is measured, seconds on the path that `poses` and `twists` are (see
-    `pose_at`) bearings  (n,) each beam's direction in the lidar's frame, radians mount     [x, y, heading]
-    of the lidar on the robot
+    times     (n,) when each beam is measured, seconds on the path that `poses` and `twists` are (see `pose_at`)
+    bearings  (n,) each beam's direction in the lidar's frame, radians
+    mount     [x, y, heading] of the lidar on the robot
+    segments, circles  what there is to see (see `distance`)
     """
     result = np.empty(times.shape[0])
     for i in range(times.shape[0]):

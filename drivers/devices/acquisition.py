@@ -216,7 +216,8 @@ class _Reader:
         told = 0.0
         try:
             while not self.stop.is_set() and any(thread.is_alive() for thread in threads):
-                for message in self._outlet.take(time.monotonic(), IDLE):
+                read = min(session.read_until for session in self._sessions)
+                for message in self._outlet.take(read, IDLE):
                     self._pipe.send(message)
                 if time.monotonic() >= told + STATUS_PERIOD:
                     self._pipe.send(self._snapshot())

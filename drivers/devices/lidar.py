@@ -12,7 +12,7 @@ from ..lidars.revolutions import RevolutionAssembler
 from ..messages import Message
 from ..transport import Received, Transport
 from .device import Device
-from .stamping import PacketStamper
+from .stamping import Onward, PacketStamper
 
 
 class Stream(NamedTuple):
@@ -41,6 +41,7 @@ class Lidar(Device):
         self.wanted_serial = options.get("serial", "")
         self._options = options
         self._past: Counter[str] = Counter()  # of earlier connections
+        self._onward = Onward()
         self._stream: Stream | None = None
         self._rest: Received | None = None
 
@@ -74,7 +75,8 @@ class Lidar(Device):
         if received.data:
             self._stamper.note(received)
             measurements = self._stream.decoder.feed(received.data)
-            messages += self._assembler.add(measurements, self._stamper.stamps(measurements))
+            stamps = self._onward.stamps(self._stamper.stamps(measurements))
+            messages += self._assembler.add(measurements, stamps)
         return messages
 
     def counters(self) -> dict[str, int]:

@@ -13,10 +13,9 @@ CAPACITY = 4096
 """Messages that wait for a consumer that is busy: of a lidar and a base more than half a minute's."""
 BATCH = 16
 """Messages taken at once: what is taken can no longer be dropped."""
-MARGIN = 0.02
-"""Seconds by which a scan may begin before the last one's end, when its clock was fitted anew in between."""
 HOLD = 1.5
-"""Seconds that a message waits for another device's earlier ones; the slowest lidar turns in a second."""
+"""Seconds that a message waits for another device's earlier ones while that is read and sends none; the slowest lidar
+turns in a second."""
 
 
 class Outlet:
@@ -27,7 +26,8 @@ class Outlet:
     capacity  messages that wait at most; the oldest are dropped for newer ones
 
     dropped   messages for which there was no room
-    late      messages left out because later ones had been given out already
+    late      messages left out because later ones had been given out already: those of a device from which nothing had
+              come for so long that it was no longer waited for
     """
 
     def __init__(self, devices: int, offset: float, capacity: int = CAPACITY) -> None:
@@ -41,21 +41,21 @@ class Outlet:
         self._changed = Condition()
 
     def put(self, device: int, messages: list[Message]) -> None:
-        """Messages of one device in the order of their stamps, on the steady clock."""
+        """Messages of one device, stamped on the steady clock; none begins before the end of one put earlier."""
         with self._changed:
             for message in messages:
                 heapq.heappush(self._heap, (message.stamp, self._arrived, message))
                 self._arrived += 1
                 self._ends[device] = max(self._ends[device], end_of(message))
-            self._release(max(min(self._ends) - MARGIN, max(self._ends) - HOLD))
+            self._release(min(self._ends))
             self._changed.notify()
 
-    def take(self, now: float, timeout: float) -> list[Message]:
-        """A few messages, the next ones that are due by `now` (seconds on the steady clock); waits at most a timeout
-        for one where there is none.
+    def take(self, read: float, timeout: float) -> list[Message]:
+        """A few messages, the next ones that are due when all devices have been read up to a time (seconds on the
+        steady clock) and what they sent was put; waits at most a timeout for one where there is none.
         """
         with self._changed:
-            self._release(now - HOLD)
+            self._release(read - HOLD)
             if not self._ready:
                 self._changed.wait(timeout)
             return [self._ready.popleft() for _ in range(min(BATCH, len(self._ready)))]
@@ -76,6 +76,9 @@ class Outlet:
                 continue
             self._last = stamp
             self._ready.append(replace(message, stamp=stamp + self._offset))
-        while len(self._ready) > self._capacity:
-            self._ready.popleft()
+        while len(self._ready) + len(self._heap) > self._capacity:
+            if self._ready:
+                self._ready.popleft()
+            else:
+                heapq.heappop(self._heap)
             self.dropped += 1

@@ -5,6 +5,7 @@ CONNECTING -> STARTING -> RUNNING -> LOST -> CONNECTING ...; -> ENDED
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Collection, Mapping
 from contextlib import nullcontext, suppress
@@ -104,6 +105,7 @@ class Session:
         self._connected = self._ran = False
         self._problem = ""
         self._latest: float | None = None  # end of the last message
+        self._read = math.inf  # when it was read last; infinite while it is not connected
         self._counts = {"messages": 0, "bytes_read": 0, "connections": 0, "losses": 0, "silences": 0, "pauses": 0}
 
     def run(self, stop: Event) -> None:
@@ -129,6 +131,13 @@ class Session:
                 attempts = 0 if lost_now else attempts + 1
                 stop.wait(PAUSES[min(attempts, len(PAUSES) - 1)])
         self.state = State.ENDED
+
+    @property
+    def read_until(self) -> float:
+        """When the device was read last, all of which has been put (seconds on the steady clock); infinite where it is
+        not connected, so that there is nothing to wait for.
+        """
+        return self._read
 
     def status(self) -> Status:
         """How it is doing now. To the device's own counters come: messages, bytes_read, connections made, losses of a
@@ -186,6 +195,7 @@ class Session:
         """Read until told to stop; raises SilenceError or ConnectionLostError."""
         try:
             device, started = self._device, time.monotonic()
+            self._read = started
             self.state = State.STARTING
             units, heard, before = device.units, None, started
             while not stop.is_set():
@@ -204,7 +214,9 @@ class Session:
                     self._counts["silences"] += 1
                     raise SilenceError(f"{transport.name}: no measurements for {SILENCE:g} s")
                 self._pass_on(messages)
+                self._read = received.time
         finally:
+            self._read = math.inf
             self._leave(transport)
 
     def _check_pace(self, transport: Transport, pause: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
@@ -18,6 +19,29 @@ LATE = 0.025
 CERTAIN = 2
 """Reads in a row that are late before packets are taken to be lost; one may be late because the host was busy between
 the read and the look at its clock. The odometry forgives one wrong stamp, not two."""
+CLOSEST = 1e-6
+"""Seconds between two measurements of a device at least; those of the fastest lidar are 30 times as far apart."""
+
+
+class Onward:
+    """Keeps the stamps of a device from ever running back, over all its connections.
+
+    A clock that is fitted anew may find that its last stamps were late, as they are where the host was busy. They have
+    been given out. What was measured next then follows them as closely as it can, until the clock has caught up: its
+    stamps are late as well, by less and less, and by no more than those before.
+    """
+
+    def __init__(self) -> None:
+        self._last = -math.inf
+
+    def stamps(self, fitted: Floats) -> Floats:
+        """The stamps (n,) of the next measurements, in the order measured; seconds, CLOSEST apart at least."""
+        steps = CLOSEST * np.arange(1, len(fitted) + 1)
+        earliest = np.maximum.accumulate(np.append(self._last, fitted - steps))[1:] + steps
+        stamps: Floats = np.maximum(fitted, earliest)
+        if len(stamps):
+            self._last = float(stamps[-1])
+        return stamps
 
 
 class CountingClock:
@@ -34,22 +58,19 @@ class CountingClock:
     def __init__(self, period: float) -> None:
         self.clock = DeviceClock(period)
         self.lost = 0
-        self._late: list[float] = []
+        self._late: dict[float, float] = {}  # arrivals of the last reads, all of them late: by how much
 
-    def stamp(self, count: int, arrived: float, newest: bool = True) -> float:
-        """The host's time (seconds) at packet number `count`, known at `arrived`; `newest` is false for a packet behind
-        which others were waiting.
-        """
+    def stamp(self, count: int, arrived: float) -> float:
+        """The host's time (seconds) at packet number `count`, known at `arrived`, the last one of those known then."""
         stamp = self.clock.stamp(count, arrived)
-        if not newest:
-            return stamp
         if arrived - stamp < LATE:
             self._late.clear()
             return stamp
-        self._late.append(arrived - stamp)
+        # A read is as late as its last packet, which may be known only when the next read has completed it.
+        self._late[arrived] = arrived - stamp
         if len(self._late) < CERTAIN:
             return stamp
-        self.lost += round(min(self._late) / self.clock.tick)
+        self.lost += round(min(self._late.values()) / self.clock.tick)
         self._late.clear()
         self.clock.jumped()
         return self.clock.stamp(count, arrived)

@@ -7,7 +7,9 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from math import pi
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from ..bases import (
     ArduinoBridge,
@@ -23,10 +25,10 @@ from ..bases import (
 )
 from ..device_clock import DeviceClock
 from ..errors import NoAnswerError
-from ..messages import Message, Odometry
+from ..messages import Floats, Message
 from ..transport import Received, Transport
 from .device import READ_TIMEOUT, Device
-from .stamping import CountingClock
+from .stamping import CountingClock, Onward
 
 ASK_AGAIN = 1.0
 """Seconds after which a base that has not sent a reading yet is asked to once more: boards restart when a port is
@@ -39,27 +41,36 @@ TOP_SPEED = 1.5
 """m/s of a wheel of a base that is not known: no small robot drives as fast."""
 COUNTER_BITS = 32
 
-Protocol = Callable[[DifferentialDrive], WheelBase]
-KINDS: Mapping[str, tuple[Protocol, DifferentialDrive | None, bool]] = {
-    "create2": (Create2, create2.WHEELS, False),
-    "kobuki": (Kobuki, kobuki.WHEELS, False),
-    "arduino": (ArduinoBridge, None, True),
-    "wheels": (WheelLine, None, True),
+
+class Kind(NamedTuple):
+    """Of bases.
+
+    name      for people
+    protocol  makes the host's side of it
+    drive     its measures; None where they are the builder's
+    dtr       whether the line DTR is asserted
+    """
+
+    name: str
+    protocol: Callable[[DifferentialDrive], WheelBase]
+    drive: DifferentialDrive | None
+    dtr: bool
+
+
+KINDS: Mapping[str, Kind] = {
+    "create2": Kind("iRobot Create 2 or Roomba", Create2, create2.WHEELS, dtr=False),
+    "kobuki": Kind("Kobuki", Kobuki, kobuki.WHEELS, dtr=False),
+    "arduino": Kind("ros_arduino_bridge", ArduinoBridge, None, dtr=True),
+    "wheels": Kind("base with the project's own line protocol", WheelLine, None, dtr=True),
 }
-"""The protocol, the drive where it is known, and whether the line DTR is asserted."""
+"""By the name that a user types."""
 MOST_HARMLESS = ("kobuki", "wheels", "create2", "arduino")
 """The kinds in the order to ask an unknown device; the first two say where they stand without being asked."""
-NAMES = {
-    "create2": "iRobot Create 2 or Roomba",
-    "kobuki": "Kobuki",
-    "arduino": "ros_arduino_bridge",
-    "wheels": "base with the project's own line protocol",
-}
 
 
 def drive_of(kind: str, options: Mapping[str, Any]) -> DifferentialDrive:
     """The measures of a base of that kind with the options of a spec."""
-    drive = KINDS[kind][1] or DifferentialDrive(1.0, 1.0, 1.0, COUNTER_BITS, TOP_SPEED)
+    drive = KINDS[kind].drive or DifferentialDrive(1.0, 1.0, 1.0, COUNTER_BITS, TOP_SPEED)
     if "wheel_radius" in options and "ticks" in options:
         (left, right), (left_ticks, right_ticks) = options["wheel_radius"], options["ticks"]
         drive = replace(drive, left=2 * pi * left / left_ticks, right=2 * pi * right / right_ticks)
@@ -74,15 +85,15 @@ class Base(Device):
 
     def __init__(self, kind: str, options: Mapping[str, Any]) -> None:
         super().__init__()
-        self._make, _, dtr = KINDS[kind]
-        self._name = NAMES[kind]
+        self._kind = KINDS[kind]
         self._wheels = drive_of(kind, options)
         self._odometer = Odometer(self._wheels)
-        self._protocol = self._make(self._wheels)
+        self._onward = Onward()
+        self._protocol = self._kind.protocol(self._wheels)
         self._past: Counter[str] = Counter()  # of earlier connections
         self._frame: int
         self._asked: float
-        self.dtr = options.get("dtr", dtr)
+        self.dtr = options.get("dtr", self._kind.dtr)
         self.bauds = (options.get("baud", self._protocol.baud),)
         self._begin(self.bauds[0])
 
@@ -98,7 +109,7 @@ class Base(Device):
         before = self.units
         while self.units == before:
             if time.monotonic() > end:
-                raise NoAnswerError(transport.name, f"no {self._name} answers here")
+                raise NoAnswerError(transport.name, f"no {self._kind.name} answers here")
             self.step(transport)
         self.halt(transport)
 
@@ -106,7 +117,7 @@ class Base(Device):
         """Have it send readings; `step` asks again until it does."""
         self._past += Counter(asdict(self._protocol.counters)) + Counter(self._clock_counters())
         self._begin(baud)
-        self.identity = self._name
+        self.identity = self._kind.name
         transport.write(self._protocol.start())
 
     def step(self, transport: Transport) -> tuple[Received, list[Message]]:
@@ -126,8 +137,8 @@ class Base(Device):
         readings = self._protocol.feed(received.data)
         if readings and before:
             self._frame = min(self._frame, max(1, round(self._bytes / self._protocol.counters.good)))
-        stamps = [self._stamp(reading, received.time, reading is readings[-1]) for reading in readings]
-        return [message for pair in zip(readings, stamps, strict=True) if (message := self._odometry(*pair))]
+        stamps = self._onward.stamps(self._stamps(readings, received.time)).tolist()
+        return [message for pair in zip(readings, stamps, strict=True) if (message := self._odometer.add(*pair))]
 
     def halt(self, transport: Transport) -> None:
         """Have it stand, and fall silent where it can."""
@@ -141,7 +152,7 @@ class Base(Device):
 
     def _begin(self, baud: int) -> None:
         """Begin with a new connection."""
-        self._protocol = self._make(self._wheels)
+        self._protocol = self._kind.protocol(self._wheels)
         tick = self._protocol.tick
         # A clock wraps. What does not wrap is the count of the readings, which stands in for one.
         counts = tick is not None and self._protocol.wraps_at is None
@@ -156,19 +167,18 @@ class Base(Device):
         lost = self._counting.lost if self._counting else 0
         return {"lost": lost} | ({"clock_jumps": clock.jumps, "clock_strays": clock.strays} if clock else {})
 
-    def _stamp(self, reading: WheelReading, arrived: float, newest: bool) -> float:
-        if reading.time is None:
-            return arrived
+    def _stamps(self, readings: list[WheelReading], arrived: float) -> Floats:
+        """When readings (n,) that arrived together were measured, in seconds, as far as the clock knows."""
+        clock = self._counting.clock if self._counting else self._clock
+        if clock is None or not readings:
+            return np.full(len(readings), arrived)
+        # The last one was held up least; the others follow from it.
+        times = np.array([reading.time for reading in readings])
+        last = int(times[-1])
+        known = self._counting.stamp(last, arrived) if self._counting else clock.stamp(last, arrived)
+        ages = last - times if clock.wraps_at is None else np.mod(last - times, clock.wraps_at)
         frame = self._frame if self._frame < LONGEST_FRAME else 0
-        if self._counting is not None:
-            known = self._counting.stamp(reading.time, arrived, newest)
-        else:
-            assert self._clock is not None
-            known = self._clock.stamp(reading.time, arrived)
-        return known - frame * 10.0 / self._baud
-
-    def _odometry(self, reading: WheelReading, stamp: float) -> Odometry | None:
-        return self._odometer.add(reading, stamp)
+        return np.asarray(known - ages * clock.tick * (1.0 + clock.drift) - frame * 10.0 / self._baud)
 
     def _poll(self, transport: Transport, period: float) -> tuple[Received, list[Message]]:
         """Ask for one reading, whose time is the middle of question and answer, and pause until the next one is due."""
@@ -179,7 +189,7 @@ class Base(Device):
             received = transport.read(READ_TIMEOUT)
             readings = self._protocol.feed(received.data)
             if readings:
-                message = self._odometry(readings[-1], (asked + received.time) / 2)
+                message = self._odometer.add(readings[-1], (asked + received.time) / 2)
                 messages = [message] if message else []
             if readings or received.time > asked + POLL_TIMEOUT:
                 break

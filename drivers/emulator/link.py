@@ -139,10 +139,6 @@ class Link:
         baud, set_to = self.device.line.baud, self.port.baud
         return set_to is not None and math.isfinite(baud) and abs(set_to / baud - 1.0) > BAUD_TOLERANCE
 
-    def close(self) -> None:
-        """Take the port away."""
-        self.port.unplug()
-
     def report(self) -> dict[str, object]:
         """What happened, by name."""
         device = self.device

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import math
 import struct
-from dataclasses import dataclass
 
 import numpy as np
 
-from ..lidars.records import Flags
-from ..lidars.rplidar import dense, express, hq, standard, ultra, ultra_dense
 from ..lidars.rplidar.answers import Answer, Descriptor, Health, Status
-from ..lidars.rplidar.decoding import CAPSULES, descriptor_of
+from ..lidars.rplidar.decoding import descriptor_of
 from ..lidars.rplidar.models import DEFAULT_PWM, Motor
 from ..lidars.rplidar.modes import ScanMode, answer_to
 from ..lidars.rplidar.requests import Command, Request, RequestReader
@@ -20,6 +17,7 @@ from .device import Device
 from .line import Line
 from .optics import Optics
 from .rplidar_kinds import Kind
+from .rplidar_scan import Scanning, encode, lag_in_eighths, lag_of
 
 BOOT = 0.5
 """Seconds from power or reset until it listens; the banner comes then."""
@@ -29,10 +27,6 @@ START = 0.01
 """Seconds from the request for a scan to its first sample."""
 WOBBLE, WOBBLE_PERIOD = 0.005, 7.0
 """The head is faster and slower by this share, in so many seconds."""
-NODES = 2e-3
-"""Seconds of standard nodes that are made at a time; the first of them come so much late."""
-QUALITY = 47
-"""Of what came back."""
 FAILURE = 4
 """Code of an inner error; Slamtec documents none."""
 WHILE_SCANNING = frozenset(
@@ -42,30 +36,6 @@ WHILE_SCANNING = frozenset(
     }
 )
 """What is heeded then; other requests get no answer."""
-
-
-@dataclass(slots=True)
-class Scanning:
-    """A scan under way: its mode, when its first sample is due (own time), samples measured, what is measured and not
-    yet sent, packets sent, and where the head was at the last sample that was sent.
-    """
-
-    answer: int
-    period: float
-    begun: float
-    samples: int
-    heads: Floats  # (n,) radians clockwise, growing from turn to turn
-    lags: Floats  # (n,) radians by which the beams lag the head
-    ranges: Floats  # (n,)
-    packets: int = 0
-    before: float | None = None
-
-    @property
-    def in_packet(self) -> int:
-        """Samples in what is made at a time."""
-        if self.answer in CAPSULES:
-            return CAPSULES[Answer(self.answer)].samples
-        return hq.NODES if self.answer == Answer.HQ else max(2, round(NODES / self.period))
 
 
 class Rplidar(Device):
@@ -251,7 +221,7 @@ class Rplidar(Device):
         heads, times = self._head(own), self.host(own)
         if self.kind.model.corrected:
             ranges, lags = self._optics.measure_lagging(
-                times, heads, _eighths if scan.answer == Answer.EXPRESS else _lag
+                times, heads, lag_in_eighths if scan.answer == Answer.EXPRESS else lag_of
             )
         else:
             ranges, lags = self._optics.measure(times, -heads), np.zeros(count)
@@ -266,7 +236,7 @@ class Rplidar(Device):
         count = scan.in_packet
         heads, ranges, lags = scan.heads[:count], scan.ranges[:count], scan.lags[:count]
         turns = np.floor(np.concatenate([[scan.before or heads[0]], heads]) / (2.0 * np.pi))
-        data = _encode(scan, heads, ranges, lags, np.diff(turns) > 0)
+        data = encode(scan, heads, ranges, lags, np.diff(turns) > 0)
         last = scan.begun + (scan.samples - 2) * scan.period  # of the packet
         ready = last + 1.5 * scan.period  # a sample takes its period, and is filtered for another half
         if scan.answer == Answer.STANDARD:
@@ -280,32 +250,3 @@ class Rplidar(Device):
     def report(self) -> dict[str, object]:
         """Scans started, samples measured."""
         return {"scans": self.scans, "samples": self.samples}
-
-
-def _encode(scan: Scanning, heads: Floats, ranges: Floats, lags: Floats, starts: Flags) -> bytes:
-    """The packet with samples (n,), or n nodes; `scan` still has the sample after them."""
-    answer, first = scan.answer, scan.packets == 0
-    head, row = heads[:1], ranges[None]
-    qualities = np.where(np.isnan(ranges), 0, QUALITY)
-    if answer == Answer.STANDARD:
-        return standard.encode(heads - lags, ranges, qualities, starts)
-    if answer == Answer.HQ:
-        return hq.encode((heads - lags)[None], row, qualities[None], starts[None])
-    if answer == Answer.EXPRESS:
-        return express.encode(head, row, lags[None], reset=first)
-    if answer == Answer.ULTRA:
-        return ultra.encode(head, row, ahead=float(scan.ranges[len(ranges)]), reset=first)
-    if answer == Answer.DENSE:
-        return dense.encode(head, row, reset=first)
-    return ultra_dense.encode(head, row, qualities[None], reset=first)
-
-
-def _lag(ranges: Floats) -> Floats:
-    """Radians by which beams of these ranges (metres, infinite where nothing is) lag the head."""
-    millimetres = np.round(np.minimum(ranges, 1e4) * 1e3).astype(np.int64)
-    return np.asarray(np.radians(ultra.correction(millimetres)))
-
-
-def _eighths(ranges: Floats) -> Floats:
-    """The same as the express format tells it, in eighths of a degree."""
-    return np.asarray(np.radians(np.round(np.degrees(_lag(ranges)) * 8.0) / 8.0))

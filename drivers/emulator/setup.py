@@ -67,7 +67,7 @@ class Setup:
     drop, insert, flip  probabilities of damage to each byte from a device
     events        faults at a time
     lidar_drift, base_drift  by how much the devices' clocks are too fast, parts per million
-    truth         a file to write the true path to, in the TUM format, stamps on the host's steady clock
+    truth         a file to write the true path to, in the TUM format, stamps as the time of day
     report        a file to write what happened to, as JSON, when it is over
 
     Raises DriverError where something of it cannot be.

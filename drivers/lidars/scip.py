@@ -26,18 +26,11 @@ DATA = "99"
 
 STOP = b"QT\n"
 LASER_ON = b"BM\n"
-RESET = b"RS\n"
 PARAMETERS = b"PP\n"
 VERSION = b"VV\n"
-STATE = b"II\n"
 USE_SCIP2 = b"SCIP2.0\n"
 """To a device that answers `E` because it still speaks SCIP 1.1."""
-CLOCK_BEGIN, CLOCK, CLOCK_END = b"TM0\n", b"TM1\n", b"TM2\n"
-
-
-def set_baud(baud: int) -> bytes:
-    """Change the speed of an RS-232 port, bits a second."""
-    return b"SS%06d\n" % baud
+CLOCK = b"TM1\n"
 
 
 def checksum(text: bytes) -> bytes:

@@ -11,12 +11,16 @@ from typing import Any
 import serial
 
 from ..errors import ConnectionLostError, PortError
-from .transport import Received
+from .transport import Received, take_promptly
 
 WRITE_TIMEOUT = 1.0
 """Seconds; requests are a few bytes, and a port that takes none for so long is stuck."""
 FAILURES = (OSError, termios.error)
 """What pyserial and the system raise when a port is gone; pyserial's own errors are OSErrors."""
+NO_LOW_LATENCY = (ValueError, NotImplementedError)
+"""What pyserial raises for a port, and on a system, without such a mode."""
+NO_LINE = (errno.ENOTTY, errno.EINVAL)
+"""What setting a modem line fails with on ports that have none."""
 REASONS = {
     errno.ENOENT: "no such port; is the device plugged in?",
     errno.EACCES: "permission denied; on most systems the user must be in the group dialout",
@@ -47,7 +51,7 @@ class SerialPort:
             self._serial.port = port
             self._serial.dtr = self._serial.rts = dtr  # an ESP32 is held in reset while the two differ
             self._serial.open()
-            with suppress(*FAILURES, ValueError, NotImplementedError):  # ports that have no such mode
+            with suppress(*NO_LOW_LATENCY):
                 self._serial.set_low_latency_mode(True)  # adapters hold bytes back for 16 ms without it
         except FAILURES as failure:
             raise PortError(port, _reason(failure)) from failure
@@ -59,12 +63,13 @@ class SerialPort:
         try:
             if timeout != self._timeout:  # setting it configures the port
                 self._serial.timeout = self._timeout = timeout
-            data = self._serial.read(1)
-            if data:
-                data += self._serial.read(self._serial.in_waiting)
+            first = self._serial.read(1)
+            if not first:
+                return Received(b"", time.monotonic())
+            rest, arrived = take_promptly(lambda: self._serial.read(self._serial.in_waiting))
         except FAILURES as failure:
             raise self._lost(failure) from failure
-        return Received(data, time.monotonic())
+        return Received(first + rest, arrived)
 
     def write(self, data: bytes) -> None:
         """Send; raises ConnectionLostError, too, where the port takes no bytes for a second."""
@@ -80,13 +85,10 @@ class SerialPort:
         try:
             self._serial.dtr = asserted
         except FAILURES as failure:
-            if failure.args[0] in (errno.ENOTTY, errno.EINVAL):
+            if failure.args[0] in NO_LINE:
                 return False
             raise self._lost(failure) from failure
-        with suppress(*FAILURES):
-            attributes = termios.tcgetattr(self._serial.fileno())
-            attributes[2] &= ~termios.HUPCL  # else the system takes the line back, and the motor of an A1 turns again
-            termios.tcsetattr(self._serial.fileno(), termios.TCSANOW, attributes)
+        self._keep_lines()
         return True
 
     def cancel(self) -> None:
@@ -97,6 +99,16 @@ class SerialPort:
         """Give the port back."""
         self._closed = True
         self._serial.close()
+
+    def _keep_lines(self) -> None:
+        """Have the lines stay as they are when the port is closed; else the motor of an A1 turns again."""
+        try:
+            attributes = termios.tcgetattr(self._serial.fileno())
+            attributes[2] &= ~termios.HUPCL
+            termios.tcsetattr(self._serial.fileno(), termios.TCSANOW, attributes)
+        except termios.error as failure:
+            if failure.args[0] != errno.EINVAL:  # which may be the answer to a speed that has no name in termios
+                raise self._lost(failure) from failure
 
     def _lost(self, failure: Exception) -> ConnectionLostError:
         return ConnectionLostError(self.name, "closed" if self._closed else f"connection lost: {_reason(failure)}")

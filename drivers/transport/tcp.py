@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import selectors
 import socket
-import time
 
 from ..errors import ConnectionLostError, PortError
-from .transport import Received
+from .transport import Received, take_promptly
 
 CONNECT_TIMEOUT = 3.0
 """Seconds; devices stand in the same room."""
@@ -37,18 +36,8 @@ class TcpConnection:
     def read(self, timeout: float) -> Received:
         """All that has arrived; waits at most a timeout (seconds) for the first byte."""
         self._check_open()
-        ready = [key.fileobj for key, _ in self._selector.select(timeout)]
-        if self._waker in ready:
-            self._waker.recv(LARGEST)
-        data = b""
-        if self._socket in ready:
-            try:
-                data = self._socket.recv(LARGEST)
-            except OSError as failure:
-                raise ConnectionLostError(self.name, f"connection lost: {failure}") from failure
-            if not data:
-                raise ConnectionLostError(self.name, "closed by the other side")
-        return Received(data, time.monotonic())
+        self._selector.select(timeout)
+        return take_promptly(self._take)
 
     def write(self, data: bytes) -> None:
         """Send; raises ConnectionLostError, too, where the other side takes no bytes for a second."""
@@ -75,6 +64,21 @@ class TcpConnection:
             self._selector.close()
             for end in (self._socket, self._waker, self._wake):
                 end.close()
+
+    def _take(self) -> bytes:
+        """The bytes that are there."""
+        ready = [key.fileobj for key, _ in self._selector.select(0.0)]
+        if self._waker in ready:
+            self._waker.recv(LARGEST)
+        if self._socket not in ready:
+            return b""
+        try:
+            data = self._socket.recv(LARGEST)
+        except OSError as failure:
+            raise ConnectionLostError(self.name, f"connection lost: {failure}") from failure
+        if not data:
+            raise ConnectionLostError(self.name, "closed by the other side")
+        return data
 
     def _check_open(self) -> None:
         if self._closed:

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import pty
 import socket
+import termios
 import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import ConnectionLostError, DriverError, EndOfTapeError, PortError, RecordingError
-from drivers.transport import Received, SerialPort, Tap, TapePlayer, TcpConnection, Transport
+from drivers.transport import Received, SerialPort, Tap, TapePlayer, TcpConnection, Transport, transport
+from drivers.transport.transport import TAKES, take_promptly
 
 ALL_BYTES = bytes(range(256))
 
@@ -103,6 +107,46 @@ def test_read_takes_all_that_is_there_and_waits_no_longer(pair: tuple[Transport,
     assert before <= received.time <= time.monotonic() < before + 1.0
 
 
+@pytest.mark.parametrize("held_up", [0, 3, 1000])
+def test_a_host_that_is_held_up_between_bytes_and_clock_takes_what_came_meanwhile(
+    held_up: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So that the last bytes have the time when they came, unless every look at the clock is late."""
+    now, taken, calls = 100.0, 0, 0
+
+    def take() -> bytes:
+        nonlocal now, taken, calls
+        came = round((now - 100.0) * 1000)  # a byte a millisecond
+        data, taken, calls = bytes(came - taken), came, calls + 1
+        now += 0.05 if calls <= held_up else 1e-5
+        return data
+
+    monkeypatch.setattr(transport, "time", SimpleNamespace(monotonic=lambda: now))
+    now += 0.01
+    data, arrived = take_promptly(take)
+    assert len(data) == taken
+    assert calls == min(held_up + 1, TAKES)
+    assert arrived - (100.0 + len(data) / 1000) == pytest.approx(1e-5 if held_up < TAKES else 0.05)
+
+
+def test_reads_look_at_the_clock_promptly(pair: tuple[Transport, Peer], monkeypatch: pytest.MonkeyPatch) -> None:
+    """What comes while the host is held up after the first bytes belongs to the same read."""
+    connection, peer = pair
+    looks = 0
+
+    def monotonic() -> float:
+        nonlocal looks
+        looks += 1
+        if looks == 2:
+            peer.write(b"more")
+            time.sleep(0.05)
+        return time.monotonic()
+
+    monkeypatch.setattr(transport, "time", SimpleNamespace(monotonic=monotonic))
+    peer.write(b"some")
+    assert connection.read(5.0).data == b"somemore"
+
+
 def test_unplugging_is_a_typed_error(pair: tuple[Transport, Peer]) -> None:
     transport, peer = pair
     threading.Timer(0.05, peer.close).start()
@@ -184,6 +228,61 @@ def test_modem_lines(terminal: tuple[str, int], monkeypatch: pytest.MonkeyPatch)
     assert port.set_dtr(True) is True
     assert set_to[-1] == ("dtr", True)
     port.close()
+
+
+@pytest.fixture
+def lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pseudo terminals have modem lines, as far as anybody can see who sets them."""
+    for line in ("dtr", "rts"):
+        monkeypatch.setattr(f"serial.Serial._update_{line}_state", lambda port: None)
+
+
+@pytest.mark.usefixtures("lines")
+@pytest.mark.parametrize("baud", [115200, 256000])
+def test_lines_stay_as_they_are_when_the_port_is_closed(baud: int) -> None:
+    ours, theirs = pty.openpty()
+    port = SerialPort(os.ttyname(theirs), baud)
+    attributes = termios.tcgetattr(theirs)
+    attributes[2] |= termios.HUPCL
+    termios.tcsetattr(theirs, termios.TCSANOW, attributes)
+    assert port.set_dtr(True) is True
+    assert termios.tcgetattr(theirs)[2] & termios.HUPCL == 0
+    port.close()
+    os.close(theirs)
+    os.close(ours)
+
+
+@pytest.mark.usefixtures("lines")
+def test_a_line_of_a_port_that_is_gone(terminal: tuple[str, int]) -> None:
+    port = SerialPort(terminal[0], 115200)
+    os.close(terminal[1])
+    with pytest.raises(ConnectionLostError):
+        port.set_dtr(True)
+    port.close()
+
+
+@pytest.mark.parametrize("failure", [ValueError("no such flag"), NotImplementedError("not on this system")])
+def test_a_port_without_low_latency_is_opened(
+    failure: Exception, terminal: tuple[str, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[bool] = []
+
+    def refuse(port: object, wanted: bool) -> None:
+        asked.append(wanted)
+        raise failure
+
+    monkeypatch.setattr("serial.Serial.set_low_latency_mode", refuse)
+    SerialPort(terminal[0], 115200).close()
+    assert asked == [True]
+
+
+def test_a_port_that_fails_while_it_is_opened(terminal: tuple[str, int], monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(port: object, wanted: bool) -> None:
+        raise OSError(errno.EACCES, "refused")
+
+    monkeypatch.setattr("serial.Serial.set_low_latency_mode", fail)
+    with pytest.raises(PortError, match="permission denied"):
+        SerialPort(terminal[0], 115200)
 
 
 def test_a_port_that_takes_nothing_is_lost(terminal: tuple[str, int], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -37,6 +37,8 @@ from .robot import LiveRun, Robot, wait_for
 
 DRIVING = 12.0
 """Seconds."""
+FEW = 3
+"""Keyframes, of a robot that has hardly begun."""
 
 
 @dataclass
@@ -65,17 +67,29 @@ def driven(tmp_path_factory: pytest.TempPathFactory) -> Driven:
         url = run.line("wclm: look on with: ").split()[-1]
         begun = time.monotonic()
         time.sleep(DRIVING / 3)
-        looks = [keyframes_sent(url, folder / "early.rrd")]
+        looks = [keyframes_sent(url, folder / "early.rrd", more_than=FEW)]
         elsewhere = answers("127.0.0.2", int(url.split(":")[-1].split("/")[0]))
         time.sleep(max(0.0, begun + DRIVING - time.monotonic()))
-        looks.append(keyframes_sent(url, folder / "late.rrd"))
+        looks.append(keyframes_sent(url, folder / "late.rrd", more_than=len(looks[0])))
         ended = run.end()
         report = robot.stop()
     return Driven(run, robot.truth, folder / "drive.mcap", looks, elsewhere, ended, report)
 
 
-def keyframes_sent(url: str, file: Path, watching: float = 1.5) -> set[int]:
-    """What a viewer gets that comes now and goes after a while: it saves what it is sent instead of showing it."""
+def keyframes_sent(url: str, file: Path, more_than: int, patience: float = 60.0) -> set[int]:
+    """What a viewer gets that comes now and goes after a while; on a busy computer it may have to come again until it
+    gets more than a few.
+    """
+    end = time.monotonic() + patience
+    found = watch(url, file)
+    while len(found) <= more_than and time.monotonic() < end:
+        file.unlink()
+        found = watch(url, file)
+    return found
+
+
+def watch(url: str, file: Path, watching: float = 1.5) -> set[int]:
+    """A short look by a viewer that saves what it is sent instead of showing it; the keyframes that it was sent."""
     with socket.create_server(("127.0.0.1", 0)) as probe:
         own_port = str(probe.getsockname()[1])
     program = Path(rerun_cli.__file__).with_name("rerun")
@@ -153,7 +167,7 @@ def test_viewers_come_late_and_see_everything(driven: Driven) -> None:
     early, late = driven.looks
     everything = set(range(driven.run.summary["keyframes"]))
     assert early == set(range(len(early)))
-    assert 3 < len(early) < len(late)
+    assert FEW < len(early) < len(late)
     assert late == set(range(len(late)))
     assert keyframes_in(driven.run.out / REVIEW) == everything
 

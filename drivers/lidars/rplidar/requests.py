@@ -82,11 +82,6 @@ def set_motor_pwm(duty: int) -> Request:
     return Request(Command.SET_MOTOR_PWM, struct.pack("<H", duty))
 
 
-def confirm_baud(baud: int) -> Request:
-    """End the negotiation of a rate in bits a second."""
-    return Request(Command.CONFIRM_BAUD, struct.pack("<HIH", 0x5F5F, baud, 0))
-
-
 class RequestReader:
     """The device's ear: requests out of bytes in any chunks. What is no request is passed over and counted."""
 

@@ -247,6 +247,28 @@ def test_every_kind_is_identified_and_read(kind: str) -> None:
     assert np.median(np.diff(stamps)) == pytest.approx(period, rel=0.2)
 
 
+def test_a_device_counts_as_read_when_its_messages_were_put() -> None:
+    told: list[float] = []
+
+    def put(messages: list[Message]) -> None:
+        told.extend((session.read_until, time.monotonic()))
+        time.sleep(0.2)
+        told.append(session.read_until)
+
+    with plugged(Ld06Peer()) as path:
+        session = Session(parse_device(f"ld06:{path}"), put)
+        stop = threading.Event()
+        thread = threading.Thread(target=session.run, args=(stop,))
+        thread.start()
+        wait_until(lambda: len(told) >= 9)
+        stop.set()
+        thread.join()
+    for before, begun, while_putting in zip(told[::3], told[1::3], told[2::3], strict=True):
+        assert before == while_putting < begun
+    assert told[6] > told[1]
+    assert session.read_until == math.inf
+
+
 @pytest.mark.parametrize(("model", "duties"), [(0x18, []), (0x28, [660, 0])], ids=["A1", "A2"])
 def test_old_rplidars_scan_and_stop_their_motors_in_their_own_way(model: int, duties: list[int]) -> None:
     peer = OldRplidar(model)

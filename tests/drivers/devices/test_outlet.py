@@ -18,9 +18,9 @@ def scan(stamp: float, duration: float = 0.1) -> Scan:
     return Scan(stamp, np.ones(2), np.arange(2.0), np.array([duration, 0.0]), 0.1, 9.0)
 
 
-def take_all(outlet: Outlet, now: float) -> list[float]:
+def take_all(outlet: Outlet, read: float) -> list[float]:
     stamps: list[float] = []
-    while batch := outlet.take(now, 0.0):
+    while batch := outlet.take(read, 0.0):
         assert len(batch) <= BATCH
         stamps += [message.stamp for message in batch]
     return stamps
@@ -44,6 +44,25 @@ def test_a_silent_device_holds_the_others_back_for_a_while_only() -> None:
     outlet.put(0, [scan(0.5)])
     assert take_all(outlet, 4.0) == [2.0]
     assert outlet.late == 1
+
+
+def test_a_device_that_was_not_read_is_waited_for() -> None:
+    """However long that takes: its messages are there, and only the computer was held up."""
+    outlet = Outlet(2, 0.0)
+    outlet.put(0, [scan(0.0)])
+    outlet.put(1, [odometry(stamp) for stamp in np.arange(0.0, 10.0, 0.5)])
+    assert take_all(outlet, read=0.1) == [0.0, 0.0]
+    outlet.put(0, [scan(0.1), scan(9.0)])
+    assert take_all(outlet, read=10.0) == [0.1, *np.arange(0.5, 8.9, 0.5), 9.0, 9.0]
+    assert outlet.late == 0
+
+
+def test_a_consumer_that_takes_nothing_and_a_device_that_sends_nothing_fill_no_memory() -> None:
+    outlet = Outlet(2, 0.0, capacity=10)
+    for stamp in range(100):
+        outlet.put(1, [odometry(float(stamp))])
+    assert outlet.dropped == 90
+    assert [message.stamp for message in outlet.flush()] == [float(stamp) for stamp in range(90, 100)]
 
 
 def test_the_oldest_messages_are_dropped_and_counted() -> None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from drivers.devices.stamping import PacketStamper
+from drivers.devices.stamping import CLOSEST, LATE, CountingClock, Onward, PacketStamper
 from drivers.lidars.rplidar import dense, standard
 from drivers.lidars.rplidar.decoding import decoder_for
 from drivers.transport import Received
@@ -74,3 +76,47 @@ def decoder_delay() -> float:
     nodes = standard.encode(np.linspace(0.0, 0.1, 40), np.ones(40), np.full(40, 20), np.arange(40) == 0)
     offset = decoder_for(0x81, 1 / RATE, BAUD, False).feed(nodes).samples["offset"][0]
     return float((-offset - 5 * 10 / BAUD) * RATE)
+
+
+@given(st.lists(st.lists(st.floats(0.0, 1e6), max_size=8), max_size=8))
+def test_stamps_never_run_back(chunks: list[list[float]]) -> None:
+    onward = Onward()
+    fitted = np.concatenate([np.empty(0), *chunks])
+    stamps = np.concatenate([np.empty(0), *(onward.stamps(np.array(chunk, dtype=float)) for chunk in chunks)])
+    assert np.all(np.diff(stamps) > 0.0)
+    assert np.all(stamps >= fitted)
+    assert np.all(stamps <= np.maximum.accumulate(fitted) + len(fitted) * CLOSEST)
+
+
+def test_stamps_in_order_are_left_as_they_are() -> None:
+    fitted = 1e5 + np.cumsum(np.full(1000, 1 / 32000))
+    np.testing.assert_allclose(Onward().stamps(fitted), fitted, rtol=0.0, atol=1e-10)
+
+
+def test_a_late_clock_is_caught_up_with_at_once() -> None:
+    onward = Onward()
+    true = 1e5 + 0.01 * np.arange(100)
+    stamps = np.concatenate([onward.stamps(true[:50] + 0.08), onward.stamps(true[50:])])
+    np.testing.assert_allclose(stamps[58:], true[58:], rtol=0.0, atol=1e-4)
+
+
+@pytest.mark.parametrize("period", [0.0043, 0.015])
+def test_one_late_read_is_no_loss(period: float) -> None:
+    """Not even where its last packet becomes known only with the read after it."""
+    clock = CountingClock(period)
+    for count in range(200):
+        arrived = START + count * period
+        late = count in (100, 101)
+        stamp = clock.stamp(count, START + 101 * period + 2 * LATE if late else arrived)
+        assert stamp == pytest.approx(arrived, abs=1e-6)
+    assert (clock.lost, clock.clock.jumps) == (0, 0)
+
+
+def test_packets_that_are_lost_whole_are_noticed() -> None:
+    clock = CountingClock(0.015)
+    for count in range(200):
+        true = START + (count + (20 if count >= 100 else 0)) * 0.015
+        stamp = clock.stamp(count, true)
+        if count != 100:  # which may have waited
+            assert stamp == pytest.approx(true, abs=1e-6)
+    assert (clock.lost, clock.clock.jumps) == (20, 1)

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from drivers.emulator.rplidar import NODES
 from drivers.emulator.rplidar_kinds import KINDS
+from drivers.emulator.rplidar_scan import NODES
 from drivers.emulator.scip import URG
 from drivers.lidars import ld06, scip, scip_scan
 from drivers.lidars.records import Decoder, Measurements

@@ -88,7 +88,6 @@ class TestScipLanguage:
         assert values.tolist() == [5432, 5432]
         assert scip.Measure(44, 725).packet() == b"MD0044072501000\n"
         assert scip.Measure(44, 725, continuous=False).packet() == b"GD0044072501\n"
-        assert scip.set_baud(115200) == b"SS115200\n"
 
     @given(arrays(np.int64, st.integers(1, 50), elements=st.integers(0, (1 << 18) - 1)))
     def test_values_round_trip(self, values: np.ndarray) -> None:

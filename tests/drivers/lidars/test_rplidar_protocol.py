@@ -36,7 +36,6 @@ REQUESTS = [
     (requests.express_scan(1), "A5 82 05 01 00 00 00 00 23"),
     (requests.express_scan(2), "A5 82 05 02 00 00 00 00 20"),
     (requests.express_scan(3), "A5 82 05 03 00 00 00 00 21"),
-    (requests.confirm_baud(256000), "A5 90 08 5F 5F 00 E8 03 00 00 00 D6"),
     (requests.set_motor_speed(600), "A5 A8 02 58 02 55"),
     (requests.set_motor_speed(0), "A5 A8 02 00 00 0F"),
     (requests.set_motor_pwm(660), "A5 F0 02 94 02 C1"),
