@@ -328,7 +328,7 @@ class Belief:
         assert self._anchor is not None
         anchor, covariance = self._anchor, np.zeros((3, 3))
         if keyframe != anchor.keyframe:
-            covariance = self.mapper.graph.relative_covariance(keyframe, anchor.keyframe)
+            covariance = self.mapper.relative_covariance(keyframe, anchor.keyframe)
         covariance = _covariance_after(covariance, anchor.relative) + anchor.covariance
         motion = self.odometry_model.corrected(se2.between(anchor.odometry, odometry))
         return _covariance_after(covariance, motion) + self.odometry_model.covariance(motion)
@@ -347,18 +347,21 @@ class Belief:
     def _motion(self, anchor: Anchor, odometry: se2.Pose, found: Registration) -> Motion:
         """The motion since the last anchor; what was found teaches how good odometry is."""
         claimed, actual = se2.between(anchor.odometry, odometry), se2.between(self._anchor_pose, self.pose)
-        covariance = np.diag(CARRIED_SIGMAS**2)
+        covariance, adrift = np.diag(CARRIED_SIGMAS**2), np.zeros((2, 2))
         if self._carried:
             self.carried_keyframes.append(self.mapper.keyframe_count)
             claimed = actual
         else:
             self.odometry_model.learn(claimed, actual, found.held_by)
             claimed = self.odometry_model.corrected(claimed)
-            covariance = self.odometry_model.covariance(claimed, found.held_by)
+            covariance, adrift = (
+                self.odometry_model.covariance(claimed),
+                self.odometry_model.adrift(claimed, found.held_by),
+            )
             claimed, covariance = fused_motion(claimed, covariance, actual, found.point_information)
         self._carried = False
         covariance = covariance + _covariance_after(anchor.covariance, claimed)
-        return Motion(anchor.keyframe, se2.compose(anchor.relative, claimed), covariance)
+        return Motion(anchor.keyframe, se2.compose(anchor.relative, claimed), covariance, adrift)
 
 
 def _covariance_after(covariance: Floats, motion: se2.Pose) -> Floats:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from drivers import se2
 
@@ -50,15 +52,21 @@ class KeyframeRecords:
     ways: Sequence[float]
     names: Sequence[Names]
     covariances: Sequence[Floats]
+    adrift: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """The motion [x, y, heading] from an earlier keyframe to a new one, covariance (3, 3) in the new one's frame."""
+    """The motion [x, y, heading] from an earlier keyframe to a new one.
+
+    covariance  (3, 3) in the new one's frame, of errors that no other motion shares
+    adrift      (2, 2) of the position, likewise, of errors that its neighbours share where nothing held the robot
+    """
 
     start: int
     motion: se2.Pose
     covariance: Floats
+    adrift: Floats = field(default_factory=lambda: np.zeros((2, 2)))
 
 
 @dataclass(frozen=True, slots=True)

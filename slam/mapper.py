@@ -14,6 +14,7 @@ import numpy as np
 
 from drivers import se2
 
+from .adrift import planar, turned
 from .association import UNMATCHED, Association
 from .flatness import WallFlatness, uneven
 from .graph import KERNEL_CAUTION, Factor, FactorGraph, GraphState, Kind
@@ -47,6 +48,7 @@ class Mapper:
         self.views: deque[tuple[int, Segments]] = deque(maxlen=KEPT_VIEWS)
         self.names: list[Names] = []  # of each keyframe, as they were when it was added
         self.pose_covariances: list[Floats] = []  # of the keyframes when they were added, (3, 3) in the map's axes
+        self.adrift: Floats = np.zeros((0, 2, 2))  # see `adrift.py`; included there
         self._waiting_walls: dict[int, list[tuple[int, se2.Pose, Floats]]] = defaultdict(list)
         self._waiting_corners: dict[int, list[tuple[int, Floats, Floats]]] = defaultdict(list)
 
@@ -78,7 +80,7 @@ class Mapper:
         mapper.doubts = doubts
         mapper.keyframe_count, mapper.trail = len(keyframes.trail), keyframes.trail
         mapper.ways, mapper.names = list(keyframes.ways), list(keyframes.names)
-        mapper.pose_covariances = list(keyframes.covariances)
+        mapper.pose_covariances, mapper.adrift = list(keyframes.covariances), keyframes.adrift
         mapper.views.extend(enumerate(segments))
         for factor in waiting:
             seen = factor.first, factor.measured, factor.covariance
@@ -99,7 +101,7 @@ class Mapper:
     @property
     def keyframes(self) -> KeyframeRecords:
         """What is remembered of the keyframes."""
-        return KeyframeRecords(self.trail, self.ways, self.names, self.pose_covariances)
+        return KeyframeRecords(self.trail, self.ways, self.names, self.pose_covariances, self.adrift)
 
     @property
     def pose(self) -> se2.Pose:
@@ -107,10 +109,19 @@ class Mapper:
         return np.zeros(3) if not len(self.trail) else self.trail[-1]
 
     def last_pose_covariance(self) -> Floats:
-        """(3, 3) of the last keyframe's pose, in its own frame: as the graph's `keyframe_covariance`, but free."""
-        c, s = np.cos(self.pose[2]), np.sin(self.pose[2])
-        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        return np.asarray(KERNEL_CAUTION * (rotation.T @ self.pose_covariances[-1] @ rotation))
+        """(3, 3) of the last keyframe's pose, in its own frame: as `keyframe_covariance`, but free."""
+        own = self.pose_covariances[-1] - (1.0 - 1.0 / KERNEL_CAUTION) * planar(self.adrift[-1])
+        return KERNEL_CAUTION * turned(own, -self.pose[2])
+
+    def keyframe_covariance(self, keyframe: int) -> Floats:
+        """(3, 3): covariance of a keyframe's pose, in the keyframe's own frame (metres, metres, radians)."""
+        common = turned(planar(self.adrift[keyframe]), -self.graph.keyframe_pose(keyframe)[2])
+        return self.graph.keyframe_covariance(keyframe) + common
+
+    def relative_covariance(self, old: int, keyframe: int) -> Floats:
+        """(3, 3): covariance of a keyframe's pose relative to an older one, in its own frame."""
+        common = turned(planar(self.adrift[keyframe] - self.adrift[old]), -self.graph.keyframe_pose(keyframe)[2])
+        return self.graph.relative_covariance(old, keyframe) + common
 
     def poses_of(self, keyframes: Sequence[int]) -> Floats:
         """(n, 3): the poses of some keyframes as the graph has them now."""
@@ -162,12 +173,15 @@ class Mapper:
         """Give the graph a keyframe and what it sees, by name; takes effect with the graph's next update."""
         keyframe = self.keyframe_count
         self.keyframe_count += 1
+        adrift = np.zeros((2, 2))
         if motion is None:
             self.graph.add_first_keyframe(pose)
         else:
+            adrift = self.adrift[motion.start] + turned(planar(motion.adrift), pose[2])[:2, :2]
             self.graph.add_keyframe(keyframe, pose, motion.start, motion.motion, motion.covariance)
             self.ways.append(self.ways[-1] + float(np.hypot(motion.motion[0], motion.motion[1])))
         self.trail = np.vstack([self.trail, pose])
+        self.adrift = np.concatenate([self.adrift, adrift[None]])
         self.views.append((keyframe, segments))
         self.names.append(names)
         self._observe(keyframe, pose, segments, corners, names.walls, names.corners)
@@ -317,11 +331,12 @@ class Mapper:
     def remember_covariances(self) -> None:
         """Note how well every keyframe is known now. A map that was solved in batch never has."""
         every = range(self.keyframe_count)
-        self.pose_covariances = [self.graph.relative_covariances(k, [], [])[0] for k in every]
+        self.pose_covariances = [self.graph.relative_covariances(k, [], [])[0] + planar(self.adrift[k]) for k in every]
 
     def read_back_all(self) -> None:
         """Take the whole estimate from the graph."""
-        self.pose_covariances[-1] = self.graph.relative_covariances(self.keyframe_count - 1, [], []).pose
+        own = self.graph.relative_covariances(self.keyframe_count - 1, [], []).pose
+        self.pose_covariances[-1] = own + planar(self.adrift[-1])
         self._read_back(None)
 
     def _read_back(self, radius: float | None) -> None:
@@ -359,7 +374,7 @@ class Mapper:
         walls["covariance_in_map"][seen_walls] = known.walls_in_map
         corners["covariance"][seen_corners] = known.corners
         corners["covariance_in_map"][seen_corners] = known.corners_in_map
-        self.pose_covariances.append(known.pose)
+        self.pose_covariances.append(known.pose + planar(self.adrift[-1]))
 
     def _learn_flatness(self, view: KeyframeView) -> None:
         """Compare the segments with the walls they were given to, now that the graph has settled both."""

@@ -22,7 +22,7 @@ LEAST_RATE = 1e-8  # of variance; no wheels err by less than a tenth of a millim
 HELD_SIGMA = 0.05  # metres: worse than this, what was seen does not tell how far odometry erred in a step
 ADRIFT_SIGMA = 0.3  # metres: a direction in which what is seen holds the robot worse than this is left to odometry
 # Metres of way over which the wheels' errors are the same: wheels larger than believed stay so. Where every step is
-# seen to be right or wrong that does not matter; where many steps in a row are not, their errors add up.
+# seen to be right or wrong that does not matter; where many steps in a row are not, their errors add up (`adrift`).
 ALIKE_WAY = 20.0
 MEMORY = 500  # motions from which is learned what is common to all
 MOST_WRONG = 2.0  # factor; wheels that turn the robot by more or less than that are not calibrated badly, but broken
@@ -111,22 +111,25 @@ class OdometryModel:
         """Variances (...,) of translation along each axis and of heading after `way` metres (...,)."""
         return self._rates[0] * way**2, self._rates[1] * way
 
-    def covariance(self, motion: se2.Pose, held_by: Floats | None = None) -> Floats:
-        """(3, 3) covariance of a motion [x, y, heading] between two readings, in the frame of its end.
-
-        `held_by` (3, 3) is the information of what was seen at its end, if that is known: in a direction that it leaves
-        open the error is taken as common to this motion and its neighbours.
-        """
+    def covariance(self, motion: se2.Pose) -> Floats:
+        """(3, 3) covariance of a motion [x, y, heading] between two readings, in the frame of its end."""
         way = way_of(motion)
         translation, rotation = self.variances(way)
         translation += self._config.translation_floor**2
         rotation += self._config.rotation_floor**2
-        covariance = np.diag([translation, translation, rotation])
-        adrift = None if held_by is None else free_direction(np.zeros(3), held_by, ADRIFT_SIGMA)
-        if adrift is not None:
-            along = np.array([math.cos(adrift), math.sin(adrift), 0.0])
-            covariance += self._rates[0] * way * ALIKE_WAY * np.outer(along, along)
-        return covariance
+        return np.diag([translation, translation, rotation])
+
+    def adrift(self, motion: se2.Pose, held_by: Floats) -> Floats:
+        """(2, 2): what a motion adds to the covariance of the position, in the frame of its end, by errors that it has
+        in common with its neighbours.
+
+        That is in the direction that what was seen at its end leaves open, given the information (3, 3) of that.
+        """
+        direction = free_direction(np.zeros(3), held_by, ADRIFT_SIGMA)
+        if direction is None:
+            return np.zeros((2, 2))
+        along = np.array([math.cos(direction), math.sin(direction)])
+        return np.asarray(self._rates[0] * way_of(motion) * ALIKE_WAY * np.outer(along, along))
 
 
 def fused_motion(

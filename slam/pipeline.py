@@ -347,4 +347,4 @@ class Slam:
 
     def keyframe_covariance(self, index: int) -> Floats:
         """(3, 3): covariance of a keyframe's pose, in the keyframe's own frame (metres, metres, radians)."""
-        return self.belief.mapper.graph.keyframe_covariance(index)
+        return self.belief.mapper.keyframe_covariance(index)

@@ -93,7 +93,7 @@ class Reporter:
                     index=index,
                     stamp=sighting.stamp,
                     pose=mapper.trail[index],
-                    pose_covariance=mapper.graph.keyframe_covariance(index),
+                    pose_covariance=mapper.keyframe_covariance(index),
                     odometry=sighting.odometry,
                     points=sighting.seen.points.all,
                     segments=sighting.seen.segments,

@@ -21,7 +21,7 @@ def finished(belief: Belief, path: tuple[Floats, Floats], summary: dict[str, obj
     """What came of a belief that has settled, with all covariances; `path` is stamps (m,) and poses (m, 3)."""
     mapper = belief.mapper
     lines, corners = map_features(mapper, covariances=True)
-    covariances = [mapper.graph.keyframe_covariance(index) for index in range(mapper.keyframe_count)]
+    covariances = [mapper.keyframe_covariance(index) for index in range(mapper.keyframe_count)]
     return Finished(
         lines=lines,
         corners=corners,
@@ -48,6 +48,8 @@ def _lines(mapper: Mapper, landmarks: Landmarks, *, covariances: bool) -> MapLin
     if covariances:
         for row, wall in enumerate(chosen):
             covariance[row] = mapper.graph.wall_covariance(int(wall))
+        normals = np.column_stack([-np.sin(rows["frame"][chosen, 2]), np.cos(rows["frame"][chosen, 2])])
+        covariance[:, 0, 0] += np.einsum("ij,ijk,ik->i", normals, mapper.adrift[rows["first_seen"][chosen]], normals)
     walls = rows[chosen]
     return MapLines(
         identity=chosen,
@@ -88,6 +90,8 @@ def _corners(mapper: Mapper, landmarks: Landmarks, *, covariances: bool) -> MapC
     if covariances and met:
         moved = np.array(jacobians)
         covariance[met] = moved @ mapper.graph.walls_covariances(lines[met]) @ moved.transpose(0, 2, 1)
+    if covariances:
+        covariance += mapper.adrift[rows["last_seen"][chosen]]
     return MapCorners(
         identity=chosen,
         position=position,

@@ -237,7 +237,7 @@ def _outlook(mapper: Mapper, recent: Constellation, old: OldMap, seen_from: int)
     """What a place is judged by that the keyframe `seen_from` saw."""
     views = [(mapper.graph.keyframe_pose(keyframe), segments) for keyframe, segments in mapper.views]
     last = mapper.keyframe_count - 1
-    uncertainty = cache(lambda: mapper.graph.relative_covariance(seen_from, last))
+    uncertainty = cache(lambda: mapper.relative_covariance(seen_from, last))
     return Outlook(recent, old, mapper.landmarks, mapper.pose, views, uncertainty)
 
 

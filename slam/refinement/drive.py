@@ -77,7 +77,7 @@ class Drive:
         if astray[row : to + 1].any():
             return motion, np.diag(ASTRAY_SIGMAS**2)
         motion = model.corrected(motion)
-        return motion, model.covariance(motion, self.informations[to])
+        return motion, model.covariance(motion)
 
     def start_of(self, keyframe: int) -> int:
         """The row of the sighting from which odometry led to a keyframe: the keyframe before it, or, where a familiar

@@ -106,12 +106,13 @@ def motion_to(
     start, row = drive.start_of(keyframe), int(drive.keyframes[keyframe])
     anchor, relative = int(drive.anchors[start]), drive.relative[start]
     claimed, covariance = drive.motion(start, row, model, astray)
+    adrift = model.adrift(claimed, drive.informations[row])
     found = se2.between(se2.compose(placed[anchor], relative), placed[keyframe])
     claimed, covariance = fused_motion(claimed, covariance, found, point_information)
     if start != drive.keyframes[keyframe - 1]:
         carry = se2.adjoint(se2.inverse(claimed))
         covariance = covariance + carry @ np.diag(PASSING_SIGMAS**2) @ carry.T
-    return Motion(anchor, se2.compose(relative, claimed), covariance)
+    return Motion(anchor, se2.compose(relative, claimed), covariance, adrift)
 
 
 def _changed(old: Mapper, new: Mapper) -> int:

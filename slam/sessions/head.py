@@ -16,8 +16,8 @@ from ..segments import Floats
 from ..tracking import Place
 
 FORMAT = "wclm-slam session"
-VERSION = 2
-KNOWN_VERSIONS = (1, 2)
+VERSION = 3
+KNOWN_VERSIONS = (1, 2, 3)
 """Version 1 does not know of walls that are no longer there."""
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]

@@ -45,6 +45,7 @@ FACTORS = "factors.parquet"
 CLOSURES = "closures.parquet"
 WAITING = "waiting.parquet"
 COVARIANCE = ("xx", "xy", "xh", "yy", "yh", "hh")
+ADRIFT = {"adrift_xx": (0, 0), "adrift_xy": (0, 1), "adrift_yy": (1, 1)}  # not in tables before version 3
 WORDS = ("status", "reason")
 COUNTS = ("candidate", "keyframe", "old", "matches", "merged")
 SCORES = ("stamp", "explained", "runner_up", "sigma", "contradicted", "shift")
@@ -128,7 +129,7 @@ def read_stored(path: Path) -> StoredSession:
     head = read_head(folder / HEAD)
     config = load_config(path / CONFIG)
     sighted = read_sightings(folder / SIGHTINGS, folder / RECENT)
-    records = _read_keyframes(folder / KEYFRAMES, sighted)
+    records = _read_keyframes(folder / KEYFRAMES, sighted, head.version)
     rows = drive_of(sighted.sightings, sighted.path, sighted.keyframe_stamps, ()).keyframes
     keyframes = {k: sighted.sightings[row] for k, row in enumerate(rows.tolist())}
     factors, waiting = read_factors(folder / FACTORS)
@@ -203,10 +204,12 @@ def _write_keyframes(file: Path, stamps: Sequence[float], records: KeyframeRecor
     columns = {"stamp": np.array(stamps)}
     columns |= {name: records.trail[:, k] for k, name in enumerate(("x", "y", "heading"))}
     columns["way"] = np.array(records.ways[: len(stamps)])
-    write_table(file, columns | {name: upper[:, k] for k, name in enumerate(COVARIANCE)})
+    columns |= {name: upper[:, k] for k, name in enumerate(COVARIANCE)}
+    columns |= {name: records.adrift[:, *place] for name, place in ADRIFT.items()}
+    write_table(file, columns)
 
 
-def _read_keyframes(file: Path, sighted: Sighted) -> KeyframeRecords:
+def _read_keyframes(file: Path, sighted: Sighted, version: int) -> KeyframeRecords:
     table = Columns(file)
     if not np.array_equal(table.floats("stamp"), sighted.keyframe_stamps):
         raise MapError(f"{file}: has other keyframes than {SIGHTINGS}")
@@ -214,7 +217,10 @@ def _read_keyframes(file: Path, sighted: Sighted) -> KeyframeRecords:
     covariances = np.zeros((len(table), 3, 3))
     covariances[:, UPPER[0], UPPER[1]] = covariances[:, UPPER[1], UPPER[0]] = upper
     ways = table.floats("way").tolist()
-    return KeyframeRecords(table.floats("x", "y", "heading"), ways or [0.0], sighted.names, list(covariances))
+    adrift = np.zeros((len(table), 2, 2))
+    for name, (row, column) in ADRIFT.items() if version > 2 else ():
+        adrift[:, row, column] = adrift[:, column, row] = table.floats(name)
+    return KeyframeRecords(table.floats("x", "y", "heading"), ways or [0.0], sighted.names, list(covariances), adrift)
 
 
 def _write_closures(file: Path, closures: Sequence[Mapping[str, Any]]) -> None:
