@@ -28,7 +28,7 @@ class Missed:
 def missed_closure(mapper: Mapper, drive: Drive) -> Missed | None:
     """The first loop along the drive that two looks agree on and that is not closed on this map."""
     past, closer = Mapper.on(mapper), LoopCloser()
-    past.graph = mapper.graph
+    past.graph, past.adrift = mapper.graph, mapper.adrift
     walls = past.landmarks.walls.rows
     confirmed = walls["in_graph"].copy()
     walls["in_graph"], walls["observations"], walls["first_seen"], walls["last_seen"] = False, 0, 0, 0

@@ -103,12 +103,16 @@ DRIFTED_LITTLE, DRIFTED_FAR = np.array([0.4, 0.3, 0.0]), np.array([1.5, -0.9, 0.
 
 def looks(drifts: list[se2.Pose], covariance: Floats) -> list[LoopDecision]:
     """What becomes of looks at a room seen again, two metres of driving apart, all at the same walls."""
-    graph = SimpleNamespace(relative_covariance=lambda old, keyframe: covariance)
     closer, decisions = LoopCloser(), []
     for look, drift in enumerate(drifts):
         landmarks, pose, ways = seen_again(ROOM, drift)
         mapper = SimpleNamespace(
-            landmarks=landmarks, pose=pose, ways=[*ways, ways[-1] + 2.0 * look], views=[], keyframe_count=3, graph=graph
+            landmarks=landmarks,
+            pose=pose,
+            ways=[*ways, ways[-1] + 2.0 * look],
+            views=[],
+            keyframe_count=3,
+            relative_covariance=lambda old, keyframe: covariance,
         )
         decisions.append(closer.look(cast(Mapper, mapper)))
     assert None not in decisions

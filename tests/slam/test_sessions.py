@@ -20,7 +20,7 @@ from slam.landmarks import STANDING
 from slam.mapper import Mapper
 from slam.outputs import CONFIG, SESSION
 from slam.sessions import Recording, StoredSession, is_stored, read_stored, write_stored
-from slam.sessions.store import FACTORS, HEAD, SIGHTINGS, WALLS
+from slam.sessions.store import ADRIFT, FACTORS, HEAD, KEYFRAMES, SIGHTINGS, WALLS
 
 ROOM = Recording(name="room", path="sim:room", first=0.0, last=8.0)
 
@@ -157,6 +157,19 @@ def test_a_session_that_knows_of_no_retired_walls_is_read(left: tuple[StoredSess
     assert len(mapper.landmarks.walls) == len(left[0].belief.mapper.landmarks.walls)
     assert not mapper.landmarks.opened
     assert not mapper.doubts.counts
+
+
+def test_a_session_that_does_not_know_where_it_was_adrift_is_read(
+    left: tuple[StoredSession, Path], tmp_path: Path
+) -> None:
+    """As version 2 left it."""
+    path = shutil.copytree(left[1], tmp_path / "out")
+    head, keyframes = path / SESSION / HEAD, path / SESSION / KEYFRAMES
+    head.write_text(json.dumps(json.loads(head.read_text()) | {"version": 2}))
+    pq.write_table(pq.read_table(keyframes).drop_columns(list(ADRIFT)), keyframes)
+    mapper = read_stored(path).belief.mapper
+    assert mapper.adrift.shape == (mapper.keyframe_count, 2, 2)
+    assert not mapper.adrift.any()
 
 
 def test_a_session_of_another_version_says_so(left: tuple[StoredSession, Path], tmp_path: Path) -> None:
