@@ -73,7 +73,7 @@ class Adversary:
         stay, *others = honest
         if len(self.forced) % 2:
             most = max(hypothesis.length for hypothesis in honest)
-            false = replace(false, explained=1.0, length=OUTDONE * max(most, recent.length()))
+            false = replace(false, explained=1.0, weakest=1.0, length=OUTDONE * max(most, recent.length()))
         self.forced.append((false, pose))
         return [stay, *sorted([false, *others], key=lambda hypothesis: -hypothesis.length)]
 

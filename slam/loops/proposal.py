@@ -42,6 +42,8 @@ class Hypothesis:
     motion       [x, y, heading]: a recent thing at p in the map lies at transform(motion, p)
     explained    share of the constellation's length that falls on old walls, of what lies where the old map has been
     length       metres of it that do
+    weakest      share of what lies where the old map has been that falls on old walls, of the walls that tell of the
+                 direction in which that is least: a place where only the walls along a corridor agree may be any there
     information  (3, 3) of the motion from the matched walls, in the map's axes about the robot
     matches      (n,) row of the old map for each recent wall, -1 for none
     """
@@ -49,6 +51,7 @@ class Hypothesis:
     motion: se2.Pose
     explained: float
     length: float
+    weakest: float
     information: Floats
     matches: NDArray[np.int64]
 
@@ -87,11 +90,12 @@ def refined(start: Floats, recent: Constellation, old: OldMap, pose: se2.Pose, f
 
     `first` is the gate to begin with; the last one leaves the motion as it is and only judges it.
     """
-    motion, information, matches, length, covered = _refine(
+    motion, information, matches, length, covered, agreeing, telling = _refine(
         start, recent.frame, recent.half_length, old.constellation.frame, old.constellation.half_length, pose[:2], first
     )
     share = length / covered if covered else 0.0
-    return Hypothesis(_about_origin(motion, pose), share, length, information, matches)
+    weakest = float(np.clip(np.linalg.eigvals(np.linalg.solve(telling, agreeing)).real.min(), 0.0, 1.0))
+    return Hypothesis(_about_origin(motion, pose), share, length, weakest, information, matches)
 
 
 def distinct(
@@ -163,8 +167,10 @@ def _vote(  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def _refine(start, frames, halves, olds, old_halves, centre, first):  # type: ignore[no-untyped-def]
     """Gauss-Newton on [shift x, shift y, turn about centre]; the motion, its information, matches, the length explained
-    and the length of the walls that lie where the old map has been."""
+    and the length of the walls that lie where the old map has been; and (2, 2) for each direction, how much length of
+    walls that tell of it agrees, and how much there is."""
     motion = start.copy()
+    agreeing, telling = np.zeros((2, 2)), 1e-6 * np.eye(2)
     matches = np.full(len(frames), -1)
     information, length, covered = np.zeros((3, 3)), 0.0, 0.0
     cosines, sines = np.cos(olds[:, 2]), np.sin(olds[:, 2])
@@ -196,6 +202,12 @@ def _refine(start, frames, halves, olds, old_halves, centre, first):  # type: ig
                     best, overlap, offset, turned, matches[i] = distance, min(shared, 2 * halves[i]), across, angle, j
             if known:
                 covered += 2 * halves[i]
+            if judging and (known or matches[i] >= 0):
+                normal = np.array([-math.sin(frames[i, 2] + motion[2]), math.cos(frames[i, 2] + motion[2])])
+                outer = 2 * halves[i] * np.outer(normal, normal)
+                telling += outer
+                if matches[i] >= 0:
+                    agreeing += outer
             if matches[i] < 0:
                 continue
             length += overlap
@@ -212,4 +224,4 @@ def _refine(start, frames, halves, olds, old_halves, centre, first):  # type: ig
             gradient[2] += turn_weight * turned
         if not judging:
             motion = motion - np.linalg.solve(information, gradient)
-    return motion, information, matches, length, max(covered, length)
+    return motion, information, matches, length, max(covered, length), agreeing, telling

@@ -75,11 +75,13 @@ def loop_report(event: LoopDecided) -> str:
 _TESTS = {
     "drift": "motion, as a share of the drift to be expected",
     "explained": "share of recent wall that falls on old wall",
+    "weakest": "the same of the walls that tell of one direction, where it is least",
     "length": "metres of it",
     "gain": "metres more than where the robot is believed to be",
     "walls": "walls that fall on old ones",
     "sigma": "metres, in the worst known direction",
     "runner-up": "what another place explains, relative to this",
+    "likelier-rival": "the same of places that odometry speaks for rather",
     "contradicted": "share seen through old walls",
     "unexpected": "standard deviations from the estimate",
 }

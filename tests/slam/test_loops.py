@@ -16,7 +16,7 @@ from slam.landmarks import Landmarks
 from slam.local_map import empty_local_map
 from slam.loops.closer import LoopCloser, LoopDecision, close
 from slam.loops.constellation import OLD_WAY, recent_and_old
-from slam.loops.proposal import Hypothesis, propose
+from slam.loops.proposal import Hypothesis, propose, refined
 from slam.loops.verification import Outlook, Verdict, allowed_by_estimate, is_astray, verify
 from slam.mapper import Mapper
 from slam.segments import CornerPoints, Floats, Segments
@@ -169,6 +169,22 @@ def test_a_corridor_with_equal_doors_is_ambiguous_unless_the_estimate_rules_the_
     assert accepted or "another place" in verdict.reason
 
 
+def test_walls_along_one_direction_alone_do_not_make_a_place() -> None:
+    """All along the room agrees, and next to nothing across: the furniture was moved, or it is another room as wide."""
+    drift = np.array([0.9, -0.7, 0.0])
+    sides = np.array([[x, y, heading, 3.0] for x in (3.0, 9.0) for y, heading in ((0.0, 0.0), (4.0, np.pi))])
+    across = np.array([[x, 2.0, np.pi / 2, 0.9] for x in (0.5, 2.5, 4.5, 6.5)])
+    landmarks = Landmarks()
+    add(landmarks, np.concatenate([sides, across]), 0)
+    moved = across.copy()
+    moved[1:, 0] += 0.8
+    add(landmarks, np.concatenate([sides, moved]), 1, drift)
+    recent, old = recent_and_old(landmarks, se2.compose(drift, INSIDE), np.array([0.0, 60.0]))
+    found = refined(np.array([-0.9, 0.7, 0.0]), recent, old, se2.compose(drift, INSIDE))
+    assert found.explained > 0.65
+    assert found.weakest == pytest.approx(0.25, abs=0.05)
+
+
 def test_walls_that_would_have_hidden_what_was_seen_speak_against_a_place() -> None:
     landmarks, pose, ways = seen_again(ROOM, np.array([0.9, -0.7, 0.12]))
     add(landmarks, np.array([[4.0, 2.0, np.pi / 2, 1.8]]), 0)  # the old room had a partition where now the view is free
@@ -231,7 +247,7 @@ def drifted_mapper(drift: se2.Pose) -> tuple[Mapper, list[int], list[int]]:
 
 def decision(motion: se2.Pose, first: list[int], second: list[int]) -> LoopDecision:
     """Two looks agree that what was seen `second` lies on what was seen `first`, if moved."""
-    hypothesis = Hypothesis(motion, 1.0, 20.0, np.eye(3), np.arange(len(ROOM)))
+    hypothesis = Hypothesis(motion, 1.0, 20.0, 1.0, np.eye(3), np.arange(len(ROOM)))
     verdict = Verdict(True, "all tests passed", 1.0, len(ROOM), 0.0, 0.01, 0.0, True, False, False)
     return LoopDecision(1, 9, 1, np.zeros(3), verdict, "agreed", hypothesis, tuple(zip(first, second, strict=True)))
 
