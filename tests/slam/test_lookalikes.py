@@ -65,7 +65,7 @@ def test_a_loop_that_drift_left_open_is_closed_where_it_should_be() -> None:
     assert not result.wrong
 
 
-@pytest.mark.parametrize(("world", "seed"), [("moved_furniture", 0), ("equal_offices", 15)])
+@pytest.mark.parametrize(("world", "seed"), [("moved_furniture", 9), ("equal_offices", 18)])
 def test_no_wrong_closure_where_places_look_alike(world: str, seed: int) -> None:
     result = drive(world, seed)
     convincing = [d for d in result.decided if d.error > 0.5 and (d.status == "held" or "deviations" in d.reason)]
