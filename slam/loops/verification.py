@@ -109,7 +109,8 @@ def verify(hypotheses: Sequence[Hypothesis], outlook: Outlook) -> Verdict:
     if near and all(test.passed for test in (gain, *fits)) and not is_astray(motion, outlook.uncertainty()):
         near = False
         gain, *fits = _fit_tests(hypotheses, outlook, near=False)
-    rivals = _rival_tests(hypotheses, outlook, near=near)
+    fitting = all(test.passed for test in (gain, *fits))
+    rivals = _rival_tests(hypotheses, outlook, by_estimate=fitting and not near)
     tests = [gain, *fits, *rivals]
     if all(test.passed for test in tests):
         tests.append(allowed_by_estimate(motion, outlook.uncertainty()))
@@ -159,16 +160,17 @@ def _fit_tests(hypotheses: Sequence[Hypothesis], outlook: Outlook, *, near: bool
     ]
 
 
-def _rival_tests(hypotheses: Sequence[Hypothesis], outlook: Outlook, *, near: bool) -> list[Test]:
+def _rival_tests(hypotheses: Sequence[Hypothesis], outlook: Outlook, *, by_estimate: bool) -> list[Test]:
     """Whether of another place nearly as much is explained; the less will do, if odometry speaks for that rather.
 
-    A place that the estimate rules out is no rival. Where a near motion shows the estimate to be astray, it has no say.
+    A place that the estimate rules out is no rival, if it is asked: where a near motion shows it to be astray it has no
+    say, and where the place does not fit the answer would not matter.
     """
     best = hypotheses[1]
     others = [h for h in hypotheses if h is not best and distinct(h.motion, best.motion, outlook.pose)]
     rivals = [(_rivalry(other, best), other) for other in others]
     likelier = 0.0
-    if not near and any(share > LIKELIER_RUNNER_UP for share, _ in rivals):
+    if by_estimate and any(share > LIKELIER_RUNNER_UP for share, _ in rivals):
         loose = outlook.uncertainty() + np.diag(ASTRAY_SIGMAS**2)
         own = _unexpectedness(robot_motion(best, outlook.pose), loose)
         unexpected = [_unexpectedness(robot_motion(rival, outlook.pose), loose) for _, rival in rivals]
