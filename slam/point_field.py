@@ -16,7 +16,7 @@ from drivers import se2
 from .segments import Floats
 
 KEYFRAMES = 15  # whose points are kept: some four metres of driving
-MOST_POINTS = 360  # of a scan; of denser ones every other, or every third
+MOST_POINTS = 400  # of a scan; of denser ones every other, or every third: half a circle by half degrees is 361
 CELL = 0.05  # metres
 REACH = 12.0  # metres around the robot that the field covers
 RADIUS = 0.25  # metres from a cell within which its nearest point is known
