@@ -15,13 +15,14 @@ import numpy as np
 from drivers import se2
 
 from .adrift import planar, turned
-from .association import UNMATCHED, Association
+from .association import Association
 from .flatness import WallFlatness, uneven
 from .graph import KERNEL_CAUTION, Factor, FactorGraph, GraphState, Kind
 from .keyframe_records import KeyframeRecords, KeyframeView, Merge, Motion, Names
 from .landmarks import Landmarks
 from .local_map import LocalMap, local_map_around
 from .merging import LEAST_OBSERVATIONS, find_duplicate, merge_everywhere
+from .naming import name_features
 from .retirement import Doubts
 from .segments import CornerPoints, Floats, Integers, Segments
 
@@ -31,7 +32,6 @@ REACH_MARGIN = 2.0  # metres beyond what the keyframe itself saw, within which t
 WELL_KNOWN_OBSERVATIONS = 4  # keyframes after which a wall can judge the scatter of what is seen of it
 KEPT_VIEWS = 25  # keyframes whose segments are kept for judging loop closures
 REFRESH_ALL = 20  # keyframes after which the estimate of every landmark is read back, not only of those around
-SMALLEST_REACH = 0.2  # metres: a corner nearer to the base's origin has no bearing to speak of
 
 
 class Mapper:
@@ -146,7 +146,7 @@ class Mapper:
         """A keyframe near `pose`, reached by a motion from an earlier one (None for the first), with what it sees."""
         keyframe = self.keyframe_count
         known = len(self.landmarks.walls)
-        names = self.name(keyframe, pose, segments, corners, association, local_map)
+        names = name_features(self.landmarks, keyframe, pose, segments, corners, association, local_map)
         self.extend(pose, motion, segments, corners, names)
         self.graph.update()
         self.trail[-1] = self.graph.keyframe_pose(keyframe)
@@ -185,54 +185,6 @@ class Mapper:
         self.views.append((keyframe, segments))
         self.names.append(names)
         self._observe(keyframe, pose, segments, corners, names.walls, names.corners)
-
-    def name(
-        self,
-        keyframe: int,
-        pose: se2.Pose,
-        segments: Segments,
-        corners: CornerPoints,
-        association: Association,
-        local_map: LocalMap,
-    ) -> Names:
-        """What an association means by identities; landmarks are seen again, or for the first time and made."""
-        walls = self._name_walls(keyframe, pose, segments, association, local_map)
-        return Names(walls, self._name_corners(keyframe, pose, corners, walls, association, local_map))
-
-    def _name_walls(
-        self, keyframe: int, pose: se2.Pose, segments: Segments, association: Association, local_map: LocalMap
-    ) -> Integers:
-        """The identity of the wall each segment shows (-1: ambiguous), walls seen for the first time made."""
-        frames = se2.compose(pose, segments.frame).reshape(-1, 3)
-        named = np.full(len(segments), -1)
-        for i, row in enumerate(association.walls):
-            if row >= 0:
-                named[i] = local_map.walls[row]
-                self.landmarks.see_wall(int(named[i]), frames[i], segments.half_length[i], keyframe)
-            elif row == UNMATCHED:
-                named[i] = self.landmarks.add_wall(frames[i], segments.half_length[i], keyframe)
-        return named
-
-    def _name_corners(
-        self,
-        keyframe: int,
-        pose: se2.Pose,
-        corners: CornerPoints,
-        walls: Integers,
-        association: Association,
-        local_map: LocalMap,
-    ) -> Integers:
-        """The identity of each corner (-1: ambiguous), corners seen for the first time made."""
-        positions = se2.transform(pose, corners.position).reshape(-1, 2)
-        headings = se2.wrap(corners.headings + pose[2])
-        named = np.full(len(corners), -1)
-        for i, row in enumerate(association.corners):
-            if row >= 0:
-                named[i] = local_map.corners[row]
-                self.landmarks.see_corner(int(named[i]), headings[i], keyframe)
-            elif row == UNMATCHED and np.hypot(*corners.position[i]) > SMALLEST_REACH:
-                named[i] = self.landmarks.add_corner(positions[i], headings[i], walls[corners.segments[i]], keyframe)
-        return named
 
     def _observe(
         self,

@@ -13,6 +13,7 @@ from ..association import associate
 from ..keyframe_records import Motion, Names
 from ..mapper import Mapper
 from ..merging import merge_everywhere
+from ..naming import name_features
 from ..odometry_model import OdometryModel, fused_motion
 from ..registration import Registration
 from ..segments import Floats
@@ -90,7 +91,9 @@ def _associate(
         )
         laid.append(registration)
         astray[row] = result.astray
-        names.append(mapper.name(k, registration.pose, seen.segments, seen.corners, association, around))
+        names.append(
+            name_features(mapper.landmarks, k, registration.pose, seen.segments, seen.corners, association, around)
+        )
     return laid, names, astray
 
 
