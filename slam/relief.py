@@ -21,9 +21,8 @@ from .segments import Integers
 
 DEPTH = 0.05  # metres by which a wall's frames, pillars and ledges may stand out: the bays of a facade are deeper
 ALIKE = math.radians(10.0)  # by which the lines may be turned against each other
-LEAST_CELLS = (
-    3  # in a row that one hides, or that are left of one: walls that meet at a blunt angle lie side by side, too
-)
+# Cells in a row that are hidden, or that are left: walls that meet at a blunt angle lie side by side for a while, too.
+LEAST_CELLS = 3
 
 
 def with_one_front(landmarks: Landmarks) -> Landmarks:
