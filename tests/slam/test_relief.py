@@ -90,7 +90,7 @@ def test_corners_go_to_the_wall_that_stands_for_theirs() -> None:
 @given(
     walls=st.lists(
         st.tuples(
-            st.floats(-3, 3), st.floats(-0.1, 0.1), st.floats(-0.15, 0.15), st.floats(0.2, 2.5), st.integers(2, 50)
+            st.floats(-3, 3), st.floats(-0.1, 0.1), st.floats(-0.08, 0.08), st.floats(0.2, 2.5), st.integers(2, 50)
         ),
         min_size=1,
         max_size=8,
