@@ -354,10 +354,8 @@ class Belief:
         else:
             self.odometry_model.learn(claimed, actual, found.held_by)
             claimed = self.odometry_model.corrected(claimed)
-            covariance, adrift = (
-                self.odometry_model.covariance(claimed),
-                self.odometry_model.adrift(claimed, found.held_by),
-            )
+            covariance = self.odometry_model.covariance(claimed)
+            adrift = self.odometry_model.adrift(claimed, found.held_by)
             claimed, covariance = fused_motion(claimed, covariance, actual, found.point_information)
         self._carried = False
         covariance = covariance + _covariance_after(anchor.covariance, claimed)

@@ -110,8 +110,9 @@ class Mapper:
 
     def last_pose_covariance(self) -> Floats:
         """(3, 3) of the last keyframe's pose, in its own frame: as `keyframe_covariance`, but free."""
-        own = self.pose_covariances[-1] - (1.0 - 1.0 / KERNEL_CAUTION) * planar(self.adrift[-1])
-        return KERNEL_CAUTION * turned(own, -self.pose[2])
+        common = planar(self.adrift[-1])
+        own = self.pose_covariances[-1] - common
+        return turned(KERNEL_CAUTION * own + common, -self.pose[2])
 
     def keyframe_covariance(self, keyframe: int) -> Floats:
         """(3, 3): covariance of a keyframe's pose, in the keyframe's own frame (metres, metres, radians)."""

@@ -90,7 +90,7 @@ def _corners(mapper: Mapper, landmarks: Landmarks, *, covariances: bool) -> MapC
     if covariances and met:
         moved = np.array(jacobians)
         covariance[met] = moved @ mapper.graph.walls_covariances(lines[met]) @ moved.transpose(0, 2, 1)
-    if covariances:
+    if covariances:  # nobody remembers from where a corner was seen first
         covariance += mapper.adrift[rows["last_seen"][chosen]]
     return MapCorners(
         identity=chosen,

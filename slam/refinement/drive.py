@@ -79,6 +79,13 @@ class Drive:
         motion = model.corrected(motion)
         return motion, model.covariance(motion)
 
+    def adrift(self, row: int, to: int, model: OdometryModel, astray: NDArray[np.bool_]) -> Floats:
+        """(2, 2): what odometry's common errors add to the covariance of the position from one sighting to another, in
+        the frame of its end; where odometry is not what led there, its covariance says all."""
+        if astray[row : to + 1].any() or any(row < carried <= to for carried in self.carried):
+            return np.zeros((2, 2))
+        return model.adrift(self.motion(row, to, model, astray)[0], self.informations[to])
+
     def start_of(self, keyframe: int) -> int:
         """The row of the sighting from which odometry led to a keyframe: the keyframe before it, or, where a familiar
         place was passed in between without new keyframes, the first that hangs where the last before it hangs."""

@@ -109,7 +109,7 @@ def motion_to(
     start, row = drive.start_of(keyframe), int(drive.keyframes[keyframe])
     anchor, relative = int(drive.anchors[start]), drive.relative[start]
     claimed, covariance = drive.motion(start, row, model, astray)
-    adrift = model.adrift(claimed, drive.informations[row])
+    adrift = drive.adrift(start, row, model, astray)
     found = se2.between(se2.compose(placed[anchor], relative), placed[keyframe])
     claimed, covariance = fused_motion(claimed, covariance, found, point_information)
     if start != drive.keyframes[keyframe - 1]:

@@ -18,7 +18,7 @@ from ..tracking import Place
 FORMAT = "wclm-slam session"
 VERSION = 3
 KNOWN_VERSIONS = (1, 2, 3)
-"""Version 1 does not know of walls that are no longer there."""
+"""Version 1 does not know of walls that are no longer there, version 2 not of where the robot was adrift."""
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Pose = tuple[Finite, Finite, Finite]
