@@ -9,9 +9,9 @@
 from __future__ import annotations
 
 from .errors import DriverError, RecordingError, SlamError
-from .inspect import RecordingInfo, inspect
 from .messages import GroundTruth, Message, Odometry, Scan, Source, SourceReport
 from .opening import open
+from .recordings.inspect import RecordingInfo, inspect
 
 __all__ = [
     "DriverError",

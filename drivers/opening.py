@@ -41,15 +41,15 @@ def open(spec: str | Path) -> Source:
     if path.is_dir():
         return _directory(path)
     if suffix in CARMEN_SUFFIXES:
-        from .carmen import Carmen
+        from .recordings.carmen import Carmen
 
         return Carmen(path)
     if suffix == ".mcap":
-        from .mcap import Mcap
+        from .recordings.mcap import Mcap
 
         return Mcap(path)
     if suffix in (".bag", ".db3"):
-        from .rosbag import Bag
+        from .recordings.rosbag import Bag
 
         return Bag(path)
     kind = f"the extension {path.suffix}" if path.suffix else "a file without an extension"
@@ -58,7 +58,7 @@ def open(spec: str | Path) -> Source:
 
 def _directory(path: Path) -> Source:
     """A ROS 2 bag; without metadata, because the recorder was killed, its only file."""
-    from .rosbag import Bag
+    from .recordings.rosbag import Bag
 
     if (path / "metadata.yaml").exists():
         return Bag(path)
@@ -71,7 +71,7 @@ def _directory(path: Path) -> Source:
 
 
 def _replay(spec: str) -> Source:
-    from .replay import Replay
+    from .recordings.replay import Replay
 
     path, _, query = spec.removeprefix("replay:").partition("?")
     options = dict(parse_qsl(query, keep_blank_values=True))
@@ -85,7 +85,7 @@ def _replay(spec: str) -> Source:
 
 
 def _simulation(spec: str) -> Source:
-    from .simulator import DRIVES, LIDARS, Simulation
+    from .simulation.simulator import DRIVES, LIDARS, Simulation
 
     world, _, query = spec.removeprefix("sim:").partition("?")
     options = dict(parse_qsl(query, keep_blank_values=True))

@@ -9,8 +9,8 @@ import numpy as np
 
 from drivers.se2 import Pose
 
-from .residuals import Residuals
-from .segments import CornerPoints, Floats, Integers, Segments
+from .geometry.segments import CornerPoints, Floats, Integers, Segments
+from .graph.factor_residuals import Residuals
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from .drives import Drives
 from .errors import MapError
+from .estimation.map_view import finished
+from .estimation.refinement import Drive, Refined, refine
 from .events import Finished, Sink
-from .loops.constellation import OLD_WAY
-from .mapper import Mapper
-from .refinement import Drive, Refined, refine
-from .reporting import Reporter
-from .sessions import StoredSession
-from .snapshot import finished
-from .statistics import loop_row
-from .tracking import Place
+from .io.sessions import StoredSession
+from .localisation.tracker import Place
+from .loop_closure.recent_walls import OLD_WAY
+from .mapping.mapper import Mapper
+from .mapping.odometry_segments import Drives
+from .publisher import Reporter
+from .run_statistics import loop_row
 
 PASS = 10  # keyframes before a closure that count as the pass that it joined to an older one
 SHOWN_SHIFTS = 5

@@ -11,25 +11,25 @@ import numpy as np
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry, Scan
 
-from .belief import Belief, Extension
 from .config import Config
-from .drives import Drives
 from .errors import MapError
-from .estimator import Estimator, Step
+from .estimation.estimator import Estimator, Step
+from .estimation.map_view import finished, map_features
+from .estimation.refinement import drive_of, laid_path, refine
+from .estimation.relocalisation_session import Excursion, Suspicion
+from .estimation.slam_state import Belief, Extension
 from .events import Finished, FoundAgain, MapCorners, MapLines, Noticed, ScanTracked, Sink, StateChanged, TruthSeen
-from .front_end import FrontEnd, Sighting
-from .loops.closer import LoopCloser
-from .mapper import Mapper
-from .recovery import Excursion, Suspicion
-from .refinement import drive_of, laid_path, refine
-from .reporting import Reporter
-from .segments import Floats
-from .sessions import StoredSession
-from .snapshot import finished, map_features
-from .state import State, StateWatch
-from .statistics import Clock, RunStatistics
+from .geometry.segments import Floats
+from .io.sessions import StoredSession
+from .localisation.state import State, StateWatch
+from .localisation.tracker import Hold, Place, Placement
+from .loop_closure.closer import LoopCloser
+from .mapping.mapper import Mapper
+from .mapping.odometry_segments import Drives
+from .preprocessing.scan_queue import FrontEnd, Sighting
+from .publisher import Reporter
+from .run_statistics import Clock, RunStatistics
 from .summary import run_summary
-from .tracking import Hold, Place, Placement
 
 
 class Slam:

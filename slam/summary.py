@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from .belief import Belief
-from .front_end import FrontEnd
-from .statistics import RunStatistics
+from .estimation.slam_state import Belief
+from .preprocessing.scan_queue import FrontEnd
+from .run_statistics import RunStatistics
 
 
 def run_summary(front_end: FrontEnd, belief: Belief, statistics: RunStatistics) -> dict[str, object]:

@@ -13,14 +13,14 @@ import numpy as np
 from drivers import se2
 from drivers.messages import Floats, Message, Odometry, Scan
 
-from .landmarks import Landmarks
-from .loops.constellation import OLD_WAY, recent_and_old
-from .loops.proposal import propose
-from .loops.relocalisation import fragment_of, index_map, relocalise
-from .loops.verification import contradiction
+from .geometry.segments import Segments
+from .loop_closure.proposal import propose
+from .loop_closure.recent_walls import OLD_WAY, recent_and_old
+from .loop_closure.relocalisation import fragment_of, index_map, relocalise
+from .loop_closure.verification import contradiction
+from .mapping.landmarks import Landmarks
+from .mapping.wall_removal import Doubts
 from .pipeline import Slam
-from .retirement import Doubts
-from .segments import Segments
 
 ROOM = 4.0, 3.0  # metres
 BEAMS = 180

@@ -29,9 +29,9 @@ from typing import Self
 from ..clock import day_offset
 from ..errors import DriverError
 from ..messages import Message
-from .outlet import Outlet
-from .session import Session, Status
+from .reorder_buffer import Outlet
 from .specs import DeviceSpec
+from .supervisor import Session, Status
 
 STATUS_PERIOD = 0.2
 """Seconds between two snapshots."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import time
 
-from ..mcap import McapWriter
 from ..messages import Message, Scan, end_of
-from ..ros_messages import Diagnostic
+from ..recordings.mcap import McapWriter
+from ..recordings.ros_messages import Diagnostic
 from .acquisition import Snapshot
-from .session import State
+from .supervisor import State
 
 DIAGNOSTICS_PERIOD = 1.0
 """Seconds."""

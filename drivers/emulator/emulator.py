@@ -18,8 +18,8 @@ from ..bases.readings import Velocity
 from ..clock import day_offset
 from ..errors import RecordingError
 from ..lidars import ld06
-from ..simulator import Lidar, warm_up
-from ..world import World, load_world
+from ..simulation.simulator import Lidar, warm_up
+from ..simulation.world import World, load_world
 from . import base, rplidar_kinds
 from .device import Device
 from .keyboard import Keyboard, steered

@@ -8,11 +8,11 @@ from typing import Protocol
 import numpy as np
 
 from ..bases.readings import Velocity
-from ..driving import ACCELERATION, TURN_ACCELERATION, Steering, arc, start_of
 from ..messages import Floats
-from ..raycast import STEP, poses_at, sweep
 from ..se2 import Pose, wrap
-from ..world import World
+from ..simulation.driving import ACCELERATION, TURN_ACCELERATION, Steering, arc, start_of
+from ..simulation.raycast import STEP, poses_at, sweep
+from ..simulation.world import World
 
 HISTORY = 3.0
 """Seconds of motion that are remembered at least; devices ask for what happened since the last step."""

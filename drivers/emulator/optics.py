@@ -8,7 +8,7 @@ import numpy as np
 
 from ..messages import Floats
 from ..se2 import Pose
-from ..simulator import Lidar, at_edge, steps
+from ..simulation.simulator import Lidar, at_edge, steps
 from .motion import Motion
 
 ROUNDS = 3

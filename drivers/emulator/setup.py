@@ -7,10 +7,10 @@ import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..driving import Drive
 from ..errors import DriverError
-from ..simulator import Lidar
-from ..world import World
+from ..simulation.driving import Drive
+from ..simulation.simulator import Lidar
+from ..simulation.world import World
 from . import base, rplidar_kinds
 
 DRIVES = ("path", "base", "keyboard")

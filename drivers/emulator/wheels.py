@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from ..bases.kinematics import DifferentialDrive, Noise
-from ..driving import Drive, draw_biases
 from ..se2 import wrap
+from ..simulation.driving import Drive, draw_biases
 from .motion import Motion
 
 

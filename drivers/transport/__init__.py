@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from .byte_capture import Tap, TapePlayer
 from .serial_port import SerialPort
-from .tape import Tap, TapePlayer
 from .tcp import TcpConnection
 from .transport import Received, Transport
 

@@ -10,19 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import OutputError
-from .console import (
-    INTERRUPTED,
-    ConfigOption,
-    PlotOption,
-    RefineOption,
-    ReviewOption,
-    SetOption,
-    complain,
-    say_if_slow,
-)
+from .console import INTERRUPTED, ConfigOption, PlotOption, RefineOption, ReviewOption, SetOption, complain, say_if_slow
 
 if TYPE_CHECKING:
-    from ..fleet.cluster import Client
+    from ..offline.batch.cluster import Client
 
 SOME_FAILED = 1
 """Exit status where the batch went to its end, but not every recording could be mapped."""
@@ -62,8 +53,8 @@ def batch(
     Example: [bold]wclm batch monday/*.mcap --out maps --workers 4[/bold]
     """
     from ..config import load_config
-    from ..fleet import Request, jobs_for, remove_leftovers
-    from ..fleet.dispatch import dispatch
+    from ..offline.batch import Request, jobs_for, remove_leftovers
+    from ..offline.batch.dispatch import dispatch
     from .batch_job import map_job
     from .batch_ledger import Ledger
 
@@ -98,7 +89,7 @@ def _make(out: Path) -> None:
 
 
 def _cluster(scheduler: str | None, count: int) -> AbstractContextManager[Client]:
-    from ..fleet.cluster import local_workers, workers_of
+    from ..offline.batch.cluster import local_workers, workers_of
 
     if scheduler is not None:
         return workers_of(scheduler)

@@ -15,8 +15,8 @@ from typing import Any, TextIO
 import drivers
 from drivers.errors import SlamError
 
-from ..fleet import Job, Row, Status, completed, fingerprint, remove_leftovers, row_of
-from ..fleet.jobs import FINGERPRINT
+from ..offline.batch import Job, Row, Status, completed, fingerprint, remove_leftovers, row_of
+from ..offline.batch.jobs import FINGERPRINT
 from .report import lines_for_people
 from .session import Playback, map_feed
 

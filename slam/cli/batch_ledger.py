@@ -12,8 +12,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from ..errors import OutputError
-from ..fleet import Job, Row, Status, completed, row_of, write_table
-from ..page.words import duration
+from ..offline.batch import Job, Row, Status, completed, row_of, write_table
+from ..visualisation.report_page.words import duration
 
 WIDE = 200
 """Columns of what is no terminal: a file, another program."""

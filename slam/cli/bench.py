@@ -31,8 +31,8 @@ def bench_consistency(
 
     Example: [bold]wclm bench consistency --runs 20[/bold]
     """
-    from ..benchmarks.consistency import calibrated, simulate, summarise, table
     from ..config import Config
+    from ..evaluation.benchmarks.consistency import calibrated, simulate, summarise, table
 
     config = Config()
     typer.echo("\n".join(heading(0)))
@@ -54,8 +54,8 @@ def bench_laps(
 
     Example: [bold]wclm bench laps office --laps 10[/bold]
     """
-    from ..benchmarks.laps import run
     from ..config import Config
+    from ..evaluation.benchmarks.laps import run
 
     typer.echo("lap  median ms  99 % ms  memory MB  keyframes  factors  walls")
     for lap in run(world, laps, Config(), seed=seed):
@@ -78,9 +78,9 @@ def bench_paper(
 
     Example: [bold]wclm bench paper --json paper.json --out pictures[/bold]
     """
-    from ..benchmarks.paper.claims import judge
-    from ..benchmarks.paper.run import measure, measure_times
-    from ..benchmarks.paper.tables import lines
+    from ..evaluation.benchmarks.paper.claims import judge
+    from ..evaluation.benchmarks.paper.run import measure, measure_times
+    from ..evaluation.benchmarks.paper.tables import lines
 
     if out is not None:
         make_directory(out)
@@ -96,7 +96,7 @@ def bench_paper(
         }
         write(as_json, json.dumps(content, indent=1))
     if out is not None:
-        from ..plots.paper import plot_paper
+        from ..visualisation.plots.paper import plot_paper
 
         write(out / "tables.txt", "\n".join(text))
         plot_paper(out, measured, times)

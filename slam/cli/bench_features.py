@@ -37,7 +37,7 @@ def bench_features(
     from features.benchmark.start import measure_starts
     from features.benchmark.timing import relative, run
 
-    from ..benchmarks.features import accuracy_table, curved_table, start_table, time_table
+    from ..evaluation.benchmarks.features import accuracy_table, curved_table, start_table, time_table
     from .session import COMPILING
 
     if out is not None:
@@ -64,7 +64,7 @@ def bench_features(
         }
         write(as_json, json.dumps(content, indent=1))
     if out is not None:
-        from ..plots.features import plot_features
+        from ..visualisation.plots.features import plot_features
 
         write(out / "tables.txt", "\n".join(text))
         plot_features(out / "features.png", straight, curved)

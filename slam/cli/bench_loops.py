@@ -13,7 +13,7 @@ from .bench import bench
 from .console import complain, progress, say_if_slow
 
 if TYPE_CHECKING:
-    from ..benchmarks.lookalike import Row
+    from ..evaluation.benchmarks.lookalike import Row
 
 WRONG_ACCEPTED = 1
 """Exit status where a wrong closure was accepted, or the robot found in a wrong place: the figures are right, the map
@@ -42,8 +42,8 @@ def bench_relocalisation(
     """
     import drivers
 
-    from ..benchmarks.relocalisation import WAYS, cut, halves, index_of, run, summary
     from ..config import Config
+    from ..evaluation.benchmarks.relocalisation import WAYS, cut, halves, index_of, run, summary
 
     config = Config()
     messages = list(drivers.open(recording))
@@ -76,8 +76,8 @@ def bench_lookalike(
 
     Example: [bold]wclm bench lookalike --seeds 5[/bold]
     """
-    from ..benchmarks.lookalike import WORLDS, condense, run
-    from ..machine import versions
+    from ..evaluation.benchmarks.lookalike import WORLDS, condense, run
+    from ..io.host import versions
     from ..warmup import warm_up
     from .session import COMPILING
 
@@ -127,8 +127,8 @@ def bench_false_closures(
 
     Example: [bold]wclm bench false-closures intel.clf --relations intel.relations[/bold]
     """
-    from ..benchmarks.false_closures import run
-    from ..machine import versions
+    from ..evaluation.benchmarks.false_closures import run
+    from ..io.host import versions
     from ..warmup import warm_up
     from .session import COMPILING
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..errors import OutputError
-from ..machine import machine, versions
+from ..io.host import machine, versions
 
 
 def provenance(seed: int) -> dict[str, Any]:

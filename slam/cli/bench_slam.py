@@ -37,7 +37,7 @@ def bench_slam(
 
     Example: [bold]wclm bench slam --datasets datasets --json 0.1.0.json[/bold]
     """
-    from ..benchmarks.drives import as_data, cases, rows, run
+    from ..evaluation.benchmarks.drives import as_data, cases, rows, run
     from ..warmup import warm_up
     from .session import COMPILING
 
@@ -51,8 +51,8 @@ def bench_slam(
         make_directory(as_json.parent)
         write(as_json, json.dumps(content, indent=1))
     if plot is not None:
-        from ..benchmarks.versions import read_versions
-        from ..plots.versions import plot_versions
+        from ..evaluation.benchmarks.versions import read_versions
+        from ..visualisation.plots.versions import plot_versions
 
         known = read_versions(versions) if versions is not None else {}
         plot_versions(plot, known | {content["versions"]["wclm-slam"]: content["drives"]})
@@ -64,7 +64,7 @@ def bench_gate() -> None:
 
     Example: [bold]wclm bench gate[/bold]
     """
-    from ..benchmarks.gate import checks, lines
+    from ..evaluation.benchmarks.gate import checks, lines
     from ..warmup import warm_up
     from .session import COMPILING
 

@@ -9,7 +9,7 @@ import typer
 from .console import ConfigOption, SetOption, progress
 
 if TYPE_CHECKING:
-    from ..calibration import Calibration
+    from ..offline.calibration.extrinsics import Calibration
 
 
 def calibrate(
@@ -31,8 +31,8 @@ def calibrate(
     """
     import drivers
 
-    from ..calibration import calibrate as estimate
     from ..config import load_config
+    from ..offline.calibration.extrinsics import calibrate as estimate
 
     effective = load_config(config, settings or ())
     source = drivers.open(recording)

@@ -36,7 +36,7 @@ def demo(
         for path in make_gallery(pictures):
             typer.echo(path)
         return
-    from drivers.simulator import Simulation
+    from drivers.simulation.simulator import Simulation
 
     from ..config import Config
     from .report import lines_for_people

@@ -38,8 +38,8 @@ def evaluate(
 
 
 def _against_relations(trajectory: Path, relations: Path, plot: Path | None, as_json: bool) -> None:
-    from ..evaluation import read_relations, score_relations
-    from ..trajectory import read_tum
+    from ..evaluation.metrics import read_relations, score_relations
+    from ..io.tum import read_tum
 
     score = score_relations(read_tum(trajectory), read_relations(relations))
     figures = score.figures()
@@ -55,7 +55,7 @@ def _against_relations(trajectory: Path, relations: Path, plot: Path | None, as_
             f"{figures['missing']} outside the trajectory"
         )
     if plot is not None:
-        from ..plots import plot_relations
+        from ..visualisation.plots import plot_relations
 
         plot_relations(plot, score, title=f"{trajectory.name} against {relations.name}")
     if score.missing:
@@ -64,8 +64,8 @@ def _against_relations(trajectory: Path, relations: Path, plot: Path | None, as_
 
 
 def _against_reference(trajectory: Path, reference: Path, plot: Path | None, as_json: bool) -> None:
-    from ..evaluation import score_reference
-    from ..trajectory import read_tum
+    from ..evaluation.metrics import score_reference
+    from ..io.tum import read_tum
 
     score = score_reference(read_tum(trajectory), read_tum(reference))
     figures = score.figures()
@@ -84,6 +84,6 @@ def _against_reference(trajectory: Path, reference: Path, plot: Path | None, as_
             )
         typer.echo(f"poses     {figures['poses']} at common times")
     if plot is not None:
-        from ..plots import plot_reference
+        from ..visualisation.plots import plot_reference
 
         plot_reference(plot, score, title=f"{trajectory.name} against {reference.name}")

@@ -42,7 +42,7 @@ def features(
     title = f"{seen.source}, scan {scan}"
     typer.echo(f"{title} at {seen.scan.stamp:.3f} s\n{table(seen.features)}")
     if plot is not None:
-        from ..plots import plot_scan
+        from ..visualisation.plots import plot_scan
 
         plot_scan(plot, seen.scan.ranges, seen.scan.angles, seen.features, title=title)
 
@@ -53,7 +53,7 @@ def extract_scan(recording: str, number: int, config: Config) -> Seen:
     from drivers.errors import RecordingError
     from drivers.messages import Scan
 
-    from ..extraction import build_extractor
+    from ..preprocessing.extraction import build_extractor
 
     extractor, bias = build_extractor(config), config.lidar.range_bias
     source = drivers.open(recording)
@@ -71,7 +71,7 @@ def table(extracted: Features) -> str:
     """Lines and corners as text; the offset's deviation is at the segment's centre, where it is least."""
     import numpy as np
 
-    from ..segments import segments_from_lines
+    from ..geometry.segments import segments_from_lines
 
     segments = segments_from_lines(extracted.lines, np.zeros(3))
     sigma = np.sqrt(np.diagonal(segments.covariance, axis1=1, axis2=2))

@@ -15,8 +15,8 @@ import numpy as np
 
 from ..errors import MapError, OutputError
 from ..events import Event, KeyframeAdded, LoopDecided, MapUpdated, StateChanged, TruthSeen
-from ..outputs import KEYFRAMES, PICTURE
-from ..trajectory import Trajectory
+from ..io.output_dir import KEYFRAMES, PICTURE
+from ..io.tum import Trajectory
 
 OFFICE = "sim:office"
 SCAN = 420
@@ -111,7 +111,7 @@ def shrink(path: Path) -> None:
 
 
 def _mathematics(directory: Path, scratch: Path) -> None:
-    from ..plots import mathematics
+    from ..visualisation.plots import mathematics
 
     mathematics.plot_inversion(directory / "inversion.png")
     mathematics.plot_fit(directory / "fit.png")
@@ -121,7 +121,7 @@ def _mathematics(directory: Path, scratch: Path) -> None:
 
 def _scan(directory: Path, scratch: Path) -> None:
     from ..config import Config
-    from ..plots import plot_scan
+    from ..visualisation.plots import plot_scan
     from .features import extract_scan
 
     seen = extract_scan(OFFICE, SCAN, Config())
@@ -129,8 +129,8 @@ def _scan(directory: Path, scratch: Path) -> None:
 
 
 def _office(directory: Path, scratch: Path) -> None:
-    from ..keyframes import read_keyframes
-    from ..plots.drives import plot_honesty
+    from ..io.keyframes_csv import read_keyframes
+    from ..visualisation.plots.drives import plot_honesty
 
     told = _map(OFFICE, scratch / "out", title="A simulated office")
     (directory / "office.png").write_bytes((scratch / "out" / PICTURE).read_bytes())
@@ -141,7 +141,7 @@ def _office(directory: Path, scratch: Path) -> None:
 
 
 def _loop(directory: Path, scratch: Path) -> None:
-    from ..plots.drives import plot_closure
+    from ..visualisation.plots.drives import plot_closure
 
     told = _map(LOOP, scratch / "out")
     accepted = [event for event in told.of(LoopDecided) if event.status == "accepted"]
@@ -159,8 +159,8 @@ def _loop(directory: Path, scratch: Path) -> None:
 
 
 def _corridors(directory: Path, scratch: Path) -> None:
-    from ..keyframes import read_keyframes
-    from ..plots.drives import Corridor, plot_corridors
+    from ..io.keyframes_csv import read_keyframes
+    from ..visualisation.plots.drives import Corridor, plot_corridors
 
     drives: list[Corridor] = []
     for name, spec in CORRIDORS.items():

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from drivers.messages import Message
 
     from ..events import Sink
-    from ..review import ViewerServer
+    from ..visualisation.rerun_log import ViewerServer
 
 STOPPING = "stopping; the map is saved. Ctrl-C again throws it away"
 
@@ -99,7 +99,7 @@ def live(
 
 
 def _server(address: str, port: int | None) -> ViewerServer:
-    from ..review import ViewerServer
+    from ..visualisation.rerun_log import ViewerServer
 
     return ViewerServer(address, port)
 
@@ -169,7 +169,7 @@ class Drive:
         from drivers.devices.live import count_losses
         from drivers.devices.recorder import Recorder
         from drivers.errors import DriverError
-        from drivers.mcap import McapWriter
+        from drivers.recordings.mcap import McapWriter
 
         from .monitor import Monitor, attended
 

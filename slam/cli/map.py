@@ -13,7 +13,7 @@ from .console import OverwriteOption, progress
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from ..exports import PlacedScan, Session, Thresholds
+    from ..io.exports import PlacedScan, Session, Thresholds
 
 
 class Format(StrEnum):
@@ -55,8 +55,8 @@ def export_map(
     Example: [bold]wclm map results/intel --format pgm[/bold]
     """
     from ..errors import OutputError
-    from ..exports import Thresholds, read_session, write_dxf, write_geojson, write_ply, write_svg
-    from ..outputs import EXPORTED, POINTS, unfinished_file
+    from ..io.exports import Thresholds, read_session, write_dxf, write_geojson, write_ply, write_svg
+    from ..io.output_dir import EXPORTED, POINTS, unfinished_file
 
     if free >= occupied:
         raise typer.BadParameter("must be less than --occupied", param_hint="--free")
@@ -83,8 +83,8 @@ def export_map(
 def _write_pgm(
     target: Path, session: Session, recording: str | None, resolution: float, thresholds: Thresholds, overwrite: bool
 ) -> None:
-    from ..exports import OccupancyGrid, write_pgm, write_pgm_yaml
-    from ..outputs import unfinished_file
+    from ..io.exports import OccupancyGrid, write_pgm, write_pgm_yaml
+    from ..io.output_dir import unfinished_file
 
     settings = target.with_suffix(".yaml")
     with unfinished_file(target, overwrite) as picture, unfinished_file(settings, overwrite) as yaml:
@@ -99,9 +99,9 @@ def _write_pgm(
 
 def _write_graph(file: Path, session: Path) -> str:
     """The session's factor graph; what a person should know of it."""
-    from ..exports.posegraph import pose_graph_of
-    from ..posegraph import write_g2o
-    from ..sessions import read_stored
+    from ..graph.pose_graph import write_g2o
+    from ..io.exports.posegraph import pose_graph_of
+    from ..io.sessions import read_stored
 
     mapper = read_stored(session).belief.mapper
     mapper.settle()
@@ -112,7 +112,7 @@ def _write_graph(file: Path, session: Path) -> str:
 
 
 def _scans(session: Session, recording: str | None) -> Iterator[PlacedScan]:
-    from ..exports import open_recording, placed_scans
+    from ..io.exports import open_recording, placed_scans
 
     source = open_recording(session, recording)
     messages = progress(source, len(source), source.name)

@@ -13,8 +13,8 @@ from .console import OutOption, OverwriteOption, PlotOption, ReviewOption, say_i
 
 if TYPE_CHECKING:
     from ..events import Finished, Sink
-    from ..joining import Joined
-    from ..sessions import Recording
+    from ..io.sessions import Recording
+    from ..offline.map_merging import Joined
     from .session import Outcome
 
 FEWEST = 2
@@ -48,13 +48,13 @@ def merge(
 
 def _merge(paths: list[Path], out: Path, *, overwrite: bool, review: bool, picture: bool) -> Outcome:
     """Join the sessions and write another. Raises SlamError; then nothing is left behind."""
-    from ..outputs import PICTURE, OutputDirectory, write_results
+    from ..io.output_dir import PICTURE, OutputDirectory, write_results
     from .session import READING, Outcome, review_log, write_page_of
 
     with OutputDirectory(out, overwrite) as directory, ExitStack() as log:
-        from ..joining import join
+        from ..io.sessions import read_stored, write_stored
+        from ..offline.map_merging import join
         from ..optimisation import optimise
-        from ..sessions import read_stored, write_stored
         from ..warmup import warm_up
 
         started = time.perf_counter()
@@ -68,7 +68,7 @@ def _merge(paths: list[Path], out: Path, *, overwrite: bool, review: bool, pictu
         log.close()
         finished = optimised.finished
         if picture:
-            from ..plots import plot_map
+            from ..visualisation.plots import plot_map
 
             plot_map(directory / PICTURE, finished.lines, finished.corners, finished.poses, title=name)
         summary = _summarise(name, joined, finished, time.perf_counter() - started)
@@ -80,7 +80,7 @@ def _merge(paths: list[Path], out: Path, *, overwrite: bool, review: bool, pictu
 
 def _summarise(name: str, joined: Joined, finished: Finished, seconds: float) -> dict[str, Any]:
     """The summary of a run, as far as there was one, and how each session was found."""
-    from ..machine import peak_memory, versions
+    from ..io.host import peak_memory, versions
 
     session = joined.session
     duration = sum(recording.last - recording.first for recording in session.recordings)
@@ -121,7 +121,7 @@ def _summarise(name: str, joined: Joined, finished: Finished, seconds: float) ->
 
 def _driven(finished: Finished, recording: Recording) -> float:
     """Metres driven in a recording; between two, the robot was carried."""
-    from ..trajectory import Trajectory
+    from ..io.tum import Trajectory
 
     own = (finished.stamps >= recording.first) & (finished.stamps <= recording.last)
     return float(Trajectory(finished.stamps[own], finished.poses[own]).travelled[-1]) if own.any() else 0.0

@@ -103,7 +103,7 @@ class Monitor:
         self._live.update(self._draw(snapshot, self._rates), refresh=True)
 
     def _tell_changes(self, snapshot: Snapshot) -> None:
-        from drivers.devices.session import State
+        from drivers.devices.supervisor import State
 
         for device in snapshot.devices:
             was_lost = device.spec in self._lost
@@ -130,7 +130,7 @@ class Monitor:
 
 def troubles_in_words(counters: Mapping[str, int]) -> list[str]:
     """What went wrong with a device, as `checksum failures 3`."""
-    from drivers.devices.session import troubles
+    from drivers.devices.supervisor import troubles
 
     return [f"{name.replace('_', ' ')} {count}" for name, count in troubles(counters).items()]
 

@@ -11,7 +11,7 @@ import typer
 from .console import ConfigOption, OverwriteOption, ReviewOption, SetOption, complain
 
 if TYPE_CHECKING:
-    from ..posegraph import Optimised, PoseGraph, PoseGraphFile
+    from ..graph.pose_graph import Optimised, PoseGraph, PoseGraphFile
 
 POSE_GRAPHS = (".g2o", ".graph", ".toro")
 """Endings of pose graphs' names: g2o's, and the two in use for TORO's."""
@@ -46,8 +46,8 @@ def optimize(
 
     Example: [bold]wclm optimize results/intel --out results/intel-optimised[/bold]
     """
-    from ..outputs import MAP
-    from ..sessions import is_stored
+    from ..io.output_dir import MAP
+    from ..io.sessions import is_stored
 
     path = Path(what)
     if path.suffix.lower() in POSE_GRAPHS:
@@ -66,8 +66,8 @@ def optimize(
 
 
 def _optimize_pose_graph(path: Path, out: Path, *, overwrite: bool, robust: bool, picture: bool) -> None:
-    from ..outputs import GRAPH, GRAPH_PICTURE, SUMMARY, OutputDirectory, write_json
-    from ..posegraph import optimise, read_pose_graph, write_g2o
+    from ..graph.pose_graph import optimise, read_pose_graph, write_g2o
+    from ..io.output_dir import GRAPH, GRAPH_PICTURE, SUMMARY, OutputDirectory, write_json
 
     started = time.perf_counter()
     with OutputDirectory(out, overwrite) as directory:
@@ -79,7 +79,7 @@ def _optimize_pose_graph(path: Path, out: Path, *, overwrite: bool, robust: bool
         solving = time.perf_counter() - before
         write_g2o(directory / GRAPH, optimised.graph)
         if picture:
-            from ..plots import plot_pose_graph
+            from ..visualisation.plots import plot_pose_graph
 
             plot_pose_graph(directory / GRAPH_PICTURE, file.graph, optimised, title=path.name)
         summary = _summarise(path, file, optimised, robust=robust, solving=solving, started=started)
@@ -90,7 +90,7 @@ def _optimize_pose_graph(path: Path, out: Path, *, overwrite: bool, robust: bool
 def _summarise(
     path: Path, file: PoseGraphFile, optimised: Optimised, *, robust: bool, solving: float, started: float
 ) -> dict[str, Any]:
-    from ..machine import versions
+    from ..io.host import versions
 
     graph = file.graph
     return {
@@ -112,7 +112,7 @@ def _summarise(
 
 def _rejected(graph: PoseGraph, optimised: Optimised) -> list[dict[str, Any]]:
     """The edges that were left out, by the ids they connect and the line of the file that tells of them."""
-    from ..posegraph import G2O_EDGES
+    from ..graph.pose_graph import G2O_EDGES
 
     out = graph.select_edges(~optimised.kept)
     return [

@@ -8,16 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..config import Config, config_to_toml
-from ..machine import peak_memory, versions
-from ..outputs import PICTURE, REVIEW, OutputDirectory, write_results
+from ..io.host import peak_memory, versions
+from ..io.output_dir import PICTURE, REVIEW, OutputDirectory, write_results
 from .console import say_if_slow
 from .report import lines_for_people
 from .session import COMPILING, READING, Notices, Outcome, Playback, Tally, follow, lasting, write_page_of
 
 if TYPE_CHECKING:
     from ..events import Event, Sink
-    from ..review import ReviewLog
-    from ..sessions import StoredSession
+    from ..io.sessions import StoredSession
+    from ..visualisation.rerun_log import ReviewLog
 
 SHOWN_SHIFTS = 3
 MOST_WAITING = 100  # events for the review log
@@ -43,8 +43,8 @@ def optimize_session(path: Path, out: Path, *, overwrite: bool, review: bool, pi
     Raises SlamError; then nothing is left behind.
     """
     with OutputDirectory(out, overwrite) as directory:
-        from ..exports import read_session
-        from ..sessions import read_stored
+        from ..io.exports import read_session
+        from ..io.sessions import read_stored
 
         started = time.perf_counter()
         summary = read_session(path).summary
@@ -89,14 +89,14 @@ def _optimise(
     directory: Path, session: StoredSession, summary: dict[str, Any], started: float, *, review: bool, picture: bool
 ) -> dict[str, Any]:
     """Optimise a session into a directory; its summary, from that of the run that left it."""
+    from ..io.sessions import write_stored
+    from ..io.tum import Trajectory
     from ..optimisation import optimise
-    from ..sessions import write_stored
-    from ..trajectory import Trajectory
 
     with ExitStack() as log:
         sinks: list[Sink] = []
         if review:
-            from ..review import ReviewLog
+            from ..visualisation.rerun_log import ReviewLog
 
             settings, name = config_to_toml(session.config), str(summary.get("recording", ""))
             written = ReviewLog(directory / REVIEW, config=settings, recording=name, versions=versions())
@@ -104,7 +104,7 @@ def _optimise(
         optimised = optimise(session, sinks)
     finished = optimised.finished
     if picture:
-        from ..plots import plot_map
+        from ..visualisation.plots import plot_map
 
         title = f"{summary.get('recording', '')}, optimised"
         plot_map(directory / PICTURE, finished.lines, finished.corners, finished.poses, title=title)

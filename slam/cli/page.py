@@ -23,9 +23,9 @@ def report(
 
     Example: [bold]wclm report results/intel --overwrite[/bold]
     """
-    from ..exports import read_session
-    from ..outputs import REPORT, unfinished_file
-    from ..page import write_page
+    from ..io.exports import read_session
+    from ..io.output_dir import REPORT, unfinished_file
+    from ..visualisation.report_page import write_page
 
     read = read_session(session)
     target = out or session / REPORT

@@ -33,7 +33,7 @@ def record(
     """
     from drivers.devices.acquisition import Acquisition
     from drivers.devices.recorder import Recorder
-    from drivers.mcap import McapWriter
+    from drivers.recordings.mcap import McapWriter
 
     specs = parse_specs(lidar, base)
     check_name(file, overwrite)

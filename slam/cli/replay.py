@@ -31,7 +31,7 @@ def replay(
 
 
 def _play_tape(path: Path, speed: float) -> None:
-    from drivers.transport.tape_port import TapePort
+    from drivers.transport.replay_port import TapePort
 
     with TapePort(path, speed) as port:
         typer.echo(port.name)
@@ -46,7 +46,7 @@ def _play_recording(recording: str, speed: float) -> None:
 
     import drivers
     from drivers.messages import Odometry, Scan
-    from drivers.replay import Replay
+    from drivers.recordings.replay import Replay
 
     source = Replay(drivers.open(recording), speed)
     scans, odometry, first, last, shown = 0, 0, None, 0.0, 0.0

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..machine import peak_memory, versions
+from ..io.host import peak_memory, versions
 
 if TYPE_CHECKING:
-    from ..evaluation import ReferenceScore
+    from ..evaluation.metrics import ReferenceScore
     from ..events import Finished
     from .session import Feed, Outcome, Tally
 
@@ -27,7 +27,7 @@ def summarise(
     seconds: float,
 ) -> dict[str, Any]:
     """Everything worth knowing about a run: what went in, what came out, how long it took, what was odd."""
-    from ..trajectory import Trajectory
+    from ..io.tum import Trajectory
 
     report = feed.report
     return {

@@ -18,7 +18,7 @@ from .console import complain
 from .viewer import has_display
 
 if TYPE_CHECKING:
-    from ..review.server import ViewerServer
+    from ..visualisation.rerun_log.server import ViewerServer
 
 WEB_PORT = 9090
 PATIENCE = 30.0  # seconds for a server to come up
@@ -49,7 +49,7 @@ def review(
     Example: [bold]wclm review results/intel --web[/bold]
     """
     if summary:
-        from ..review.summary import summary_lines
+        from ..visualisation.rerun_log.summary import summary_lines
 
         for session in sessions:
             typer.echo("\n".join(summary_lines(session)))
@@ -66,8 +66,8 @@ def review(
 
 
 def _make_ready(sessions: list[Path], target: Path) -> None:
-    from ..review.files import find_log
-    from ..review.opening import make_ready
+    from ..visualisation.rerun_log.files import find_log
+    from ..visualisation.rerun_log.opening import make_ready
 
     found = [find_log(session) for session in sessions]
     for session, log in zip(sessions, found, strict=True):
@@ -78,7 +78,7 @@ def _make_ready(sessions: list[Path], target: Path) -> None:
 
 def _show(log: Path, address: str) -> None:
     """The native viewer, until it is closed."""
-    from ..review.binary import viewer_binary
+    from ..visualisation.rerun_log.binary import viewer_binary
 
     # A port of its own: a viewer that finds another one at its port sends it what it was to show.
     with (
@@ -90,8 +90,8 @@ def _show(log: Path, address: str) -> None:
 
 def _serve(log: Path, address: str, port: int | None) -> None:
     """Viewer and log for a browser, until Ctrl-C."""
-    from ..review.binary import viewer_binary
-    from ..review.server import ViewerServer
+    from ..visualisation.rerun_log.binary import viewer_binary
+    from ..visualisation.rerun_log.server import ViewerServer
 
     with ViewerServer(address) as data, ViewerServer(address, port, usual=WEB_PORT) as page:
         ports = ["--port", str(data.port), "--web-viewer-port", str(page.port)]

@@ -18,19 +18,19 @@ from drivers.messages import GroundTruth, Message, Odometry, Scan, Source, Sourc
 
 from ..config import Config, config_to_toml, load_config
 from ..errors import MapError
-from ..evaluation import ReferenceScore, score_reference
+from ..evaluation.metrics import ReferenceScore, score_reference
 from ..events import Event, Finished, Noticed, Sink
-from ..machine import versions
-from ..outputs import CONFIG, PICTURE, REPORT, REVIEW, OutputDirectory, unfinished_file, write_results
-from ..trajectory import Trajectory
+from ..io.host import versions
+from ..io.output_dir import CONFIG, PICTURE, REPORT, REVIEW, OutputDirectory, unfinished_file, write_results
+from ..io.tum import Trajectory
 from .console import progress, say_if_slow
 from .report import summarise
 
 if TYPE_CHECKING:
+    from ..io.sessions import Recording, StoredSession
     from ..pipeline import Slam
-    from ..plots.style import Floats
-    from ..review import ReviewLog, ViewerServer
-    from ..sessions import Recording, StoredSession
+    from ..visualisation.plots.style import Floats
+    from ..visualisation.rerun_log import ReviewLog, ViewerServer
 
 
 READING = "reading the session"
@@ -111,7 +111,7 @@ def begin(continued: Path | None, localized: Path | None, config: Path | None, s
     session = continued or localized
     if session is None:
         return Start(load_config(config, settings or ()), None, False)
-    from ..sessions import read_stored
+    from ..io.sessions import read_stored
 
     with say_if_slow(READING):
         resumed = read_stored(session)
@@ -147,7 +147,7 @@ class Tally:
 
     def recording(self, feed: Feed) -> Recording:
         """What a session says of the recording that went in."""
-        from ..sessions import Recording
+        from ..io.sessions import Recording
 
         first, last = (self.first, self.last) if np.isfinite(self.first) else (0.0, 0.0)
         return Recording(name=feed.name, path=feed.reopen, shift=self.shift, first=first, last=last)
@@ -203,8 +203,8 @@ def map_feed(
     `server` if there is a review log. Raises SlamError; whatever is raised, nothing is left behind.
     """
     with OutputDirectory(out, overwrite) as directory, ExitStack() as log:
+        from ..io.sessions import write_stored
         from ..pipeline import Slam
-        from ..sessions import write_stored
         from ..warmup import warm_up
 
         with say_if_slow(COMPILING):
@@ -243,7 +243,7 @@ def review_log(
     directory: Path, config: Config, name: str, server: ViewerServer | None = None, seed: int | None = None
 ) -> ReviewLog:
     """A review log in a directory of results; `name` is that of the recording."""
-    from ..review import ReviewLog
+    from ..visualisation.rerun_log import ReviewLog
 
     settings = config_to_toml(config)
     return ReviewLog(directory / REVIEW, config=settings, recording=name, versions=versions(), server=server, seed=seed)
@@ -275,8 +275,8 @@ def follow(messages: Iterable[Message], slam: Slam, tally: Tally, name: str) -> 
 
 def write_page_of(out: Path) -> None:
     """The page follows when the results are in place: should it fail, they are not lost."""
-    from ..exports import read_session
-    from ..page import write_page
+    from ..io.exports import read_session
+    from ..visualisation.report_page import write_page
 
     with unfinished_file(out / REPORT) as unfinished:
         write_page(unfinished, read_session(out))
@@ -294,7 +294,7 @@ def score_against_truth(finished: Finished, tally: Tally) -> ReferenceScore | No
 
 
 def _draw(path: Path, finished: Finished, tally: Tally, score: ReferenceScore | None, title: str) -> None:
-    from ..plots import plot_map
+    from ..visualisation.plots import plot_map
 
     odometry: Floats | None = None
     if tally.odometry:

@@ -23,10 +23,10 @@ def simulate(
 
     Example: [bold]wclm simulate office office.mcap --seed 3[/bold]
     """
-    from drivers.mcap import McapWriter
-    from drivers.simulator import Simulation
+    from drivers.recordings.mcap import McapWriter
+    from drivers.simulation.simulator import Simulation
 
-    from ..outputs import unfinished_file
+    from ..io.output_dir import unfinished_file
 
     if file.suffix != ".mcap":
         raise typer.BadParameter(f"{file}: the name must end with .mcap", param_hint="FILE.mcap")

@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from ..outputs import REVIEW
+from ..io.output_dir import REVIEW
 from .console import complain
 
 LOCALLY = ("--bind", "127.0.0.1")  # viewers listen, too, and everywhere unless told

@@ -17,11 +17,11 @@ import numpy as np
 from gtsam.symbol_shorthand import C, L, X
 
 from drivers import se2
-from slam.errors import MapError
-from slam.residuals import CORNER, ODOMETRY, WALL, Residuals
-from slam.segments import Floats, Integers
 
+from ..errors import MapError
+from ..geometry.segments import Floats, Integers
 from .covariances import KERNEL_CAUTION, LandmarkCovariances, landmark_covariances
+from .factor_residuals import CORNER, ODOMETRY, WALL, Residuals
 from .factors import CAUCHY_SCALE, ODOMETRY_CAUCHY_SCALE, WALL_CAUCHY_SCALE, Factor, GraphState, Kind, made, pose2
 from .residuals import residuals_of
 

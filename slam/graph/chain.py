@@ -6,9 +6,8 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
-from slam.errors import MapError
-from slam.segments import Floats
-
+from ..errors import MapError
+from ..geometry.segments import Floats
 from .backend import _array
 from .factors import ODOMETRY_KERNEL, pose2
 

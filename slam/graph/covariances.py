@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers import se2
-from slam.segments import Floats
+
+from ..geometry.segments import Floats
 
 # The kernel takes weight from honest observations, too: w = 1 / (1 + s / 8) for the squared error s, which is
 # chi-square with 1 degree of freedom. The Hessian so weighted claims 1 / E[w] = 1.105 times the covariance of plain

@@ -11,7 +11,8 @@ from gtsam.symbol_shorthand import C, L, X
 from numpy.typing import NDArray
 
 from drivers import se2
-from slam.segments import Floats
+
+from ..geometry.segments import Floats
 
 CAUCHY_SCALE = 4.0  # standard deviations at which the observation of a corner counts half
 WALL_CAUCHY_SCALE = CAUCHY_SCALE / 2**0.5  # the same for one of the two numbers that a wall is observed by

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import gtsam
 import numpy as np
 
-from slam.residuals import ALONG, CORNER, ODOMETRY, PRIOR, SAME_WALL, WALL, Residuals
+from .factor_residuals import ALONG, CORNER, ODOMETRY, PRIOR, SAME_WALL, WALL, Residuals
 
 _KINDS = {"xx": ODOMETRY, "xl": WALL, "xc": CORNER, "ll": SAME_WALL}
 

@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from drivers import se2, simulator
+from drivers import se2
 from drivers.messages import GroundTruth, Odometry, Scan, Source
+from drivers.simulation import simulator
 from slam.cli import app
-from slam.trajectory import Trajectory, read_tum, write_tum
+from slam.io.tum import Trajectory, read_tum, write_tum
 
 SECONDS = 12.0
 """Of any simulated drive: more than a hundred scans."""

@@ -13,10 +13,10 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 
 from drivers.clock import to_nanoseconds
-from drivers.mcap import McapWriter
 from drivers.messages import GroundTruth, Message, Odometry, Scan
-from drivers.ros_messages import LASER_SCAN, ODOMETRY, POSE, TRANSFORMS, Encoder, type_store
-from drivers.simulator import Lidar, Simulation
+from drivers.recordings.mcap import McapWriter
+from drivers.recordings.ros_messages import LASER_SCAN, ODOMETRY, POSE, TRANSFORMS, Encoder, type_store
+from drivers.simulation.simulator import Lidar, Simulation
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ import pytest
 
 import drivers
 from drivers import RecordingError
-from drivers.simulator import Simulation
+from drivers.simulation.simulator import Simulation
 
 
 def test_simulation_with_options() -> None:

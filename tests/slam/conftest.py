@@ -12,13 +12,13 @@ from ruamel.yaml import YAML
 from typer.testing import CliRunner, Result
 
 from drivers.messages import Message, Odometry, Scan
-from slam.belief import Belief
 from slam.cli import app
 from slam.config import Config
+from slam.estimation.slam_state import Belief
 from slam.events import Event, Finished, MapCorners, MapLines, Noticed
-from slam.odometry import OdometryHistory
-from slam.review import ReviewLog
-from slam.sessions import StoredSession
+from slam.io.sessions import StoredSession
+from slam.odometry.history import OdometryHistory
+from slam.visualisation.rerun_log import ReviewLog
 
 from .corridor import Corridor
 

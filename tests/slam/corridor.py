@@ -19,8 +19,8 @@ from slam.events import (
     ScanTracked,
     TruthSeen,
 )
-from slam.review import ReviewLog
-from slam.segments import CornerPoints, Segments
+from slam.geometry.segments import CornerPoints, Segments
+from slam.visualisation.rerun_log import ReviewLog
 
 # A corridor around a block, 24 m by 16 m outside: wall frames as the robot sees them, from inside the corridor.
 OUTER = np.array([[0.0, 0.0], [24.0, 0.0], [24.0, 16.0], [0.0, 16.0]])

@@ -9,15 +9,15 @@ import pytest
 
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Scan
-from drivers.simulator import Simulation
+from drivers.simulation.simulator import Simulation
 from slam import Slam
 from slam.config import Config, config_to_toml
 from slam.errors import MapError
-from slam.evaluation import align
+from slam.evaluation.metrics import align
 from slam.events import Event, Finished, Noticed
-from slam.outputs import CONFIG
-from slam.sessions import read_stored, write_stored
-from slam.trajectory import Trajectory
+from slam.io.output_dir import CONFIG
+from slam.io.sessions import read_stored, write_stored
+from slam.io.tum import Trajectory
 
 DRIVEN, INTERRUPTED = 30.0, 17.0  # seconds of the first drive
 LATER = 1000.0  # seconds until the next

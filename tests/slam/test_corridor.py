@@ -7,7 +7,7 @@ import pytest
 
 from drivers import se2
 from drivers.messages import GroundTruth
-from drivers.simulator import Lidar, Simulation
+from drivers.simulation.simulator import Lidar, Simulation
 from slam import Slam
 from slam.events import StateChanged
 

@@ -11,12 +11,12 @@ import pytest
 
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry, Scan
-from drivers.simulator import Simulation
+from drivers.simulation.simulator import Simulation
 from slam import Config, Slam
 from slam.errors import MapError
-from slam.evaluation import score_reference
+from slam.evaluation.metrics import score_reference
 from slam.events import Event, Finished, KeyframeAdded, MapUpdated, ScanTracked, TruthSeen
-from slam.trajectory import Trajectory
+from slam.io.tum import Trajectory
 
 
 class Listener:

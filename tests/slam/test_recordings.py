@@ -15,14 +15,14 @@ import drivers
 from drivers import se2
 from slam import Slam
 from slam.config import Config, config_to_toml
-from slam.evaluation import read_relations, score_reference, score_relations
+from slam.evaluation.metrics import read_relations, score_reference, score_relations
 from slam.events import Finished
-from slam.exports import OccupancyGrid, placed_scans
-from slam.exports.occupancy import OCCUPIED
+from slam.io.exports import OccupancyGrid, placed_scans
+from slam.io.exports.occupancy import OCCUPIED
+from slam.io.output_dir import CONFIG
+from slam.io.sessions import StoredSession, read_stored, write_stored
+from slam.io.tum import Trajectory, read_tum
 from slam.optimisation import optimise
-from slam.outputs import CONFIG
-from slam.sessions import StoredSession, read_stored, write_stored
-from slam.trajectory import Trajectory, read_tum
 
 ROOT = Path(__file__).parents[2]
 FOLDER = Path(os.environ.get("WCLM_DATASETS", ROOT.parent / "shared" / "datasets"))

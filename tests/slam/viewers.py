@@ -13,7 +13,7 @@ import pytest
 import rerun_cli
 from rerun.experimental import ViewerClient
 
-from slam.review.colours import Colour
+from slam.visualisation.rerun_log.colours import Colour
 
 VULKAN_DRIVERS = (Path("/usr/share/vulkan/icd.d"), Path("/etc/vulkan/icd.d"))
 

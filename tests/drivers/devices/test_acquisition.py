@@ -20,8 +20,8 @@ import pytest
 import drivers
 from drivers import DriverError, Message, Odometry, Scan
 from drivers.devices.acquisition import Acquisition
-from drivers.devices.session import State
 from drivers.devices.specs import parse_devices
+from drivers.devices.supervisor import State
 from drivers.messages import end_of
 
 RATE, TURNS = 9200.0, 9.7

@@ -18,7 +18,7 @@ from drivers import Message, Odometry, Scan
 from drivers.bases import Create2Device, KobukiDevice, WheelReading, create2, kobuki
 from drivers.devices.device import READ_PAUSE
 from drivers.devices.lidar import Lidar, Stream
-from drivers.devices.outlet import HOLD, Outlet
+from drivers.devices.reorder_buffer import HOLD, Outlet
 from drivers.devices.wheels import Base
 from drivers.lidars import ld06
 from drivers.lidars.rplidar import dense

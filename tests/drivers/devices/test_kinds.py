@@ -28,17 +28,18 @@ from drivers.bases import (
     WheelLineDevice,
     WheelReading,
 )
-from drivers.devices import ports, session
+from drivers.devices import ports
+from drivers.devices import supervisor as session
 from drivers.devices.probing import probe
-from drivers.devices.session import Session, State
 from drivers.devices.specs import parse_device
+from drivers.devices.supervisor import Session, State
 from drivers.errors import DriverError
 from drivers.lidars import ld06, scip, scip_scan
 from drivers.lidars.rplidar import requests, standard
 from drivers.lidars.rplidar.answers import Answer, Descriptor, Health, Info, SampleRate, Status
 from drivers.lidars.rplidar.decoding import descriptor_of
 from drivers.lidars.rplidar.requests import Command
-from drivers.transport.tape_port import TapePort
+from drivers.transport.replay_port import TapePort
 
 RUN = 1.2
 WHEELS = "wheel_radius=0.05&ticks=1000&track=0.3"

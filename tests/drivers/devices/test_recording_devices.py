@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from drivers import Odometry, RecordingError, Scan
-from drivers.mcap import Mcap, McapWriter
+from drivers.recordings.mcap import Mcap, McapWriter
 
 WCLM = [sys.executable, "-c", "from slam.cli import main; main()"]
 LARGEST_DELAY = 0.3
@@ -97,7 +97,7 @@ def test_a_full_disk_ends_the_recording_and_keeps_it(peer: Any, tmp_path: Path) 
 
 
 def test_the_writer_keeps_whole_chunks_on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.mcap.FLUSH_PERIOD", 0.0)
+    monkeypatch.setattr("drivers.recordings.mcap.FLUSH_PERIOD", 0.0)
     path = tmp_path / "a.mcap"
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     writer = McapWriter(path)

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.driving import Drive
 from drivers.emulator import Emulator, Setup
 from drivers.emulator.link import Link
 from drivers.lidars.rplidar.answers import AnswerReader
 from drivers.lidars.rplidar.requests import Request
 from drivers.messages import Floats
-from drivers.simulator import Lidar
+from drivers.simulation.driving import Drive
+from drivers.simulation.simulator import Lidar
 from drivers.transport import SerialPort
 
 EXACT = Lidar(sigma_range=0.0, sigma_bearing=0.0, dropouts=0.0, mixed=0.0)

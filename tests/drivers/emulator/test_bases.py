@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from drivers.bases import ArduinoBridge, Create2, Kobuki, Odometer, Velocity, WheelBase, WheelLine
-from drivers.driving import Drive
 from drivers.emulator.base import ARDUINO, ARDUINO_BOOT, KINDS
 from drivers.emulator.keyboard import steered
 from drivers.emulator.motion import RADIUS, clearance
 from drivers.messages import Floats
 from drivers.se2 import between
+from drivers.simulation.driving import Drive
 
 from .conftest import Bench, Host
 

@@ -1,0 +1,1 @@
+"""Simulate a robot with a lidar and wheels in a building."""

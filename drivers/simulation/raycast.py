@@ -1,0 +1,102 @@
+"""The simulator's hot loops: where a moving lidar's beams end."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from ..messages import Floats
+
+STEP = 0.01
+"""Seconds. The robot's speed and turn rate are constant for so long; its path is made of such arcs."""
+
+
+@njit(cache=True)
+def pose_at(time: float, poses: Floats, twists: Floats) -> tuple[float, float, float]:
+    """The pose x, y, heading at a time (seconds) on a path of arcs.
+
+    poses   (k, 3) where each STEP begins
+    twists  (k, 2) speed (m/s) and turn rate (rad/s) during it
+    """
+    k = min(max(int(time / STEP), 0), poses.shape[0] - 1)
+    x, y, heading = poses[k]
+    speed, rate = twists[k]
+    elapsed = time - k * STEP
+    turn = rate * elapsed
+    # The chord of an arc of length s that turns by a is s sin(a/2) / (a/2) long and points along heading + a/2.
+    half = turn / 2.0
+    chord = speed * elapsed * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
+    return x + chord * math.cos(heading + half), y + chord * math.sin(heading + half), heading + turn
+
+
+@njit(cache=True)
+def poses_at(times: Floats, poses: Floats, twists: Floats) -> Floats:
+    """The poses (n, 3) at times (n,); the path as `pose_at` takes it."""
+    result = np.empty((times.shape[0], 3))
+    for i in range(times.shape[0]):
+        result[i] = pose_at(times[i], poses, twists)
+    return result
+
+
+@njit(cache=True)
+def distance(x: float, y: float, heading: float, segments: Floats, circles: Floats) -> float:
+    """How far (metres) a ray from x, y goes before it meets a segment or a circle; infinite where it meets
+    none.
+
+    segments  (n, 4) x0 y0 x1 y1
+    circles   (m, 3) x y radius; a ray from within a circle does not meet it
+    """
+    dx, dy = math.cos(heading), math.sin(heading)
+    nearest = math.inf
+    for i in range(segments.shape[0]):
+        # x + t d = a + s e: s = (a - x) x d / (d x e) in [0, 1], t = (a - x) x e / (d x e) > 0
+        ax, ay = segments[i, 0] - x, segments[i, 1] - y
+        ex, ey = segments[i, 2] - segments[i, 0], segments[i, 3] - segments[i, 1]
+        det = dx * ey - dy * ex
+        along = ax * dy - ay * dx
+        if (det > 0.0 and 0.0 <= along <= det) or (det < 0.0 and det <= along <= 0.0):
+            t = (ax * ey - ay * ex) / det
+            if 0.0 < t < nearest:
+                nearest = t
+    for i in range(circles.shape[0]):
+        cx, cy, radius = circles[i, 0] - x, circles[i, 1] - y, circles[i, 2]
+        middle = cx * dx + cy * dy
+        inside = radius * radius - (cx * cx + cy * cy - middle * middle)
+        if inside >= 0.0:
+            t = middle - math.sqrt(inside)
+            if 0.0 < t < nearest:
+                nearest = t
+    return nearest
+
+
+@njit(cache=True)
+def sweep(
+    times: Floats,
+    bearings: Floats,
+    mount: Floats,
+    poses: Floats,
+    twists: Floats,
+    segments: Floats,
+    circles: Floats,
+) -> Floats:
+    """The distances (n,) that a lidar measures while its robot drives, without noise, metres.
+
+    times     (n,) when each beam is measured, seconds on the path that `poses` and `twists` are (see `pose_at`)
+    bearings  (n,) each beam's direction in the lidar's frame, radians
+    mount     [x, y, heading] of the lidar on the robot
+    segments, circles  what there is to see (see `distance`)
+    """
+    result = np.empty(times.shape[0])
+    for i in range(times.shape[0]):
+        x, y, heading = pose_at(times[i], poses, twists)
+        c, s = math.cos(heading), math.sin(heading)
+        result[i] = distance(
+            x + c * mount[0] - s * mount[1],
+            y + s * mount[0] + c * mount[1],
+            heading + mount[2] + bearings[i],
+            segments,
+            circles,
+        )
+    return result

@@ -1,0 +1,88 @@
+"""Loops that the first look missed: the whole drive once more, on the map as it is known now."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drivers import se2
+
+from ...geometry.segments import Integers
+from ...loop_closure.closer import CARRYING_SIGMAS, LEAST_MERGED, LoopCloser, LoopDecision, strangers_to, together
+from ...mapping.keyframes import Motion
+from ...mapping.mapper import Mapper
+from .drive import Drive
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Missed:
+    """A closure that was missed, and the `strangers` (n,): walls that the pass `since` a keyframe took for others."""
+
+    decision: LoopDecision
+    strangers: Integers
+    since: int
+
+
+def missed_closure(mapper: Mapper, drive: Drive) -> Missed | None:
+    """The first loop along the drive that two looks agree on and that is not closed on this map."""
+    past, closer = Mapper.on(mapper), LoopCloser()
+    past.graph, past.adrift = mapper.graph, mapper.adrift
+    walls = past.landmarks.walls.rows
+    confirmed = walls["in_graph"].copy()
+    walls["in_graph"], walls["observations"], walls["first_seen"], walls["last_seen"] = False, 0, 0, 0
+    for k, (row, names) in enumerate(zip(drive.keyframes, mapper.names, strict=True)):
+        seen = np.unique(names.walls[names.walls >= 0])
+        walls["first_seen"][seen] = np.where(walls["observations"][seen] == 0, k, walls["first_seen"][seen])
+        walls["observations"][seen] += 1
+        walls["last_seen"][seen] = k
+        walls["in_graph"][seen] = confirmed[seen] & (walls["observations"][seen] > 1)
+        past.keyframe_count, past.trail, past.ways = k + 1, mapper.trail[: k + 1], mapper.ways[: k + 1]
+        past.views.append((k, drive.sightings[row].seen.segments))
+        decision = closer.look(past)
+        if decision is not None and decision.status == "agreed":
+            return Missed(decision, *strangers_to(past, decision))
+    return None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Closed:
+    """The map with a loop closed, and the decision that did it."""
+
+    mapper: Mapper
+    decision: LoopDecision
+
+
+def carried_over(mapper: Mapper, drive: Drive, motions: Sequence[Motion | None], missed: Missed) -> Closed | None:
+    """The map with a loop closed: its last keyframe brought to where the decision has it, and walls made one.
+
+    None where too few of them come together. What drift has confused since the robot came to the place is left out;
+    the next round associates it anew, and holds the map together without the relative pose that brought it there.
+    """
+    decision, poses = missed.decision, mapper.trail
+    last = decision.keyframe
+    relative = se2.between(poses[decision.old], se2.compose(decision.hypothesis.motion, poses[last]))
+    new = Mapper.on(mapper)
+    new.landmarks.walls.rows["in_graph"] = new.landmarks.corners.rows["in_graph"] = False
+    for k, (row, names) in enumerate(zip(drive.keyframes, mapper.names, strict=True)):
+        strange = np.isin(names.walls, missed.strangers) & (missed.since <= k <= last)
+        seen = drive.sightings[row].seen
+        new.extend(
+            poses[k],
+            motions[k],
+            seen.segments,
+            seen.corners,
+            replace(names, walls=np.where(strange, -1, names.walls)),
+        )
+    new.graph.tie_keyframes(decision.old, last, relative, CARRYING_SIGMAS)
+    new.solve()
+    rows = new.landmarks.walls.rows
+    joined = [(old, recent) for old, recent in decision.pairs if together(rows[old], rows[recent])]
+    if len(joined) < LEAST_MERGED * len(decision.pairs):
+        return None
+    for old, recent in joined:
+        if rows["kept"][old] == old and rows["kept"][recent] == recent:
+            new.landmarks.absorb(old, recent)
+    shift = float(np.hypot(*(new.trail[last] - poses[last])[:2]))
+    return Closed(new, replace(decision, status="accepted", merged=tuple(joined), shift=shift))

@@ -1,0 +1,1 @@
+"""Score trajectories and covariances, and run the benchmarks."""

@@ -1,0 +1,183 @@
+"""The paper's two environments as simulated worlds, and one sweep of each with its walls and corners known.
+
+Which rays belong to which wall is taken from the world and not found by segmentation: the paper's tables compare
+line fits, and all of them get the same rays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.simulation.raycast import sweep
+from drivers.simulation.world import World, load_world
+from features import Noise, arras_siegwart
+from features.corner import MIN_SINE, intersect
+from features.types import Floats, Integers
+
+PAPER_NOISE = Noise(sigma_range=0.05, sigma_bearing=float(np.radians(0.391 / 2)))
+"""What the paper takes from the RPLIDAR S1's data sheet as standard deviations (section V)."""
+
+FEWEST_RAYS = 5
+"""Rays from which on a run on one wall is a segment; jambs of doors show fewer."""
+CHORDS = 3
+"""Straight segments that a curved wall is split into."""
+FARTHEST_BESIDE = 0.5
+"""Metres of range by which a corner may differ from the rays next to it."""
+BESIDE_STEPS = 1.5
+BESIDE_CURVE_STEPS = 3.5
+"""Steps of bearing by which a corner may lie outside the gap between its walls. The chord of a curve meets the wall at
+which the curve ends a little beside it."""
+EXACT = Noise(1e-4, 1e-6)
+"""For fits to rays without noise, whose covariance is of no interest."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segment:
+    """A run of rays on one wall.
+
+    rays   (n,) their numbers, in order
+    wall   index of the world's segment, or -1 - index of its circle
+    """
+
+    rays: Integers
+    wall: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Environment:
+    """What is seen of a world from one place, in the sensor's frame.
+
+    angles, ranges  (n,) the rays that return, radians and metres without noise
+    segments        in the order of their bearings
+    corners         (m, 2) the segments before and after each corner; corner k of the paper's count is row k - 1
+    positions       (m, 2) of the corners, metres
+    sensor          x, y, heading in the world
+    """
+
+    name: str
+    world: World
+    sensor: Floats
+    angles: Floats
+    ranges: Floats
+    segments: list[Segment]
+    corners: Integers
+    positions: Floats
+
+    def rays_of_corner(self, number: int) -> tuple[Integers, ...]:
+        """The rays of the two walls of corner `number` (from 1), each in order of their distance from the corner."""
+        before, after = self.corners[number - 1]
+        return self.segments[before].rays[::-1], self.segments[after].rays
+
+    def measure(self, random: np.random.Generator, noise: Noise = PAPER_NOISE) -> Floats:
+        """Ranges (n,) with noise, each ray on the wall it belongs to: a bearing that errs past the wall's end meets
+        the wall's continuation, since the association of rays with walls is given."""
+        bearing_noise, range_noise = random.standard_normal((2, len(self.angles)))
+        directions = self.angles + noise.sigma_bearing * bearing_noise
+        ranges = self.ranges.copy()
+        for segment in self.segments:
+            at = directions[segment.rays] + self.sensor[2]
+            ranges[segment.rays] = _onto(self.world, segment.wall, self.sensor, at)
+        return np.asarray(ranges + noise.sigma_range * range_noise)
+
+    def sweep(self, random: np.random.Generator, noise: Noise) -> Floats:
+        """Ranges (n,) with noise as a sensor has them, whichever wall a ray meets."""
+        bearing_noise, range_noise = random.standard_normal((2, len(self.angles)))
+        exact = _cast(self.world, self.sensor, self.angles + noise.sigma_bearing * bearing_noise)
+        return np.asarray(exact + noise.sigma_range * range_noise)
+
+
+def environment(name: str, world: str, *, beams: int, lost: int) -> Environment:
+    """What is seen from the first point of the world's path, looking along it.
+
+    `lost` of `beams` do not return, evenly spread over the revolution.
+    """
+    loaded = load_world(world)
+    ahead = loaded.path[1] - loaded.path[0]
+    sensor = np.array([*loaded.path[0], np.arctan2(ahead[1], ahead[0])])
+    gone = ((np.arange(lost) + 0.5) * beams / max(lost, 1)).astype(np.int64)
+    angles = np.delete(-np.pi + 2 * np.pi / beams * (np.arange(beams) + 0.5), gone)
+    ranges = _cast(loaded, sensor, angles)
+    segments = _segments(loaded, sensor, angles, ranges)
+    corners, positions = _corners(segments, angles, ranges, 2 * np.pi / beams)
+    return Environment(name, loaded, sensor, angles, ranges, segments, corners, positions)
+
+
+def environment_a() -> Environment:
+    """Environment A: 920 beams a revolution, 0.391 degrees apart, of which 884 return."""
+    return environment("A", "paper-a", beams=920, lost=36)
+
+
+def environment_b() -> Environment:
+    """Environment B: 1112 beams a revolution, as the sensor has when it turns slower; all return."""
+    return environment("B", "paper-b", beams=1112, lost=0)
+
+
+def _cast(world: World, sensor: Floats, angles: Floats) -> Floats:
+    still = np.zeros((1, 2))
+    return sweep(np.zeros(len(angles)), angles, np.zeros(3), sensor[None], still, world.segments, world.circles)
+
+
+def _segments(world: World, sensor: Floats, angles: Floats, ranges: Floats) -> list[Segment]:
+    """Runs of rays on one wall, those on curves split, short ones left out; one over the last ray is one segment."""
+    wall = _walls(world, sensor, angles, ranges)
+    start = int(np.flatnonzero(wall != np.roll(wall, 1))[0])
+    order = np.roll(np.arange(len(angles)), -start)
+    found = []
+    for run in np.split(order, np.flatnonzero(np.diff(wall[order])) + 1):
+        index = int(wall[run[0]])
+        found += [Segment(part, index) for part in np.array_split(run, 1 if index >= 0 else CHORDS)]
+    return [segment for segment in found if len(segment.rays) >= FEWEST_RAYS]
+
+
+def _walls(world: World, sensor: Floats, angles: Floats, ranges: Floats) -> Integers:
+    """(n,) the wall that each ray ends on: the nearest to its end point."""
+    at = angles + sensor[2]
+    points = sensor[:2] + ranges[:, None] * np.stack([np.cos(at), np.sin(at)], axis=1)
+    starts, along = world.segments[:, :2], world.segments[:, 2:] - world.segments[:, :2]
+    share = np.einsum("nmk,mk->nm", points[:, None] - starts, along) / np.sum(along**2, axis=1)
+    feet = starts + share.clip(0.0, 1.0)[..., None] * along
+    to_walls = np.linalg.norm(points[:, None] - feet, axis=2)
+    to_circles = np.abs(np.linalg.norm(points[:, None] - world.circles[:, :2], axis=2) - world.circles[:, 2])
+    nearest = np.hstack([to_walls, to_circles]).argmin(axis=1)
+    count = len(world.segments)
+    return np.asarray(np.where(nearest < count, nearest, count - 1 - nearest), dtype=np.int64)
+
+
+def _onto(world: World, wall: int, sensor: Floats, bearings: Floats) -> Floats:
+    """Distances (n,) at which rays along world bearings (n,) meet a wall or its straight continuation, or a circle."""
+    directions = np.stack([np.cos(bearings), np.sin(bearings)], axis=1)
+    if wall >= 0:
+        start, along = world.segments[wall, :2] - sensor[:2], world.segments[wall, 2:] - world.segments[wall, :2]
+        normal = np.array([-along[1], along[0]])
+        return np.asarray((normal @ start) / (directions @ normal))
+    circle = world.circles[-1 - wall]
+    centre = circle[:2] - sensor[:2]
+    middle = directions @ centre
+    half = np.sqrt(np.maximum(circle[2] ** 2 - (centre @ centre - middle**2), 0.0))
+    return np.asarray(middle - half)
+
+
+def _corners(segments: list[Segment], angles: Floats, ranges: Floats, step: float) -> tuple[Integers, Floats]:
+    """Where neighbouring segments meet: pairs (m, 2) and positions (m, 2), in the order of bearings from -pi."""
+    lines = [arras_siegwart.fit(ranges[s.rays], angles[s.rays], EXACT).uv for s in segments]
+    unknown = np.zeros((2, 2))
+    found = []
+    for after, second in enumerate(segments):
+        before = (after - 1) % len(segments)
+        (u1, v1), (u2, v2) = lines[before], lines[after]
+        if abs(u1 * v2 - u2 * v1) <= MIN_SINE * np.hypot(u1, v1) * np.hypot(u2, v2):
+            continue
+        x, y = intersect(u1, v1, unknown, u2, v2, unknown)[:2]
+        last, first = segments[before].rays[-1], second.rays[0]
+        gap = (angles[first] - angles[last]) % (2 * np.pi)
+        beyond = (np.arctan2(y, x) - angles[last] + np.pi) % (2 * np.pi) - np.pi
+        straight = min(segments[before].wall, second.wall) >= 0
+        margin = (BESIDE_STEPS if straight else BESIDE_CURVE_STEPS) * step
+        near = np.abs(np.hypot(x, y) - ranges[[last, first]]).max() < FARTHEST_BESIDE
+        if near and -margin <= beyond <= gap + margin:
+            found.append((float(np.arctan2(y, x)), before, after, x, y))
+    found.sort()
+    pairs = np.array([(before, after) for _, before, after, _, _ in found], dtype=np.int64)
+    return pairs, np.array([(x, y) for *_, x, y in found])

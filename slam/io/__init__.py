@@ -1,0 +1,1 @@
+"""Read and write trajectories, maps, sessions and output directories."""

@@ -1,0 +1,159 @@
+"""Poses over time, in memory and in the TUM format that evo and others read: `t x y z qx qy qz qw` a line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from drivers import se2
+
+from ..errors import MapError
+
+Floats = NDArray[np.float64]
+
+SAME_STAMP = 1e-3
+"""Seconds. A pose this close to a stamp is the pose at that stamp: recordings round their stamps to milliseconds."""
+COLUMNS = 8
+UNIT = 0.01
+"""How far the length of a quaternion may be from one; files are often written with three decimals."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lookup:
+    """Poses looked up at n stamps.
+
+    poses    (n, 3) metres, radians; headings are continuous along the trajectory, not wrapped
+    exact    (n,) there is a pose at the stamp; where there is none the pose is interpolated between its neighbours
+    covered  (n,) the stamp lies within the trajectory's time; poses elsewhere are those of the nearer end
+    """
+
+    poses: Floats
+    exact: NDArray[np.bool_]
+    covered: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """At least one pose: `stamps` (n,) seconds, never decreasing, `poses` (n, 3) [x, y, heading] in metres and radians.
+
+    Raises MapError where shapes disagree, a value is not finite, or stamps decrease.
+    """
+
+    stamps: Floats
+    poses: Floats
+
+    def __post_init__(self) -> None:
+        if len(self.stamps) == 0:
+            raise MapError("the trajectory has no pose")
+        if self.stamps.ndim != 1 or self.poses.shape != (len(self.stamps), 3):
+            raise MapError(f"a trajectory of {self.stamps.shape} stamps needs as many poses, not {self.poses.shape}")
+        if not (np.isfinite(self.stamps).all() and np.isfinite(self.poses).all()):
+            raise MapError("the trajectory has values that are not finite")
+        if np.any(np.diff(self.stamps) < 0):
+            raise MapError("the trajectory's stamps decrease")
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first pose to the last."""
+        return float(self.stamps[-1] - self.stamps[0])
+
+    @property
+    def travelled(self) -> Floats:
+        """(n,) metres driven up to each pose."""
+        return distance_along(self.poses[:, :2])
+
+    def at(self, stamps: ArrayLike) -> Lookup:
+        """The poses at `stamps` (n,): the nearest within SAME_STAMP, else interpolated, turning the shorter way."""
+        wanted = np.atleast_1d(np.asarray(stamps, dtype=np.float64))
+        poses = np.column_stack([self.poses[:, :2], np.unwrap(self.poses[:, 2])])
+        nearest = self.nearest(wanted)
+        exact = np.abs(self.stamps[nearest] - wanted) < SAME_STAMP
+        interpolated = np.column_stack([np.interp(wanted, self.stamps, column) for column in poses.T])
+        covered = (wanted >= self.stamps[0] - SAME_STAMP) & (wanted <= self.stamps[-1] + SAME_STAMP)
+        return Lookup(np.where(exact[:, None], poses[nearest], interpolated), exact, covered)
+
+    def nearest(self, stamps: ArrayLike) -> NDArray[np.intp]:
+        """(n,) index of the pose whose stamp is nearest to each of `stamps` (n,); the later one of two as near."""
+        wanted = np.asarray(stamps, dtype=np.float64)
+        later = np.searchsorted(self.stamps, wanted).clip(0, len(self) - 1)
+        earlier = (later - 1).clip(0)
+        is_earlier = np.abs(self.stamps[earlier] - wanted) < np.abs(self.stamps[later] - wanted)
+        return np.where(is_earlier, earlier, later)
+
+
+def distance_along(positions: Floats) -> Floats:
+    """(n,) metres along the path through `positions` (n, 2), from the first to each."""
+    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(positions, axis=0).T))])
+
+
+def write_tum(path: Path, trajectory: Trajectory) -> None:
+    """Write a trajectory: microseconds, micrometres, nine decimals of the quaternion; equal runs give equal bytes."""
+    half = 0.5 * se2.wrap(trajectory.poses[:, 2])
+    columns = np.column_stack([trajectory.poses[:, :2], np.sin(half), np.cos(half)])
+    columns = np.round(columns, 9) + 0.0  # turns -0.0 into 0.0
+    lines = [
+        f"{stamp:.6f} {x:z.6f} {y:z.6f} 0.000000 0 0 {qz:z.9f} {qw:z.9f}\n"
+        for stamp, (x, y, qz, qw) in zip(trajectory.stamps.tolist(), columns.tolist(), strict=True)
+    ]
+    path.write_text("".join(lines), encoding="ascii", newline="\n")
+
+
+def read_tum(path: Path) -> Trajectory:
+    """Read a trajectory; height and tilt are dropped, poses are sorted by their stamps, `#` starts a comment.
+
+    Raises MapError naming the file and, where there is one, the line.
+    """
+    rows = read_table(path, COLUMNS, "t x y z qx qy qz qw")
+    length = np.linalg.norm(rows.values[:, 4:], axis=1)
+    if np.any(wrong := np.abs(length - 1) > UNIT):
+        row = int(np.argmax(wrong))
+        raise MapError(f"{path}:{rows.lines[row]}: the quaternion's length is {length[row]:.3g}, not 1")
+    values = rows.values[np.argsort(rows.values[:, 0], kind="stable")]
+    heading = 2 * np.arctan2(values[:, 6], values[:, 7])
+    return Trajectory(values[:, 0], np.column_stack([values[:, 1:3], se2.wrap(heading)]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Table:
+    """Numbers from a text file: `values` (n, columns) and the line (1-based) that each row stands in."""
+
+    values: Floats
+    lines: list[int]
+
+
+def read_table(path: Path, columns: int, meaning: str) -> Table:
+    """Rows of `columns` finite numbers separated by white space; empty lines and `#` comments are passed over.
+
+    Raises MapError naming the file and line, and saying what the columns should be (`meaning`).
+    """
+    rows: list[list[float]] = []
+    lines: list[int] = []
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise MapError(f"{path}: is not a text file") from error
+    except OSError as error:
+        raise MapError(f"{path}: {error.strerror or error}") from error
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.partition("#")[0].split()
+        if not words:
+            continue
+        if len(words) != columns:
+            raise MapError(f"{path}:{number}: expected {columns} numbers ({meaning}), found {len(words)}")
+        try:
+            row = [float(word) for word in words]
+        except ValueError as error:
+            raise MapError(f"{path}:{number}: expected {columns} numbers ({meaning}): {error}") from error
+        if not np.isfinite(row).all():
+            raise MapError(f"{path}:{number}: not all values are finite")
+        rows.append(row)
+        lines.append(number)
+    if not rows:
+        raise MapError(f"{path}: holds no line of {columns} numbers ({meaning})")
+    return Table(np.array(rows), lines)

@@ -1,0 +1,1 @@
+"""Track the pose from scan to scan and classify how well it is known."""

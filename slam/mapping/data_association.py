@@ -1,0 +1,172 @@
+"""Which landmark each feature of a keyframe belongs to: likeliest by Mahalanobis distance with propagated covariances,
+and by how often the landmark was seen.
+
+A landmark takes one feature of a scan, except that pieces of one wall seen past an obstacle, which do not overlap
+along it, all belong to it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from drivers import se2
+
+from ..geometry.angles import turn_of
+from ..geometry.segments import CornerPoints, Floats, Integers, Segments
+from .local_map import LocalMap
+
+GATE = 13.8  # squared Mahalanobis distance, chi-square with 2 degrees of freedom at 99.9 %
+WIDEST_OFFSET = 0.30  # metres: two faces of furniture this far apart are not one, however uncertain the pose
+WIDEST_HEADING = math.radians(8.0)
+LARGEST_GAP = 1.0  # metres between what is known of a wall and a segment that continues it
+OVERLAP_IN_SCAN = 0.10  # metres by which two pieces of one wall may seem to overlap in one scan
+# Metres: a segment this close to a known wall, yet outside the gate, is neither it nor a new one.
+AMBIGUOUS_OFFSET = 0.12
+AMBIGUOUS_HEADING = math.radians(6.0)
+CORNER_HEADING_GATE = math.radians(20.0)
+AMBIGUOUS_CORNER = 0.15  # metres, as above
+UNMATCHED, AMBIGUOUS = -1, -2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Association:
+    """For each segment (n,) and corner (m,) the row of the local map it belongs to.
+
+    UNMATCHED where it shows something new, AMBIGUOUS where it is too close to something known to be new. The distances
+    are squared Mahalanobis distances to the nearest candidate, NaN without one; `nearest_wall` and `nearest_corner` are
+    the rows of that, -1 without one, whether it was taken or not.
+    """
+
+    walls: Integers
+    wall_distance: Floats
+    nearest_wall: Integers
+    corners: Integers
+    corner_distance: Floats
+    nearest_corner: Integers
+
+
+def associate(
+    pose: se2.Pose, covariance: Floats, segments: Segments, corners: CornerPoints, local_map: LocalMap, flatness: float
+) -> Association:
+    """Match features seen from `pose` (its covariance (3, 3) in the base's frame) to the landmarks of the local map."""
+    distance, low, high = _wall_distances(
+        pose, covariance, segments.frame, segments.half_length, segments.covariance,
+        local_map.frame, local_map.low, local_map.high, local_map.wall_covariance, flatness,
+    )  # fmt: skip
+    # A wall that was seen more often is the likelier one, by as much. Without that, two landmarks on one wall divide
+    # what is seen of it between them by the sign of its error, and the more they see the surer they are of being two.
+    odds = 2.0 * np.log(np.maximum(local_map.observations, 1))
+    walls = _take_likeliest(distance, distance - odds, low, high)
+    corner_distance = _corner_distances(
+        pose, covariance, corners.position, corners.headings, corners.covariance,
+        local_map.position, local_map.headings, local_map.corner_covariance, flatness,
+    )  # fmt: skip
+    nowhere = np.zeros_like(corner_distance)
+    corner_rows = _take_likeliest(corner_distance, corner_distance, nowhere, nowhere)
+    return Association(walls, *_nearest(distance), corner_rows, *_nearest(corner_distance))
+
+
+def _nearest(distance: Floats) -> tuple[Floats, Integers]:
+    """The smallest finite distance of each row and where it is; NaN and -1 without one."""
+    if not distance.shape[1]:
+        return np.full(len(distance), np.nan), np.full(len(distance), -1)
+    nearest, row = distance.min(axis=1), distance.argmin(axis=1)
+    known = np.isfinite(nearest)
+    return np.where(known, nearest, np.nan), np.where(known, row, -1)
+
+
+def _take_likeliest(distance: Floats, surprise: Floats, low: Floats, high: Floats) -> Integers:
+    """Give features to landmarks, the least surprising pair within the gate first.
+
+    A feature with a finite distance but none within the gate is ambiguous.
+    """
+    rows = np.where((np.isfinite(distance)).any(axis=1), AMBIGUOUS, UNMATCHED)
+    taken: dict[int, list[tuple[float, float]]] = {}
+    within = np.flatnonzero(distance < GATE)
+    for flat in within[np.argsort(surprise.ravel()[within], kind="stable")]:
+        feature, landmark = divmod(int(flat), distance.shape[1])
+        if rows[feature] >= 0:
+            continue
+        span = (low[feature, landmark], high[feature, landmark])
+        others = taken.setdefault(landmark, [])
+        if all(min(span[1], b) - max(span[0], a) < OVERLAP_IN_SCAN for a, b in others) and (
+            not others or span[1] > span[0]
+        ):
+            rows[feature] = landmark
+            others.append(span)
+    return rows
+
+
+@njit(cache=True)
+def _wall_distances(  # type: ignore[no-untyped-def]
+    pose, pose_covariance, frames, halves, covariances, walls, lows, highs, wall_covariances, flatness
+):
+    """(n, m) squared Mahalanobis distances, infinite where a pair is out of the question, and where along the wall."""
+    shape = (len(frames), len(walls))
+    distance, low, high = np.full(shape, np.inf), np.zeros(shape), np.zeros(shape)
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    jacobian = np.zeros((2, 3))
+    jacobian[1, 2] = 1.0
+    for i in range(len(frames)):
+        lever_x = c * frames[i, 0] - s * frames[i, 1]
+        lever_y = s * frames[i, 0] + c * frames[i, 1]
+        for j in range(len(walls)):
+            turn = turn_of(pose[2] + frames[i, 2] - walls[j, 2])
+            if abs(turn) > WIDEST_HEADING:
+                continue
+            wc, ws = math.cos(walls[j, 2]), math.sin(walls[j, 2])
+            dx, dy = pose[0] + lever_x - walls[j, 0], pose[1] + lever_y - walls[j, 1]
+            along, offset = wc * dx + ws * dy, -ws * dx + wc * dy
+            gap = max(along - halves[i] - highs[j], lows[j] - along - halves[i])
+            if abs(offset) > WIDEST_OFFSET or gap > LARGEST_GAP:
+                continue
+            jacobian[0, 0], jacobian[0, 1] = -ws * c + wc * s, ws * s + wc * c
+            jacobian[0, 2] = ws * lever_y + wc * lever_x
+            wall = wall_covariances[j]
+            innovation = covariances[i] + jacobian @ pose_covariance @ jacobian.T
+            innovation[0, 0] += flatness + wall[0, 0] + 2 * along * wall[0, 1] + along * along * wall[1, 1]
+            innovation[0, 1] += wall[0, 1] + along * wall[1, 1]
+            innovation[1, 1] += 3 * flatness / halves[i] ** 2 + wall[1, 1]
+            determinant = innovation[0, 0] * innovation[1, 1] - innovation[0, 1] ** 2
+            chi2 = (
+                innovation[1, 1] * offset * offset
+                - 2 * innovation[0, 1] * offset * turn
+                + innovation[0, 0] * turn * turn
+            ) / determinant
+            close = abs(offset) < AMBIGUOUS_OFFSET and abs(turn) < AMBIGUOUS_HEADING and gap < 0.0
+            if chi2 < GATE or close:
+                distance[i, j], low[i, j], high[i, j] = chi2, along - halves[i], along + halves[i]
+    return distance, low, high
+
+
+@njit(cache=True)
+def _corner_distances(  # type: ignore[no-untyped-def]
+    pose, pose_covariance, points, headings, covariances, corners, corner_headings, corner_covariances, flatness
+):
+    """(n, m) squared Mahalanobis distances, infinite where a pair is out of the question."""
+    distance = np.full((len(points), len(corners)), np.inf)
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    rotation = np.array([[c, -s], [s, c]])
+    for i in range(len(points)):
+        lever = rotation @ points[i]
+        jacobian = np.array([[c, -s, -lever[1]], [s, c, lever[0]]])
+        own = rotation @ covariances[i] @ rotation.T + jacobian @ pose_covariance @ jacobian.T
+        for j in range(len(corners)):
+            residual = np.array([pose[0] + lever[0] - corners[j, 0], pose[1] + lever[1] - corners[j, 1]])
+            if max(abs(residual[0]), abs(residual[1])) > WIDEST_OFFSET:
+                continue
+            if abs(turn_of(pose[2] + headings[i, 0] - corner_headings[j, 0])) > CORNER_HEADING_GATE:
+                continue
+            if abs(turn_of(pose[2] + headings[i, 1] - corner_headings[j, 1])) > CORNER_HEADING_GATE:
+                continue
+            innovation = own + corner_covariances[j]
+            innovation[0, 0] += flatness
+            innovation[1, 1] += flatness
+            chi2 = residual @ np.linalg.solve(innovation, residual)
+            if chi2 < GATE or math.hypot(residual[0], residual[1]) < AMBIGUOUS_CORNER:
+                distance[i, j] = chi2
+    return distance

@@ -1,0 +1,98 @@
+"""The part of the map around the robot that the next scans are compared with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drivers import se2
+
+from ..geometry.segments import Floats, Integers
+from .landmarks import Landmarks
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalMap:
+    """n walls and m corners near a keyframe.
+
+    walls            (n,) identities
+    frame            (n, 3) in the map: x along the wall, which is seen from y > 0
+    low, high        (n,) metres along x, how far the wall is known
+    wall_covariance  (n, 2, 2) of the offset across and the heading at the frame, as seen from the keyframe
+    observations     (n,) keyframes that saw the wall
+    corners          (m,) identities
+    position         (m, 2) in the map
+    headings         (m, 2) of the walls before and after the corner, in the map
+    corner_covariance (m, 2, 2) as seen from the keyframe, in the map's axes
+    """
+
+    walls: Integers
+    frame: Floats
+    low: Floats
+    high: Floats
+    wall_covariance: Floats
+    observations: Integers
+    corners: Integers
+    position: Floats
+    headings: Floats
+    corner_covariance: Floats
+
+
+def empty_local_map() -> LocalMap:
+    """What is known before the first scan."""
+    return landmarks_around(Landmarks(), np.zeros(3), 0.0)
+
+
+def landmarks_around(landmarks: Landmarks, pose: se2.Pose, radius: float, *, keyframe: int | None = None) -> LocalMap:
+    """The landmarks within `radius` (metres) of a pose, as certain as they were when they were last observed; those
+    that are still there, or were after a `keyframe`."""
+    near_walls = landmarks.walls_near(pose, radius, keyframe=keyframe)
+    near_corners = landmarks.corners_near(pose, radius, keyframe=keyframe)
+    walls, corners = landmarks.walls.rows[near_walls], landmarks.corners.rows[near_corners]
+    return LocalMap(
+        walls=near_walls,
+        frame=walls["frame"],
+        low=walls["low"],
+        high=walls["high"],
+        wall_covariance=walls["covariance"],
+        observations=walls["observations"],
+        corners=near_corners,
+        position=corners["position"],
+        headings=corners["headings"],
+        corner_covariance=corners["covariance"],
+    )
+
+
+def local_map_around(landmarks: Landmarks, pose: se2.Pose, radius: float, pose_covariances: list[Floats]) -> LocalMap:
+    """The landmarks within `radius` (metres) of the pose of the last keyframe, as certain as they are from there.
+
+    `pose_covariances` are those of all keyframes (3, 3), in the map's axes. A landmark's covariance is the one seen
+    when it was last observed, and what the robot's own pose has lost in certainty since then.
+    """
+    around = landmarks_around(landmarks, pose, radius)
+    last_seen = (landmarks.walls.rows["last_seen"][around.walls], landmarks.corners.rows["last_seen"][around.corners])
+    drift = _drift_since(np.concatenate(last_seen), pose_covariances)
+    lever = around.frame[:, :2] - pose[:2]
+    c, s = np.cos(around.frame[:, 2]), np.sin(around.frame[:, 2])
+    jacobian = np.zeros((len(around.walls), 2, 3))
+    jacobian[:, 0] = np.column_stack([-s, c, c * lever[:, 0] + s * lever[:, 1]])
+    jacobian[:, 1, 2] = 1.0
+    wall_drift = jacobian @ drift[: len(around.walls)] @ jacobian.transpose(0, 2, 1)
+    return replace(
+        around,
+        wall_covariance=around.wall_covariance + wall_drift,
+        corner_covariance=around.corner_covariance + drift[len(around.walls) :, :2, :2],
+    )
+
+
+def _drift_since(keyframes: Integers, pose_covariances: list[Floats]) -> Floats:
+    """(n, 3, 3): by how much the robot's own pose has become less certain since each of `keyframes`, in the map's axes.
+
+    The error of a later pose is that of the earlier one and what was added on the way, so the covariance of the
+    difference is about the difference of the covariances; where a closed loop made it smaller, that part is zero.
+    """
+    different, places = np.unique(keyframes, return_inverse=True)  # many were last seen from the same keyframe
+    then = np.array([pose_covariances[k] for k in different]).reshape(-1, 3, 3)
+    values, vectors = np.linalg.eigh(pose_covariances[-1] - then)
+    return np.asarray((vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1))[places]

@@ -1,0 +1,1 @@
+"""Store wheel odometry and model its errors."""

@@ -1,0 +1,82 @@
+"""Wheel odometry: where it says the base was at any time."""
+
+from __future__ import annotations
+
+import bisect
+
+import numpy as np
+
+from drivers import se2
+from drivers.messages import Odometry
+
+from ..geometry.segments import Floats
+
+# Metres of way that a radian of turning counts for: about half the distance between a robot's wheels and then some.
+TRACK = 0.25
+
+
+class OdometryHistory:
+    """All odometry of a run, in time order."""
+
+    def __init__(self) -> None:
+        self._stamps: list[float] = []
+        self._poses: list[se2.Pose] = []
+
+    @classmethod
+    def of(cls, stamps: Floats, poses: Floats) -> OdometryHistory:
+        """Readings (n,), (n, 3) in time order."""
+        history = cls()
+        history._stamps, history._poses = stamps.tolist(), list(poses)
+        return history
+
+    def __len__(self) -> int:
+        return len(self._stamps)
+
+    def add(self, reading: Odometry) -> None:
+        """Append a reading; one with the stamp of the last replaces it."""
+        if self._stamps and reading.stamp <= self._stamps[-1]:
+            self._poses[-1] = reading.pose
+            return
+        self._stamps.append(reading.stamp)
+        self._poses.append(reading.pose)
+
+    @property
+    def latest(self) -> float:
+        """Stamp of the last reading, -inf without one."""
+        return self._stamps[-1] if self._stamps else -np.inf
+
+    @property
+    def stamps(self) -> Floats:
+        """(n,) seconds."""
+        return np.array(self._stamps)
+
+    @property
+    def poses(self) -> Floats:
+        """(n, 3) in the odometry's frame."""
+        return np.array(self._poses).reshape(-1, 3)
+
+    @property
+    def ways(self) -> Floats:
+        """(n,) metres that the wheels have rolled up to each reading."""
+        poses = self.poses
+        return np.concatenate([[0.0], np.cumsum(way_of(se2.between(poses[:-1], poses[1:])))])
+
+    def at(self, stamp: float) -> se2.Pose:
+        """The pose at a stamp, between the readings around it; held before the first and after the last."""
+        after = bisect.bisect_left(self._stamps, stamp)
+        if after == len(self._stamps):
+            return self._poses[-1]
+        if after == 0 or self._stamps[after] == stamp:
+            return self._poses[after]
+        before = after - 1
+        part = (stamp - self._stamps[before]) / (self._stamps[after] - self._stamps[before])
+        return se2.compose(self._poses[before], part * se2.between(self._poses[before], self._poses[after]))
+
+    def at_each(self, stamps: Floats) -> Floats:
+        """(n, 3): the poses at several stamps that lie close together."""
+        return np.array([self.at(float(stamp)) for stamp in stamps]).reshape(-1, 3)
+
+
+def way_of(motion: se2.Pose) -> Floats:
+    """Metres (...,) that the wheels roll in motions (..., 3): their length, and what turning takes."""
+    return np.asarray(np.hypot(motion[..., 0], motion[..., 1]) + TRACK * np.abs(motion[..., 2]))

@@ -1,0 +1,1 @@
+"""Process recorded sessions: map merging, calibration and batches of recordings."""

@@ -1,0 +1,89 @@
+"""What came of the recordings, as rows: for a Parquet file, which programs read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ...io.output_dir import unfinished_file
+from .jobs import Job
+
+
+class Status(StrEnum):
+    """How far a recording has come."""
+
+    WAITING = "waiting"
+    RUNNING = "running"
+    DONE = "done"
+    KEPT = "kept"  # was complete before
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A recording, and what came of it; None where there is nothing to tell.
+
+    duration     seconds of the recording; path_length metres driven
+    loops        closures that stayed
+    seconds      that it took; memory MiB at most, of the worker's process
+    error_rmse   metres from the true path, where the recording knows that
+    error        why it failed
+    """
+
+    name: str
+    recording: str
+    status: Status
+    duration: float | None = None
+    path_length: float | None = None
+    scans: int | None = None
+    keyframes: int | None = None
+    loops: int | None = None
+    seconds: float | None = None
+    memory: float | None = None
+    error_rmse: float | None = None
+    error: str | None = None
+    log: str | None = None
+
+
+SCHEMA = pa.schema(
+    [(name, pa.string()) for name in ("name", "recording", "status")]
+    + [(name, pa.float64()) for name in ("duration", "path_length")]
+    + [(name, pa.int64()) for name in ("scans", "keyframes", "loops")]
+    + [(name, pa.float64()) for name in ("seconds", "memory", "error_rmse")]
+    + [(name, pa.string()) for name in ("error", "log")]
+)
+
+
+def row_of(job: Job, status: Status, summary: dict[str, Any] | None = None, error: str | None = None) -> Row:
+    """The row of a job, with figures from the summary of its run where there is one."""
+    log = str(job.log) if job.log.exists() else None
+    if summary is None:
+        return Row(job.name, job.recording, status, error=error, log=log)
+    loops = (summary.get("slam") or {}).get("loops") or {}
+    return Row(
+        job.name,
+        job.recording,
+        status,
+        duration=summary.get("duration"),
+        path_length=summary.get("path_length"),
+        scans=summary.get("scans"),
+        keyframes=summary.get("keyframes"),
+        loops=loops.get("accepted", 0) - loops.get("retracted", 0) if loops else None,
+        seconds=summary.get("wall_seconds"),
+        memory=summary.get("peak_memory_mib"),
+        error_rmse=(summary.get("truth") or {}).get("ate_rmse"),
+        error=error,
+        log=log,
+    )
+
+
+def write_table(path: Path, rows: Iterable[Row]) -> None:
+    """Write rows as a Parquet file, which replaces an older one at once. Raises OutputError."""
+    with unfinished_file(path, overwrite=True) as unfinished:
+        pq.write_table(pa.Table.from_pylist([asdict(row) for row in rows], SCHEMA), unfinished)

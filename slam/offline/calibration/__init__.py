@@ -1,0 +1,1 @@
+"""Estimate the lidar's mount and range bias from a recording."""

@@ -1,0 +1,114 @@
+"""A session as it stands in another's map: moved as one piece, its keyframes and landmarks numbered on from there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers import se2
+
+from ...io.sessions import StoredSession
+from ...mapping.keyframes import Names
+from ...mapping.landmarks import Landmarks
+from ...mapping.mapper import Mapper
+from ...mapping.trajectory_builder import Path
+from ...odometry.history import OdometryHistory
+
+CLOCK_GAP = 1.0  # seconds between two sessions whose clocks have to be told apart
+
+
+@dataclass(frozen=True, slots=True)
+class Numbers:
+    """How many there are of everything, so that what comes after is numbered on from there."""
+
+    sightings: int
+    keyframes: int
+    walls: int
+    corners: int
+
+    @classmethod
+    def of(cls, session: StoredSession) -> Numbers:
+        """Those of a session."""
+        mapper = session.belief.mapper
+        walls, corners = len(mapper.landmarks.walls), len(mapper.landmarks.corners)
+        return cls(len(session.sightings), mapper.keyframe_count, walls, corners)
+
+
+def shift_after(session: StoredSession, after: float) -> float:
+    """Seconds to add to the stamps of a session that they go on after a time (seconds); none if they do."""
+    begins = [float(history.stamps[0]) for history in session.odometry if len(history)]
+    first = min([session.sightings[0].stamp, *begins])
+    return 0.0 if first > after else math.ceil(after - first) + CLOCK_GAP
+
+
+def shifted(session: StoredSession, shift: float) -> StoredSession:
+    """The session with seconds added to its stamps. Its belief keeps its own."""
+    return replace(
+        session,
+        sightings=[replace(sighting, stamp=sighting.stamp + shift) for sighting in session.sightings],
+        odometry=[OdometryHistory.of(history.stamps + shift, history.poses) for history in session.odometry],
+        recordings=[
+            recording.model_copy(update={name: getattr(recording, name) + shift for name in ("shift", "first", "last")})
+            for recording in session.recordings
+        ],
+        waiting=[replace(scan, stamp=scan.stamp + shift) for scan in session.waiting],
+        closures=[{**closure, "stamp": closure["stamp"] + shift} for closure in session.closures],
+    )
+
+
+def joined_landmarks(first: Mapper, second: Mapper, motion: se2.Pose) -> Landmarks:
+    """The landmarks of both, those of the second moved and numbered after the first's. None is in a graph."""
+    landmarks = Landmarks()
+    walls, corners = first.landmarks.walls.rows, first.landmarks.corners.rows
+    more_walls, more_corners = second.landmarks.walls.rows.copy(), second.landmarks.corners.rows.copy()
+    more_walls["frame"] = se2.compose(motion, more_walls["frame"])
+    more_walls["kept"] = _numbered(more_walls["kept"], len(walls))
+    for name in ("first_seen", "last_seen"):
+        more_walls[name] += first.keyframe_count
+    more_walls["retired_at"] = _numbered(more_walls["retired_at"], first.keyframe_count)
+    more_corners["position"] = se2.transform(motion, more_corners["position"])
+    more_corners["headings"] = se2.wrap(more_corners["headings"] + motion[2])
+    more_corners["walls"] = _numbered(more_corners["walls"], len(walls))
+    more_corners["last_seen"] += first.keyframe_count
+    c, s = np.cos(motion[2]), np.sin(motion[2])
+    rotation = np.array([[c, -s], [s, c]])
+    more_corners["covariance"] = rotation @ more_corners["covariance"] @ rotation.T
+    landmarks.walls.fill(np.concatenate([walls, more_walls]))
+    landmarks.corners.fill(np.concatenate([corners, more_corners]))
+    landmarks.walls.rows["in_graph"] = landmarks.corners.rows["in_graph"] = False
+    landmarks.covered = [*first.landmarks.covered, *second.landmarks.covered]
+    landmarks.opened = {wall: dict(cells) for wall, cells in first.landmarks.opened.items()}
+    for wall, cells in second.landmarks.opened.items():
+        landmarks.opened[wall + len(walls)] = {cell: at + first.keyframe_count for cell, at in cells.items()}
+    return landmarks
+
+
+def joined_names(first: Mapper, second: Mapper) -> list[Names]:
+    """What the keyframes of both see, by the numbers in the joined landmarks; walls that are one by one name."""
+    walls, corners = len(first.landmarks.walls), len(first.landmarks.corners)
+    more = [Names(_numbered(names.walls, walls), _numbered(names.corners, corners)) for names in _by_kept_walls(second)]
+    return [*_by_kept_walls(first), *more]
+
+
+def joined_path(first: Path, second: Path, keyframes: int, shift: float) -> Path:
+    """Both paths, one after the other; the second hangs on keyframes numbered on from `keyframes`, `shift` seconds
+    later."""
+    path = Path()
+    for part, number, seconds in ((first, 0, 0.0), (second, keyframes, shift)):
+        for stamp, keyframe, relative, information in zip(*part.hung(), strict=True):
+            path.add(float(stamp) + seconds, int(keyframe) + number, relative, information)
+    return path
+
+
+def _by_kept_walls(mapper: Mapper) -> Sequence[Names]:
+    kept = mapper.landmarks.walls.rows["kept"]
+    return [Names(np.where(names.walls >= 0, kept[names.walls], -1), names.corners) for names in mapper.names]
+
+
+def _numbered(identities: NDArray[np.int64], number: int) -> NDArray[np.int64]:
+    """Identities numbered on from `number`; what is negative stands for none and stays."""
+    return np.asarray(np.where(identities >= 0, identities + number, identities))

@@ -1,0 +1,1 @@
+"""Turn messages into processed scans: synchronise with odometry, de-skew, extract features."""

@@ -1,0 +1,26 @@
+"""The extractor of features as it is configured."""
+
+from __future__ import annotations
+
+from features import Extractor, Noise
+from features.extract import PRIOR_SCANS, SLOWEST_GAIN
+
+from ..config import Config
+
+
+def build_extractor(config: Config, sigma_range: float | None = None) -> Extractor:
+    """The extractor for the lidar and the methods that are configured.
+
+    `sigma_range` is a range's standard deviation, metres, where many scans have shown it already.
+    """
+    lidar = config.lidar
+    learned = lidar.adapt_noise and sigma_range is not None
+    return Extractor(
+        Noise(sigma_range if learned and sigma_range is not None else lidar.sigma_range, lidar.sigma_bearing),
+        known_from=1.0 / SLOWEST_GAIN if learned else PRIOR_SCANS,
+        method=config.features.segmentation,
+        estimator=config.features.estimator,
+        adapt_noise=lidar.adapt_noise,
+        range_min=lidar.range_min,
+        range_max=lidar.range_max,
+    )

@@ -1,0 +1,1 @@
+"""Present results: Rerun log, report page and plots."""

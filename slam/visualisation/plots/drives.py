@@ -1,0 +1,147 @@
+"""Pictures of what a drive went through: errors against what was claimed, a loop closed, a corridor without hold."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from drivers import se2
+
+from ...events import LoopDecided, MapUpdated, StateChanged
+from ...io.keyframes_csv import Keyframes
+from ...io.tum import Trajectory
+from .style import (
+    BLUE,
+    DOTS_PER_INCH,
+    INK,
+    MUTED,
+    ORANGE,
+    SIGMAS,
+    SKY,
+    VERMILLION,
+    Floats,
+    calm,
+    legend,
+    metric_figure,
+    save,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+LEGEND: dict[str, Any] = {"frameon": False, "fontsize": 8.5, "labelcolor": INK}
+AXES = (("ahead, mm", 1e3), ("to the left, mm", 1e3), ("heading, degrees", float(np.degrees(1.0))))
+
+
+def plot_honesty(path: Path, keyframes: Keyframes, truth: Trajectory, *, title: str) -> None:
+    """The errors of the keyframes in their own frames, and three standard deviations either side. Raises OutputError.
+
+    The map's frame is where the first keyframe stood, so poses are compared relative to that.
+    """
+    from matplotlib.figure import Figure
+
+    _, errors = _errors(keyframes, truth)
+    sigma = np.sqrt(np.diagonal(keyframes.covariance, axis1=1, axis2=2))
+    seconds = keyframes.stamps - keyframes.stamps[0]
+    figure = Figure(figsize=(9, 5.6), dpi=DOTS_PER_INCH, layout="constrained")
+    figure.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold", color=INK)
+    panels: Sequence[Axes] = figure.subplots(3, 1, sharex=True)
+    for k, (axes, (name, scale)) in enumerate(zip(panels, AXES, strict=True)):
+        band, error = SIGMAS * scale * sigma[:, k], scale * errors[:, k]
+        axes.fill_between(seconds, -band, band, color=SKY, alpha=0.3, linewidth=0, label="3σ that the map claims")
+        axes.plot(seconds, error, color=BLUE, linewidth=1.0, label="error against the true path")
+        axes.set_ylabel(name, fontsize=9, color=INK)
+        calm(axes)
+        outside = 100 * float(np.mean(np.abs(error) > band))
+        axes.set_title(f"{outside:.1f} % of the keyframes outside", loc="right", fontsize=8.5, color=MUTED)
+    panels[-1].set_xlabel("seconds", fontsize=9, color=INK)
+    panels[0].legend(loc="upper left", ncols=2, **LEGEND)
+    save(figure, path)
+
+
+def plot_closure(path: Path, before: MapUpdated, path_before: Floats, decided: LoopDecided, after: MapUpdated) -> None:
+    """Map and path before and after a loop was closed; `path_before` (k, 3) are the keyframes. Raises OutputError."""
+    from matplotlib.collections import LineCollection
+
+    walls_before, _ = before.lines.piece_points()
+    walls_after, _ = after.lines.piece_points()
+    drawn = np.concatenate([walls_before, walls_after]).reshape(-1, 2)
+    title = f"A loop of {_driven(path_before):.0f} m is closed: the robot moves by {decided.shift:.2f} m"
+    subtitle = (
+        f"explains {100 * decided.explained:.0f} % of the wall seen lately, {decided.matches} walls, known to "
+        f"{1000 * decided.sigma:.0f} mm; the next best place {100 * decided.runner_up:.0f} % as much; "
+        f"{len(decided.merged)} pairs of walls made one"
+    )
+    figure, axes = metric_figure(np.array([drawn.min(axis=0), drawn.max(axis=0)]), title, subtitle)
+    old: dict[str, Any] = {"color": ORANGE, "linewidth": 1.3, "alpha": 0.8}
+    axes.add_collection(LineCollection(list(walls_before), label="walls before", zorder=3, **old))
+    axes.add_collection(LineCollection(list(walls_after), color=INK, linewidth=1.3, label="walls after", zorder=5))
+    axes.plot(*path_before[:, :2].T, linestyle=(0, (4, 2)), label="path before", zorder=2, **old)
+    axes.plot(*after.keyframes[:, :2].T, color=BLUE, linewidth=1.3, label="path after", zorder=4)
+    ends = np.array([path_before[-1, :2], after.keyframes[len(path_before) - 1, :2]])
+    axes.annotate("", ends[1], ends[0], arrowprops={"arrowstyle": "-|>", "color": VERMILLION, "linewidth": 2}, zorder=8)
+    axes.plot([], [], color=VERMILLION, linewidth=2, label="how the robot moves")
+    legend(axes)
+    save(figure, path)
+
+
+class Corridor(NamedTuple):
+    """A drive along x: what it is called, its keyframes, the true path, and the changes of the state."""
+
+    name: str
+    keyframes: Keyframes
+    truth: Trajectory
+    states: Sequence[StateChanged]
+
+
+def plot_corridors(path: Path, corridors: Sequence[Corridor], *, title: str) -> None:
+    """Errors along and across corridors, what is claimed along them, and when the state was DEGENERATE.
+
+    Raises OutputError.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 4.2), dpi=DOTS_PER_INCH, layout="constrained")
+    figure.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold", color=INK)
+    panels: Sequence[Axes] = figure.subplots(1, len(corridors), sharey=True)
+    for axes, (name, keyframes, truth, states) in zip(panels, corridors, strict=True):
+        seconds = keyframes.stamps - keyframes.stamps[0]
+        ends = [*(later.stamp for later in states[1:]), keyframes.stamps[-1]]
+        for change, end in zip(states, ends, strict=False):  # one more than there are where nothing changed
+            if change.state == "DEGENERATE":
+                since, until = np.array([change.stamp, end]) - keyframes.stamps[0]
+                axes.axvspan(since, until, color=ORANGE, alpha=0.15, linewidth=0)
+        axes.fill_between([], [], [], color=ORANGE, alpha=0.15, linewidth=0, label="state DEGENERATE")
+        relative, errors = _errors(keyframes, truth)
+        c, s = np.cos(relative[:, 2]), np.sin(relative[:, 2])
+        ahead, left = 1e3 * errors[:, 0], 1e3 * errors[:, 1]
+        axes.plot(seconds, np.abs(c * ahead - s * left), color=VERMILLION, linewidth=1.4, label="error along")
+        axes.plot(seconds, np.abs(s * ahead + c * left), color=BLUE, linewidth=1.4, label="error across")
+        along = np.stack([c, -s], axis=1)
+        sigma = np.sqrt(np.einsum("ki,kij,kj->k", along, keyframes.covariance[:, :2, :2], along))
+        dashes: dict[str, Any] = {"color": INK, "linewidth": 1.2, "linestyle": (0, (3, 2))}
+        axes.plot(seconds, 1e3 * SIGMAS * sigma, label="3σ along that the map claims", **dashes)
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.set_title(name, loc="left", fontsize=9, color=MUTED, pad=8)
+        axes.set_xlabel("seconds", fontsize=9, color=INK)
+        calm(axes)
+    panels[0].set_ylim(bottom=0.1)  # both panels share it, so only when all is drawn
+    panels[0].set_ylabel("mm", fontsize=9, color=INK)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower left", ncols=len(labels), **LEGEND)
+    save(figure, path)
+
+
+def _errors(keyframes: Keyframes, truth: Trajectory) -> tuple[Floats, Floats]:
+    """(k, 3) true poses and (k, 3) errors in the keyframes' own frames, both relative to where the first one stood."""
+    actual = truth.at(keyframes.stamps).poses
+    relative = se2.between(actual[0], actual)
+    return relative, se2.between(relative, se2.between(keyframes.poses[0], keyframes.poses))
+
+
+def _driven(path: Floats) -> float:
+    return float(np.hypot(*np.diff(path[:, :2], axis=0).T).sum())

@@ -1,0 +1,79 @@
+"""The map and the path that was driven, seen from above."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...events import MapCorners, MapLines
+from .style import BLUE, GREEN, INK, ORANGE, SKY, VERMILLION, Floats, ellipses, legend, metric_figure, save
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+SIDE = 0.0055
+"""Width of the band on the side that a wall is seen from, as a share of the picture's larger extent."""
+
+
+def plot_map(
+    path: Path,
+    lines: MapLines,
+    corners: MapCorners,
+    poses: Floats,
+    *,
+    title: str,
+    odometry: Floats | None = None,
+    truth: Floats | None = None,
+) -> None:
+    """Draw walls, corners and the path `poses` (n, 3); odometry and truth (m, 3) where given; all in the map's frame.
+
+    The picture is as large as map and path; odometry may leave it. Raises OutputError.
+    """
+    drawn = np.concatenate([lines.end_points().reshape(-1, 2), poses[:, :2]])
+    driven = float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
+    subtitle = f"{len(lines)} walls, {len(corners)} corners, {driven:.1f} m driven"
+    figure, axes = metric_figure(np.array([drawn.min(axis=0), drawn.max(axis=0)]), title, subtitle)
+    if odometry is not None:
+        dashes: dict[str, Any] = {"linestyle": (0, (4, 2)), "linewidth": 1.0}
+        axes.plot(*odometry[:, :2].T, color=ORANGE, **dashes, label="odometry alone", zorder=2)
+    if truth is not None:
+        axes.plot(*truth[:, :2].T, color=GREEN, linewidth=4.0, alpha=0.3, label="true path", zorder=3)
+    axes.plot(*poses[:, :2].T, color=BLUE, linewidth=1.2, label="path", zorder=4)
+    _ends(axes, poses)
+    _walls(axes, lines)
+    _corners(axes, corners)
+    legend(axes)
+    save(figure, path)
+
+
+def _ends(axes: Axes, poses: Floats) -> None:
+    """Where the path starts, and where and how the robot stands at its end."""
+    start, end = poses[0], poses[-1]
+    ring: dict[str, Any] = {"marker": "o", "markersize": 6, "color": "white", "markeredgecolor": BLUE}
+    axes.plot(start[0], start[1], **ring, linestyle="", label="start", zorder=8)
+    arrow: dict[str, Any] = {"marker": (3, 0, np.degrees(end[2]) - 90), "markersize": 11, "color": BLUE}
+    axes.plot(end[0], end[1], **arrow, markeredgecolor="white", linestyle="", label="end", zorder=8)
+
+
+def _walls(axes: Axes, lines: MapLines) -> None:
+    """Each wall as a line, with a light band on the side it is seen from."""
+    from matplotlib.collections import LineCollection, PolyCollection
+
+    ends, wall = lines.piece_points()
+    width = SIDE * max(np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim()))
+    heading = lines.frame[wall, 2]
+    left = width * np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
+    bands = np.stack([ends[:, 0], ends[:, 1], ends[:, 1] + left, ends[:, 0] + left], axis=1)
+    axes.add_collection(
+        PolyCollection(list(bands), facecolor=SKY, alpha=0.35, linewidth=0, label="side seen", zorder=1)
+    )
+    axes.add_collection(LineCollection(list(ends), color=INK, linewidth=1.5, capstyle="round", label="wall", zorder=5))
+
+
+def _corners(axes: Axes, corners: MapCorners) -> None:
+    if len(corners) == 0:
+        return
+    name = ellipses(axes, corners.position, corners.covariance, VERMILLION)
+    axes.plot(*corners.position.T, ".", color=VERMILLION, markersize=3.5, label=f"corner, {name}", zorder=7)

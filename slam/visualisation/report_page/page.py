@@ -1,0 +1,77 @@
+"""The page put together."""
+
+from __future__ import annotations
+
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+
+from ...errors import MapError
+from ...io.exports.drawing import PATH_CLASSES, SIGMAS, UNKNOWN_CLASS, Drawing, draw
+from ...io.exports.session import Session
+from ...io.output_dir import CONFIG
+from . import sections
+from .findings import findings
+
+
+def write_page(path: Path, session: Session) -> None:
+    """Write a session's page. Raises MapError where its summary lacks what every run writes."""
+    try:
+        text = _page(session)
+    except (KeyError, TypeError, AttributeError) as error:
+        raise MapError(f"{session.path}: its summary is not that of a run: {error}") from error
+    path.write_text(text, encoding="utf-8", newline="\n")
+
+
+def _page(session: Session) -> str:
+    summary, drawing = session.summary, draw(session)
+    found = findings(summary, session.trajectory)
+    settings = session.path / CONFIG
+    colours = "".join(
+        f".{c.name} {{ stroke: {c.colour}; background: {c.colour} }}\n" for c in (*PATH_CLASSES, UNKNOWN_CLASS)
+    )
+    return Template(_part("page.html")).substitute(
+        title=escape(str(summary["recording"])),
+        style=_part("page.css") + colours,
+        script=_part("page.js"),
+        facts=sections.facts(summary),
+        view_box=drawing.view_box,
+        aspect=f"{drawing.width:.3f} / {drawing.height:.3f}",
+        map=drawing.elements,
+        legend=_legend(drawing),
+        wrong=sections.wrong(found),
+        loops=sections.loops(summary.get("slam") or {}, float(session.trajectory.stamps[0])),
+        accuracy=sections.accuracy(summary.get("truth")),
+        timings=sections.timings(summary),
+        details=sections.details(summary, settings.read_text(encoding="utf-8") if settings.is_file() else ""),
+    )
+
+
+def _part(name: str) -> str:
+    return files(__package__).joinpath(name).read_text(encoding="utf-8")
+
+
+def _legend(drawing: Drawing) -> str:
+    """What the colours of the path mean; those that occur."""
+    told = []
+    for k, path_class in enumerate(PATH_CLASSES):
+        if path_class in drawing.classes:
+            last = k == len(PATH_CLASSES) - 1
+            limit = f"over {_round(PATH_CLASSES[k - 1].below)}" if last else f"under {_round(path_class.below)}"
+            told.append((path_class.name, limit))
+    if UNKNOWN_CLASS in drawing.classes:
+        told.append((UNKNOWN_CLASS.name, "path"))
+    entries = "".join(f'<span><i class="{name}"></i>{text}</span>' for name, text in told)
+    if drawing.classes != (UNKNOWN_CLASS,):
+        entries = f'</div><div class="legend"><span>path, known to (σ):</span>{entries}'
+    marks = '<span><i class="wall"></i>wall</span><span><i class="band"></i>side seen</span>'
+    marks += f'<span><i class="corner"></i>corner, {SIGMAS:.0f}σ</span>'
+    if "data-loop" in drawing.elements:
+        marks += '<span><i class="loop"></i>loop closure</span>'
+    return f'{marks}<span class="start">○ start</span><span class="end">▲ end</span>{entries}'
+
+
+def _round(metres: float) -> str:
+    """A limit of the classes, which are round numbers."""
+    return f"{100 * metres:g} cm"

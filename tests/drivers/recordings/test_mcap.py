@@ -1,0 +1,217 @@
+"""MCAP: what is written is read back, by us and by others, also after the writer was killed."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from rosbags.highlevel import AnyReader
+
+from drivers import GroundTruth, Message, Odometry, RecordingError, Scan
+from drivers.clock import to_nanoseconds, to_seconds
+from drivers.recordings.mcap import Mcap, McapWriter
+from drivers.recordings.ros_messages import quaternion_of
+
+Same = Callable[[list[Message], list[Message]], None]
+
+
+def record(path: Path, messages: list[Message]) -> Path:
+    with McapWriter(path) as writer:
+        for message in messages:
+            writer.write(message)
+    return path
+
+
+def scan(stamp: float, ranges: list[float], angles: list[float], offsets: list[float] | None = None) -> Scan:
+    times = np.zeros(len(ranges)) if offsets is None else np.array(offsets)
+    return Scan(stamp, np.array(ranges), np.array(angles), times, 0.05, 12.3, None)
+
+
+def test_simulation_is_read_back_bit_for_bit(tmp_path: Path, drive: list[Message], assert_same: Same) -> None:
+    assert_same(list(Mcap(record(tmp_path / "a.mcap", drive))), drive)
+
+
+def test_uneven_beams_are_read_back_bit_for_bit(tmp_path: Path, assert_same: Same) -> None:
+    messages: list[Message] = [
+        scan(1.0, [1.234567890123, np.nan, 3.3], [-0.1, 0.2, 0.21], [0.0, 0.033, 0.05]),
+        scan(1.1, [0.1, 0.2], [0.0, 1 / 3]),
+        scan(1.2, [7.7], [0.123456789]),
+        scan(1.2, [7.7, np.nan], [0.0, 1.0]),
+    ]
+    assert_same(list(Mcap(record(tmp_path / "a.mcap", messages))), messages)
+
+
+def test_each_mount_is_kept(tmp_path: Path, assert_same: Same) -> None:
+    mounts = [np.array([0.1, 0.2, -3.0]), None, np.array([-0.1, 0.0, 1e-9])]
+    messages: list[Message] = []
+    for i in range(9):
+        plain = scan(float(i), [1.0, 2.0], [0.0, 1.0])
+        ends = (plain.range_min, plain.range_max, mounts[i % 3])
+        messages.append(Scan(plain.stamp, plain.ranges, plain.angles, plain.time_offsets, *ends))
+    messages.append(Odometry(9.0, np.zeros(3)))
+    assert_same(list(Mcap(record(tmp_path / "a.mcap", messages))), messages)
+
+
+@settings(max_examples=1000)
+@given(st.floats(-math.pi, math.pi, exclude_max=True))
+def test_quaternions_decode_to_the_very_heading(heading: float) -> None:
+    z, w = quaternion_of(heading)
+    assert 2 * math.atan2(z, w) == pytest.approx(heading, rel=0, abs=1e-300 if abs(heading) < 1e-300 else 0)
+    assert math.hypot(z, w) == pytest.approx(1.0, abs=1e-12)
+
+
+@given(st.integers(0, 2**31 * 10**9))
+def test_nanoseconds_survive_as_seconds(nanoseconds: int) -> None:
+    stamp = to_seconds(nanoseconds)
+    assert to_seconds(to_nanoseconds(stamp)) == stamp
+
+
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(
+    st.lists(
+        st.tuples(*[st.floats(-1e6, 1e6)] * 2, st.floats(-3.14, 3.14, allow_subnormal=False)), min_size=1, max_size=20
+    )
+)
+def test_any_poses_are_read_back(tmp_path: Path, assert_same: Same, poses: list[tuple[float, ...]]) -> None:
+    file = tmp_path / "poses.mcap"
+    file.unlink(missing_ok=True)
+    messages: list[Message] = []
+    for i, pose in enumerate(poses):
+        messages += [
+            GroundTruth(to_seconds(i * 12345678), np.array(pose)),
+            Odometry(to_seconds(i * 12345678), np.array(pose)),
+        ]
+    assert_same(list(Mcap(record(file, messages))), messages)
+
+
+def test_ros_reads_it(tmp_path: Path, drive: list[Message]) -> None:
+    path = record(tmp_path / "a.mcap", drive)
+    with AnyReader([path]) as reader:
+        kinds = {connection.topic: connection.msgtype for connection in reader.connections}
+        assert kinds == {
+            "/odom": "nav_msgs/msg/Odometry",
+            "/scan": "sensor_msgs/msg/LaserScan",
+            "/tf_static": "tf2_msgs/msg/TFMessage",
+            "/ground_truth": "geometry_msgs/msg/PoseStamped",
+        }
+        first = next(message for message in drive if isinstance(message, Scan))
+        for connection, _, data in reader.messages():
+            if connection.topic == "/scan":
+                laser_scan = reader.deserialize(data, connection.msgtype)
+                assert np.array_equal(laser_scan.ranges, first.ranges.astype(np.float32), equal_nan=True)  # type: ignore[attr-defined]
+                assert laser_scan.header.frame_id == "laser"  # type: ignore[attr-defined]
+                break
+
+
+def test_existing_files_are_kept_unless_told(tmp_path: Path, drive: list[Message]) -> None:
+    path = record(tmp_path / "a.mcap", drive)
+    with pytest.raises(RecordingError, match="exists already"):
+        McapWriter(path)
+    McapWriter(path, overwrite=True).close()
+    with pytest.raises(RecordingError, match="holds no readable"):
+        list(Mcap(path))
+    with pytest.raises(RecordingError, match="cannot be written"):
+        McapWriter(tmp_path / "no" / "folder.mcap")
+
+
+def test_stamps_that_cannot_be_recorded_are_refused(tmp_path: Path) -> None:
+    with McapWriter(tmp_path / "a.mcap") as writer:
+        for stamp in (-1.0, math.nan, math.inf, 3e9, 1e12):
+            with pytest.raises(RecordingError, match="stamp"):
+                writer.write(Odometry(stamp, np.zeros(3)))
+
+
+WRITE_FOR_EVER = """
+import sys, time
+import numpy as np
+from drivers import Odometry
+from drivers.recordings.mcap import McapWriter
+with McapWriter(sys.argv[1]) as writer:
+    while True:
+        writer.write(Odometry(time.time_ns() / 10**9, np.zeros(3)))
+        print(time.time(), flush=True)
+        time.sleep(0.01)
+"""
+
+
+def test_killed_process_loses_a_second_at_most(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    process = subprocess.Popen([sys.executable, "-c", WRITE_FOR_EVER, str(path)], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    first = float(process.stdout.readline())
+    last = first
+    while last < first + 2.5:
+        last = float(process.stdout.readline())
+    os.kill(process.pid, signal.SIGKILL)
+    last = max([last, *(float(line) for line in process.stdout.read().split())])
+    process.wait()
+    process.stdout.close()
+    source = Mcap(path)
+    messages = list(source)
+    assert messages[-1].stamp > last - 1.2
+    assert source.report.skipped == 1
+    assert "ends early" in str(source.report.first)
+    assert len(source) == 0
+
+
+def test_truncated_file_is_read_up_to_the_last_whole_chunk(
+    tmp_path: Path, drive: list[Message], assert_same: Same
+) -> None:
+    path = record(tmp_path / "a.mcap", drive * 1 + [Odometry(4 + i / 100, np.zeros(3)) for i in range(4000)])
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) * 2 // 3])
+    source = Mcap(path)
+    messages = list(source)
+    assert_same(messages[: len(drive)], drive)
+    assert len(messages) < len(drive) + 4000
+    assert source.report.skipped == 1
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"\x89MCAP", b"\x00" * 100, b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" + b"\xff" * 50]
+)
+def test_no_mcap_is_an_error(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    with pytest.raises(RecordingError) as caught:
+        list(Mcap(path))
+    assert "\n" not in str(caught.value)
+    assert len(Mcap(path)) == 0
+
+
+@pytest.fixture(scope="module")
+def short_file(tmp_path_factory: pytest.TempPathFactory, drive: list[Message]) -> bytes:
+    return record(tmp_path_factory.mktemp("mcap") / "short.mcap", drive[:12]).read_bytes()
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_damaged_files_raise_nothing_else(tmp_path: Path, short_file: bytes, data: st.DataObject) -> None:
+    content = bytearray(short_file)
+    for _ in range(data.draw(st.integers(1, 6))):
+        at = data.draw(st.integers(0, len(content) - 1))
+        content[at : at + data.draw(st.integers(0, 8))] = data.draw(st.binary(max_size=8))
+    content = content[: data.draw(st.integers(1, len(content)))]
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(content)
+    source = Mcap(path)
+    assert len(source) >= 0
+    start = time.monotonic()
+    try:
+        messages = list(source)
+    except RecordingError:
+        return
+    finally:
+        assert time.monotonic() - start < 10
+    stamps = [message.stamp for message in messages]
+    assert stamps == sorted(stamps)

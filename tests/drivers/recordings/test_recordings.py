@@ -1,0 +1,49 @@
+"""The public benchmark recordings, where they are at hand."""
+
+from __future__ import annotations
+
+import os
+import time
+import tomllib
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import drivers
+from drivers import Message, Odometry, Scan
+
+ROOT = Path(__file__).parents[3]
+FOLDER = Path(os.environ.get("WCLM_DATASETS", ROOT.parent / "shared" / "datasets"))
+CATALOGUE = tomllib.loads((ROOT / "datasets" / "catalogue.toml").read_text())["recording"]
+
+
+def recording(name: str) -> Path:
+    path = FOLDER / name / f"{name}.clf"
+    if not path.exists():
+        pytest.skip(f"{path} is not there; set WCLM_DATASETS to the folder that holds {name}/{name}.clf")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "beams", "mount", "way"),
+    [("intel", 180, [0, 0, 0], 508), ("fr079", 360, [-0.04, 0, 0], 393), ("csail", 361, [0, 0, 0], 374)],
+)
+def test_benchmark_recording(name: str, beams: int, mount: list[float], way: float) -> None:
+    path = recording(name)
+    source = drivers.open(path)
+    start = time.perf_counter()
+    messages: list[Message] = list(source)
+    assert time.perf_counter() - start < 3.0
+    counts = Counter(type(message) for message in messages)
+    assert counts[Odometry] == CATALOGUE[name]["odometry"]
+    assert counts[Scan] == CATALOGUE[name]["scans"]
+    assert len(source) == len(messages)
+    assert source.report.skipped == 0
+    assert source.report.reasons == {}
+    for scan in (message for message in messages if isinstance(message, Scan)):
+        assert len(scan.ranges) == beams
+        assert np.array_equal(scan.mount, mount) if scan.mount is not None else False
+    info = drivers.inspect(source)
+    assert info.path_length == pytest.approx(way, abs=1.0)

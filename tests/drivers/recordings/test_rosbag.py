@@ -1,0 +1,240 @@
+"""ROS recordings of other robots: which topics, where the lidar sits, which way it turns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import drivers
+from drivers import Message, Odometry, RecordingError, Scan
+from drivers.recordings.ros_messages import (
+    LASER_SCAN,
+    ODOMETRY,
+    TRANSFORMS,
+    Encoder,
+    Placing,
+    decode,
+    planar_pose,
+    scan_of,
+    type_store,
+)
+from drivers.recordings.rosbag import Bag
+from drivers.recordings.transforms import TransformTree
+
+Stored = tuple[str, str, int, bytes]
+WriteBag = Callable[[Path, list[Stored]], Path]
+STORE = type_store("cdr")
+TYPES: dict[str, Any] = dict(STORE.types)
+
+
+def header(stamp: int, frame: str) -> Any:
+    time = TYPES["builtin_interfaces/msg/Time"](stamp // 10**9, stamp % 10**9)
+    return TYPES["std_msgs/msg/Header"](time, frame)
+
+
+def laser_scan(stamp: int, ranges: list[float], received: int = 5, topic: str = "/scan", **fields: float) -> Stored:
+    values = {"angle_min": -1.0, "angle_max": 1.0, "angle_increment": 0.5, "time_increment": 0.001, "scan_time": 0.1}
+    values |= {"range_min": 0.1, "range_max": 10.0} | fields
+    measured = np.array(ranges, dtype=np.float32)
+    message = TYPES[LASER_SCAN](header(stamp, "laser"), ranges=measured, intensities=measured[:0], **values)
+    return topic, LASER_SCAN, received, bytes(STORE.serialize_cdr(message, LASER_SCAN))
+
+
+def transform(
+    parent: str, child: str, at: tuple[float, ...], turn: tuple[float, ...], topic: str = "/tf_static"
+) -> Stored:
+    t = TYPES["geometry_msgs/msg/Transform"](
+        TYPES["geometry_msgs/msg/Vector3"](*at), TYPES["geometry_msgs/msg/Quaternion"](*turn)
+    )
+    stamped = TYPES["geometry_msgs/msg/TransformStamped"](header(1, parent), child, t)
+    message = TYPES[TRANSFORMS]([stamped])
+    return topic, TRANSFORMS, 1, bytes(STORE.serialize_cdr(message, TRANSFORMS))
+
+
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+ROLLED_OVER = (1.0, 0.0, 0.0, 0.0)
+QUARTER_LEFT = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
+
+
+@pytest.fixture(params=["a.bag", "sqlite3", "mcap"])
+def read(
+    request: pytest.FixtureRequest, tmp_path: Path, write_bag: WriteBag
+) -> Callable[[list[Stored]], list[Message]]:
+    return lambda entries: list(drivers.open(write_bag(tmp_path / request.param, entries)))
+
+
+Read = Callable[[list[Stored]], list[Message]]
+
+
+def only_scan(messages: list[Message]) -> Scan:
+    (scan,) = messages
+    assert isinstance(scan, Scan)
+    return scan
+
+
+def test_scan(read: Read) -> None:
+    scan = only_scan(read([laser_scan(2_500_000_000, [1.0, 0.05, np.nan, np.inf, 10.0])]))
+    assert scan.stamp == 2.5
+    assert np.isnan(scan.ranges).tolist() == [False, True, True, True, True]
+    assert scan.angles == pytest.approx([-1, -0.5, 0, 0.5, 1])
+    assert scan.time_offsets == pytest.approx([0, 0.001, 0.002, 0.003, 0.004])
+    assert scan.mount is None
+
+
+def test_clockwise_scan_is_turned_round(read: Read) -> None:
+    scan = only_scan(read([laser_scan(1, [1, 2, 3, 4, 5], angle_min=1.0, angle_max=-1.0, angle_increment=-0.5)]))
+    assert scan.angles == pytest.approx([-1, -0.5, 0, 0.5, 1])
+    assert scan.ranges.tolist() == [5, 4, 3, 2, 1]
+    assert scan.time_offsets[0] == pytest.approx(0.004)
+
+
+def test_zero_stamp_is_the_time_of_reception(read: Read) -> None:
+    assert only_scan(read([laser_scan(0, [1.0, 2.0], received=3 * 10**9)])).stamp == 3.0
+
+
+def test_limits_that_are_not_stated(read: Read) -> None:
+    scan = only_scan(read([laser_scan(1, [1.0, 50.0, 0.0], range_min=0.0, range_max=0.0)]))
+    assert scan.range_max == math.inf
+    assert np.isnan(scan.ranges).tolist() == [False, False, True]
+
+
+def test_mount_through_a_chain(read: Read) -> None:
+    entries = [
+        transform("base_footprint", "base_link", (0, 0, 0.1), UPRIGHT),
+        transform("base_link", "mast", (0.2, 0.1, 0.5), QUARTER_LEFT),
+        transform("mast", "laser", (0.1, 0.0, 0.0), QUARTER_LEFT),
+        laser_scan(1, [1.0, 2.0]),
+    ]
+    mount = only_scan(read(entries)).mount
+    assert mount == pytest.approx([0.2, 0.2, -math.pi])
+
+
+def test_lidar_upside_down(read: Read) -> None:
+    entries = [
+        transform("base_link", "laser", (0.2, 0.1, 0), ROLLED_OVER),
+        laser_scan(1, [1, 2, 3, 4, 5], angle_min=-0.5),
+    ]
+    scan = only_scan(read(entries))
+    assert scan.mount == pytest.approx([0.2, 0.1, 0.0])
+    assert scan.angles == pytest.approx([-1.5, -1, -0.5, 0, 0.5])
+    assert scan.ranges.tolist() == [5, 4, 3, 2, 1]
+
+
+def test_mount_from_transforms_that_are_repeated(read: Read) -> None:
+    entries = [transform("/base_link", "/laser", (0.3, 0, 0), UPRIGHT, topic="/tf"), laser_scan(1, [1.0, 2.0])]
+    assert only_scan(read(entries)).mount == pytest.approx([0.3, 0, 0])
+
+
+def test_mount_through_fixed_and_repeated_transforms(read: Read) -> None:
+    entries = [
+        transform("base_link", "mast", (0.3, 0, 0), UPRIGHT),
+        transform("mast", "laser", (0.1, 0, 0), UPRIGHT, topic="/tf"),
+        transform("odom", "base_link", (7.0, 0, 0), QUARTER_LEFT, topic="/tf"),
+        laser_scan(1, [1.0, 2.0]),
+    ]
+    assert only_scan(read(entries)).mount == pytest.approx([0.4, 0, 0])
+
+
+def test_damaged_transform_leaves_the_mount_unknown(read: Read) -> None:
+    entries = [transform("base_link", "laser", (0.3, 0, 0), (0.0, 0.0, 0.0, 0.0)), laser_scan(1, [1.0, 2.0])]
+    assert only_scan(read(entries)).mount is None
+
+
+def test_topic_with_the_most_messages_is_read(tmp_path: Path, write_bag: WriteBag) -> None:
+    entries = [laser_scan(i, [1.0, 2.0], topic="/front") for i in range(1, 4)]
+    entries += [laser_scan(4, [1.0, 2.0, 3.0], topic="/rear")]
+    path = write_bag(tmp_path / "bag", entries)
+    assert len(list(Bag(path))) == 3
+    assert len(list(Bag(path, scan_topic="/rear"))) == 1
+    with pytest.raises(RecordingError, match=r"no topic /side .* /front, /rear"):
+        list(Bag(path, scan_topic="/side"))
+
+
+def test_bad_messages_are_skipped_and_numbered(tmp_path: Path, write_bag: WriteBag) -> None:
+    encoder = Encoder()
+    odometry = encoder.odometry(Odometry(1.0, np.zeros(3)))
+    entries: list[Stored] = [
+        ("/odom", ODOMETRY, 1, odometry),
+        ("/odom", ODOMETRY, 2, odometry[:40]),
+        ("/odom", ODOMETRY, 3, encoder.odometry(Odometry(1.1, np.array([np.nan, 0.0, 0.0])))),
+        laser_scan(10**9, [], received=4),
+        laser_scan(10**9, [1.0, 2.0], received=5, angle_increment=math.nan),
+        laser_scan(10**9, [1.0, 2.0], received=6, angle_increment=0.0),
+    ]
+    source = Bag(write_bag(tmp_path / "bag", entries))
+    assert len(list(source)) == 1
+    assert source.report.skipped == 5
+    assert source.report.first == f"{source.path}:2: {ODOMETRY} cannot be decoded"
+    assert set(source.report.reasons) >= {"no beams", "angles are impossible", "pose is not finite"}
+
+
+def test_bags_without_laser_or_odometry(tmp_path: Path, write_bag: WriteBag) -> None:
+    path = write_bag(tmp_path / "bag", [transform("base_link", "laser", (0, 0, 0), UPRIGHT)])
+    with pytest.raises(RecordingError, match="holds no readable"):
+        list(Bag(path))
+
+
+@pytest.mark.parametrize("content", [b"", b"#ROSBAG V2.0\n", b"#ROSBAG V2.0\n" + b"\xff" * 5000, b"\x00" * 5000])
+@pytest.mark.parametrize("name", ["a.bag", "a.db3"])
+def test_damaged_bags_are_errors(tmp_path: Path, name: str, content: bytes) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(RecordingError) as caught:
+        list(Bag(path))
+    assert "\n" not in str(caught.value)
+    assert len(Bag(path)) == 0
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.9, 0.99])
+@pytest.mark.parametrize("kind", ["ros1-bag", "ros2-sqlite3", "ros2-mcap"])
+def test_truncated_bags_raise_nothing_else(tmp_path: Path, recordings: dict[str, str], kind: str, share: float) -> None:
+    whole = Path(recordings[kind])
+    files = [whole] if whole.is_file() else sorted(whole.iterdir())
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    for file in files:
+        content = file.read_bytes()
+        cut = content if file.suffix == ".yaml" else content[: int(len(content) * share)]
+        (folder / file.name).write_bytes(cut)
+    source = drivers.open(folder if whole.is_dir() else folder / whole.name)
+    try:
+        list(source)
+    except RecordingError as error:
+        text = str(error)
+    else:
+        text = ""
+    assert "\n" not in text
+
+
+@settings(max_examples=300, deadline=None)
+@given(data=st.data(), kind=st.sampled_from([LASER_SCAN, ODOMETRY, TRANSFORMS]))
+def test_damaged_messages_are_value_errors(data: st.DataObject, kind: str) -> None:
+    whole = {
+        LASER_SCAN: laser_scan(1, [1.0, 2.0, 3.0])[3],
+        ODOMETRY: Encoder().odometry(Odometry(1.0, np.zeros(3))),
+        TRANSFORMS: transform("base_link", "laser", (0, 0, 0), UPRIGHT)[3],
+    }
+    content = bytearray(whole[kind])
+    for _ in range(data.draw(st.integers(1, 6))):
+        at = data.draw(st.integers(0, len(content) - 1))
+        content[at : at + 4] = data.draw(st.binary(min_size=4, max_size=4))
+    tree = TransformTree()
+    try:
+        message = decode(bytes(content), kind, "cdr")
+        if kind == LASER_SCAN:
+            assert np.all(np.diff(scan_of(message, 1, Placing()).angles) > 0)
+        elif kind == ODOMETRY:
+            assert np.all(np.isfinite(planar_pose(message.pose.pose)))
+        else:
+            tree.add(message)
+            tree.placing("laser", "base_link")
+            tree.planar("laser", "base_link")
+    except ValueError:
+        return

@@ -1,0 +1,286 @@
+"""`wclm` as a whole: help, run and demo, and what is left behind when they fail."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from slam.cli import viewer
+from slam.errors import MapError
+from slam.io.output_dir import RESULTS
+from slam.io.tum import read_tum
+
+COMMANDS = (
+    "demo",
+    "run",
+    "batch",
+    "map",
+    "report",
+    "review",
+    "optimize",
+    "merge",
+    "info",
+    "simulate",
+    "emulate",
+    "devices",
+    "record",
+    "replay",
+    "eval",
+    "features",
+    "bench",
+    "bench features",
+    "bench slam",
+    "bench gate",
+    "bench relocalisation",
+    "bench laps",
+    "bench consistency",
+    "bench paper",
+    "bench lookalike",
+    "bench false-closures",
+)
+SHORT = "sim:room?duration=3"
+ESCAPES = re.compile(r"\x1b\[[0-9;]*m")
+
+# Help and version
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_explains_itself(wclm: Any, command: str) -> None:
+    result = wclm(*command.split(), "--help")
+    text = ESCAPES.sub("", result.stdout)
+    assert result.exit_code == 0
+    assert "Usage: " in text
+    assert command == "bench" or f"Example: wclm {command}" in text
+
+
+def test_version(wclm: Any) -> None:
+    result = wclm("--version")
+    assert result.exit_code == 0
+    assert re.match(r"wclm-slam \d+\.\d+\.\d+, numpy ", result.stdout)
+
+
+def test_help_loads_nothing_heavy() -> None:
+    code = (
+        "import sys; sys.argv = ['wclm', '--help']\nimport slam.cli\n"
+        "try: slam.cli.main()\nexcept SystemExit: pass\n"
+        "heavy = {'gtsam', 'rerun', 'numba', 'matplotlib', 'rosbags', 'mcap', 'distributed', 'pyarrow'}\n"
+        "print(sorted(heavy & set(sys.modules)), file=sys.stderr)"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert "Commands" in answer.stdout
+    assert answer.stderr.strip() == "[]"
+
+
+def test_wrong_usage_has_exit_status_2(wclm: Any) -> None:
+    for arguments in (["nothing"], ["run"], ["run", "a.clf"], ["run", "a.clf", "--out", "o", "--fast"]):
+        result = wclm(*arguments)
+        assert result.exit_code == 2
+        assert "Traceback" not in result.output
+
+
+# run
+
+
+def test_run_writes_everything_and_says_where(wclm: Any, fake_slam: type, tmp_path: Path) -> None:
+    result = wclm("run", SHORT, "--out", "a/out", "--no-review", "--plot", "--set", "lidar.sigma_range=0.02")
+    assert result.exit_code == 0, result.output
+    assert result.stderr == ""
+    out = tmp_path / "a" / "out"
+    assert {file.name for file in out.iterdir()} == RESULTS - {"review.rrd"}
+    assert len(read_tum(out / "trajectory.tum")) == 76
+    assert "sigma_range = 0.02" in (out / "config.toml").read_text()
+    summary = json.loads((out / "summary.json").read_text())
+    assert (summary["scans"], summary["odometry"], summary["walls"]) == (29, 76, 4)
+    assert summary["slam"] == {"closures": 0}
+    assert summary["truth"]["ate_rmse"] < 0.1
+    assert summary["versions"]["wclm-slam"]
+    assert summary["peak_memory_mib"] > 1
+    text = result.stdout
+    for words in (
+        "sim:room: 29 scans in 3.0 s",
+        "4 walls, 2 corners",
+        "from the true path",
+        "a/out: config.toml, keyframes.csv, map",
+    ):
+        assert words in text
+    assert "rerun" not in text
+
+
+def test_a_simulated_room_is_really_mapped_and_equally_each_time(wclm: Any, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        result = wclm("run", "sim:room?duration=8", "--out", name, "--no-review")
+        assert result.exit_code == 0, result.output
+    summary = json.loads((tmp_path / "a" / "summary.json").read_text())
+    assert summary["truth"]["ate_rmse"] < 0.01
+    assert summary["walls"] >= 4
+    assert 0 < summary["slam_seconds"] < summary["wall_seconds"]
+    for file in ("trajectory.tum", "map.json"):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+
+
+@pytest.mark.parametrize("options", [[], ["--refine"]])
+def test_a_second_look_is_taken_when_asked_for(wclm: Any, fake_slam: Any, options: list[str]) -> None:
+    assert wclm("run", "sim:room", "--out", "out", "--no-review", *options).exit_code == 0
+    assert fake_slam.refined == bool(options)
+
+
+def test_the_log_is_written_and_how_to_open_it_is_said(wclm: Any, fake_slam: type, tmp_path: Path) -> None:
+    result = wclm("run", SHORT, "--out", "out")
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "out" / "review.rrd").stat().st_size > 0
+    assert "wclm review out" in result.stdout
+
+
+def test_warnings_are_shown_but_not_without_end(wclm: Any, fake_slam: Any) -> None:
+    fake_slam.notices = 10
+    result = wclm("run", SHORT, "--out", "out", "--no-review")
+    assert "oddity number 3 (at 3.00 s)" in result.stdout
+    assert "oddity number 4" not in result.stdout
+    assert "6 more warnings" in result.stdout
+
+
+def test_existing_results_are_refused_before_the_work_and_replaced_when_asked_for(wclm: Any, fake_slam: Any) -> None:
+    assert wclm("run", SHORT, "--out", "out", "--no-review").exit_code == 0
+    fake_slam.fails = AssertionError("the work began")
+    wclm.refuses("run", SHORT, "--out", "out", because=["out: exists already", "--overwrite"])
+    fake_slam.fails = None
+    assert wclm("run", SHORT, "--out", "out", "--no-review", "--overwrite").exit_code == 0
+
+
+@pytest.mark.parametrize("review", ["--review", "--no-review"])
+def test_nothing_is_left_of_a_run_that_fails(wclm: Any, fake_slam: Any, tmp_path: Path, review: str) -> None:
+    fake_slam.fails = MapError("the map is lost")
+    wclm.refuses("run", SHORT, "--out", "out", review, because=["wclm: sim:room: the map is lost"])
+    assert not list(tmp_path.iterdir())
+
+
+def test_after_ctrl_c_there_is_one_line_and_nothing_else(wclm: Any, fake_slam: Any, tmp_path: Path) -> None:
+    fake_slam.fails = KeyboardInterrupt()
+    result = wclm("run", SHORT, "--out", "out")
+    assert result.exit_code == 130
+    assert result.stderr == "wclm: interrupted; nothing was written\n"
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_bug_shows_itself(wclm: Any, fake_slam: Any, tmp_path: Path) -> None:
+    fake_slam.fails = ZeroDivisionError("a bug")
+    result = wclm("run", SHORT, "--out", "out")
+    assert isinstance(result.exception, ZeroDivisionError)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("command", ["run {} --out out", "info {}", "features {} --scan 0"])
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("missing.clf", None, "missing.clf: no such file"),
+        ("empty.clf", b"", "empty.clf: "),
+        ("empty.mcap", b"", "empty.mcap: "),
+        ("empty.bag", b"", "empty.bag: "),
+        ("garbage.clf", bytes(range(256)) * 8, "garbage.clf: "),
+        ("garbage.mcap", bytes(range(256)) * 8, "garbage.mcap: "),
+        ("photo.jpg", b"x", "photo.jpg: nothing reads the extension .jpg"),
+        ("noextension", b"x", "noextension: nothing reads a file without an extension"),
+    ],
+)
+def test_bad_recordings_are_one_line(
+    wclm: Any, fake_slam: type, tmp_path: Path, command: str, name: str, content: bytes | None, words: str
+) -> None:
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    before = sorted(tmp_path.iterdir())
+    wclm.refuses(*command.format(name).split(), because=[words])
+    assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_an_unreadable_recording_is_one_line(wclm: Any, tmp_path: Path) -> None:
+    (tmp_path / "a.clf").write_text("x")
+    (tmp_path / "a.clf").chmod(0)
+    wclm.refuses("run", "a.clf", "--out", "out", because=["a.clf: cannot be read: Permission denied"])
+
+
+def test_an_empty_directory_is_no_recording(wclm: Any, tmp_path: Path) -> None:
+    (tmp_path / "bag").mkdir()
+    wclm.refuses("run", "bag", "--out", "out", because=["bag: the directory is not a ROS 2 bag"])
+
+
+def test_wrong_settings_are_one_line(wclm: Any, tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text("[lidar]\nsigma_rang = 1\n")
+    run = ("run", SHORT, "--out", "out")
+    wclm.refuses(*run, "--config", "a.toml", because=["a.toml: lidar.sigma_rang: there is no such setting"])
+    wclm.refuses(*run, "--config", "b.toml", because=["b.toml: No such file"])
+    wclm.refuses(*run, "--set", "lidar.sigma_range=wide", because=["--set lidar.sigma_range=wide: ", "valid number"])
+    wclm.refuses(*run, "--set", "sigma", because=["--set sigma: write it as group.key=value"])
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_output_in_the_way_is_one_line(wclm: Any, tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("x")
+    wclm.refuses("run", SHORT, "--out", "out", "--overwrite", because=["out: is a file"])
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_process_told_to_stop_leaves_nothing(tmp_path: Path, number: signal.Signals) -> None:
+    # Where the tests run in a shell's background, SIGINT is ignored, and children inherit that.
+    program = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from slam.cli import main; main()"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", program, "run", "sim:office", "--out", "out"],
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 200  # compiling may come first
+    while not list(tmp_path.glob(".out-*/review.rrd")) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 128 + number
+    assert "Traceback" not in errors
+    assert not list(tmp_path.iterdir())
+
+
+# demo
+
+
+def test_the_demo_works_without_a_display(wclm: Any, fake_slam: type, tmp_path: Path, short_demo: None) -> None:
+    result = wclm("demo", "--seed", "5")
+    assert result.exit_code == 0, result.output
+    assert {file.name for file in (tmp_path / "demo").iterdir()} == RESULTS
+    assert json.loads((tmp_path / "demo" / "summary.json").read_text())["seed"] == 5
+    assert "ATE RMSE" in result.stdout
+    wclm.refuses("demo", because=["demo: exists already"])
+
+
+def test_the_demo_opens_the_viewer_where_there_is_a_display(
+    wclm: Any, fake_slam: type, short_demo: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[list[str]] = []
+    monkeypatch.setattr(viewer, "open_viewer", opened.append)
+    monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-0")
+    assert wclm("demo", "--no-view").exit_code == 0
+    assert not opened
+    assert wclm("demo", "--overwrite").exit_code == 0
+    assert opened == [viewer.viewer_command(Path("demo"))]
+
+
+@pytest.fixture
+def short_demo(monkeypatch: pytest.MonkeyPatch) -> None:
+    from drivers.simulation import simulator
+
+    whole = simulator.Simulation
+    monkeypatch.setattr(simulator, "Simulation", lambda world, seed: whole(world, seed=seed, duration=3.0))
+
+
+def test_a_viewer_that_cannot_be_started_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    viewer.open_viewer(["/nowhere/rerun"])
+    assert capsys.readouterr().err.startswith("wclm: the viewer cannot be started: ")

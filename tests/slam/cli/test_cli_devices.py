@@ -1,0 +1,79 @@
+"""`wclm devices`, `record` and `replay` where no device is needed; with devices see tests/drivers/devices."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import drivers
+from drivers.devices.supervisor import State, Status
+from slam.cli.monitor import Monitor
+
+
+def test_replay_takes_as_long_as_the_recording(wclm: Any) -> None:
+    assert wclm("simulate", "room", "a.mcap", "--duration", "3").exit_code == 0
+    begun = time.monotonic()
+    result = wclm("replay", "a.mcap", "--speed", "3")
+    took = time.monotonic() - begun
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert result.stdout == "a.mcap: 29 scans and 76 odometry readings, 3.0 s at 3 x\n"
+    assert 0.95 < took < 3.0
+
+
+def test_a_replayed_recording_is_the_recording(wclm: Any) -> None:
+    assert wclm("simulate", "room", "a.mcap", "--duration", "3").exit_code == 0
+    source = drivers.open("replay:a.mcap?speed=1000")
+    assert len(source) == len(drivers.open("a.mcap"))
+    for replayed, recorded in zip(source, drivers.open("a.mcap"), strict=True):
+        assert type(replayed) is type(recorded)
+        assert replayed.stamp == recorded.stamp
+    wclm.refuses("info", "replay:a.mcap?speed=0", because=["the one option is speed, a number above 0"])
+    wclm.refuses("info", "replay:b.mcap", because=["b.mcap: no such file"])
+
+
+def test_wrong_devices_are_refused(wclm: Any, tmp_path: Path) -> None:
+    record = ("record", "a.mcap")
+    wclm.refuses(*record, "--lidar", "lidar:/dev/a", because=["lidar:/dev/a: not a device; there are rplidar:PORT"])
+    wclm.refuses(*record, "--lidar", "rplidar:/dev/nothing", because=["/dev/nothing: no such port"])
+    wclm.refuses("devices", "wheels:/dev/a", because=["wheels needs wheel_radius, ticks, track"])
+    wclm.refuses("devices", "ld06:/dev/nothing", because=["/dev/nothing: no such port"])
+    for wrong in (record, ("record", "a.bag"), (*record, "--lidar", "create2:/dev/a"), ("devices", "--watch")):
+        assert wclm(*wrong).exit_code == 2
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_existing_recording_stays(wclm: Any, tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_text("precious")
+    wclm.refuses("record", "a.mcap", "--lidar", "ld06:/dev/nothing", because=["a.mcap: exists already"])
+    wclm.refuses("record", "a.mcap", "--lidar", "ld06:/dev/nothing", "--overwrite", because=["no such port"])
+    assert (tmp_path / "a.mcap").read_text() == "precious"
+
+
+def test_no_port_is_said(wclm: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.devices.ports.serial_ports", lambda: [])
+    result = wclm("devices")
+    assert (result.exit_code, result.stdout) == (0, "")
+    assert result.stderr == "wclm: no serial port is there; is an adapter plugged in?\n"
+
+
+def test_what_changes_is_said_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    from drivers.devices.acquisition import Snapshot
+
+    def snapshot(state: State, problem: str = "") -> Snapshot:
+        return Snapshot((Status("ld06:/dev/a", True, state, "/dev/a", "LD06", problem, 0.1, {"messages": 3}),))
+
+    with Monitor() as monitor:
+        monitor.show(snapshot(State.RUNNING))
+        monitor.show(snapshot(State.LOST, "/dev/a: connection lost"))
+        monitor.show(snapshot(State.LOST, "/dev/a: connection lost"))
+        monitor.show(snapshot(State.STARTING, "/dev/a: connection lost"))
+        monitor.show(snapshot(State.RUNNING, "/dev/a: connection lost"))
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.splitlines() == [
+        "wclm: ld06:/dev/a lost: /dev/a: connection lost",
+        "wclm: ld06:/dev/a is back on /dev/a",
+    ]

@@ -1,0 +1,214 @@
+"""`wclm review`: opened, served, summed up; whole logs, old ones, and those of runs that were killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs, urlparse
+
+import psutil
+import pytest
+import rerun as rr
+from rerun.chunk import RrdReader
+
+from slam.events import Event
+from slam.io.output_dir import REVIEW, SUMMARY
+from slam.visualisation.rerun_log import recording
+from slam.visualisation.rerun_log.files import find_log
+from slam.visualisation.rerun_log.opening import make_ready
+
+from ..corridor import keyframes_in
+from ..visualisation.test_rerun_viewer import with_a_closure, write
+
+WCLM = "from slam.cli import main; main()"
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short run, as it is left."""
+    out = tmp_path_factory.mktemp("session") / "room"
+    done = subprocess.run([sys.executable, "-c", WCLM, "run", "sim:room?duration=12", "--out", str(out)], timeout=200)
+    assert done.returncode == 0
+    return out
+
+
+@contextmanager
+def running(*arguments: object) -> Iterator[subprocess.Popen[str]]:
+    command_line = [sys.executable, "-c", WCLM, *map(str, arguments)]
+    process = subprocess.Popen(command_line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+# --- the summary
+
+
+def test_a_summary_needs_no_viewer(wclm: Any, session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(subprocess, "Popen", None)
+    result = wclm("review", session, "--summary")
+    assert result.exit_code == 0, result.output
+    told = json.loads((session / SUMMARY).read_text())
+    assert f"{told['keyframes']} keyframes, {told['walls']} walls" in result.stdout
+    assert "health" in result.stdout
+    assert "loops" in result.stdout
+    assert "residuals   the worst at keyframe" in result.stdout
+    assert "d² = " in result.stdout
+
+
+def test_a_summary_tells_the_closures_of_the_log(wclm: Any, logged_loop: Path) -> None:
+    text = wclm("review", logged_loop, "--summary").stdout
+    assert "1 accepted" in text
+    assert "accepted  x100 at x3, moved by 1.80 m, 1 walls merged" in text
+
+
+def test_a_session_without_a_log_is_summed_up_from_what_there_is(wclm: Any, session: Path, tmp_path: Path) -> None:
+    shutil.copytree(session, tmp_path / "bare")
+    (tmp_path / "bare" / REVIEW).unlink()
+    text = wclm("review", "bare", "--summary").stdout
+    assert "residuals   not known: there is no log" in text
+    wclm.refuses("review", "bare", "--web", because=["holds no review.rrd", "--no-review"])
+
+
+@pytest.fixture
+def logged_loop(corridor: tuple[Path, list[Event]], tmp_path: Path) -> Path:
+    return write(tmp_path / "loop.rrd", with_a_closure(corridor[1]))
+
+
+# --- what is refused
+
+
+def test_what_is_no_log_is_refused_in_a_line(wclm: Any, tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("nothing")
+    (tmp_path / "broken.rrd").write_bytes(b"RRF2" + bytes(200))
+    wclm.refuses("review", "nowhere", "--web", because=["nowhere", "is not there"])
+    wclm.refuses("review", "notes.txt", "--web", because=["notes.txt", "not a review log"])
+    wclm.refuses("review", "broken.rrd", "--summary", because=["broken.rrd", "not a review log"])
+
+
+def test_without_a_display_it_says_what_else_there_is(wclm: Any, session: Path) -> None:
+    wclm.refuses("review", session, because=["no display", "--web", "--summary"])
+
+
+# --- the viewer
+
+
+def test_the_native_viewer_listens_to_this_computer_alone(
+    wclm: Any, session: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    kept = tmp_path / "arguments"
+    fake = tmp_path / "viewer"
+    fake.write_text(f'#!/bin/sh\necho "$@" > {kept}\ntest -s "$1"\n')
+    fake.chmod(0o755)
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr("slam.visualisation.rerun_log.binary.viewer_binary", lambda: str(fake))
+    result = wclm("review", session)
+    assert result.exit_code == 0, result.output
+    log, *options = kept.read_text().split()
+    assert options == ["--bind", "127.0.0.1", "--port", "auto"]
+    assert not Path(log).exists()  # what was made for the viewer is gone with it
+
+
+def listening(process: psutil.Process) -> set[tuple[str, int]]:
+    """Addresses and ports at which a process and those it started take connections."""
+    found = set()
+    for one in [process, *process.children(recursive=True)]:
+        for connection in one.net_connections("inet"):
+            if connection.status == psutil.CONN_LISTEN:
+                found.add((connection.laddr.ip, connection.laddr.port))
+    return found
+
+
+def test_a_browser_is_served_at_this_computer_alone(session: Path) -> None:
+    with running("review", session, "--web") as process:
+        assert process.stdout is not None
+        page = process.stdout.readline().strip()
+        data = parse_qs(urlparse(page).query)["url"][0]
+        ports = {urlparse(page).port, urlparse(data.replace("rerun+", "")).port}
+        assert listening(psutil.Process(process.pid)) == {("127.0.0.1", port) for port in ports}
+        assert b"<canvas" in urllib.request.urlopen(page, timeout=10).read()
+        servers = psutil.Process(process.pid).children(recursive=True)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20) == 0
+        assert not any(server.is_running() and server.status() != psutil.STATUS_ZOMBIE for server in servers)
+
+
+def test_a_port_that_is_taken_is_named(wclm: Any, session: Path) -> None:
+    with taken_port() as port:
+        wclm.refuses("review", session, "--web", "--port", port, because=["127.0.0.1", str(port)])
+
+
+@contextmanager
+def taken_port() -> Iterator[int]:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        yield server.getsockname()[1]
+
+
+# --- logs that are old, and logs of runs that were killed
+
+
+def test_an_old_log_gets_todays_layout_and_keeps_its_rows(tmp_path: Path) -> None:
+    old = rr.RecordingStream("wclm-slam", recording_id="old")
+    old.save(tmp_path / "old.rrd", default_blueprint=rr.blueprint.Blueprint(rr.blueprint.TextDocumentView(name="old")))
+    old.set_time("keyframe", sequence=3)
+    old.log("world/map/walls", rr.LineStrips3D([[[0, 0, 0], [40, 0, 0]], [[0, 0, 0], [0, 30, 0]]]))
+    old.disconnect()
+    make_ready([find_log(tmp_path / "old.rrd")], ["old"], tmp_path / "ready.rrd")
+    (layout,) = RrdReader(tmp_path / "ready.rrd").blueprints()
+    names = set()
+    for chunk in RrdReader(tmp_path / "ready.rrd").stream(store=layout):
+        batch = chunk.to_record_batch()
+        for column in batch.schema.names:
+            if column.endswith(":display_name"):
+                names |= {text for row in batch.column(column).to_pylist() for text in row or []}
+    assert {"Map", "Before / after", "Last loop"} <= names
+    assert "old" not in names
+
+
+def test_a_log_that_was_cut_off_opens_as_far_as_it_goes(
+    corridor: tuple[Path, list[Event]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording, "FLUSH_PERIOD", 0.02)  # the log of a second is written as that of an hour
+    whole = write(tmp_path / "whole.rrd", corridor[1]).read_bytes()
+    for share in (0.5, 0.77):  # in the middle of a message
+        cut = tmp_path / "cut.rrd"
+        cut.write_bytes(whole[: int(share * len(whole))])
+        make_ready([find_log(cut)], ["cut"], tmp_path / "ready.rrd")
+        assert len(keyframes_in(tmp_path / "ready.rrd")) > 0.3 * share * 136
+
+
+def test_the_log_of_a_run_that_was_killed_is_found_and_opens(wclm: Any, tmp_path: Path) -> None:
+    out = tmp_path / "office"
+    with running("run", "sim:office", "--out", out) as process:
+        deadline = time.monotonic() + 120
+        while not any(log.stat().st_size > 1_500_000 for log in tmp_path.glob(f".office-*/{REVIEW}")):
+            assert process.poll() is None, process.communicate()
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait(10)
+    assert not out.exists()
+    log = find_log(out)
+    assert not log.ended
+    make_ready([log], ["office"], tmp_path / "ready.rrd")
+    found = keyframes_in(tmp_path / "ready.rrd")
+    assert found == set(range(len(found)))
+    assert len(found) > 20
+    result = wclm("review", out, "--summary")
+    assert result.exit_code == 0, result.output
+    assert "the run has not ended, or was killed" in result.stdout
+    assert str(log.directory) in result.stdout
+    assert f"{len(found)} keyframes" in result.stdout

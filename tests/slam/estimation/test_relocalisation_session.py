@@ -1,0 +1,142 @@
+"""A robot that is carried away, or sees nothing for long, finds itself again in its own map."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from drivers import se2
+from drivers.messages import GroundTruth, Message, Odometry, Scan
+from drivers.simulation.simulator import DRIVES, LIDARS, Lidar, Simulation
+from slam import Finished, Slam
+from slam.estimation import closure_monitor as probation
+from slam.io.tum import Trajectory
+from slam.localisation.state import free_direction
+
+ROBOT = Lidar(beams=360)
+
+
+def carried(messages: Iterator[Message], begin: float, end: float) -> Iterator[Message]:
+    """The recording of a robot that is lifted up at `begin` and put down at `end` (seconds): nothing is heard of it in
+    between, and its wheels know nothing of the way."""
+    start: float | None = None
+    shift: se2.Pose | None = None
+    last = np.zeros(3)
+    for message in messages:
+        start = message.stamp if start is None else start
+        if begin <= message.stamp - start < end:
+            continue
+        if isinstance(message, Odometry):
+            if message.stamp - start < begin:
+                last = message.pose
+            else:
+                shift = se2.compose(last, se2.inverse(message.pose)) if shift is None else shift
+                message = Odometry(message.stamp, se2.compose(shift, message.pose))
+        yield message
+
+
+def blinded(messages: Iterator[Message], begin: float, end: float) -> Iterator[Message]:
+    """The recording of a robot whose lidar returns nothing between `begin` and `end` (seconds)."""
+    start: float | None = None
+    for message in messages:
+        start = message.stamp if start is None else start
+        if isinstance(message, Scan) and begin <= message.stamp - start < end:
+            message = replace(message, ranges=np.full_like(message.ranges, np.nan))
+        yield message
+
+
+@dataclass
+class Run:
+    """What came of a run: the result, the errors of its keyframes in metres, the states one after the other."""
+
+    result: Finished
+    errors: np.ndarray
+    states: list[str]
+
+
+def run(messages: Iterator[Message]) -> Run:
+    slam, truth = Slam(), []
+    for message in messages:
+        slam.add(message)
+        if isinstance(message, GroundTruth):
+            truth.append([message.stamp, *message.pose])
+    result = slam.finish()
+    told = np.array(truth)
+    true = Trajectory(told[:, 0], told[:, 1:]).at(result.keyframe_stamps).poses
+    error = se2.between(result.keyframes, se2.between(true[0], true))
+    states = result.summary["states"]
+    assert isinstance(states, list)
+    return Run(result, np.hypot(error[:, 0], error[:, 1]), [row["state"] for row in states])
+
+
+def office(duration: float, seed: int = 3) -> Iterator[Message]:
+    return iter(Simulation("office", seed=seed, duration=duration, lidar=ROBOT))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("begin", "end"), [(90.0, 105.0), (60.0, 75.0), (120.0, 150.0)])
+def test_a_robot_carried_through_the_office_finds_itself(begin: float, end: float) -> None:
+    outcome = run(carried(office(230.0), begin, end))
+    assert outcome.errors.max() < 0.05
+    assert outcome.states[-1:] != ["LOST"]
+
+
+def carried_back(duration: float) -> Iterator[Message]:
+    """A robot drives through the office, is carried back to its start, and drives the same way again.
+
+    Its wheels and its lidar err differently the second time.
+    """
+    last, end = np.zeros(3), 0.0
+    for message in office(duration):
+        last = message.pose if isinstance(message, Odometry) else last
+        end = message.stamp
+        yield message
+    later = list(office(duration, seed=4))
+    delay = end - later[0].stamp + 5.0
+    first = next(message.pose for message in later if isinstance(message, Odometry))
+    for message in later:
+        if isinstance(message, Odometry):
+            message = replace(message, pose=se2.compose(last, se2.between(first, message.pose)))
+        yield replace(message, stamp=message.stamp + delay)
+
+
+def test_a_robot_put_down_where_it_has_been_finds_itself() -> None:
+    outcome = run(carried_back(25.0))
+    assert outcome.errors.max() < 0.05
+    assert outcome.states in ([], ["LOST", "OK"])
+    assert outcome.result.stamps[-1] > 50.0
+
+
+def test_ten_seconds_without_a_return_do_no_harm() -> None:
+    outcome = run(blinded(office(40.0), 15.0, 25.0))
+    assert outcome.errors.max() < 0.05
+    assert outcome.states == []
+    health = outcome.result.summary["health"]
+    assert isinstance(health, dict)
+    assert health["blind"] == pytest.approx(100, abs=2)
+
+
+def test_an_information_without_a_direction_tells_it() -> None:
+    along = np.array([np.cos(0.5), np.sin(0.5)])
+    across = np.array([-along[1], along[0]])
+    information = np.zeros((3, 3))
+    information[:2, :2] = 1e4 * np.outer(across, across) + 1.0 * np.outer(along, along)
+    information[2, 2] = 1e5
+    assert free_direction(np.array([1.0, 2.0, 0.3]), information, 0.3) == pytest.approx(0.8)
+    assert free_direction(np.zeros(3), information + 1e3 * np.diag([1.0, 1.0, 0.0]), 0.3) is None
+
+
+def test_a_closure_taken_back_takes_every_sighting_once_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(probation, "_seen_through", lambda *_: "nothing is believed here")
+    slam = Slam()
+    for message in Simulation("large_loop", seed=0, lidar=LIDARS["short"], drive=DRIVES["bad"]):
+        slam.add(message)
+    stamps = slam.belief.path.hung()[0]
+    assert np.all(np.diff(stamps) > 0.0)
+    loops = slam.finish().summary["loops"]
+    assert isinstance(loops, dict)
+    assert loops["retracted"] == loops["accepted"] > 0
+    assert np.all(slam.belief.mapper.landmarks.walls.rows["last_seen"] < slam.belief.mapper.keyframe_count)

@@ -1,0 +1,68 @@
+"""Public pose graphs, where they are at hand, against the best optima that are known of them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slam.graph.pose_graph import Edges, PoseGraph, optimise, read_pose_graph
+from slam.graph.pose_graph.least_squares import edge_chi2, variables_of
+
+ROOT = Path(__file__).parents[3]
+FOLDER = Path(os.environ.get("WCLM_DATASETS", ROOT.parent / "shared" / "datasets")) / "g2o"
+OPTIMA = {"intel-1228": 215.83, "mitb-808": 41.163, "m3500": 137.913, "intel-1728": 45.005, "csail-1045": 40.555}
+
+
+def graph_of(name: str) -> PoseGraph:
+    path = FOLDER / f"{name}.g2o"
+    if not path.exists():
+        pytest.skip(f"{path} is not there; set WCLM_DATASETS to the folder that holds g2o/{name}.g2o")
+    return read_pose_graph(path).graph
+
+
+@pytest.mark.parametrize("name", OPTIMA)
+def test_the_best_known_optimum_is_found(name: str) -> None:
+    assert optimise(graph_of(name)).chi2 == pytest.approx(OPTIMA[name], rel=0.005)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OPTIMA)
+def test_nothing_is_left_out_of_a_graph_without_false_edges(name: str) -> None:
+    assert optimise(graph_of(name), robust=True).chi2 == pytest.approx(OPTIMA[name], rel=0.005)
+
+
+def check_false_loops(name: str, seed: int) -> None:
+    """To 30 % of the loops' number, random poses are connected by random motions with loops' information."""
+    graph = graph_of(name)
+    motions, poses = graph.motions, len(graph.poses)
+    generator = np.random.default_rng(seed)
+    loops = np.flatnonzero(np.abs(motions.target - motions.source) != 1)
+    count = round(0.3 * len(loops))
+    source = generator.integers(0, poses, count)
+    target = (source + generator.integers(2, poses - 2, count)) % poses
+    wrong = np.column_stack([generator.uniform(-10, 10, (count, 2)), generator.uniform(-np.pi, np.pi, count)])
+    spoilt = Edges(
+        source=np.concatenate([motions.source, source]),
+        target=np.concatenate([motions.target, target]),
+        measured=np.concatenate([motions.measured, wrong]),
+        information=np.concatenate([motions.information, motions.information[generator.choice(loops, count)]]),
+        line=np.zeros(len(motions) + count, dtype=np.int64),
+    )
+    result = optimise(
+        PoseGraph(**{n: getattr(graph, n) for n in PoseGraph.__slots__} | {"motions": spoilt}), robust=True
+    )
+    false, out = np.arange(len(motions) + count) >= len(motions), ~result.kept
+    assert (out & false).sum() >= 0.98 * out.sum()
+    assert (out & false).sum() >= 0.98 * count
+    found = graph.with_estimate(result.graph.poses, result.graph.landmarks)
+    assert edge_chi2(found, variables_of(found)).sum() == pytest.approx(OPTIMA[name], rel=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("name", ["m3500", "intel-1728"])
+def test_false_loops_are_found(name: str, seed: int) -> None:
+    check_false_loops(name, seed)

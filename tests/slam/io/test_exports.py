@@ -1,0 +1,263 @@
+"""`wclm map`: the formats, read back by readers of their own, and what is said when something is missing."""
+
+import json
+import re
+import struct
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from slam.config import Config
+from slam.events import Finished
+from slam.io.exports import Session, read_session, write_dxf, write_geojson, write_svg
+from slam.io.keyframes_csv import read_keyframes
+from slam.io.output_dir import write_json, write_results
+
+FORMATS = ("pgm", "geojson", "svg", "dxf", "ply")
+
+
+@pytest.fixture
+def session(tmp_path: Path, finished: Finished) -> Session:
+    """The room with one wall in two pieces, as a run leaves it."""
+    folder = tmp_path / "room"
+    folder.mkdir()
+    write_results(folder, finished, Config(), {"recording": "room.mcap"})
+    return read_session(folder)
+
+
+# The formats of the map
+
+
+def read_dxf(path: Path) -> tuple[set[str], dict[str, list[dict[int, list[str]]]]]:
+    """The layers, and the entities by kind, each as its values by code. Structure that is not R12's fails."""
+    lines = path.read_bytes().decode("ascii").split("\r\n")
+    assert lines.pop() == ""
+    assert len(lines) % 2 == 0
+    pairs = [(int(code), value) for code, value in zip(lines[::2], lines[1::2], strict=True) if int(code) != 999]
+    assert pairs[-1] == (0, "EOF")
+    sections: dict[str, list[tuple[int, str]]] = {}
+    inside: list[tuple[int, str]] | None = None
+    for k, pair in enumerate(pairs[:-1]):
+        if pair == (0, "SECTION"):
+            assert inside is None
+            assert pairs[k + 1][0] == 2
+            inside = sections[pairs[k + 1][1]] = []
+        elif pair == (0, "ENDSEC"):
+            inside = None
+        else:
+            assert inside is not None
+            inside.append(pair)
+    assert list(sections) == ["HEADER", "TABLES", "ENTITIES"]
+    assert (1, "AC1009") in sections["HEADER"]
+    layers = {record[2][0] for kind, record in records(sections["TABLES"]) if kind == "LAYER"}
+    entities = defaultdict(list)
+    for kind, record in records(sections["ENTITIES"][1:]):
+        entities[kind].append(record)
+    return layers, entities
+
+
+def records(pairs: list[tuple[int, str]]) -> Iterator[tuple[str, dict[int, list[str]]]]:
+    starts = [k for k, (code, _) in enumerate(pairs) if code == 0]
+    for start, end in zip(starts, [*starts[1:], len(pairs)], strict=True):
+        values = defaultdict(list)
+        for code, value in pairs[start + 1 : end]:
+            values[code].append(value)
+        yield pairs[start][1], values
+
+
+def point(entity: dict[int, list[str]], number: int = 0) -> list[float]:
+    return [float(entity[code + number][0]) for code in (10, 20)]
+
+
+def test_dxf_has_walls_as_lines_on_layers(session: Session, tmp_path: Path) -> None:
+    write_dxf(tmp_path / "a.dxf", session)
+    layers, entities = read_dxf(tmp_path / "a.dxf")
+    assert layers == {"WALLS", "CORNERS", "PATH"}
+    assert set(entities) == {"LINE", "POINT", "POLYLINE", "VERTEX", "SEQEND"}
+    assert {e[8][0] for e in entities["LINE"]} == {"WALLS"}
+    walls = np.array([[point(e), point(e, 1)] for e in entities["LINE"]])
+    np.testing.assert_allclose(walls, session.lines.piece_points()[0], atol=1e-6)
+    assert len(walls) == 5  # four walls, one with a door
+    corners = [point(e) for e in entities["POINT"]]
+    np.testing.assert_allclose(corners, session.corners.position, atol=1e-6)
+    path = np.array([point(e) for e in entities["VERTEX"]])
+    np.testing.assert_allclose(path[[0, -1]], session.trajectory.poses[[0, -1], :2], atol=1e-6)
+    assert len(entities["POLYLINE"]) == len(entities["SEQEND"]) == 1
+
+
+def test_geojson_has_pieces_of_walls_and_what_is_known_of_them(session: Session, tmp_path: Path) -> None:
+    write_geojson(tmp_path / "a.geojson", session)
+    told = json.loads((tmp_path / "a.geojson").read_text())
+    assert (told["type"], told["frame"], told["units"]) == ("FeatureCollection", "map", "m")
+    kinds = defaultdict(list)
+    for feature in told["features"]:
+        assert feature["type"] == "Feature"
+        kinds[feature["properties"]["kind"]].append(feature)
+    assert [len(kinds[kind]) for kind in ("wall", "corner", "path")] == [4, 2, 1]
+    door = kinds["wall"][3]
+    assert door["geometry"]["type"] == "MultiLineString"
+    np.testing.assert_allclose(door["geometry"]["coordinates"], [[[0, 4], [0, 2.5]], [[0, 1.6], [0, 0]]], atol=1e-6)
+    assert door["properties"]["identity"] == 7
+    assert door["properties"]["sigma_offset"] is None
+    assert kinds["wall"][0]["properties"]["sigma_offset"] == pytest.approx(np.sqrt(1e-5), rel=1e-2)
+    assert kinds["corner"][0]["geometry"] == {"type": "Point", "coordinates": [6.0, 0.0]}
+    assert len(kinds["path"][0]["geometry"]["coordinates"]) > 10
+
+
+def test_svg_is_true_to_scale_with_y_up(session: Session, tmp_path: Path) -> None:
+    write_svg(tmp_path / "a.svg", session)
+    root = ElementTree.parse(tmp_path / "a.svg").getroot()
+    space = {"s": "http://www.w3.org/2000/svg"}
+    left, top, width, height = (float(word) for word in root.attrib["viewBox"].split())
+    assert root.attrib["width"] == f"{10 * width:.1f}mm"
+    assert left < 0 < 6 < left + width
+    assert top < -4 < 0 < top + height
+    walls = root.findall("s:g[@class='walls']/s:path", space)
+    assert walls[0].attrib["d"] == "M0.000,0.000L6.000,0.000"
+    assert walls[3].attrib["d"].count("M") == 2
+    assert "M6.000,-4.000" in walls[2].attrib["d"]
+    assert "known to 3.2 mm across" in walls[0][0].text
+    assert "known" not in walls[3][0].text
+    corners = root.findall("s:g[@class='corners']/s:ellipse", space)
+    assert len(corners) == 1
+    assert float(corners[0].attrib["rx"]) == pytest.approx(3 * np.sqrt(4.414e-5), abs=1e-4)
+
+
+# The command
+
+
+@pytest.fixture
+def ran(wclm: Any, fake_slam: type) -> Path:
+    """A directory as `wclm run` leaves it."""
+    assert wclm("run", "sim:room?duration=3&seed=4", "--out", "out", "--no-review").exit_code == 0
+    return Path("out")
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_every_format_is_written_once_and_replaced_when_asked_for(wclm: Any, ran: Path, form: str) -> None:
+    before = {file.name for file in ran.iterdir()}
+    name = "points.ply" if form == "ply" else f"map.{form}"
+    result = wclm("map", ran, "--format", form)
+    assert result.exit_code == 0, result.output
+    assert result.stdout.startswith(f"out/{name}: ")
+    assert {file.name for file in ran.iterdir()} - before == {name} | ({"map.yaml"} if form == "pgm" else set())
+    wclm.refuses("map", ran, "--format", form, because=[f"out/{name}: exists already", "--overwrite"])
+    assert wclm("map", ran, "--format", form, "--overwrite").exit_code == 0
+    assert wclm("map", ran, "--format", form, "--out", f"elsewhere.{form}").exit_code == 0
+    assert Path(f"elsewhere.{form}").read_bytes() == (ran / name).read_bytes()
+    wclm.refuses("map", ran, "--format", form, "--out", "a.b", because=["a.b: the name of a", f"end with .{form}"])
+    assert wclm("run", "sim:room?duration=3", "--out", ran, "--no-review", "--overwrite").exit_code == 0
+    assert not (ran / name).exists()  # it was of the older run
+
+
+def test_a_yaml_in_the_way_keeps_the_picture_from_being_written(wclm: Any, ran: Path) -> None:
+    (ran / "map.yaml").write_text("mine")
+    wclm.refuses("map", ran, "--format", "pgm", because=["out/map.yaml: exists already"])
+    assert (ran / "map.yaml").read_text() == "mine"
+    assert not list(ran.glob("*.pgm"))
+
+
+def test_the_picture_shows_the_scans_at_the_poses_of_the_path(wclm: Any, ran: Path) -> None:
+    result = wclm("map", ran, "--format", "pgm", "--resolution", "0.1")
+    header, pixels = re.fullmatch(rb"(P5\n\d+ \d+\n255\n)(.*)", (ran / "map.pgm").read_bytes(), re.DOTALL).groups()
+    width, height = (int(word) for word in header.split()[1:3])
+    assert f"{width} x {height} cells of 0.1 m" in result.stdout
+    picture = np.frombuffer(pixels, np.uint8).reshape(height, width)
+    assert set(np.unique(picture)) == {0, 205, 254}
+    assert 6.4 / 0.1 <= width <= 6.9 / 0.1  # the room, and an outlier or two
+    assert 4.2 / 0.1 <= height <= 4.7 / 0.1
+
+
+def test_the_point_cloud_holds_every_return(wclm: Any, ran: Path) -> None:
+    result = wclm("map", ran, "--format", "ply")
+    header, body = (ran / "points.ply").read_bytes().split(b"end_header\n", 1)
+    lines = header.decode("ascii").splitlines()
+    assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
+    count = int(next(line for line in lines if line.startswith("element vertex")).split()[2])
+    assert [line.split()[-1] for line in lines if line.startswith("property float")] == ["x", "y", "z"]
+    points = np.array(list(struct.iter_unpack("<fff", body)))
+    assert points.shape == (count, 3)
+    assert f"{count} points" in result.stdout
+    assert 20_000 < count < 29 * 920
+    assert np.ptp(points[:, 0]) == pytest.approx(6.4, abs=0.1)
+    assert not points[:, 2].any()
+
+
+def test_a_recording_that_is_gone_is_one_line_and_another_can_be_named(wclm: Any, fake_slam: type) -> None:
+    assert wclm("simulate", "room", "a.mcap", "--duration", "2").exit_code == 0
+    assert wclm("run", "a.mcap", "--out", "out", "--no-review").exit_code == 0
+    Path("a.mcap").rename("b.mcap")
+    for form in ("pgm", "ply"):
+        wclm.refuses("map", "out", "--format", form, because=["a.mcap is not there any more", "--recording FILE"])
+        assert wclm("map", "out", "--format", form, "--recording", "b.mcap").exit_code == 0
+    assert wclm("map", "out", "--format", "dxf").exit_code == 0  # needs no recording
+    assert wclm("simulate", "room", "late.mcap", "--duration", "2").exit_code == 0
+    trajectory = Path("out/trajectory.tum")
+    rows = [line.split(" ", 1) for line in trajectory.read_text().splitlines()]
+    trajectory.write_text("".join(f"{float(stamp) + 1e6:.6f} {rest}\n" for stamp, rest in rows))
+    other = ("map", "out", "--format", "pgm", "--overwrite", "--recording", "late.mcap")
+    wclm.refuses(*other, because=["late.mcap has no scan from the time of its path"])
+    wclm.refuses(*other[:-1], "nowhere.mcap", because=["nowhere.mcap: no such file"])
+
+
+def test_an_older_session_that_does_not_tell_its_recording_is_one_line(wclm: Any, ran: Path) -> None:
+    summary = json.loads((ran / "summary.json").read_text())
+    del summary["recording_path"], summary["recordings"]
+    write_json(ran / "summary.json", summary)
+    (ran / "keyframes.csv").unlink()
+    wclm.refuses("map", ran, "--format", "pgm", because=["does not say where its recording sim:room is"])
+    assert wclm("map", ran, "--format", "pgm", "--recording", "sim:room?duration=3").exit_code == 0
+    assert wclm("map", ran, "--format", "svg").exit_code == 0
+
+
+@pytest.mark.parametrize("command", ["map {} --format svg", "map {} --format pgm", "report {}"])
+def test_what_is_no_session_is_one_line(wclm: Any, ran: Path, command: str) -> None:
+    def refuses(where: str, *because: str) -> None:
+        wclm.refuses(*command.format(where).split(), because=because)
+
+    refuses("nowhere", "nowhere: is not a directory")
+    Path("empty").mkdir()
+    refuses("empty", "empty: holds no map.json; a session is what `wclm run --out DIR` leaves")
+    (ran / "report.html").unlink()
+    for name, broken, words in (
+        ("summary.json", "{", "summary.json: is not JSON"),
+        ("summary.json", "[]", "summary.json: is not the summary of a run"),
+        ("map.json", "{}", "map.json: is not a map"),
+        ("keyframes.csv", "a,b\n", "keyframes.csv:1: the heading is not stamp,x,y"),
+        ("trajectory.tum", "1 2 3\n", "trajectory.tum:1: expected 8 numbers"),
+    ):
+        kept = (ran / name).read_bytes()
+        (ran / name).write_text(broken)
+        refuses("out", words)
+        (ran / name).write_bytes(kept)
+
+
+def test_thresholds_that_contradict_each_other_are_wrong_usage(wclm: Any, ran: Path) -> None:
+    result = wclm("map", ran, "--format", "pgm", "--free", "0.5", "--occupied", "0.4")
+    assert result.exit_code == 2
+    assert "must be less than --occupied" in result.stderr
+
+
+# Keyframes
+
+
+def test_keyframes_are_read_back_with_their_covariances(tmp_path: Path, finished: Finished) -> None:
+    from slam.io.keyframes_csv import Keyframes, write_keyframes
+
+    random = np.random.default_rng(3).normal(0, 0.01, (len(finished.keyframes), 3, 3))
+    covariance = random @ random.transpose(0, 2, 1)
+    covariance[2] = np.nan
+    write_keyframes(tmp_path / "a.csv", Keyframes(finished.keyframe_stamps, finished.keyframes, covariance))
+    read = read_keyframes(tmp_path / "a.csv")
+    np.testing.assert_allclose(read.stamps, finished.keyframe_stamps, atol=1e-6)
+    np.testing.assert_allclose(read.poses, finished.keyframes, atol=1e-6)
+    np.testing.assert_allclose(read.covariance, covariance, rtol=1e-8)
+    sigma = read.sigma()
+    assert np.isnan(sigma[2])
+    for k in (0, 1, 3, 4, 5):
+        assert sigma[k] == pytest.approx(np.sqrt(np.linalg.eigvalsh(covariance[k, :2, :2]).max()))

@@ -1,0 +1,117 @@
+import json
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from slam.errors import MapError
+from slam.events import Finished
+from slam.io.map_json import read_map, write_map
+
+
+def written(path: Path, finished: Finished) -> dict[str, Any]:
+    write_map(path, finished.lines, finished.corners)
+    return json.loads(path.read_text())
+
+
+def test_what_is_written_is_read_back(tmp_path: Path, finished: Finished) -> None:
+    write_map(tmp_path / "map.json", finished.lines, finished.corners)
+    back = read_map(tmp_path / "map.json")
+    for ours, theirs in ((back.lines, finished.lines), (back.corners, finished.corners)):
+        for field in fields(theirs):
+            if field.name == "pieces":
+                continue
+            value, expected = getattr(ours, field.name), getattr(theirs, field.name)
+            np.testing.assert_allclose(value, expected, atol=1e-9)
+            assert value.dtype == expected.dtype
+    for piece, expected in zip(back.lines.pieces, finished.lines.pieces, strict=True):
+        np.testing.assert_allclose(piece, expected, atol=1e-9)
+
+
+def test_a_map_of_the_first_version_is_still_read(tmp_path: Path, finished: Finished) -> None:
+    data = written(tmp_path / "map.json", finished)
+    data["version"] = 1
+    for line in data["lines"]:
+        del line["pieces"]
+    (tmp_path / "map.json").write_text(json.dumps(data))
+    lines = read_map(tmp_path / "map.json").lines
+    np.testing.assert_allclose(np.concatenate(lines.pieces), np.column_stack([lines.low, lines.high]))
+
+
+def test_an_empty_map_is_read_back(tmp_path: Path, finished: Finished) -> None:
+    none = slice(0, 0)
+    lines = replace(finished.lines, **{f.name: getattr(finished.lines, f.name)[none] for f in fields(finished.lines)})
+    empty = {f.name: getattr(finished.corners, f.name)[none] for f in fields(finished.corners)}
+    write_map(tmp_path / "map.json", lines, replace(finished.corners, **empty))
+    back = read_map(tmp_path / "map.json")
+    assert len(back.lines) == len(back.corners) == 0
+    assert back.lines.end_points().shape == (0, 2, 2)
+    assert back.corners.covariance.shape == (0, 2, 2)
+
+
+def test_the_file_says_what_it_is_and_has_no_nan(tmp_path: Path, finished: Finished) -> None:
+    data = written(tmp_path / "map.json", finished)
+    assert (data["format"], data["version"], data["frame"]) == ("wclm-slam map", 2, "map")
+    assert data["units"] == {"length": "m", "angle": "rad"}
+    wall = data["lines"][1]
+    assert wall["identity"] == 1
+    np.testing.assert_allclose([wall["start"], wall["end"]], [[6, 0], [6, 4]], atol=1e-9)
+    assert data["lines"][3]["covariance"] is None
+    assert "NaN" not in (tmp_path / "map.json").read_text()
+
+
+def test_equal_maps_give_equal_bytes(tmp_path: Path, finished: Finished) -> None:
+    for name in ("a.json", "b.json"):
+        write_map(tmp_path / name, finished.lines, finished.corners)
+    assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
+
+
+def test_a_map_that_is_not_finite_is_not_written(tmp_path: Path, finished: Finished) -> None:
+    finished.lines.frame[2, 0] = np.nan
+    with pytest.raises(MapError, match=r"cannot be written: frame\.0: input should be a finite number"):
+        write_map(tmp_path / "map.json", finished.lines, finished.corners)
+    assert not (tmp_path / "map.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"version": 3}, "has format version 3; this program reads versions 1 and 2"),
+        ({"version": None}, "has format version None"),
+        ({"format": "another"}, 'its format is not "wclm-slam map"'),
+        ({"lines": 3}, "lines: input should be a valid list"),
+        ({"walls": []}, "walls: extra inputs are not permitted"),
+        ({"units": {"length": "ft"}}, "units.length: input should be 'm'"),
+    ],
+)
+def test_another_format_or_version_is_refused(
+    tmp_path: Path, finished: Finished, change: dict[str, Any], message: str
+) -> None:
+    file = tmp_path / "map.json"
+    file.write_text(json.dumps(written(file, finished) | change))
+    with pytest.raises(MapError) as caught:
+        read_map(file)
+    assert str(file) in str(caught.value)
+    assert message in str(caught.value)
+
+
+def test_a_value_that_is_not_a_number_is_named(tmp_path: Path, finished: Finished) -> None:
+    data = written(tmp_path / "map.json", finished)
+    data["corners"][1]["position"][0] = "left"
+    (tmp_path / "map.json").write_text(json.dumps(data))
+    with pytest.raises(MapError, match=r"map\.json: corners\.1\.position\.0: input should be a valid number"):
+        read_map(tmp_path / "map.json")
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[1, 2]", b"\xff\xfe", b"null"])
+def test_what_is_not_a_map_is_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "map.json").write_bytes(content)
+    with pytest.raises(MapError, match=r"map\.json: is not"):
+        read_map(tmp_path / "map.json")
+
+
+def test_a_missing_map_is_named(tmp_path: Path) -> None:
+    with pytest.raises(MapError, match=r"map\.json: No such file"):
+        read_map(tmp_path / "map.json")

@@ -1,0 +1,135 @@
+"""Occupancy grids, and their pictures as map_server understands them."""
+
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+import drivers
+from drivers.messages import GroundTruth
+from slam.config import LidarConfig
+from slam.errors import MapError
+from slam.io.exports import Occupancy, OccupancyGrid, PlacedScan, Thresholds, placed_scans, write_pgm, write_pgm_yaml
+from slam.io.exports.occupancy import FREE, OCCUPIED, UNKNOWN, trace
+from slam.io.tum import Trajectory
+
+ROOM = np.array([[-1.033, -0.527], [2.987, 0.964]])  # lowest and highest x, y: nothing is symmetric, nor on an edge
+ORIGIN = np.array([0.31, 0.17])
+
+
+def rays(count: int = 3600, origin: np.ndarray = ORIGIN) -> PlacedScan:
+    """A scan of the room, which ends on its walls."""
+    angles = np.linspace(-np.pi, np.pi, count, endpoint=False) + 1e-4
+    heading = np.column_stack([np.cos(angles), np.sin(angles)])
+    ahead = np.where(heading > 0, ROOM[1] - origin, ROOM[0] - origin) / heading
+    return PlacedScan(0.0, origin, origin + ahead.min(axis=1)[:, None] * heading)
+
+
+def occupancy(*scans: PlacedScan, resolution: float = 0.05) -> Occupancy:
+    grid = OccupancyGrid(resolution)
+    grid.add_all(scans)
+    return grid.occupancy()
+
+
+@pytest.mark.parametrize("resolution", [0.05, 0.02, 0.1])
+def test_map_server_finds_walls_where_they_are(tmp_path: Path, map_server: Any, resolution: float) -> None:
+    drawn = occupancy(rays(), resolution=resolution)
+    write_pgm(tmp_path / "map.pgm", drawn)
+    write_pgm_yaml(tmp_path / "map.yaml", drawn, image="map.pgm")
+    served = map_server(tmp_path / "map.yaml")
+    for y in np.linspace(-0.4, 0.85, 15):
+        assert served.at(ROOM[0, 0], y) == served.at(ROOM[1, 0], y) == 100
+        assert all(served.at(x, y) == 0 for x in np.linspace(-0.8, 2.7, 30))
+    for x in np.linspace(-0.8, 2.7, 30):
+        assert served.at(x, ROOM[0, 1]) == served.at(x, ROOM[1, 1]) == 100
+
+
+def test_what_no_beam_reached_is_unknown_to_map_server(tmp_path: Path, map_server: Any) -> None:
+    drawn = occupancy(PlacedScan(0.0, np.zeros(2), np.array([[2.0, 0.01], [0.01, 1.0]])))
+    write_pgm(tmp_path / "map.pgm", drawn)
+    write_pgm_yaml(tmp_path / "map.yaml", drawn, image="map.pgm")
+    served = map_server(tmp_path / "map.yaml")
+    assert (served.width, served.height) == (41, 21)
+    assert served.at(2.0, 0.01) == 100
+    assert served.at(0.01, 1.01) == 100
+    assert served.at(1.0, 0.01) == 0
+    assert served.at(1.5, 0.5) == -1
+
+
+def test_a_cell_that_most_beams_pass_is_free_and_one_in_between_unknown() -> None:
+    far, near = np.array([[1.02, 0.02]]), np.array([[0.52, 0.02]])
+    for passed, state in ((1, OCCUPIED), (3, OCCUPIED), (5, UNKNOWN), (12, FREE)):
+        scan = PlacedScan(0.0, np.array([0.02, 0.02]), np.concatenate([near, np.repeat(far, passed, axis=0)]))
+        assert occupancy(scan).cells[0].tolist() == [FREE] * 10 + [state] + [FREE] * 9 + [OCCUPIED]
+    strict = OccupancyGrid(0.05)
+    strict.add(PlacedScan(0.0, np.array([0.02, 0.02]), np.concatenate([near, far])))
+    assert strict.occupancy(Thresholds(occupied=0.6, free=0.55)).cells[0, 10] == FREE
+
+
+coordinate = st.floats(0.0, 19.999)
+
+
+@given(st.tuples(coordinate, coordinate), st.tuples(coordinate, coordinate))
+def test_a_beam_passes_the_cells_that_it_crosses(start: tuple[float, float], end: tuple[float, float]) -> None:
+    ended, passed = np.zeros((20, 20), np.int32), np.zeros((20, 20), np.int32)
+    trace(ended, passed, np.zeros(2, dtype=np.int64), np.array(start), np.array([end]))
+    (row, column), first = np.argwhere(ended)[0], np.floor(start).astype(int)
+    assert ended.sum() == 1
+    assert (column, row) == tuple(np.floor(end).astype(int))
+    assert passed.sum() == abs(row - first[1]) + abs(column - first[0])
+    assert passed.max() <= 1
+    for y, x in np.argwhere(passed):  # the middle of the cell is no farther from the beam than its corners
+        direction = np.subtract(end, start)
+        middle = np.array([x + 0.5, y + 0.5]) - start
+        along = np.clip(middle @ direction / max(direction @ direction, 1e-12), 0, 1)
+        assert np.linalg.norm(middle - along * direction) <= np.sqrt(0.5) + 1e-9
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.tuples(st.floats(-9, 9), st.floats(-9, 9)), min_size=1, max_size=6), st.randoms())
+@example([(8.999999999999998, 0.0)], Random(0))  # ends between two cells but for rounding
+@example([(8.999999999999998, 0.0)], Random(1))
+def test_the_grid_grows_to_the_same_in_any_order(places: list[tuple[float, float]], random: object) -> None:
+    scans = [rays(60, ORIGIN), *(PlacedScan(0.0, np.array(p), np.array(p) + np.eye(2)) for p in places)]
+    shuffled = list(scans)
+    random.shuffle(shuffled)  # type: ignore[attr-defined]
+    one, other = occupancy(*scans, resolution=0.3), occupancy(*shuffled, resolution=0.3)
+    np.testing.assert_array_equal(one.cells, other.cells)
+    np.testing.assert_array_equal(one.origin, other.origin)
+
+
+def test_a_grid_that_fits_no_memory_is_one_line() -> None:
+    with pytest.raises(MapError, match=r"cells of 0\.0001 m make a grid of more than 400 million; make them larger"):
+        OccupancyGrid(1e-4).add(rays(60))
+    with pytest.raises(MapError, match="a resolution of 0 m is not possible"):
+        OccupancyGrid(0.0)
+    with pytest.raises(MapError, match="no beam of any scan hit anything"):
+        OccupancyGrid(0.05).occupancy()
+
+
+@pytest.mark.parametrize("mount", ["0.1,0,0", "-0.2,0.15,2.5"])
+def test_scans_lie_on_the_walls_wherever_the_lidar_is_mounted(mount: str) -> None:
+    """With the true path, straightened scans fit the world to the noise of a range."""
+    source = drivers.open(f"sim:room?duration=6&mount={mount}")
+    messages = list(source)
+    truth = [message for message in messages if isinstance(message, GroundTruth)]
+    path = Trajectory(np.array([t.stamp for t in truth]), np.array([t.pose for t in truth]))
+    scans = list(placed_scans(messages, path, LidarConfig(range_max=20.0)))
+    assert 50 < len(scans) <= 60
+    walls = np.array(source.world.segments)  # type: ignore[attr-defined]
+    starts, ends = walls[:, :2], walls[:, 2:]
+    points = np.concatenate([scan.points for scan in scans])[::20]
+    along = ends - starts
+    share = ((points[:, None] - starts) * along).sum(axis=2) / (along**2).sum(axis=1)
+    nearest = starts + share.clip(0, 1)[..., None] * along
+    distance = np.linalg.norm(points[:, None] - nearest, axis=2).min(axis=1)
+    assert np.median(distance) < 0.01
+    assert np.mean(distance < 0.04) > 0.97  # some beams end between two surfaces
+    short = list(placed_scans(messages, path, LidarConfig(range_max=1.5)))
+    reach = np.concatenate([np.linalg.norm(scan.points - scan.origin, axis=1) for scan in short])
+    assert reach.max() < 1.55
+    assert not list(placed_scans(messages, Trajectory(path.stamps + 100, path.poses), LidarConfig()))

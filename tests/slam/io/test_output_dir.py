@@ -1,0 +1,190 @@
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slam.config import Config, load_config
+from slam.errors import OutputError
+from slam.events import Finished
+from slam.io.map_json import read_map
+from slam.io.output_dir import (
+    CONFIG,
+    KEYFRAMES,
+    MAP,
+    SUMMARY,
+    TRAJECTORY,
+    OutputDirectory,
+    plain,
+    unfinished_file,
+    write_results,
+)
+from slam.io.tum import read_tum
+
+
+def contents(folder: Path) -> dict[str, str]:
+    return {file.name: file.read_text() for file in folder.iterdir()}
+
+
+def test_results_appear_when_all_is_written(tmp_path: Path, finished: Finished) -> None:
+    out = tmp_path / "a" / "out"
+    with OutputDirectory(out) as directory:
+        write_results(directory, finished, Config(), {"scans": 3})
+        assert not out.exists()
+    assert sorted(file.name for file in out.iterdir()) == sorted([TRAJECTORY, KEYFRAMES, MAP, CONFIG, SUMMARY])
+    assert [entry.name for entry in out.parent.iterdir()] == ["out"]
+    assert len(read_tum(out / TRAJECTORY)) == len(finished.stamps)
+    assert len(read_map(out / MAP).lines) == len(finished.lines)
+    assert load_config(out / CONFIG) == Config()
+    assert json.loads((out / SUMMARY).read_text()) == {"scans": 3}
+
+
+def test_the_directory_has_the_permissions_of_any_other(tmp_path: Path) -> None:
+    with OutputDirectory(tmp_path / "out"):
+        pass
+    (tmp_path / "other").mkdir()
+    assert (tmp_path / "out").stat().st_mode == (tmp_path / "other").stat().st_mode
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, SystemExit])
+@pytest.mark.parametrize("present", [False, True])
+def test_nothing_changes_on_an_error(tmp_path: Path, error: type[BaseException], present: bool) -> None:
+    out = tmp_path / "out"
+    if present:
+        out.mkdir()
+        (out / SUMMARY).write_text("old")
+
+    def write_and_fail() -> None:
+        with OutputDirectory(out, overwrite=True) as directory:
+            (directory / SUMMARY).write_text("new")
+            raise error
+
+    with pytest.raises(error):
+        write_and_fail()
+    assert [entry.name for entry in tmp_path.iterdir()] == (["out"] if present else [])
+    assert not present or contents(out) == {SUMMARY: "old"}
+
+
+def test_a_full_disk_is_an_output_error(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="out: cannot be written: No space left"), OutputDirectory(tmp_path / "out"):
+        raise OSError(28, "No space left on device")
+    assert not list(tmp_path.iterdir())
+
+
+def test_existing_results_are_replaced_only_when_asked_for(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    for text in ("old", "new"):
+        with OutputDirectory(out, overwrite=text == "new") as directory:
+            (directory / SUMMARY).write_text(text)
+            if text == "old":
+                (directory / TRAJECTORY).write_text(text)
+    assert contents(out) == {SUMMARY: "new"}
+    assert [entry.name for entry in tmp_path.iterdir()] == ["out"]
+    with pytest.raises(OutputError, match="out: exists already; choose another directory or add --overwrite"):
+        OutputDirectory(out).__enter__()
+
+
+SAVES = """
+import sys
+from pathlib import Path
+from slam.io.output_dir import SUMMARY, TRAJECTORY, OutputDirectory
+
+for number in range(10**9):
+    with OutputDirectory(Path(sys.argv[1]), overwrite=True) as directory:
+        (directory / SUMMARY).write_text(f"{number}")
+        (directory / TRAJECTORY).write_text(f"{number}")
+    if number == 0:
+        print("saved", flush=True)
+"""
+
+
+def test_killed_at_any_moment_the_results_are_there_and_whole(tmp_path: Path) -> None:
+    """Saved again and again, and killed at random moments."""
+    out, random = tmp_path / "out", np.random.default_rng(1)
+    for _ in range(5):
+        with subprocess.Popen([sys.executable, "-c", SAVES, out], stdout=subprocess.PIPE) as process:
+            assert process.stdout is not None
+            assert process.stdout.readline() == b"saved\n"
+            time.sleep(random.uniform(0.0, 0.05))
+            process.kill()
+        saved = contents(out)
+        assert saved[SUMMARY] == saved[TRAJECTORY] != ""
+
+
+def test_where_directories_cannot_be_exchanged_the_older_steps_aside(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slam.io.output_dir.exchange", lambda *_: False)
+    for text in ("old", "new"):
+        with OutputDirectory(tmp_path / "out", overwrite=True) as directory:
+            (directory / SUMMARY).write_text(text)
+    assert contents(tmp_path / "out") == {SUMMARY: "new"}
+    assert [entry.name for entry in tmp_path.iterdir()] == ["out"]
+
+
+def test_an_empty_directory_is_taken(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    with OutputDirectory(tmp_path / "out") as directory:
+        (directory / SUMMARY).write_text("new")
+    assert contents(tmp_path / "out") == {SUMMARY: "new"}
+
+
+def test_a_directory_with_anything_else_in_it_is_never_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(OutputError, match=r"holds thesis\.tex, which is not a result of a run; not overwritten"):
+        OutputDirectory(tmp_path, overwrite=True).__enter__()
+
+
+def test_a_file_in_the_way_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("x")
+    with pytest.raises(OutputError, match="out: is a file"):
+        OutputDirectory(tmp_path / "out", overwrite=True).__enter__()
+    with pytest.raises(OutputError, match=r"deeper: cannot be written: (Not a directory|File exists)"):
+        OutputDirectory(tmp_path / "out" / "deeper").__enter__()
+
+
+def test_results_are_kept_when_somebody_took_the_place_meanwhile(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    directory = OutputDirectory(out)
+    work = directory.__enter__()
+    (work / SUMMARY).write_text("mine")
+    out.mkdir()
+    (out / SUMMARY).write_text("theirs")
+    with pytest.raises(OutputError, match="the results stay in") as caught:
+        directory.__exit__(None, None, None)
+    assert contents(out) == {SUMMARY: "theirs"}
+    assert contents(work) == {SUMMARY: "mine"}
+    assert str(work) in str(caught.value)
+
+
+def test_an_unfinished_file_appears_at_the_end_or_not_at_all(tmp_path: Path) -> None:
+    file = tmp_path / "a.mcap"
+
+    def write_and_interrupt() -> None:
+        with unfinished_file(file) as work:
+            work.write_text("half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_and_interrupt()
+    assert not list(tmp_path.iterdir())
+    with unfinished_file(file) as work:
+        work.write_text("whole")
+    assert contents(tmp_path) == {"a.mcap": "whole"}
+    with pytest.raises(OutputError, match=r"a\.mcap: exists already"), unfinished_file(file):
+        pass
+    with unfinished_file(file, overwrite=True) as work:
+        work.write_text("again")
+    assert contents(tmp_path) == {"a.mcap": "again"}
+    with pytest.raises(OutputError, match="there is no directory"), unfinished_file(tmp_path / "b" / "a.mcap"):
+        pass
+
+
+def test_plain_data_is_what_json_knows() -> None:
+    data = {"a": np.float64(1.5), "b": np.arange(2), "c": float("nan"), 3: (np.bool_(True), None), "p": Path("x")}
+    expected = {"a": 1.5, "b": [0, 1], "c": None, "3": [True, None], "p": "x"}
+    assert plain(data) == expected
+    json.dumps(plain(data), allow_nan=False)

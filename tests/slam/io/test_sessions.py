@@ -1,0 +1,244 @@
+"""What a run leaves behind can be gone on from: it is read back as it was, or refused with a reason."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from drivers import se2
+from drivers.simulation.simulator import Simulation
+from slam import Slam
+from slam.config import Config, config_to_toml
+from slam.errors import MapError, SlamError
+from slam.io.output_dir import CONFIG, SESSION
+from slam.io.sessions import Recording, StoredSession, is_stored, read_stored, write_stored
+from slam.io.sessions.store import ADRIFT, FACTORS, HEAD, KEYFRAMES, SIGHTINGS, WALLS
+from slam.mapping.landmarks import STANDING
+from slam.mapping.mapper import Mapper
+from slam.preprocessing.scan_queue import NOTHING_SEEN
+
+ROOM = Recording(name="room", path="sim:room", first=0.0, last=8.0)
+
+
+def leave(directory: Path, session: StoredSession) -> None:
+    directory.mkdir(exist_ok=True)
+    (directory / CONFIG).write_text(config_to_toml(session.config))
+    write_stored(directory, session)
+
+
+@pytest.fixture(scope="module", params=[False, True], ids=["online", "refined"])
+def left(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[StoredSession, Path]:
+    slam = Slam(Config(), refine=request.param)
+    for message in Simulation("room", seed=3, duration=8.0):
+        slam.add(message)
+    slam.finish()
+    session = slam.session
+    session.recordings.append(ROOM)
+    path = tmp_path_factory.mktemp("run") / "out"
+    leave(path, session)
+    return session, path
+
+
+def estimate(mapper: Mapper) -> tuple[np.ndarray, np.ndarray, float]:
+    walls = mapper.graph.state().walls
+    poses = mapper.graph.keyframe_poses(mapper.keyframe_count)
+    return poses, mapper.graph.wall_frames(walls), mapper.graph.chi2()
+
+
+def test_the_estimate_is_read_back(left: tuple[StoredSession, Path]) -> None:
+    session, path = left
+    assert is_stored(path)
+    again = read_stored(path)
+    assert again.recordings == [ROOM]
+    assert again.config == session.config
+    one, other = (some.belief.copy().mapper for some in (session, again))
+    for before, after in zip(estimate(one), estimate(other), strict=True):
+        np.testing.assert_allclose(after, before, rtol=1e-3, atol=1e-4)  # iSAM2 substitutes back to a threshold
+    one.settle()
+    other.settle()
+    for before, after in zip(estimate(one), estimate(other), strict=True):
+        np.testing.assert_allclose(after, before, rtol=1e-6, atol=1e-6)  # both are a micrometre from rest
+
+
+def test_all_that_the_estimate_rests_on_is_read_back(left: tuple[StoredSession, Path]) -> None:
+    session, path = left
+    again = read_stored(path)
+    one, other = session.belief, again.belief
+    for name in ("walls", "corners"):
+        before, after = (getattr(some.mapper.landmarks, name).rows for some in (one, other))
+        for column in before.dtype.names:
+            # of a covariance only one half is kept, and the two agree but for rounding
+            np.testing.assert_allclose(after[column], before[column], rtol=1e-9, atol=1e-15, err_msg=column)
+    assert other.mapper.landmarks.covered == one.mapper.landmarks.covered
+    assert other.mapper.landmarks.opened == one.mapper.landmarks.opened
+    assert other.mapper.doubts.counts == one.mapper.doubts.counts
+    assert other.mapper.flatness.variance == one.mapper.flatness.variance
+    np.testing.assert_array_equal(other.odometry_model.deviations, one.odometry_model.deviations)
+    for before, after in zip(one.mapper.names, other.mapper.names, strict=True):
+        np.testing.assert_array_equal(after.walls, before.walls)
+        np.testing.assert_array_equal(after.corners, before.corners)
+    covariances = one.mapper.pose_covariances
+    np.testing.assert_allclose(other.mapper.pose_covariances, covariances, rtol=1e-9, atol=1e-15)
+    assert len(other.mapper.waiting) == len(one.mapper.waiting)
+    np.testing.assert_array_equal(other.mapper.ways, one.mapper.ways)
+    np.testing.assert_allclose(other.pose, one.pose, atol=1e-12)
+    np.testing.assert_array_equal(again.odometry[0].stamps, session.odometry[0].stamps)
+    np.testing.assert_array_equal(again.odometry[0].poses, session.odometry[0].poses)
+
+
+def test_what_was_sighted_is_read_back(left: tuple[StoredSession, Path]) -> None:
+    session, path = left
+    drive, again = session.drive(), read_stored(path).drive()
+    np.testing.assert_array_equal(again.stamps, drive.stamps)
+    np.testing.assert_array_equal(again.odometry, drive.odometry)
+    np.testing.assert_array_equal(again.keyframes, drive.keyframes)
+    np.testing.assert_array_equal(again.anchors, drive.anchors)
+    np.testing.assert_array_equal(again.relative, drive.relative)
+    np.testing.assert_array_equal(again.kept, drive.kept)
+    for before, after in zip(drive.sightings, again.sightings, strict=True):
+        for some in (before.seen, after.seen):  # else what is compiled for the one would be compiled for the other anew
+            arrays = some.segments.frame, some.segments.half_length, some.segments.covariance, some.corners.covariance
+            assert all(array.flags.c_contiguous for array in (*arrays, some.corners.position, some.corners.headings))
+        np.testing.assert_allclose(after.seen.segments.frame, before.seen.segments.frame, atol=1e-6)
+        np.testing.assert_allclose(after.seen.segments.covariance, before.seen.segments.covariance, rtol=1e-6)
+        np.testing.assert_allclose(after.seen.corners.position, before.seen.corners.position, atol=1e-6)
+        np.testing.assert_array_equal(after.seen.corners.segments, before.seen.corners.segments)
+        np.testing.assert_allclose(se2.wrap(after.seen.corners.headings - before.seen.corners.headings), 0, atol=1e-6)
+        np.testing.assert_allclose(after.seen.points.all, before.seen.points.all, atol=6e-4)
+        np.testing.assert_allclose(after.seen.points.loose, before.seen.points.loose, atol=6e-4)
+    for row in drive.keyframes[-5:]:  # which the next scans will be laid over
+        before, after = drive.sightings[row].seen, again.sightings[row].seen
+        np.testing.assert_array_equal(after.segments.frame, before.segments.frame)
+        np.testing.assert_array_equal(after.points.loose, before.points.loose)
+
+
+def test_a_session_is_small(left: tuple[StoredSession, Path]) -> None:
+    session, path = left
+    size = (path / SESSION / SIGHTINGS).stat().st_size
+    assert size < 2500 * len(session.sightings)  # 360 points and some twelve features a scan
+
+
+def test_what_was_not_kept_of_a_sighting_is_not_there_afterwards(tmp_path: Path) -> None:
+    slam = Slam()
+    for message in Simulation("room", seed=3, duration=2.0):
+        slam.add(message)
+    slam.finish()
+    session = slam.session
+    last = len(session.sightings) - 1
+    session.sightings = [*session.sightings[:last], session.sightings[last].without_view()]
+    leave(tmp_path, session)
+    again = read_stored(tmp_path)
+    assert again.sightings[last].seen is NOTHING_SEEN
+    assert again.drive().kept.sum() == last
+
+
+def test_a_directory_of_an_older_version_says_so(tmp_path: Path) -> None:
+    assert not is_stored(tmp_path)
+    with pytest.raises(MapError, match=r"holds no session/session.json, so it cannot be gone on from"):
+        read_stored(tmp_path)
+    with pytest.raises(MapError, match="is not a directory"):
+        read_stored(tmp_path / "nowhere")
+
+
+def test_a_session_that_knows_of_no_retired_walls_is_read(left: tuple[StoredSession, Path], tmp_path: Path) -> None:
+    """As version 1 left it."""
+    path = shutil.copytree(left[1], tmp_path / "out")
+    head, walls = path / SESSION / HEAD, path / SESSION / WALLS
+    head.write_text(json.dumps(json.loads(head.read_text()) | {"version": 1}))
+    new = ["retired_at", "opened", "opened_at", "doubted", "doubts"]
+    pq.write_table(pq.read_table(walls).drop_columns(new), walls)
+    mapper = read_stored(path).belief.mapper
+    assert (mapper.landmarks.walls.rows["retired_at"] == STANDING).all()
+    assert len(mapper.landmarks.walls) == len(left[0].belief.mapper.landmarks.walls)
+    assert not mapper.landmarks.opened
+    assert not mapper.doubts.counts
+
+
+def test_a_session_that_does_not_know_where_it_was_adrift_is_read(
+    left: tuple[StoredSession, Path], tmp_path: Path
+) -> None:
+    """As version 2 left it."""
+    path = shutil.copytree(left[1], tmp_path / "out")
+    head, keyframes = path / SESSION / HEAD, path / SESSION / KEYFRAMES
+    head.write_text(json.dumps(json.loads(head.read_text()) | {"version": 2}))
+    pq.write_table(pq.read_table(keyframes).drop_columns(list(ADRIFT)), keyframes)
+    mapper = read_stored(path).belief.mapper
+    assert mapper.adrift.shape == (mapper.keyframe_count, 2, 2)
+    assert not mapper.adrift.any()
+
+
+def test_a_session_of_another_version_says_so(left: tuple[StoredSession, Path], tmp_path: Path) -> None:
+    path = shutil.copytree(left[1], tmp_path / "out")
+    head = path / SESSION / HEAD
+    head.write_text(json.dumps(json.loads(head.read_text()) | {"version": 99}))
+    with pytest.raises(MapError, match=r"session.json: is a session of version 99; this program reads version 1"):
+        read_stored(path)
+
+
+@pytest.mark.parametrize(
+    ("instead", "told"),
+    [
+        ({"carried_keyframes": [10**6]}, "carried_keyframes: there are"),
+        ({"starts": [-1]}, "starts: there are"),
+        ({"sigma": 1}, "sigma: Extra inputs are not permitted"),
+        ({"fit": None}, "fit: Input should be a valid number"),
+    ],
+)
+def test_a_head_that_cannot_be_is_refused(
+    left: tuple[StoredSession, Path], tmp_path: Path, instead: dict[str, object], told: str
+) -> None:
+    path = shutil.copytree(left[1], tmp_path / "out")
+    head = path / SESSION / HEAD
+    head.write_text(json.dumps(json.loads(head.read_text()) | instead))
+    with pytest.raises(MapError, match=f"session.json: {told}"):
+        read_stored(path)
+
+
+@pytest.mark.parametrize("name", [SIGHTINGS, FACTORS, WALLS])
+def test_a_table_that_is_missing_or_another_is_named(
+    left: tuple[StoredSession, Path], tmp_path: Path, name: str
+) -> None:
+    path = shutil.copytree(left[1], tmp_path / "out")
+    table = path / SESSION / name
+    table.unlink()
+    with pytest.raises(MapError, match=f"{name}: is not there; the session is not complete"):
+        read_stored(path)
+    shutil.copy(left[1] / SESSION / "odometry.parquet", table)
+    with pytest.raises(MapError, match=f"{name}: is not the table"):
+        read_stored(path)
+
+
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    which=st.integers(0, 99), where=st.floats(0.0, 1.0), cut=st.booleans(), garbage=st.binary(min_size=8, max_size=8)
+)
+def test_damage_is_an_error_of_one_line(
+    left: tuple[StoredSession, Path],
+    tmp_path_factory: pytest.TempPathFactory,
+    which: int,
+    where: float,
+    cut: bool,
+    garbage: bytes,
+) -> None:
+    """Whatever is overwritten or cut off: the session is read, or refused in one line."""
+    path = shutil.copytree(left[1], tmp_path_factory.mktemp("damaged") / "out")
+    files = sorted((path / SESSION).iterdir())
+    file = files[which % len(files)]
+    content = bytearray(file.read_bytes())
+    start = int(where * (len(content) - 1))
+    if cut:
+        content = content[:start]
+    else:
+        content[start : start + 8] = garbage
+    file.write_bytes(content)
+    told = ""
+    try:
+        read_stored(path)
+    except SlamError as error:
+        told = str(error)
+    assert "\n" not in told

@@ -1,0 +1,167 @@
+"""No wrong loop closure is ever accepted: in worlds whose places look alike, and where false candidates are forced."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers import se2
+from slam.evaluation.benchmarks import false_closures
+from slam.evaluation.benchmarks.false_closures import Adversary
+from slam.evaluation.benchmarks.lookalike import WORLDS, Drive, condense, drive, run
+from slam.evaluation.benchmarks.witness import Decided
+from slam.loop_closure.proposal import distinct, propose
+from slam.loop_closure.recent_walls import recent_and_old
+from slam.mapping.landmarks import Landmarks
+
+ROOT = Path(__file__).parents[3]
+FOLDER = Path(os.environ.get("WCLM_DATASETS", ROOT.parent / "shared" / "datasets"))
+
+
+def decided(status: str, error: float, turn: float = 0.0, reason: str = "all tests passed") -> Decided:
+    return Decided(10, status, reason, error, turn)
+
+
+def a_drive(*decisions: Decided, drift: float = 2.0, joined: bool = True, found: tuple[float, ...] = ()) -> Drive:
+    return Drive("here", 0, decisions, drift, joined, doubled=0, ate=0.1, found=found)
+
+
+def test_only_accepted_closures_can_be_wrong() -> None:
+    assert not a_drive(decided("held", 3.0), decided("rejected", 3.0), decided("accepted", 0.2)).wrong
+    assert a_drive(decided("accepted", 0.6)).wrong
+    assert a_drive(decided("accepted", 0.1, np.radians(11.0))).wrong
+
+
+def test_a_row_counts_what_was_needed_and_found() -> None:
+    mended, open_ = (
+        a_drive(decided("accepted", 0.1)),
+        a_drive(decided("rejected", 2.0, reason="7.1 m of wall < 8 m"), joined=False),
+    )
+    unneeded = a_drive(decided("rejected", 0.0, reason="6.4 m of wall < 8 m"), drift=0.1)
+    (row,) = condense([mended, open_, unneeded])
+    assert (row.drives, row.needed, row.found) == (3, 2, 1)
+    assert (row.proposed, row.accepted, row.rejected, row.held, row.wrong) == (3, 1, 2, 0, 0)
+    assert row.reasons == {"m of wall m": 2}
+
+
+def test_a_row_counts_robots_found_in_wrong_places_and_drives_that_end_off() -> None:
+    twice, once = a_drive(found=(0.02, 18.7)), replace(a_drive(found=(0.4,)), last=1.2)
+    (row,) = condense([twice, once, a_drive()])
+    assert (row.relocated, row.misplaced, row.ended_off) == (3, 1, 1)
+    assert (twice.misplaced, once.misplaced) == (1, 0)
+
+
+def test_a_loop_that_drift_left_open_is_closed_where_it_should_be() -> None:
+    result = drive("large_loop", 0)
+    assert result.needed
+    assert result.joined
+    assert result.accepted
+    assert not result.wrong
+
+
+@pytest.mark.parametrize(("world", "seed"), [("moved_furniture", 9), ("equal_offices", 18)])
+def test_no_wrong_closure_where_places_look_alike(world: str, seed: int) -> None:
+    result = drive(world, seed)
+    convincing = [d for d in result.decided if d.error > 0.5 and (d.status == "held" or "deviations" in d.reason)]
+    assert convincing, "nothing wrong looked right: this proves nothing"
+    assert not result.wrong
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_robot_that_was_not_carried_is_not_found_where_it_only_looks_alike(seed: int) -> None:
+    """Out of a court that is too wide to see across it comes into what looks like the corridor that it left by."""
+    result = drive("symmetric_room", seed)
+    assert result.misplaced == 0
+    assert not result.wrong
+    assert result.last < 4.0  # drift
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_no_wrong_closure_in_any_look_alike_world() -> None:
+    drives = list(run(processes=2))
+    rows = {row.world: row for row in condense(drives)}
+    assert [(d.world, d.seed, d.wrong) for d in drives if d.wrong] == []
+    assert [(d.world, d.seed, d.found) for d in drives if d.misplaced] == []
+    assert [(d.world, d.seed, d.failed) for d in drives if d.failed] == []
+    assert set(rows) == set(WORLDS)
+    assert rows["large_loop"].needed >= 10
+    assert rows["large_loop"].found >= 0.8 * rows["large_loop"].needed
+    assert sum(row.needed > 0 for row in rows.values()) >= 6
+
+
+def test_the_bench_prints_a_row_a_world(wclm: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    outcomes = {0: a_drive(decided("accepted", 0.1)), 1: replace(a_drive(decided("accepted", 3.0)), seed=1)}
+    monkeypatch.setattr("slam.warmup.warm_up", lambda: None)
+    monkeypatch.setattr(
+        "slam.evaluation.benchmarks.lookalike.drive", lambda world, seed: replace(outcomes[seed], world=world)
+    )
+    options = ("bench", "lookalike", "--worlds", "square,large_loop", "--processes", "1")
+    result = wclm(*options, "--seeds", "1", "--json")
+    assert result.exit_code == 0, result.output
+    content = json.loads(result.stdout)
+    assert content["seeds"] == 1
+    assert "wclm-slam" in content["versions"]
+    assert [(row["world"], row["found"], row["wrong"]) for row in content["worlds"]] == [
+        ("square", 1, 0),
+        ("large_loop", 1, 0),
+    ]
+    result = wclm(*options, "--seeds", "2")
+    assert result.exit_code == 1
+    assert "wrong closures in square seed 1, large_loop seed 1" in result.stderr
+    outcomes[1] = replace(a_drive(found=(18.7,)), seed=1)
+    result = wclm(*options, "--seeds", "2")
+    assert result.exit_code == 1
+    assert "found in wrong places in square seed 1, large_loop seed 1" in result.stderr
+    assert wclm("bench", "lookalike", "--worlds", "moon").exit_code == 2
+
+
+# False candidates
+
+
+def two_rooms() -> tuple[Landmarks, np.ndarray[Any, Any]]:
+    """An old room, and the room seen again as if it were half a metre off."""
+    room = np.array(
+        [[3.0, 0.0, 0.0], [6.0, 2.0, np.pi / 2], [3.0, 4.0, np.pi], [0.0, 2.0, -np.pi / 2], [2.0, 2.5, 0.3]]
+    )
+    landmarks = Landmarks()
+    for keyframe, moved in enumerate([np.zeros(3), np.array([0.5, 0.3, 0.05])]):
+        for frame in room:
+            wall = landmarks.add_wall(se2.compose(moved, frame), 1.5, keyframe)
+            landmarks.walls.rows["in_graph"][wall] = True
+            landmarks.walls.rows["observations"][wall] = 2
+    return landmarks, np.array([3.0, 2.0, 0.0])
+
+
+def test_the_adversary_proposes_a_wrong_place_and_forges_every_other_score() -> None:
+    landmarks, pose = two_rooms()
+    recent, old = recent_and_old(landmarks, pose, np.array([0.0, 80.0]))
+    honest = propose(recent, old, pose)
+    adversary = Adversary(at=frozenset({1, 2}))
+    assert len(adversary(recent, old, pose)) == len(honest)
+    adversary(recent, old, pose)
+    forged = adversary(recent, old, pose)[1]
+    assert len(adversary.forced) == 2
+    assert forged.explained == 1.0
+    assert forged.length > max(hypothesis.length for hypothesis in honest)
+    assert all(distinct(forged.motion, other.motion, pose) for other in honest[:2])
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("name", ["intel", "fr079", "csail"])
+def test_false_candidates_change_nothing(name: str) -> None:
+    folder = FOLDER / name
+    if not (folder / f"{name}.clf").exists() or not (folder / f"{name}.relations").exists():
+        pytest.skip(f"{folder} is not there; set WCLM_DATASETS to the folder that holds {name}/{name}.clf")
+    outcome = false_closures.run(folder / f"{name}.clf", folder / f"{name}.relations")
+    assert outcome.forced == min(50, outcome.looks)
+    assert outcome.taken == 0
+    assert outcome.translation <= 1.1 * outcome.translation_clean
+    assert outcome.rotation <= 1.1 * outcome.rotation_clean

@@ -1,0 +1,123 @@
+"""A map shows one wall along each stretch, where the estimate has several lines for it."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from slam.geometry.segments import Floats
+from slam.mapping.landmarks import CELL, Landmarks
+from slam.mapping.overlap_suppression import DEPTH, LEAST_CELLS, with_one_front
+
+
+def landmarks_of(*walls: tuple[list[float], float, int]) -> Landmarks:
+    """Confirmed walls: each a frame, half a length, and how often it was seen."""
+    landmarks = Landmarks()
+    for frame, half_length, observations in walls:
+        wall = landmarks.add_wall(np.array(frame), half_length, 0)
+        landmarks.walls.rows["in_graph"][wall] = True
+        landmarks.walls.rows["observations"][wall] = observations
+    return landmarks
+
+
+def shown_pieces(landmarks: Landmarks) -> dict[int, Floats]:
+    """The stretches of the walls that a map shows."""
+    shown = with_one_front(landmarks)
+    return {int(wall): shown.pieces(int(wall)) for wall in np.flatnonzero(shown.standing())}
+
+
+def test_of_two_lines_on_one_wall_the_one_seen_most_often_is_left() -> None:
+    pieces = shown_pieces(landmarks_of(([0.5, 0.03, 0.01], 1.0, 2), ([0.0, 0.0, 0.0], 2.0, 9)))
+    assert list(pieces) == [1]
+    np.testing.assert_allclose(pieces[1], [[-2.0, 2.0]])
+
+
+def test_what_one_line_shows_beyond_another_stays() -> None:
+    pieces = shown_pieces(landmarks_of(([0.0, 0.0, 0.0], 2.0, 9), ([2.0, 0.03, 0.0], 2.0, 2)))
+    np.testing.assert_allclose(pieces[0], [[-2.0, 2.0]])
+    assert pieces[1][0] == pytest.approx([0.0, 2.0], abs=2 * CELL)  # along the second, whose frame is at 2
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        [0.0, 0.04, np.pi],  # the other side of a thin wall
+        [0.0, DEPTH + 0.02, 0.0],  # a bay
+        [0.0, 0.0, np.pi / 2],  # across
+        [4.5, 0.02, 0.0],  # farther along
+    ],
+)
+def test_what_is_another_wall_stays(other: list[float]) -> None:
+    landmarks = landmarks_of(([0.0, 0.0, 0.0], 2.0, 9), (other, 2.0, 2))
+    pieces = shown_pieces(landmarks)
+    assert {wall: p.tolist() for wall, p in pieces.items()} == {w: landmarks.pieces(w).tolist() for w in (0, 1)}
+
+
+def test_walls_that_meet_at_a_blunt_angle_end_about_where_they_meet() -> None:
+    turn = np.radians(8.0)
+    bent = [2.0 + 1.5 * np.cos(turn), 1.5 * np.sin(turn), turn]
+    pieces = shown_pieces(landmarks_of(([0.0, 0.0, 0.0], 2.4, 9), (bent, 1.5, 5)))
+    np.testing.assert_allclose(pieces[0], [[-2.4, 2.4]])
+    assert pieces[1][0] == pytest.approx([-1.5 + 0.4, 1.5], abs=2 * CELL)
+
+
+def test_walls_that_are_not_confirmed_or_not_there_any_more_hide_nothing() -> None:
+    landmarks = landmarks_of(([0.0, 0.0, 0.0], 2.0, 9), ([0.0, 0.01, 0.0], 2.0, 8), ([0.0, 0.02, 0.0], 1.0, 2))
+    landmarks.retire(0, 5)
+    landmarks.walls.rows["in_graph"][1] = False
+    shown = with_one_front(landmarks)
+    assert shown.covered == landmarks.covered
+
+
+def test_corners_go_to_the_wall_that_stands_for_theirs() -> None:
+    landmarks = landmarks_of(
+        ([0.0, 0.0, 0.0], 2.0, 9),
+        ([0.0, 0.03, 0.0], 1.0, 5),
+        ([0.0, 0.04, 0.0], 0.8, 2),
+        ([2.0, 1.0, np.pi / 2], 1.0, 9),
+    )
+    landmarks.walls.rows["kept"][2] = 1  # merged before
+    shown = with_one_front(landmarks)
+    assert shown.walls.rows["kept"].tolist() == [0, 0, 0, 3]
+    assert landmarks.walls.rows["kept"].tolist() == [0, 1, 1, 3]  # the estimate is left alone
+
+
+@given(
+    walls=st.lists(
+        st.tuples(
+            st.floats(-3, 3), st.floats(-0.1, 0.1), st.floats(-0.08, 0.08), st.floats(0.2, 2.5), st.integers(2, 50)
+        ),
+        min_size=1,
+        max_size=8,
+    )
+)
+def test_no_stretch_is_shown_twice_and_none_is_lost(walls: list[tuple[float, float, float, float, int]]) -> None:
+    landmarks = landmarks_of(*(([x, y, turn], half, seen) for x, y, turn, half, seen in walls))
+    shown = with_one_front(landmarks)
+    before, after = heights(landmarks), heights(shown)
+    nothing = np.isnan(after).all(axis=0) & ~np.isnan(before).all(axis=0)
+    assert longest(nothing) <= LEAST_CELLS + 1
+    for wall, other in combinations(after, 2):
+        assert longest(np.abs(wall - other) < 0.9 * DEPTH) <= LEAST_CELLS + 1
+
+
+def heights(landmarks: Landmarks) -> Floats:
+    """(n, p): the y of each wall where it was seen, at an x every CELL; NaN elsewhere."""
+    at = np.arange(-6.0, 6.0, CELL)
+    rows = landmarks.walls.rows
+    found = np.full((len(rows), len(at)), np.nan)
+    for wall in np.flatnonzero(landmarks.standing()).tolist():
+        x, y, turn = rows["frame"][wall]
+        seen = np.array([landmarks.is_covered(wall, along) for along in (at - x) / np.cos(turn)])
+        found[wall, seen] = y + (at[seen] - x) * np.tan(turn)
+    return found
+
+
+def longest(flags: NDArray[np.bool_]) -> int:
+    """How many in a row are set at most."""
+    return max((len(run) for run in "".join("x" if flag else " " for flag in flags).split()), default=0)

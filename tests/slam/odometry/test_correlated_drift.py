@@ -1,0 +1,71 @@
+"""Where nothing holds the robot, along a corridor, odometry carries it: the map stays whole, its uncertainty honest."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers import se2
+from drivers.messages import GroundTruth
+from drivers.simulation.simulator import LIDARS, Simulation
+from slam import Slam
+from slam.odometry.correlated_drift import planar, turned
+
+LENGTH = 60.0  # metres
+BEND = 0.01  # metres: standard deviation of where a wall stands every 3 m
+
+
+def bent_corridor(folder: Path, seed: int) -> Path:
+    """A corridor with a pillar every 17 m between two walls that are not quite straight."""
+    random = np.random.default_rng(seed)
+    walls = [f"{{ from = [{x}, -1.2], to = [{x}, 1.2] }}" for x in (-2.0, LENGTH + 1.0)]
+    walls += [f"{{ from = [{x}, 0.95], to = [{x}, 1.2] }}" for x in np.arange(12.0, LENGTH, 17.0)]
+    for y in (-1.2, 1.2):
+        along = np.arange(-2.0, LENGTH + 2.1, 3.0)
+        points = np.column_stack([along, y + random.normal(0, BEND, len(along))]).round(4).tolist()
+        walls += [f"{{ from = {begin}, to = {end} }}" for begin, end in pairwise(points)]
+    world = folder / "corridor.toml"
+    path = [[0, 0], [LENGTH / 2, 0.2], [LENGTH - 1, 0]]
+    world.write_text(f"speed = 0.8\npath = {path}\nwalls = [\n" + ",\n".join(walls) + "\n]\n")
+    return world
+
+
+@pytest.mark.parametrize("seed", [3, 5])
+def test_walls_that_are_not_quite_straight_do_not_tear_a_corridor(tmp_path: Path, seed: int) -> None:
+    simulation = Simulation(bent_corridor(tmp_path, seed), seed=seed, lidar=LIDARS["short"])
+    slam, truth = Slam(), []
+    for message in simulation:
+        if isinstance(message, GroundTruth):
+            truth.append(message.pose)
+        slam.add(message)
+    finished = slam.finish()
+    assert np.hypot(*np.diff(finished.keyframes[:, :2], axis=0).T).max() < 0.6
+    error = se2.between(se2.between(truth[0], truth[-1]), finished.poses[-1])
+    assert abs(error[0]) < 0.02 * LENGTH  # what the wheels get wrong
+    sigma = np.sqrt(slam.keyframe_covariance(len(finished.keyframes) - 1)[0, 0])
+    assert 0.3 * abs(error[0]) < sigma < 5.0
+    across = np.sqrt(slam.keyframe_covariance(len(finished.keyframes) - 1)[1, 1])
+    assert across < 0.2 * sigma
+
+
+numbers = st.floats(-2.0, 2.0)
+
+
+@given(root=st.tuples(numbers, numbers, numbers), angle=st.floats(-10.0, 10.0))
+def test_covariances_are_turned_with_their_axes(root: tuple[float, float, float], angle: float) -> None:
+    factor = np.array([[root[0], 0.0], [root[1], root[2]]])
+    covariance = planar(factor @ factor.T)
+    np.testing.assert_allclose(covariance[:2, :2], factor @ factor.T, atol=1e-9)
+    assert not covariance[2].any()
+    axis = np.array([np.cos(angle), np.sin(angle), 0.0])  # the old first axis, seen in turned axes
+    assert axis @ turned(covariance, angle) @ axis == pytest.approx(covariance[0, 0], abs=1e-9)
+    np.testing.assert_allclose(turned(turned(covariance, angle), -angle), covariance, atol=1e-9)
+
+
+def test_what_would_be_below_zero_in_some_direction_is_not() -> None:
+    np.testing.assert_allclose(planar(np.diag([1.0, -0.5])), np.diag([1.0, 0.0, 0.0]), atol=1e-12)

@@ -1,0 +1,87 @@
+"""Mount and wheels are found from a drive, as exactly as is claimed."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.messages import Odometry, Scan
+from drivers.simulation.simulator import Simulation
+from slam.config import Config, LidarConfig
+from slam.errors import MapError
+from slam.offline.calibration.extrinsics import Calibration, Wheels, calibrate
+
+MOUNT = np.array([0.15, -0.05, 0.3])
+GUESS = Config(lidar=LidarConfig(mount=(0.1, 0.0, 0.2)))
+"""What a ruler and an eye give."""
+
+
+def true_values(simulation: Simulation) -> np.ndarray:
+    """(6,): mount, and the factors that undo what the simulation does to its wheels."""
+    biases = simulation.biases
+    left, right = 1 / biases.left, 1 / biases.right
+    mean = (left + right) / 2
+    return np.array([*MOUNT, mean, mean * biases.wheelbase, (right - left) / simulation.drive.wheelbase])
+
+
+def values(found: Calibration) -> np.ndarray:
+    return np.array([*found.mount, found.wheels.distance, found.wheels.turn, found.wheels.pull])
+
+
+def test_a_drive_tells_the_mount_and_the_wheels() -> None:
+    simulation = Simulation("office", seed=3, duration=45.0, mount=MOUNT)
+    found = calibrate(simulation, GUESS)
+    error = values(found) - true_values(simulation)
+    assert np.all(np.abs(error) < 4 * found.sigma)
+    assert np.all(found.sigma < [0.005, 0.005, 0.003, 0.002, 0.02, 0.02])
+
+
+@pytest.mark.slow
+def test_the_standard_errors_are_honest() -> None:
+    scaled = []
+    for seed in range(10):
+        simulation = Simulation("office", seed=seed, duration=90.0, mount=MOUNT)
+        found = calibrate(simulation, GUESS)
+        scaled.append((values(found) - true_values(simulation)) / found.sigma)
+    spread = np.sqrt(np.mean(np.square(scaled), axis=0))
+    assert np.all(spread < 2.0)
+    assert np.all(spread > 0.2)
+
+
+def test_corrections_undo_wrong_wheels() -> None:
+    steps = np.array([[0.1, 0.0, 0.0], [0.1, 0.01, 0.2], [-0.1, 0.01, -0.2], [0.0, 0.0, 0.3]])
+    wheels = Wheels(distance=1.02, turn=0.95, pull=0.01)
+    told = np.zeros((5, 3))
+    for k, (length, _, turn) in enumerate(steps):
+        heading = told[k, 2]
+        chord = length * np.sinc(turn / (2 * np.pi))
+        told[k + 1] = told[k] + [chord * np.cos(heading + turn / 2), chord * np.sin(heading + turn / 2), turn]
+    path = wheels.corrected(told)
+    assert np.diff(path[:, 2]) == pytest.approx(0.95 * steps[:, 2] + 0.01 * steps[:, 0])
+    lengths = np.hypot(*np.diff(path[:, :2], axis=0).T) / np.sinc(np.diff(path[:, 2]) / (2 * np.pi))
+    assert lengths == pytest.approx(1.02 * np.abs(steps[:, 0]))
+    assert Wheels().corrected(told) == pytest.approx(told)
+
+
+def test_too_little_is_said() -> None:
+    with pytest.raises(MapError, match="too few to calibrate"):
+        calibrate([])
+    simulation = Simulation("office", duration=3.0)
+    with pytest.raises(MapError, match="too few to calibrate"):
+        calibrate([message for message in simulation if isinstance(message, Scan | Odometry)])
+
+
+def test_the_command_tells_what_to_write(wclm: Any) -> None:
+    result = wclm("calibrate", "sim:room?duration=45&seed=1", "--wheel-radius", "0.033", "--track", "0.35")
+    assert result.exit_code == 0, result.output
+    simulation = Simulation("room", seed=1, duration=45.0)
+    options = re.search(r"wheel_radius=([\d.]+),([\d.]+)&track=([\d.]+)$", result.stdout.strip())
+    assert options is not None
+    left, right, track = (float(text) for text in options.groups())
+    assert left == pytest.approx(0.033 / simulation.biases.left, rel=0.01)
+    assert right == pytest.approx(0.033 / simulation.biases.right, rel=0.01)
+    assert track == pytest.approx(0.35 / simulation.biases.wheelbase, rel=0.03)
+    assert "lidar: mount=0." in result.stdout

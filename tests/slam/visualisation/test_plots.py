@@ -1,0 +1,92 @@
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers import se2
+from features.types import Corners, Features, Lines, Noise
+from slam.errors import OutputError
+from slam.evaluation.metrics import Relations, score_reference, score_relations
+from slam.events import Finished
+from slam.io.tum import Trajectory
+from slam.visualisation.plots import plot_map, plot_reference, plot_relations, plot_scan
+
+
+def size(path: Path) -> tuple[int, int]:
+    """Width and height of a PNG, from its header."""
+    header = path.read_bytes()[:24]
+    assert header[:8] == b"\x89PNG\r\n\x1a\n"
+    return int.from_bytes(header[16:20]), int.from_bytes(header[20:24])
+
+
+def scan() -> tuple[np.ndarray, np.ndarray, Features]:
+    angles = np.linspace(-np.pi / 2, np.pi / 2, 181)
+    ranges = np.minimum(3.0 / np.maximum(np.cos(angles), 1e-9), 4.0)
+    ranges[::20] = np.nan
+    lines = Lines(
+        uv=np.array([[1 / 3, 0.0]]),
+        covariance=1e-6 * np.eye(2)[None],
+        start=np.array([[3.0, -2.6]]),
+        end=np.array([[3.0, 2.6]]),
+        first=np.array([49]),
+        last=np.array([131]),
+        count=np.array([80]),
+        chi2=np.array([78.0]),
+        curved=np.array([False]),
+    )
+    corners = Corners(np.array([[3.0, 2.6]]), 1e-4 * np.eye(2)[None], np.array([[0, 0]]))
+    return ranges, angles, Features(lines, corners, Noise(0.01, 0.001))
+
+
+def without_features(features: Features) -> Features:
+    lines = Lines(**{f.name: getattr(features.lines, f.name)[:0] for f in fields(Lines)})
+    corners = Corners(**{f.name: getattr(features.corners, f.name)[:0] for f in fields(Corners)})
+    return Features(lines, corners, features.noise)
+
+
+def test_a_scan_is_drawn_with_and_without_features(tmp_path: Path) -> None:
+    ranges, angles, features = scan()
+    plot_scan(tmp_path / "a.png", ranges, angles, features, title="a scan")
+    plot_scan(tmp_path / "b.png", ranges, angles, without_features(features), title="nothing found")
+    plot_scan(tmp_path / "c.png", np.full(181, np.nan), angles, without_features(features), title="nothing seen")
+    for name in "abc":
+        assert min(size(tmp_path / f"{name}.png")) > 500
+
+
+def test_a_map_is_drawn_true_to_scale_with_all_there_is_to_show(tmp_path: Path, finished: Finished) -> None:
+    odometry = se2.compose([0, 0, 0.1], finished.poses)
+    plot_map(
+        tmp_path / "a.png",
+        finished.lines,
+        finished.corners,
+        finished.poses,
+        title="a room",
+        odometry=odometry,
+        truth=finished.poses + np.array([0.01, 0.0, 0.0]),
+    )
+    width, height = size(tmp_path / "a.png")
+    assert 1.0 < width / height < 1.5  # the room is 6 m by 4 m
+
+
+def test_a_map_without_walls_and_corners_is_drawn(tmp_path: Path, finished: Finished) -> None:
+    lines = replace(finished.lines, **{f.name: getattr(finished.lines, f.name)[:0] for f in fields(finished.lines)})
+    corners = {f.name: getattr(finished.corners, f.name)[:0] for f in fields(finished.corners)}
+    plot_map(tmp_path / "a.png", lines, replace(finished.corners, **corners), finished.poses[:1], title="nothing")
+    assert min(size(tmp_path / "a.png")) > 500
+
+
+def test_errors_are_drawn(tmp_path: Path, finished: Finished) -> None:
+    truth = Trajectory(finished.stamps, finished.poses)
+    estimate = Trajectory(finished.stamps, finished.poses + np.random.default_rng(1).normal(0, 0.01, (101, 3)))
+    relations = Relations(truth.stamps[:-10], truth.stamps[10:], se2.between(truth.poses[:-10], truth.poses[10:]))
+    plot_relations(tmp_path / "a.png", score_relations(estimate, relations), title="relations")
+    plot_reference(tmp_path / "b.png", score_reference(estimate, truth), title="reference")
+    for name in "ab":
+        assert min(size(tmp_path / f"{name}.png")) > 500
+
+
+def test_a_picture_that_cannot_be_written_is_an_output_error(tmp_path: Path) -> None:
+    ranges, angles, features = scan()
+    with pytest.raises(OutputError, match=r"a\.png: cannot be written: No such file"):
+        plot_scan(tmp_path / "nowhere" / "a.png", ranges, angles, features, title="a scan")

@@ -1,0 +1,318 @@
+"""`report.html`: what it tells, that it needs nothing but itself, and that a real browser takes it."""
+
+import html
+import json
+import re
+import shutil
+import subprocess
+from dataclasses import fields, replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from slam.config import Config
+from slam.events import Finished
+from slam.io.exports import Session, read_session
+from slam.io.output_dir import write_json, write_results
+from slam.visualisation.report_page import write_page
+from slam.visualisation.report_page.findings import findings
+
+DECISION = {
+    "candidate": 5,
+    "stamp": 16.0,
+    "keyframe": 4,
+    "old": 1,
+    "status": "accepted",
+    "reason": "all tests passed",
+    "matches": 6,
+    "merged": 3,
+    "motion": [0.1, 0.0, 0.0],
+    "explained": 0.81,
+    "runner_up": 0.4,
+    "sigma": 0.02,
+    "contradicted": 0.0,
+    "shift": 0.13,
+}
+SUMMARY: dict[str, Any] = {
+    "recording": "room.mcap",
+    "scans": 100,
+    "duration": 20.0,
+    "keyframes": 6,
+    "walls": 4,
+    "corners": 2,
+    "path_length": 4.4,
+    "slam_seconds": 1.0,
+    "real_time_factor": 20.0,
+    "peak_memory_mib": 300.0,
+    "truth": {"ate_rmse": 0.0213, "ate_median": 0.02, "ate_max": 0.31, "heading_rmse": 0.42},
+    "warnings": [],
+    "skipped": {"messages": 0, "reasons": {}, "first": None},
+    "slam": {
+        "loops": {"proposed": 2, "accepted": 1, "held": 0, "rejected": 1, "retracted": 0},
+        "loop_decisions": [DECISION, DECISION | {"candidate": 6, "status": "rejected", "reason": "<b>no</b>"}],
+        "timings": {"keyframe_median_ms": 1.5, "keyframe_p99_ms": 9.0, "keyframe_max_ms": 30.0, "graph_mean_ms": 0.7},
+        "health": {"explained_median": 0.95},
+        "states": [],
+    },
+}
+
+
+def make(folder: Path, finished: Finished, summary: dict[str, Any] = SUMMARY) -> Session:
+    """A session whose path is known ever worse."""
+    sigma = np.linspace(0.01, 0.15, len(finished.keyframes))
+    covariance = np.eye(3) * np.square(sigma)[:, None, None]
+    folder.mkdir(exist_ok=True)
+    write_results(folder, replace(finished, keyframe_covariance=covariance), Config(), summary)
+    return read_session(folder)
+
+
+def page(folder: Path, finished: Finished, summary: dict[str, Any] = SUMMARY) -> str:
+    session = make(folder, finished, summary)
+    write_page(folder / "report.html", session)
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
+def words(text: str) -> str:
+    """What a person reads: no markup, no scripts."""
+    text = re.sub(r"<(style|script|svg).*?</\1>", " ", text, flags=re.DOTALL)
+    return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", text)).split())
+
+
+def test_the_page_tells_the_run(tmp_path: Path, finished: Finished) -> None:
+    text = page(tmp_path / "out", finished)
+    told = words(text)
+    for expected in (
+        "room.mcap",
+        "4.40 m",
+        "Nothing looked wrong.",
+        "2 times a place looked known: 1 closed, 1 refused.",
+        "all tests passed 81 % 6 40 % 2.0 cm 0 % 0.13 m",
+        "1 that were not closed, and why",
+        "position, RMS 2.1 cm",
+        "heading, RMS 0.42°",
+        "20 times as fast as the drive",
+        "graph 0.70 ms",
+        "sigma_range = 0.01",
+        "under 2 cm under 5 cm under 10 cm under 20 cm",
+    ):
+        assert expected in told, expected
+    assert set(re.findall(r'<polyline class="(\w+)"', text)) == {"p0", "p1", "p2", "p3"}
+    assert 'class="accepted" data-loop="5"' in text
+
+
+def test_the_page_needs_nothing_but_itself(tmp_path: Path, finished: Finished) -> None:
+    class Links(HTMLParser):
+        found: list[str] = []  # noqa: RUF012
+
+        def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+            self.found += [value or "" for name, value in attributes if name in ("src", "href", "xlink:href", "data")]
+
+    text = page(tmp_path / "out", finished)
+    links = Links()
+    links.feed(text)
+    assert links.found == ["data:,"]
+    assert not re.search(r"https?:|//[a-z]|@import|url\(", text.replace("data:,", ""))
+
+
+def test_names_and_reasons_are_text_whatever_they_are(tmp_path: Path, finished: Finished) -> None:
+    nasty = '<script>alert("1")</script>&$title.mcap'
+    summary = SUMMARY | {"recording": nasty, "warnings": [f"{nasty} (at 3.00 s)"]}
+    text = page(tmp_path / "out", finished, summary)
+    assert "<script>alert" not in text
+    assert "<b>no</b>" not in text
+    assert nasty in html.unescape(text)
+    assert words(text).count(nasty) == 4  # title, heading, warning, details
+
+
+def test_a_session_of_an_older_version_has_a_page(tmp_path: Path, finished: Finished) -> None:
+    old = {name: value for name, value in SUMMARY.items() if name not in ("truth", "skipped", "warnings", "slam")}
+    session = make(tmp_path / "out", finished, old)
+    (tmp_path / "out" / "keyframes.csv").unlink()
+    session = read_session(tmp_path / "out")
+    write_page(tmp_path / "a.html", session)
+    told = words((tmp_path / "a.html").read_text(encoding="utf-8"))
+    assert "The recording does not know the true path." in told
+    assert "No place looked like one seen before." in told
+
+
+def test_a_map_without_walls_has_a_page(tmp_path: Path, finished: Finished) -> None:
+    nothing = {f.name: getattr(finished.lines, f.name)[:0] for f in fields(finished.lines)}
+    corners = {f.name: getattr(finished.corners, f.name)[:0] for f in fields(finished.corners)}
+    empty = replace(
+        finished,
+        lines=replace(finished.lines, **nothing),
+        corners=replace(finished.corners, **corners),
+        stamps=finished.stamps[:1],
+        poses=finished.poses[:1],
+        keyframe_stamps=finished.keyframe_stamps[:1],
+        keyframes=finished.keyframes[:1],
+    )
+    without = SUMMARY | {"slam": {}}
+    assert "<svg" in page(tmp_path / "out", empty, without)
+
+
+def test_what_looked_wrong_is_told_in_words(tmp_path: Path, finished: Finished) -> None:
+    slam = {
+        "loops": {"proposed": 3, "retracted": 2},
+        "health": {"explained_median": 0.6, "blind": 1, "empty_scans": 4},
+        "odometry_deviation_per_metre": [1.58, 0.02],
+        "states": [
+            {"stamp": 2.0, "state": "LOST", "direction": None},
+            {"stamp": 5.0, "state": "OK", "direction": None},
+            {"stamp": 12.0, "state": "DEGENERATE", "direction": 1.0},
+        ],
+    }
+    summary = SUMMARY | {
+        "slam": slam,
+        "real_time_factor": 0.5,
+        "warnings": ["no odometry for a while", *(f"the scan fits nowhere near (at {s:.2f} s)" for s in range(70, 76))],
+        "skipped": {"messages": 3, "reasons": {"the scan's stamp is before the last": 3}, "first": "x"},
+    }
+    found = findings(summary, make(tmp_path / "out", finished, summary).trajectory)
+    texts = [finding.text for finding in found]
+    assert texts == [
+        "For 3 s in all the robot was lost, at 0:02.",
+        "The map explains only 60 % of what the scans see.",
+        "Odometry strays by 158 % of the way.",
+        "For 8 s in all the place was open in one direction, at 0:12.",
+        "No odometry for a while.",
+        "The scan fits nowhere near, 6 times, first at 1:10, 1:11, 1:12, 1:13.",
+        "2 loop closures had to be taken back.",
+        "1 scan showed too little to place it.",
+        "4 scans had no return at all.",
+        "3 messages of the recording could not be used.",
+        "SLAM took 2.0 times as long as the drive.",
+    ]
+    assert [finding.grave for finding in found] == [True] * 3 + [False] * 8
+    assert findings(SUMMARY, make(tmp_path / "out", finished).trajectory) == []
+
+
+# The command
+
+
+def test_the_page_is_made_again_for_an_older_session(wclm: Any, fake_slam: type) -> None:
+    assert wclm("run", "sim:room?duration=3", "--out", "out", "--no-review").exit_code == 0
+    written = Path("out/report.html").read_text()
+    Path("out/report.html").unlink()
+    result = wclm("report", "out")
+    assert (result.exit_code, result.stdout) == (0, "out/report.html\n")
+    assert Path("out/report.html").read_text() == written
+    wclm.refuses("report", "out", because=["out/report.html: exists already", "--overwrite"])
+    assert wclm("report", "out", "--overwrite").exit_code == 0
+    assert wclm("report", "out", "--out", "a.html").exit_code == 0
+    assert Path("a.html").read_text() == written
+    write_json(Path("out/summary.json"), {"recording": "a"})
+    wclm.refuses("report", "out", "--overwrite", because=["out: its summary is not that of a run: 'path_length'"])
+    assert Path("out/report.html").read_text() == written
+
+
+def test_results_are_kept_where_the_page_fails(
+    wclm: Any, fake_slam: type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object) -> None:
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr("slam.visualisation.report_page.write_page", fails)
+    result = wclm("run", "sim:room?duration=3", "--out", "out", "--no-review")
+    assert isinstance(result.exception, ZeroDivisionError)
+    present = {file.name for file in (tmp_path / "out").iterdir()}
+    assert {"trajectory.tum", "map.json", "summary.json"} <= present
+    assert not any("report" in name for name in present)
+
+
+# A real browser
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--enable-logging=stderr",
+    "--virtual-time-budget=3000",
+    "--dump-dom",
+)
+in_a_browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed (apt-get install chromium)")
+
+
+def render(file: Path, size: str = "1280,900") -> tuple[str, list[str]]:
+    """The document after its scripts have run, and what the browser's console says."""
+    assert CHROMIUM is not None
+    profile = file.parent / f"profile-{file.stem}"
+    command = [CHROMIUM, *FLAGS, f"--window-size={size}", f"--user-data-dir={profile}", file.as_uri()]
+    answer = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    return answer.stdout, [line for line in answer.stderr.splitlines() if "CONSOLE" in line]
+
+
+@in_a_browser
+def test_a_browser_shows_the_page_without_a_word_in_its_console(tmp_path: Path, finished: Finished) -> None:
+    text = page(tmp_path, finished)
+    document, console = render(tmp_path / "report.html", "390,800")
+    assert console == []
+    assert re.search(r'<div class="scale"><i style="width: [\d.]+px;"></i><span>[125]0* (m|cm)</span>', document)
+    (tmp_path / "broken.html").write_text(text.replace('"use strict";', "nothing.there();"), encoding="utf-8")
+    assert "nothing is not defined" in render(tmp_path / "broken.html")[1][0]  # so silence means something
+
+
+PROBE = """
+<script>
+const told = {};
+const svg = document.querySelector("#map svg");
+const box = () => svg.getAttribute("viewBox").split(" ").map(Number);
+const pointer = (name, x, y, id) => svg.dispatchEvent(new PointerEvent(name,
+  {clientX: x, clientY: y, pointerId: id, pointerType: "touch", bubbles: true}));
+svg.setPointerCapture = () => {};
+told.all = box();
+const wall = svg.querySelector(".walls path").getBoundingClientRect();
+svg.dispatchEvent(new MouseEvent("click", {clientX: wall.left + wall.width / 2, clientY: wall.top + 7, bubbles: true}));
+told.about = document.getElementById("about").textContent;
+document.querySelector('[data-zoom="0.6"]').click();
+told.larger = box();
+pointer("pointerdown", 300, 200, 1); pointer("pointermove", 340, 230, 1); pointer("pointerup", 340, 230, 1);
+told.dragged = box();
+pointer("pointerdown", 300, 200, 1); pointer("pointerdown", 400, 200, 2);
+pointer("pointermove", 500, 200, 2); pointer("pointerup", 500, 200, 2); pointer("pointerup", 300, 200, 1);
+told.pinched = box();
+for (let k = 0; k < 30; k++) document.querySelector('[data-zoom="1.667"]').click();
+told.least = box();
+svg.dispatchEvent(new WheelEvent("wheel", {deltaY: -100, clientX: 300, clientY: 200, cancelable: true}));
+told.scrolled = box();
+svg.dispatchEvent(new WheelEvent("wheel", {deltaY: -100, ctrlKey: true, clientX: 300, clientY: 200}));
+told.wheel = box();
+document.querySelector('tr[data-loop="5"]').click();
+told.loop = document.getElementById("about").textContent;
+document.querySelector('[data-zoom="0"]').click();
+told.again = box();
+told.wide = document.documentElement.scrollWidth <= window.innerWidth;
+document.documentElement.dataset.told = JSON.stringify(told);
+</script>
+"""
+
+
+@in_a_browser
+@pytest.mark.parametrize("size", ["1280,900", "500,800"])
+def test_the_map_is_zoomed_dragged_and_asked(tmp_path: Path, finished: Finished, size: str) -> None:
+    text = page(tmp_path, finished)
+    (tmp_path / "probe.html").write_text(text.replace("</body>", PROBE + "</body>"), encoding="utf-8")
+    document, console = render(tmp_path / "probe.html", size)
+    assert console == []
+    told = json.loads(html.unescape(re.search(r'data-told="(.*?)"', document).group(1)))
+    assert told["about"].startswith("wall 0: 6.00 m, seen in 5 keyframes")
+    assert told["larger"][2] == pytest.approx(0.6 * told["all"][2], rel=1e-3)
+    middle = [told["all"][k] + told["all"][k + 2] / 2 for k in (0, 1)]
+    assert [told["larger"][k] + told["larger"][k + 2] / 2 for k in (0, 1)] == pytest.approx(middle, abs=1e-3)
+    assert told["dragged"][0] < told["larger"][0]  # what is dragged to the right shows more of the left
+    assert told["dragged"][2] == told["larger"][2]
+    assert told["pinched"][2] < 0.7 * told["dragged"][2]
+    assert told["least"] == pytest.approx(told["all"], abs=1e-3)
+    assert told["scrolled"] == told["least"]  # the page scrolls
+    assert told["wheel"][2] < told["least"][2]
+    assert told["loop"] == "loop 5, accepted: keyframe 4 sees the place of 1"
+    assert told["again"] == told["all"]
+    assert told["wide"]  # nothing sticks out at the side

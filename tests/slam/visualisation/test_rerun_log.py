@@ -1,0 +1,283 @@
+"""The review log holds what the events said."""
+
+from __future__ import annotations
+
+import logging
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+
+from slam.errors import OutputError
+from slam.events import (
+    Finished,
+    KeyframeAdded,
+    LoopDecided,
+    MapCorners,
+    MapLines,
+    MapUpdated,
+    Noticed,
+    ScanTracked,
+    StateChanged,
+    TruthSeen,
+)
+from slam.visualisation.rerun_log import ReviewLog, recording, sink
+from slam.visualisation.rerun_log.files import parts_of
+
+from ..corridor import EMPTY_SEGMENTS, Corridor, last, log_events, of_kind, rows, seen_corners
+
+
+def test_keyframes_hold_pose_and_scan(corridor):
+    path, events = corridor
+    keyframes = of_kind(events, KeyframeAdded)
+    places = rows(path, "/world/keyframe", "Transform3D:translation")
+    assert [k for k, _ in places] == [event.index for event in keyframes]
+    np.testing.assert_allclose([t[0][:2] for _, t in places], [event.pose[:2] for event in keyframes], atol=1e-5)
+    scans = rows(path, "/world/keyframe/scan", "Points3D:positions")
+    assert len(scans) == len(keyframes)
+    np.testing.assert_allclose(np.array(scans[30][1])[:, :2], keyframes[30].points, atol=1 / 256)
+
+
+def test_robot_moves_with_every_scan_in_sensor_time_but_not_ahead_of_its_keyframe(corridor):
+    path, events = corridor
+    robot = [k for k, _ in rows(path, "/world/robot", "Transform3D:translation")]
+    assert robot.count(None) == len(of_kind(events, ScanTracked))
+    assert [k for k in robot if k is not None] == [event.index for event in of_kind(events, KeyframeAdded)]
+
+
+def test_features_tell_matched_from_new_and_none(corridor):
+    path, events = corridor
+    event = of_kind(events, KeyframeAdded)[0]
+    colours_seen = rows(path, "/world/features/segments", "LineStrips3D:colors")[0][1]
+    labels = rows(path, "/world/features/segments", "LineStrips3D:labels")[0][1]
+    assert (len(colours_seen), len(labels)) == (len(event.segments), len(event.segments))
+    assert {label.split()[-1] for label in labels} == {"none", "new"}
+    later = of_kind(events, KeyframeAdded)[30]
+    labels = rows(path, "/world/features/segments", "LineStrips3D:labels")[30][1]
+    matched = np.flatnonzero(later.line_match >= 0)[0]
+    assert labels[matched] == f"L{later.line_match[matched]} d²={later.line_gate[matched]:.1f}"
+    refused = np.flatnonzero((later.line_match < 0) & (later.line_nearest >= 0))
+    assert len(refused) > 1
+    assert all(labels[k] == f"not L{later.line_nearest[k]} d²=20.5" for k in refused)
+    to_what = dict(rows(path, "/world/features/gated_out", "LineStrips3D:strips"))[30]
+    assert len(to_what) == len(refused)
+
+
+def test_final_map_is_the_last_one_logged(corridor):
+    path, events = corridor
+    final = events[-1]
+    strips = np.array(last(path, "/world/map/walls", "LineStrips3D:strips"))
+    np.testing.assert_allclose(strips[..., :2], final.lines.end_points(), atol=1e-3)
+    assert last(path, "/world/map/walls", "LineStrips3D:labels")[0] == f"L0 n={final.lines.observations[0]}"
+    assert len(last(path, "/world/map/wall_sigma", "LineStrips3D:strips")) == len(final.lines)
+    (strip,) = last(path, "/world/path/estimate", "LineStrips3D:strips")
+    np.testing.assert_allclose(np.array(strip)[:, :2], final.poses[:, :2], atol=1e-3)
+    assert last(path, "/world/path/recent", "LineStrips3D:strips") == []
+
+
+def test_corner_ellipses_are_three_sigma(corridor):
+    path, events = corridor
+    half_sizes = np.array(last(path, "/world/map/corner_sigma", "Ellipsoids3D:half_sizes"))
+    variances = np.linalg.eigvalsh(events[-1].corners.covariance)
+    np.testing.assert_allclose(half_sizes[:, :2], 3 * np.sqrt(variances), rtol=1e-5)
+    x, y, z, w = np.array(last(path, "/world/map/corner_sigma", "Ellipsoids3D:quaternions"))[0]
+    along = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + z * w)])  # the ellipse's first axis in the map
+    shape = events[-1].corners.covariance[0]
+    np.testing.assert_allclose(shape @ along, variances[0, 0] * along, atol=1e-6)
+
+
+def test_true_path_is_laid_over_the_estimate(corridor):
+    path, events = corridor
+    true_path = np.concatenate(last(path, "/world/truth/0", "LineStrips3D:strips"))[:, :2]
+    to_estimate = np.hypot(*(true_path[:, None] - events[-1].poses[None, :, :2]).transpose(2, 0, 1)).min(axis=1)
+    assert to_estimate.max() < 0.35  # half a step and the error
+    errors = rows(path, "/metrics/error", "Scalars:scalars")
+    assert [k for k, _ in errors] == [event.index for event in of_kind(events, KeyframeAdded)]
+    assert max(value[0] for _, value in errors) < 6.0  # centimetres
+
+
+def test_metrics_are_named_and_in_the_units_they_name(corridor):
+    path, events = corridor
+    keyframes = of_kind(events, KeyframeAdded)
+    (_, names), *_ = rows(path, "/metrics/sigma", "SeriesLines:names")
+    assert names == ["position [cm]", "heading [°]", "range [cm]"]
+    values = dict(rows(path, "/metrics/sigma", "Scalars:scalars"))[30]
+    expected = [100 * np.sqrt(keyframes[30].pose_covariance[0, 0]), np.degrees(0.01), 1.1]
+    np.testing.assert_allclose(values, expected, rtol=1e-6)
+    assert dict(rows(path, "/metrics/counts", "Scalars:scalars"))[30] == list(keyframes[30].counts.values())
+    times = dict(rows(path, "/metrics/time", "Scalars:scalars"))[30]
+    assert times == [sum(keyframes[30].timings.values()), *keyframes[30].timings.values()]
+    assert dict(rows(path, "/metrics/explained", "Scalars:scalars"))[30] == [0.9]
+    assert [k for k, _ in rows(path, "/metrics/chi2", "Scalars:scalars")] == list(range(0, 136, 5))
+    assert dict(rows(path, "/metrics/time/1", "Scalars:scalars")) == {20: [7.0], 40: [8.0]}  # a stage that began late
+
+
+def test_text_and_documents(corridor):
+    path, _ = corridor
+    assert rows(path, "/log", "TextLog:text") == [
+        (12, ["no odometry for 1.2 s"]),
+        (20, ["L4 is the same wall as L3: merged, d²=2.2"]),
+        (40, ["the path moved by up to 0.30 m"]),
+    ]
+    assert "sigma_range = 0.01" in last(path, "/config", "TextDocument:text")[0]
+    summary = last(path, "/summary", "TextDocument:text")[0]
+    assert summary.splitlines()[2:] == ["| keyframes | 136 |", "| times.median | 1.25 |", "| times.of | a\\|b |"]
+    assert "Keyframe 30" in rows(path, "/keyframe", "TextDocument:text")[30][1][0]
+
+
+def test_stamps_since_1970_become_dates(tmp_path):
+    log_events(tmp_path / "dates.rrd", Corridor(step=4.0, start=1.0e9).events())
+    kinds = {
+        str(chunk.to_record_batch().schema.field("sensor_time").type)
+        for chunk in RrdReader(tmp_path / "dates.rrd").stream()
+        if "sensor_time" in chunk.to_record_batch().schema.names
+    }
+    assert kinds == {"timestamp[ns]"}
+
+
+def bare_keyframe(index: int) -> KeyframeAdded:
+    nothing, unmatched = np.empty(0), np.empty(0, dtype=np.int64)
+    return KeyframeAdded(
+        index=index, stamp=float(index), pose=np.zeros(3), pose_covariance=np.full((3, 3), np.nan),
+        odometry=np.zeros(3), points=np.empty((0, 2)), segments=EMPTY_SEGMENTS, corners=seen_corners(np.empty((0, 2))),
+        line_match=unmatched, line_gate=nothing, line_nearest=unmatched, corner_match=unmatched, corner_gate=nothing,
+        corner_nearest=unmatched, new_lines=unmatched,
+        sigma_range=0.01, timings={}, counts={},
+    )  # fmt: skip
+
+
+def test_accepts_what_is_empty_or_unknown(tmp_path):
+    no_lines = MapLines(np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty(0), np.empty(0),
+                        np.empty(0, dtype=np.int64), np.empty((0, 2, 2)), ())  # fmt: skip
+    no_corners = MapCorners(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 2, 2)),
+                            np.empty((0, 2), dtype=np.int64), np.empty(0, dtype=np.int64))  # fmt: skip
+    events = [
+        Noticed(0.0, "a notice before anything else"),
+        TruthSeen(0.5, np.zeros(3)),
+        ScanTracked(1.0, np.zeros(3), np.zeros(3), float("nan"), 0),
+        bare_keyframe(0),
+        bare_keyframe(1),
+        MapUpdated(1, 1.0, np.empty((0, 3)), no_lines, no_corners, float("nan"), 0.0),
+        Finished(no_lines, no_corners, np.empty(0), np.empty((0, 3)), np.empty(0), np.empty((0, 3))),
+    ]
+    review = log_events(tmp_path / "bare.rrd", events)
+    assert review.failures == 0, review.first_failure
+    assert rows(tmp_path / "bare.rrd", "/world/keyframe/scan", "Points3D:positions") == [(0, []), (1, [])]
+
+
+def test_closing_twice_is_fine_and_later_events_are_ignored(tmp_path):
+    review = log_events(tmp_path / "twice.rrd", [])
+    review.close()
+    review.handle(Noticed(0.0, "too late"))
+
+
+def test_a_file_that_cannot_be_written_is_an_error_of_ours(tmp_path):
+    with pytest.raises(OutputError, match="review log"):
+        ReviewLog(tmp_path / "no such directory" / "review.rrd")
+
+
+def test_a_failure_is_reported_once_and_the_rest_is_logged(tmp_path, caplog):
+    broken = replace(bare_keyframe(0), pose=np.zeros(2))
+    with caplog.at_level(logging.ERROR, logger="slam.visualisation.rerun_log"):
+        review = log_events(tmp_path / "broken.rrd", [broken, bare_keyframe(1), broken])
+        review.close()
+    assert review.failures == 2
+    assert len(caplog.records) == 1
+    assert "KeyframeAdded" in caplog.text
+    assert rows(tmp_path / "broken.rrd", "/world/keyframe/scan", "Points3D:positions") == [(1, [])]
+
+
+def stalled(path, monkeypatch) -> tuple[ReviewLog, threading.Event]:
+    """A log that writes nothing until it is released."""
+    review = ReviewLog(path)
+    release, write = threading.Event(), review._log.write
+    monkeypatch.setattr(review._log, "write", lambda event: (release.wait(20), write(event)))
+    return review, release
+
+
+def test_never_waits_and_keeps_keyframes_when_the_log_is_slow(tmp_path, monkeypatch):
+    review, release = stalled(tmp_path / "slow.rrd", monkeypatch)
+    full = replace(bare_keyframe(0), points=np.ones((180, 2)))
+    for index in range(700):
+        review.handle(ScanTracked(float(index), np.zeros(3), np.zeros(3), 1.0, index))
+        review.handle(replace(full, index=index, stamp=float(index)))
+    release.set()
+    review.close()
+    scans = rows(tmp_path / "slow.rrd", "/world/keyframe/scan", "Points3D:positions")
+    assert len(scans) == 700
+    assert 200 < sum(len(points) == 180 for _, points in scans) < 300
+    assert review.thinned > 800
+    assert review.left_out() == {"thinned": review.thinned, "lost": 0, "failed": 0}
+    assert "left out" in last(tmp_path / "slow.rrd", "/log", "TextLog:text")[0]
+
+
+def test_a_log_that_stalls_takes_no_more_memory_and_loses_no_closure(tmp_path, monkeypatch, caplog):
+    review, release = stalled(tmp_path / "stalled.rrd", monkeypatch)
+    review.handle(bare_keyframe(0))
+    for index in range(sink.OVERRUN + 1000):
+        review.handle(Noticed(float(index), "chatter"))
+    for number in range(3):
+        review.handle(decided(number + 1, "accepted"))
+    review.handle(StateChanged(9.0, "LOST", None))
+    assert review.waiting < sink.OVERRUN + 10
+    release.set()
+    with caplog.at_level(logging.ERROR, logger="slam.visualisation.rerun_log"):
+        review.close()
+    assert review.lost == pytest.approx(1000, abs=5)
+    assert "stalled" in caplog.text
+    found = rows(tmp_path / "stalled.rrd", "/loops/events", "loop")
+    assert [value for _, value in found] == [[1], [2], [3]]
+    assert last(tmp_path / "stalled.rrd", "/state", "StateChange:state") == ["LOST"]
+
+
+def decided(candidate: int, status: str) -> LoopDecided:
+    return LoopDecided(
+        index=0, stamp=float(candidate), candidate=candidate, old=0, motion=np.zeros(3), status=status,
+        reason="as it is", explained=0.9, matches=5, runner_up=0.1, sigma=0.01, contradicted=0.0, merged=(), shift=0.0,
+    )  # fmt: skip
+
+
+def drive_slowly(review: ReviewLog) -> None:
+    """So that what is logged is in the file now and then."""
+    for number, event in enumerate(Corridor().events()):
+        review.handle(event)
+        if number % 200 == 0:
+            while review.waiting:
+                time.sleep(0.01)
+            time.sleep(1.2 * recording.FLUSH_PERIOD)
+
+
+def test_a_long_log_goes_on_in_further_files_that_say_what_they_show(tmp_path):
+    path = tmp_path / "review.rrd"
+    with ReviewLog(path, config="[lidar]", recording="long", part_size=300_000) as review:
+        drive_slowly(review)
+    files = parts_of(path)
+    assert len(files) > 2
+    assert files[:2] == (path, tmp_path / "review-2.rrd")
+    keyframes = [k for file in files for k, _ in rows(file, "/world/keyframe", "Transform3D:translation")]
+    assert keyframes == list(range(len(keyframes)))
+    names = {RrdReader(file).recordings()[0].recording_id for file in files}
+    assert len(names) == 1  # together they are one recording
+    for file in files:
+        assert "[lidar]" in last(file, "/config", "TextDocument:text")[0]
+        assert last(file, "/metrics/counts", "SeriesLines:names") == ["walls", "corners", "factors"]
+
+
+def test_the_oldest_files_but_the_first_give_way(tmp_path, monkeypatch):
+    monkeypatch.setattr(recording, "MOST_PARTS", 3)
+    with ReviewLog(tmp_path / "review.rrd", part_size=200_000) as review:
+        drive_slowly(review)
+    numbers = [
+        1 if file.stem == "review" else int(file.stem.split("-")[1]) for file in parts_of(tmp_path / "review.rrd")
+    ]
+    assert numbers == [1, numbers[-1] - 1, numbers[-1]]
+
+
+def test_rerun_is_imported_only_for_a_log():
+    code = "import sys, slam, slam.events, slam.visualisation.rerun_log; sys.exit('rerun' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

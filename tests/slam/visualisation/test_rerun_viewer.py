@@ -1,0 +1,94 @@
+"""A real viewer shows logs: without an error, and in the colours that the legend names."""
+
+from __future__ import annotations
+
+import io
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from slam.events import Correction, Event, GraphInspected, LoopDecided, LoopSight, LoopTest, MapUpdated
+from slam.graph.factor_residuals import ODOMETRY, WALL, Residuals
+from slam.visualisation.rerun_log import ReviewLog, colours
+from slam.visualisation.rerun_log.files import find_log
+from slam.visualisation.rerun_log.opening import make_ready
+
+from ..corridor import Corridor
+from ..viewers import load, pixels_of, troubles, viewer
+
+CLOSED_AT = 100  # keyframe
+
+
+def with_a_closure(events: Sequence[Event]) -> list[Event]:
+    """The events, and after a keyframe that a loop was closed there which moved the path."""
+    told: list[Event] = []
+    for event in events:
+        told.append(event)
+        if isinstance(event, MapUpdated) and event.index == CLOSED_AT:
+            told += [closure(event), inspection(event)]
+    return told
+
+
+def closure(event: MapUpdated) -> LoopDecided:
+    walls = event.lines.end_points()[:6]
+    drifted = event.keyframes + np.linspace(0, 1, len(event.keyframes))[:, None] * [1.5, 1.0, 0.0]
+    sight = LoopSight(walls + 1.0, walls, event.lines.end_points(), np.array([0, 1, 2, 3, 4, -1]))
+    return LoopDecided(
+        index=event.index, stamp=event.stamp, candidate=1, old=3, motion=np.array([-1.5, -1.0, 0.0]),
+        status="accepted", reason="all tests passed", explained=0.9, matches=5, runner_up=0.2, sigma=0.01,
+        contradicted=0.0, merged=((0, 40),), shift=1.8, tests=(LoopTest("walls", 5.0, 4.0, True, True),), sight=sight,
+        correction=Correction(drifted, event.keyframes, event.lines, 100.0, 5000.0, 120.0),
+    )  # fmt: skip
+
+
+def inspection(event: MapUpdated) -> GraphInspected:
+    keyframes = np.arange(1, len(event.keyframes))
+    steps = np.column_stack([keyframes - 1, keyframes])
+    seen = np.column_stack([keyframes, event.lines.identity[keyframes % len(event.lines)]])
+    kinds = (ODOMETRY,) * len(steps) + (WALL,) * len(seen)
+    squared = np.linspace(0.0, 60.0, len(kinds))
+    residuals = Residuals(kinds, np.vstack([steps, seen]), squared, np.full(len(kinds), 2), np.ones(len(kinds)))
+    return GraphInspected(event.index, event.stamp, residuals)
+
+
+def write(path: Path, events: Sequence[Event]) -> Path:
+    with ReviewLog(path) as review:
+        for event in events:
+            review.handle(event)
+            while review.waiting > 50:
+                time.sleep(0.001)
+    assert review.failures == 0, review.first_failure
+    return path
+
+
+def pictures(path: Path, timeline: str, sequence: int, views: Sequence[str]) -> dict[str, np.ndarray]:
+    with viewer() as client:
+        load(client, path)
+        client.set_time(timeline=timeline, sequence=sequence, play_state="paused")
+        time.sleep(1.5)
+        by_name = {view.name: view.view_id for view in client.get_state().views}
+        assert troubles(client) == []
+        shots = {name: io.BytesIO(client.take_screenshot(by_name[name])) for name in views}
+    return {name: np.array(Image.open(shot).convert("RGB")) for name, shot in shots.items()}
+
+
+def test_the_map_and_what_a_closure_did(corridor: tuple[Path, list[Event]], tmp_path: Path) -> None:
+    path = write(tmp_path / "review.rrd", with_a_closure(corridor[1]))
+    shown = pictures(path, "closure", 1, ["Map", "Before / after"])
+    for colour in (colours.WALL, colours.MATCHED, colours.ESTIMATE, colours.CORNER, colours.CLOSURE):
+        assert pixels_of(shown["Map"], colour) > 50, colour
+    for colour in (colours.WALL, colours.BEFORE, colours.CLOSURE):
+        assert pixels_of(shown["Before / after"], colour) > 50, colour
+    assert pixels_of(shown["Map"], colours.BEFORE) < 20
+
+
+def test_two_logs_side_by_side(corridor: tuple[Path, list[Event]], tmp_path: Path) -> None:
+    other = write(tmp_path / "other.rrd", list(Corridor(step=2.0, start=1.0e9).events()))  # that tells the time of day
+    make_ready([find_log(corridor[0]), find_log(other)], ["one", "an other"], tmp_path / "both.rrd")
+    shown = pictures(tmp_path / "both.rrd", "keyframe", 20, ["one", "an_other"])
+    for picture in shown.values():
+        assert pixels_of(picture, colours.WALL) > 50
+        assert pixels_of(picture, colours.ESTIMATE) > 50
