@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from .config import Config, load_config
 from .errors import SlamError
-from .events import Event, Finished, MapCorners, MapLines, Sink
+from .events import Event, Finished, MapCorners, MapWalls, Sink
 
 if TYPE_CHECKING:
     from .pipeline import Slam
@@ -25,7 +25,7 @@ __all__ = [
     "Event",
     "Finished",
     "MapCorners",
-    "MapLines",
+    "MapWalls",
     "Sink",
     "Slam",
     "SlamError",

@@ -14,7 +14,7 @@ from .graph.factor_residuals import Residuals
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MapLines:
+class MapWalls:
     """n walls. `frame` (n, 3) in the map: x along the wall, seen from y > 0; known from `low` to `high` along x.
 
     `identity` (n,) never changes for a wall; `observations` (n,) counts keyframes; `covariance` (n, 2, 2) of the offset
@@ -122,14 +122,14 @@ class MapUpdated:
     index: int
     stamp: float
     keyframes: Floats
-    lines: MapLines
+    lines: MapWalls
     corners: MapCorners
     chi2: float
     shift: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LinesMerged:
+class WallsMerged:
     """Two walls turned out to be one: `absorbed` is from now on `kept`."""
 
     index: int
@@ -140,7 +140,7 @@ class LinesMerged:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LinesRetired:
+class WallsRemoved:
     """Walls that are no longer where they were: they are not in the map any more. Told with the next MapUpdated."""
 
     index: int
@@ -170,7 +170,7 @@ class LoopTest:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LoopSight:
+class ComparedWalls:
     """What was compared for a loop, all in the map as it was then, metres.
 
     recent  (n, 2, 2) both ends of the walls of the last metres; `aligned` (n, 2, 2): the same, moved as the loop has it
@@ -197,7 +197,7 @@ class Correction:
 
     keyframes_before: Floats
     keyframes: Floats
-    lines_before: MapLines
+    lines_before: MapWalls
     chi2_before: float
     chi2_strained: float
     chi2: float
@@ -244,12 +244,12 @@ class LoopDecided:
     merged: tuple[tuple[int, int], ...]
     shift: float
     tests: tuple[LoopTest, ...] = ()
-    sight: LoopSight | None = None
+    sight: ComparedWalls | None = None
     correction: Correction | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TruthSeen:
+class GroundTruthReceived:
     """The recording knows the true pose, in the world's frame."""
 
     stamp: float
@@ -257,7 +257,7 @@ class TruthSeen:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Noticed:
+class Notice:
     """Something a person should know: a gap in the data, a jump of the odometry, a scan without features."""
 
     stamp: float
@@ -276,7 +276,7 @@ class StateChanged:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FoundAgain:
+class Relocalised:
     """The robot was recognised somewhere on the map where odometry has not led it: the base is at `pose` there."""
 
     stamp: float
@@ -290,7 +290,7 @@ class Finished:
     keyframe_covariance (k, 3, 3), each in the keyframe's own frame, of the final estimate; None where nobody asked.
     """
 
-    lines: MapLines
+    lines: MapWalls
     corners: MapCorners
     keyframe_stamps: Floats
     keyframes: Floats
@@ -305,13 +305,13 @@ Event: TypeAlias = (
     | KeyframeAdded
     | MapUpdated
     | GraphInspected
-    | LinesMerged
-    | LinesRetired
+    | WallsMerged
+    | WallsRemoved
     | LoopDecided
     | StateChanged
-    | FoundAgain
-    | TruthSeen
-    | Noticed
+    | Relocalised
+    | GroundTruthReceived
+    | Notice
     | Finished
 )
 

@@ -13,11 +13,11 @@ from .estimation.map_view import finished
 from .estimation.refinement import Drive, Refined, refine
 from .events import Finished, Sink
 from .io.sessions import StoredSession
-from .localisation.tracker import Place
+from .localisation.tracker import PoseFix
 from .loop_closure.recent_walls import OLD_WAY
 from .mapping.mapper import Mapper
-from .mapping.odometry_segments import Drives
-from .publisher import Reporter
+from .mapping.odometry_segments import OdometrySegments
+from .publisher import Publisher
 from .run_statistics import loop_row
 
 PASS = 10  # keyframes before a closure that count as the pass that it joined to an older one
@@ -39,24 +39,24 @@ def optimise(session: StoredSession, sinks: Sequence[Sink] = ()) -> Optimised:
     Listeners are told of the map before, of every keyframe where it is now, and of the map after. Raises MapError where
     there is nothing to optimise, or the estimate is undetermined.
     """
-    belief, reporter = session.belief, Reporter(sinks)
+    belief, reporter = session.belief, Publisher(sinks)
     if belief.mapper.keyframe_count < 2:
         raise MapError("there are fewer than two keyframes, so there is nothing to optimise")
     belief.mapper.settle()
     before, drive = belief.mapper, session.drive()
-    reporter.tell_map(float(drive.stamps[0]), before, index=0)
+    reporter.publish_map(float(drive.stamps[0]), before, index=0)
     refined = refine(before, drive, belief.odometry_model)
     keyframes = {k: session.sightings[row] for k, row in enumerate(drive.keyframes.tolist())}
     refined.mapper.remember_covariances()
     last = session.sightings[-1]
-    belief.settle_on(refined.mapper, refined.path, Place(refined.poses[-1], last.odometry), keyframes)
+    belief.settle_on(refined.mapper, refined.path, PoseFix(refined.poses[-1], last.odometry), keyframes)
     closures = _closures(session.closures, refined, drive)
     summary = refined.summary | _changes(before, refined.mapper, session.closures, closures)
-    reporter.tell_keyframes(refined.mapper, keyframes, session.sigma_range)
-    reporter.tell_map(last.stamp, refined.mapper)
-    drives = Drives(session.odometry, session.starts)
+    reporter.publish_keyframes(refined.mapper, keyframes, session.sigma_range)
+    reporter.publish_map(last.stamp, refined.mapper)
+    drives = OdometrySegments(session.odometry, session.starts)
     result = finished(belief, drives.trajectory(belief.path, belief.mapper.trail), {"refinement": summary})
-    reporter.tell(result)
+    reporter.publish(result)
     return Optimised(result, replace(session, closures=closures), summary)
 
 

@@ -13,22 +13,22 @@ from drivers.messages import GroundTruth, Message, Odometry, Scan
 
 from .config import Config
 from .errors import MapError
-from .estimation.estimator import Estimator, Step
+from .estimation.estimator import Estimator, ScanResult
 from .estimation.map_view import finished, map_features
 from .estimation.refinement import drive_of, laid_path, refine
-from .estimation.relocalisation_session import Excursion, Suspicion
-from .estimation.slam_state import Belief, Extension
-from .events import Finished, FoundAgain, MapCorners, MapLines, Noticed, ScanTracked, Sink, StateChanged, TruthSeen
+from .estimation.relocalisation_session import RelocalisationSession, KidnappingMonitor
+from .estimation.slam_state import SlamState, KeyframeUpdate
+from .events import Finished, Relocalised, MapCorners, MapWalls, Notice, ScanTracked, Sink, StateChanged, GroundTruthReceived
 from .geometry.segments import Floats
 from .io.sessions import StoredSession
-from .localisation.state import State, StateWatch
-from .localisation.tracker import Hold, Place, Placement
+from .localisation.state import State, LocalisationMonitor
+from .localisation.tracker import TrackingStatus, PoseFix, TrackingResult
 from .loop_closure.closer import LoopCloser
 from .mapping.mapper import Mapper
-from .mapping.odometry_segments import Drives
-from .preprocessing.scan_queue import FrontEnd, Sighting
-from .publisher import Reporter
-from .run_statistics import Clock, RunStatistics
+from .mapping.odometry_segments import OdometrySegments
+from .preprocessing.scan_queue import Preprocessor, ProcessedScan
+from .publisher import Publisher
+from .run_statistics import StageTimer, RunStatistics
 from .summary import run_summary
 
 
@@ -61,24 +61,24 @@ class Slam:
         robot is found. Where the map is `frozen` it stays as it is, and only the path on it is told.
         """
         self.config = config or Config()
-        self._reporter = Reporter(sinks)
-        self._front_end = FrontEnd(self.config, None if resumed is None else resumed.sigma_range)
-        self._estimator = Estimator(Belief(self.config.odometry, loops) if resumed is None else resumed.belief)
-        self._drives = Drives() if resumed is None else Drives(resumed.odometry, resumed.starts)
+        self._publisher = Publisher(sinks)
+        self._front_end = Preprocessor(self.config, None if resumed is None else resumed.sigma_range)
+        self._estimator = Estimator(SlamState(self.config.odometry, loops) if resumed is None else resumed.belief)
+        self._drives = OdometrySegments() if resumed is None else OdometrySegments(resumed.odometry, resumed.starts)
         self._resumed, self._frozen = resumed, frozen
         self._front_end.wait([] if resumed is None else resumed.waiting)
         if frozen:
             self.belief.freeze()
         self._begun = False  # whether odometry has told of anything
-        self._excursion: Excursion | None = None  # while the robot is lost
-        self._suspicion: Suspicion | None = None  # while what it sees may belong elsewhere
+        self._excursion: RelocalisationSession | None = None  # while the robot is lost
+        self._suspicion: KidnappingMonitor | None = None  # while what it sees may belong elsewhere
         self._refine, self._keep_views = refine, refine or keep_views
         self._familiar: set[int] = set()  # rows of the journal that were sighted in familiar places
         # everything sighted, for looking back at the end
-        self._journal: list[Sighting] = [] if resumed is None else list(resumed.sightings)
+        self._journal: list[ProcessedScan] = [] if resumed is None else list(resumed.sightings)
         # what is of this run: the first row, and after when
         self._since = len(self._journal), -np.inf if resumed is None else resumed.latest
-        self._state = StateWatch()
+        self._state = LocalisationMonitor()
         self._statistics = RunStatistics()
         self._session: StoredSession | None = None
 
@@ -87,7 +87,7 @@ class Slam:
     def add(self, message: Message) -> None:
         """Take the next message. A scan is worked on once the odometry covers its sweep."""
         if isinstance(message, GroundTruth):
-            self._reporter.tell(TruthSeen(message.stamp, message.pose))
+            self._publisher.publish(GroundTruthReceived(message.stamp, message.pose))
             return
         if isinstance(message, Odometry) and not self._begun:
             self._begin(message)
@@ -101,49 +101,49 @@ class Slam:
         if self._resumed is None:
             self._front_end.odometry = self._drives.begin(0)
             return
-        self._reporter.tell_map(first.stamp, self.belief.mapper)
+        self._publisher.publish_map(first.stamp, self.belief.mapper)
         self._front_end.odometry = self._drives.histories[-1]
         if not self._drives.continue_with(first):
             self._work_off(len(self._resumed.waiting))
             self._front_end.odometry = self._drives.begin(len(self._journal))
             self._since = len(self._journal), self._since[1]
-            self._excursion = Excursion(self.config.odometry, self.belief, (), carried=True)
-            self._tell_state(first.stamp, self._state.lose())
+            self._excursion = RelocalisationSession(self.config.odometry, self.belief, (), carried=True)
+            self._publish_state(first.stamp, self._state.lose())
 
     # --- the story of a scan
 
     def _add_scan(self, scan: Scan) -> None:
-        clock = Clock()
+        timer = StageTimer()
         sighting = self._front_end.sight(scan, self.belief.odometry_model)
-        clock.lap("features")
+        timer.lap("features")
         self._journal.append(sighting)
         if self._excursion is not None:
             self._look_for_the_way_back(self._excursion, sighting)
             return
-        step = self._estimator.take(sighting, clock)
+        step = self._estimator.take(sighting, timer)
         if self.belief.in_familiar_place and not self._frozen:
             self._familiar.add(len(self._journal) - 1)
             if not self._keep_views:
                 self._journal[-1] = sighting.without_view()
         self._note(sighting, step.placement)
         if step.extension is not None:
-            self._tell_keyframe(sighting, step.mapper, step.extension, clock)
+            self._publish_keyframe(sighting, step.mapper, step.extension, timer)
         if step.retracted is not None:
             self._statistics.add_loop(sighting.stamp, step.retracted)
-            self._reporter.tell_loop(step.retracted, sighting.stamp, self.belief.mapper, step.mapper)
+            self._publisher.publish_loop(step.retracted, sighting.stamp, self.belief.mapper, step.mapper)
         self._suspect(sighting, step)
         if self.belief.lost:
             belief = self.belief
-            self._excursion = Excursion(
+            self._excursion = RelocalisationSession(
                 self.config.odometry, belief, belief.unplaced, carried=belief.broken_off or self._suspicion is not None
             )
             self._suspicion = None
-            self._tell_state(sighting.stamp, self._state.lose())
+            self._publish_state(sighting.stamp, self._state.lose())
 
-    def _suspect(self, sighting: Sighting, step: Step) -> None:
+    def _suspect(self, sighting: ProcessedScan, step: ScanResult) -> None:
         """The view may have changed at a stroke: see for a while whether the robot is not somewhere else on the map."""
         if step.before is not None and self._suspicion is None:
-            self._suspicion = Suspicion(self.config.odometry, step.before)
+            self._suspicion = KidnappingMonitor(self.config.odometry, step.before)
         if self._suspicion is None:
             return
         self._suspicion.add(sighting, step.placement)
@@ -153,7 +153,7 @@ class Slam:
         elif self._suspicion.over:
             self._suspicion = None
 
-    def _look_for_the_way_back(self, excursion: Excursion, sighting: Sighting) -> None:
+    def _look_for_the_way_back(self, excursion: RelocalisationSession, sighting: ProcessedScan) -> None:
         """The robot is lost: see whether what it has seen since is somewhere on the map."""
         excursion.add(sighting)
         self._statistics.lost += 1
@@ -165,49 +165,49 @@ class Slam:
             self._go_on_from(excursion.joined(), sighting.stamp, text)
 
     def _found_again(self, estimator: Estimator, stamp: float, text: str) -> None:
-        self._reporter.tell(FoundAgain(stamp, estimator.belief.pose.copy()))
+        self._publisher.publish(Relocalised(stamp, estimator.belief.pose.copy()))
         self._go_on_from(estimator, stamp, text)
 
     def _go_on_from(self, estimator: Estimator, stamp: float, text: str) -> None:
         self._estimator, self._excursion, self._suspicion = estimator, None, None
-        self._reporter.tell(Noticed(stamp, text))
-        self._reporter.tell_map(stamp, self.belief.mapper)
-        self._tell_state(stamp, self._state.find())
+        self._publisher.publish(Notice(stamp, text))
+        self._publisher.publish_map(stamp, self.belief.mapper)
+        self._publish_state(stamp, self._state.find())
 
-    def _tell_state(self, stamp: float, state: State | None) -> None:
+    def _publish_state(self, stamp: float, state: State | None) -> None:
         if state is None:
             return
         self._statistics.states.append((stamp, state))
-        self._reporter.tell(StateChanged(stamp, state.condition.value, state.direction))
+        self._publisher.publish(StateChanged(stamp, state.condition.value, state.direction))
 
-    def _note(self, sighting: Sighting, placement: Placement) -> None:
+    def _note(self, sighting: ProcessedScan, placement: TrackingResult) -> None:
         """Count how the scan was placed, and tell the listeners."""
         stamp, explained = sighting.stamp, placement.registration.explained
         self._statistics.explained.append(explained)
-        if placement.hold is Hold.SEARCHED:
+        if placement.hold is TrackingStatus.TENTATIVE:
             self._statistics.searched += 1
-            self._reporter.tell(Noticed(stamp, "odometry is far off; the pose was searched for and found in the map"))
-        elif placement.hold is Hold.NONE:
+            self._publisher.publish(Notice(stamp, "odometry is far off; the pose was searched for and found in the map"))
+        elif placement.hold is TrackingStatus.FAILED:
             self._statistics.unplaced += 1
-            self._reporter.tell(Noticed(stamp, "the scan fits nowhere near; left out"))
-        elif placement.hold is Hold.BLIND:
+            self._publisher.publish(Notice(stamp, "the scan fits nowhere near; left out"))
+        elif placement.hold is TrackingStatus.NO_FEATURES:
             self._statistics.blind += 1
-        self._tell_state(stamp, self._state.update(placement))
+        self._publish_state(stamp, self._state.update(placement))
         keyframe = self.belief.mapper.keyframe_count - 1
-        self._reporter.tell(ScanTracked(stamp, placement.pose, sighting.odometry, explained, keyframe))
+        self._publisher.publish(ScanTracked(stamp, placement.pose, sighting.odometry, explained, keyframe))
 
-    def _tell_keyframe(self, sighting: Sighting, mapper: Mapper, extension: Extension, clock: Clock) -> None:
+    def _publish_keyframe(self, sighting: ProcessedScan, mapper: Mapper, extension: KeyframeUpdate, timer: StageTimer) -> None:
         """Count what the keyframe did to the map, and tell the listeners."""
-        self._statistics.add_keyframe(clock)
+        self._statistics.add_keyframe(timer)
         self._statistics.merged_walls += extension.merge is not None
         if extension.loop is not None:
             self._statistics.add_loop(sighting.stamp, extension.loop)
-        self._reporter.tell_keyframe(sighting, mapper, extension, self._front_end.sigma_range, dict(clock.laps))
+        self._publisher.publish_keyframe(sighting, mapper, extension, self._front_end.sigma_range, dict(timer.laps))
 
     # --- what comes out
 
     @property
-    def belief(self) -> Belief:
+    def belief(self) -> SlamState:
         """What is believed now, to look into: where the robot is, its path, the map under construction."""
         return self._estimator.belief
 
@@ -222,7 +222,7 @@ class Slam:
         return self._state.state
 
     @property
-    def walls(self) -> MapLines:
+    def walls(self) -> MapWalls:
         """The walls as they are known now, without covariances: those cost time, `finish` gives them."""
         return map_features(self.belief.mapper, covariances=False)[0]
 
@@ -253,9 +253,9 @@ class Slam:
         stamps, poses = self._drives.trajectory(self.belief.path, self.belief.mapper.trail)
         if self._frozen:
             stamps, poses = stamps[stamps > self._since[1]], poses[stamps > self._since[1]]
-        self._reporter.tell_residuals(float(stamps[-1]), self.belief.mapper)
+        self._publisher.publish_residuals(float(stamps[-1]), self.belief.mapper)
         result = finished(self.belief, (stamps, poses), summary)
-        self._reporter.tell(result)
+        self._publisher.publish(result)
         return result
 
     def _work_off(self, count: int = sys.maxsize) -> None:
@@ -274,7 +274,7 @@ class Slam:
         session.sightings, session.waiting = list(self._journal), waiting
         return session
 
-    def _end_lost(self, excursion: Excursion) -> None:
+    def _end_lost(self, excursion: RelocalisationSession) -> None:
         """The robot has not been found again before the end.
 
         Raises MapError where it never was on a map that is to stay as it is.
@@ -289,9 +289,9 @@ class Slam:
             raise MapError("what was seen is nowhere on the map that it was to be found on")
         self._drives.keep_last()
         self._journal, self._resumed = self._journal[self._since[0] :], None
-        alone = Estimator(Belief(self.config.odometry))
+        alone = Estimator(SlamState(self.config.odometry))
         for sighting in self._journal:
-            step = alone.take(sighting, Clock())
+            step = alone.take(sighting, StageTimer())
             decisions = [step.extension.loop if step.extension else None, step.retracted]
             for decision in decisions:
                 if decision is not None:
@@ -309,7 +309,7 @@ class Slam:
         assert self._session is not None, "ask after finish"
         return self._session
 
-    def _stored(self, belief: Belief) -> StoredSession:
+    def _stored(self, belief: SlamState) -> StoredSession:
         resumed = self._resumed
         return StoredSession(
             config=self.config,
@@ -337,12 +337,12 @@ class Slam:
                 return {}
             refined = refine(belief.mapper, drive, belief.odometry_model)
         except MapError as error:
-            self._reporter.tell(Noticed(last, f"what was seen is not looked back at: {error}"))
+            self._publisher.publish(Notice(last, f"what was seen is not looked back at: {error}"))
             return {}
         refined.mapper.remember_covariances()
         keyframes = {k: self._journal[row] for k, row in enumerate(drive.keyframes.tolist())}
-        belief.settle_on(refined.mapper, refined.path, Place(refined.poses[-1], self._journal[-1].odometry), keyframes)
-        self._reporter.tell_map(last, belief.mapper)
+        belief.settle_on(refined.mapper, refined.path, PoseFix(refined.poses[-1], self._journal[-1].odometry), keyframes)
+        self._publisher.publish_map(last, belief.mapper)
         return {"refinement": refined.summary}
 
     def keyframe_covariance(self, index: int) -> Floats:

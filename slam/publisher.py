@@ -11,48 +11,48 @@ import numpy as np
 from drivers import se2
 
 from .estimation.map_view import covariances_when_last_seen, map_features
-from .estimation.slam_state import Extension
+from .estimation.slam_state import KeyframeUpdate
 from .events import (
     Correction,
     Event,
     GraphInspected,
     KeyframeAdded,
-    LinesMerged,
-    LinesRetired,
+    WallsMerged,
+    WallsRemoved,
     LoopDecided,
-    LoopSight,
+    ComparedWalls,
     LoopTest,
     MapUpdated,
     Sink,
 )
 from .loop_closure.closer import LoopDecision
 from .mapping.mapper import Mapper
-from .preprocessing.scan_queue import Sighting
+from .preprocessing.scan_queue import ProcessedScan
 
 MAP_INTERVAL = 20  # keyframes between two events with the whole map
 MAP_SHARE = 0.01  # of the keyframes: for long runs the interval grows, lest telling them take longer than making them
 INSPECTION_GROWTH = 1.5  # times as many keyframes as at the last inspection: in all, three times the last one's cost
 
 
-class Reporter:
+class Publisher:
     """Sends events to sinks."""
 
     def __init__(self, sinks: Sequence[Sink]) -> None:
         self._sinks = tuple(sinks)
-        self._told_keyframes = np.zeros((0, 3))
-        self._told_retired: frozenset[int] | None = None  # walls; what a session knows already is no news
+        self._published_keyframes = np.zeros((0, 3))
+        self._published_removed: frozenset[int] | None = None  # walls; what a session knows already is no news
         self._inspected = 0  # keyframes at the last inspection
 
-    def tell(self, event: Event) -> None:
+    def publish(self, event: Event) -> None:
         """Send an event that is cheap to make."""
         for sink in self._sinks:
             sink.handle(event)
 
-    def tell_keyframe(
+    def publish_keyframe(
         self,
-        sighting: Sighting,
+        sighting: ProcessedScan,
         mapper: Mapper,
-        extension: Extension,
+        extension: KeyframeUpdate,
         sigma_range: float,
         timings: dict[str, float],
     ) -> None:
@@ -60,35 +60,35 @@ class Reporter:
         if not self._sinks:
             return
         index, stamp = mapper.keyframe_count - 1, sighting.stamp
-        self.tell(_keyframe_event(sighting, mapper, extension, sigma_range, timings))
+        self.publish(_keyframe_event(sighting, mapper, extension, sigma_range, timings))
         if extension.merge is not None:
             merge = extension.merge
-            self.tell(LinesMerged(index, stamp, merge.kept, merge.absorbed, merge.distance))
+            self.publish(WallsMerged(index, stamp, merge.kept, merge.absorbed, merge.distance))
         if extension.loop is not None:
-            self.tell(_loop_event(extension.loop, stamp, mapper, extension.superseded))
+            self.publish(_loop_event(extension.loop, stamp, mapper, extension.superseded))
         if extension.superseded is not None:
-            self.tell_map(stamp, mapper)
-            self.tell_residuals(stamp, mapper)
-        elif index == 0 or index >= len(self._told_keyframes) - 1 + max(MAP_INTERVAL, MAP_SHARE * index):
-            self.tell_map(stamp, mapper)
+            self.publish_map(stamp, mapper)
+            self.publish_residuals(stamp, mapper)
+        elif index == 0 or index >= len(self._published_keyframes) - 1 + max(MAP_INTERVAL, MAP_SHARE * index):
+            self.publish_map(stamp, mapper)
             if index >= INSPECTION_GROWTH * self._inspected:
-                self.tell_residuals(stamp, mapper)
+                self.publish_residuals(stamp, mapper)
 
-    def tell_loop(self, decision: LoopDecision, stamp: float, mapper: Mapper, superseded: Mapper) -> None:
+    def publish_loop(self, decision: LoopDecision, stamp: float, mapper: Mapper, superseded: Mapper) -> None:
         """Tell of a closure that was taken back, and of the map as it is without it."""
         if not self._sinks:
             return
-        self.tell(_loop_event(decision, stamp, mapper, superseded))
-        self.tell_map(stamp, mapper)
-        self.tell_residuals(stamp, mapper)
+        self.publish(_loop_event(decision, stamp, mapper, superseded))
+        self.publish_map(stamp, mapper)
+        self.publish_residuals(stamp, mapper)
 
-    def tell_keyframes(self, mapper: Mapper, sightings: Mapping[int, Sighting], sigma_range: float) -> None:
+    def publish_keyframes(self, mapper: Mapper, sightings: Mapping[int, ProcessedScan], sigma_range: float) -> None:
         """Tell of all keyframes where they are on a map that is finished; `sightings` are theirs."""
         if not self._sinks:
             return
         for index, sighting in sightings.items():
             names = mapper.names[index]
-            self.tell(
+            self.publish(
                 KeyframeAdded(
                     index=index,
                     stamp=sighting.stamp,
@@ -111,18 +111,18 @@ class Reporter:
                 )
             )
 
-    def tell_map(self, stamp: float, mapper: Mapper, index: int | None = None) -> None:
+    def publish_map(self, stamp: float, mapper: Mapper, index: int | None = None) -> None:
         """Tell of the whole map, as it is after the last keyframe, or after the one of `index`."""
         if not self._sinks:
             return
         keyframes = mapper.graph.keyframe_poses(mapper.keyframe_count)
-        common = min(len(keyframes), len(self._told_keyframes))
-        moved = keyframes[:common, :2] - self._told_keyframes[:common, :2]
-        self._told_keyframes = keyframes
-        self._tell_retired(len(keyframes) - 1 if index is None else index, stamp, mapper)
+        common = min(len(keyframes), len(self._published_keyframes))
+        moved = keyframes[:common, :2] - self._published_keyframes[:common, :2]
+        self._published_keyframes = keyframes
+        self._publish_removed(len(keyframes) - 1 if index is None else index, stamp, mapper)
         lines, corners = map_features(mapper, covariances=False)
         of_lines, of_corners = covariances_when_last_seen(mapper, lines, corners)
-        self.tell(
+        self.publish(
             MapUpdated(
                 index=len(keyframes) - 1 if index is None else index,
                 stamp=stamp,
@@ -134,19 +134,19 @@ class Reporter:
             )
         )
 
-    def _tell_retired(self, index: int, stamp: float, mapper: Mapper) -> None:
+    def _publish_removed(self, index: int, stamp: float, mapper: Mapper) -> None:
         """Tell of the walls that are no longer there since the map was told last."""
         retired = frozenset(mapper.landmarks.retired().tolist())
-        news = retired - self._told_retired if self._told_retired is not None else frozenset()
-        self._told_retired = retired
+        news = retired - self._published_removed if self._published_removed is not None else frozenset()
+        self._published_removed = retired
         if news:
-            self.tell(LinesRetired(index, stamp, tuple(sorted(news))))
+            self.publish(WallsRemoved(index, stamp, tuple(sorted(news))))
 
-    def tell_residuals(self, stamp: float, mapper: Mapper) -> None:
+    def publish_residuals(self, stamp: float, mapper: Mapper) -> None:
         """Tell how well every factor fits."""
         if self._sinks:
             self._inspected = mapper.keyframe_count
-            self.tell(GraphInspected(mapper.keyframe_count - 1, stamp, mapper.graph.residuals()))
+            self.publish(GraphInspected(mapper.keyframe_count - 1, stamp, mapper.graph.residuals()))
 
 
 def _sizes(mapper: Mapper) -> dict[str, int]:
@@ -156,7 +156,7 @@ def _sizes(mapper: Mapper) -> dict[str, int]:
 
 
 def _keyframe_event(
-    sighting: Sighting, mapper: Mapper, extension: Extension, sigma_range: float, timings: dict[str, float]
+    sighting: ProcessedScan, mapper: Mapper, extension: KeyframeUpdate, sigma_range: float, timings: dict[str, float]
 ) -> KeyframeAdded:
     view = extension.view
     return KeyframeAdded(
@@ -204,12 +204,12 @@ def _loop_event(decision: LoopDecision, stamp: float, mapper: Mapper, superseded
     )
 
 
-def _sight(decision: LoopDecision) -> LoopSight | None:
+def _sight(decision: LoopDecision) -> ComparedWalls | None:
     if decision.sight is None:
         return None
     recent, old = (constellation.end_points() for constellation in decision.sight)
     aligned = se2.transform(decision.hypothesis.motion, recent)
-    return LoopSight(recent, aligned, old, decision.hypothesis.matches.copy())
+    return ComparedWalls(recent, aligned, old, decision.hypothesis.matches.copy())
 
 
 def _correction(decision: LoopDecision, mapper: Mapper, superseded: Mapper) -> Correction:

@@ -11,7 +11,7 @@ from .localisation.state import State
 from .loop_closure.closer import LoopDecision
 
 
-class Clock:
+class StageTimer:
     """Milliseconds by stage of one scan's work."""
 
     def __init__(self) -> None:
@@ -46,10 +46,10 @@ class RunStatistics:
     keyframe_times: list[float] = field(default_factory=list)
     stage_times: dict[str, float] = field(default_factory=dict)
 
-    def add_keyframe(self, clock: Clock) -> None:
+    def add_keyframe(self, timer: StageTimer) -> None:
         """Note the times of a scan that became a keyframe."""
-        self.keyframe_times.append(clock.total)
-        for stage, duration in clock.laps.items():
+        self.keyframe_times.append(timer.total)
+        for stage, duration in timer.laps.items():
             self.stage_times[stage] = self.stage_times.get(stage, 0.0) + duration
 
     def loop_counts(self) -> dict[str, int]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
-from .estimation.slam_state import Belief
-from .preprocessing.scan_queue import FrontEnd
+from .estimation.slam_state import SlamState
+from .preprocessing.scan_queue import Preprocessor
 from .run_statistics import RunStatistics
 
 
-def run_summary(front_end: FrontEnd, belief: Belief, statistics: RunStatistics) -> dict[str, object]:
+def run_summary(front_end: Preprocessor, belief: SlamState, statistics: RunStatistics) -> dict[str, object]:
     """As plain data."""
     return {
         "scans": front_end.scans,

@@ -15,11 +15,11 @@ from drivers.messages import Floats, Message, Odometry, Scan
 
 from .geometry.segments import Segments
 from .loop_closure.proposal import propose
-from .loop_closure.recent_walls import OLD_WAY, recent_and_old
-from .loop_closure.relocalisation import fragment_of, index_map, relocalise
+from .loop_closure.recent_walls import OLD_WAY, recent_and_reference
+from .loop_closure.relocalisation import submap_of, index_map, relocalise
 from .loop_closure.verification import contradiction
 from .mapping.landmarks import Landmarks
-from .mapping.wall_removal import Doubts
+from .mapping.wall_removal import FreeSpaceEvidence
 from .pipeline import Slam
 
 ROOM = 4.0, 3.0  # metres
@@ -35,7 +35,7 @@ def warm_up() -> None:
     for message in _drive():
         slam.add(message)
     mapper = slam.belief.mapper
-    relocalise(fragment_of(mapper), index_map(mapper))
+    relocalise(submap_of(mapper), index_map(mapper))
     _find_loop([(mapper.graph.keyframe_pose(keyframe), seen) for keyframe, seen in mapper.views])
     _see_through()
     slam.finish()
@@ -72,7 +72,7 @@ def _find_loop(views: Sequence[tuple[se2.Pose, Segments]]) -> None:
             wall = landmarks.add_wall(side, 1.4, keyframe)
             landmarks.walls.rows["in_graph"][wall] = True
             landmarks.walls.rows["observations"][wall] = 2
-    recent, old = recent_and_old(landmarks, np.zeros(3), np.array([0.0, 2 * OLD_WAY]))
+    recent, old = recent_and_reference(landmarks, np.zeros(3), np.array([0.0, 2 * OLD_WAY]))
     propose(recent, old, np.zeros(3))
     contradiction(np.zeros(3), old, landmarks, views)
 
@@ -81,4 +81,4 @@ def _see_through() -> None:
     """A wall with a point behind it."""
     landmarks = Landmarks()
     landmarks.add_wall(np.zeros(3), 1.0, 0)
-    Doubts().look(landmarks, np.array([0.0, -1.0, 0.0]), np.array([[0.0, 2.0]]), [0.0], [np.zeros((3, 3))])
+    FreeSpaceEvidence().look(landmarks, np.array([0.0, -1.0, 0.0]), np.array([[0.0, 2.0]]), [0.0], [np.zeros((3, 3))])

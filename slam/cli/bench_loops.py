@@ -65,14 +65,14 @@ def bench_lookalike(
     worlds: Annotated[
         str | None, typer.Option("--worlds", metavar="A,B", help="Some of the worlds; all where left out.")
     ] = None,
-    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Drives through each world, with seeds from 0.")] = 20,
-    processes: Annotated[int, typer.Option("--processes", min=1, help="Drives at a time.")] = 2,
+    seeds: Annotated[int, typer.Option("--seeds", min=1, help="OdometrySegments through each world, with seeds from 0.")] = 20,
+    processes: Annotated[int, typer.Option("--processes", min=1, help="OdometrySegments at a time.")] = 2,
     as_json: JsonOption = False,
 ) -> None:
     """Drive through worlds whose places look alike; exit status 1 if the map was made wrong there.
 
     That is if a wrong loop closure was accepted, or if a robot that was lost was found in another place than the one
-    where it was. Drives are counted besides that ended more than 1 m off: there drift is counted, too.
+    where it was. OdometrySegments are counted besides that ended more than 1 m off: there drift is counted, too.
 
     Example: [bold]wclm bench lookalike --seeds 5[/bold]
     """

@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from ..events import Event, KeyframeAdded, LoopDecided, Noticed, ScanTracked, StateChanged
+from ..events import Event, KeyframeAdded, LoopDecided, Notice, ScanTracked, StateChanged
 from .console import complain
 from .monitor import Rates, troubles_in_words
 
@@ -45,7 +45,7 @@ class Dashboard:
                 self._loops[event.status] += 1
                 if event.status in ("accepted", "retracted"):
                     complain(f"loop {event.status}: keyframe {event.index} sees the place of keyframe {event.old}")
-            case Noticed():
+            case Notice():
                 self._notice = event.text
 
     def draw(self, snapshot: Snapshot, rates: Rates) -> RenderableType:

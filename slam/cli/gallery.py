@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from ..errors import MapError, OutputError
-from ..events import Event, KeyframeAdded, LoopDecided, MapUpdated, StateChanged, TruthSeen
+from ..events import Event, KeyframeAdded, LoopDecided, MapUpdated, StateChanged, GroundTruthReceived
 from ..io.output_dir import KEYFRAMES, PICTURE
 from ..io.tum import Trajectory
 
@@ -64,7 +64,7 @@ class Witness:
 
     def truth(self) -> Trajectory:
         """The true path, in the world's frame."""
-        seen = self.of(TruthSeen)
+        seen = self.of(GroundTruthReceived)
         return Trajectory(np.array([event.stamp for event in seen]), np.array([event.pose for event in seen]))
 
 

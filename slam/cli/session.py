@@ -19,7 +19,7 @@ from drivers.messages import GroundTruth, Message, Odometry, Scan, Source, Sourc
 from ..config import Config, config_to_toml, load_config
 from ..errors import MapError
 from ..evaluation.metrics import ReferenceScore, score_reference
-from ..events import Event, Finished, Noticed, Sink
+from ..events import Event, Finished, Notice, Sink
 from ..io.host import versions
 from ..io.output_dir import CONFIG, PICTURE, REPORT, REVIEW, OutputDirectory, unfinished_file, write_results
 from ..io.tum import Trajectory
@@ -166,7 +166,7 @@ class Notices:
 
     def handle(self, event: Event) -> None:
         """Take one event."""
-        if isinstance(event, Noticed):
+        if isinstance(event, Notice):
             self.texts.append(f"{event.text} (at {event.stamp:.2f} s)")
 
 

@@ -13,13 +13,13 @@ import numpy as np
 from drivers import se2
 
 from ..loop_closure.closer import LoopDecision
-from ..loop_closure.recent_walls import OLD_WAY, recent_and_old
+from ..loop_closure.recent_walls import OLD_WAY, recent_and_reference
 from ..loop_closure.verification import contradiction
 from ..mapping.mapper import Mapper
 
 if TYPE_CHECKING:
-    from ..preprocessing.scan_queue import Sighting
-    from .slam_state import Belief
+    from ..preprocessing.scan_queue import ProcessedScan
+    from .slam_state import SlamState
 
 WAY = 15.0  # metres of driving that a closure is on probation
 INTERVAL = 1.5  # metres between two examinations
@@ -30,62 +30,62 @@ IN_A_ROW = 2  # examinations that must say so: a door opens, a person stands som
 
 
 @dataclass(slots=True, eq=False)
-class Case:
+class MonitoredClosure:
     """A closure on probation, the estimate before it, and what was seen since."""
 
-    checkpoint: Belief
+    checkpoint: SlamState
     decision: LoopDecision
     way: float
     examined: float
-    since: list[Sighting] = field(default_factory=list)
+    since: list[ProcessedScan] = field(default_factory=list)
     against: int = 0
 
 
-class Probation:
+class ClosureMonitor:
     """The closures of the last metres."""
 
     def __init__(self) -> None:
-        self._cases: list[Case] = []
+        self._closures: list[MonitoredClosure] = []
 
-    def begin(self, checkpoint: Belief, decision: LoopDecision) -> None:
+    def begin(self, checkpoint: SlamState, decision: LoopDecision) -> None:
         """Watch a closure from now on; `checkpoint` is the estimate right before it."""
         way = checkpoint.mapper.ways[-1]
-        self._cases.append(Case(checkpoint, decision, way, way))
+        self._closures.append(MonitoredClosure(checkpoint, decision, way, way))
 
-    def remember(self, sighting: Sighting) -> None:
+    def remember(self, sighting: ProcessedScan) -> None:
         """What has been seen would have to be taken again."""
-        for case in self._cases:
-            case.since.append(sighting)
+        for closure in self._closures:
+            closure.since.append(sighting)
 
-    def examine(self, mapper: Mapper, *, lost: bool) -> Case | None:
+    def examine(self, mapper: Mapper, *, lost: bool) -> MonitoredClosure | None:
         """The oldest closure on probation that cannot be right, its decision taken back; the case ends here.
 
         `lost` is whether tracking has failed since.
         """
         way = mapper.ways[-1]
-        self._cases = [case for case in self._cases if way - case.way <= WAY]
-        for position, case in enumerate(self._cases):
-            reason = "the robot got lost after it" if lost else _seen_through(case, mapper)
+        self._closures = [closure for closure in self._closures if way - closure.way <= WAY]
+        for position, closure in enumerate(self._closures):
+            reason = "the robot got lost after it" if lost else _seen_through(closure, mapper)
             if reason:
-                del self._cases[position:]  # those after it rest on it
-                verdict = replace(case.decision.verdict, accepted=False, reason=reason)
-                case.decision = replace(case.decision, status="retracted", verdict=verdict)
-                return case
+                del self._closures[position:]  # those after it rest on it
+                verdict = replace(closure.decision.verdict, accepted=False, reason=reason)
+                closure.decision = replace(closure.decision, status="retracted", verdict=verdict)
+                return closure
         return None
 
 
-def _seen_through(case: Case, mapper: Mapper) -> str:
+def _seen_through(closure: MonitoredClosure, mapper: Mapper) -> str:
     """Says so if what was seen since a closure could not have been seen past the old walls, were it right."""
-    if mapper.ways[-1] - case.examined < INTERVAL:
+    if mapper.ways[-1] - closure.examined < INTERVAL:
         return ""
-    case.examined = mapper.ways[-1]
+    closure.examined = mapper.ways[-1]
     ways = np.array(mapper.ways)
-    _, old = recent_and_old(mapper.landmarks, mapper.pose, ways)
+    _, old = recent_and_reference(mapper.landmarks, mapper.pose, ways)
     # what was mapped on the drifted way just before the closure may lie wherever that has left it
-    first_seen = mapper.landmarks.walls.rows["first_seen"][old.constellation.walls]
-    old = replace(old, left=old.left & (ways[first_seen] < case.way - OLD_WAY))
-    views = [(mapper.graph.keyframe_pose(k), seen) for k, seen in mapper.views if k > case.decision.keyframe]
+    first_seen = mapper.landmarks.walls.rows["first_seen"][old.wall_set.walls]
+    old = replace(old, left=old.left & (ways[first_seen] < closure.way - OLD_WAY))
+    views = [(mapper.graph.keyframe_pose(k), seen) for k, seen in mapper.views if k > closure.decision.keyframe]
     share = contradiction(np.zeros(3), old, mapper.landmarks, views)
-    without = contradiction(se2.inverse(case.decision.hypothesis.motion), old, mapper.landmarks, views)
-    case.against = case.against + 1 if share > without + MORE_SEEN_THROUGH else 0
-    return f"{share:.0%} of what was seen since lies behind old walls" if case.against >= IN_A_ROW else ""
+    without = contradiction(se2.inverse(closure.decision.hypothesis.motion), old, mapper.landmarks, views)
+    closure.against = closure.against + 1 if share > without + MORE_SEEN_THROUGH else 0
+    return f"{share:.0%} of what was seen since lies behind old walls" if closure.against >= IN_A_ROW else ""

@@ -4,65 +4,65 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from ..localisation.tracker import Placement
+from ..localisation.tracker import TrackingResult
 from ..loop_closure.closer import LoopDecision
-from ..mapping.keyframes import KeyframeView
+from ..mapping.keyframes import KeyframeObservations
 from ..mapping.mapper import Mapper
-from ..preprocessing.scan_queue import Sighting
-from ..run_statistics import Clock
-from .closure_monitor import Probation
-from .slam_state import Belief, Extension
+from ..preprocessing.scan_queue import ProcessedScan
+from ..run_statistics import StageTimer
+from .closure_monitor import ClosureMonitor
+from .slam_state import SlamState, KeyframeUpdate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Step:
+class ScanResult:
     """What a sighting did: where it was taken, how it extended the map if it became a keyframe, and the closure that
     had to be taken back after it, if any. `mapper` is the map with the sighting, before anything was taken back;
     `before` the belief before a sighting that fits abruptly worse."""
 
-    placement: Placement
-    extension: Extension | None
+    placement: TrackingResult
+    extension: KeyframeUpdate | None
     mapper: Mapper
     retracted: LoopDecision | None
-    before: Belief | None
+    before: SlamState | None
 
 
 class Estimator:
     """Changes a belief as sightings come."""
 
-    def __init__(self, belief: Belief) -> None:
+    def __init__(self, belief: SlamState) -> None:
         self.belief = belief
-        self._probation = Probation()
+        self._monitor = ClosureMonitor()
 
-    def take(self, sighting: Sighting, clock: Clock) -> Step:
+    def take(self, sighting: ProcessedScan, timer: StageTimer) -> ScanResult:
         """Place a sighting, let the map grow, close a loop or take one back."""
-        placement = self.belief.place(sighting, clock)
+        placement = self.belief.place(sighting, timer)
         before = self.belief.copy() if placement.abrupt else None
-        extension = self.belief.extend(sighting, placement, clock)
-        self._probation.remember(sighting)  # before a closure: the belief that it is tried on has the sighting
+        extension = self.belief.extend(sighting, placement, timer)
+        self._monitor.remember(sighting)  # before a closure: the belief that it is tried on has the sighting
         if extension is not None and extension.loop is not None and extension.loop.status == "agreed":
             superseded, loop = self.belief.mapper, self._close(extension.view, extension.loop)
             extension = replace(extension, loop=loop, superseded=superseded if loop.status == "accepted" else None)
-            clock.lap("closing")
+            timer.lap("closing")
         mapper = self.belief.mapper
-        return Step(placement, extension, mapper, self._doubt(), before)
+        return ScanResult(placement, extension, mapper, self._doubt(), before)
 
-    def _close(self, view: KeyframeView, decision: LoopDecision) -> LoopDecision:
+    def _close(self, view: KeyframeObservations, decision: LoopDecision) -> LoopDecision:
         """Close the loop that two looks agree on, on a copy, and see whether the map comes together."""
         trial = self.belief.copy()
         decision = trial.close_loop(view, decision)
         if decision.status == "accepted":
-            self._probation.begin(self.belief, decision)
+            self._monitor.begin(self.belief, decision)
             self.belief = trial
         return decision
 
     def _doubt(self) -> LoopDecision | None:
         """Take back a closure that was contradicted since: the belief before it takes all sightings since again."""
-        case = self._probation.examine(self.belief.mapper, lost=self.belief.lost)
-        if case is None:
+        closure = self._monitor.examine(self.belief.mapper, lost=self.belief.lost)
+        if closure is None:
             return None
-        self.belief = case.checkpoint
-        self.belief.loops.refuse(case.decision)
-        for sighting in case.since:
-            self.belief.extend(sighting, self.belief.place(sighting, Clock()), Clock())
-        return case.decision
+        self.belief = closure.checkpoint
+        self.belief.loops.refuse(closure.decision)
+        for sighting in closure.since:
+            self.belief.extend(sighting, self.belief.place(sighting, StageTimer()), StageTimer())
+        return closure.decision

@@ -6,18 +6,18 @@ import numpy as np
 
 from drivers import se2
 
-from ..events import Finished, MapCorners, MapLines
+from ..events import Finished, MapCorners, MapWalls
 from ..geometry.segments import Floats
 from ..mapping.landmarks import Landmarks
 from ..mapping.mapper import Mapper
-from ..mapping.overlap_suppression import with_one_front
-from .slam_state import Belief
+from ..mapping.overlap_suppression import suppress_overlapping_walls
+from .slam_state import SlamState
 
 LEAST_SINE = 0.2  # of the angle between two walls that meet in a corner
 STRAYED = 0.1  # metres from a corner beyond which its walls, as they are known now, no longer make it
 
 
-def finished(belief: Belief, path: tuple[Floats, Floats], summary: dict[str, object]) -> Finished:
+def finished(belief: SlamState, path: tuple[Floats, Floats], summary: dict[str, object]) -> Finished:
     """What came of a belief that has settled, with all covariances; `path` is stamps (m,) and poses (m, 3)."""
     mapper = belief.mapper
     lines, corners = map_features(mapper, covariances=True)
@@ -34,14 +34,14 @@ def finished(belief: Belief, path: tuple[Floats, Floats], summary: dict[str, obj
     )
 
 
-def map_features(mapper: Mapper, *, covariances: bool) -> tuple[MapLines, MapCorners]:
+def map_features(mapper: Mapper, *, covariances: bool) -> tuple[MapWalls, MapCorners]:
     """The confirmed walls, no two of them along the same stretch, and the corners; with the covariances of their
     marginals if asked for, about a millisecond each."""
-    shown = with_one_front(mapper.landmarks)
+    shown = suppress_overlapping_walls(mapper.landmarks)
     return _lines(mapper, shown, covariances=covariances), _corners(mapper, shown, covariances=covariances)
 
 
-def _lines(mapper: Mapper, landmarks: Landmarks, *, covariances: bool) -> MapLines:
+def _lines(mapper: Mapper, landmarks: Landmarks, *, covariances: bool) -> MapWalls:
     rows = landmarks.walls.rows
     chosen = np.flatnonzero(rows["in_graph"] & landmarks.standing())
     covariance = np.full((len(chosen), 2, 2), np.nan)
@@ -51,7 +51,7 @@ def _lines(mapper: Mapper, landmarks: Landmarks, *, covariances: bool) -> MapLin
         normals = np.column_stack([-np.sin(rows["frame"][chosen, 2]), np.cos(rows["frame"][chosen, 2])])
         covariance[:, 0, 0] += np.einsum("ij,ijk,ik->i", normals, mapper.adrift[rows["first_seen"][chosen]], normals)
     walls = rows[chosen]
-    return MapLines(
+    return MapWalls(
         identity=chosen,
         frame=walls["frame"].copy(),
         low=walls["low"].copy(),
@@ -117,7 +117,7 @@ def _meeting(first: se2.Pose, second: se2.Pose) -> tuple[Floats, Floats]:
     return point, jacobian
 
 
-def covariances_when_last_seen(mapper: Mapper, lines: MapLines, corners: MapCorners) -> tuple[Floats, Floats]:
+def covariances_when_last_seen(mapper: Mapper, lines: MapWalls, corners: MapCorners) -> tuple[Floats, Floats]:
     """(n, 2, 2) and (m, 2, 2): those of walls and corners in the map as they were when each was last seen, which costs
     nothing; NaN where they have not been told."""
     of_lines = mapper.landmarks.walls.rows["covariance_in_map"][lines.identity].copy()

@@ -17,13 +17,13 @@ import numpy as np
 from drivers import se2
 
 from ..config import OdometryConfig
-from ..localisation.tracker import Hold, Placement
-from ..loop_closure.relocalisation import Relocalisation, fragment_of, index_map, relocalise
+from ..localisation.tracker import TrackingStatus, TrackingResult
+from ..loop_closure.relocalisation import Relocalisation, submap_of, index_map, relocalise
 from ..loop_closure.verification import allowed_by_estimate
-from ..preprocessing.scan_queue import Sighting
-from ..run_statistics import Clock
+from ..preprocessing.scan_queue import ProcessedScan
+from ..run_statistics import StageTimer
 from .estimator import Estimator
-from .slam_state import Belief
+from .slam_state import SlamState
 
 LOOK_KEYFRAMES, LOOK_WAY = 3, 1.0  # keyframes and metres of driving between two looks
 ENOUGH_LOOKS = 4  # looks in a row that find the same place, other places being close behind, for it to be believed
@@ -34,31 +34,31 @@ ODOMETRY_WAY = 10.0  # metres of driving in which a robot that was not carried m
 LEAST_PLACED = 0.8  # share of the sightings since getting lost that must fit the map where they are believed to belong
 
 
-class Excursion:
+class RelocalisationSession:
     """The sightings since the robot got lost, and the small map of its own that they make.
 
     `whole` is the belief before that. It is never changed; what comes of the excursion is a new one. `carried` is
     whether the robot may have been carried away.
     """
 
-    def __init__(self, config: OdometryConfig, whole: Belief, sightings: Sequence[Sighting], *, carried: bool) -> None:
+    def __init__(self, config: OdometryConfig, whole: SlamState, sightings: Sequence[ProcessedScan], *, carried: bool) -> None:
         self._config = config
         self._whole, self._carried = whole, carried
         self._index = index_map(whole.mapper)
         self._start(sightings)
 
-    def _start(self, sightings: Sequence[Sighting]) -> None:
-        self._estimator = Estimator(Belief(self._config))
+    def _start(self, sightings: Sequence[ProcessedScan]) -> None:
+        self._estimator = Estimator(SlamState(self._config))
         self._looked_keyframe, self._looked_way = 0, -LOOK_WAY
         self._likely: list[se2.Pose] = []  # where the last looks in a row have the excursion's frame in the old map
-        self.sightings: list[Sighting] = []
+        self.sightings: list[ProcessedScan] = []
         self.explained: list[float] = []  # of them, in the place that was recognised last
         for sighting in sightings:
             self.add(sighting)
 
-    def add(self, sighting: Sighting) -> None:
+    def add(self, sighting: ProcessedScan) -> None:
         """Take a sighting. If the last ones do not fit those before, the robot got lost again: all starts anew."""
-        self._estimator.take(sighting, Clock())
+        self._estimator.take(sighting, StageTimer())
         self.sightings.append(sighting)
         if self._estimator.belief.lost:
             self._carried = self._carried or self._estimator.belief.broken_off
@@ -86,7 +86,7 @@ class Excursion:
         if count - self._looked_keyframe < LOOK_KEYFRAMES or way - self._looked_way < LOOK_WAY:
             return None
         self._looked_keyframe, self._looked_way = count, way
-        found = relocalise(fragment_of(mapper), self._index)
+        found = relocalise(submap_of(mapper), self._index)
         if found is None or not self._believed(found) or not self._possible(found):
             return None
         return self._at(found.motion)
@@ -113,7 +113,7 @@ class Excursion:
         belief.move_to(motion, self.sightings[0].odometry)  # the excursion's frame is its first sighting's
         recovered, placed = self._taken_from(belief)
         self.explained = [placement.registration.explained for placement in placed]
-        fitting = sum(placement.hold is not Hold.NONE for placement in placed)
+        fitting = sum(placement.hold is not TrackingStatus.FAILED for placement in placed)
         return recovered if fitting >= LEAST_PLACED * len(placed) and not recovered.belief.lost else None
 
     def joined(self) -> Estimator:
@@ -125,24 +125,24 @@ class Excursion:
         belief.start_anew(self.sightings[0].odometry, carried=self._carried)
         return self._taken_from(belief)[0]
 
-    def _taken_from(self, belief: Belief) -> tuple[Estimator, list[Placement]]:
+    def _taken_from(self, belief: SlamState) -> tuple[Estimator, list[TrackingResult]]:
         """The excursion's sightings taken from a belief on, and how each was placed."""
         estimator = Estimator(belief)
-        return estimator, [estimator.take(sighting, Clock()).placement for sighting in self.sightings]
+        return estimator, [estimator.take(sighting, StageTimer()).placement for sighting in self.sightings]
 
 
-class Suspicion:
+class KidnappingMonitor:
     """Whether the robot has been carried to a place that looks much like the one where it is believed to be.
 
     What it sees has changed at a stroke. It goes on as before; but if what it sees from then on belongs elsewhere on
     the map, and fits better there, that is where it is.
     """
 
-    def __init__(self, config: OdometryConfig, before: Belief) -> None:
-        self._excursion = Excursion(config, before, (), carried=True)
+    def __init__(self, config: OdometryConfig, before: SlamState) -> None:
+        self._excursion = RelocalisationSession(config, before, (), carried=True)
         self._explained: list[float] = []  # where the robot is believed to be
 
-    def add(self, sighting: Sighting, placement: Placement) -> None:
+    def add(self, sighting: ProcessedScan, placement: TrackingResult) -> None:
         """Take a sighting, and where it was placed."""
         self._excursion.add(sighting)
         self._explained.append(placement.registration.explained)

@@ -15,12 +15,12 @@ import numpy as np
 from drivers import se2
 
 from ..config import OdometryConfig
-from ..geometry.degeneracy import free_direction
+from ..geometry.degeneracy import weakest_direction
 from ..geometry.segments import Floats
-from ..localisation.tracker import Hold, Place, Placement, Surroundings, Tracker
-from ..loop_closure.closer import Looks, LoopCloser, LoopDecision, close
+from ..localisation.tracker import TrackingStatus, PoseFix, TrackingResult, MatchTarget, Tracker
+from ..loop_closure.closer import LoopSearchState, LoopCloser, LoopDecision, close
 from ..mapping.data_association import associate
-from ..mapping.keyframes import KeyframeView, Merge, Motion
+from ..mapping.keyframes import KeyframeObservations, Merge, Motion
 from ..mapping.local_map import empty_local_map
 from ..mapping.mapper import REACH_MARGIN, Mapper
 from ..mapping.trajectory_builder import Path
@@ -28,8 +28,8 @@ from ..matching.likelihood_field import KEYFRAMES as RECENT_KEYFRAMES
 from ..matching.likelihood_field import RecentPoints
 from ..matching.line_matcher import Registration
 from ..odometry.error_model import OdometryModel, fused_motion
-from ..preprocessing.scan_queue import Sighting
-from ..run_statistics import Clock
+from ..preprocessing.scan_queue import ProcessedScan
+from ..run_statistics import StageTimer
 
 # Metres and radians. On recordings 0.25 to 0.40 m are equally accurate; the time goes with the number of keyframes.
 KEYFRAME_DISTANCE = 0.33
@@ -67,7 +67,7 @@ class Standing:
     carried_keyframes  that were reached in this way
     """
 
-    firm: Place | None
+    firm: PoseFix | None
     step: se2.Pose
     fit: float
     anchor: Anchor | None
@@ -76,19 +76,19 @@ class Standing:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Extension:
+class KeyframeUpdate:
     """What a keyframe did to the map: what it saw, the walls found to be one and the loop decided on, if any.
 
     `superseded` is the map before a loop was closed.
     """
 
-    view: KeyframeView
+    view: KeyframeObservations
     merge: Merge | None
     loop: LoopDecision | None
     superseded: Mapper | None = None
 
 
-class Belief:
+class SlamState:
     """The estimate of everything, changed by one sighting after the other."""
 
     def __init__(self, config: OdometryConfig, loops: LoopCloser | None = None) -> None:
@@ -106,7 +106,7 @@ class Belief:
         self._carried = False  # whether the robot has been moved since then without odometry's knowing
         self.carried_keyframes: list[int] = []  # that were reached in this way
         self.frozen = False  # see `freeze`
-        self.unplaced: list[Sighting] = []  # the last in a row that fit nowhere
+        self.unplaced: list[ProcessedScan] = []  # the last in a row that fit nowhere
         self._searched: tuple[float, int, se2.Pose, Floats] | None = None  # to be borne out by the next scan
 
     @classmethod
@@ -118,9 +118,9 @@ class Belief:
         path: Path,
         stamps: Sequence[float],
         standing: Standing,
-        looks: Looks,
-        sightings: Mapping[int, Sighting],
-    ) -> Belief:
+        looks: LoopSearchState,
+        sightings: Mapping[int, ProcessedScan],
+    ) -> SlamState:
         """The belief that these were of. `stamps` and `sightings` are those of the keyframes; samples are of odometry's
         noise.
 
@@ -139,7 +139,7 @@ class Belief:
             belief._look_back(sightings)
         return belief
 
-    def _look_back(self, sightings: Mapping[int, Sighting]) -> None:
+    def _look_back(self, sightings: Mapping[int, ProcessedScan]) -> None:
         """Have the map around, and the points of keyframes: the last, in a familiar place the nearest."""
         count = self.mapper.keyframe_count
         near = np.arange(count)
@@ -157,7 +157,7 @@ class Belief:
         tracker, carried = self._tracker, tuple(self.carried_keyframes)
         return Standing(tracker.firm, tracker.step, tracker.fit, self._anchor, self._carried, carried)
 
-    def settle_on(self, mapper: Mapper, path: Path, place: Place, sightings: Mapping[int, Sighting]) -> None:
+    def settle_on(self, mapper: Mapper, path: Path, place: PoseFix, sightings: Mapping[int, ProcessedScan]) -> None:
         """Take over a map with the same keyframes, which came of a second look, and the path on it.
 
         `place` is that of the last sighting, `sightings` are those of the keyframes.
@@ -167,7 +167,7 @@ class Belief:
         self._recent_points = RecentPoints()
         self._look_back(sightings)
 
-    def copy(self) -> Belief:
+    def copy(self) -> SlamState:
         """The same estimate, to go back to."""
         return copy.deepcopy(self)
 
@@ -187,30 +187,30 @@ class Belief:
         """Whether the robot goes through a familiar place, where the map stays as it is."""
         return self._anchor is not None and self._anchor.keyframe != self.mapper.keyframe_count - 1
 
-    def place(self, sighting: Sighting, clock: Clock) -> Placement:
+    def place(self, sighting: ProcessedScan, timer: StageTimer) -> TrackingResult:
         """Find where the robot was."""
         self._keep_up(sighting)
-        around = Surroundings(self._local_map, self._point_field, self.mapper.flatness.variance)
+        around = MatchTarget(self._local_map, self._point_field, self.mapper.flatness.variance)
         placement = self._tracker.track(sighting.odometry, sighting.seen, around)
-        clock.lap("registration")
-        self.unplaced = [*self.unplaced, sighting] if placement.hold is Hold.NONE else []
-        if placement.hold in (Hold.FIRM, Hold.SEARCHED):
+        timer.lap("registration")
+        self.unplaced = [*self.unplaced, sighting] if placement.hold is TrackingStatus.FAILED else []
+        if placement.hold in (TrackingStatus.TRACKED, TrackingStatus.TENTATIVE):
             self.pose = placement.pose
         return placement
 
-    def _keep_up(self, sighting: Sighting) -> None:
+    def _keep_up(self, sighting: ProcessedScan) -> None:
         """Where the robot has driven on without placing a scan, take the map around where odometry has it."""
         there = self.predict(sighting.odometry)
         if self._anchor is not None and not self._carried and np.hypot(*(there - self.pose)[:2]) > UNSEEN_WAY:
             self._local_map = self.mapper.local_map_at(there, CARRIED_REACH)
 
-    def extend(self, sighting: Sighting, placement: Placement, clock: Clock) -> Extension | None:
+    def extend(self, sighting: ProcessedScan, placement: TrackingResult, timer: StageTimer) -> KeyframeUpdate | None:
         """Make what was placed part of the path, and let the map grow if the robot has moved on."""
         extension = None
-        if placement.hold is Hold.FIRM and self._moved_enough():
+        if placement.hold is TrackingStatus.TRACKED and self._moved_enough():
             familiar = self._familiar_keyframe(placement)
             if familiar is None:
-                extension = self._extend_map(sighting, placement, clock)
+                extension = self._extend_map(sighting, placement, timer)
             else:
                 self._pass_by(familiar, sighting, placement)
         self._hang_on_path(sighting.stamp, placement)
@@ -228,7 +228,7 @@ class Belief:
         far = np.hypot(moved[0], moved[1]) > KEYFRAME_DISTANCE or abs(moved[2]) > KEYFRAME_TURN
         return self._anchor is None or bool(far)
 
-    def _familiar_keyframe(self, placement: Placement) -> int | None:
+    def _familiar_keyframe(self, placement: TrackingResult) -> int | None:
         """The nearest of the keyframes at a place that has been visited often enough for nothing new to be learned, and
         where what is seen is what was seen before; None elsewhere. On a frozen map all places are like that.
 
@@ -241,10 +241,10 @@ class Belief:
         near = self.mapper.keyframes_near(self.pose, FAMILIAR_DISTANCE, FAMILIAR_TURN)
         before = np.sort(near[near < self.mapper.keyframe_count - VISIT_GAP])  # this visit does not count
         visits = np.count_nonzero(np.diff(before) > VISIT_GAP) + 1 if len(before) else 0
-        held = free_direction(self.pose, placement.registration.information, FAMILIAR_SIGMA) is None
+        held = weakest_direction(self.pose, placement.registration.information, FAMILIAR_SIGMA) is None
         return int(near[0]) if visits >= (FAMILIAR_VISITS if held else FAMILIAR_VISITS_ADRIFT) else None
 
-    def _pass_by(self, keyframe: int, sighting: Sighting, placement: Placement) -> None:
+    def _pass_by(self, keyframe: int, sighting: ProcessedScan, placement: TrackingResult) -> None:
         """Go through a familiar place: the way goes on from there, the map stays as it is."""
         relative = se2.between(self.mapper.trail[keyframe], self.pose)
         self._anchor = Anchor(keyframe, relative, placement.covariance, sighting.odometry)
@@ -255,7 +255,7 @@ class Belief:
         self._recent_points.add(keyframe, sighting.seen.points.seen_from(relative))
         self._point_field = self._recent_points.field(self.mapper.poses_of(self._recent_points.keyframes), self.pose)
 
-    def _hang_on_path(self, stamp: float, placement: Placement) -> None:
+    def _hang_on_path(self, stamp: float, placement: TrackingResult) -> None:
         """Make the pose part of the path; one that was searched for, once the next sighting has borne it out."""
         if self._anchor is None:
             return
@@ -264,33 +264,33 @@ class Belief:
         place = (stamp, keyframe, relative, placement.registration.held_by)
         if self._searched is not None and placement.bears_out_search:
             self.path.add(*self._searched)
-        self._searched = place if placement.hold is Hold.SEARCHED else None
-        if placement.hold is Hold.FIRM:
+        self._searched = place if placement.hold is TrackingStatus.TENTATIVE else None
+        if placement.hold is TrackingStatus.TRACKED:
             self.path.add(*place)
 
-    def _extend_map(self, sighting: Sighting, placement: Placement, clock: Clock) -> Extension:
+    def _extend_map(self, sighting: ProcessedScan, placement: TrackingResult, timer: StageTimer) -> KeyframeUpdate:
         """Make the sighting a keyframe: give its features to landmarks, solve, close loops, see the map around anew."""
         mapper, seen = self.mapper, sighting.seen
         association = associate(
             self.pose, placement.covariance, seen.segments, seen.corners, self._local_map, mapper.flatness.variance
         )
-        clock.lap("association")
+        timer.lap("association")
         motion = None if self._anchor is None else self._motion(self._anchor, sighting.odometry, placement.registration)
         view = mapper.add_keyframe(self.pose, motion, seen.segments, seen.corners, association, self._local_map)
         self.keyframe_stamps.append(sighting.stamp)
-        clock.lap("graph")
+        timer.lap("graph")
         self._local_map, merge = mapper.refresh(view)
         if mapper.retire(mapper.pose, seen.points.all):
             self._local_map = mapper.local_map(view)
         self._anchor = Anchor(mapper.keyframe_count - 1, np.zeros(3), np.zeros((3, 3)), sighting.odometry)
         self._recent_points.add(mapper.keyframe_count - 1, seen.points)
         self._look_around()
-        clock.lap("local map")
+        timer.lap("local map")
         decision = self.loops.look(mapper)
         if decision is not None and decision.verdict.casts_doubt:
             mapper.doubts.suspend(mapper.ways[-1])
-        clock.lap("loops")
-        return Extension(view, merge, decision)
+        timer.lap("loops")
+        return KeyframeUpdate(view, merge, decision)
 
     def _look_around(self) -> None:
         """Take the last keyframe's pose, and the points around it, from the map as it is now."""
@@ -333,7 +333,7 @@ class Belief:
         motion = self.odometry_model.corrected(se2.between(anchor.odometry, odometry))
         return _covariance_after(covariance, motion) + self.odometry_model.covariance(motion)
 
-    def close_loop(self, view: KeyframeView, decision: LoopDecision) -> LoopDecision:
+    def close_loop(self, view: KeyframeObservations, decision: LoopDecision) -> LoopDecision:
         """Close a loop that was agreed on right after the keyframe of `view`. If the decision that is returned is a
         rejection after all, this estimate is of no more use: try it on a copy."""
         decision = close(self.mapper, decision)

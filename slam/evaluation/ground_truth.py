@@ -17,7 +17,7 @@ from drivers.simulation.simulator import Simulation
 from drivers.simulation.world import World
 
 from ..config import Config
-from ..events import Finished, MapCorners, MapLines
+from ..events import Finished, MapCorners, MapWalls
 from ..io.tum import Trajectory
 from ..pipeline import Slam
 from .nees import Floats, line_nees, point_nees, pose_nees
@@ -83,7 +83,7 @@ def true_walls(world: World, origin: se2.Pose) -> TrueWalls:
     return TrueWalls(se2.between(origin, frame), np.hypot(along[:, 0], along[:, 1]))
 
 
-def match_walls(lines: MapLines, walls: TrueWalls) -> NDArray[np.int64]:
+def match_walls(lines: MapWalls, walls: TrueWalls) -> NDArray[np.int64]:
     """(n,) index of the true wall that lies nearest to both ends of each mapped one; -1 where none is near.
 
     A mapped wall goes on behind doors, so what it covers of all true walls on one line counts together.
@@ -108,7 +108,7 @@ def _line_coordinates(frames: Floats) -> Floats:
     return np.column_stack([c, s, c * frames[:, 1] - s * frames[:, 0]])
 
 
-def wall_nees(lines: MapLines, walls: TrueWalls) -> Floats:
+def wall_nees(lines: MapWalls, walls: TrueWalls) -> Floats:
     """(n,) NEES of offset and heading of mapped walls, NaN for those that are none."""
     match = match_walls(lines, walls)
     found = match >= 0
@@ -117,7 +117,7 @@ def wall_nees(lines: MapLines, walls: TrueWalls) -> Floats:
     return result
 
 
-def corner_nees(corners: MapCorners, lines: MapLines, walls: TrueWalls) -> Floats:
+def corner_nees(corners: MapCorners, lines: MapWalls, walls: TrueWalls) -> Floats:
     """(m,) NEES of mapped corners against where the lines of their two true walls meet.
 
     NaN where one of its walls is not in the map, or nothing true, or where the corner is far from that point.

@@ -11,7 +11,7 @@ from drivers import se2
 from .segments import Floats
 
 
-def free_direction(pose: se2.Pose, information: Floats, sigma: float) -> float | None:
+def weakest_direction(pose: se2.Pose, information: Floats, sigma: float) -> float | None:
     """The direction in the map (radians, 0 to pi) along which the position is known worse than `sigma` (metres).
 
     `information` (3, 3) is that of a pose, in the pose's own frame. None where every direction is known.

@@ -20,9 +20,9 @@ from drivers import se2
 
 from ..errors import MapError
 from ..geometry.segments import Floats, Integers
-from .covariances import KERNEL_CAUTION, LandmarkCovariances, landmark_covariances
+from .covariances import ROBUST_COVARIANCE_SCALE, LandmarkCovariances, landmark_covariances
 from .factor_residuals import CORNER, ODOMETRY, WALL, Residuals
-from .factors import CAUCHY_SCALE, ODOMETRY_CAUCHY_SCALE, WALL_CAUCHY_SCALE, Factor, GraphState, Kind, made, pose2
+from .factors import CAUCHY_SCALE, ODOMETRY_CAUCHY_SCALE, WALL_CAUCHY_SCALE, Factor, GraphState, FactorKind, made, pose2
 from .residuals import residuals_of
 
 # By how much a variable may move before it is linearised anew, metres along its axes and radians. What factors say of a
@@ -82,12 +82,12 @@ class FactorGraph:
     def add_first_keyframe(self, pose: se2.Pose) -> None:
         """Keyframe 0, which defines the map's frame."""
         self._values.insert(X(0), pose2(pose))
-        self._add(Kind.START, 0, 0, pose, np.diag(FIRST_POSE_SIGMAS**2))
+        self._add(FactorKind.START, 0, 0, pose, np.diag(FIRST_POSE_SIGMAS**2))
 
     def add_keyframe(self, index: int, pose: se2.Pose, start: int, motion: se2.Pose, covariance: Floats) -> None:
         """A keyframe near `pose`, reached from the keyframe `start` by a `motion` with its covariance (3, 3)."""
         self._values.insert(X(index), pose2(pose))
-        self._add(Kind.MOTION, start, index, motion, covariance)
+        self._add(FactorKind.MOTION, start, index, motion, covariance)
 
     def add_wall(self, keyframe: int, wall: int, frame: se2.Pose, seen: se2.Pose) -> None:
         """A wall whose frame in the map is near `frame`, and which a keyframe sees at `seen`.
@@ -95,7 +95,7 @@ class FactorGraph:
         That keyframe fixes the frame along the wall, weakly: nothing else does. No kernel may loosen this.
         """
         self._values.insert(L(wall), pose2(frame))
-        self._add(Kind.ALONG, keyframe, wall, seen, np.array([[ALONG_SIGMA**2]]))
+        self._add(FactorKind.GAUGE_PRIOR, keyframe, wall, seen, np.array([[ALONG_SIGMA**2]]))
 
     def observe_wall(self, keyframe: int, wall: int, frame: se2.Pose, covariance: Floats, believed: se2.Pose) -> None:
         """A segment of a wall as a keyframe sees it: its `frame`, and the covariance (2, 2) of the offset across it and
@@ -107,9 +107,9 @@ class FactorGraph:
         seen = se2.between(believed, frame)
         k = covariance[0, 1] / covariance[1, 1]
         across = np.array([0.0, seen[1] - k * seen[2], 0.0])
-        self._add(Kind.HEADING, keyframe, wall, frame, covariance[1:, 1:])
+        self._add(FactorKind.HEADING, keyframe, wall, frame, covariance[1:, 1:])
         measured = np.append(se2.compose(believed, across), seen[0] - k)
-        self._add(Kind.OFFSET, keyframe, wall, measured, covariance[:1, :1] - k * covariance[:1, 1:])
+        self._add(FactorKind.OFFSET, keyframe, wall, measured, covariance[:1, :1] - k * covariance[:1, 1:])
 
     def add_corner(self, corner: int, position: Floats) -> None:
         """A corner near `position` in the map."""
@@ -117,20 +117,20 @@ class FactorGraph:
 
     def observe_corner(self, keyframe: int, corner: int, position: Floats, covariance: Floats) -> None:
         """A corner's `position` in a keyframe's frame, with its covariance (2, 2)."""
-        self._add(Kind.CORNER, keyframe, corner, position, covariance)
+        self._add(FactorKind.CORNER, keyframe, corner, position, covariance)
 
     def tie_walls(self, wall: int, other: int, along: float) -> None:
         """Two walls are one: `other`'s frame lies on `wall`, `along` metres from its frame.
 
         No kernel: whether they are one was decided before.
         """
-        self._add(Kind.SAME, wall, other, np.array([along, 0.0, 0.0]), np.diag(SAME_WALL_SIGMAS**2))
+        self._add(FactorKind.WALL_EQUALITY, wall, other, np.array([along, 0.0, 0.0]), np.diag(SAME_WALL_SIGMAS**2))
 
     def tie_keyframes(self, old: int, keyframe: int, relative: se2.Pose, sigmas: Floats) -> None:
         """A keyframe's pose relative to an old one (sigmas (3,) in metres and radians). No kernel, as above."""
-        self._add(Kind.TIE, old, keyframe, relative, np.diag(sigmas**2))
+        self._add(FactorKind.LOOP, old, keyframe, relative, np.diag(sigmas**2))
 
-    def _add(self, kind: Kind, first: int, second: int, measured: Floats, covariance: Floats) -> None:
+    def _add(self, kind: FactorKind, first: int, second: int, measured: Floats, covariance: Floats) -> None:
         self._new.append(Factor(kind, int(first), int(second), measured, covariance))
 
     @property
@@ -257,7 +257,7 @@ class FactorGraph:
             [
                 number
                 for number, factor in self._factors.items()
-                if factor.kind in (Kind.HEADING, Kind.OFFSET) and factor.first >= since and factor.second in walls
+                if factor.kind in (FactorKind.HEADING, FactorKind.OFFSET) and factor.first >= since and factor.second in walls
             ]
         )
 
@@ -338,15 +338,15 @@ class FactorGraph:
 
     def keyframe_covariance(self, index: int) -> Floats:
         """(3, 3): covariance of a keyframe's pose, in its own frame."""
-        return KERNEL_CAUTION * self._marginal_covariance(X(index))
+        return ROBUST_COVARIANCE_SCALE * self._marginal_covariance(X(index))
 
     def wall_covariance(self, wall: int) -> Floats:
         """(2, 2): covariance of a wall's offset across and heading in the map, at its frame."""
-        return KERNEL_CAUTION * self._marginal_covariance(L(wall))[1:, 1:]
+        return ROBUST_COVARIANCE_SCALE * self._marginal_covariance(L(wall))[1:, 1:]
 
     def corner_covariance(self, corner: int) -> Floats:
         """(2, 2): covariance of a corner's position in the map."""
-        return KERNEL_CAUTION * self._marginal_covariance(C(corner))
+        return ROBUST_COVARIANCE_SCALE * self._marginal_covariance(C(corner))
 
     def walls_covariances(self, pairs: Integers) -> Floats:
         """(n, 4, 4): joint covariances of pairs (n, 2) of walls: offset and heading in the map, each at its own frame.
@@ -360,7 +360,7 @@ class FactorGraph:
             joint = self._joint_covariance([L(wall) for wall in walls.tolist()])
             numbers = (3 * at.reshape(-1, 2, 1) + [1, 2]).reshape(-1, 4)  # of an offset and a heading in three
             covariances[first : first + len(some)] = joint[numbers[:, :, None], numbers[:, None, :]]
-        return KERNEL_CAUTION * covariances
+        return ROBUST_COVARIANCE_SCALE * covariances
 
     def _marginal_covariance(self, key: int) -> Floats:
         return self._ask(lambda isam: np.asarray(isam.marginalCovariance(key)))
@@ -382,7 +382,7 @@ class FactorGraph:
         joint = self._joint_covariance([X(old), X(keyframe)])
         carry = se2.adjoint(se2.between(self.keyframe_pose(keyframe), self.keyframe_pose(old)))
         both = np.hstack([-carry, np.eye(3)])
-        return np.asarray(KERNEL_CAUTION * both @ joint @ both.T)
+        return np.asarray(ROBUST_COVARIANCE_SCALE * both @ joint @ both.T)
 
     def relative_covariances(self, keyframe: int, walls: Sequence[int], corners: Sequence[int]) -> LandmarkCovariances:
         """How well a keyframe is known in the map, and landmarks as seen from it, what is common to both left out.

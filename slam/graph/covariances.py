@@ -14,7 +14,7 @@ from ..geometry.segments import Floats
 # chi-square with 1 degree of freedom. The Hessian so weighted claims 1 / E[w] = 1.105 times the covariance of plain
 # least squares; an M-estimator's own, E[w^2 s] / E[w + 2 s dw/ds]^2, is 1.034 times it. This is the latter divided by
 # the former, for the marginals that are told; association compares with what the graph itself believes.
-KERNEL_CAUTION = 0.936
+ROBUST_COVARIANCE_SCALE = 0.936
 
 
 class LandmarkCovariances(NamedTuple):
@@ -52,8 +52,8 @@ def landmark_covariances(joint: Floats, pose: se2.Pose, frames: Floats, position
         rotation @ own @ rotation.T,
         wall_covariances[:, 1:, 1:],
         corner_covariances,
-        KERNEL_CAUTION * np.array(blocks).reshape(-1, 2, 2),
-        KERNEL_CAUTION * np.array(points).reshape(-1, 2, 2),
+        ROBUST_COVARIANCE_SCALE * np.array(blocks).reshape(-1, 2, 2),
+        ROBUST_COVARIANCE_SCALE * np.array(points).reshape(-1, 2, 2),
     )
 
 

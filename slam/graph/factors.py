@@ -23,37 +23,37 @@ WALL_KERNEL = gtsam.noiseModel.mEstimator.Cauchy.Create(WALL_CAUCHY_SCALE)
 ODOMETRY_KERNEL = gtsam.noiseModel.mEstimator.Cauchy.Create(ODOMETRY_CAUCHY_SCALE)
 
 
-class Kind(StrEnum):
+class FactorKind(StrEnum):
     """What a factor says of a keyframe `first`, or of a wall, and of something `second`.
 
     measured [x, y, heading] or [x, y], and its covariance, are:
     START   the pose of `first`, which defines the map's frame; no `second`
     MOTION  the keyframe `second` as seen from `first`, by odometry; (3, 3). Robust
-    ALONG   the wall's frame as seen from `first`; (1, 1), along the wall: says where on it the frame stands
+    GAUGE_PRIOR   the wall's frame as seen from `first`; (1, 1), along the wall: says where on it the frame stands
     HEADING the same; (1, 1), of its heading. Robust
     OFFSET  the same, and a lever: [x, y, heading, lever]; (1, 1), of offset across plus lever times heading. Robust
     WALL    a segment of a wall that is not in the graph yet, and waits; (2, 2), of the offset across it and its heading
     CORNER  the corner's position as seen from `first`; (2, 2). Robust
-    SAME    the frame of the wall `second` as seen from the wall `first`: they are one; (2, 2) as for WALL
-    TIE     the keyframe `second` as seen from `first`, by a closed loop; (3, 3)
+    WALL_EQUALITY    the frame of the wall `second` as seen from the wall `first`: they are one; (2, 2) as for WALL
+    LOOP     the keyframe `second` as seen from `first`, by a closed loop; (3, 3)
     """
 
     START = "start"
     MOTION = "motion"
-    ALONG = "along"
+    GAUGE_PRIOR = "along"
     HEADING = "heading"
     OFFSET = "offset"
     WALL = "wall"
     CORNER = "corner"
-    SAME = "same"
-    TIE = "tie"
+    WALL_EQUALITY = "same"
+    LOOP = "tie"
 
 
 CAUCHY_SCALES = {
-    Kind.MOTION: ODOMETRY_CAUCHY_SCALE,
-    Kind.HEADING: WALL_CAUCHY_SCALE,
-    Kind.OFFSET: WALL_CAUCHY_SCALE,
-    Kind.CORNER: CAUCHY_SCALE,
+    FactorKind.MOTION: ODOMETRY_CAUCHY_SCALE,
+    FactorKind.HEADING: WALL_CAUCHY_SCALE,
+    FactorKind.OFFSET: WALL_CAUCHY_SCALE,
+    FactorKind.CORNER: CAUCHY_SCALE,
 }
 """Standard deviations at which a factor counts half; the other kinds always count in full."""
 
@@ -62,7 +62,7 @@ CAUCHY_SCALES = {
 class Factor:
     """One statement of the graph; see Kind."""
 
-    kind: Kind
+    kind: FactorKind
     first: int
     second: int
     measured: Floats
@@ -98,21 +98,21 @@ def pose2(pose: se2.Pose) -> gtsam.Pose2:
 def made(factor: Factor) -> gtsam.NonlinearFactor:
     """The factor of GTSAM that a statement stands for."""
     first, second, measured, covariance = factor.first, factor.second, factor.measured, factor.covariance
-    if factor.kind is Kind.CORNER:
+    if factor.kind is FactorKind.CORNER:
         return _corner(first, second, measured, covariance)
-    if factor.kind is Kind.START:
+    if factor.kind is FactorKind.START:
         return gtsam.PriorFactorPose2(X(first), pose2(measured), gtsam.noiseModel.Gaussian.Covariance(covariance))
-    if factor.kind is Kind.MOTION:
+    if factor.kind is FactorKind.MOTION:
         gaussian = gtsam.noiseModel.Gaussian.Covariance(covariance)
         robust = gtsam.noiseModel.Robust.Create(ODOMETRY_KERNEL, gaussian)
         return gtsam.BetweenFactorPose2(X(first), X(second), pose2(measured), robust)
-    if factor.kind is Kind.TIE:
+    if factor.kind is FactorKind.LOOP:
         gaussian = gtsam.noiseModel.Gaussian.Covariance(covariance)
         return gtsam.BetweenFactorPose2(X(first), X(second), pose2(measured), gaussian)
     partial = gtsam.noiseModel.Gaussian.SqrtInformation(root_information(factor), False)
-    if factor.kind is Kind.SAME:
+    if factor.kind is FactorKind.WALL_EQUALITY:
         return gtsam.BetweenFactorPose2(L(first), L(second), pose2(measured), partial)
-    if factor.kind is Kind.ALONG:
+    if factor.kind is FactorKind.GAUGE_PRIOR:
         return gtsam.BetweenFactorPose2(X(first), L(second), pose2(measured), partial)
     robust = gtsam.noiseModel.Robust.Create(WALL_KERNEL, partial)
     return gtsam.BetweenFactorPose2(X(first), L(second), pose2(measured), robust)
@@ -133,11 +133,11 @@ def root_information(factor: Factor) -> Floats:
     """The square root (3, 3) of the information that a factor on a wall's frame has of (along, across, heading)."""
     root, covariance = np.zeros((3, 3)), factor.covariance
     match factor.kind:
-        case Kind.ALONG:
+        case FactorKind.GAUGE_PRIOR:
             root[0, 0] = 1.0 / np.sqrt(covariance[0, 0])
-        case Kind.HEADING:
+        case FactorKind.HEADING:
             root[0, 2] = 1.0 / np.sqrt(covariance[0, 0])
-        case Kind.OFFSET:
+        case FactorKind.OFFSET:
             root[0] = np.array([0.0, 1.0, factor.measured[3]]) / np.sqrt(covariance[0, 0])
         case _:
             root[1:, 1:] = np.linalg.cholesky(np.linalg.inv(covariance)).T

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..errors import MapError
-from ..events import MapCorners, MapLines
+from ..events import MapCorners, MapWalls
 
 FORMAT = "wclm-slam map"
 VERSION = 2
@@ -80,11 +80,11 @@ class _Map(_Record):
 class MapFile:
     """What a map file holds."""
 
-    lines: MapLines
+    lines: MapWalls
     corners: MapCorners
 
 
-def write_map(path: Path, lines: MapLines, corners: MapCorners) -> None:
+def write_map(path: Path, lines: MapWalls, corners: MapCorners) -> None:
     """Write the map. Raises MapError where a position is not finite; covariances that are not become null."""
     ends = lines.end_points()
     try:
@@ -139,8 +139,8 @@ def read_map(path: Path) -> MapFile:
     return MapFile(_lines(document.lines), _corners(document.corners))
 
 
-def _lines(records: Sequence[_Line]) -> MapLines:
-    return MapLines(
+def _lines(records: Sequence[_Line]) -> MapWalls:
+    return MapWalls(
         identity=_integers([r.identity for r in records]),
         frame=np.array([r.frame for r in records], float).reshape(-1, 3),
         low=np.array([r.low for r in records], float),

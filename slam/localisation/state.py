@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from ..geometry.degeneracy import free_direction
+from ..geometry.degeneracy import weakest_direction
 from ..odometry.error_model import ADRIFT_SIGMA
-from .tracker import Hold, Placement
+from .tracker import TrackingStatus, TrackingResult
 
 IN_A_ROW = 3  # scans that must say so before the state changes
 
@@ -28,7 +28,7 @@ class State:
     direction: float | None = None
 
 
-class StateWatch:
+class LocalisationMonitor:
     """Follows the placements of scans."""
 
     def __init__(self) -> None:
@@ -45,11 +45,11 @@ class StateWatch:
         before, self.state, self._streak = self.state, State(Condition.OK), 0
         return None if before == self.state else self.state
 
-    def update(self, placement: Placement) -> State | None:
+    def update(self, placement: TrackingResult) -> State | None:
         """Take a scan's placement; the new state, where it has changed."""
-        if placement.hold is not Hold.FIRM:
+        if placement.hold is not TrackingStatus.TRACKED:
             return None
-        direction = free_direction(placement.pose, placement.registration.held_by, ADRIFT_SIGMA)
+        direction = weakest_direction(placement.pose, placement.registration.held_by, ADRIFT_SIGMA)
         condition = Condition.OK if direction is None else Condition.DEGENERATE
         self._streak = 0 if condition is self.state.condition else self._streak + 1
         if self._streak < IN_A_ROW:

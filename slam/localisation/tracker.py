@@ -17,10 +17,10 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 from ..mapping.local_map import LocalMap
-from ..matching.likelihood_field import PointField, likeness, search
+from ..matching.likelihood_field import LikelihoodField, likeness, search
 from ..matching.line_matcher import NEAR_STARTS, Registration, ScanFeatures, register
 from ..odometry.error_model import OdometryModel
-from ..odometry.history import way_of
+from ..odometry.history import wheel_travel
 from .view_change import View
 
 # Added to the odometry's own uncertainty when predicting a scan's pose: wheels slip, clocks differ. Metres and radians.
@@ -43,7 +43,7 @@ NEW_PLACE = 0.3  # share of what is seen that lies where the map has been, below
 LEAST_WALL = 0.5  # metres of wall that a scan must show, or SEARCHED_POINTS, for its pose to be found by it
 
 
-class Hold(Enum):
+class TrackingStatus(Enum):
     """How a scan's pose was found."""
 
     FIRM = "firm"  # it fits the map where odometry led to, give or take
@@ -53,7 +53,7 @@ class Hold(Enum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Placement:
+class TrackingResult:
     """Where a scan was taken.
 
     covariance        (3, 3) of the pose in the map as it stands, in the base's frame
@@ -63,7 +63,7 @@ class Placement:
     """
 
     registration: Registration
-    hold: Hold
+    hold: TrackingStatus
     covariance: Floats
     bears_out_search: bool
     abrupt: bool
@@ -75,7 +75,7 @@ class Placement:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Place:
+class PoseFix:
     """A pose of the base in the map and the odometry's pose at the same time."""
 
     pose: se2.Pose
@@ -87,11 +87,11 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Surroundings:
+class MatchTarget:
     """What a scan is compared with: landmarks, the points of the last keyframes, the variance of walls' unevenness."""
 
     landmarks: LocalMap
-    points: PointField
+    points: LikelihoodField
     flatness: float
 
     def lay(self, scan: ScanFeatures, prediction: se2.Pose, prior: Floats, starts: Floats = NEAR_STARTS) -> _Fit:
@@ -131,23 +131,23 @@ class Tracker:
 
     def __init__(self, model: OdometryModel) -> None:
         self._model = model
-        self._firm: Place | None = None
+        self._firm: PoseFix | None = None
         self._step = np.zeros(3)  # from the scan before last to the last
         self._misfits = 0  # scans in a row
         self._last_fit = 0.0  # of the last scan that was placed
         # Where the robot was before its last pose was searched for: odometry may make up for what it missed in a step,
         # and the search may have been wrong.
-        self._left: Place | None = None
+        self._left: PoseFix | None = None
         self._view: View | None = None  # the last one that can be compared
         self._odometry: se2.Pose | None = None  # at the last scan
         self._since_break = np.inf  # metres driven since a scan showed something else than the one before it
 
     def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
         """The base is at `pose` in the map, as the map is now, when odometry is at `odometry`."""
-        self._firm, self._misfits, self._left = Place(pose, odometry), 0, None
+        self._firm, self._misfits, self._left = PoseFix(pose, odometry), 0, None
 
     @property
-    def firm(self) -> Place | None:
+    def firm(self) -> PoseFix | None:
         """The last pose that is believed; None before the first scan."""
         return self._firm
 
@@ -161,14 +161,14 @@ class Tracker:
         """How well the last scan lay that was placed."""
         return self._last_fit
 
-    def resume(self, firm: Place, step: se2.Pose, fit: float) -> None:
+    def resume(self, firm: PoseFix, step: se2.Pose, fit: float) -> None:
         """Go on from where another tracker was."""
         self._firm, self._step, self._last_fit = firm, step, fit
 
     def correct(self, pose: se2.Pose) -> None:
         """The map has changed, and the pose at the last scan with it."""
         assert self._firm is not None
-        self._firm = Place(pose, self._firm.odometry)
+        self._firm = PoseFix(pose, self._firm.odometry)
 
     def predict(self, odometry: se2.Pose) -> se2.Pose:
         """Where the base is in the map when odometry is at `odometry`."""
@@ -184,13 +184,13 @@ class Tracker:
         """Whether what is seen has changed at a stroke lately."""
         return bool(self._since_break < BREAK_REMEMBERED)
 
-    def track(self, odometry: se2.Pose, scan: ScanFeatures, around: Surroundings) -> Placement:
+    def track(self, odometry: se2.Pose, scan: ScanFeatures, around: MatchTarget) -> TrackingResult:
         """Where the base was at a scan taken when odometry was at `odometry`."""
         fit, view = self._last_fit, View(odometry, scan.points.all)
         placement = self._track(odometry, scan, around)
         if self._odometry is not None:
-            self._since_break += float(way_of(se2.between(self._odometry, odometry)))
-        doubtful = placement.hold in (Hold.NONE, Hold.SEARCHED) or self._last_fit < fit - DOUBTFULLY_WORSE
+            self._since_break += float(wheel_travel(se2.between(self._odometry, odometry)))
+        doubtful = placement.hold in (TrackingStatus.FAILED, TrackingStatus.TENTATIVE) or self._last_fit < fit - DOUBTFULLY_WORSE
         if doubtful and self._breaks_off_before(view):
             self._since_break = 0.0
         self._odometry = odometry
@@ -205,7 +205,7 @@ class Tracker:
         motion = self._model.corrected(se2.between(self._view.odometry, view.odometry))
         return self._view.breaks_off_before(view, motion)
 
-    def _track(self, odometry: se2.Pose, scan: ScanFeatures, around: Surroundings) -> Placement:
+    def _track(self, odometry: se2.Pose, scan: ScanFeatures, around: MatchTarget) -> TrackingResult:
         if self._firm is None:
             self.move_to(np.zeros(3), odometry)
         assert self._firm is not None
@@ -217,30 +217,30 @@ class Tracker:
         fit = fits[best]
         bears_out = after_search and best < len(predictions) - 1
         if _shows_too_little(scan) and len(around.landmarks.walls):
-            return self._placement(fit, Hold.BLIND, prior)
+            return self._placement(fit, TrackingStatus.NO_FEATURES, prior)
         if fit.believable or not len(around.landmarks.walls):
             self._step = se2.between(self._firm.pose, fit.registration.pose)
             self.move_to(fit.registration.pose, odometry)
-            return self._placement(fit, Hold.FIRM, prior, bears_out)
+            return self._placement(fit, TrackingStatus.TRACKED, prior, bears_out)
         searched = self._search(scan, around, predictions[-1], fit.like)
         if searched is None:
             self._misfits += 1
             if not self.lost or around.known_share(scan, fit.registration.pose) >= NEW_PLACE:
-                return self._placement(fit, Hold.NONE, prior)
+                return self._placement(fit, TrackingStatus.FAILED, prior)
             self.move_to(fit.registration.pose, odometry)
-            return self._placement(fit, Hold.FIRM, prior)
+            return self._placement(fit, TrackingStatus.TRACKED, prior)
         far = around.lay(scan, searched, prior, NEAR_STARTS[:1])
         left = self._firm
         self.move_to(far.registration.pose, odometry)
         self._left = left
-        return self._placement(far, Hold.FIRM if after_search else Hold.SEARCHED, prior, after_search)
+        return self._placement(far, TrackingStatus.TRACKED if after_search else TrackingStatus.TENTATIVE, prior, after_search)
 
-    def _placement(self, fit: _Fit, hold: Hold, prior: Floats, bears_out_search: bool = False) -> Placement:
+    def _placement(self, fit: _Fit, hold: TrackingStatus, prior: Floats, bears_out_search: bool = False) -> TrackingResult:
         covariance = np.asarray(np.linalg.inv(fit.registration.held_by + prior))
-        abrupt = hold is Hold.FIRM and fit.both < self._last_fit - ABRUPTLY_WORSE
-        if hold in (Hold.FIRM, Hold.SEARCHED):
+        abrupt = hold is TrackingStatus.TRACKED and fit.both < self._last_fit - ABRUPTLY_WORSE
+        if hold in (TrackingStatus.TRACKED, TrackingStatus.TENTATIVE):
             self._last_fit = fit.both
-        return Placement(fit.registration, hold, covariance, bears_out_search, abrupt)
+        return TrackingResult(fit.registration, hold, covariance, bears_out_search, abrupt)
 
     def _predictions(self, odometry: se2.Pose) -> tuple[list[se2.Pose], list[float]]:
         """Where the base may be, and by how much better than as odometry has it a scan must fit there.
@@ -258,14 +258,14 @@ class Tracker:
             leads.append(BETTER)
         if self._left is not None:
             return [*predictions, self._firm.pose, self._led(self._left, odometry)], [*leads, 0.0, 0.0]
-        if way_of(step) > LARGE_STEP:
+        if wheel_travel(step) > LARGE_STEP:
             return [*predictions, self._firm.pose], [*leads, CLEARLY_BETTER]
         return predictions, leads
 
-    def _led(self, place: Place, odometry: se2.Pose) -> se2.Pose:
+    def _led(self, place: PoseFix, odometry: se2.Pose) -> se2.Pose:
         return se2.compose(place.pose, self._model.corrected(place.step(odometry)))
 
-    def _search(self, scan: ScanFeatures, around: Surroundings, near: se2.Pose, like: float) -> se2.Pose | None:
+    def _search(self, scan: ScanFeatures, around: MatchTarget, near: se2.Pose, like: float) -> se2.Pose | None:
         """A pose where the scan's points lie clearly better than they do (`like`) where it was expected."""
         if len(scan.points.all) < SEARCHED_POINTS:
             return None

@@ -15,7 +15,7 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 from ..matching.likelihood_field import likenesses, make_field
-from ..odometry.history import way_of
+from ..odometry.history import wheel_travel
 
 # Motions [x, y, heading] by which odometry may be wrong from one scan to the next.
 SLIPS = np.stack(
@@ -46,7 +46,7 @@ class View:
 
         If either shows next to nothing, or they are too far apart to overlap, nothing says so.
         """
-        if not self.comparable or not other.comparable or way_of(motion) > OVERLAPPING:
+        if not self.comparable or not other.comparable or wheel_travel(motion) > OVERLAPPING:
             return False
         field = make_field(self.points, np.zeros((0, 2)), np.zeros(3))
         return bool(likenesses(field, other.points, se2.compose(motion, SLIPS)).max() < ALIKE)

@@ -14,8 +14,8 @@ from ..geometry.segments import Integers
 from ..graph.backend import CLOSING_UPDATES
 from ..mapping.mapper import Mapper
 from .proposal import Hypothesis, propose
-from .recent_walls import OLD_WAY, Constellation, OldMap, recent_and_old
-from .verification import Outlook, Verdict, robot_motion, verify
+from .recent_walls import OLD_WAY, WallSet, ReferenceMap, recent_and_reference
+from .verification import VerificationContext, Verdict, robot_motion, verify
 
 INTERVAL = 1.5  # metres of driving between two looks
 LEAST_NEW = 4.0  # metres of new wall in the constellation: where all has long been known, there is nothing to close
@@ -54,7 +54,7 @@ class LoopDecision:
     pairs: tuple[tuple[int, int], ...]
     merged: tuple[tuple[int, int], ...] = ()
     shift: float = 0.0
-    sight: tuple[Constellation, Constellation] | None = None
+    sight: tuple[WallSet, WallSet] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +67,7 @@ class Look:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Looks:
+class LoopSearchState:
     """What a search for loops remembers: the way (metres) at the last look, looks that wait for another, how many
     places looked known so far, the motions that proved wrong, and the way when a look last contradicted another."""
 
@@ -78,7 +78,7 @@ class Looks:
     contested: float = -MEMORY
 
 
-Propose = Callable[[Constellation, OldMap, se2.Pose], list[Hypothesis]]
+Propose = Callable[[WallSet, ReferenceMap, se2.Pose], list[Hypothesis]]
 
 
 class LoopCloser:
@@ -86,14 +86,14 @@ class LoopCloser:
 
     def __init__(self, propose: Propose = propose) -> None:
         self._propose = propose
-        self.recall(Looks())
+        self.recall(LoopSearchState())
 
     @property
-    def looks(self) -> Looks:
+    def looks(self) -> LoopSearchState:
         """What it remembers."""
-        return Looks(self._last_way, tuple(self._held), self._candidates, tuple(self._refused), self._contested)
+        return LoopSearchState(self._last_way, tuple(self._held), self._candidates, tuple(self._refused), self._contested)
 
-    def recall(self, looks: Looks) -> None:
+    def recall(self, looks: LoopSearchState) -> None:
         """Go on from what another search remembered."""
         self._last_way, self._candidates = looks.last_way, looks.candidates
         self._held, self._refused = list(looks.held), list(looks.refused)
@@ -106,7 +106,7 @@ class LoopCloser:
             return None
         self._last_way = way
         ways = np.array(mapper.ways)
-        recent, old = recent_and_old(mapper.landmarks, mapper.pose, ways)
+        recent, old = recent_and_reference(mapper.landmarks, mapper.pose, ways)
         known = way - ways[mapper.landmarks.walls.rows["first_seen"][recent.walls]] > OLD_WAY
         if 2 * recent.half_length[~known].sum() < LEAST_NEW:
             return None
@@ -120,7 +120,7 @@ class LoopCloser:
         seen = mapper.landmarks.walls.rows["last_seen"][[wall for wall, _ in pairs]]
         seen_from = int(np.bincount(np.minimum(seen, mapper.keyframe_count - 2)).argmax())  # before the last keyframe
         verdict = verify(hypotheses, _outlook(mapper, recent, old, seen_from))
-        return self._decide(mapper, best, verdict, (recent, old.constellation), pairs, seen_from)
+        return self._decide(mapper, best, verdict, (recent, old.wall_set), pairs, seen_from)
 
     def forget(self) -> None:
         """The map has changed: what was seen before it no longer counts."""
@@ -135,7 +135,7 @@ class LoopCloser:
         mapper: Mapper,
         best: Hypothesis,
         verdict: Verdict,
-        sight: tuple[Constellation, Constellation],
+        sight: tuple[WallSet, WallSet],
         pairs: tuple[tuple[int, int], ...],
         old: int,
     ) -> LoopDecision:
@@ -151,7 +151,7 @@ class LoopCloser:
         keyframe = mapper.keyframe_count - 1
         return LoopDecision(self._candidates, keyframe, old, motion, verdict, status, best, pairs, sight=sight)
 
-    def _borne_out(self, best: Hypothesis, recent: Constellation, mapper: Mapper, *, near: bool) -> bool:
+    def _borne_out(self, best: Hypothesis, recent: WallSet, mapper: Mapper, *, near: bool) -> bool:
         """Whether an earlier look at other walls found the same motion, and none since found another one.
 
         It may have been at the same walls if the motion is near and no other one was found lately.
@@ -181,7 +181,7 @@ def close(mapper: Mapper, decision: LoopDecision) -> LoopDecision:
     before, last = mapper.pose, mapper.keyframe_count - 1
     there = se2.compose(decision.hypothesis.motion, mapper.pose)
     relative = se2.between(mapper.graph.keyframe_pose(decision.old), there)
-    strangers, since = strangers_to(mapper, decision)
+    strangers, since = misassociated_walls(mapper, decision)
     mapper.graph.forget_observations(frozenset(strangers.tolist()), since)
     mapper.landmarks.walls.rows["last_seen"][strangers] = since - 1
     carrying = mapper.graph.close_loop(decision.old, last, relative, CARRYING_SIGMAS)
@@ -210,7 +210,7 @@ def together(wall: np.void, other: np.void) -> bool:
     return bool(abs(offset) < SAME_OFFSET and abs(left[2]) < SAME_HEADING)
 
 
-def strangers_to(mapper: Mapper, decision: LoopDecision) -> tuple[Integers, int]:
+def misassociated_walls(mapper: Mapper, decision: LoopDecision) -> tuple[Integers, int]:
     """Walls that were taken for others by the pass that ends in a closure, and the keyframe where it began.
 
     Drift has let some old walls be taken for others that happened to lie there; such observations would hold the map
@@ -227,18 +227,18 @@ def strangers_to(mapper: Mapper, decision: LoopDecision) -> tuple[Integers, int]
     return both[(np.abs(moved[:, 1]) > STRANGE_OFFSET) | (np.abs(moved[:, 2]) > STRANGE_HEADING)], since
 
 
-def _pairs(best: Hypothesis, recent: Constellation, old: OldMap) -> tuple[tuple[int, int], ...]:
+def _pairs(best: Hypothesis, recent: WallSet, old: ReferenceMap) -> tuple[tuple[int, int], ...]:
     """(old, recent) identities of walls that are one by a hypothesis and are not known to be."""
-    matched = [(old.constellation.walls[j], recent.walls[i]) for i, j in enumerate(best.matches) if j >= 0]
+    matched = [(old.wall_set.walls[j], recent.walls[i]) for i, j in enumerate(best.matches) if j >= 0]
     return tuple((int(wall), int(other)) for wall, other in matched if wall != other)
 
 
-def _outlook(mapper: Mapper, recent: Constellation, old: OldMap, seen_from: int) -> Outlook:
+def _outlook(mapper: Mapper, recent: WallSet, old: ReferenceMap, seen_from: int) -> VerificationContext:
     """What a place is judged by that the keyframe `seen_from` saw."""
     views = [(mapper.graph.keyframe_pose(keyframe), segments) for keyframe, segments in mapper.views]
     last = mapper.keyframe_count - 1
     uncertainty = cache(lambda: mapper.relative_covariance(seen_from, last))
-    return Outlook(recent, old, mapper.landmarks, mapper.pose, views, uncertainty)
+    return VerificationContext(recent, old, mapper.landmarks, mapper.pose, views, uncertainty)
 
 
 def _agree(motion: se2.Pose, other: se2.Pose, pose: se2.Pose) -> bool:

@@ -15,7 +15,7 @@ BRIDGED = 2  # cells of a wall not seen between two that were: the ends of two s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
+class MapDescriptor:
     """n walls and m corners in one frame.
 
     walls        (n,) identities
@@ -42,7 +42,7 @@ class Scene:
         return len(self.walls)
 
 
-def scene_of(landmarks: Landmarks, flatness: float) -> Scene:
+def describe_map(landmarks: Landmarks, flatness: float) -> MapDescriptor:
     """All that is confirmed of some landmarks; `flatness` is the variance of the walls' unevenness, metres squared."""
     rows = landmarks.walls.rows
     walls = np.flatnonzero(rows["in_graph"] & landmarks.standing())
@@ -57,7 +57,7 @@ def scene_of(landmarks: Landmarks, flatness: float) -> Scene:
     found = [_stretches(landmarks, int(wall)) - by for wall, by in zip(walls, middle, strict=True)]
     confirmed = np.flatnonzero(landmarks.corners.rows["in_graph"])
     corners = landmarks.corners.rows[confirmed[landmarks.standing_corners(confirmed)]]
-    return Scene(
+    return MapDescriptor(
         walls=walls,
         frame=se2.compose(rows["frame"], along).reshape(-1, 3),
         half_length=half,
@@ -69,7 +69,7 @@ def scene_of(landmarks: Landmarks, flatness: float) -> Scene:
     )
 
 
-def seen_from(pose: se2.Pose, scene: Scene) -> Scene:
+def seen_from(pose: se2.Pose, scene: MapDescriptor) -> MapDescriptor:
     """The same walls and corners in the frame of a pose."""
     return replace(
         scene,

@@ -19,7 +19,7 @@ from drivers import se2
 
 from ..geometry.angles import turn_of
 from ..geometry.segments import Floats
-from .recent_walls import RIVALS, Constellation, OldMap
+from .recent_walls import RIVALS, WallSet, ReferenceMap
 
 LONGEST = 16  # walls of the constellation that propose motions; the others only judge them
 LEAST_SINE = 0.5  # of the angle between two walls that fix a motion
@@ -56,15 +56,15 @@ class Hypothesis:
     matches: NDArray[np.int64]
 
 
-def propose(recent: Constellation, old: OldMap, pose: se2.Pose) -> list[Hypothesis]:
+def propose(recent: WallSet, old: ReferenceMap, pose: se2.Pose) -> list[Hypothesis]:
     """First that the robot is where it is believed to be; then others, those that explain most length first."""
-    if len(recent) < 3 or len(old.constellation) < 3:
+    if len(recent) < 3 or len(old.wall_set) < 3:
         return []
     order = np.argsort(-recent.half_length, kind="stable")[:LONGEST]
     translation, rotation = RIVALS * old.translation, RIVALS * old.rotation
     reach, turn = float(translation.max()), float(rotation.max())
     votes = _vote(
-        recent.frame[order], recent.half_length[order], old.constellation.frame, old.constellation.half_length,
+        recent.frame[order], recent.half_length[order], old.wall_set.frame, old.wall_set.half_length,
         translation, rotation, pose[:2], reach, turn,
     )  # fmt: skip
     peaks = np.flatnonzero((votes > 0.0) & (votes == maximum_filter(votes, size=3, mode="constant")))
@@ -85,13 +85,13 @@ def propose(recent: Constellation, old: OldMap, pose: se2.Pose) -> list[Hypothes
     return [stay, *sorted(found, key=lambda hypothesis: -hypothesis.length)]
 
 
-def refined(start: Floats, recent: Constellation, old: OldMap, pose: se2.Pose, first: int = 0) -> Hypothesis:
+def refined(start: Floats, recent: WallSet, old: ReferenceMap, pose: se2.Pose, first: int = 0) -> Hypothesis:
     """The best motion near `start`, which is [shift x, shift y, turn about the robot] in metres and radians.
 
     `first` is the gate to begin with; the last one leaves the motion as it is and only judges it.
     """
     motion, information, matches, length, covered, agreeing, telling = _refine(
-        start, recent.frame, recent.half_length, old.constellation.frame, old.constellation.half_length, pose[:2], first
+        start, recent.frame, recent.half_length, old.wall_set.frame, old.wall_set.half_length, pose[:2], first
     )
     share = length / covered if covered else 0.0
     weakest = float(np.clip(np.linalg.eigvals(np.linalg.solve(telling, agreeing)).real.min(), 0.0, 1.0))

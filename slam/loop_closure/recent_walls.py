@@ -24,7 +24,7 @@ LEAST_ROTATION, MOST_ROTATION = np.radians(6.0), np.radians(40.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Constellation:
+class WallSet:
     """n walls as finite segments in the map: identities, frames (n, 3) at their middle, half lengths (n,) metres."""
 
     walls: Integers
@@ -45,19 +45,19 @@ class Constellation:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OldMap:
+class ReferenceMap:
     """Old walls near enough to be met again, and for each how far drift may have carried the robot from it.
 
     left (n,) whether a wall has not been seen lately; translation (n,) metres, rotation (n,) radians.
     """
 
-    constellation: Constellation
+    wall_set: WallSet
     left: NDArray[np.bool_]
     translation: Floats
     rotation: Floats
 
 
-def recent_and_old(landmarks: Landmarks, pose: se2.Pose, ways: Floats) -> tuple[Constellation, OldMap]:
+def recent_and_reference(landmarks: Landmarks, pose: se2.Pose, ways: Floats) -> tuple[WallSet, ReferenceMap]:
     """The walls around the robot's pose seen lately, and those that have long been known.
 
     A wall can be both: seen again, it speaks for where the robot is believed to be, as others may speak against it.
@@ -79,7 +79,7 @@ def recent_and_old(landmarks: Landmarks, pose: se2.Pose, ways: Floats) -> tuple[
     beyond = np.maximum(0.0, np.maximum(walls["low"] - seen_from[:, 0], seen_from[:, 0] - walls["high"]))
     near = np.flatnonzero(old & (np.hypot(beyond, seen_from[:, 1]) < RECENT_WAY + RIVALS * translation))
     olds = _constellation(near, walls["frame"][near], walls["low"][near], walls["high"][near])
-    return recents, OldMap(olds, since_seen[near] > RECENT_WAY, translation[near], rotation[near])
+    return recents, ReferenceMap(olds, since_seen[near] > RECENT_WAY, translation[near], rotation[near])
 
 
 def _clipped(frame: Floats, low: Floats, high: Floats, pose: se2.Pose) -> tuple[Floats, Floats]:
@@ -89,6 +89,6 @@ def _clipped(frame: Floats, low: Floats, high: Floats, pose: se2.Pose) -> tuple[
     return np.maximum(low, seen_from[:, 0] - half_chord), np.minimum(high, seen_from[:, 0] + half_chord)
 
 
-def _constellation(walls: Integers, frame: Floats, low: Floats, high: Floats) -> Constellation:
+def _constellation(walls: Integers, frame: Floats, low: Floats, high: Floats) -> WallSet:
     middle = np.column_stack([0.5 * (low + high), np.zeros((len(low), 2))])
-    return Constellation(walls, se2.compose(frame, middle).reshape(-1, 3), 0.5 * (high - low))
+    return WallSet(walls, se2.compose(frame, middle).reshape(-1, 3), 0.5 * (high - low))

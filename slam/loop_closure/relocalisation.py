@@ -17,10 +17,10 @@ from drivers import se2
 
 from ..geometry.segments import Floats, Integers, Segments
 from ..mapping.mapper import Mapper
-from .map_descriptor import Scene, scene_of, seen_from
+from .map_descriptor import MapDescriptor, describe_map, seen_from
 from .proposal import DISTINCT, DISTINCT_TURN
-from .submap_alignment import Laid, lay, samples_of
-from .visibility import Sight, look
+from .submap_alignment import Alignment, lay, samples_of
+from .visibility import VisibilityCounts, look
 from .wall_pairs import pair_table, vote
 
 REFINED = 64  # poses with most votes that are refined
@@ -49,12 +49,12 @@ LIKELY_RUNNER_UP = 0.85  # share that another place may reach where it is asked 
 class MapIndex:
     """A map prepared for recognising places in it; as good as the estimate was when it was made."""
 
-    scene: Scene
+    scene: MapDescriptor
     pairs: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fragment:
+class Submap:
     """What was seen lately, in a frame of its own.
 
     scene  walls and corners
@@ -62,7 +62,7 @@ class Fragment:
     views  poses with the segments seen from them
     """
 
-    scene: Scene
+    scene: MapDescriptor
     pose: se2.Pose
     views: Sequence[tuple[se2.Pose, Segments]]
 
@@ -116,24 +116,24 @@ class Relocalisation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Place:
-    laid: Laid
-    sight: Sight
+    laid: Alignment
+    sight: VisibilityCounts
     score: float
 
 
 def index_map(mapper: Mapper) -> MapIndex:
     """Prepare a map. Takes a few milliseconds for each hundred walls."""
-    scene = scene_of(mapper.landmarks, mapper.flatness.variance)
+    scene = describe_map(mapper.landmarks, mapper.flatness.variance)
     return MapIndex(scene, pair_table(scene))
 
 
-def fragment_of(mapper: Mapper) -> Fragment:
+def submap_of(mapper: Mapper) -> Submap:
     """A small map of the last metres as a fragment."""
     views = [(mapper.graph.keyframe_pose(keyframe), segments) for keyframe, segments in mapper.views]
-    return Fragment(scene_of(mapper.landmarks, mapper.flatness.variance), mapper.pose, views)
+    return Submap(describe_map(mapper.landmarks, mapper.flatness.variance), mapper.pose, views)
 
 
-def relocalise(fragment: Fragment, index: MapIndex) -> Relocalisation | None:
+def relocalise(fragment: Submap, index: MapIndex) -> Relocalisation | None:
     """The place of the fragment in the map, with the verdict on it; None where nothing suggests one."""
     seen = seen_from(fragment.pose, fragment.scene)
     if len(seen) < LEAST_WALLS or len(index.scene) < LEAST_WALLS:
@@ -156,7 +156,7 @@ def relocalise(fragment: Fragment, index: MapIndex) -> Relocalisation | None:
     )
 
 
-def _places(seen: Scene, views: Sequence[tuple[se2.Pose, Segments]], index: MapIndex) -> list[_Place]:
+def _places(seen: MapDescriptor, views: Sequence[tuple[se2.Pose, Segments]], index: MapIndex) -> list[_Place]:
     """Different places, the best first."""
     samples = samples_of(seen)
     laid = [lay(start, seen, samples, index.scene) for start in vote(seen, index.scene, index.pairs, REFINED)]
@@ -167,10 +167,10 @@ def _places(seen: Scene, views: Sequence[tuple[se2.Pose, Segments]], index: MapI
     return sorted(places, key=lambda place: -place.score)
 
 
-def _different(laid: Sequence[Laid]) -> list[Laid]:
+def _different(laid: Sequence[Alignment]) -> list[Alignment]:
     """Those that explain most wall, each the best of its place."""
     left = sorted(laid, key=lambda some: -some.length)
-    different: list[Laid] = []
+    different: list[Alignment] = []
     while left and len(different) < LOOKED_AT:
         different.append(left[0])
         apart = _apart(left[0].place, np.array([some.place for some in left]))

@@ -12,7 +12,7 @@ from drivers import se2
 
 from ..geometry.angles import turn_of
 from ..geometry.segments import Floats, Integers
-from .map_descriptor import Scene
+from .map_descriptor import MapDescriptor
 
 GATES = np.array([0.8, 0.6, 0.45, 0.3, 0.25, 0.2, 0.2])  # metres across, one a Gauss-Newton step; the last one judges
 TURN_GATES = np.radians([12.0, 10.0, 8.0, 7.0, 6.0, 6.0, 6.0])
@@ -25,7 +25,7 @@ CORNER_GATE, CORNER_TURN = 0.3, math.radians(20.0)  # metres and radians by whic
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Laid:
+class Alignment:
     """A fragment laid on a map.
 
     place        [x, y, heading] of the fragment's frame in the map
@@ -58,7 +58,7 @@ class Samples:
     along: Floats
 
 
-def samples_of(scene: Scene) -> Samples:
+def samples_of(scene: MapDescriptor) -> Samples:
     """A point every SAMPLE metres of what was seen of the walls."""
     counts = np.maximum(1, np.round((scene.stretches[:, 1] - scene.stretches[:, 0]) / SAMPLE)).astype(np.int64)
     within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -66,7 +66,7 @@ def samples_of(scene: Scene) -> Samples:
     return Samples(np.repeat(scene.stretch_wall, counts), along)
 
 
-def lay(start: se2.Pose, fragment: Scene, samples: Samples, scene: Scene) -> Laid:
+def lay(start: se2.Pose, fragment: MapDescriptor, samples: Samples, scene: MapDescriptor) -> Alignment:
     """The best place near `start`, as in `Laid`."""
     first = np.searchsorted(scene.stretch_wall, np.arange(len(scene) + 1))
     place, information, matches, on_map = _lay(
@@ -77,10 +77,10 @@ def lay(start: se2.Pose, fragment: Scene, samples: Samples, scene: Scene) -> Lai
     seen, lies = np.zeros(len(fragment)), np.zeros(len(fragment))
     np.add.at(seen, samples.wall, SAMPLE)
     np.add.at(lies, samples.wall, SAMPLE * on_map)
-    return Laid(place, information, matches, seen, lies, _corners(place, fragment, scene))
+    return Alignment(place, information, matches, seen, lies, _corners(place, fragment, scene))
 
 
-def _corners(place: se2.Pose, fragment: Scene, scene: Scene) -> int:
+def _corners(place: se2.Pose, fragment: MapDescriptor, scene: MapDescriptor) -> int:
     if not len(fragment.corners) or not len(scene.corners):
         return 0
     moved = se2.transform(place, fragment.corners).reshape(-1, 2)

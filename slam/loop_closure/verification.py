@@ -14,7 +14,7 @@ from drivers import se2
 from ..geometry.segments import Floats, Segments
 from ..mapping.landmarks import Landmarks
 from .proposal import Hypothesis, distinct
-from .recent_walls import Constellation, OldMap
+from .recent_walls import WallSet, ReferenceMap
 
 # Times as far as drift is expected to lead that a place may be: how far it can have led, the estimate's covariance says
 # better. Other places are looked for farther away still.
@@ -84,7 +84,7 @@ class Verdict:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Outlook:
+class VerificationContext:
     """What hypotheses are judged by.
 
     pose         of the robot
@@ -93,15 +93,15 @@ class Outlook:
                  costs more than all else
     """
 
-    recent: Constellation
-    old: OldMap
+    recent: WallSet
+    old: ReferenceMap
     landmarks: Landmarks
     pose: se2.Pose
     views: Sequence[tuple[se2.Pose, Segments]]
     uncertainty: Callable[[], Floats]
 
 
-def verify(hypotheses: Sequence[Hypothesis], outlook: Outlook) -> Verdict:
+def verify(hypotheses: Sequence[Hypothesis], outlook: VerificationContext) -> Verdict:
     """Judge the second of several hypotheses by what was seen; the first is that nothing has to move."""
     motion = robot_motion(hypotheses[1], outlook.pose)
     near = is_near(motion)
@@ -131,7 +131,7 @@ def verify(hypotheses: Sequence[Hypothesis], outlook: Outlook) -> Verdict:
     )
 
 
-def _fit_tests(hypotheses: Sequence[Hypothesis], outlook: Outlook, *, near: bool) -> list[Test]:
+def _fit_tests(hypotheses: Sequence[Hypothesis], outlook: VerificationContext, *, near: bool) -> list[Test]:
     """Whether the place fits what was seen; the first test is by how much better than staying. `near` asks less."""
     stay, best = hypotheses[:2]
     gain = best.length - stay.length
@@ -160,7 +160,7 @@ def _fit_tests(hypotheses: Sequence[Hypothesis], outlook: Outlook, *, near: bool
     ]
 
 
-def _rival_tests(hypotheses: Sequence[Hypothesis], outlook: Outlook, *, by_estimate: bool) -> list[Test]:
+def _rival_tests(hypotheses: Sequence[Hypothesis], outlook: VerificationContext, *, by_estimate: bool) -> list[Test]:
     """Whether of another place nearly as much is explained; the less will do, if odometry speaks for that rather.
 
     A place that the estimate rules out is no rival, if it is asked: where a near motion shows it to be astray it has no
@@ -220,7 +220,7 @@ def _unexpectedness(motion: se2.Pose, covariance: Floats) -> float:
     return float(motion @ np.linalg.solve(covariance, motion))
 
 
-def _driftwise(hypothesis: Hypothesis, old: OldMap, pose: se2.Pose) -> tuple[float, float, float]:
+def _driftwise(hypothesis: Hypothesis, old: ReferenceMap, pose: se2.Pose) -> tuple[float, float, float]:
     """Metres and radians by which the robot would move, and how many times that is what drift is expected to do."""
     moved = robot_motion(hypothesis, pose)
     shift, turn = float(np.hypot(moved[0], moved[1])), abs(float(moved[2]))
@@ -251,11 +251,11 @@ def _sigma(hypothesis: Hypothesis) -> float:
 
 
 def contradiction(
-    motion: se2.Pose, old: OldMap, landmarks: Landmarks, views: Sequence[tuple[se2.Pose, Segments]]
+    motion: se2.Pose, old: ReferenceMap, landmarks: Landmarks, views: Sequence[tuple[se2.Pose, Segments]]
 ) -> float:
     """Share of the wall length seen in `views` that old walls would have hidden, were the robot moved by `motion`."""
     eyes, targets, weights = _sight_lines(motion, views)
-    walls = old.constellation.walls[old.left]
+    walls = old.wall_set.walls[old.left]
     if not len(eyes) or not len(walls):
         return 0.0
     rows = landmarks.walls.rows[walls]

@@ -17,7 +17,7 @@ from numba import njit
 from drivers import se2
 
 from ..geometry.segments import Floats, Segments
-from .map_descriptor import Scene
+from .map_descriptor import MapDescriptor
 
 RAYS = 120  # of a view
 MOST_VIEWS = 12  # of a fragment: neighbouring ones see much the same
@@ -27,7 +27,7 @@ SAME_ACROSS = 0.2  # metres across a wall by which what was seen may differ from
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
+class VisibilityCounts:
     """Rays of a fragment's views that hit something in the view, sorted by what the map has there.
 
     agree    the same at the same range
@@ -54,7 +54,7 @@ class Sight:
         return self.through / max(1, self.agree + self.through + self.front + self.unknown)
 
 
-def look(place: se2.Pose, views: Sequence[tuple[se2.Pose, Segments]], scene: Scene) -> Sight:
+def look(place: se2.Pose, views: Sequence[tuple[se2.Pose, Segments]], scene: MapDescriptor) -> VisibilityCounts:
     """Compare what the views saw with the map, where the fragment's frame lies at `place`."""
     chosen = np.linspace(0, len(views) - 1, min(len(views), MOST_VIEWS)).round().astype(int)
     ends = _ends(scene)
@@ -64,10 +64,10 @@ def look(place: se2.Pose, views: Sequence[tuple[se2.Pose, Segments]], scene: Sce
             continue
         eye = se2.compose(place, pose)
         counts += _compare(eye, segments.frame, segments.half_length, ends, segments.reach())
-    return Sight(*(int(count) for count in counts))
+    return VisibilityCounts(*(int(count) for count in counts))
 
 
-def _ends(scene: Scene) -> Floats:
+def _ends(scene: MapDescriptor) -> Floats:
     """(s, 4): the stretches of the walls from their first to their last point in the map, shortened."""
     frame = scene.frame[scene.stretch_wall]
     direction = np.column_stack([np.cos(frame[:, 2]), np.sin(frame[:, 2])])

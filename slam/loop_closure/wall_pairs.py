@@ -16,7 +16,7 @@ from numba import njit
 
 from ..geometry.angles import turn_of
 from ..geometry.segments import Floats, Integers
-from .map_descriptor import Scene
+from .map_descriptor import MapDescriptor
 
 LEAST_SINE = 0.5  # of the angle between two walls that fix a motion
 SAME_ANGLE = math.radians(5.0)  # by which the angle between two walls may differ from that between those of the map
@@ -34,7 +34,7 @@ AROUND = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshap
 ANGLE, X, Y, HEADING, LOW, HIGH, OTHER_LOW, OTHER_HIGH = range(8)  # columns of a table of pairs
 
 
-def pair_table(scene: Scene, longest: int | None = None) -> Floats:
+def pair_table(scene: MapDescriptor, longest: int | None = None) -> Floats:
     """(p, 8): a row for each pair of walls that are not parallel, by the angle between them; of the longest walls only,
     if wanted. LOW, HIGH and OTHER_LOW, OTHER_HIGH are the walls' ends, metres along each from where their lines meet.
     """
@@ -44,7 +44,7 @@ def pair_table(scene: Scene, longest: int | None = None) -> Floats:
     return np.asarray(table[np.argsort(table[:, ANGLE], kind="stable")])
 
 
-def vote(fragment: Scene, scene: Scene, pairs: Floats, most: int) -> Floats:
+def vote(fragment: MapDescriptor, scene: MapDescriptor, pairs: Floats, most: int) -> Floats:
     """(k, 3): where the fragment's frame may lie in the map, at most `most` poses, those with most votes first.
 
     `pairs` is the table of the map.

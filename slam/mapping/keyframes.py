@@ -13,7 +13,7 @@ from ..geometry.segments import CornerPoints, Floats, Integers, Segments
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class KeyframeView:
+class KeyframeObservations:
     """What a keyframe saw, and which landmarks that is.
 
     walls (n,) and corner_landmarks (m,) are identities, -1 for what is too ambiguous to be assigned; the distances are
@@ -33,13 +33,13 @@ class KeyframeView:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Names:
+class LandmarkIds:
     """Which landmarks a keyframe saw: identities for its segments (n,) and corners (m,), -1 for what is ambiguous."""
 
     walls: Integers
     corners: Integers
 
-    def __deepcopy__(self, memo: dict[int, object]) -> Names:
+    def __deepcopy__(self, memo: dict[int, object]) -> LandmarkIds:
         """Itself: names are never changed."""
         return self
 
@@ -50,7 +50,7 @@ class KeyframeRecords:
 
     trail: Floats
     ways: Sequence[float]
-    names: Sequence[Names]
+    names: Sequence[LandmarkIds]
     covariances: Sequence[Floats]
     adrift: Floats
 

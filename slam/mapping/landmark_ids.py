@@ -8,14 +8,14 @@ from drivers import se2
 
 from ..geometry.segments import CornerPoints, Integers, Segments
 from .data_association import UNMATCHED, Association
-from .keyframes import Names
+from .keyframes import LandmarkIds
 from .landmarks import Landmarks
 from .local_map import LocalMap
 
 SMALLEST_REACH = 0.2  # metres: a corner nearer to the base's origin has no bearing to speak of
 
 
-def name_features(
+def assign_landmark_ids(
     landmarks: Landmarks,
     keyframe: int,
     pose: se2.Pose,
@@ -23,10 +23,10 @@ def name_features(
     corners: CornerPoints,
     association: Association,
     local_map: LocalMap,
-) -> Names:
+) -> LandmarkIds:
     """What a keyframe at `pose` saw; landmarks are seen again, or for the first time and made."""
     walls = _name_walls(landmarks, keyframe, pose, segments, association, local_map)
-    return Names(walls, _name_corners(landmarks, keyframe, pose, corners, walls, association, local_map))
+    return LandmarkIds(walls, _name_corners(landmarks, keyframe, pose, corners, walls, association, local_map))
 
 
 def _name_walls(

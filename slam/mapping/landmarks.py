@@ -65,7 +65,7 @@ class Table:
         return self._storage[: self._count]
 
     def fill(self, rows: NDArray[np.void]) -> None:
-        """Hold these rows and no others."""
+        """TrackingStatus these rows and no others."""
         self._storage, self._count = np.zeros(max(256, len(rows)), rows.dtype), len(rows)
         self._storage[: len(rows)] = rows
 

@@ -16,17 +16,17 @@ from drivers import se2
 
 from ..geometry.segments import CornerPoints, Floats, Integers, Segments
 from ..graph.backend import FactorGraph
-from ..graph.covariances import KERNEL_CAUTION
-from ..graph.factors import Factor, GraphState, Kind
+from ..graph.covariances import ROBUST_COVARIANCE_SCALE
+from ..graph.factors import Factor, GraphState, FactorKind
 from ..odometry.correlated_drift import planar, turned
 from .data_association import Association
-from .keyframes import KeyframeRecords, KeyframeView, Merge, Motion, Names
-from .landmark_ids import name_features
+from .keyframes import KeyframeRecords, KeyframeObservations, Merge, Motion, LandmarkIds
+from .landmark_ids import assign_landmark_ids
 from .landmarks import Landmarks
 from .local_map import LocalMap, local_map_around
 from .wall_merging import LEAST_OBSERVATIONS, find_duplicate, merge_everywhere
-from .wall_removal import Doubts
-from .wall_roughness import WallFlatness, uneven
+from .wall_removal import FreeSpaceEvidence
+from .wall_roughness import WallRoughness, uneven
 
 CORNER_SHARE = 0.1  # of its segments' information that a corner's factor takes; measured by consistency in simulation
 CONFIRMING_KEYFRAMES = 2  # that must see a landmark before it enters the graph: people and noise are seen once
@@ -42,13 +42,13 @@ class Mapper:
     def __init__(self) -> None:
         self.graph = FactorGraph()
         self.landmarks = Landmarks()
-        self.flatness = WallFlatness()
-        self.doubts = Doubts()
+        self.flatness = WallRoughness()
+        self.doubts = FreeSpaceEvidence()
         self.keyframe_count = 0
         self.trail: Floats = np.zeros((0, 3))  # the keyframes' poses, those long past as they were lately read back
         self.ways = [0.0]  # metres driven up to each keyframe
         self.views: deque[tuple[int, Segments]] = deque(maxlen=KEPT_VIEWS)
-        self.names: list[Names] = []  # of each keyframe, as they were when it was added
+        self.names: list[LandmarkIds] = []  # of each keyframe, as they were when it was added
         self.pose_covariances: list[Floats] = []  # of the keyframes when they were added, (3, 3) in the map's axes
         self.adrift: Floats = np.zeros((0, 2, 2))  # see `adrift.py`; included there
         self._waiting_walls: dict[int, list[tuple[int, se2.Pose, Floats]]] = defaultdict(list)
@@ -67,8 +67,8 @@ class Mapper:
         cls,
         graph: GraphState,
         landmarks: Landmarks,
-        flatness: WallFlatness,
-        doubts: Doubts,
+        flatness: WallRoughness,
+        doubts: FreeSpaceEvidence,
         keyframes: KeyframeRecords,
         segments: Sequence[Segments],
         waiting: Sequence[Factor],
@@ -86,7 +86,7 @@ class Mapper:
         mapper.views.extend(enumerate(segments))
         for factor in waiting:
             seen = factor.first, factor.measured, factor.covariance
-            waits = mapper._waiting_walls if factor.kind is Kind.WALL else mapper._waiting_corners
+            waits = mapper._waiting_walls if factor.kind is FactorKind.WALL else mapper._waiting_corners
             waits[factor.second].append(seen)
         return mapper
 
@@ -95,7 +95,7 @@ class Mapper:
         """What was seen of landmarks that are not in the graph yet."""
         return [
             Factor(kind, keyframe, landmark, measured, covariance)
-            for kind, waits in ((Kind.WALL, self._waiting_walls), (Kind.CORNER, self._waiting_corners))
+            for kind, waits in ((FactorKind.WALL, self._waiting_walls), (FactorKind.CORNER, self._waiting_corners))
             for landmark, seen in waits.items()
             for keyframe, measured, covariance in seen
         ]
@@ -114,7 +114,7 @@ class Mapper:
         """(3, 3) of the last keyframe's pose, in its own frame: as `keyframe_covariance`, but free."""
         common = planar(self.adrift[-1])
         own = self.pose_covariances[-1] - common
-        return turned(KERNEL_CAUTION * own + common, -self.pose[2])
+        return turned(ROBUST_COVARIANCE_SCALE * own + common, -self.pose[2])
 
     def keyframe_covariance(self, keyframe: int) -> Floats:
         """(3, 3): covariance of a keyframe's pose, in the keyframe's own frame (metres, metres, radians)."""
@@ -145,15 +145,15 @@ class Mapper:
         corners: CornerPoints,
         association: Association,
         local_map: LocalMap,
-    ) -> KeyframeView:
+    ) -> KeyframeObservations:
         """A keyframe near `pose`, reached by a motion from an earlier one (None for the first), with what it sees."""
         keyframe = self.keyframe_count
         known = len(self.landmarks.walls)
-        names = name_features(self.landmarks, keyframe, pose, segments, corners, association, local_map)
+        names = assign_landmark_ids(self.landmarks, keyframe, pose, segments, corners, association, local_map)
         self.extend(pose, motion, segments, corners, names)
         self.graph.update()
         self.trail[-1] = self.graph.keyframe_pose(keyframe)
-        return KeyframeView(
+        return KeyframeObservations(
             segments,
             corners,
             names.walls,
@@ -171,7 +171,7 @@ class Mapper:
         motion: Motion | None,
         segments: Segments,
         corners: CornerPoints,
-        names: Names,
+        names: LandmarkIds,
     ) -> None:
         """Give the graph a keyframe and what it sees, by name; takes effect with the graph's next update."""
         keyframe = self.keyframe_count
@@ -234,7 +234,7 @@ class Mapper:
         for seen_from, position, covariance in self._waiting_corners.pop(corner):
             self.graph.observe_corner(seen_from, corner, position, covariance)
 
-    def refresh(self, view: KeyframeView) -> tuple[LocalMap, Merge | None]:
+    def refresh(self, view: KeyframeObservations) -> tuple[LocalMap, Merge | None]:
         """Read the estimate back, learn from it, and return the map around the last keyframe, of which `view` is;
         and the walls that turned out to be one, if any."""
         everything = (self.keyframe_count - 1) % REFRESH_ALL == 0
@@ -245,7 +245,7 @@ class Mapper:
         merge = self._merge(local_map, view)
         return self.local_map(view) if merge else local_map, merge
 
-    def local_map(self, view: KeyframeView) -> LocalMap:
+    def local_map(self, view: KeyframeObservations) -> LocalMap:
         """The map around the last keyframe, as far as that keyframe saw and a little farther."""
         return self.local_map_at(self.pose, REACH_MARGIN + view.segments.reach())
 
@@ -306,7 +306,7 @@ class Mapper:
         walls["frame"][near_walls] = self.graph.wall_frames(near_walls)
         corners["position"][near_corners] = self.graph.corner_positions(near_corners)
 
-    def _merge(self, local_map: LocalMap, view: KeyframeView) -> Merge | None:
+    def _merge(self, local_map: LocalMap, view: KeyframeObservations) -> Merge | None:
         """Make one of two walls of the local map, if one of them was just seen and they are the same."""
         rows = self.landmarks.walls.rows[local_map.walls]
         mature = rows["in_graph"] & (rows["observations"] >= LEAST_OBSERVATIONS)
@@ -317,7 +317,7 @@ class Mapper:
         self.merge_walls(first, second)
         return Merge(first, second, found.distance)
 
-    def _keep_covariances(self, view: KeyframeView) -> None:
+    def _keep_covariances(self, view: KeyframeObservations) -> None:
         """Note how well the landmarks just seen are known from here: right after an update this is cheap to ask."""
         walls, corners = self.landmarks.walls.rows, self.landmarks.corners.rows
         seen_walls = np.unique(view.walls[view.walls >= 0])
@@ -331,7 +331,7 @@ class Mapper:
         corners["covariance_in_map"][seen_corners] = known.corners_in_map
         self.pose_covariances.append(known.pose + planar(self.adrift[-1]))
 
-    def _learn_flatness(self, view: KeyframeView) -> None:
+    def _learn_flatness(self, view: KeyframeObservations) -> None:
         """Compare the segments with the walls they were given to, now that the graph has settled both."""
         rows = self.landmarks.walls.rows
         known = np.flatnonzero(view.walls >= 0)

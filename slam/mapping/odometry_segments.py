@@ -19,7 +19,7 @@ FASTEST = 1.0  # metres a second
 JITTER = 0.2  # metres
 
 
-class Drives:
+class OdometrySegments:
     """All odometry of a session, drive by drive; `starts` are the rows of the sightings that they begin with."""
 
     def __init__(self, histories: Sequence[OdometryHistory] = (), starts: Sequence[int] = ()) -> None:

@@ -25,7 +25,7 @@ ALIKE = math.radians(10.0)  # by which the lines may be turned against each othe
 LEAST_CELLS = 3
 
 
-def with_one_front(landmarks: Landmarks) -> Landmarks:
+def suppress_overlapping_walls(landmarks: Landmarks) -> Landmarks:
     """The landmarks as a map shows them: each stretch along which several confirmed walls were seen given to one, which
     speaks for those of which nothing is left."""
     shown = copy.deepcopy(landmarks)

@@ -60,7 +60,7 @@ class _Look:
         return np.asarray(self.first[row] + chosen[self.ends[row] : self.ends[row + 1]].nonzero()[0])
 
 
-class Doubts:
+class FreeSpaceEvidence:
     """How many looks have seen through each place of each wall, on balance.
 
     counts  of a wall, by cell
@@ -71,8 +71,8 @@ class Doubts:
         self._stood: Floats | None = None
         self._suspended = -np.inf
 
-    def __deepcopy__(self, memo: dict[int, object]) -> Doubts:
-        other = Doubts()
+    def __deepcopy__(self, memo: dict[int, object]) -> FreeSpaceEvidence:
+        other = FreeSpaceEvidence()
         other.counts = {wall: dict(cells) for wall, cells in self.counts.items()}
         other._stood, other._suspended = self._stood, self._suspended
         return other

@@ -19,7 +19,7 @@ ENOUGH = 200  # numbers after which only what was seen counts
 NORMAL_MEDIAN = 0.4549  # median of a squared standard normal variable
 
 
-class WallFlatness:
+class WallRoughness:
     """Variance of the walls' unevenness (metres squared), estimated from the residuals of associated segments."""
 
     def __init__(self) -> None:

@@ -39,7 +39,7 @@ class ScanPoints:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PointField:
+class LikelihoodField:
     """Square grids around a place in the map; row and column of a point are floor((xy - origin) / CELL).
 
     points    (n, 2) loose points in the map
@@ -73,7 +73,7 @@ class RecentPoints:
         """Keep the points of a keyframe, and forget the oldest."""
         self._scans.append((keyframe, points))
 
-    def field(self, poses: Floats, centre: se2.Pose) -> PointField:
+    def field(self, poses: Floats, centre: se2.Pose) -> LikelihoodField:
         """The field around `centre`; `poses` (k, 3) are those of `keyframes` in the map."""
         everything = [se2.transform(pose, scan.all) for pose, (_, scan) in zip(poses, self._scans, strict=True)]
         loose = [se2.transform(pose, scan.loose) for pose, (_, scan) in zip(poses, self._scans, strict=True)]
@@ -82,7 +82,7 @@ class RecentPoints:
         )
 
 
-def make_field(everything: Floats, loose: Floats, centre: Floats) -> PointField:
+def make_field(everything: Floats, loose: Floats, centre: Floats) -> LikelihoodField:
     """A field around `centre` (2,) of points (n, 2), and of the loose ones among them (m, 2)."""
     cells = int(2 * REACH / CELL)
     origin = np.floor((centre - REACH) / CELL) * CELL
@@ -91,7 +91,7 @@ def make_field(everything: Floats, loose: Floats, centre: Floats) -> PointField:
     _spread(loose, origin, squared, nearest)
     squared[:] = RADIUS**2
     _spread(everything, origin, squared, np.empty((0, 0), dtype=np.int32))
-    return PointField(origin, loose, nearest, squared)
+    return LikelihoodField(origin, loose, nearest, squared)
 
 
 @njit(cache=True)
@@ -113,17 +113,17 @@ def _spread(points, origin, squared, nearest):  # type: ignore[no-untyped-def]
                         nearest[i, j] = index
 
 
-def likeness(field: PointField, points: Floats, pose: se2.Pose) -> float:
+def likeness(field: LikelihoodField, points: Floats, pose: se2.Pose) -> float:
     """How well a scan's points (p, 2), in the base's frame at `pose`, lie on those of the last keyframes: 0 to 1."""
     return float(likenesses(field, points, np.asarray(pose, dtype=np.float64).reshape(1, 3))[0])
 
 
-def likenesses(field: PointField, points: Floats, poses: Floats) -> Floats:
+def likenesses(field: LikelihoodField, points: Floats, poses: Floats) -> Floats:
     """(n,): how well a scan's points (p, 2) lie there at each of the poses (n, 3)."""
     return np.asarray(_likenesses(field.squared, field.origin, thinned(points, SEARCH_POINTS), poses))
 
 
-def search(field: PointField, points: Floats, prediction: se2.Pose) -> tuple[se2.Pose, float]:
+def search(field: LikelihoodField, points: Floats, prediction: se2.Pose) -> tuple[se2.Pose, float]:
     """The pose around the prediction at which a scan's points (p, 2) lie best on those of the last keyframes, and how
     well (0 to 1), to the steps of the search."""
     offsets = np.arange(-SEARCH_HALF_WIDTH, SEARCH_HALF_WIDTH + 1e-9, SEARCH_STEP)

@@ -18,7 +18,7 @@ from ..geometry.angles import turn_of
 from ..geometry.segments import CornerPoints, Floats, Segments
 from ..mapping.local_map import LocalMap
 from .likelihood_field import CELL as POINT_CELL
-from .likelihood_field import PointField, ScanPoints
+from .likelihood_field import LikelihoodField, ScanPoints
 
 # Starts around the prediction [x, y, heading], nearest first: 15 degrees of odometry error in a turn are covered.
 NEAR_STARTS = np.array([[0.0, 0.0, math.radians(angle)] for angle in (0, -8, 8, -16, 16)])
@@ -68,7 +68,7 @@ def register(
     starts: Floats,
     scan: ScanFeatures,
     local_map: LocalMap,
-    field: PointField,
+    field: LikelihoodField,
     flatness: float,
 ) -> Registration:
     """The base's pose in the map for a scan.

@@ -9,9 +9,9 @@ import numpy as np
 from drivers import se2
 
 from ..config import OdometryConfig
-from ..geometry.degeneracy import free_direction
+from ..geometry.degeneracy import weakest_direction
 from ..geometry.segments import Floats
-from .history import way_of
+from .history import wheel_travel
 
 LEAST_WAY = 0.05  # metres: shorter motions say more of registration than of the wheels
 WINDOW = 200  # motions
@@ -74,9 +74,9 @@ class OdometryModel:
         `held_by` (3, 3) is the information of what was seen at its end. Where that leaves a direction open, as along a
         bare corridor, what was found is what odometry had claimed, and says nothing of how far that is right.
         """
-        if not self._config.learn or way_of(claimed) < LEAST_WAY:
+        if not self._config.learn or wheel_travel(claimed) < LEAST_WAY:
             return
-        if free_direction(found, held_by, HELD_SIGMA) is None:
+        if weakest_direction(found, held_by, HELD_SIGMA) is None:
             self.take(np.concatenate([claimed, found])[None])
 
     def _estimate(self) -> None:
@@ -90,7 +90,7 @@ class OdometryModel:
         by_wheels = se2.wrap(found[turns, 2] - self._veer * ahead[turns])
         self._turning = 1.0 / np.clip(1.0 + _trusted(turned[turns] / by_wheels - 1.0), 1 / MOST_WRONG, MOST_WRONG)
         claimed, found = claimed[-WINDOW:], found[-WINDOW:]
-        error, way = se2.between(self.corrected(claimed), found), way_of(claimed)
+        error, way = se2.between(self.corrected(claimed), found), wheel_travel(claimed)
         squared = (
             (error[:, 0] ** 2 + error[:, 1] ** 2) / (PLANE_MEDIAN * way**2),
             error[:, 2] ** 2 / NORMAL_MEDIAN / way,
@@ -113,7 +113,7 @@ class OdometryModel:
 
     def covariance(self, motion: se2.Pose) -> Floats:
         """(3, 3) covariance of a motion [x, y, heading] between two readings, in the frame of its end."""
-        way = way_of(motion)
+        way = wheel_travel(motion)
         translation, rotation = self.variances(way)
         translation += self._config.translation_floor**2
         rotation += self._config.rotation_floor**2
@@ -125,11 +125,11 @@ class OdometryModel:
 
         That is in the direction that what was seen at its end leaves open, given the information (3, 3) of that.
         """
-        direction = free_direction(np.zeros(3), held_by, ADRIFT_SIGMA)
+        direction = weakest_direction(np.zeros(3), held_by, ADRIFT_SIGMA)
         if direction is None:
             return np.zeros((2, 2))
         along = np.array([math.cos(direction), math.sin(direction)])
-        return np.asarray(self._rates[0] * way_of(motion) * ALIKE_WAY * np.outer(along, along))
+        return np.asarray(self._rates[0] * wheel_travel(motion) * ALIKE_WAY * np.outer(along, along))
 
 
 def fused_motion(

@@ -59,7 +59,7 @@ class OdometryHistory:
     def ways(self) -> Floats:
         """(n,) metres that the wheels have rolled up to each reading."""
         poses = self.poses
-        return np.concatenate([[0.0], np.cumsum(way_of(se2.between(poses[:-1], poses[1:])))])
+        return np.concatenate([[0.0], np.cumsum(wheel_travel(se2.between(poses[:-1], poses[1:])))])
 
     def at(self, stamp: float) -> se2.Pose:
         """The pose at a stamp, between the readings around it; held before the first and after the last."""
@@ -77,6 +77,6 @@ class OdometryHistory:
         return np.array([self.at(float(stamp)) for stamp in stamps]).reshape(-1, 3)
 
 
-def way_of(motion: se2.Pose) -> Floats:
+def wheel_travel(motion: se2.Pose) -> Floats:
     """Metres (...,) that the wheels roll in motions (..., 3): their length, and what turning takes."""
     return np.asarray(np.hypot(motion[..., 0], motion[..., 1]) + TRACK * np.abs(motion[..., 2]))

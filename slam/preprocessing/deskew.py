@@ -18,7 +18,7 @@ from drivers.messages import Scan
 from ..config import LidarConfig
 from ..geometry.segments import CornerPoints, Floats, Segments
 from ..odometry.error_model import OdometryModel
-from ..odometry.history import OdometryHistory, way_of
+from ..odometry.history import OdometryHistory, wheel_travel
 
 if TYPE_CHECKING:
     from features.types import Lines
@@ -100,7 +100,7 @@ def deskew(scan: Scan, odometry: OdometryHistory, mount: se2.Pose, range_bias: f
     offsets = np.linspace(0.0, duration, KNOTS)
     reference = odometry.at(middle)
     moves = se2.between(reference, odometry.at_each(scan.stamp + offsets))
-    ways = way_of(moves)
+    ways = wheel_travel(moves)
     if ways[0] + ways[-1] < LEAST_WAY:
         return Sweep(middle, reference, ranges, scan.angles, np.zeros(len(ranges)))
     mean = np.clip(moves.mean(axis=0), -JITTER, JITTER)

@@ -24,7 +24,7 @@ from .extraction import build_extractor
 LONGEST_WAIT = 20  # scans that wait for the odometry to catch up before they are taken without
 
 
-NOTHING_SEEN = ScanFeatures(
+NO_FEATURES = ScanFeatures(
     Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2))),
     CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2))),
     ScanPoints(np.zeros((0, 2)), np.zeros((0, 2))),
@@ -32,19 +32,19 @@ NOTHING_SEEN = ScanFeatures(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sighting:
+class ProcessedScan:
     """What one scan shows, in the base's frame, as if seen all at once at `stamp`, when odometry was at `odometry`."""
 
     stamp: float
     odometry: se2.Pose
     seen: ScanFeatures
 
-    def without_view(self) -> Sighting:
+    def without_view(self) -> ProcessedScan:
         """That there was a scan; what it showed is not kept."""
-        return replace(self, seen=NOTHING_SEEN)
+        return replace(self, seen=NO_FEATURES)
 
 
-class FrontEnd:
+class Preprocessor:
     """Takes scans and odometry, gives sightings."""
 
     def __init__(self, config: Config, sigma_range: float | None = None) -> None:
@@ -92,13 +92,13 @@ class FrontEnd:
         ready = covered or last or len(self._waiting) > LONGEST_WAIT
         return self._waiting.popleft() if ready else None
 
-    def sight(self, scan: Scan, odometry_model: OdometryModel) -> Sighting:
+    def sight(self, scan: Scan, odometry_model: OdometryModel) -> ProcessedScan:
         """Straighten a scan and condense it into walls and corners, and points that are on neither."""
         mount = mount_of(scan, self._lidar)
         sweep = deskew(scan, self.odometry, mount, self._lidar.range_bias)
         features = self._extractor.extract(sweep.ranges, sweep.bearings)
         seen = _in_base_frame(sweep, features, mount, odometry_model)
-        return Sighting(sweep.stamp, sweep.odometry, seen)
+        return ProcessedScan(sweep.stamp, sweep.odometry, seen)
 
 
 def _in_base_frame(sweep: Sweep, features: Features, mount: se2.Pose, odometry_model: OdometryModel) -> ScanFeatures:

@@ -14,8 +14,8 @@ from typer.testing import CliRunner, Result
 from drivers.messages import Message, Odometry, Scan
 from slam.cli import app
 from slam.config import Config
-from slam.estimation.slam_state import Belief
-from slam.events import Event, Finished, MapCorners, MapLines, Noticed
+from slam.estimation.slam_state import SlamState
+from slam.events import Event, Finished, MapCorners, MapWalls, Notice
 from slam.io.sessions import StoredSession
 from slam.odometry.history import OdometryHistory
 from slam.visualisation.rerun_log import ReviewLog
@@ -28,7 +28,7 @@ def finished() -> Finished:
     """A room of 6 m by 4 m, seen from inside, and a path through it."""
     frames = np.array([[3, 0, 0], [6, 2, np.pi / 2], [3, 4, np.pi], [0, 2, -np.pi / 2]], float)
     half = np.array([3.0, 2.0, 3.0, 2.0])
-    lines = MapLines(
+    lines = MapWalls(
         identity=np.array([0, 1, 3, 7]),
         frame=frames,
         low=-half,
@@ -74,12 +74,12 @@ def fake_slam(monkeypatch: pytest.MonkeyPatch, finished: Finished) -> type:
             history = OdometryHistory()
             for reading in self.odometry:
                 history.add(reading)
-            return StoredSession(Config(), Belief(Config().odometry), [], [history], [0], 0.01)
+            return StoredSession(Config(), SlamState(Config().odometry), [], [history], [0], 0.01)
 
         def finish(self) -> Finished:
             for k in range(self.notices):
                 for sink in self.sinks:
-                    sink.handle(Noticed(float(k), f"oddity number {k}"))
+                    sink.handle(Notice(float(k), f"oddity number {k}"))
             return replace(
                 finished,
                 stamps=np.array([o.stamp for o in self.odometry]),

@@ -11,13 +11,13 @@ from drivers import se2
 from slam.events import (
     Finished,
     KeyframeAdded,
-    LinesMerged,
+    WallsMerged,
     MapCorners,
-    MapLines,
+    MapWalls,
     MapUpdated,
-    Noticed,
+    Notice,
     ScanTracked,
-    TruthSeen,
+    GroundTruthReceived,
 )
 from slam.geometry.segments import CornerPoints, Segments
 from slam.visualisation.rerun_log import ReviewLog
@@ -85,14 +85,14 @@ class Corridor:
             drifted = se2.compose(drifted, motion + np.array([0.0, 0.0, 0.004]))
             odometry = se2.compose(np.array([7.0, -3.0, 1.0]), drifted)
             for part in (0.0, 0.5):
-                yield TruthSeen(stamp + part / 2, se2.compose(truth, [0.25 * part, 0, 0]))
+                yield GroundTruthReceived(stamp + part / 2, se2.compose(truth, [0.25 * part, 0, 0]))
                 yield ScanTracked(stamp + part / 2, se2.compose(estimate, [0.25 * part, 0, 0]), odometry, 0.9, index)
             estimates.append(estimate)
             yield self.keyframe(index, stamp, truth, estimate, odometry)
             if index == 12:
-                yield Noticed(stamp, "no odometry for 1.2 s")
+                yield Notice(stamp, "no odometry for 1.2 s")
             if index == 20:
-                yield LinesMerged(index, stamp, 3, 4, 2.25)
+                yield WallsMerged(index, stamp, 3, 4, 2.25)
             if index % self.maps_every == 0:
                 path = np.array(estimates)
                 yield MapUpdated(index, stamp, path, self.lines(), self.corners(), 3.0 * index, 0.3 * (index == 40))
@@ -138,7 +138,7 @@ class Corridor:
         covariance = np.diag([4e-4, 1e-6]) if final else np.full((2, 2), np.nan)
         covariances = np.tile(covariance, (len(known), 1, 1))
         pieces = tuple(np.column_stack([-half, half])[:, None])
-        return MapLines(known, self.wall_frames[known], -half, half, self.seen[known], covariances, pieces)
+        return MapWalls(known, self.wall_frames[known], -half, half, self.seen[known], covariances, pieces)
 
     def corners(self):
         position = se2.transform(se2.inverse(self.truth[0]), OUTER)

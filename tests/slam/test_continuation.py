@@ -14,7 +14,7 @@ from slam import Slam
 from slam.config import Config, config_to_toml
 from slam.errors import MapError
 from slam.evaluation.metrics import align
-from slam.events import Event, Finished, Noticed
+from slam.events import Event, Finished, Notice
 from slam.io.output_dir import CONFIG
 from slam.io.sessions import read_stored, write_stored
 from slam.io.tum import Trajectory
@@ -38,7 +38,7 @@ class Notices:
         self.texts: list[str] = []
 
     def handle(self, event: Event) -> None:
-        if isinstance(event, Noticed):
+        if isinstance(event, Notice):
             self.texts.append(event.text)
 
 

@@ -15,7 +15,7 @@ from drivers.simulation.simulator import Simulation
 from slam import Config, Slam
 from slam.errors import MapError
 from slam.evaluation.metrics import score_reference
-from slam.events import Event, Finished, KeyframeAdded, MapUpdated, ScanTracked, TruthSeen
+from slam.events import Event, Finished, KeyframeAdded, MapUpdated, ScanTracked, GroundTruthReceived
 from slam.io.tum import Trajectory
 
 
@@ -90,7 +90,7 @@ def test_events_tell_the_story_in_order(drive: list[Message]) -> None:
     assert [event.stamp for event in keyframes] == list(finished.keyframe_stamps)
     assert len(tracked) == len(scans)
     assert (np.diff([event.stamp for event in tracked]) > 0).all()
-    assert len(listener.of(TruthSeen)) == sum(isinstance(message, GroundTruth) for message in drive)
+    assert len(listener.of(GroundTruthReceived)) == sum(isinstance(message, GroundTruth) for message in drive)
     assert listener.events[-1] is finished
     assert listener.of(MapUpdated)[0].index == 0
     seen: set[int] = set()

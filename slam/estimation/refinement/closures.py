@@ -10,7 +10,7 @@ import numpy as np
 from drivers import se2
 
 from ...geometry.segments import Integers
-from ...loop_closure.closer import CARRYING_SIGMAS, LEAST_MERGED, LoopCloser, LoopDecision, strangers_to, together
+from ...loop_closure.closer import CARRYING_SIGMAS, LEAST_MERGED, LoopCloser, LoopDecision, misassociated_walls, together
 from ...mapping.keyframes import Motion
 from ...mapping.mapper import Mapper
 from .drive import Drive
@@ -42,7 +42,7 @@ def missed_closure(mapper: Mapper, drive: Drive) -> Missed | None:
         past.views.append((k, drive.sightings[row].seen.segments))
         decision = closer.look(past)
         if decision is not None and decision.status == "agreed":
-            return Missed(decision, *strangers_to(past, decision))
+            return Missed(decision, *misassociated_walls(past, decision))
     return None
 
 

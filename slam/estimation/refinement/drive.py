@@ -13,7 +13,7 @@ from drivers import se2
 from ...geometry.segments import Floats, Integers
 from ...mapping.trajectory_builder import Path
 from ...odometry.error_model import OdometryModel
-from ...preprocessing.scan_queue import NOTHING_SEEN, Sighting
+from ...preprocessing.scan_queue import NO_FEATURES, ProcessedScan
 from ..slam_state import CARRIED_SIGMAS
 
 ASTRAY_SIGMAS = np.array([0.5, 0.5, 0.3])  # metres, metres, radians: of a motion in which odometry proved wrong
@@ -29,7 +29,7 @@ class Drive:
     carried    rows of the sightings to which the robot was moved without odometry's knowing; a new drive begins so, too
     """
 
-    sightings: Sequence[Sighting]
+    sightings: Sequence[ProcessedScan]
     keyframes: Integers
     anchors: Integers
     relative: Floats
@@ -52,7 +52,7 @@ class Drive:
     @property
     def kept(self) -> NDArray[np.bool_]:
         """(n,) whether what a sighting showed was kept."""
-        return np.array([sighting.seen is not NOTHING_SEEN for sighting in self.sightings])
+        return np.array([sighting.seen is not NO_FEATURES for sighting in self.sightings])
 
     def path(self, keyframe_poses: Floats, poses: Floats) -> Path:
         """The path with all sightings at `poses` (n, 3), hung on keyframes at theirs (k, 3)."""
@@ -97,7 +97,7 @@ class Drive:
 
 
 def drive_of(
-    sightings: Sequence[Sighting],
+    sightings: Sequence[ProcessedScan],
     path: Path,
     keyframe_stamps: Sequence[float],
     carried: Sequence[int],

@@ -10,11 +10,11 @@ import numpy as np
 from drivers import se2
 
 from ...geometry.segments import Floats
-from ...localisation.tracker import CLEARLY_LIKER, Surroundings
+from ...localisation.tracker import CLEARLY_LIKER, MatchTarget
 from ...mapping.landmarks import Landmarks
 from ...mapping.local_map import LocalMap, landmarks_around
 from ...mapping.mapper import REACH_MARGIN
-from ...matching.likelihood_field import PointField, make_field
+from ...matching.likelihood_field import LikelihoodField, make_field
 from ...matching.line_matcher import NEAR_STARTS, Registration
 from .drive import Drive
 
@@ -28,7 +28,7 @@ NOTHING = np.zeros((0, 2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Laid:
+class Alignment:
     """How a scan lies on the map. `astray` is whether odometry had put it clearly in the wrong place."""
 
     registration: Registration
@@ -36,13 +36,13 @@ class Laid:
     astray: bool
 
 
-class Place:
+class PoseFix:
     """The map that scans are laid over: landmarks and keyframes at `poses` (k, 3), with all their points."""
 
     def __init__(self, drive: Drive, landmarks: Landmarks, poses: Floats, flatness: float) -> None:
         self._drive, self._landmarks, self._poses, self._flatness = drive, landmarks, poses, flatness
         self._tile: tuple[int, int] | None = None
-        self._fields: dict[int, PointField] = {}
+        self._fields: dict[int, LikelihoodField] = {}
         self._prior = np.diag(PRIOR_SIGMAS**-2)
 
     def local_map(self, row: int, pose: se2.Pose) -> LocalMap:
@@ -51,11 +51,11 @@ class Place:
         keyframe = int(np.searchsorted(self._drive.keyframes, row, side="right")) - 1
         return landmarks_around(self._landmarks, pose, reach, keyframe=keyframe)
 
-    def lay(self, row: int, poses: Floats, local_map: LocalMap) -> Laid:
+    def lay(self, row: int, poses: Floats, local_map: LocalMap) -> Alignment:
         """Lay a sighting over the map near where it is, and where the even course between its neighbours has it, if
         that is somewhere else; `poses` (n, 3) are those of all sightings."""
         scan = self._drive.sightings[row].seen
-        around = Surroundings(local_map, self._field(int(self._drive.anchors[row])), self._flatness)
+        around = MatchTarget(local_map, self._field(int(self._drive.anchors[row])), self._flatness)
         fit = around.lay(scan, poses[row], self._prior, NEAR_STARTS[:1])
         course = self._even_course(row, poses)
         astray = False
@@ -63,7 +63,7 @@ class Place:
             other = around.lay(scan, course, self._prior, NEAR_STARTS[:1])
             astray = other.both > fit.both + CLEARLY_LIKER
             fit = other if astray else fit
-        return Laid(fit.registration, fit.believable, astray)
+        return Alignment(fit.registration, fit.believable, astray)
 
     def covariance(self, registration: Registration) -> Floats:
         """(3, 3) of a pose found by laying a sighting over the map, in the base's frame."""
@@ -78,7 +78,7 @@ class Place:
         part = (now - before) / (after - before) if after > before else 0.5
         return se2.compose(poses[row - 1], part * se2.between(poses[row - 1], poses[row + 1]))
 
-    def _field(self, keyframe: int) -> PointField:
+    def _field(self, keyframe: int) -> LikelihoodField:
         """The points around a keyframe, of every other one: a scan would not leave its place if its own were there."""
         tile = (int(self._poses[keyframe, 0] // TILE), int(self._poses[keyframe, 1] // TILE))
         if tile != self._tile:
@@ -88,7 +88,7 @@ class Place:
             self._fields[half] = self._make_field((np.array(tile) + 0.5) * TILE, half)
         return self._fields[half]
 
-    def _make_field(self, centre: Floats, half: int) -> PointField:
+    def _make_field(self, centre: Floats, half: int) -> LikelihoodField:
         near = np.flatnonzero(np.hypot(*(self._poses[:, :2] - centre).T) < NEAR)
         near = near[near % 2 == half]
         near = near[:: max(1, -(-len(near) // MOST_KEYFRAMES))]

@@ -9,7 +9,7 @@ import numpy as np
 from drivers import se2
 
 from ...geometry.segments import Floats
-from ...mapping.keyframes import Names
+from ...mapping.keyframes import LandmarkIds
 from ...mapping.landmarks import Landmarks
 from ...mapping.wall_roughness import uneven
 from .drive import Drive
@@ -17,7 +17,7 @@ from .drive import Drive
 GONE = -1  # stands for the wall that speaks for one which nobody sees any more
 
 
-def recount(landmarks: Landmarks, drive: Drive, names: Sequence[Names], poses: Floats) -> None:
+def recount(landmarks: Landmarks, drive: Drive, names: Sequence[LandmarkIds], poses: Floats) -> None:
     """Take the extents and counts of all landmarks from what keyframes at `poses` (k, 3) see of them by `names`.
 
     What no keyframe sees is no landmark any more. Identities stay.
@@ -45,7 +45,7 @@ def recount(landmarks: Landmarks, drive: Drive, names: Sequence[Names], poses: F
     corners["position"][corners["observations"] == 0] = np.nan  # is near nothing
 
 
-def measure(landmarks: Landmarks, drive: Drive, names: Sequence[Names], poses: Floats, flatness: float) -> None:
+def measure(landmarks: Landmarks, drive: Drive, names: Sequence[LandmarkIds], poses: Floats, flatness: float) -> None:
     """Set the covariances of all landmarks to what the keyframes that see them leave uncertain, at their `poses`.
 
     As seen from around there, that is; what all of them have in common is left out. A wall's unevenness does not

@@ -11,14 +11,14 @@ from drivers import se2
 
 from ...geometry.segments import Floats
 from ...mapping.data_association import associate
-from ...mapping.keyframes import Motion, Names
-from ...mapping.landmark_ids import name_features
+from ...mapping.keyframes import Motion, LandmarkIds
+from ...mapping.landmark_ids import assign_landmark_ids
 from ...mapping.mapper import Mapper
 from ...mapping.wall_merging import merge_everywhere
 from ...matching.line_matcher import Registration
 from ...odometry.error_model import OdometryModel, fused_motion
 from .drive import Drive
-from .placing import Place
+from .placing import PoseFix
 from .renaming import measure, recount
 
 # Metres, metres, radians: how well a sighting that passed a familiar place is known relative to a keyframe there.
@@ -71,9 +71,9 @@ def refine_once(old: Mapper, drive: Drive, model: OdometryModel, poses: Floats, 
 
 def _associate(
     mapper: Mapper, drive: Drive, poses: Floats
-) -> tuple[list[Registration], list[Names], NDArray[np.bool_]]:
+) -> tuple[list[Registration], list[LandmarkIds], NDArray[np.bool_]]:
     """How each keyframe lies on the mapper's landmarks, what it sees of them, and the sightings that were astray."""
-    place = Place(drive, mapper.landmarks, poses, mapper.flatness.variance)
+    place = PoseFix(drive, mapper.landmarks, poses, mapper.flatness.variance)
     everywhere = drive.poses(poses)
     laid, names, astray = [], [], np.zeros(len(drive), dtype=bool)
     for k, row in enumerate(drive.keyframes):
@@ -92,7 +92,7 @@ def _associate(
         laid.append(registration)
         astray[row] = result.astray
         names.append(
-            name_features(mapper.landmarks, k, registration.pose, seen.segments, seen.corners, association, around)
+            assign_landmark_ids(mapper.landmarks, k, registration.pose, seen.segments, seen.corners, association, around)
         )
     return laid, names, astray
 

@@ -10,7 +10,7 @@ from ...graph.chain import smooth_chain
 from ...mapping.mapper import Mapper
 from ...odometry.error_model import OdometryModel
 from .drive import Drive
-from .placing import Place
+from .placing import PoseFix
 
 # Of the information that a scan's placement claims: scans beside it share the errors of the walls that it is laid over.
 # On recordings a third is best by a little, a tenth and all of it are as good as each other.
@@ -25,7 +25,7 @@ def refine_path(
     `poses` (k, 3) are those of the keyframes; `astray` (n,) says which sightings are already known to be. A sighting of
     which nothing was kept stays where it is, as firmly as it was placed there.
     """
-    place = Place(drive, mapper.landmarks, poses, mapper.flatness.variance)
+    place = PoseFix(drive, mapper.landmarks, poses, mapper.flatness.variance)
     placed, astray = drive.poses(poses), astray.copy()
     informations = drive.informations.copy()
     explained = np.full(len(drive), np.nan)

@@ -14,7 +14,7 @@ from ...events import Event, LoopDecided
 from ...io.tum import Trajectory
 from ...loop_closure.closer import LoopCloser
 from ...loop_closure.proposal import Hypothesis, distinct, propose, refined
-from ...loop_closure.recent_walls import Constellation, OldMap
+from ...loop_closure.recent_walls import WallSet, ReferenceMap
 from ...pipeline import Slam
 from ..metrics import Relations, read_relations, score_relations
 
@@ -61,7 +61,7 @@ class Adversary:
         """It keeps count over all copies of the belief that it deceives."""
         return self
 
-    def __call__(self, recent: Constellation, old: OldMap, pose: se2.Pose) -> list[Hypothesis]:
+    def __call__(self, recent: WallSet, old: ReferenceMap, pose: se2.Pose) -> list[Hypothesis]:
         """The honest candidates, and a false one at some looks."""
         honest = propose(recent, old, pose)
         if not honest:
@@ -78,7 +78,7 @@ class Adversary:
         return [stay, *sorted([false, *others], key=lambda hypothesis: -hypothesis.length)]
 
     def _most_convincing(
-        self, honest: list[Hypothesis], recent: Constellation, old: OldMap, pose: se2.Pose
+        self, honest: list[Hypothesis], recent: WallSet, old: ReferenceMap, pose: se2.Pose
     ) -> Hypothesis:
         """The strongest place away from where the robot is believed to be and from the best honest candidate."""
         reach, turn = float(old.translation.max()), float(old.rotation.max())

@@ -19,7 +19,7 @@ from drivers.messages import Message, Odometry, Scan
 from ...config import Config
 from ...errors import MapError
 from ...geometry.segments import Floats
-from ...loop_closure.relocalisation import MapIndex, fragment_of, index_map, relocalise
+from ...loop_closure.relocalisation import MapIndex, submap_of, index_map, relocalise
 from ...mapping.mapper import Mapper
 from ...pipeline import Slam
 
@@ -123,7 +123,7 @@ def run(
     """
     queries = []
     for stamp, mapper in _fragments(known.second_half, way, count, config, seed):
-        fragment = fragment_of(mapper)
+        fragment = submap_of(mapper)
         start = time.perf_counter()
         found = relocalise(fragment, known.index if elsewhere is None else elsewhere)
         seconds = time.perf_counter() - start

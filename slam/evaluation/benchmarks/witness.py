@@ -13,11 +13,11 @@ from drivers.simulation.simulator import Simulation
 from ...events import (
     Event,
     Finished,
-    FoundAgain,
+    Relocalised,
     KeyframeAdded,
-    LinesMerged,
+    WallsMerged,
     LoopDecided,
-    MapLines,
+    MapWalls,
     MapUpdated,
     ScanTracked,
 )
@@ -81,11 +81,11 @@ class Witness:
                 self._add(event)
             case MapUpdated():
                 self._estimate = dict(enumerate(event.keyframes))
-            case LinesMerged():
+            case WallsMerged():
                 self._kept[event.absorbed] = event.kept
             case LoopDecided():
                 self._judge(event)
-            case FoundAgain():
+            case Relocalised():
                 self._look_up(event)
 
     def _add(self, event: KeyframeAdded) -> None:
@@ -117,7 +117,7 @@ class Witness:
         error, turn = self._motion_error(event.old, event.index, there)
         self.decided.append(Decided(event.index, event.status, event.reason, error, turn))
 
-    def _look_up(self, event: FoundAgain) -> None:
+    def _look_up(self, event: Relocalised) -> None:
         told = list(self._truth)
         nearest = told[int(np.hypot(*(np.array([self._estimate[k] for k in told]) - event.pose)[:, :2].T).argmin())]
         estimated = se2.between(self._estimate[nearest], event.pose)
@@ -154,14 +154,14 @@ class Witness:
         half, none = event.segments.half_length, np.zeros((len(event.segments), 2, 2))
         frames = se2.compose(truth, event.segments.frame).reshape(-1, 3)
         pieces = tuple(np.column_stack([-half, half])[:, None])
-        seen = MapLines(event.line_match, frames, -half, half, np.ones(len(half), dtype=np.int64), none, pieces)
+        seen = MapWalls(event.line_match, frames, -half, half, np.ones(len(half), dtype=np.int64), none, pieces)
         ends = seen.end_points()
         for row, true in enumerate(match_walls(seen, self._walls)):
             if true >= 0 and event.line_match[row] >= 0:
                 low, high = sorted(se2.transform(se2.inverse(self._walls.frame[true]), ends[row])[:, 0].tolist())
                 self._sightings[int(event.line_match[row])][int(true)].append((low, high))
 
-    def doubled(self, lines: MapLines) -> int:
+    def doubled(self, lines: MapWalls) -> int:
         """How many walls of the final map show a part of a true wall that another one shows as well."""
         shown: dict[int, dict[int, list[tuple[float, float]]]] = defaultdict(lambda: defaultdict(list))
         there = set(lines.identity.tolist())

@@ -12,7 +12,7 @@ from html import escape
 
 import numpy as np
 
-from ...events import MapCorners, MapLines
+from ...events import MapCorners, MapWalls
 from ..keyframes_csv import Keyframes
 from ..tum import Floats, Trajectory
 from .session import Session
@@ -85,7 +85,7 @@ def draw(session: Session) -> Drawing:
     return Drawing(elements, float(left), float(top), float(size[0]), float(size[1]), classes)
 
 
-def _walls(lines: MapLines) -> Iterator[str]:
+def _walls(lines: MapWalls) -> Iterator[str]:
     """A path for each wall, of its pieces, that can be asked about."""
     points, wall = lines.piece_points()
     for k in range(len(lines)):
@@ -99,7 +99,7 @@ def _walls(lines: MapLines) -> Iterator[str]:
         yield f'<path d="{ends}"><title>{escape(about)}</title></path>'
 
 
-def _bands(lines: MapLines, width: float) -> Iterator[str]:
+def _bands(lines: MapWalls, width: float) -> Iterator[str]:
     ends, wall = lines.piece_points()
     heading = lines.frame[wall, 2]
     left = width * np.stack([-np.sin(heading), np.cos(heading)], axis=-1)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...events import MapCorners, MapLines
+from ...events import MapCorners, MapWalls
 from ..tum import Floats
 from .session import Session
 from .thinning import thinned
@@ -28,7 +28,7 @@ def write_geojson(path: Path, session: Session) -> None:
     path.write_text(f'{{{head}, "features": [\n{rows}\n]}}\n', encoding="utf-8", newline="\n")
 
 
-def _walls(lines: MapLines) -> list[dict[str, Any]]:
+def _walls(lines: MapWalls) -> list[dict[str, Any]]:
     """Each wall as the pieces of it that were seen; `heading` runs along it, and it is seen from the left of that."""
     points, wall = lines.piece_points()
     return [

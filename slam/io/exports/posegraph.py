@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ...geometry.segments import Floats
-from ...graph.factors import CAUCHY_SCALES, Factor, Kind, root_information
+from ...graph.factors import CAUCHY_SCALES, Factor, FactorKind, root_information
 from ...graph.pose_graph import Edges, PoseGraph
 from ...mapping.mapper import Mapper
 
 FIRST_WALL = 1_000_000
 """What is added to a wall's identity to have its id: keyframes come from 0 on."""
 FIRST_CORNER = 2_000_000
-BETWEEN_KEYFRAMES = (Kind.MOTION, Kind.TIE)
-OF_WALLS = (Kind.ALONG, Kind.HEADING, Kind.OFFSET, Kind.SAME)
+BETWEEN_KEYFRAMES = (FactorKind.MOTION, FactorKind.LOOP)
+OF_WALLS = (FactorKind.GAUGE_PRIOR, FactorKind.HEADING, FactorKind.OFFSET, FactorKind.WALL_EQUALITY)
 
 
 def pose_graph_of(mapper: Mapper) -> PoseGraph:
@@ -34,10 +34,10 @@ def pose_graph_of(mapper: Mapper) -> PoseGraph:
     landmarks = mapper.graph.corner_positions(state.corners.tolist())
     walls = {int(wall): count + row for row, wall in enumerate(state.walls)}
     corners = {int(corner): row for row, corner in enumerate(state.corners)}
-    motions = [factor for factor in state.factors if factor.kind not in (Kind.START, Kind.CORNER)]
-    first = [walls[factor.first] if factor.kind is Kind.SAME else factor.first for factor in motions]
+    motions = [factor for factor in state.factors if factor.kind not in (FactorKind.START, FactorKind.CORNER)]
+    first = [walls[factor.first] if factor.kind is FactorKind.WALL_EQUALITY else factor.first for factor in motions]
     second = [factor.second if factor.kind in BETWEEN_KEYFRAMES else walls[factor.second] for factor in motions]
-    seen = [factor for factor in state.factors if factor.kind is Kind.CORNER]
+    seen = [factor for factor in state.factors if factor.kind is FactorKind.CORNER]
     seen_ends = [(factor.first, corners[factor.second]) for factor in seen]
     nothing = Edges(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 1)), np.zeros((0, 1, 1)), np.zeros(0, int))
     return PoseGraph(

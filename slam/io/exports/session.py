@@ -13,7 +13,7 @@ from drivers.messages import Message, Source, SourceReport
 
 from ...config import Config, load_config
 from ...errors import MapError
-from ...events import MapCorners, MapLines
+from ...events import MapCorners, MapWalls
 from ..keyframes_csv import Keyframes, read_keyframes
 from ..map_json import read_map
 from ..output_dir import CONFIG, KEYFRAMES, MAP, SUMMARY, TRAJECTORY
@@ -25,7 +25,7 @@ class Session:
     """What a run left in the directory `path`. `keyframes` is None where an older version ran."""
 
     path: Path
-    lines: MapLines
+    lines: MapWalls
     corners: MapCorners
     trajectory: Trajectory
     summary: dict[str, Any]

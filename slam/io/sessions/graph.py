@@ -12,12 +12,12 @@ import numpy as np
 
 from ...errors import MapError
 from ...geometry.segments import Floats
-from ...graph.factors import Factor, GraphState, Kind
+from ...graph.factors import Factor, GraphState, FactorKind
 from .tables import Columns, ragged, write_table
 
-MEASURED = {Kind.CORNER: 2, Kind.OFFSET: 4}
+MEASURED = {FactorKind.CORNER: 2, FactorKind.OFFSET: 4}
 """How many numbers a factor measures, if not the three of a pose."""
-DIMENSION = {Kind.ALONG: 1, Kind.HEADING: 1, Kind.OFFSET: 1, Kind.WALL: 2, Kind.CORNER: 2, Kind.SAME: 2}
+DIMENSION = {FactorKind.GAUGE_PRIOR: 1, FactorKind.HEADING: 1, FactorKind.OFFSET: 1, FactorKind.WALL: 2, FactorKind.CORNER: 2, FactorKind.WALL_EQUALITY: 2}
 """Rows of a factor's covariance, if not the three of a pose."""
 UPPER = {size: np.triu_indices(size) for size in (1, 2, 3)}
 KEYFRAME, WALL, CORNER = "keyframe", "wall", "corner"
@@ -54,7 +54,7 @@ def read_factors(file: Path) -> tuple[list[Factor], list[Factor]]:
     every = []
     for row, (word, (first, second)) in enumerate(zip(kinds, ends, strict=True)):
         try:
-            kind = Kind(word)
+            kind = FactorKind(word)
         except ValueError as error:
             raise MapError(f"{file}: {word} is no kind of factor") from error
         numbers = measured[measured_at[row] : measured_at[row + 1], 0]

@@ -12,8 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from ...errors import MapError
 from ...estimation.slam_state import Anchor, Standing
 from ...geometry.segments import Floats
-from ...localisation.tracker import Place
-from ...loop_closure.closer import Look, Looks
+from ...localisation.tracker import PoseFix
+from ...loop_closure.closer import Look, LoopSearchState
 
 FORMAT = "wclm-slam session"
 VERSION = 3
@@ -101,7 +101,7 @@ class Head(_Record):
         recordings: list[Recording],
         starts: list[int],
         standing: Standing,
-        looks: Looks,
+        looks: LoopSearchState,
         graph: tuple[int, bool],
         learned: tuple[float, Floats, Floats],
     ) -> Head:
@@ -133,7 +133,7 @@ class Head(_Record):
         """Where the robot stands."""
         firm, anchor = self.firm, self.anchor
         return Standing(
-            None if firm is None else Place(np.array(firm.pose), np.array(firm.odometry)),
+            None if firm is None else PoseFix(np.array(firm.pose), np.array(firm.odometry)),
             np.array(self.step),
             self.fit,
             None
@@ -146,11 +146,11 @@ class Head(_Record):
         )
 
     @property
-    def remembered_looks(self) -> Looks:
+    def remembered_looks(self) -> LoopSearchState:
         """What the search for loops remembers."""
         held = tuple(Look(np.array(look.motion), frozenset(look.walls), look.way) for look in self.looks.held)
         refused = tuple(np.array(motion) for motion in self.looks.refused)
-        return Looks(self.looks.last_way, held, self.looks.candidates, refused, self.looks.contested)
+        return LoopSearchState(self.looks.last_way, held, self.looks.candidates, refused, self.looks.contested)
 
 
 def _data(thing: Any, **instead: Any) -> dict[str, Any]:

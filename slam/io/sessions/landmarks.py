@@ -14,7 +14,7 @@ import numpy as np
 from ...errors import MapError
 from ...geometry.segments import Floats
 from ...mapping.landmarks import CORNER, STANDING, WALL, Landmarks
-from ...mapping.wall_removal import Doubts
+from ...mapping.wall_removal import FreeSpaceEvidence
 from .tables import Columns, Ragged, ragged, write_table
 
 COUNTS = ("observations", "first_seen", "last_seen", "kept")
@@ -33,7 +33,7 @@ DOUBTED = ("doubted", "doubts")
 """Cells of a wall, and the number that goes with each. Not in tables of version 1, nor is `retired_at`."""
 
 
-def write_walls(file: Path, landmarks: Landmarks, doubts: Doubts) -> None:
+def write_walls(file: Path, landmarks: Landmarks, doubts: FreeSpaceEvidence) -> None:
     """Write the table of walls. Raises OSError."""
     rows = landmarks.walls.rows
     covered = [np.sort(np.array(list(cells), dtype=np.int64)) for cells in landmarks.covered]
@@ -86,9 +86,9 @@ def _read_by_cell(table: Columns, names: tuple[str, str]) -> dict[int, dict[int,
     return {wall: dict(values[ends[wall] : ends[wall + 1]].tolist()) for wall in np.flatnonzero(lengths).tolist()}
 
 
-def read_doubts(walls: Path, version: int) -> Doubts:
+def read_doubts(walls: Path, version: int) -> FreeSpaceEvidence:
     """Read what was counted of walls that may no longer be there. Raises MapError naming the file."""
-    doubts = Doubts()
+    doubts = FreeSpaceEvidence()
     if version > 1:
         doubts.counts = _read_by_cell(Columns(walls), DOUBTED)
     return doubts

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from ...errors import MapError
 from ...geometry.segments import CornerPoints, Floats, Integers, Segments
-from ...mapping.keyframes import Names
+from ...mapping.keyframes import LandmarkIds
 from ...mapping.mapper import KEPT_VIEWS
 from ...mapping.trajectory_builder import Path
 from ...matching.likelihood_field import ScanPoints
 from ...matching.line_matcher import ScanFeatures
-from ...preprocessing.scan_queue import NOTHING_SEEN, Sighting
+from ...preprocessing.scan_queue import NO_FEATURES, ProcessedScan
 from .tables import Columns, Ragged, ragged, write_table
 
 Number = TypeVar("Number", bound=np.generic)
@@ -40,10 +40,10 @@ CORNER = ("x", "y", "xx", "xy", "yy")
 class Sighted:
     """All sightings, the path through them, and the keyframes among them: their stamps and what they see by name."""
 
-    sightings: list[Sighting]
+    sightings: list[ProcessedScan]
     path: Path
     keyframe_stamps: list[float]
-    names: list[Names]
+    names: list[LandmarkIds]
 
 
 def write_sightings(file: FilePath, sighted: Sighted) -> None:
@@ -63,7 +63,7 @@ def write_sightings(file: FilePath, sighted: Sighted) -> None:
     upper = informations[:, UPPER[0], UPPER[1]]
     for k, name in enumerate(INFORMATION):
         columns[f"information_{name}"] = _at(placed, upper[:, k], count, 0.0)
-    columns["seen"] = np.array([sighting.seen is not NOTHING_SEEN for sighting in sightings], dtype=bool)
+    columns["seen"] = np.array([sighting.seen is not NO_FEATURES for sighting in sightings], dtype=bool)
     columns |= _features([sighting.seen for sighting in sightings], exact=False)
     none = np.zeros(0, dtype=np.int64)
     walls, corners = [none] * count, [none] * count
@@ -139,7 +139,7 @@ def read_sightings(file: FilePath, recent: FilePath) -> Sighted:
         seen[row] = some
     kept = table.flags("seen")
     sightings = [
-        Sighting(float(stamps[row]), odometry[row], seen[row] if kept[row] else NOTHING_SEEN)
+        ProcessedScan(float(stamps[row]), odometry[row], seen[row] if kept[row] else NO_FEATURES)
         for row in range(len(table))
     ]
     keyframe, anchor = table.integers("keyframe"), table.integers("anchor")
@@ -154,7 +154,7 @@ def read_sightings(file: FilePath, recent: FilePath) -> Sighted:
     for row in np.flatnonzero(anchor >= 0).tolist():
         path.add(float(stamps[row]), int(anchor[row]), relative[row], informations[row])
     walls, corners = (_split(*table.ragged_integers(name)) for name in ("names_walls", "names_corners"))
-    names = [Names(walls[row][:, 0], corners[row][:, 0]) for row in rows.tolist()]
+    names = [LandmarkIds(walls[row][:, 0], corners[row][:, 0]) for row in rows.tolist()]
     for row, named in zip(rows.tolist(), names, strict=True):
         if len(named.walls) != len(seen[row].segments) or len(named.corners) != len(seen[row].corners):
             raise MapError(f"{file}: a keyframe does not say what each thing that it sees is")

@@ -18,13 +18,13 @@ from drivers.messages import Scan
 from ...config import Config, load_config
 from ...errors import MapError
 from ...estimation.refinement import Drive, drive_of
-from ...estimation.slam_state import Belief
+from ...estimation.slam_state import SlamState
 from ...mapping.keyframes import KeyframeRecords
 from ...mapping.landmarks import Landmarks
 from ...mapping.mapper import Mapper
-from ...mapping.wall_roughness import WallFlatness
+from ...mapping.wall_roughness import WallRoughness
 from ...odometry.history import OdometryHistory
-from ...preprocessing.scan_queue import Sighting
+from ...preprocessing.scan_queue import ProcessedScan
 from ..output_dir import CONFIG, SESSION
 from .graph import read_factors, read_graph, write_factors, write_variables
 from .head import Head, Recording, read_head, write_head
@@ -69,8 +69,8 @@ class StoredSession:
     """
 
     config: Config
-    belief: Belief
-    sightings: Sequence[Sighting]
+    belief: SlamState
+    sightings: Sequence[ProcessedScan]
     odometry: Sequence[OdometryHistory]
     starts: Sequence[int]
     sigma_range: float
@@ -134,7 +134,7 @@ def read_stored(path: Path) -> StoredSession:
     keyframes = {k: sighted.sightings[row] for k, row in enumerate(rows.tolist())}
     factors, waiting = read_factors(folder / FACTORS)
     graph = read_graph(folder / VARIABLES, factors, updates=head.graph.updates, qr=head.graph.qr)
-    flatness = WallFlatness()
+    flatness = WallRoughness()
     flatness.take(np.array(head.learned.flatness))
     landmarks = read_landmarks(folder / WALLS, folder / CORNERS, head.version)
     doubts = read_doubts(folder / WALLS, head.version)
@@ -142,7 +142,7 @@ def read_stored(path: Path) -> StoredSession:
     try:
         segments = [keyframes[k].seen.segments for k in range(len(rows))]
         mapper = Mapper.restored(graph, landmarks, flatness, doubts, records, segments, waiting)
-        belief = Belief.restored(
+        belief = SlamState.restored(
             config.odometry,
             np.array(head.learned.odometry).reshape(-1, 6),
             mapper,

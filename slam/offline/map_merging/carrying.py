@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ...io.sessions import StoredSession
-from ...mapping.keyframes import Names
+from ...mapping.keyframes import LandmarkIds
 from ...mapping.landmarks import Landmarks
 from ...mapping.mapper import Mapper
 from ...mapping.trajectory_builder import Path
@@ -87,10 +87,10 @@ def joined_landmarks(first: Mapper, second: Mapper, motion: se2.Pose) -> Landmar
     return landmarks
 
 
-def joined_names(first: Mapper, second: Mapper) -> list[Names]:
+def joined_names(first: Mapper, second: Mapper) -> list[LandmarkIds]:
     """What the keyframes of both see, by the numbers in the joined landmarks; walls that are one by one name."""
     walls, corners = len(first.landmarks.walls), len(first.landmarks.corners)
-    more = [Names(_numbered(names.walls, walls), _numbered(names.corners, corners)) for names in _by_kept_walls(second)]
+    more = [LandmarkIds(_numbered(names.walls, walls), _numbered(names.corners, corners)) for names in _by_kept_walls(second)]
     return [*_by_kept_walls(first), *more]
 
 
@@ -104,9 +104,9 @@ def joined_path(first: Path, second: Path, keyframes: int, shift: float) -> Path
     return path
 
 
-def _by_kept_walls(mapper: Mapper) -> Sequence[Names]:
+def _by_kept_walls(mapper: Mapper) -> Sequence[LandmarkIds]:
     kept = mapper.landmarks.walls.rows["kept"]
-    return [Names(np.where(names.walls >= 0, kept[names.walls], -1), names.corners) for names in mapper.names]
+    return [LandmarkIds(np.where(names.walls >= 0, kept[names.walls], -1), names.corners) for names in mapper.names]
 
 
 def _numbered(identities: NDArray[np.int64], number: int) -> NDArray[np.int64]:

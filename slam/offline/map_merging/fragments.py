@@ -10,15 +10,15 @@ import numpy as np
 
 from ...estimation.refinement.drive import Drive
 from ...estimation.refinement.renaming import measure, recount
-from ...loop_closure.map_descriptor import scene_of
-from ...loop_closure.relocalisation import Fragment
-from ...mapping.keyframes import Names
+from ...loop_closure.map_descriptor import describe_map
+from ...loop_closure.relocalisation import Submap
+from ...mapping.keyframes import LandmarkIds
 from ...mapping.mapper import CONFIRMING_KEYFRAMES, KEPT_VIEWS, Mapper
 
 WAY = 6.0  # metres of driving that a fragment is made of
 
 
-def fragments(mapper: Mapper, drive: Drive) -> Iterator[tuple[range, Fragment]]:
+def fragments(mapper: Mapper, drive: Drive) -> Iterator[tuple[range, Submap]]:
     """The keyframes of each stretch of WAY metres, one after the other without overlap, and what was seen from them.
 
     A fragment's frame is the session's map.
@@ -30,14 +30,14 @@ def fragments(mapper: Mapper, drive: Drive) -> Iterator[tuple[range, Fragment]]:
         yield keyframes, _fragment(mapper, drive, keyframes)
 
 
-def _fragment(mapper: Mapper, drive: Drive, keyframes: range) -> Fragment:
+def _fragment(mapper: Mapper, drive: Drive, keyframes: range) -> Submap:
     """What some keyframes in a row saw, and nothing that others did."""
     rows, poses = drive.keyframes[keyframes.start : keyframes.stop], mapper.trail[keyframes.start : keyframes.stop]
     landmarks = copy.deepcopy(mapper.landmarks)
     landmarks.opened = {}  # what these keyframes saw was there
     kept = landmarks.walls.rows["kept"]
     names = [
-        Names(np.where(seen_as.walls >= 0, kept[seen_as.walls], -1), seen_as.corners)
+        LandmarkIds(np.where(seen_as.walls >= 0, kept[seen_as.walls], -1), seen_as.corners)
         for seen_as in mapper.names[keyframes.start : keyframes.stop]
     ]
     stretch = replace(drive, keyframes=rows)
@@ -46,4 +46,4 @@ def _fragment(mapper: Mapper, drive: Drive, keyframes: range) -> Fragment:
     for table in (landmarks.walls.rows, landmarks.corners.rows):
         table["in_graph"] = table["observations"] >= CONFIRMING_KEYFRAMES
     views = [(pose, drive.sightings[row].seen.segments) for pose, row in zip(poses, rows, strict=True)]
-    return Fragment(scene_of(landmarks, mapper.flatness.variance), poses[-1], views[-KEPT_VIEWS:])
+    return Submap(describe_map(landmarks, mapper.flatness.variance), poses[-1], views[-KEPT_VIEWS:])

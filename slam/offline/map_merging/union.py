@@ -14,12 +14,12 @@ from ...errors import MapError
 from ...estimation.refinement import drive_of
 from ...estimation.refinement.drive import Drive
 from ...estimation.refinement.rounds import motion_to
-from ...estimation.slam_state import Belief, Standing
+from ...estimation.slam_state import SlamState, Standing
 from ...geometry.segments import Floats
 from ...io.sessions import StoredSession
-from ...loop_closure.closer import CARRYING_SIGMAS, LEAST_MERGED, Looks, together
+from ...loop_closure.closer import CARRYING_SIGMAS, LEAST_MERGED, LoopSearchState, together
 from ...mapping.mapper import Mapper
-from ...mapping.wall_roughness import WallFlatness
+from ...mapping.wall_roughness import WallRoughness
 from ...odometry.error_model import OdometryModel
 from .agreement import Agreement
 from .carrying import Numbers, joined_landmarks, joined_names, joined_path, shift_after, shifted
@@ -47,14 +47,14 @@ def united(first: StoredSession, second: StoredSession, agreement: Agreement) ->
     drive = drive_of(sightings, path, stamps, carried, starts)
     motion = agreement.members[0].found.motion
     mapper = _solved(one.mapper, other.mapper, motion, drive, model, agreement)
-    belief = Belief.restored(
+    belief = SlamState.restored(
         first.config.odometry,
         samples,
         mapper,
         path,
         stamps,
         _standing(other, mapper, count.keyframes, carried),
-        Looks(last_way=mapper.ways[-1]),
+        LoopSearchState(last_way=mapper.ways[-1]),
         {k: sightings[row] for k, row in enumerate(drive.keyframes.tolist())},
     )
     return StoredSession(
@@ -77,7 +77,7 @@ def _solved(
     walls = len(first.landmarks.walls)
     mapper = Mapper()
     mapper.landmarks = joined_landmarks(first, second, motion)
-    mapper.flatness = WallFlatness()
+    mapper.flatness = WallRoughness()
     mapper.flatness.take(np.concatenate([first.flatness.samples, second.flatness.samples]))
     poses = np.concatenate([first.trail, se2.compose(motion, second.trail)])
     nowhere = np.zeros(len(drive), dtype=bool)
@@ -114,7 +114,7 @@ def _make_one(mapper: Mapper, agreement: Agreement, number: int) -> None:
     mapper.settle()
 
 
-def _standing(belief: Belief, mapper: Mapper, keyframes: int, carried: Sequence[int]) -> Standing:
+def _standing(belief: SlamState, mapper: Mapper, keyframes: int, carried: Sequence[int]) -> Standing:
     """Where the robot of a belief stands in a map in which its keyframes are numbered on from `keyframes`."""
     standing = belief.standing
     if standing.anchor is None or standing.firm is None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...events import MapCorners, MapLines
+from ...events import MapCorners, MapWalls
 from .style import BLUE, GREEN, INK, ORANGE, SKY, VERMILLION, Floats, ellipses, legend, metric_figure, save
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ SIDE = 0.0055
 
 def plot_map(
     path: Path,
-    lines: MapLines,
+    lines: MapWalls,
     corners: MapCorners,
     poses: Floats,
     *,
@@ -57,7 +57,7 @@ def _ends(axes: Axes, poses: Floats) -> None:
     axes.plot(end[0], end[1], **arrow, markeredgecolor="white", linestyle="", label="end", zorder=8)
 
 
-def _walls(axes: Axes, lines: MapLines) -> None:
+def _walls(axes: Axes, lines: MapWalls) -> None:
     """Each wall as a line, with a light band on the side it is seen from."""
     from matplotlib.collections import LineCollection, PolyCollection
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 
-from ...events import Correction, LoopDecided, LoopSight
+from ...events import Correction, LoopDecided, ComparedWalls
 from ...geometry.segments import Floats
 from . import colours
 from .recording import Recording
@@ -39,7 +39,7 @@ class CorrectionLayer:
         if event.correction is not None:
             self._log_correction(event.correction)
 
-    def _log_sight(self, sight: LoopSight) -> None:
+    def _log_sight(self, sight: ComparedWalls) -> None:
         """The recent walls where they were believed to be and where they would fall, about their common middle."""
         centre = sight.aligned.reshape(-1, 2).mean(axis=0)
         matched = sight.match >= 0

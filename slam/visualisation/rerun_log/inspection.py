@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from ...events import GraphInspected, MapCorners, MapLines
+from ...events import GraphInspected, MapCorners, MapWalls
 from ...geometry.segments import Floats, Integers
 from ...graph.factor_residuals import ALONG, CORNER, ODOMETRY, SAME_WALL, WALL, Residuals
 from . import colours
@@ -46,7 +46,7 @@ class InspectionLayer:
         """What has been merged since a keyframe is not."""
         self._merged = [merged for merged in self._merged if merged[0] < keyframe]
 
-    def log(self, event: GraphInspected, keyframes: Floats, lines: MapLines, corners: MapCorners) -> None:
+    def log(self, event: GraphInspected, keyframes: Floats, lines: MapWalls, corners: MapCorners) -> None:
         """Log the graph over keyframes (k, 3) and landmarks."""
         residuals = event.residuals
         if not len(residuals):
@@ -116,7 +116,7 @@ class InspectionLayer:
 class _Places:
     """Where the variables are in the map; of walls that are one, where the one is that is kept."""
 
-    def __init__(self, keyframes: Floats, lines: MapLines, corners: MapCorners, kept: dict[int, int]) -> None:
+    def __init__(self, keyframes: Floats, lines: MapWalls, corners: MapCorners, kept: dict[int, int]) -> None:
         self._keyframes, self._kept = keyframes, kept
         middles = lines.end_points().mean(axis=1).reshape(-1, 2)
         self._walls = _by_identity(lines.identity, middles)

@@ -11,7 +11,7 @@ import rerun as rr
 
 from drivers import se2
 
-from ...events import KeyframeAdded, MapCorners, MapLines
+from ...events import KeyframeAdded, MapCorners, MapWalls
 from . import colours, documents
 from .colours import Colour
 from .matches import Matches
@@ -59,7 +59,7 @@ class KeyframeLayer:
         self._recording.log("world/here", rr.Transform3D(translation=[x, y, 0.0]))
         self._recording.log("world/keyframe", _placed(pose))
 
-    def log(self, event: KeyframeAdded, explained: float, lines: MapLines | None, corners: MapCorners | None) -> float:
+    def log(self, event: KeyframeAdded, explained: float, lines: MapWalls | None, corners: MapCorners | None) -> float:
         """Log a keyframe; returns the largest sigma of its position, metres, NaN where unknown.
 
         `explained` is what its scan's registration said; `lines` and `corners` are the map as last heard of.
@@ -88,7 +88,7 @@ class KeyframeLayer:
         variance = float(np.linalg.eigvalsh(covariance[:2, :2])[-1])
         return math.sqrt(max(variance, 0.0)), math.sqrt(max(float(covariance[2, 2]), 0.0))
 
-    def _log_features(self, event: KeyframeAdded, lines: MapLines | None, corners: MapCorners | None) -> None:
+    def _log_features(self, event: KeyframeAdded, lines: MapWalls | None, corners: MapCorners | None) -> None:
         ends = segment_ends(event.segments, event.pose)
         position = se2.transform(event.pose, event.corners.position.reshape(-1, 2))
         walls, points = Matches.of_lines(event), Matches.of_corners(event)

@@ -23,16 +23,16 @@ from ...events import (
     Finished,
     GraphInspected,
     KeyframeAdded,
-    LinesMerged,
-    LinesRetired,
+    WallsMerged,
+    WallsRemoved,
     LoopDecided,
     MapCorners,
-    MapLines,
+    MapWalls,
     MapUpdated,
-    Noticed,
+    Notice,
     ScanTracked,
     StateChanged,
-    TruthSeen,
+    GroundTruthReceived,
 )
 from ...geometry.segments import Floats
 from . import colours, documents, maps
@@ -99,7 +99,7 @@ class EventLog:
         self._recent: list[se2.Pose] = []  # keyframes since the whole path was drawn
         self._sigmas: dict[int, float] = {}  # of the keyframes' positions, metres
         self._path = np.zeros((0, 3))  # all keyframes, as last heard of
-        self._lines: MapLines | None = None
+        self._lines: MapWalls | None = None
         self._corners: MapCorners | None = None
         self._index = 0
         self._stamp = 0.0
@@ -116,11 +116,11 @@ class EventLog:
                 self._write_map(event)
             case GraphInspected():
                 self._write_inspection(event)
-            case LinesMerged():
+            case WallsMerged():
                 self._at(event.index, event.stamp)
                 self._inspection.merge(event.index, event.absorbed, event.kept, loop=False)
                 self._say(f"L{event.absorbed} is the same wall as L{event.kept}: merged, d²={event.gate:.1f}", "TRACE")
-            case LinesRetired():
+            case WallsRemoved():
                 self._at(event.index, event.stamp)
                 names = ", ".join(f"L{wall}" for wall in event.lines)
                 self._say(f"{names}: no longer there, seen through again and again; retired from the map", "INFO")
@@ -129,9 +129,9 @@ class EventLog:
             case StateChanged():
                 self._at(self._index, event.stamp)
                 self._states.log(event)
-            case TruthSeen():
+            case GroundTruthReceived():
                 self._write_truth(event)
-            case Noticed():
+            case Notice():
                 self._at(self._index, event.stamp)
                 self._say(event.text, event.level)
             case Finished():
@@ -238,7 +238,7 @@ class EventLog:
             self._at(max(self._index, event.index), event.stamp)
             self._inspection.log(event, self._path, self._lines, self._corners)
 
-    def _log_map(self, lines: MapLines, corners: MapCorners, path: Floats) -> None:
+    def _log_map(self, lines: MapWalls, corners: MapCorners, path: Floats) -> None:
         maps.log_lines(self._recording, lines)
         maps.log_corners(self._recording, corners)
         self._log_path("estimate", path, Layer.ESTIMATE, colours.ESTIMATE)
@@ -266,7 +266,7 @@ class EventLog:
         self._shown = low - margin, high + margin
         self._recording.lay_out(layout(Extent(*self._shown)))
 
-    def _write_truth(self, event: TruthSeen) -> None:
+    def _write_truth(self, event: GroundTruthReceived) -> None:
         self._truth.add_truth(event.stamp, event.pose)
         self._truth_waiting.append(event.pose)
         self._log_truth_errors()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import rerun as rr
 
-from ...events import MapCorners, MapLines
+from ...events import MapCorners, MapWalls
 from . import colours
 from .recording import Recording
 from .shapes import Layer, ellipses, lift, wall_bands
@@ -28,7 +28,7 @@ def prepare(recording: Recording) -> None:
     recording.keep("world/map/corner_sigma", spread)
 
 
-def log_lines(recording: Recording, lines: MapLines) -> None:
+def log_lines(recording: Recording, lines: MapWalls) -> None:
     """Log the walls, labelled like `L12 n=7`, and their 3-sigma bands where the covariance is known."""
     ends, wall = lines.piece_points()
     identity, observations = lines.identity[wall], lines.observations[wall]

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from drivers import se2
 
-from ...events import MapCorners, MapLines
+from ...events import MapCorners, MapWalls
 from ...geometry.segments import Floats, Integers, Segments
 
 Drawn = NDArray[np.float32]
@@ -75,7 +75,7 @@ def ellipses(position: Floats, covariance: Floats, layer: Layer) -> tuple[Drawn,
     return lift(position[known], layer), half_sizes, quaternions
 
 
-def wall_bands(lines: MapLines) -> Floats:
+def wall_bands(lines: MapWalls) -> Floats:
     """(k, 5, 2): closed outlines of where each wall may lie within 3 sigma of its offset at either end, metres.
 
     Walls whose covariance is not finite are left out.
@@ -98,7 +98,7 @@ def dashed(ends: Floats) -> Floats:
     return np.asarray(ends[:, None, None, 0] + parts[None, :, :, None] * along[:, None, None]).reshape(-1, 2, 2)
 
 
-def wall_links(centres: Floats, match: Integers, lines: MapLines) -> Floats:
+def wall_links(centres: Floats, match: Integers, lines: MapWalls) -> Floats:
     """(k, 2, 2): from each centre (n, 2) straight onto the wall it was matched with, metres; long where that is wrong.
 
     Centres without a match, or matched with a wall that `lines` does not hold yet, are left out.

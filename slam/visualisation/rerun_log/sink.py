@@ -17,18 +17,18 @@ from ...events import (
     Event,
     Finished,
     KeyframeAdded,
-    LinesMerged,
-    LinesRetired,
+    WallsMerged,
+    WallsRemoved,
     LoopDecided,
     ScanTracked,
     StateChanged,
-    TruthSeen,
+    GroundTruthReceived,
 )
 from .server import ViewerServer
 
 BUSY = 500  # events waiting, about a second of work: from here on scans are left out
 OVERRUN = 5_000  # events waiting: the log has stalled, a full disk perhaps; from here on only what is seldom is kept
-SELDOM = (LoopDecided, LinesMerged, LinesRetired, StateChanged, Finished)
+SELDOM = (LoopDecided, WallsMerged, WallsRemoved, StateChanged, Finished)
 """What is never left out: it comes so seldom that even the events of a day can wait."""
 
 _logger = logging.getLogger(__name__)
@@ -96,7 +96,7 @@ class ReviewLog:
             self.lost += 1
             return
         if waiting >= BUSY:
-            if isinstance(event, ScanTracked | TruthSeen):
+            if isinstance(event, ScanTracked | GroundTruthReceived):
                 self.thinned += 1
                 return
             if isinstance(event, KeyframeAdded):

@@ -28,7 +28,7 @@ from slam.cli.console import MISTAKE
 from slam.cli.dashboard import Dashboard
 from slam.errors import OutputError
 from slam.evaluation.metrics import score_reference
-from slam.events import Noticed, ScanTracked, StateChanged
+from slam.events import Notice, ScanTracked, StateChanged
 from slam.io.output_dir import PICTURE, RESULTS, REVIEW, TRAJECTORY
 from slam.io.tum import read_tum
 from slam.visualisation.rerun_log import ViewerServer
@@ -248,7 +248,7 @@ def test_the_terminal_shows_where_the_robot_is_and_how_its_devices_do(capsys: py
     pose = np.array([1.25, -0.5, np.pi / 2])
     dashboard.handle(ScanTracked(time.time() - 0.25, pose, pose, 0.93, 7))
     dashboard.handle(StateChanged(3.0, "LOST", None))
-    dashboard.handle(Noticed(3.0, "the scan fits nowhere near; left out"))
+    dashboard.handle(Notice(3.0, "the scan fits nowhere near; left out"))
     counters = {"messages": 42, "connections": 2, "losses": 1, "bad": 0}
     status = Status("create2:/dev/a", False, State.LOST, "/dev/a", "Create 2", "unplugged", 0.1, counters)
     snapshot = Snapshot((status,), dropped=3, late=4)

@@ -16,18 +16,18 @@ from slam.config import OdometryConfig
 from slam.estimation.estimator import Estimator
 from slam.estimation.refinement import Drive, drive_of, refine
 from slam.estimation.refinement.renaming import recount
-from slam.estimation.slam_state import Belief
+from slam.estimation.slam_state import SlamState
 from slam.evaluation.metrics import score_reference
 from slam.events import Event, GraphInspected, MapUpdated
 from slam.geometry.segments import CornerPoints, Segments
 from slam.io.tum import Trajectory
-from slam.mapping.keyframes import Motion, Names
+from slam.mapping.keyframes import Motion, LandmarkIds
 from slam.mapping.mapper import Mapper
 from slam.matching.likelihood_field import ScanPoints
 from slam.matching.line_matcher import ScanFeatures
 from slam.odometry.error_model import OdometryModel
-from slam.preprocessing.scan_queue import FrontEnd, Sighting
-from slam.run_statistics import Clock
+from slam.preprocessing.scan_queue import Preprocessor, ProcessedScan
+from slam.run_statistics import StageTimer
 
 DOUBLED = 0.03  # metres between a wall and its false twin
 
@@ -66,14 +66,14 @@ class Driven:
 @pytest.fixture(scope="module")
 def driven() -> Driven:
     messages = list(Simulation("room", seed=3, duration=16.0))
-    front_end, estimator, sightings = FrontEnd(Config()), Estimator(Belief(Config().odometry)), []
+    front_end, estimator, sightings = Preprocessor(Config()), Estimator(SlamState(Config().odometry)), []
     for message in messages:
         if isinstance(message, GroundTruth):
             continue
         front_end.add(message)
         while (scan := front_end.next_scan()) is not None:
             sightings.append(front_end.sight(scan, estimator.belief.odometry_model))
-            estimator.take(sightings[-1], Clock())
+            estimator.take(sightings[-1], StageTimer())
     belief = estimator.belief
     belief.mapper.settle()
     drive = drive_of(sightings, belief.path, belief.keyframe_stamps, belief.carried_keyframes)
@@ -109,7 +109,7 @@ def doubled(driven: Driven) -> Mapper:
     mapper, half = Mapper.on(old), len(poses) // 2
     rows = old.landmarks.walls.rows
     kept = rows["kept"]
-    names = [Names(np.where(n.walls >= 0, kept[n.walls], -1), n.corners) for n in old.names]
+    names = [LandmarkIds(np.where(n.walls >= 0, kept[n.walls], -1), n.corners) for n in old.names]
     late = np.concatenate([n.walls for n in names[half:]])
     wall = int(np.bincount(late[late >= 0]).argmax())
     beside = se2.compose(rows["frame"][wall], [0.0, DOUBLED, 0.0])
@@ -197,7 +197,7 @@ def visited_twice() -> tuple[Drive, np.ndarray, np.ndarray]:
         uncertain = np.tile(np.diag([0.005, 0.004]) ** 2, (len(walls), 1, 1))
         segments = Segments(se2.between(pose, walls[:, :3]).reshape(-1, 3), walls[:, 3], uncertain)
         seen = ScanFeatures(segments, nothing, ScanPoints(np.zeros((0, 2)), np.zeros((0, 2))))
-        sightings.append(Sighting(0.5 * k, odometry, seen))
+        sightings.append(ProcessedScan(0.5 * k, odometry, seen))
     every = np.arange(len(sightings))
     count = len(sightings)
     drive = Drive(sightings, every, every, np.zeros((count, 3)), np.zeros((count, 3, 3)), frozenset())
@@ -214,7 +214,7 @@ def test_a_loop_that_was_never_closed_is_closed() -> None:
             mapper.landmarks.add_wall(frame, wall[3], 0)
     for k, sighting in enumerate(drive.sightings):
         seen, visit = sighting.seen, int(k > 40)
-        names = Names(np.arange(len(seen.segments)) + visit * len(ROOM), np.zeros(0, dtype=np.int64))
+        names = LandmarkIds(np.arange(len(seen.segments)) + visit * len(ROOM), np.zeros(0, dtype=np.int64))
         motion = Motion(k - 1, *drive.motion(k - 1, k, noise, certain)) if k else None
         mapper.landmarks.walls.rows["observations"][names.walls] = 10
         mapper.extend(claimed[k], motion, seen.segments, seen.corners, names)

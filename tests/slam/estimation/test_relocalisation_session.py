@@ -14,7 +14,7 @@ from drivers.simulation.simulator import DRIVES, LIDARS, Lidar, Simulation
 from slam import Finished, Slam
 from slam.estimation import closure_monitor as probation
 from slam.io.tum import Trajectory
-from slam.localisation.state import free_direction
+from slam.localisation.state import weakest_direction
 
 ROBOT = Lidar(beams=360)
 
@@ -125,8 +125,8 @@ def test_an_information_without_a_direction_tells_it() -> None:
     information = np.zeros((3, 3))
     information[:2, :2] = 1e4 * np.outer(across, across) + 1.0 * np.outer(along, along)
     information[2, 2] = 1e5
-    assert free_direction(np.array([1.0, 2.0, 0.3]), information, 0.3) == pytest.approx(0.8)
-    assert free_direction(np.zeros(3), information + 1e3 * np.diag([1.0, 1.0, 0.0]), 0.3) is None
+    assert weakest_direction(np.array([1.0, 2.0, 0.3]), information, 0.3) == pytest.approx(0.8)
+    assert weakest_direction(np.zeros(3), information + 1e3 * np.diag([1.0, 1.0, 0.0]), 0.3) is None
 
 
 def test_a_closure_taken_back_takes_every_sighting_once_more(monkeypatch: pytest.MonkeyPatch) -> None:

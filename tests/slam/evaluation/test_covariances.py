@@ -11,17 +11,17 @@ from drivers.simulation.simulator import Simulation
 from drivers.simulation.world import World
 from slam.evaluation.benchmarks.consistency import simulate, summarise, table
 from slam.evaluation.ground_truth import Nees, TrueWalls, corner_nees, match_walls, measure, true_walls, wall_nees
-from slam.events import MapCorners, MapLines
+from slam.events import MapCorners, MapWalls
 from slam.odometry.history import OdometryHistory
 from slam.preprocessing.deskew import deskew
 
 
-def lines(*frames: tuple[float, float, float], half: float = 0.5) -> MapLines:
+def lines(*frames: tuple[float, float, float], half: float = 0.5) -> MapWalls:
     count = len(frames)
     covariance = np.tile(np.diag([0.01, 0.01]) ** 2, (count, 1, 1))
     extent = np.full(count, half)
     pieces = tuple(np.column_stack([-extent, extent])[:, None])
-    return MapLines(np.arange(count), np.array(frames), -extent, extent, np.ones(count, int), covariance, pieces)
+    return MapWalls(np.arange(count), np.array(frames), -extent, extent, np.ones(count, int), covariance, pieces)
 
 
 @pytest.fixture

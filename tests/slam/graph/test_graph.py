@@ -14,7 +14,7 @@ import pytest
 from drivers import se2
 from slam.errors import MapError
 from slam.graph.backend import FIRST_POSE_SIGMAS, FactorGraph
-from slam.graph.covariances import KERNEL_CAUTION
+from slam.graph.covariances import ROBUST_COVARIANCE_SCALE
 from slam.graph.factors import CAUCHY_SCALE
 
 ODOMETRY = np.diag([0.02, 0.02, 0.01]) ** 2
@@ -173,7 +173,7 @@ def test_the_covariances_are_the_exact_ones(seed: int) -> None:
     at = replace(exact, walls=graph.wall_frames(range(5)))  # wherever along the walls its frames stand
     jacobian = jacobian_of(at, world, True)
     # where nothing scatters the kernel takes no weight, and what it takes otherwise is corrected for all the same
-    exact = replace(at, information=jacobian.T @ jacobian / KERNEL_CAUTION)
+    exact = replace(at, information=jacobian.T @ jacobian / ROBUST_COVARIANCE_SCALE)
     shares = [apart(graph.keyframe_covariance(k), exact.covariance(3 * k, 3)) for k in range(1, 7)]
     shares += [apart(graph.wall_covariance(j), exact.covariance(21 + 2 * j, 2)) for j in range(5)]
     shares += [apart(graph.corner_covariance(j), exact.covariance(31 + 2 * j, 2)) for j in range(3)]
@@ -189,7 +189,7 @@ def test_the_kernels_caution_is_that_of_honest_observations() -> None:
     for _ in range(10):
         weight = 1 / (1 + ((drawn - estimate) ** 2).sum(axis=-1, keepdims=True) / scale)
         estimate = (weight * drawn).sum(axis=1, keepdims=True) / weight.sum(axis=1, keepdims=True)
-    assert (estimate**2).mean() / (1 / weight.sum(axis=1)).mean() == pytest.approx(KERNEL_CAUTION, rel=0.04)
+    assert (estimate**2).mean() / (1 / weight.sum(axis=1)).mean() == pytest.approx(ROBUST_COVARIANCE_SCALE, rel=0.04)
 
 
 def test_relative_covariances_are_those_of_a_map_that_begins_at_the_keyframe() -> None:
@@ -210,7 +210,7 @@ def test_relative_covariances_are_those_of_a_map_that_begins_at_the_keyframe() -
     c, s = np.cos(pose[2]), np.sin(pose[2])
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     np.testing.assert_allclose(
-        own, turn @ graph.keyframe_covariance(last) @ turn.T / KERNEL_CAUTION, rtol=1e-6, atol=1e-12
+        own, turn @ graph.keyframe_covariance(last) @ turn.T / ROBUST_COVARIANCE_SCALE, rtol=1e-6, atol=1e-12
     )
 
 
@@ -225,7 +225,7 @@ def test_between_keyframes_of_a_chain_only_the_motions_between_them_are_uncertai
     for _ in range(3):
         carry = se2.adjoint(se2.inverse(motion))
         expected = carry @ expected @ carry.T + ODOMETRY
-    np.testing.assert_allclose(graph.relative_covariance(2, 5), KERNEL_CAUTION * expected, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(graph.relative_covariance(2, 5), ROBUST_COVARIANCE_SCALE * expected, rtol=1e-6, atol=1e-12)
 
 
 def two_frames_on_one_wall() -> FactorGraph:

@@ -20,7 +20,7 @@ from slam.io.sessions import Recording, StoredSession, is_stored, read_stored, w
 from slam.io.sessions.store import ADRIFT, FACTORS, HEAD, KEYFRAMES, SIGHTINGS, WALLS
 from slam.mapping.landmarks import STANDING
 from slam.mapping.mapper import Mapper
-from slam.preprocessing.scan_queue import NOTHING_SEEN
+from slam.preprocessing.scan_queue import NO_FEATURES
 
 ROOM = Recording(name="room", path="sim:room", first=0.0, last=8.0)
 
@@ -133,7 +133,7 @@ def test_what_was_not_kept_of_a_sighting_is_not_there_afterwards(tmp_path: Path)
     session.sightings = [*session.sightings[:last], session.sightings[last].without_view()]
     leave(tmp_path, session)
     again = read_stored(tmp_path)
-    assert again.sightings[last].seen is NOTHING_SEEN
+    assert again.sightings[last].seen is NO_FEATURES
     assert again.drive().kept.sum() == last
 
 

@@ -11,7 +11,7 @@ from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry
 from drivers.simulation.simulator import Lidar, Simulation
 from slam import Finished, Slam
-from slam.events import Noticed
+from slam.events import Notice
 from slam.geometry.segments import Floats
 from slam.matching.likelihood_field import (
     CELL,
@@ -104,7 +104,7 @@ def drive(source: FailingOdometry) -> tuple[Finished, Floats, list[str]]:
 
     class Listener:
         def handle(self, event: object) -> None:
-            if isinstance(event, Noticed):
+            if isinstance(event, Notice):
                 noticed.append(event.text)
 
     slam, truth = Slam(sinks=[Listener()]), []

@@ -17,7 +17,7 @@ from slam.evaluation.benchmarks.false_closures import Adversary
 from slam.evaluation.benchmarks.lookalike import WORLDS, Drive, condense, drive, run
 from slam.evaluation.benchmarks.witness import Decided
 from slam.loop_closure.proposal import distinct, propose
-from slam.loop_closure.recent_walls import recent_and_old
+from slam.loop_closure.recent_walls import recent_and_reference
 from slam.mapping.landmarks import Landmarks
 
 ROOT = Path(__file__).parents[3]
@@ -141,7 +141,7 @@ def two_rooms() -> tuple[Landmarks, np.ndarray[Any, Any]]:
 
 def test_the_adversary_proposes_a_wrong_place_and_forges_every_other_score() -> None:
     landmarks, pose = two_rooms()
-    recent, old = recent_and_old(landmarks, pose, np.array([0.0, 80.0]))
+    recent, old = recent_and_reference(landmarks, pose, np.array([0.0, 80.0]))
     honest = propose(recent, old, pose)
     adversary = Adversary(at=frozenset({1, 2}))
     assert len(adversary(recent, old, pose)) == len(honest)

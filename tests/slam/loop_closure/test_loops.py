@@ -13,8 +13,8 @@ from drivers import se2
 from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.loop_closure.closer import LoopCloser, LoopDecision, close
 from slam.loop_closure.proposal import Hypothesis, propose, refined
-from slam.loop_closure.recent_walls import OLD_WAY, recent_and_old
-from slam.loop_closure.verification import Outlook, Verdict, allowed_by_estimate, is_astray, verify
+from slam.loop_closure.recent_walls import OLD_WAY, recent_and_reference
+from slam.loop_closure.verification import VerificationContext, Verdict, allowed_by_estimate, is_astray, verify
 from slam.mapping.data_association import UNMATCHED, Association
 from slam.mapping.keyframes import Motion
 from slam.mapping.landmarks import Landmarks
@@ -57,7 +57,7 @@ def seen_again(walls: Floats, drift: se2.Pose, way: float = 60.0) -> tuple[Landm
 
 
 def hypotheses_of(landmarks: Landmarks, pose: se2.Pose, ways: Floats) -> list[Hypothesis]:
-    recent, old = recent_and_old(landmarks, pose, ways)
+    recent, old = recent_and_reference(landmarks, pose, ways)
     return propose(recent, old, pose)
 
 
@@ -75,8 +75,8 @@ def judged(
     covariance: Floats,
 ) -> Verdict:
     """The verdict on the best place, where the estimate has the `covariance` of the pose."""
-    recent, old = recent_and_old(landmarks, pose, ways)
-    return verify(propose(recent, old, pose), Outlook(recent, old, landmarks, pose, views, lambda: covariance))
+    recent, old = recent_and_reference(landmarks, pose, ways)
+    return verify(propose(recent, old, pose), VerificationContext(recent, old, landmarks, pose, views, lambda: covariance))
 
 
 @pytest.mark.parametrize("drift", [[0.9, -0.7, 0.12], [-1.5, 0.4, -0.1], [0.3, 0.25, 0.0]])
@@ -179,7 +179,7 @@ def test_walls_along_one_direction_alone_do_not_make_a_place() -> None:
     moved = across.copy()
     moved[1:, 0] += 0.8
     add(landmarks, np.concatenate([sides, moved]), 1, drift)
-    recent, old = recent_and_old(landmarks, se2.compose(drift, INSIDE), np.array([0.0, 60.0]))
+    recent, old = recent_and_reference(landmarks, se2.compose(drift, INSIDE), np.array([0.0, 60.0]))
     found = refined(np.array([-0.9, 0.7, 0.0]), recent, old, se2.compose(drift, INSIDE))
     assert found.explained > 0.65
     assert found.weakest == pytest.approx(0.25, abs=0.05)

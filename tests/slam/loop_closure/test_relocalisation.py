@@ -14,8 +14,8 @@ from drivers import se2
 from drivers.messages import GroundTruth, Message
 from drivers.simulation.simulator import Simulation
 from slam.geometry.segments import Floats, Segments
-from slam.loop_closure.map_descriptor import Scene, scene_of
-from slam.loop_closure.relocalisation import Fragment, MapIndex, Relocalisation, fragment_of, index_map, relocalise
+from slam.loop_closure.map_descriptor import MapDescriptor, describe_map
+from slam.loop_closure.relocalisation import Submap, MapIndex, Relocalisation, submap_of, index_map, relocalise
 from slam.loop_closure.visibility import look
 from slam.loop_closure.wall_pairs import pair_table
 from slam.mapping.landmarks import Landmarks
@@ -56,16 +56,16 @@ def landmarks_of(walls: Floats) -> Landmarks:
 
 
 def index_of(walls: Floats) -> MapIndex:
-    scene = scene_of(landmarks_of(walls), FLATNESS)
+    scene = describe_map(landmarks_of(walls), FLATNESS)
     return MapIndex(scene, pair_table(scene))
 
 
-def fragment_at(pose: se2.Pose, walls: Floats, own: se2.Pose) -> Fragment:
+def fragment_at(pose: se2.Pose, walls: Floats, own: se2.Pose) -> Submap:
     """What is seen of walls in the map from `pose` there, in a frame in which that pose is `own`."""
     there = se2.compose(own, se2.inverse(pose))
     moved = np.column_stack([se2.compose(there, walls[:, :3]), walls[:, 3]])
     segments = Segments(se2.between(own, moved[:, :3]), walls[:, 3], np.tile(np.eye(2) * 1e-4, (len(walls), 1, 1)))
-    return Fragment(scene_of(landmarks_of(moved), FLATNESS), own, [(own, segments)])
+    return Submap(describe_map(landmarks_of(moved), FLATNESS), own, [(own, segments)])
 
 
 @pytest.mark.parametrize("k", range(len(ROOMS)))
@@ -167,7 +167,7 @@ def test_what_was_seen_through_walls_speaks_against_a_place() -> None:
 
 
 def test_sight_sorts_the_rays() -> None:
-    scene: Scene = index_of(SQUARE).scene
+    scene: MapDescriptor = index_of(SQUARE).scene
     pose = np.array([2.0, 2.0, 0.7])
     views = fragment_at(pose, SQUARE, np.zeros(3)).views
     there = look(pose, views, scene)
@@ -195,7 +195,7 @@ def mapped(messages: list[Message]) -> Slam:
 
 
 def pieces(world: str, seed: int, seconds: float, starts: list[float]) -> Iterator[tuple[Slam, se2.Pose]]:
-    """Drives of some seconds, each mapped on its own, with the true pose at the last keyframe."""
+    """OdometrySegments of some seconds, each mapped on its own, with the true pose at the last keyframe."""
     messages = list(Simulation(world, seed=seed, duration=max(starts) + seconds + 1.0))
     for start in starts:
         piece = [message for message in messages if start <= message.stamp < start + seconds]
@@ -219,7 +219,7 @@ def test_a_robot_put_down_in_an_office_finds_itself(office: tuple[MapIndex, se2.
     index, origin = office
     accepted = 0
     for slam, truth in pieces("office", seed=5, seconds=8.0, starts=[8.0, 20.0, 32.0, 44.0]):
-        found = relocalise(fragment_of(slam.belief.mapper), index)
+        found = relocalise(submap_of(slam.belief.mapper), index)
         if found is None or not found.verdict.accepted:
             continue
         accepted += 1
@@ -232,7 +232,7 @@ def test_a_robot_put_down_in_an_office_finds_itself(office: tuple[MapIndex, se2.
 @pytest.mark.parametrize("world", ["room", "columns", "corridor"])
 def test_a_robot_in_another_building_is_not_believed(world: str, office: tuple[MapIndex, se2.Pose]) -> None:
     for slam, _ in pieces(world, seed=5, seconds=8.0, starts=[2.0, 12.0]):
-        found = relocalise(fragment_of(slam.belief.mapper), office[0])
+        found = relocalise(submap_of(slam.belief.mapper), office[0])
         assert found is None or not found.verdict.accepted
 
 

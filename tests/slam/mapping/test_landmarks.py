@@ -6,7 +6,7 @@ import pytest
 from slam.mapping.landmarks import Landmarks
 from slam.mapping.local_map import LocalMap, empty_local_map, local_map_around
 from slam.mapping.wall_merging import Duplicate, find_duplicate
-from slam.mapping.wall_roughness import WallFlatness, uneven
+from slam.mapping.wall_roughness import WallRoughness, uneven
 
 STILL = [np.zeros((3, 3))]
 
@@ -132,7 +132,7 @@ def scattered(unevenness: float, count: int, seed: int) -> tuple[np.ndarray, np.
 
 @pytest.mark.parametrize("unevenness", [0.004, 0.01])
 def test_unevenness_is_learned_in_spite_of_wrong_associations(unevenness: float) -> None:
-    flatness = WallFlatness()
+    flatness = WallRoughness()
     for seed in range(40):
         residuals, covariances, halves = scattered(unevenness, 12, seed)
         residuals[0] += 0.1
@@ -141,7 +141,7 @@ def test_unevenness_is_learned_in_spite_of_wrong_associations(unevenness: float)
 
 
 def test_perfect_walls_are_found_to_be_even() -> None:
-    flatness = WallFlatness()
+    flatness = WallRoughness()
     assert flatness.variance > 0.0
     for seed in range(60):
         flatness.add(*scattered(0.0, 12, seed))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from slam.geometry.segments import Floats
 from slam.mapping.landmarks import CELL, Landmarks
-from slam.mapping.overlap_suppression import DEPTH, LEAST_CELLS, with_one_front
+from slam.mapping.overlap_suppression import DEPTH, LEAST_CELLS, suppress_overlapping_walls
 
 
 def landmarks_of(*walls: tuple[list[float], float, int]) -> Landmarks:
@@ -27,7 +27,7 @@ def landmarks_of(*walls: tuple[list[float], float, int]) -> Landmarks:
 
 def shown_pieces(landmarks: Landmarks) -> dict[int, Floats]:
     """The stretches of the walls that a map shows."""
-    shown = with_one_front(landmarks)
+    shown = suppress_overlapping_walls(landmarks)
     return {int(wall): shown.pieces(int(wall)) for wall in np.flatnonzero(shown.standing())}
 
 
@@ -70,7 +70,7 @@ def test_walls_that_are_not_confirmed_or_not_there_any_more_hide_nothing() -> No
     landmarks = landmarks_of(([0.0, 0.0, 0.0], 2.0, 9), ([0.0, 0.01, 0.0], 2.0, 8), ([0.0, 0.02, 0.0], 1.0, 2))
     landmarks.retire(0, 5)
     landmarks.walls.rows["in_graph"][1] = False
-    shown = with_one_front(landmarks)
+    shown = suppress_overlapping_walls(landmarks)
     assert shown.covered == landmarks.covered
 
 
@@ -82,7 +82,7 @@ def test_corners_go_to_the_wall_that_stands_for_theirs() -> None:
         ([2.0, 1.0, np.pi / 2], 1.0, 9),
     )
     landmarks.walls.rows["kept"][2] = 1  # merged before
-    shown = with_one_front(landmarks)
+    shown = suppress_overlapping_walls(landmarks)
     assert shown.walls.rows["kept"].tolist() == [0, 0, 0, 3]
     assert landmarks.walls.rows["kept"].tolist() == [0, 1, 1, 3]  # the estimate is left alone
 
@@ -98,7 +98,7 @@ def test_corners_go_to_the_wall_that_stands_for_theirs() -> None:
 )
 def test_no_stretch_is_shown_twice_and_none_is_lost(walls: list[tuple[float, float, float, float, int]]) -> None:
     landmarks = landmarks_of(*(([x, y, turn], half, seen) for x, y, turn, half, seen in walls))
-    shown = with_one_front(landmarks)
+    shown = suppress_overlapping_walls(landmarks)
     before, after = heights(landmarks), heights(shown)
     nothing = np.isnan(after).all(axis=0) & ~np.isnan(before).all(axis=0)
     assert longest(nothing) <= LEAST_CELLS + 1

@@ -16,12 +16,12 @@ from drivers.simulation.simulator import Lidar, Simulation
 from drivers.simulation.world import Passing, World
 from slam import Slam
 from slam.config import Config, config_to_toml
-from slam.events import Event, Finished, LinesRetired, MapLines
+from slam.events import Event, Finished, WallsRemoved, MapWalls
 from slam.io.output_dir import CONFIG
 from slam.io.sessions import StoredSession, read_stored, write_stored
 from slam.mapping.landmarks import CELL, STANDING, Landmarks
 from slam.mapping.mapper import Mapper
-from slam.mapping.wall_removal import BEHIND, SAME, STEEPEST, Doubts, sight
+from slam.mapping.wall_removal import BEHIND, SAME, STEEPEST, FreeSpaceEvidence, sight
 from slam.offline.map_merging.carrying import joined_landmarks
 
 LIDAR = Lidar(beams=360)
@@ -57,7 +57,7 @@ class Retired:
         self.lines: list[int] = []
 
     def handle(self, event: Event) -> None:
-        if isinstance(event, LinesRetired):
+        if isinstance(event, WallsRemoved):
             self.lines.extend(event.lines)
 
 
@@ -81,7 +81,7 @@ def leave(session: StoredSession, directory: Path) -> Path:
     return directory
 
 
-def length_on(lines: MapLines, segments: np.ndarray, within: float = 0.1) -> float:
+def length_on(lines: MapWalls, segments: np.ndarray, within: float = 0.1) -> float:
     """Metres of the map's walls that lie on some segments of the world."""
     points, _ = lines.piece_points()
     total = 0.0
@@ -178,7 +178,7 @@ class Room:
     """Its landmarks, and looks from below the middle wall; the sides are known since the keyframe `first`."""
 
     def __init__(self, first: int = 0, observations: int = 9) -> None:
-        self.landmarks, self.doubts, self.ways = Landmarks(), Doubts(), [0.0]
+        self.landmarks, self.doubts, self.ways = Landmarks(), FreeSpaceEvidence(), [0.0]
         self.wall = self.landmarks.add_wall(MIDDLE, 1.0, 0)
         self.landmarks.walls.rows["observations"][self.wall] = observations
         for side, half in zip(SIDES, HALVES, strict=True):

@@ -14,7 +14,7 @@ from slam.config import OdometryConfig
 from slam.geometry.segments import corner_points, segments_from_lines
 from slam.mapping.trajectory_builder import Path
 from slam.odometry.error_model import OdometryModel, fused_motion
-from slam.odometry.history import OdometryHistory, way_of
+from slam.odometry.history import OdometryHistory, wheel_travel
 from slam.preprocessing.deskew import deskew, loosen, middle_of
 
 CIRCLE = 0.8, 1.2  # metres a second, radians a second
@@ -67,7 +67,7 @@ def test_rates_are_learned_in_spite_of_gross_errors(translation: float, rotation
     random, noise = np.random.default_rng(0), OdometryModel(OdometryConfig())
     for k in range(400):
         claimed = np.array([random.uniform(0.1, 0.5), 0.0, random.uniform(-0.2, 0.2)])
-        way = way_of(claimed)
+        way = wheel_travel(claimed)
         error = random.normal(size=3) * [translation * way, translation * way, rotation * np.sqrt(way)]
         if k % 10 == 0:
             error += [0.5, 0.0, 0.5]

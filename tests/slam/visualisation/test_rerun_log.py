@@ -19,12 +19,12 @@ from slam.events import (
     KeyframeAdded,
     LoopDecided,
     MapCorners,
-    MapLines,
+    MapWalls,
     MapUpdated,
-    Noticed,
+    Notice,
     ScanTracked,
     StateChanged,
-    TruthSeen,
+    GroundTruthReceived,
 )
 from slam.visualisation.rerun_log import ReviewLog, recording, sink
 from slam.visualisation.rerun_log.files import parts_of
@@ -152,13 +152,13 @@ def bare_keyframe(index: int) -> KeyframeAdded:
 
 
 def test_accepts_what_is_empty_or_unknown(tmp_path):
-    no_lines = MapLines(np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty(0), np.empty(0),
+    no_lines = MapWalls(np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty(0), np.empty(0),
                         np.empty(0, dtype=np.int64), np.empty((0, 2, 2)), ())  # fmt: skip
     no_corners = MapCorners(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 2, 2)),
                             np.empty((0, 2), dtype=np.int64), np.empty(0, dtype=np.int64))  # fmt: skip
     events = [
-        Noticed(0.0, "a notice before anything else"),
-        TruthSeen(0.5, np.zeros(3)),
+        Notice(0.0, "a notice before anything else"),
+        GroundTruthReceived(0.5, np.zeros(3)),
         ScanTracked(1.0, np.zeros(3), np.zeros(3), float("nan"), 0),
         bare_keyframe(0),
         bare_keyframe(1),
@@ -173,7 +173,7 @@ def test_accepts_what_is_empty_or_unknown(tmp_path):
 def test_closing_twice_is_fine_and_later_events_are_ignored(tmp_path):
     review = log_events(tmp_path / "twice.rrd", [])
     review.close()
-    review.handle(Noticed(0.0, "too late"))
+    review.handle(Notice(0.0, "too late"))
 
 
 def test_a_file_that_cannot_be_written_is_an_error_of_ours(tmp_path):
@@ -220,7 +220,7 @@ def test_a_log_that_stalls_takes_no_more_memory_and_loses_no_closure(tmp_path, m
     review, release = stalled(tmp_path / "stalled.rrd", monkeypatch)
     review.handle(bare_keyframe(0))
     for index in range(sink.OVERRUN + 1000):
-        review.handle(Noticed(float(index), "chatter"))
+        review.handle(Notice(float(index), "chatter"))
     for number in range(3):
         review.handle(decided(number + 1, "accepted"))
     review.handle(StateChanged(9.0, "LOST", None))

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from slam.events import Correction, Event, GraphInspected, LoopDecided, LoopSight, LoopTest, MapUpdated
+from slam.events import Correction, Event, GraphInspected, LoopDecided, ComparedWalls, LoopTest, MapUpdated
 from slam.graph.factor_residuals import ODOMETRY, WALL, Residuals
 from slam.visualisation.rerun_log import ReviewLog, colours
 from slam.visualisation.rerun_log.files import find_log
@@ -35,7 +35,7 @@ def with_a_closure(events: Sequence[Event]) -> list[Event]:
 def closure(event: MapUpdated) -> LoopDecided:
     walls = event.lines.end_points()[:6]
     drifted = event.keyframes + np.linspace(0, 1, len(event.keyframes))[:, None] * [1.5, 1.0, 0.0]
-    sight = LoopSight(walls + 1.0, walls, event.lines.end_points(), np.array([0, 1, 2, 3, 4, -1]))
+    sight = ComparedWalls(walls + 1.0, walls, event.lines.end_points(), np.array([0, 1, 2, 3, 4, -1]))
     return LoopDecided(
         index=event.index, stamp=event.stamp, candidate=1, old=3, motion=np.array([-1.5, -1.0, 0.0]),
         status="accepted", reason="all tests passed", explained=0.9, matches=5, runner_up=0.2, sigma=0.01,
