@@ -72,7 +72,7 @@ class ScanTracked:
     stamp: float
     pose: Pose
     odometry: Pose
-    explained: float
+    overlap_ratio: float
     keyframe: int
 
 
@@ -236,7 +236,7 @@ class LoopDecided:
     motion: Pose
     status: str
     reason: str
-    explained: float
+    overlap_ratio: float
     matches: int
     runner_up: float
     sigma: float

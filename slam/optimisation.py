@@ -10,7 +10,7 @@ import numpy as np
 
 from .errors import MapError
 from .estimation.map_view import finished
-from .estimation.refinement import Drive, Refined, refine
+from .estimation.refinement import Refined, ScanHistory, refine
 from .events import Finished, Sink
 from .io.sessions import StoredSession
 from .localisation.tracker import PoseFix
@@ -39,23 +39,25 @@ def optimise(session: StoredSession, sinks: Sequence[Sink] = ()) -> Optimised:
     Listeners are told of the map before, of every keyframe where it is now, and of the map after. Raises MapError where
     there is nothing to optimise, or the estimate is undetermined.
     """
-    belief, reporter = session.belief, Publisher(sinks)
-    if belief.mapper.keyframe_count < 2:
+    slam_state, reporter = session.slam_state, Publisher(sinks)
+    if slam_state.mapper.keyframe_count < 2:
         raise MapError("there are fewer than two keyframes, so there is nothing to optimise")
-    belief.mapper.settle()
-    before, drive = belief.mapper, session.drive()
+    slam_state.mapper.settle()
+    before, drive = slam_state.mapper, session.drive()
     reporter.publish_map(float(drive.stamps[0]), before, index=0)
-    refined = refine(before, drive, belief.odometry_model)
-    keyframes = {k: session.sightings[row] for k, row in enumerate(drive.keyframes.tolist())}
+    refined = refine(before, drive, slam_state.odometry_model)
+    keyframes = {k: session.scans[row] for k, row in enumerate(drive.keyframes.tolist())}
     refined.mapper.remember_covariances()
-    last = session.sightings[-1]
-    belief.settle_on(refined.mapper, refined.path, PoseFix(refined.poses[-1], last.odometry), keyframes)
+    last = session.scans[-1]
+    slam_state.settle_on(refined.mapper, refined.path, PoseFix(refined.poses[-1], last.odometry), keyframes)
     closures = _closures(session.closures, refined, drive)
     summary = refined.summary | _changes(before, refined.mapper, session.closures, closures)
     reporter.publish_keyframes(refined.mapper, keyframes, session.sigma_range)
     reporter.publish_map(last.stamp, refined.mapper)
     drives = OdometrySegments(session.odometry, session.starts)
-    result = finished(belief, drives.trajectory(belief.path, belief.mapper.trail), {"refinement": summary})
+    result = finished(
+        slam_state, drives.trajectory(slam_state.trajectory, slam_state.mapper.keyframe_poses), {"refinement": summary}
+    )
     reporter.publish(result)
     return Optimised(result, replace(session, closures=closures), summary)
 
@@ -64,7 +66,7 @@ def _changes(
     before: Mapper, after: Mapper, old: Sequence[Mapping[str, Any]], new: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
     """What the summary tells besides."""
-    moved = np.hypot(*(after.trail - before.trail)[:, :2].T)
+    moved = np.hypot(*(after.keyframe_poses - before.keyframe_poses)[:, :2].T)
     farthest = np.argsort(-moved, kind="stable")[:SHOWN_SHIFTS]
     removed = sum(a["status"] == "accepted" != b["status"] for a, b in zip(old, new, strict=False))
     return {
@@ -76,7 +78,7 @@ def _changes(
     }
 
 
-def _closures(rows: Sequence[Mapping[str, Any]], refined: Refined, drive: Drive) -> list[dict[str, Any]]:
+def _closures(rows: Sequence[Mapping[str, Any]], refined: Refined, drive: ScanHistory) -> list[dict[str, Any]]:
     """The decisions on closures as they stand now: what held and holds no more is removed, what was found is added."""
     told = [dict(row) for row in rows]
     for row in told:
@@ -88,9 +90,9 @@ def _closures(rows: Sequence[Mapping[str, Any]], refined: Refined, drive: Drive)
 
 def _holds(mapper: Mapper, keyframe: int) -> bool:
     """Whether what was seen on the way to a keyframe is on any wall that an older pass saw."""
-    ways = np.array(mapper.ways)
-    walls = [mapper.names[k].walls for k in range(max(0, keyframe - PASS), keyframe + 1)]
+    travelled = np.array(mapper.travelled)
+    walls = [mapper.landmark_ids[k].walls for k in range(max(0, keyframe - PASS), keyframe + 1)]
     seen = np.unique(np.concatenate(walls))
-    seen = mapper.landmarks.walls.rows["kept"][seen[seen >= 0]]
+    seen = mapper.landmarks.walls.rows["merged_into"][seen[seen >= 0]]
     first = mapper.landmarks.walls.rows["first_seen"][seen[seen >= 0]]
-    return bool((ways[keyframe] - ways[first] > OLD_WAY).any())
+    return bool((travelled[keyframe] - travelled[first] > OLD_WAY).any())

@@ -13,21 +13,21 @@ from drivers import se2
 from .estimation.map_view import covariances_when_last_seen, map_features
 from .estimation.slam_state import KeyframeUpdate
 from .events import (
+    ComparedWalls,
     Correction,
     Event,
     GraphInspected,
     KeyframeAdded,
-    WallsMerged,
-    WallsRemoved,
     LoopDecided,
-    ComparedWalls,
     LoopTest,
     MapUpdated,
     Sink,
+    WallsMerged,
+    WallsRemoved,
 )
 from .loop_closure.closer import LoopDecision
 from .mapping.mapper import Mapper
-from .preprocessing.scan_queue import ProcessedScan
+from .preprocessing.preprocessor import ProcessedScan
 
 MAP_INTERVAL = 20  # keyframes between two events with the whole map
 MAP_SHARE = 0.01  # of the keyframes: for long runs the interval grows, lest telling them take longer than making them
@@ -50,7 +50,7 @@ class Publisher:
 
     def publish_keyframe(
         self,
-        sighting: ProcessedScan,
+        scan: ProcessedScan,
         mapper: Mapper,
         extension: KeyframeUpdate,
         sigma_range: float,
@@ -59,8 +59,8 @@ class Publisher:
         """Tell of the last keyframe, of what it changed, and of the whole map every so often."""
         if not self._sinks:
             return
-        index, stamp = mapper.keyframe_count - 1, sighting.stamp
-        self.publish(_keyframe_event(sighting, mapper, extension, sigma_range, timings))
+        index, stamp = mapper.keyframe_count - 1, scan.stamp
+        self.publish(_keyframe_event(scan, mapper, extension, sigma_range, timings))
         if extension.merge is not None:
             merge = extension.merge
             self.publish(WallsMerged(index, stamp, merge.kept, merge.absorbed, merge.distance))
@@ -82,28 +82,28 @@ class Publisher:
         self.publish_map(stamp, mapper)
         self.publish_residuals(stamp, mapper)
 
-    def publish_keyframes(self, mapper: Mapper, sightings: Mapping[int, ProcessedScan], sigma_range: float) -> None:
+    def publish_keyframes(self, mapper: Mapper, scans: Mapping[int, ProcessedScan], sigma_range: float) -> None:
         """Tell of all keyframes where they are on a map that is finished; `sightings` are theirs."""
         if not self._sinks:
             return
-        for index, sighting in sightings.items():
-            names = mapper.names[index]
+        for index, scan in scans.items():
+            landmark_ids = mapper.landmark_ids[index]
             self.publish(
                 KeyframeAdded(
                     index=index,
-                    stamp=sighting.stamp,
-                    pose=mapper.trail[index],
+                    stamp=scan.stamp,
+                    pose=mapper.keyframe_poses[index],
                     pose_covariance=mapper.keyframe_covariance(index),
-                    odometry=sighting.odometry,
-                    points=sighting.seen.points.all,
-                    segments=sighting.seen.segments,
-                    corners=sighting.seen.corners,
-                    line_match=names.walls,
-                    line_gate=np.full(len(names.walls), np.nan),
-                    line_nearest=np.full_like(names.walls, -1),
-                    corner_match=names.corners,
-                    corner_gate=np.full(len(names.corners), np.nan),
-                    corner_nearest=np.full_like(names.corners, -1),
+                    odometry=scan.odometry,
+                    points=scan.features.points.all,
+                    segments=scan.features.segments,
+                    corners=scan.features.corners,
+                    line_match=landmark_ids.walls,
+                    line_gate=np.full(len(landmark_ids.walls), np.nan),
+                    line_nearest=np.full_like(landmark_ids.walls, -1),
+                    corner_match=landmark_ids.corners,
+                    corner_gate=np.full(len(landmark_ids.corners), np.nan),
+                    corner_nearest=np.full_like(landmark_ids.corners, -1),
                     new_lines=np.zeros(0, dtype=np.int64),
                     sigma_range=sigma_range,
                     timings={},
@@ -136,9 +136,9 @@ class Publisher:
 
     def _publish_removed(self, index: int, stamp: float, mapper: Mapper) -> None:
         """Tell of the walls that are no longer there since the map was told last."""
-        retired = frozenset(mapper.landmarks.retired().tolist())
-        news = retired - self._published_removed if self._published_removed is not None else frozenset()
-        self._published_removed = retired
+        removed = frozenset(mapper.landmarks.removed_walls().tolist())
+        news = removed - self._published_removed if self._published_removed is not None else frozenset()
+        self._published_removed = removed
         if news:
             self.publish(WallsRemoved(index, stamp, tuple(sorted(news))))
 
@@ -156,16 +156,16 @@ def _sizes(mapper: Mapper) -> dict[str, int]:
 
 
 def _keyframe_event(
-    sighting: ProcessedScan, mapper: Mapper, extension: KeyframeUpdate, sigma_range: float, timings: dict[str, float]
+    scan: ProcessedScan, mapper: Mapper, extension: KeyframeUpdate, sigma_range: float, timings: dict[str, float]
 ) -> KeyframeAdded:
     view = extension.view
     return KeyframeAdded(
         index=mapper.keyframe_count - 1,
-        stamp=sighting.stamp,
+        stamp=scan.stamp,
         pose=mapper.pose,
         pose_covariance=mapper.last_pose_covariance(),
-        odometry=sighting.odometry,
-        points=sighting.seen.points.all,
+        odometry=scan.odometry,
+        points=scan.features.points.all,
         segments=view.segments,
         corners=view.corners,
         line_match=view.walls,
@@ -191,7 +191,7 @@ def _loop_event(decision: LoopDecision, stamp: float, mapper: Mapper, superseded
         motion=decision.motion,
         status=decision.status,
         reason=verdict.reason,
-        explained=verdict.explained,
+        overlap_ratio=verdict.overlap_ratio,
         matches=verdict.matches,
         runner_up=verdict.runner_up,
         sigma=verdict.sigma,

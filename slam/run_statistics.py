@@ -42,7 +42,7 @@ class RunStatistics:
     merged_walls: int = 0
     loops: list[dict[str, object]] = field(default_factory=list)
     """Every decision on a place that looked known, with the scores it was decided by."""
-    explained: list[float] = field(default_factory=list)
+    overlap_ratio: list[float] = field(default_factory=list)
     keyframe_times: list[float] = field(default_factory=list)
     stage_times: dict[str, float] = field(default_factory=dict)
 
@@ -87,10 +87,10 @@ class RunStatistics:
 
     def health(self) -> dict[str, object]:
         """How well scans fitted the map, and what went wrong."""
-        explained = np.array(self.explained or [0.0])
+        overlap_ratio = np.array(self.overlap_ratio or [0.0])
         return {
-            "explained_median": round(float(np.median(explained)), 3),
-            "explained_p05": round(float(np.percentile(explained, 5)), 3),
+            "overlap_ratio_median": round(float(np.median(overlap_ratio)), 3),
+            "overlap_ratio_p05": round(float(np.percentile(overlap_ratio, 5)), 3),
             "searched": self.searched,
             "unplaced": self.unplaced,
             "blind": self.blind,
@@ -102,7 +102,7 @@ def loop_row(stamp: float, decision: LoopDecision) -> dict[str, object]:
     """A decision on a place that looked known, with the scores it was decided by, as it is written down."""
     verdict = decision.verdict
     scores = {
-        "explained": verdict.explained,
+        "overlap_ratio": verdict.overlap_ratio,
         "runner_up": verdict.runner_up,
         "sigma": verdict.sigma,
         "contradicted": verdict.contradicted,

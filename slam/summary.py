@@ -5,24 +5,24 @@ from __future__ import annotations
 import math
 
 from .estimation.slam_state import SlamState
-from .preprocessing.scan_queue import Preprocessor
+from .preprocessing.preprocessor import Preprocessor
 from .run_statistics import RunStatistics
 
 
-def run_summary(front_end: Preprocessor, belief: SlamState, statistics: RunStatistics) -> dict[str, object]:
+def run_summary(front_end: Preprocessor, slam_state: SlamState, statistics: RunStatistics) -> dict[str, object]:
     """As plain data."""
     return {
         "scans": front_end.scans,
-        "keyframes": belief.mapper.keyframe_count,
-        "factors": belief.mapper.graph.factor_count,
+        "keyframes": slam_state.mapper.keyframe_count,
+        "factors": slam_state.mapper.graph.factor_count,
         "merged_walls": statistics.merged_walls,
-        "retired_walls": len(belief.mapper.landmarks.retired()),
+        "retired_walls": len(slam_state.mapper.landmarks.removed_walls()),
         "loops": statistics.loop_counts(),
         "loop_decisions": statistics.loops,
         "states": statistics.state_rows(),
-        "odometry_deviation_per_metre": belief.odometry_model.deviations.round(5).tolist(),
+        "odometry_deviation_per_metre": slam_state.odometry_model.deviations.round(5).tolist(),
         "sigma_range": round(front_end.sigma_range, 5),
-        "wall_unevenness": round(math.sqrt(belief.mapper.flatness.variance), 5),
+        "wall_unevenness": round(math.sqrt(slam_state.mapper.roughness.variance), 5),
         "timings": statistics.timings(),
         "health": statistics.health()
         | {

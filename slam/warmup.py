@@ -16,7 +16,7 @@ from drivers.messages import Floats, Message, Odometry, Scan
 from .geometry.segments import Segments
 from .loop_closure.proposal import propose
 from .loop_closure.recent_walls import OLD_WAY, recent_and_reference
-from .loop_closure.relocalisation import submap_of, index_map, relocalise
+from .loop_closure.relocalisation import index_map, relocalise, submap_of
 from .loop_closure.verification import contradiction
 from .mapping.landmarks import Landmarks
 from .mapping.wall_removal import FreeSpaceEvidence
@@ -34,7 +34,7 @@ def warm_up() -> None:
     slam = Slam()
     for message in _drive():
         slam.add(message)
-    mapper = slam.belief.mapper
+    mapper = slam.slam_state.mapper
     relocalise(submap_of(mapper), index_map(mapper))
     _find_loop([(mapper.graph.keyframe_pose(keyframe), seen) for keyframe, seen in mapper.views])
     _see_through()
@@ -81,4 +81,4 @@ def _see_through() -> None:
     """A wall with a point behind it."""
     landmarks = Landmarks()
     landmarks.add_wall(np.zeros(3), 1.0, 0)
-    FreeSpaceEvidence().look(landmarks, np.array([0.0, -1.0, 0.0]), np.array([[0.0, 2.0]]), [0.0], [np.zeros((3, 3))])
+    FreeSpaceEvidence().update(landmarks, np.array([0.0, -1.0, 0.0]), np.array([[0.0, 2.0]]), [0.0], [np.zeros((3, 3))])

@@ -65,7 +65,9 @@ def bench_lookalike(
     worlds: Annotated[
         str | None, typer.Option("--worlds", metavar="A,B", help="Some of the worlds; all where left out.")
     ] = None,
-    seeds: Annotated[int, typer.Option("--seeds", min=1, help="OdometrySegments through each world, with seeds from 0.")] = 20,
+    seeds: Annotated[
+        int, typer.Option("--seeds", min=1, help="OdometrySegments through each world, with seeds from 0.")
+    ] = 20,
     processes: Annotated[int, typer.Option("--processes", min=1, help="OdometrySegments at a time.")] = 2,
     as_json: JsonOption = False,
 ) -> None:

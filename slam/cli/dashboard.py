@@ -64,7 +64,7 @@ class Dashboard:
         if self._scan is not None:
             x, y, heading = self._scan.pose
             table.add_row("pose", f"{x:.2f} m, {y:.2f} m, {math.degrees(heading):.0f}°")
-            table.add_row("explained", f"{100 * self._scan.explained:.0f} % of the walls seen are in the map")
+            table.add_row("overlap_ratio", f"{100 * self._scan.overlap_ratio:.0f} % of the walls seen are in the map")
         table.add_row("map", ", ".join(f"{count} {name}" for name, count in self._counts.items()))
         table.add_row("loops", ", ".join(f"{count} {name}" for name, count in self._loops.items()) or "none yet")
         if self._notice:

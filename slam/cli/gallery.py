@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from ..errors import MapError, OutputError
-from ..events import Event, KeyframeAdded, LoopDecided, MapUpdated, StateChanged, GroundTruthReceived
+from ..events import Event, GroundTruthReceived, KeyframeAdded, LoopDecided, MapUpdated, StateChanged
 from ..io.output_dir import KEYFRAMES, PICTURE
 from ..io.tum import Trajectory
 

@@ -192,7 +192,7 @@ class Drive:
             except DriverError as error:
                 self.failure = error
             count_losses(self.report, self._acquisition.snapshot)
-            self._record(lambda recorder: recorder.publish(self._acquisition.snapshot))
+            self._record(lambda recorder: recorder.tell(self._acquisition.snapshot))
 
     def _record(self, write: Callable[[Recorder], None]) -> None:
         """Do something with the recorder, if there is one; the map is worth more than that it works."""

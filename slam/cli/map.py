@@ -103,7 +103,7 @@ def _write_graph(file: Path, session: Path) -> str:
     from ..io.exports.posegraph import pose_graph_of
     from ..io.sessions import read_stored
 
-    mapper = read_stored(session).belief.mapper
+    mapper = read_stored(session).slam_state.mapper
     mapper.settle()
     graph = pose_graph_of(mapper)
     write_g2o(file, graph)

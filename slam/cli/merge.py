@@ -100,7 +100,7 @@ def _summarise(name: str, joined: Joined, finished: Finished, seconds: float) ->
             for path, found in joined.found
         ],
         "seed": None,
-        "scans": len(session.sightings),
+        "scans": len(session.scans),
         "odometry": sum(len(history) for history in session.odometry),
         "duration": duration,
         "keyframes": len(finished.keyframes),

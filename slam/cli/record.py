@@ -92,7 +92,7 @@ def _record(acquisition: Acquisition, recorder: Recorder, duration: float | None
         try:
             for message in attended(acquisition, duration, look):
                 recorder.write(message)
-            recorder.publish(acquisition.snapshot)
+            recorder.tell(acquisition.snapshot)
         except RecordingError as error:
             kept = f"{error.reason}; the recording ends here, after {recorder.duration:.1f} s, and can be read"
             raise RecordingError(error.path, None, kept) from error

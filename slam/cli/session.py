@@ -115,7 +115,7 @@ def begin(continued: Path | None, localized: Path | None, config: Path | None, s
 
     with say_if_slow(READING):
         resumed = read_stored(session)
-    if not resumed.belief.mapper.keyframe_count:
+    if not resumed.slam_state.mapper.keyframe_count:
         raise MapError(f"{session}: has no keyframe, so there is nothing to go on from")
     return Start(load_config(config or session / CONFIG, settings or ()), resumed, localized is not None)
 

@@ -18,7 +18,7 @@ from ..loop_closure.verification import contradiction
 from ..mapping.mapper import Mapper
 
 if TYPE_CHECKING:
-    from ..preprocessing.scan_queue import ProcessedScan
+    from ..preprocessing.preprocessor import ProcessedScan
     from .slam_state import SlamState
 
 WAY = 15.0  # metres of driving that a closure is on probation
@@ -35,7 +35,7 @@ class MonitoredClosure:
 
     checkpoint: SlamState
     decision: LoopDecision
-    way: float
+    travel: float
     examined: float
     since: list[ProcessedScan] = field(default_factory=list)
     against: int = 0
@@ -49,21 +49,21 @@ class ClosureMonitor:
 
     def begin(self, checkpoint: SlamState, decision: LoopDecision) -> None:
         """Watch a closure from now on; `checkpoint` is the estimate right before it."""
-        way = checkpoint.mapper.ways[-1]
-        self._closures.append(MonitoredClosure(checkpoint, decision, way, way))
+        travel = checkpoint.mapper.travelled[-1]
+        self._closures.append(MonitoredClosure(checkpoint, decision, travel, travel))
 
-    def remember(self, sighting: ProcessedScan) -> None:
+    def remember(self, scan: ProcessedScan) -> None:
         """What has been seen would have to be taken again."""
         for closure in self._closures:
-            closure.since.append(sighting)
+            closure.since.append(scan)
 
     def examine(self, mapper: Mapper, *, lost: bool) -> MonitoredClosure | None:
         """The oldest closure on probation that cannot be right, its decision taken back; the case ends here.
 
         `lost` is whether tracking has failed since.
         """
-        way = mapper.ways[-1]
-        self._closures = [closure for closure in self._closures if way - closure.way <= WAY]
+        travel = mapper.travelled[-1]
+        self._closures = [closure for closure in self._closures if travel - closure.travel <= WAY]
         for position, closure in enumerate(self._closures):
             reason = "the robot got lost after it" if lost else _seen_through(closure, mapper)
             if reason:
@@ -76,14 +76,14 @@ class ClosureMonitor:
 
 def _seen_through(closure: MonitoredClosure, mapper: Mapper) -> str:
     """Says so if what was seen since a closure could not have been seen past the old walls, were it right."""
-    if mapper.ways[-1] - closure.examined < INTERVAL:
+    if mapper.travelled[-1] - closure.examined < INTERVAL:
         return ""
-    closure.examined = mapper.ways[-1]
-    ways = np.array(mapper.ways)
-    _, old = recent_and_reference(mapper.landmarks, mapper.pose, ways)
+    closure.examined = mapper.travelled[-1]
+    travelled = np.array(mapper.travelled)
+    _, old = recent_and_reference(mapper.landmarks, mapper.pose, travelled)
     # what was mapped on the drifted way just before the closure may lie wherever that has left it
     first_seen = mapper.landmarks.walls.rows["first_seen"][old.wall_set.walls]
-    old = replace(old, left=old.left & (ways[first_seen] < closure.way - OLD_WAY))
+    old = replace(old, left=old.left & (travelled[first_seen] < closure.travel - OLD_WAY))
     views = [(mapper.graph.keyframe_pose(k), seen) for k, seen in mapper.views if k > closure.decision.keyframe]
     share = contradiction(np.zeros(3), old, mapper.landmarks, views)
     without = contradiction(se2.inverse(closure.decision.hypothesis.motion), old, mapper.landmarks, views)

@@ -17,16 +17,16 @@ LEAST_SINE = 0.2  # of the angle between two walls that meet in a corner
 STRAYED = 0.1  # metres from a corner beyond which its walls, as they are known now, no longer make it
 
 
-def finished(belief: SlamState, path: tuple[Floats, Floats], summary: dict[str, object]) -> Finished:
+def finished(slam_state: SlamState, path: tuple[Floats, Floats], summary: dict[str, object]) -> Finished:
     """What came of a belief that has settled, with all covariances; `path` is stamps (m,) and poses (m, 3)."""
-    mapper = belief.mapper
+    mapper = slam_state.mapper
     lines, corners = map_features(mapper, covariances=True)
     covariances = [mapper.keyframe_covariance(index) for index in range(mapper.keyframe_count)]
     return Finished(
         lines=lines,
         corners=corners,
-        keyframe_stamps=np.array(belief.keyframe_stamps),
-        keyframes=mapper.trail,
+        keyframe_stamps=np.array(slam_state.keyframe_stamps),
+        keyframes=mapper.keyframe_poses,
         stamps=path[0],
         poses=path[1],
         summary=summary,
@@ -43,13 +43,15 @@ def map_features(mapper: Mapper, *, covariances: bool) -> tuple[MapWalls, MapCor
 
 def _lines(mapper: Mapper, landmarks: Landmarks, *, covariances: bool) -> MapWalls:
     rows = landmarks.walls.rows
-    chosen = np.flatnonzero(rows["in_graph"] & landmarks.standing())
+    chosen = np.flatnonzero(rows["in_graph"] & landmarks.active())
     covariance = np.full((len(chosen), 2, 2), np.nan)
     if covariances:
         for row, wall in enumerate(chosen):
             covariance[row] = mapper.graph.wall_covariance(int(wall))
         normals = np.column_stack([-np.sin(rows["frame"][chosen, 2]), np.cos(rows["frame"][chosen, 2])])
-        covariance[:, 0, 0] += np.einsum("ij,ijk,ik->i", normals, mapper.adrift[rows["first_seen"][chosen]], normals)
+        covariance[:, 0, 0] += np.einsum(
+            "ij,ijk,ik->i", normals, mapper.correlated_drift[rows["first_seen"][chosen]], normals
+        )
     walls = rows[chosen]
     return MapWalls(
         identity=chosen,
@@ -68,14 +70,14 @@ def _corners(mapper: Mapper, landmarks: Landmarks, *, covariances: bool) -> MapC
     """
     rows, walls = landmarks.corners.rows, landmarks.walls.rows
     chosen = np.flatnonzero(rows["in_graph"])
-    chosen = chosen[landmarks.standing_corners(chosen)]
+    chosen = chosen[landmarks.active_corners(chosen)]
     lines = np.full((len(chosen), 2), -1)
     position = rows["position"][chosen].copy()
     covariance = np.full((len(chosen), 2, 2), np.nan)
     met, jacobians = [], []  # rows of corners where both walls meet
     for row, corner in enumerate(chosen):
         named = rows["walls"][corner]
-        lines[row] = np.where(named >= 0, walls["kept"][named], -1)
+        lines[row] = np.where(named >= 0, walls["merged_into"][named], -1)
         first, second = (int(wall) for wall in lines[row])
         meeting = None
         turn = walls["frame"][second, 2] - walls["frame"][first, 2]
@@ -91,7 +93,7 @@ def _corners(mapper: Mapper, landmarks: Landmarks, *, covariances: bool) -> MapC
         moved = np.array(jacobians)
         covariance[met] = moved @ mapper.graph.walls_covariances(lines[met]) @ moved.transpose(0, 2, 1)
     if covariances:  # nobody remembers from where a corner was seen first
-        covariance += mapper.adrift[rows["last_seen"][chosen]]
+        covariance += mapper.correlated_drift[rows["last_seen"][chosen]]
     return MapCorners(
         identity=chosen,
         position=position,

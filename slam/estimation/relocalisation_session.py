@@ -17,10 +17,10 @@ import numpy as np
 from drivers import se2
 
 from ..config import OdometryConfig
-from ..localisation.tracker import TrackingStatus, TrackingResult
-from ..loop_closure.relocalisation import Relocalisation, submap_of, index_map, relocalise
+from ..localisation.tracker import TrackingResult, TrackingStatus
+from ..loop_closure.relocalisation import Relocalisation, index_map, relocalise, submap_of
 from ..loop_closure.verification import allowed_by_estimate
-from ..preprocessing.scan_queue import ProcessedScan
+from ..preprocessing.preprocessor import ProcessedScan
 from ..run_statistics import StageTimer
 from .estimator import Estimator
 from .slam_state import SlamState
@@ -41,51 +41,53 @@ class RelocalisationSession:
     whether the robot may have been carried away.
     """
 
-    def __init__(self, config: OdometryConfig, whole: SlamState, sightings: Sequence[ProcessedScan], *, carried: bool) -> None:
+    def __init__(
+        self, config: OdometryConfig, whole: SlamState, scans: Sequence[ProcessedScan], *, kidnapped: bool
+    ) -> None:
         self._config = config
-        self._whole, self._carried = whole, carried
+        self._whole, self._kidnapped = whole, kidnapped
         self._index = index_map(whole.mapper)
-        self._start(sightings)
+        self._start(scans)
 
-    def _start(self, sightings: Sequence[ProcessedScan]) -> None:
+    def _start(self, scans: Sequence[ProcessedScan]) -> None:
         self._estimator = Estimator(SlamState(self._config))
         self._looked_keyframe, self._looked_way = 0, -LOOK_WAY
         self._likely: list[se2.Pose] = []  # where the last looks in a row have the excursion's frame in the old map
-        self.sightings: list[ProcessedScan] = []
-        self.explained: list[float] = []  # of them, in the place that was recognised last
-        for sighting in sightings:
-            self.add(sighting)
+        self.scans: list[ProcessedScan] = []
+        self.overlap_ratio: list[float] = []  # of them, in the place that was recognised last
+        for scan in scans:
+            self.add(scan)
 
-    def add(self, sighting: ProcessedScan) -> None:
+    def add(self, scan: ProcessedScan) -> None:
         """Take a sighting. If the last ones do not fit those before, the robot got lost again: all starts anew."""
-        self._estimator.take(sighting, StageTimer())
-        self.sightings.append(sighting)
-        if self._estimator.belief.lost:
-            self._carried = self._carried or self._estimator.belief.broken_off
-            self._start(self._estimator.belief.unplaced)
+        self._estimator.take(scan, StageTimer())
+        self.scans.append(scan)
+        if self._estimator.slam_state.lost:
+            self._kidnapped = self._kidnapped or self._estimator.slam_state.view_changed
+            self._start(self._estimator.slam_state.unplaced)
 
     @property
-    def way(self) -> float:
+    def travel(self) -> float:
         """Metres driven since."""
-        return self._estimator.belief.mapper.ways[-1]
+        return self._estimator.slam_state.mapper.travelled[-1]
 
     @property
     def pose(self) -> se2.Pose:
         """Where odometry has the base in the old map, which is all that is known."""
-        return self._whole.predict(self.sightings[-1].odometry)
+        return self._whole.predict(self.scans[-1].odometry)
 
     @property
     def over(self) -> bool:
         """Whether it is no use to look any longer: the robot is where odometry has it, and that is no known place."""
-        return not self._carried and not self._whole.frozen and self.way > ODOMETRY_WAY
+        return not self._kidnapped and not self._whole.frozen and self.travel > ODOMETRY_WAY
 
     def recognised(self) -> Estimator | None:
         """The old map with the excursion's sightings where they belong on it; None if that is not known yet."""
-        mapper = self._estimator.belief.mapper
-        count, way = mapper.keyframe_count, mapper.ways[-1]
-        if count - self._looked_keyframe < LOOK_KEYFRAMES or way - self._looked_way < LOOK_WAY:
+        mapper = self._estimator.slam_state.mapper
+        count, travel = mapper.keyframe_count, mapper.travelled[-1]
+        if count - self._looked_keyframe < LOOK_KEYFRAMES or travel - self._looked_way < LOOK_WAY:
             return None
-        self._looked_keyframe, self._looked_way = count, way
+        self._looked_keyframe, self._looked_way = count, travel
         found = relocalise(submap_of(mapper), self._index)
         if found is None or not self._believed(found) or not self._possible(found):
             return None
@@ -93,9 +95,9 @@ class RelocalisationSession:
 
     def _possible(self, found: Relocalisation) -> bool:
         """Whether the robot can have come there: carried anywhere, by itself as far as odometry may lead astray."""
-        if self._carried:
+        if self._kidnapped:
             return True
-        odometry = self.sightings[0].odometry
+        odometry = self.scans[0].odometry
         seen = self._whole.mapper.landmarks.walls.rows["last_seen"][found.pairs[:, 0]]
         covariance = self._whole.covariance_since(int(np.bincount(seen).argmax()), odometry)
         return allowed_by_estimate(se2.between(self._whole.predict(odometry), found.motion), covariance).passed
@@ -109,26 +111,26 @@ class RelocalisationSession:
 
     def _at(self, motion: se2.Pose) -> Estimator | None:
         """The old map with the excursion's sightings there, if they fit."""
-        belief = self._whole.copy()
-        belief.move_to(motion, self.sightings[0].odometry)  # the excursion's frame is its first sighting's
-        recovered, placed = self._taken_from(belief)
-        self.explained = [placement.registration.explained for placement in placed]
-        fitting = sum(placement.hold is not TrackingStatus.FAILED for placement in placed)
-        return recovered if fitting >= LEAST_PLACED * len(placed) and not recovered.belief.lost else None
+        slam_state = self._whole.copy()
+        slam_state.move_to(motion, self.scans[0].odometry)  # the excursion's frame is its first sighting's
+        recovered, placed = self._taken_from(slam_state)
+        self.overlap_ratio = [tracking.registration.overlap_ratio for tracking in placed]
+        fitting = sum(tracking.status is not TrackingStatus.FAILED for tracking in placed)
+        return recovered if fitting >= LEAST_PLACED * len(placed) and not recovered.slam_state.lost else None
 
     def joined(self) -> Estimator:
         """The old map with the excursion's sightings where odometry has them, for want of anything better.
 
         The uncertainty of that is in the covariances.
         """
-        belief = self._whole.copy()
-        belief.start_anew(self.sightings[0].odometry, carried=self._carried)
-        return self._taken_from(belief)[0]
+        slam_state = self._whole.copy()
+        slam_state.start_anew(self.scans[0].odometry, kidnapped=self._kidnapped)
+        return self._taken_from(slam_state)[0]
 
-    def _taken_from(self, belief: SlamState) -> tuple[Estimator, list[TrackingResult]]:
+    def _taken_from(self, slam_state: SlamState) -> tuple[Estimator, list[TrackingResult]]:
         """The excursion's sightings taken from a belief on, and how each was placed."""
-        estimator = Estimator(belief)
-        return estimator, [estimator.take(sighting, StageTimer()).placement for sighting in self.sightings]
+        estimator = Estimator(slam_state)
+        return estimator, [estimator.take(scan, StageTimer()).tracking for scan in self.scans]
 
 
 class KidnappingMonitor:
@@ -139,23 +141,23 @@ class KidnappingMonitor:
     """
 
     def __init__(self, config: OdometryConfig, before: SlamState) -> None:
-        self._excursion = RelocalisationSession(config, before, (), carried=True)
+        self._excursion = RelocalisationSession(config, before, (), kidnapped=True)
         self._explained: list[float] = []  # where the robot is believed to be
 
-    def add(self, sighting: ProcessedScan, placement: TrackingResult) -> None:
+    def add(self, scan: ProcessedScan, tracking: TrackingResult) -> None:
         """Take a sighting, and where it was placed."""
-        self._excursion.add(sighting)
-        self._explained.append(placement.registration.explained)
+        self._excursion.add(scan)
+        self._explained.append(tracking.registration.overlap_ratio)
 
     @property
     def over(self) -> bool:
         """Whether the robot has driven far enough for it to be unfounded."""
-        return self._excursion.way > SUSPICION_WAY
+        return self._excursion.travel > SUSPICION_WAY
 
     def borne_out(self) -> Estimator | None:
         """The map with the sightings since where they belong, if that is elsewhere."""
         found = self._excursion.recognised()
         if found is None:
             return None
-        better = np.mean(self._excursion.explained) > np.mean(self._explained) + CLEARLY_MORE
+        better = np.mean(self._excursion.overlap_ratio) > np.mean(self._explained) + CLEARLY_MORE
         return found if better else None

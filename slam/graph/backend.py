@@ -22,7 +22,7 @@ from ..errors import MapError
 from ..geometry.segments import Floats, Integers
 from .covariances import ROBUST_COVARIANCE_SCALE, LandmarkCovariances, landmark_covariances
 from .factor_residuals import CORNER, ODOMETRY, WALL, Residuals
-from .factors import CAUCHY_SCALE, ODOMETRY_CAUCHY_SCALE, WALL_CAUCHY_SCALE, Factor, GraphState, FactorKind, made, pose2
+from .factors import CAUCHY_SCALE, ODOMETRY_CAUCHY_SCALE, WALL_CAUCHY_SCALE, Factor, FactorKind, GraphState, made, pose2
 from .residuals import residuals_of
 
 # By how much a variable may move before it is linearised anew, metres along its axes and radians. What factors say of a
@@ -257,7 +257,9 @@ class FactorGraph:
             [
                 number
                 for number, factor in self._factors.items()
-                if factor.kind in (FactorKind.HEADING, FactorKind.OFFSET) and factor.first >= since and factor.second in walls
+                if factor.kind in (FactorKind.HEADING, FactorKind.OFFSET)
+                and factor.first >= since
+                and factor.second in walls
             ]
         )
 

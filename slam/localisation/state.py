@@ -7,7 +7,7 @@ from enum import Enum
 
 from ..geometry.degeneracy import weakest_direction
 from ..odometry.error_model import ADRIFT_SIGMA
-from .tracker import TrackingStatus, TrackingResult
+from .tracker import TrackingResult, TrackingStatus
 
 IN_A_ROW = 3  # scans that must say so before the state changes
 
@@ -45,11 +45,11 @@ class LocalisationMonitor:
         before, self.state, self._streak = self.state, State(Condition.OK), 0
         return None if before == self.state else self.state
 
-    def update(self, placement: TrackingResult) -> State | None:
+    def update(self, tracking: TrackingResult) -> State | None:
         """Take a scan's placement; the new state, where it has changed."""
-        if placement.hold is not TrackingStatus.TRACKED:
+        if tracking.status is not TrackingStatus.TRACKED:
             return None
-        direction = weakest_direction(placement.pose, placement.registration.held_by, ADRIFT_SIGMA)
+        direction = weakest_direction(tracking.pose, tracking.registration.held_by, ADRIFT_SIGMA)
         condition = Condition.OK if direction is None else Condition.DEGENERATE
         self._streak = 0 if condition is self.state.condition else self._streak + 1
         if self._streak < IN_A_ROW:

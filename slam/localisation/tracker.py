@@ -17,7 +17,7 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 from ..mapping.local_map import LocalMap
-from ..matching.likelihood_field import LikelihoodField, likeness, search
+from ..matching.likelihood_field import LikelihoodField, likelihood_score, search
 from ..matching.line_matcher import NEAR_STARTS, Registration, ScanFeatures, register
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
@@ -46,10 +46,10 @@ LEAST_WALL = 0.5  # metres of wall that a scan must show, or SEARCHED_POINTS, fo
 class TrackingStatus(Enum):
     """How a scan's pose was found."""
 
-    FIRM = "firm"  # it fits the map where odometry led to, give or take
-    SEARCHED = "searched"  # it fits the map elsewhere; nothing enters the path before the next scan bears it out
-    NONE = "none"  # it fits nowhere near
-    BLIND = "blind"  # it shows too little to be placed by
+    TRACKED = "tracked"  # it fits the map where odometry led to, give or take
+    TENTATIVE = "tentative"  # it fits the map elsewhere; nothing enters the path before the next scan bears it out
+    FAILED = "failed"  # it fits nowhere near
+    NO_FEATURES = "no features"  # it shows too little to be placed by
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,7 +63,7 @@ class TrackingResult:
     """
 
     registration: Registration
-    hold: TrackingStatus
+    status: TrackingStatus
     covariance: Floats
     bears_out_search: bool
     abrupt: bool
@@ -92,12 +92,12 @@ class MatchTarget:
 
     landmarks: LocalMap
     points: LikelihoodField
-    flatness: float
+    roughness: float
 
-    def lay(self, scan: ScanFeatures, prediction: se2.Pose, prior: Floats, starts: Floats = NEAR_STARTS) -> _Fit:
+    def match(self, scan: ScanFeatures, prediction: se2.Pose, prior: Floats, starts: Floats = NEAR_STARTS) -> _Fit:
         """Lay a scan over them near a predicted pose."""
-        registration = register(prediction, prior, starts, scan, self.landmarks, self.points, self.flatness)
-        return _Fit(registration, likeness(self.points, scan.points.all, registration.pose))
+        registration = register(prediction, prior, starts, scan, self.landmarks, self.points, self.roughness)
+        return _Fit(registration, likelihood_score(self.points, scan.points.all, registration.pose))
 
     def known_share(self, scan: ScanFeatures, pose: se2.Pose) -> float:
         """Share of a scan's wall length, seen from `pose`, that lies where the map has been: near any known wall."""
@@ -119,11 +119,11 @@ class _Fit:
 
     @property
     def both(self) -> float:
-        return self.registration.explained + self.like
+        return self.registration.overlap_ratio + self.like
 
     @property
     def believable(self) -> bool:
-        return self.registration.explained >= EXPLAINED_ENOUGH or self.both >= FITS_ENOUGH
+        return self.registration.overlap_ratio >= EXPLAINED_ENOUGH or self.both >= FITS_ENOUGH
 
 
 class Tracker:
@@ -180,30 +180,33 @@ class Tracker:
         return self._misfits >= PATIENCE
 
     @property
-    def broken_off(self) -> bool:
+    def view_changed(self) -> bool:
         """Whether what is seen has changed at a stroke lately."""
         return bool(self._since_break < BREAK_REMEMBERED)
 
     def track(self, odometry: se2.Pose, scan: ScanFeatures, around: MatchTarget) -> TrackingResult:
         """Where the base was at a scan taken when odometry was at `odometry`."""
         fit, view = self._last_fit, View(odometry, scan.points.all)
-        placement = self._track(odometry, scan, around)
+        tracking = self._track(odometry, scan, around)
         if self._odometry is not None:
             self._since_break += float(wheel_travel(se2.between(self._odometry, odometry)))
-        doubtful = placement.hold in (TrackingStatus.FAILED, TrackingStatus.TENTATIVE) or self._last_fit < fit - DOUBTFULLY_WORSE
-        if doubtful and self._breaks_off_before(view):
+        doubtful = (
+            tracking.status in (TrackingStatus.FAILED, TrackingStatus.TENTATIVE)
+            or self._last_fit < fit - DOUBTFULLY_WORSE
+        )
+        if doubtful and self._view_differs(view):
             self._since_break = 0.0
         self._odometry = odometry
         if view.comparable:
             self._view = view
-        return replace(placement, abrupt=placement.abrupt and self.broken_off)
+        return replace(tracking, abrupt=tracking.abrupt and self.view_changed)
 
-    def _breaks_off_before(self, view: View) -> bool:
+    def _view_differs(self, view: View) -> bool:
         """Whether the view is another one than the last; a tracker that has seen none cannot rule it out."""
         if self._view is None:
             return True
         motion = self._model.corrected(se2.between(self._view.odometry, view.odometry))
-        return self._view.breaks_off_before(view, motion)
+        return self._view.differs_from(view, motion)
 
     def _track(self, odometry: se2.Pose, scan: ScanFeatures, around: MatchTarget) -> TrackingResult:
         if self._firm is None:
@@ -212,7 +215,7 @@ class Tracker:
         prior = self._prior(odometry)
         after_search = self._left is not None
         predictions, leads = self._predictions(odometry)
-        fits = [around.lay(scan, prediction, prior) for prediction in predictions]
+        fits = [around.match(scan, prediction, prior) for prediction in predictions]
         best = int(np.argmax([fit.both - lead for fit, lead in zip(fits, leads, strict=True)]))
         fit = fits[best]
         bears_out = after_search and best < len(predictions) - 1
@@ -229,18 +232,22 @@ class Tracker:
                 return self._placement(fit, TrackingStatus.FAILED, prior)
             self.move_to(fit.registration.pose, odometry)
             return self._placement(fit, TrackingStatus.TRACKED, prior)
-        far = around.lay(scan, searched, prior, NEAR_STARTS[:1])
+        far = around.match(scan, searched, prior, NEAR_STARTS[:1])
         left = self._firm
         self.move_to(far.registration.pose, odometry)
         self._left = left
-        return self._placement(far, TrackingStatus.TRACKED if after_search else TrackingStatus.TENTATIVE, prior, after_search)
+        return self._placement(
+            far, TrackingStatus.TRACKED if after_search else TrackingStatus.TENTATIVE, prior, after_search
+        )
 
-    def _placement(self, fit: _Fit, hold: TrackingStatus, prior: Floats, bears_out_search: bool = False) -> TrackingResult:
+    def _placement(
+        self, fit: _Fit, status: TrackingStatus, prior: Floats, bears_out_search: bool = False
+    ) -> TrackingResult:
         covariance = np.asarray(np.linalg.inv(fit.registration.held_by + prior))
-        abrupt = hold is TrackingStatus.TRACKED and fit.both < self._last_fit - ABRUPTLY_WORSE
-        if hold in (TrackingStatus.TRACKED, TrackingStatus.TENTATIVE):
+        abrupt = status is TrackingStatus.TRACKED and fit.both < self._last_fit - ABRUPTLY_WORSE
+        if status in (TrackingStatus.TRACKED, TrackingStatus.TENTATIVE):
             self._last_fit = fit.both
-        return TrackingResult(fit.registration, hold, covariance, bears_out_search, abrupt)
+        return TrackingResult(fit.registration, status, covariance, bears_out_search, abrupt)
 
     def _predictions(self, odometry: se2.Pose) -> tuple[list[se2.Pose], list[float]]:
         """Where the base may be, and by how much better than as odometry has it a scan must fit there.

@@ -14,7 +14,7 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.segments import Floats
-from ..matching.likelihood_field import likenesses, make_field
+from ..matching.likelihood_field import likelihood_scores, make_field
 from ..odometry.history import wheel_travel
 
 # Motions [x, y, heading] by which odometry may be wrong from one scan to the next.
@@ -41,7 +41,7 @@ class View:
         """Whether it shows enough to be told from others."""
         return len(self.points) >= LEAST_POINTS
 
-    def breaks_off_before(self, other: View, motion: se2.Pose) -> bool:
+    def differs_from(self, other: View, motion: se2.Pose) -> bool:
         """Whether another view, after a `motion`, is of another place.
 
         If either shows next to nothing, or they are too far apart to overlap, nothing says so.
@@ -49,4 +49,4 @@ class View:
         if not self.comparable or not other.comparable or wheel_travel(motion) > OVERLAPPING:
             return False
         field = make_field(self.points, np.zeros((0, 2)), np.zeros(3))
-        return bool(likenesses(field, other.points, se2.compose(motion, SLIPS)).max() < ALIKE)
+        return bool(likelihood_scores(field, other.points, se2.compose(motion, SLIPS)).max() < ALIKE)

@@ -14,8 +14,8 @@ from ..geometry.segments import Integers
 from ..graph.backend import CLOSING_UPDATES
 from ..mapping.mapper import Mapper
 from .proposal import Hypothesis, propose
-from .recent_walls import OLD_WAY, WallSet, ReferenceMap, recent_and_reference
-from .verification import VerificationContext, Verdict, robot_motion, verify
+from .recent_walls import OLD_WAY, ReferenceMap, WallSet, recent_and_reference
+from .verification import Verdict, VerificationContext, robot_motion, verify
 
 INTERVAL = 1.5  # metres of driving between two looks
 LEAST_NEW = 4.0  # metres of new wall in the constellation: where all has long been known, there is nothing to close
@@ -58,12 +58,12 @@ class LoopDecision:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Look:
+class PendingCandidate:
     """A look that passed all tests: by what motion, on which walls it rests, and after how many metres of driving."""
 
     motion: se2.Pose
     walls: frozenset[int]
-    way: float
+    travel: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,8 +71,8 @@ class LoopSearchState:
     """What a search for loops remembers: the way (metres) at the last look, looks that wait for another, how many
     places looked known so far, the motions that proved wrong, and the way when a look last contradicted another."""
 
-    last_way: float = 0.0
-    held: tuple[Look, ...] = ()
+    last_travel: float = 0.0
+    held: tuple[PendingCandidate, ...] = ()
     candidates: int = 0
     refused: tuple[se2.Pose, ...] = ()
     contested: float = -MEMORY
@@ -91,23 +91,25 @@ class LoopCloser:
     @property
     def looks(self) -> LoopSearchState:
         """What it remembers."""
-        return LoopSearchState(self._last_way, tuple(self._held), self._candidates, tuple(self._refused), self._contested)
+        return LoopSearchState(
+            self._last_travel, tuple(self._held), self._candidates, tuple(self._refused), self._contested
+        )
 
     def recall(self, looks: LoopSearchState) -> None:
         """Go on from what another search remembered."""
-        self._last_way, self._candidates = looks.last_way, looks.candidates
+        self._last_travel, self._candidates = looks.last_travel, looks.candidates
         self._held, self._refused = list(looks.held), list(looks.refused)
         self._contested = looks.contested
 
-    def look(self, mapper: Mapper) -> LoopDecision | None:
+    def search(self, mapper: Mapper) -> LoopDecision | None:
         """Consider the last keyframe. Nothing is changed: to `close` what two looks agree on is for whoever asked."""
-        way = mapper.ways[-1]
-        if way - self._last_way < INTERVAL:
+        travel = mapper.travelled[-1]
+        if travel - self._last_travel < INTERVAL:
             return None
-        self._last_way = way
-        ways = np.array(mapper.ways)
-        recent, old = recent_and_reference(mapper.landmarks, mapper.pose, ways)
-        known = way - ways[mapper.landmarks.walls.rows["first_seen"][recent.walls]] > OLD_WAY
+        self._last_travel = travel
+        travelled = np.array(mapper.travelled)
+        recent, old = recent_and_reference(mapper.landmarks, mapper.pose, travelled)
+        known = travel - travelled[mapper.landmarks.walls.rows["first_seen"][recent.walls]] > OLD_WAY
         if 2 * recent.half_length[~known].sum() < LEAST_NEW:
             return None
         hypotheses = self._propose(recent, old, mapper.pose)
@@ -156,18 +158,18 @@ class LoopCloser:
 
         It may have been at the same walls if the motion is near and no other one was found lately.
         """
-        way = mapper.ways[-1]
-        self._held = [look for look in self._held if way - look.way < MEMORY]
+        travel = mapper.travelled[-1]
+        self._held = [look for look in self._held if travel - look.travel < MEMORY]
         if not all(_agree(look.motion, best.motion, mapper.pose) for look in self._held):
-            self._held, self._contested = [], way
-        undisputed = near and way - self._contested > MEMORY
+            self._held, self._contested = [], travel
+        undisputed = near and travel - self._contested > MEMORY
         matched = best.matches >= 0
-        kept = mapper.landmarks.walls.rows["kept"]
+        kept = mapper.landmarks.walls.rows["merged_into"]
         for look in self._held:
             fresh = matched & ~np.isin(recent.walls, kept[list(look.walls)])
             if undisputed or 2 * recent.half_length[fresh].sum() >= LEAST_FRESH:
                 return True
-        self._held.append(Look(best.motion, frozenset(recent.walls[matched].tolist()), way))
+        self._held.append(PendingCandidate(best.motion, frozenset(recent.walls[matched].tolist()), travel))
         return False
 
 
@@ -187,13 +189,17 @@ def close(mapper: Mapper, decision: LoopDecision) -> LoopDecision:
     carrying = mapper.graph.close_loop(decision.old, last, relative, CARRYING_SIGMAS)
     mapper.read_back_all()
     rows = mapper.landmarks.walls.rows
-    pairs = list(dict.fromkeys((int(rows["kept"][old]), int(rows["kept"][recent])) for old, recent in decision.pairs))
+    pairs = list(
+        dict.fromkeys(
+            (int(rows["merged_into"][old]), int(rows["merged_into"][recent])) for old, recent in decision.pairs
+        )
+    )
     joined = [(old, recent) for old, recent in pairs if old != recent and together(rows[old], rows[recent])]
     if len(joined) < LEAST_MERGED * len(pairs):
         refused = replace(decision.verdict, accepted=False, reason="the map does not come together")
         return replace(decision, status="rejected", verdict=refused)
     for old, recent in joined:
-        if rows["kept"][old] == old and rows["kept"][recent] == recent:
+        if rows["merged_into"][old] == old and rows["merged_into"][recent] == recent:
             mapper.merge_walls(old, recent)
     mapper.graph.update()
     mapper.graph.settle(CLOSING_UPDATES)
@@ -218,9 +224,11 @@ def misassociated_walls(mapper: Mapper, decision: LoopDecision) -> tuple[Integer
     what this pass saw was not it.
     """
     walls = mapper.landmarks.walls.rows
-    ways = np.array(mapper.ways)
+    travelled = np.array(mapper.travelled)
     new = [int(walls["first_seen"][recent]) for _, recent in decision.pairs]
-    since = min((keyframe for keyframe in new if ways[-1] - ways[keyframe] < OLD_WAY), default=mapper.keyframe_count)
+    since = min(
+        (keyframe for keyframe in new if travelled[-1] - travelled[keyframe] < OLD_WAY), default=mapper.keyframe_count
+    )
     both = np.flatnonzero(walls["in_graph"] & (walls["first_seen"] < since) & (walls["last_seen"] >= since))
     moved = se2.between(walls["frame"][both], se2.compose(decision.hypothesis.motion, walls["frame"][both]))
     moved = moved.reshape(-1, 3)

@@ -42,21 +42,21 @@ class MapDescriptor:
         return len(self.walls)
 
 
-def describe_map(landmarks: Landmarks, flatness: float) -> MapDescriptor:
+def describe_map(landmarks: Landmarks, roughness: float) -> MapDescriptor:
     """All that is confirmed of some landmarks; `flatness` is the variance of the walls' unevenness, metres squared."""
     rows = landmarks.walls.rows
-    walls = np.flatnonzero(rows["in_graph"] & landmarks.standing())
+    walls = np.flatnonzero(rows["in_graph"] & landmarks.active())
     rows = rows[walls]
     middle, half = 0.5 * (rows["low"] + rows["high"]), 0.5 * (rows["high"] - rows["low"])
     along = np.column_stack([middle, np.zeros((len(walls), 2))])
     carry = np.tile(np.eye(2), (len(walls), 1, 1))
     carry[:, 0, 1] = middle
     covariance = carry @ rows["covariance"] @ carry.transpose(0, 2, 1)
-    covariance[:, 0, 0] += flatness
-    covariance[:, 1, 1] += 3 * flatness / np.maximum(half, CELL) ** 2
+    covariance[:, 0, 0] += roughness
+    covariance[:, 1, 1] += 3 * roughness / np.maximum(half, CELL) ** 2
     found = [_stretches(landmarks, int(wall)) - by for wall, by in zip(walls, middle, strict=True)]
     confirmed = np.flatnonzero(landmarks.corners.rows["in_graph"])
-    corners = landmarks.corners.rows[confirmed[landmarks.standing_corners(confirmed)]]
+    corners = landmarks.corners.rows[confirmed[landmarks.active_corners(confirmed)]]
     return MapDescriptor(
         walls=walls,
         frame=se2.compose(rows["frame"], along).reshape(-1, 3),

@@ -19,7 +19,7 @@ from drivers import se2
 
 from ..geometry.angles import turn_of
 from ..geometry.segments import Floats
-from .recent_walls import RIVALS, WallSet, ReferenceMap
+from .recent_walls import RIVALS, ReferenceMap, WallSet
 
 LONGEST = 16  # walls of the constellation that propose motions; the others only judge them
 LEAST_SINE = 0.5  # of the angle between two walls that fix a motion
@@ -49,7 +49,7 @@ class Hypothesis:
     """
 
     motion: se2.Pose
-    explained: float
+    overlap_ratio: float
     length: float
     weakest: float
     information: Floats

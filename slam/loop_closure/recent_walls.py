@@ -57,21 +57,21 @@ class ReferenceMap:
     rotation: Floats
 
 
-def recent_and_reference(landmarks: Landmarks, pose: se2.Pose, ways: Floats) -> tuple[WallSet, ReferenceMap]:
+def recent_and_reference(landmarks: Landmarks, pose: se2.Pose, travelled: Floats) -> tuple[WallSet, ReferenceMap]:
     """The walls around the robot's pose seen lately, and those that have long been known.
 
     A wall can be both: seen again, it speaks for where the robot is believed to be, as others may speak against it.
     `ways` (k,) are the metres driven up to each keyframe.
     """
     walls = landmarks.walls.rows
-    active = walls["in_graph"] & landmarks.standing()
-    since_seen = ways[-1] - ways[walls["last_seen"]]
+    active = walls["in_graph"] & landmarks.active()
+    since_seen = travelled[-1] - travelled[walls["last_seen"]]
     recent = np.flatnonzero(active & (since_seen < RECENT_WAY) & (walls["observations"] >= 2))
     low, high = _clipped(walls["frame"][recent], walls["low"][recent], walls["high"][recent], pose)
     visible = high - low > 0.2
     recents = _constellation(recent[visible], walls["frame"][recent[visible]], low[visible], high[visible])
 
-    old = active & (ways[-1] - ways[walls["first_seen"]] > OLD_WAY)
+    old = active & (travelled[-1] - travelled[walls["first_seen"]] > OLD_WAY)
     gone = np.where(since_seen > RECENT_WAY, since_seen, np.max(since_seen[old], initial=0.0))
     translation = np.clip(TRANSLATION_DRIFT * gone, LEAST_TRANSLATION, MOST_TRANSLATION)
     rotation = np.clip(ROTATION_DRIFT * gone, LEAST_ROTATION, MOST_ROTATION)

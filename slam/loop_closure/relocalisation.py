@@ -19,7 +19,7 @@ from ..geometry.segments import Floats, Integers, Segments
 from ..mapping.mapper import Mapper
 from .map_descriptor import MapDescriptor, describe_map, seen_from
 from .proposal import DISTINCT, DISTINCT_TURN
-from .submap_alignment import Alignment, lay, samples_of
+from .submap_alignment import Alignment, align_submap, samples_of
 from .visibility import VisibilityCounts, look
 from .wall_pairs import pair_table, vote
 
@@ -85,7 +85,7 @@ class PlaceVerdict:
     accepted: bool
     likely: bool
     reason: str
-    explained: float
+    overlap_ratio: float
     length: float
     matches: int
     corners: int
@@ -123,14 +123,14 @@ class _Place:
 
 def index_map(mapper: Mapper) -> MapIndex:
     """Prepare a map. Takes a few milliseconds for each hundred walls."""
-    scene = describe_map(mapper.landmarks, mapper.flatness.variance)
+    scene = describe_map(mapper.landmarks, mapper.roughness.variance)
     return MapIndex(scene, pair_table(scene))
 
 
 def submap_of(mapper: Mapper) -> Submap:
     """A small map of the last metres as a fragment."""
     views = [(mapper.graph.keyframe_pose(keyframe), segments) for keyframe, segments in mapper.views]
-    return Submap(describe_map(mapper.landmarks, mapper.flatness.variance), mapper.pose, views)
+    return Submap(describe_map(mapper.landmarks, mapper.roughness.variance), mapper.pose, views)
 
 
 def relocalise(fragment: Submap, index: MapIndex) -> Relocalisation | None:
@@ -159,7 +159,7 @@ def relocalise(fragment: Submap, index: MapIndex) -> Relocalisation | None:
 def _places(seen: MapDescriptor, views: Sequence[tuple[se2.Pose, Segments]], index: MapIndex) -> list[_Place]:
     """Different places, the best first."""
     samples = samples_of(seen)
-    laid = [lay(start, seen, samples, index.scene) for start in vote(seen, index.scene, index.pairs, REFINED)]
+    laid = [align_submap(start, seen, samples, index.scene) for start in vote(seen, index.scene, index.pairs, REFINED)]
     places = []
     for some in _different(laid):
         sight = look(some.place, views, index.scene)
@@ -191,7 +191,7 @@ def _judge(best: _Place, rivals: Sequence[_Place], covariance: Floats) -> PlaceV
     matches = int((laid.matches >= 0).sum())
     evidence = matches - UNMATCHED * (len(laid.matches) - matches)
     seen = max(float(laid.seen.sum()), 1e-9)
-    explained, all_in_all = laid.length / seen, best.score / seen
+    overlap_ratio, all_in_all = laid.length / seen, best.score / seen
     sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
     turn_sigma = float(np.sqrt(covariance[2, 2]))
     uncertain = f"uncertain by {sigma:.2f} m and {np.degrees(turn_sigma):.1f} degrees"
@@ -202,7 +202,7 @@ def _judge(best: _Place, rivals: Sequence[_Place], covariance: Floats) -> PlaceV
         (sigma <= WORST_SIGMA and turn_sigma <= WORST_TURN, uncertain),
         (evidence >= LEAST_EVIDENCE, f"{matches} of {len(laid.matches)} walls are no evidence"),
         (laid.length >= LEAST_LENGTH, f"{laid.length:.1f} m of wall < {LEAST_LENGTH:.0f} m"),
-        (explained >= LEAST_EXPLAINED, f"explains {explained:.0%} < {LEAST_EXPLAINED:.0%}"),
+        (overlap_ratio >= LEAST_EXPLAINED, f"explains {overlap_ratio:.0%} < {LEAST_EXPLAINED:.0%}"),
         (sight.contradicted <= MOST_CONTRADICTED, f"{sight.contradicted:.0%} was seen through walls of the map"),
         (sight.agreement >= LEAST_AGREEMENT, f"the view agrees by {sight.agreement:.0%} < {LEAST_AGREEMENT:.0%}"),
         (all_in_all >= LEAST_ALL_IN_ALL, f"all in all {all_in_all:.0%} < {LEAST_ALL_IN_ALL:.0%}"),
@@ -217,7 +217,7 @@ def _judge(best: _Place, rivals: Sequence[_Place], covariance: Floats) -> PlaceV
         accepted=not reason,
         likely=fits and runner_up <= LIKELY_RUNNER_UP * best.score,
         reason=reason or "all tests passed",
-        explained=explained,
+        overlap_ratio=overlap_ratio,
         length=laid.length,
         matches=matches,
         corners=laid.corners,

@@ -66,10 +66,10 @@ def samples_of(scene: MapDescriptor) -> Samples:
     return Samples(np.repeat(scene.stretch_wall, counts), along)
 
 
-def lay(start: se2.Pose, fragment: MapDescriptor, samples: Samples, scene: MapDescriptor) -> Alignment:
+def align_submap(start: se2.Pose, fragment: MapDescriptor, samples: Samples, scene: MapDescriptor) -> Alignment:
     """The best place near `start`, as in `Laid`."""
     first = np.searchsorted(scene.stretch_wall, np.arange(len(scene) + 1))
-    place, information, matches, on_map = _lay(
+    place, information, matches, on_map = _align_submap(
         start, fragment.frame, fragment.half_length, fragment.covariance, samples.wall, samples.along,
         scene.frame, scene.half_length, scene.covariance, scene.stretches, first,
     )  # fmt: skip
@@ -90,7 +90,7 @@ def _corners(place: se2.Pose, fragment: MapDescriptor, scene: MapDescriptor) -> 
 
 
 @njit(cache=True)
-def _lay(  # type: ignore[no-untyped-def]
+def _align_submap(  # type: ignore[no-untyped-def]
     start, frames, halves, covariances, sample_walls, samples,
     walls, wall_halves, wall_covariances, stretches, first,
 ):  # fmt: skip

@@ -14,7 +14,7 @@ from drivers import se2
 from ..geometry.segments import Floats, Segments
 from ..mapping.landmarks import Landmarks
 from .proposal import Hypothesis, distinct
-from .recent_walls import WallSet, ReferenceMap
+from .recent_walls import ReferenceMap, WallSet
 
 # Times as far as drift is expected to lead that a place may be: how far it can have led, the estimate's covariance says
 # better. Other places are looked for farther away still.
@@ -72,7 +72,7 @@ class Verdict:
 
     accepted: bool
     reason: str
-    explained: float
+    overlap_ratio: float
     matches: int
     runner_up: float
     sigma: float
@@ -119,7 +119,7 @@ def verify(hypotheses: Sequence[Hypothesis], outlook: VerificationContext) -> Ve
     return Verdict(
         accepted=not reason,
         reason=reason or "all tests passed",
-        explained=values["explained"],
+        overlap_ratio=values["overlap_ratio"],
         matches=int(values["walls"]),
         runner_up=values["runner-up"],
         sigma=values["sigma"],
@@ -144,14 +144,14 @@ def _fit_tests(hypotheses: Sequence[Hypothesis], outlook: VerificationContext, *
     least_weakest = NEAR_EXPLAINED if near else LEAST_IN_DIRECTION
     weakest = f"explains {best.weakest:.0%} < {least_weakest:.0%} in one direction"
     drift = f"{shift:.1f} m and {np.degrees(turn):.0f} degrees are farther than drift leads"
-    explains = f"explains {best.explained:.0%} < {least_explained:.0%}"
+    explains = f"explains {best.overlap_ratio:.0%} < {least_explained:.0%}"
     long_enough = f"{best.length:.1f} m of wall < {LEAST_LENGTH:.0f} m"
     better = f"{gain:.1f} m of wall more than staying < {least_gain:.1f} m"
     through = f"{contradicted:.0%} was seen through old walls"
     return [
         Test("gain", gain, least_gain, True, better),
         Test("drift", part, FARTHEST, False, drift),
-        Test("explained", best.explained, least_explained, True, explains),
+        Test("overlap_ratio", best.overlap_ratio, least_explained, True, explains),
         Test("weakest", best.weakest, least_weakest, True, weakest),
         Test("length", best.length, LEAST_LENGTH, True, long_enough),
         Test("walls", matches, LEAST_MATCHES, True, f"{matches} walls < {LEAST_MATCHES}"),
@@ -238,7 +238,7 @@ def _rivalry(rival: Hypothesis, best: Hypothesis) -> float:
     by_length = rival.length / max(best.length, 1e-9)
     if _matches(rival) < LEAST_MATCHES or rival.length < LEAST_LENGTH or _sigma(rival) > WORST_SIGMA:
         return by_length
-    return max(by_length, rival.explained / max(best.explained, 1e-9))
+    return max(by_length, rival.overlap_ratio / max(best.overlap_ratio, 1e-9))
 
 
 def _matches(hypothesis: Hypothesis) -> int:

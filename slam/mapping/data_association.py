@@ -50,12 +50,12 @@ class Association:
 
 
 def associate(
-    pose: se2.Pose, covariance: Floats, segments: Segments, corners: CornerPoints, local_map: LocalMap, flatness: float
+    pose: se2.Pose, covariance: Floats, segments: Segments, corners: CornerPoints, local_map: LocalMap, roughness: float
 ) -> Association:
     """Match features seen from `pose` (its covariance (3, 3) in the base's frame) to the landmarks of the local map."""
     distance, low, high = _wall_distances(
         pose, covariance, segments.frame, segments.half_length, segments.covariance,
-        local_map.frame, local_map.low, local_map.high, local_map.wall_covariance, flatness,
+        local_map.frame, local_map.low, local_map.high, local_map.wall_covariance, roughness,
     )  # fmt: skip
     # A wall that was seen more often is the likelier one, by as much. Without that, two landmarks on one wall divide
     # what is seen of it between them by the sign of its error, and the more they see the surer they are of being two.
@@ -63,7 +63,7 @@ def associate(
     walls = _take_likeliest(distance, distance - odds, low, high)
     corner_distance = _corner_distances(
         pose, covariance, corners.position, corners.headings, corners.covariance,
-        local_map.position, local_map.headings, local_map.corner_covariance, flatness,
+        local_map.position, local_map.headings, local_map.corner_covariance, roughness,
     )  # fmt: skip
     nowhere = np.zeros_like(corner_distance)
     corner_rows = _take_likeliest(corner_distance, corner_distance, nowhere, nowhere)
@@ -103,7 +103,7 @@ def _take_likeliest(distance: Floats, surprise: Floats, low: Floats, high: Float
 
 @njit(cache=True)
 def _wall_distances(  # type: ignore[no-untyped-def]
-    pose, pose_covariance, frames, halves, covariances, walls, lows, highs, wall_covariances, flatness
+    pose, pose_covariance, frames, halves, covariances, walls, lows, highs, wall_covariances, roughness
 ):
     """(n, m) squared Mahalanobis distances, infinite where a pair is out of the question, and where along the wall."""
     shape = (len(frames), len(walls))
@@ -128,9 +128,9 @@ def _wall_distances(  # type: ignore[no-untyped-def]
             jacobian[0, 2] = ws * lever_y + wc * lever_x
             wall = wall_covariances[j]
             innovation = covariances[i] + jacobian @ pose_covariance @ jacobian.T
-            innovation[0, 0] += flatness + wall[0, 0] + 2 * along * wall[0, 1] + along * along * wall[1, 1]
+            innovation[0, 0] += roughness + wall[0, 0] + 2 * along * wall[0, 1] + along * along * wall[1, 1]
             innovation[0, 1] += wall[0, 1] + along * wall[1, 1]
-            innovation[1, 1] += 3 * flatness / halves[i] ** 2 + wall[1, 1]
+            innovation[1, 1] += 3 * roughness / halves[i] ** 2 + wall[1, 1]
             determinant = innovation[0, 0] * innovation[1, 1] - innovation[0, 1] ** 2
             chi2 = (
                 innovation[1, 1] * offset * offset
@@ -145,7 +145,7 @@ def _wall_distances(  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _corner_distances(  # type: ignore[no-untyped-def]
-    pose, pose_covariance, points, headings, covariances, corners, corner_headings, corner_covariances, flatness
+    pose, pose_covariance, points, headings, covariances, corners, corner_headings, corner_covariances, roughness
 ):
     """(n, m) squared Mahalanobis distances, infinite where a pair is out of the question."""
     distance = np.full((len(points), len(corners)), np.inf)
@@ -164,8 +164,8 @@ def _corner_distances(  # type: ignore[no-untyped-def]
             if abs(turn_of(pose[2] + headings[i, 1] - corner_headings[j, 1])) > CORNER_HEADING_GATE:
                 continue
             innovation = own + corner_covariances[j]
-            innovation[0, 0] += flatness
-            innovation[1, 1] += flatness
+            innovation[0, 0] += roughness
+            innovation[1, 1] += roughness
             chi2 = residual @ np.linalg.solve(innovation, residual)
             if chi2 < GATE or math.hypot(residual[0], residual[1]) < AMBIGUOUS_CORNER:
                 distance[i, j] = chi2

@@ -48,11 +48,11 @@ class LandmarkIds:
 class KeyframeRecords:
     """What a mapper remembers of its k keyframes, beside the graph; see there."""
 
-    trail: Floats
-    ways: Sequence[float]
-    names: Sequence[LandmarkIds]
+    keyframe_poses: Floats
+    travelled: Sequence[float]
+    landmark_ids: Sequence[LandmarkIds]
     covariances: Sequence[Floats]
-    adrift: Floats
+    correlated_drift: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +66,7 @@ class Motion:
     start: int
     motion: se2.Pose
     covariance: Floats
-    adrift: Floats = field(default_factory=lambda: np.zeros((2, 2)))
+    correlated_drift: Floats = field(default_factory=lambda: np.zeros((2, 2)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from ..geometry.segments import Floats
 BEHIND_MARGIN = 0.5  # metres the robot may stand behind a wall's line and still be about to see it: drift, and far ends
 CELL = 0.1  # metres of wall whose having been seen is remembered together
 OPENING = 0.5  # metres of a wall never seen between two stretches that were: a door, a passage
-STANDING = -1  # stands for the keyframe after which a wall was no longer there, where it still is
+NEVER_REMOVED = -1  # stands for the keyframe after which a wall was no longer there, where it still is
 
 WALL = np.dtype(
     [
@@ -29,9 +29,9 @@ WALL = np.dtype(
         ("last_seen", int),
         ("covariance", float, (2, 2)),  # of offset and heading at the frame, as seen from the keyframe last_seen
         ("covariance_in_map", float, (2, 2)),  # the same in the map, as it was when last_seen was the last keyframe
-        ("kept", int),  # the wall that speaks for this one: itself, or the wall that it turned out to be
+        ("merged_into", int),  # the wall that speaks for this one: itself, or the wall that it turned out to be
         ("in_graph", bool),
-        ("retired_at", int),  # the keyframe after which it was no longer there, STANDING where it is
+        ("removed_at", int),  # the keyframe after which it was no longer there, STANDING where it is
     ]
 )
 
@@ -108,8 +108,8 @@ class Landmarks:
             observations=1,
             first_seen=keyframe,
             last_seen=keyframe,
-            kept=identity,
-            retired_at=STANDING,
+            merged_into=identity,
+            removed_at=NEVER_REMOVED,
         )
 
     def add_corner(self, position: Floats, headings: Floats, walls: Floats, keyframe: int) -> int:
@@ -127,7 +127,7 @@ class Landmarks:
         cells = _cells(along - half_length, along + half_length)
         if wall in self.opened:  # when all is looked at again, what was seen before a stretch was opened is seen anew
             opened = self.opened[wall]
-            cells = frozenset(cell for cell in cells if opened.get(cell, STANDING) < keyframe)
+            cells = frozenset(cell for cell in cells if opened.get(cell, NEVER_REMOVED) < keyframe)
         self.covered[wall] |= cells
         if row["last_seen"] != keyframe:
             row["observations"] += 1
@@ -143,7 +143,7 @@ class Landmarks:
     def absorb(self, kept: int, absorbed: int) -> None:
         """The wall `absorbed` is the wall `kept`: it speaks for both, over the extent of both."""
         walls = self.walls.rows
-        walls["kept"][walls["kept"] == absorbed] = kept
+        walls["merged_into"][walls["merged_into"] == absorbed] = kept
         row, other = walls[kept], walls[absorbed]
         along = se2.between(row["frame"], other["frame"])[0]
         row["low"] = min(row["low"], along + other["low"])
@@ -153,20 +153,22 @@ class Landmarks:
         also = {cell + shift: keyframe for cell, keyframe in also.items()}
         shifted = [cell + shift for cell in self.covered[absorbed]]
         # either may have been opened after the other was seen last
-        own = {cell for cell in self.covered[kept] if also.get(cell, STANDING) < row["last_seen"]}
+        own = {cell for cell in self.covered[kept] if also.get(cell, NEVER_REMOVED) < row["last_seen"]}
         self.covered[kept] = frozenset(
-            own | {cell for cell in shifted if opened.get(cell, STANDING) < other["last_seen"]}
+            own | {cell for cell in shifted if opened.get(cell, NEVER_REMOVED) < other["last_seen"]}
         )
         if opened or also:
             both = opened.keys() | also.keys()
-            self.opened[kept] = {cell: max(opened.get(cell, STANDING), also.get(cell, STANDING)) for cell in both}
+            self.opened[kept] = {
+                cell: max(opened.get(cell, NEVER_REMOVED), also.get(cell, NEVER_REMOVED)) for cell in both
+            }
         row["observations"] += other["observations"]
         row["first_seen"] = min(row["first_seen"], other["first_seen"])
         row["last_seen"] = max(row["last_seen"], other["last_seen"])
 
-    def retire(self, wall: int, keyframe: int) -> None:
+    def remove_wall(self, wall: int, keyframe: int) -> None:
         """A wall is no longer there after a keyframe. What is known of it is kept."""
-        self.walls.rows["retired_at"][wall] = keyframe
+        self.walls.rows["removed_at"][wall] = keyframe
 
     def open(self, wall: int, cells: Iterable[int], keyframe: int) -> None:
         """Some cells of a wall are no longer there after a keyframe, though the rest of it is."""
@@ -185,30 +187,30 @@ class Landmarks:
             row["low"] = max(row["low"], CELL * (min(covered) - 1))
             row["high"] = min(row["high"], CELL * (max(covered) + 2))
 
-    def standing(self, walls: NDArray[np.int64] | None = None, *, keyframe: int | None = None) -> NDArray[np.bool_]:
+    def active(self, walls: NDArray[np.int64] | None = None, *, keyframe: int | None = None) -> NDArray[np.bool_]:
         """(n,): which walls, of all or of some, speak for themselves and are still there, or were after a keyframe."""
         rows, walls = self.walls.rows, np.arange(len(self.walls)) if walls is None else walls
-        retired_at = rows["retired_at"][walls]
-        there = retired_at == STANDING
+        removed_at = rows["removed_at"][walls]
+        there = removed_at == NEVER_REMOVED
         if keyframe is not None:
-            there |= retired_at >= keyframe
-        return np.asarray(there & (rows["kept"][walls] == walls))
+            there |= removed_at >= keyframe
+        return np.asarray(there & (rows["merged_into"][walls] == walls))
 
-    def retired(self) -> NDArray[np.int64]:
+    def removed_walls(self) -> NDArray[np.int64]:
         """Identities of the confirmed walls that are no longer there."""
         walls = self.walls.rows
-        return np.flatnonzero(walls["in_graph"] & (walls["retired_at"] != STANDING))
+        return np.flatnonzero(walls["in_graph"] & (walls["removed_at"] != NEVER_REMOVED))
 
-    def standing_corners(self, corners: NDArray[np.int64], keyframe: int | None = None) -> NDArray[np.bool_]:
+    def active_corners(self, corners: NDArray[np.int64], keyframe: int | None = None) -> NDArray[np.bool_]:
         """(m,): whether the walls of some corners (m,), as far as they are known, are still there, or were."""
         walls, named = self.walls.rows, self.corners.rows["walls"][corners]
         if not len(walls):
             return np.ones(len(corners), dtype=bool)
-        kept = np.where(named >= 0, walls["kept"][named], -1)
-        retired_at = np.where(kept >= 0, walls["retired_at"][kept], STANDING)
-        gone = retired_at != STANDING
+        kept = np.where(named >= 0, walls["merged_into"][named], -1)
+        removed_at = np.where(kept >= 0, walls["removed_at"][kept], NEVER_REMOVED)
+        gone = removed_at != NEVER_REMOVED
         if keyframe is not None:
-            gone &= retired_at < keyframe
+            gone &= removed_at < keyframe
         return np.asarray(~gone.any(axis=1))
 
     def is_covered(self, wall: int, along: float) -> bool:
@@ -234,13 +236,13 @@ class Landmarks:
         seen = se2.transform(se2.inverse(walls["frame"]), pose[:2])
         beyond = np.maximum(0.0, np.maximum(walls["low"] - seen[:, 0], seen[:, 0] - walls["high"]))
         near = np.flatnonzero((np.hypot(beyond, seen[:, 1]) < radius) & (seen[:, 1] > -BEHIND_MARGIN))
-        return near[self.standing(near, keyframe=keyframe)]
+        return near[self.active(near, keyframe=keyframe)]
 
     def corners_near(self, pose: se2.Pose, radius: float, *, keyframe: int | None = None) -> NDArray[np.int64]:
         """Identities of the corners within `radius` (metres) of the pose, of walls as above."""
         offset = self.corners.rows["position"] - pose[:2]
         near = np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) < radius)
-        return near[self.standing_corners(near, keyframe)]
+        return near[self.active_corners(near, keyframe)]
 
 
 def _cells(low: float, high: float) -> frozenset[int]:

@@ -17,10 +17,10 @@ from drivers import se2
 from ..geometry.segments import CornerPoints, Floats, Integers, Segments
 from ..graph.backend import FactorGraph
 from ..graph.covariances import ROBUST_COVARIANCE_SCALE
-from ..graph.factors import Factor, GraphState, FactorKind
+from ..graph.factors import Factor, FactorKind, GraphState
 from ..odometry.correlated_drift import planar, turned
 from .data_association import Association
-from .keyframes import KeyframeRecords, KeyframeObservations, Merge, Motion, LandmarkIds
+from .keyframes import KeyframeObservations, KeyframeRecords, LandmarkIds, Merge, Motion
 from .landmark_ids import assign_landmark_ids
 from .landmarks import Landmarks
 from .local_map import LocalMap, local_map_around
@@ -42,15 +42,17 @@ class Mapper:
     def __init__(self) -> None:
         self.graph = FactorGraph()
         self.landmarks = Landmarks()
-        self.flatness = WallRoughness()
-        self.doubts = FreeSpaceEvidence()
+        self.roughness = WallRoughness()
+        self.free_space_evidence = FreeSpaceEvidence()
         self.keyframe_count = 0
-        self.trail: Floats = np.zeros((0, 3))  # the keyframes' poses, those long past as they were lately read back
-        self.ways = [0.0]  # metres driven up to each keyframe
+        self.keyframe_poses: Floats = np.zeros(
+            (0, 3)
+        )  # the keyframes' poses, those long past as they were lately read back
+        self.travelled = [0.0]  # metres driven up to each keyframe
         self.views: deque[tuple[int, Segments]] = deque(maxlen=KEPT_VIEWS)
-        self.names: list[LandmarkIds] = []  # of each keyframe, as they were when it was added
+        self.landmark_ids: list[LandmarkIds] = []  # of each keyframe, as they were when it was added
         self.pose_covariances: list[Floats] = []  # of the keyframes when they were added, (3, 3) in the map's axes
-        self.adrift: Floats = np.zeros((0, 2, 2))  # see `adrift.py`; included there
+        self.correlated_drift: Floats = np.zeros((0, 2, 2))  # see `adrift.py`; included there
         self._waiting_walls: dict[int, list[tuple[int, se2.Pose, Floats]]] = defaultdict(list)
         self._waiting_corners: dict[int, list[tuple[int, Floats, Floats]]] = defaultdict(list)
 
@@ -58,8 +60,8 @@ class Mapper:
     def on(cls, other: Mapper) -> Mapper:
         """A mapper without keyframes yet, that knows the landmarks of another."""
         mapper = cls()
-        mapper.landmarks, mapper.flatness = copy.deepcopy(other.landmarks), copy.deepcopy(other.flatness)
-        mapper.doubts = copy.deepcopy(other.doubts)
+        mapper.landmarks, mapper.roughness = copy.deepcopy(other.landmarks), copy.deepcopy(other.roughness)
+        mapper.free_space_evidence = copy.deepcopy(other.free_space_evidence)
         return mapper
 
     @classmethod
@@ -67,8 +69,8 @@ class Mapper:
         cls,
         graph: GraphState,
         landmarks: Landmarks,
-        flatness: WallRoughness,
-        doubts: FreeSpaceEvidence,
+        roughness: WallRoughness,
+        free_space_evidence: FreeSpaceEvidence,
         keyframes: KeyframeRecords,
         segments: Sequence[Segments],
         waiting: Sequence[Factor],
@@ -78,11 +80,11 @@ class Mapper:
         Raises MapError where the graph leaves a variable undetermined.
         """
         mapper = cls()
-        mapper.graph, mapper.landmarks, mapper.flatness = FactorGraph.restored(graph), landmarks, flatness
-        mapper.doubts = doubts
-        mapper.keyframe_count, mapper.trail = len(keyframes.trail), keyframes.trail
-        mapper.ways, mapper.names = list(keyframes.ways), list(keyframes.names)
-        mapper.pose_covariances, mapper.adrift = list(keyframes.covariances), keyframes.adrift
+        mapper.graph, mapper.landmarks, mapper.roughness = FactorGraph.restored(graph), landmarks, roughness
+        mapper.free_space_evidence = free_space_evidence
+        mapper.keyframe_count, mapper.keyframe_poses = len(keyframes.keyframe_poses), keyframes.keyframe_poses
+        mapper.travelled, mapper.landmark_ids = list(keyframes.travelled), list(keyframes.landmark_ids)
+        mapper.pose_covariances, mapper.correlated_drift = list(keyframes.covariances), keyframes.correlated_drift
         mapper.views.extend(enumerate(segments))
         for factor in waiting:
             seen = factor.first, factor.measured, factor.covariance
@@ -103,38 +105,42 @@ class Mapper:
     @property
     def keyframes(self) -> KeyframeRecords:
         """What is remembered of the keyframes."""
-        return KeyframeRecords(self.trail, self.ways, self.names, self.pose_covariances, self.adrift)
+        return KeyframeRecords(
+            self.keyframe_poses, self.travelled, self.landmark_ids, self.pose_covariances, self.correlated_drift
+        )
 
     @property
     def pose(self) -> se2.Pose:
         """Of the last keyframe."""
-        return np.zeros(3) if not len(self.trail) else self.trail[-1]
+        return np.zeros(3) if not len(self.keyframe_poses) else self.keyframe_poses[-1]
 
     def last_pose_covariance(self) -> Floats:
         """(3, 3) of the last keyframe's pose, in its own frame: as `keyframe_covariance`, but free."""
-        common = planar(self.adrift[-1])
+        common = planar(self.correlated_drift[-1])
         own = self.pose_covariances[-1] - common
         return turned(ROBUST_COVARIANCE_SCALE * own + common, -self.pose[2])
 
     def keyframe_covariance(self, keyframe: int) -> Floats:
         """(3, 3): covariance of a keyframe's pose, in the keyframe's own frame (metres, metres, radians)."""
-        common = turned(planar(self.adrift[keyframe]), -self.graph.keyframe_pose(keyframe)[2])
+        common = turned(planar(self.correlated_drift[keyframe]), -self.graph.keyframe_pose(keyframe)[2])
         return self.graph.keyframe_covariance(keyframe) + common
 
     def relative_covariance(self, old: int, keyframe: int) -> Floats:
         """(3, 3): covariance of a keyframe's pose relative to an older one, in its own frame."""
-        common = turned(planar(self.adrift[keyframe] - self.adrift[old]), -self.graph.keyframe_pose(keyframe)[2])
+        common = turned(
+            planar(self.correlated_drift[keyframe] - self.correlated_drift[old]), -self.graph.keyframe_pose(keyframe)[2]
+        )
         return self.graph.relative_covariance(old, keyframe) + common
 
     def poses_of(self, keyframes: Sequence[int]) -> Floats:
         """(n, 3): the poses of some keyframes as the graph has them now."""
-        self.trail[list(keyframes)] = self.graph.some_poses(keyframes)
-        return self.trail[list(keyframes)]
+        self.keyframe_poses[list(keyframes)] = self.graph.some_poses(keyframes)
+        return self.keyframe_poses[list(keyframes)]
 
     def keyframes_near(self, pose: se2.Pose, distance: float, turn: float) -> Integers:
         """Keyframes within a distance (metres) and turn (radians) of a pose, the nearest first."""
-        apart = np.hypot(*(self.trail[:, :2] - pose[:2]).T)
-        near = np.flatnonzero((apart < distance) & (np.abs(se2.wrap(self.trail[:, 2] - pose[2])) < turn))
+        apart = np.hypot(*(self.keyframe_poses[:, :2] - pose[:2]).T)
+        near = np.flatnonzero((apart < distance) & (np.abs(se2.wrap(self.keyframe_poses[:, 2] - pose[2])) < turn))
         return near[np.argsort(apart[near], kind="stable")]
 
     def add_keyframe(
@@ -149,20 +155,20 @@ class Mapper:
         """A keyframe near `pose`, reached by a motion from an earlier one (None for the first), with what it sees."""
         keyframe = self.keyframe_count
         known = len(self.landmarks.walls)
-        names = assign_landmark_ids(self.landmarks, keyframe, pose, segments, corners, association, local_map)
-        self.extend(pose, motion, segments, corners, names)
+        landmark_ids = assign_landmark_ids(self.landmarks, keyframe, pose, segments, corners, association, local_map)
+        self.extend(pose, motion, segments, corners, landmark_ids)
         self.graph.update()
-        self.trail[-1] = self.graph.keyframe_pose(keyframe)
+        self.keyframe_poses[-1] = self.graph.keyframe_pose(keyframe)
         return KeyframeObservations(
             segments,
             corners,
-            names.walls,
+            landmark_ids.walls,
             association.wall_distance,
             _identities(association.nearest_wall, local_map.walls),
-            names.corners,
+            landmark_ids.corners,
             association.corner_distance,
             _identities(association.nearest_corner, local_map.corners),
-            names.walls[names.walls >= known],
+            landmark_ids.walls[landmark_ids.walls >= known],
         )
 
     def extend(
@@ -171,23 +177,25 @@ class Mapper:
         motion: Motion | None,
         segments: Segments,
         corners: CornerPoints,
-        names: LandmarkIds,
+        landmark_ids: LandmarkIds,
     ) -> None:
         """Give the graph a keyframe and what it sees, by name; takes effect with the graph's next update."""
         keyframe = self.keyframe_count
         self.keyframe_count += 1
-        adrift = np.zeros((2, 2))
+        correlated_drift = np.zeros((2, 2))
         if motion is None:
             self.graph.add_first_keyframe(pose)
         else:
-            adrift = self.adrift[motion.start] + turned(planar(motion.adrift), pose[2])[:2, :2]
+            correlated_drift = (
+                self.correlated_drift[motion.start] + turned(planar(motion.correlated_drift), pose[2])[:2, :2]
+            )
             self.graph.add_keyframe(keyframe, pose, motion.start, motion.motion, motion.covariance)
-            self.ways.append(self.ways[-1] + float(np.hypot(motion.motion[0], motion.motion[1])))
-        self.trail = np.vstack([self.trail, pose])
-        self.adrift = np.concatenate([self.adrift, adrift[None]])
+            self.travelled.append(self.travelled[-1] + float(np.hypot(motion.motion[0], motion.motion[1])))
+        self.keyframe_poses = np.vstack([self.keyframe_poses, pose])
+        self.correlated_drift = np.concatenate([self.correlated_drift, correlated_drift[None]])
         self.views.append((keyframe, segments))
-        self.names.append(names)
-        self._observe(keyframe, pose, segments, corners, names.walls, names.corners)
+        self.landmark_ids.append(landmark_ids)
+        self._observe(keyframe, pose, segments, corners, landmark_ids.walls, landmark_ids.corners)
 
     def _observe(
         self,
@@ -201,10 +209,10 @@ class Mapper:
         """Turn what was seen into factors; landmarks that are not confirmed yet keep theirs waiting."""
         shares = np.zeros(len(segments))
         np.add.at(shares, corners.segments[corner_landmarks >= 0], CORNER_SHARE)
-        covariances = uneven(segments.covariance, segments.half_length, self.flatness.variance)
+        covariances = uneven(segments.covariance, segments.half_length, self.roughness.variance)
         for i in np.flatnonzero(walls >= 0):
             self._waiting_walls[int(walls[i])].append((keyframe, segments.frame[i], covariances[i] / (1 - shares[i])))
-        spread = self.flatness.variance * np.eye(2)
+        spread = self.roughness.variance * np.eye(2)
         for i in np.flatnonzero(corner_landmarks >= 0):
             covariance = (corners.covariance[i] + spread) / CORNER_SHARE
             self._waiting_corners[int(corner_landmarks[i])].append((keyframe, corners.position[i], covariance))
@@ -240,7 +248,7 @@ class Mapper:
         everything = (self.keyframe_count - 1) % REFRESH_ALL == 0
         self._read_back(None if everything else REACH_MARGIN + view.segments.reach())
         self._keep_covariances(view)
-        self._learn_flatness(view)
+        self._learn_roughness(view)
         local_map = self.local_map(view)
         merge = self._merge(local_map, view)
         return self.local_map(view) if merge else local_map, merge
@@ -259,18 +267,18 @@ class Mapper:
         along = float(se2.between(walls["frame"][kept], walls["frame"][absorbed])[0])
         self.graph.tie_walls(kept, absorbed, along)
         self.landmarks.absorb(kept, absorbed)
-        self.doubts.settle([kept, absorbed])
+        self.free_space_evidence.settle([kept, absorbed])
 
-    def retire(self, pose: se2.Pose, points: Floats) -> bool:
+    def remove_seen_through(self, pose: se2.Pose, points: Floats) -> bool:
         """Look from `pose`, at or near the last keyframe, at points (p, 2) in its frame, and retire walls that have
         been seen through often enough; returns whether there were any."""
-        return self.doubts.look(self.landmarks, pose, points, self.ways, self.pose_covariances)
+        return self.free_space_evidence.update(self.landmarks, pose, points, self.travelled, self.pose_covariances)
 
     def settle(self) -> int:
         """Bring the estimate to rest: walls that are one made one wherever they are, everything linearised anew, then
         read back. Returns how many walls were merged."""
         self.read_back_all()
-        merged = merge_everywhere(self.landmarks, self.graph, self.flatness.variance, self.merge_walls)
+        merged = merge_everywhere(self.landmarks, self.graph, self.roughness.variance, self.merge_walls)
         if merged:
             self.graph.update()
         self.graph.settle()
@@ -286,18 +294,20 @@ class Mapper:
     def remember_covariances(self) -> None:
         """Note how well every keyframe is known now. A map that was solved in batch never has."""
         every = range(self.keyframe_count)
-        self.pose_covariances = [self.graph.relative_covariances(k, [], [])[0] + planar(self.adrift[k]) for k in every]
+        self.pose_covariances = [
+            self.graph.relative_covariances(k, [], [])[0] + planar(self.correlated_drift[k]) for k in every
+        ]
 
     def read_back_all(self) -> None:
         """Take the whole estimate from the graph."""
         own = self.graph.relative_covariances(self.keyframe_count - 1, [], []).pose
-        self.pose_covariances[-1] = own + planar(self.adrift[-1])
+        self.pose_covariances[-1] = own + planar(self.correlated_drift[-1])
         self._read_back(None)
 
     def _read_back(self, radius: float | None) -> None:
         """Take from the graph what it knows of the landmarks within `radius` (metres) of the last keyframe, or all."""
         if radius is None:
-            self.trail = self.graph.keyframe_poses(self.keyframe_count)
+            self.keyframe_poses = self.graph.keyframe_poses(self.keyframe_count)
         walls, corners = self.landmarks.walls.rows, self.landmarks.corners.rows
         near_walls = np.arange(len(walls)) if radius is None else self.landmarks.walls_near(self.pose, radius)
         near_corners = np.arange(len(corners)) if radius is None else self.landmarks.corners_near(self.pose, radius)
@@ -310,7 +320,7 @@ class Mapper:
         """Make one of two walls of the local map, if one of them was just seen and they are the same."""
         rows = self.landmarks.walls.rows[local_map.walls]
         mature = rows["in_graph"] & (rows["observations"] >= LEAST_OBSERVATIONS)
-        found = find_duplicate(local_map, mature, np.isin(local_map.walls, view.walls), self.flatness.variance)
+        found = find_duplicate(local_map, mature, np.isin(local_map.walls, view.walls), self.roughness.variance)
         if found is None:
             return None
         first, second = int(local_map.walls[found.first]), int(local_map.walls[found.second])
@@ -329,9 +339,9 @@ class Mapper:
         walls["covariance_in_map"][seen_walls] = known.walls_in_map
         corners["covariance"][seen_corners] = known.corners
         corners["covariance_in_map"][seen_corners] = known.corners_in_map
-        self.pose_covariances.append(known.pose + planar(self.adrift[-1]))
+        self.pose_covariances.append(known.pose + planar(self.correlated_drift[-1]))
 
-    def _learn_flatness(self, view: KeyframeObservations) -> None:
+    def _learn_roughness(self, view: KeyframeObservations) -> None:
         """Compare the segments with the walls they were given to, now that the graph has settled both."""
         rows = self.landmarks.walls.rows
         known = np.flatnonzero(view.walls >= 0)
@@ -340,7 +350,7 @@ class Mapper:
             return
         walls = rows[view.walls[known]]
         seen = se2.between(walls["frame"], se2.compose(self.pose, view.segments.frame[known]))
-        self.flatness.add(seen[:, 1:], view.segments.covariance[known], view.segments.half_length[known])
+        self.roughness.add(seen[:, 1:], view.segments.covariance[known], view.segments.half_length[known])
 
 
 def _identities(rows: Integers, landmarks: Integers) -> Integers:

@@ -10,7 +10,7 @@ from drivers.messages import Odometry
 
 from ..geometry.segments import Floats
 from ..odometry.history import OdometryHistory
-from .trajectory_builder import Path
+from .trajectory_builder import TrajectoryBuilder
 
 # What comes so soon after the last reading, from where the robot can have come to in the meantime, is the same drive: a
 # program that was stopped and started again, while the base went on counting.
@@ -48,7 +48,7 @@ class OdometrySegments:
         """Forget all but the last drive."""
         self.histories, self.starts = self.histories[-1:], [0]
 
-    def trajectory(self, path: Path, keyframe_poses: Floats) -> tuple[Floats, Floats]:
+    def trajectory(self, path: TrajectoryBuilder, keyframe_poses: Floats) -> tuple[Floats, Floats]:
         """Stamps (m,) and poses (m, 3) at every reading of the drives of which any scan was placed."""
         begin = [-np.inf, *(float(history.stamps[0]) for history in self.histories[1:]), np.inf]
         parts = [

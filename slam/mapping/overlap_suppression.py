@@ -30,10 +30,10 @@ def suppress_overlapping_walls(landmarks: Landmarks) -> Landmarks:
     speaks for those of which nothing is left."""
     shown = copy.deepcopy(landmarks)
     rows = shown.walls.rows
-    walls = np.flatnonzero(rows["in_graph"] & shown.standing())
+    walls = np.flatnonzero(rows["in_graph"] & shown.active())
     ranked = walls[np.lexsort((walls, -rows["observations"][walls]))]
     for wall, others in _alongside(rows[ranked], ranked).items():  # what stands before a wall is final
-        behind = {other: _behind(shown, wall, other) for other in others if rows["kept"][other] == other}
+        behind = {other: _behind(shown, wall, other) for other in others if rows["merged_into"][other] == other}
         if not any(behind.values()):
             continue
         left = _runs(shown.covered[wall].difference(*behind.values()))
@@ -41,7 +41,7 @@ def suppress_overlapping_walls(landmarks: Landmarks) -> Landmarks:
         if left:
             shown.shorten(wall)
         else:
-            rows["kept"][rows["kept"] == wall] = max(behind, key=lambda other: len(behind[other]))
+            rows["merged_into"][rows["merged_into"] == wall] = max(behind, key=lambda other: len(behind[other]))
     return shown
 
 

@@ -11,7 +11,7 @@ from ..geometry.segments import Floats
 from ..odometry.history import OdometryHistory
 
 
-class Path:
+class TrajectoryBuilder:
     """Poses of the scans relative to their keyframes, so that they move with the map when it is corrected."""
 
     def __init__(self) -> None:
@@ -20,9 +20,9 @@ class Path:
         self._relative: list[se2.Pose] = []
         self._informations: list[Floats] = []
 
-    def __deepcopy__(self, memo: dict[int, object]) -> Path:
+    def __deepcopy__(self, memo: dict[int, object]) -> TrajectoryBuilder:
         """The same path; what was added is never changed, so it is shared."""
-        other = Path()
+        other = TrajectoryBuilder()
         other._stamps, other._keyframes = list(self._stamps), list(self._keyframes)
         other._relative, other._informations = list(self._relative), list(self._informations)
         return other
@@ -48,9 +48,9 @@ class Path:
         relative = np.array(self._relative).reshape(-1, 3)
         return np.array(self._stamps), se2.compose(keyframe_poses[self._keyframes], relative).reshape(-1, 3)
 
-    def between(self, begin: float, end: float) -> Path:
+    def between(self, begin: float, end: float) -> TrajectoryBuilder:
         """What of it is from `begin` on and before `end` (seconds)."""
-        part = Path()
+        part = TrajectoryBuilder()
         for row in np.flatnonzero((np.array(self._stamps) >= begin) & (np.array(self._stamps) < end)).tolist():
             part.add(self._stamps[row], self._keyframes[row], self._relative[row], self._informations[row])
         return part
@@ -73,10 +73,10 @@ class Path:
         arrived = se2.compose(poses[before], se2.between(scan_odometry[before], scan_odometry[after]))
         missed = poses[after] - arrived
         missed[:, 2] = se2.wrap(missed[:, 2])
-        ways = odometry.ways
-        scan_ways = np.interp(stamps, at, ways)
+        travelled = odometry.travelled
+        scan_ways = np.interp(stamps, at, travelled)
         span = scan_ways[after] - scan_ways[before]
-        part = np.clip((ways - scan_ways[before]) / np.where(span > 0, span, 1.0), 0.0, 1.0)
+        part = np.clip((travelled - scan_ways[before]) / np.where(span > 0, span, 1.0), 0.0, 1.0)
         result = bridged + part[:, None] * missed
         result[:, 2] = se2.wrap(result[:, 2])
         return at, result

@@ -54,16 +54,16 @@ class Overlap:
     offset: float
     turn: float
 
-    def distance(self, covariance: Floats, flatness: float) -> float:
+    def distance(self, covariance: Floats, roughness: float) -> float:
         """Squared Mahalanobis distance between the two, given the `covariance` (2, 2) of offset and turn, to which
         the variance of their unevenness is added."""
         difference = np.array([self.offset, self.turn])
-        uneven = np.diag([flatness, 12 * flatness / self.length**2])
+        uneven = np.diag([roughness, 12 * roughness / self.length**2])
         return float(difference @ np.linalg.solve(covariance + uneven, difference))
 
 
 def find_duplicate(
-    local_map: LocalMap, mature: NDArray[np.bool_], seen: NDArray[np.bool_], flatness: float
+    local_map: LocalMap, mature: NDArray[np.bool_], seen: NDArray[np.bool_], roughness: float
 ) -> Duplicate | None:
     """The most certain pair of walls of the local map that are one, None where there is none.
 
@@ -82,14 +82,14 @@ def find_duplicate(
             continue
         at_first = _carried(local_map.wall_covariance[first], pair.middle)
         at_second = _carried(local_map.wall_covariance[second], pair.middle - pair.along)
-        distance = pair.distance(at_first + at_second, flatness)
+        distance = pair.distance(at_first + at_second, roughness)
         if distance < GATE and (best is None or distance < best.distance):
             best = Duplicate(first, second, pair.along, distance)
     return best
 
 
 def merge_everywhere(
-    landmarks: Landmarks, graph: FactorGraph, flatness: float, merge: Callable[[int, int], None]
+    landmarks: Landmarks, graph: FactorGraph, roughness: float, merge: Callable[[int, int], None]
 ) -> int:
     """Have `merge` make one of each pair of walls (kept, absorbed) that are one, the most certain first; returns how
     many there were.
@@ -98,17 +98,17 @@ def merge_everywhere(
     unevenness.
     """
     walls = landmarks.walls.rows
-    rows = np.flatnonzero(walls["in_graph"] & landmarks.standing())
+    rows = np.flatnonzero(walls["in_graph"] & landmarks.active())
     alike = overlaps(walls["frame"][rows], walls["low"][rows], walls["high"][rows])
     pairs = np.array([rows[[pair.first, pair.second]] for pair in alike], dtype=np.int64).reshape(-1, 2)
     found = []
     for pair, (first, second), joint in zip(alike, pairs.tolist(), graph.walls_covariances(pairs), strict=True):
-        distance = pair.distance(_relative(joint, pair), flatness)
+        distance = pair.distance(_relative(joint, pair), roughness)
         if distance < GATE:
             found.append((distance, first, second))
     merged = 0
     for _, first, second in sorted(found):
-        if walls["kept"][first] == first and walls["kept"][second] == second:
+        if walls["merged_into"][first] == first and walls["merged_into"][second] == second:
             merge(first, second)
             merged += 1
     return merged

@@ -81,23 +81,23 @@ class FreeSpaceEvidence:
         """The map has moved: what was counted was counted against another one."""
         self.counts, self._stood = {}, None
 
-    def suspend(self, way: float) -> None:
+    def suspend(self, travel: float) -> None:
         """After so many metres of driving, another place explains more of what is seen than where the robot is believed
         to be: what was counted may be wrong, and what is seen next, too."""
         self.forget()
-        self._suspended = way
+        self._suspended = travel
 
     def settle(self, walls: Sequence[int]) -> None:
         """Something is known of some walls that makes what was counted pointless."""
         for wall in walls:
             self.counts.pop(wall, None)
 
-    def look(
+    def update(
         self,
         landmarks: Landmarks,
         pose: se2.Pose,
         points: Floats,
-        ways: Sequence[float],
+        travelled: Sequence[float],
         pose_covariances: Sequence[Floats],
     ) -> bool:
         """Look from `pose` at points (p, 2), in its own frame; retire what has been seen through often enough.
@@ -105,7 +105,7 @@ class FreeSpaceEvidence:
         `ways` and `pose_covariances` are the metres driven up to each keyframe and how well its pose was known, in the
         map's axes. Returns whether anything was retired.
         """
-        if ways[-1] - self._suspended < SUSPENDED_WAY:
+        if travelled[-1] - self._suspended < SUSPENDED_WAY:
             return False
         if self._stood is not None and np.hypot(*(pose[:2] - self._stood)) < STEP:
             return False
@@ -115,14 +115,14 @@ class FreeSpaceEvidence:
             if wall in self.counts and look.length[row]:
                 self._take_back(wall, look.cells(row, look.seen))
         through = _seen_through(look, landmarks, pose, pose_covariances)
-        retired = False
-        for row in _believed(look, through, ways):
+        removed_walls = False
+        for row in _believed(look, through, travelled):
             wall = int(look.walls[row])
             counts = self.counts.setdefault(wall, {})
             for cell in through[row]:
                 counts[cell] = counts.get(cell, 0) + 1
-            retired |= self._judge(landmarks, wall, len(ways) - 1)
-        return retired
+            removed_walls |= self._judge(landmarks, wall, len(travelled) - 1)
+        return removed_walls
 
     def _take_back(self, wall: int, cells: Integers) -> None:
         """Some cells of a wall have been seen."""
@@ -149,7 +149,7 @@ class FreeSpaceEvidence:
         wide = [stretch for stretch in stretches if CELL * len(stretch) >= LEAST_OPENING]
         opening = covered.intersection(cell for stretch in wide for cell in stretch)
         if nothing_left or (opening and observations == 1):  # what was seen but once, and in part wrongly, was no wall
-            landmarks.retire(wall, keyframe)
+            landmarks.remove_wall(wall, keyframe)
             self.settle([wall])
         elif opening:
             landmarks.open(wall, opening, keyframe)
@@ -163,8 +163,8 @@ def _looked(landmarks: Landmarks, pose: se2.Pose, points: Floats) -> _Look:
     reach = float(np.hypot(points[:, 0], points[:, 1]).max(initial=0.0))
     walls = _within(every["frame"], every["low"], every["high"], pose, reach).nonzero()[0]
     rows = every[walls]
-    standing = landmarks.standing(walls)
-    walls, rows = walls[standing], rows[standing]
+    active = landmarks.active(walls)
+    walls, rows = walls[active], rows[active]
     first = np.floor(rows["low"] / CELL).astype(np.int64)
     sizes = np.ceil(rows["high"] / CELL).astype(np.int64) - first
     ends = np.concatenate([[0], np.cumsum(sizes)])
@@ -268,7 +268,7 @@ def _deep(depth, first, frame, covariance, pose, lost):  # type: ignore[no-untyp
     return deep
 
 
-def _believed(look: _Look, through: dict[int, list[int]], ways: Sequence[float]) -> list[int]:
+def _believed(look: _Look, through: dict[int, list[int]], travelled: Sequence[float]) -> list[int]:
     """The rows of the walls of which it is believed that they were seen through.
 
     The look must see other walls, known no later than the doubted one was seen last, as far as the map may have bent
@@ -278,7 +278,7 @@ def _believed(look: _Look, through: dict[int, list[int]], ways: Sequence[float])
         return []
     against = np.zeros(len(look.walls))
     against[list(through)] = [CELL * len(cells) for cells in through.values()]
-    lately = bisect_left(ways, ways[-1] - RECENT_WAY)
+    lately = bisect_left(travelled, travelled[-1] - RECENT_WAY)
     rows = look.rows
     doubled = look.length * np.exp(2j * rows["frame"][:, 2])
     believed = []

@@ -113,14 +113,14 @@ def _spread(points, origin, squared, nearest):  # type: ignore[no-untyped-def]
                         nearest[i, j] = index
 
 
-def likeness(field: LikelihoodField, points: Floats, pose: se2.Pose) -> float:
+def likelihood_score(field: LikelihoodField, points: Floats, pose: se2.Pose) -> float:
     """How well a scan's points (p, 2), in the base's frame at `pose`, lie on those of the last keyframes: 0 to 1."""
-    return float(likenesses(field, points, np.asarray(pose, dtype=np.float64).reshape(1, 3))[0])
+    return float(likelihood_scores(field, points, np.asarray(pose, dtype=np.float64).reshape(1, 3))[0])
 
 
-def likenesses(field: LikelihoodField, points: Floats, poses: Floats) -> Floats:
+def likelihood_scores(field: LikelihoodField, points: Floats, poses: Floats) -> Floats:
     """(n,): how well a scan's points (p, 2) lie there at each of the poses (n, 3)."""
-    return np.asarray(_likenesses(field.squared, field.origin, thinned(points, SEARCH_POINTS), poses))
+    return np.asarray(_likelihood_scores(field.squared, field.origin, thinned(points, SEARCH_POINTS), poses))
 
 
 def search(field: LikelihoodField, points: Floats, prediction: se2.Pose) -> tuple[se2.Pose, float]:
@@ -130,13 +130,13 @@ def search(field: LikelihoodField, points: Floats, prediction: se2.Pose) -> tupl
     turns = np.arange(-SEARCH_HALF_TURN, SEARCH_HALF_TURN + 1e-9, SEARCH_TURN_STEP)
     grid = np.stack(np.meshgrid(offsets, offsets, turns, indexing="ij"), axis=-1).reshape(-1, 3)
     poses = prediction + grid
-    scores = likenesses(field, points, poses)
+    scores = likelihood_scores(field, points, poses)
     best = int(np.argmax(scores))
     return poses[best], float(scores[best])
 
 
 @njit(cache=True)
-def _likenesses(squared, origin, points, poses):  # type: ignore[no-untyped-def]
+def _likelihood_scores(squared, origin, points, poses):  # type: ignore[no-untyped-def]
     scores = np.zeros(len(poses))
     cells = len(squared)
     for index in range(len(poses)):

@@ -45,7 +45,7 @@ class Registration:
     pose: se2.Pose
     information: Floats
     point_information: Floats
-    explained: float
+    overlap_ratio: float
 
     @property
     def held_by(self) -> Floats:
@@ -69,7 +69,7 @@ def register(
     scan: ScanFeatures,
     local_map: LocalMap,
     field: LikelihoodField,
-    flatness: float,
+    roughness: float,
 ) -> Registration:
     """The base's pose in the map for a scan.
 
@@ -84,7 +84,7 @@ def register(
         segments.frame, segments.half_length, segments.covariance,
         corners.position, corners.headings, corners.covariance,
         local_map.frame, local_map.low, local_map.high, local_map.wall_covariance,
-        local_map.position, local_map.headings, local_map.corner_covariance, flatness,
+        local_map.position, local_map.headings, local_map.corner_covariance, roughness,
         scan.points.loose, field.points, field.nearest, field.origin,
     )  # fmt: skip
     pose[2] = se2.wrap(pose[2])
@@ -95,7 +95,7 @@ def register(
 def _register(  # type: ignore[no-untyped-def]
     prediction, prior, starts, clearly_more,
     frames, halves, covariances, points, point_headings, point_covariances,
-    walls, lows, highs, wall_covariances, corners, corner_headings, corner_covariances, flatness,
+    walls, lows, highs, wall_covariances, corners, corner_headings, corner_covariances, roughness,
     loose, known, nearest, origin,
 ):  # fmt: skip
     """Gauss-Newton from every start; the pose that explains clearly most wall length, its information, that length."""
@@ -108,18 +108,18 @@ def _register(  # type: ignore[no-untyped-def]
         pose[0] += c * start[0] - s * start[1]
         pose[1] += s * start[0] + c * start[1]
         pose[2] += start[2]
-        explained = 0.0
+        overlap_ratio = 0.0
         for step in range(len(OFFSET_GATES)):
             information[:] = 0.0
             point_information[:] = 0.0
             gradient[:] = 0.0
-            explained = _add_walls(
-                pose, frames, halves, covariances, walls, lows, highs, wall_covariances, flatness,
+            overlap_ratio = _add_walls(
+                pose, frames, halves, covariances, walls, lows, highs, wall_covariances, roughness,
                 OFFSET_GATES[step], HEADING_GATES[step], information, gradient,
             )  # fmt: skip
             _add_corners(
-                pose, points, point_headings, point_covariances, corners, corner_headings, corner_covariances, flatness,
-                OFFSET_GATES[step], information, gradient,
+                pose, points, point_headings, point_covariances, corners, corner_headings, corner_covariances,
+                roughness, OFFSET_GATES[step], information, gradient,
             )  # fmt: skip
             _add_points(pose, loose, known, nearest, origin, point_information, gradient)
             c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -129,15 +129,15 @@ def _register(  # type: ignore[no-untyped-def]
             pose[0] -= c * move[0] - s * move[1]
             pose[1] -= s * move[0] + c * move[1]
             pose[2] -= move[2]
-        if explained > best_explained + clearly_more:
-            best_explained, best_pose, best_information = explained, pose, information.copy()
+        if overlap_ratio > best_explained + clearly_more:
+            best_explained, best_pose, best_information = overlap_ratio, pose, information.copy()
             best_point_information = point_information.copy()
     return best_pose, best_information, best_point_information, best_explained
 
 
 @njit(cache=True)
 def _add_walls(  # type: ignore[no-untyped-def]
-    pose, frames, halves, covariances, walls, lows, highs, wall_covariances, flatness,
+    pose, frames, halves, covariances, walls, lows, highs, wall_covariances, roughness,
     offset_gate, heading_gate, information, gradient,
 ):  # fmt: skip
     """Pair each segment with the nearest wall inside the gates and add its normal equations; the length explained."""
@@ -165,9 +165,9 @@ def _add_walls(  # type: ignore[no-untyped-def]
         if match < 0:
             continue
         wall = wall_covariances[match]
-        syy = covariances[i, 0, 0] + flatness + wall[0, 0] + 2 * along * wall[0, 1] + along * along * wall[1, 1]
+        syy = covariances[i, 0, 0] + roughness + wall[0, 0] + 2 * along * wall[0, 1] + along * along * wall[1, 1]
         syt = covariances[i, 0, 1] + wall[0, 1] + along * wall[1, 1]
-        stt = covariances[i, 1, 1] + 3 * flatness / halves[i] ** 2 + wall[1, 1]
+        stt = covariances[i, 1, 1] + 3 * roughness / halves[i] ** 2 + wall[1, 1]
         determinant = syy * stt - syt * syt
         wyy, wtt, wyt = stt / determinant, syy / determinant, -syt / determinant
         chi2 = wyy * offset * offset + 2 * wyt * offset * turn + wtt * turn * turn
@@ -196,7 +196,7 @@ def _add_walls(  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _add_corners(  # type: ignore[no-untyped-def]
-    pose, points, headings, covariances, corners, corner_headings, corner_covariances, flatness,
+    pose, points, headings, covariances, corners, corner_headings, corner_covariances, roughness,
     gate, information, gradient,
 ):  # fmt: skip
     """Pair each corner with the nearest known one inside the gate and add its normal equations."""
@@ -217,8 +217,8 @@ def _add_corners(  # type: ignore[no-untyped-def]
         if match < 0:
             continue
         covariance = rotation @ covariances[i] @ rotation.T + corner_covariances[match]
-        covariance[0, 0] += flatness
-        covariance[1, 1] += flatness
+        covariance[0, 0] += roughness
+        covariance[1, 1] += roughness
         weights = np.linalg.inv(covariance)
         residual = np.array([pose[0] + lever[0] - corners[match, 0], pose[1] + lever[1] - corners[match, 1]])
         chi2 = residual @ weights @ residual

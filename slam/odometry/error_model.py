@@ -90,10 +90,10 @@ class OdometryModel:
         by_wheels = se2.wrap(found[turns, 2] - self._veer * ahead[turns])
         self._turning = 1.0 / np.clip(1.0 + _trusted(turned[turns] / by_wheels - 1.0), 1 / MOST_WRONG, MOST_WRONG)
         claimed, found = claimed[-WINDOW:], found[-WINDOW:]
-        error, way = se2.between(self.corrected(claimed), found), wheel_travel(claimed)
+        error, travel = se2.between(self.corrected(claimed), found), wheel_travel(claimed)
         squared = (
-            (error[:, 0] ** 2 + error[:, 1] ** 2) / (PLANE_MEDIAN * way**2),
-            error[:, 2] ** 2 / NORMAL_MEDIAN / way,
+            (error[:, 0] ** 2 + error[:, 1] ** 2) / (PLANE_MEDIAN * travel**2),
+            error[:, 2] ** 2 / NORMAL_MEDIAN / travel,
         )
         observed = np.maximum([np.median(some) if len(some) else LEAST_RATE for some in squared], LEAST_RATE)
         trust = len(claimed) / (len(claimed) + START_COUNT)
@@ -107,19 +107,19 @@ class OdometryModel:
         c, s = np.cos(bend), np.sin(bend)
         return np.stack([c * x - s * y, s * x + c * y, se2.wrap(turn)], axis=-1)
 
-    def variances(self, way: Floats) -> tuple[Floats, Floats]:
+    def variances(self, travel: Floats) -> tuple[Floats, Floats]:
         """Variances (...,) of translation along each axis and of heading after `way` metres (...,)."""
-        return self._rates[0] * way**2, self._rates[1] * way
+        return self._rates[0] * travel**2, self._rates[1] * travel
 
     def covariance(self, motion: se2.Pose) -> Floats:
         """(3, 3) covariance of a motion [x, y, heading] between two readings, in the frame of its end."""
-        way = wheel_travel(motion)
-        translation, rotation = self.variances(way)
+        travel = wheel_travel(motion)
+        translation, rotation = self.variances(travel)
         translation += self._config.translation_floor**2
         rotation += self._config.rotation_floor**2
         return np.diag([translation, translation, rotation])
 
-    def adrift(self, motion: se2.Pose, held_by: Floats) -> Floats:
+    def correlated_drift(self, motion: se2.Pose, held_by: Floats) -> Floats:
         """(2, 2): what a motion adds to the covariance of the position, in the frame of its end, by errors that it has
         in common with its neighbours.
 

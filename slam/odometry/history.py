@@ -56,7 +56,7 @@ class OdometryHistory:
         return np.array(self._poses).reshape(-1, 3)
 
     @property
-    def ways(self) -> Floats:
+    def travelled(self) -> Floats:
         """(n,) metres that the wheels have rolled up to each reading."""
         poses = self.poses
         return np.concatenate([[0.0], np.cumsum(wheel_travel(se2.between(poses[:-1], poses[1:])))])

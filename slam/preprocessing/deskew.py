@@ -44,7 +44,7 @@ class Sweep:
     odometry: se2.Pose
     ranges: Floats
     bearings: Floats
-    way: Floats
+    travel: Floats
 
     def points(self, lines: Lines) -> tuple[Floats, Floats]:
         """The valid returns as points (p, 2) in the lidar's frame, and those (q, 2) that lie on none of `lines`, nor go
@@ -100,8 +100,8 @@ def deskew(scan: Scan, odometry: OdometryHistory, mount: se2.Pose, range_bias: f
     offsets = np.linspace(0.0, duration, KNOTS)
     reference = odometry.at(middle)
     moves = se2.between(reference, odometry.at_each(scan.stamp + offsets))
-    ways = wheel_travel(moves)
-    if ways[0] + ways[-1] < LEAST_WAY:
+    travelled = wheel_travel(moves)
+    if travelled[0] + travelled[-1] < LEAST_WAY:
         return Sweep(middle, reference, ranges, scan.angles, np.zeros(len(ranges)))
     mean = np.clip(moves.mean(axis=0), -JITTER, JITTER)
     moves = se2.between(mean, moves)
@@ -110,19 +110,19 @@ def deskew(scan: Scan, odometry: OdometryHistory, mount: se2.Pose, range_bias: f
     x = np.interp(scan.time_offsets, offsets, lidars[:, 0]) + ranges * np.cos(turned)
     y = np.interp(scan.time_offsets, offsets, lidars[:, 1]) + ranges * np.sin(turned)
     shift = se2.wrap(np.arctan2(y, x) - turned)
-    way = np.interp(scan.time_offsets, offsets, ways)
+    travel = np.interp(scan.time_offsets, offsets, travelled)
     bearings = turned + np.where(np.isfinite(shift), shift, 0.0)
-    return Sweep(middle, se2.compose(reference, mean), np.hypot(x, y), bearings, way)
+    return Sweep(middle, se2.compose(reference, mean), np.hypot(x, y), bearings, travel)
 
 
 def loosen(
     segments: Segments, corners: CornerPoints, lines: Lines, sweep: Sweep, model: OdometryModel
 ) -> tuple[Segments, CornerPoints]:
     """Add to the covariances what the odometry's `model` leaves uncertain of the motion during the sweep."""
-    if not len(segments) or not sweep.way.any():
+    if not len(segments) or not sweep.travel.any():
         return segments, corners
     middle = np.where(lines.last >= lines.first, (lines.first + lines.last) // 2, 0)
-    translation, rotation = model.variances(sweep.way[middle])
+    translation, rotation = model.variances(sweep.travel[middle])
     across = np.column_stack([-np.sin(segments.frame[:, 2]), np.cos(segments.frame[:, 2])])
     lever = across[:, 1] * segments.frame[:, 0] - across[:, 0] * segments.frame[:, 1]
     covariance = segments.covariance.copy()

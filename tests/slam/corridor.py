@@ -10,14 +10,14 @@ from rerun.chunk import RrdReader
 from drivers import se2
 from slam.events import (
     Finished,
+    GroundTruthReceived,
     KeyframeAdded,
-    WallsMerged,
     MapCorners,
-    MapWalls,
     MapUpdated,
+    MapWalls,
     Notice,
     ScanTracked,
-    GroundTruthReceived,
+    WallsMerged,
 )
 from slam.geometry.segments import CornerPoints, Segments
 from slam.visualisation.rerun_log import ReviewLog

@@ -132,12 +132,12 @@ def test_a_drive_from_an_unknown_place_is_found_on_the_map_and_makes_it_grow(
     assert error(finished, first, finished, first) < 0.01
     assert error(finished, second, finished, first) < 0.01
     session = slam.session
-    assert session.starts == [0, len(read_stored(left).sightings)]
+    assert session.starts == [0, len(read_stored(left).scans)]
     drives = session.drive()
-    assert session.starts[1] in drives.carried
+    assert session.starts[1] in drives.kidnapped
     poses = drives.poses(finished.keyframes)  # of all sightings, also before the place was known
     there = aligned(finished, second)
-    rows = [k for k, sighting in enumerate(session.sightings) if sighting.stamp > LATER]
+    rows = [k for k, scan in enumerate(session.scans) if scan.stamp > LATER]
     truth = at_truth(replace(finished, stamps=drives.stamps[rows], poses=poses[rows]), second)
     assert np.hypot(*(se2.compose(there, truth[0]) - truth[1])[:, :2].T).max() < 0.05
     again = read_stored(leave(slam, tmp_path / "both"))
@@ -187,7 +187,7 @@ def test_what_is_nowhere_on_the_map_is_left_alone(mapped: tuple[Path, Finished])
     assert "left alone" in notices[0]
     assert finished.stamps[0] >= LATER
     assert slam.session.starts == [0]
-    assert all(sighting.stamp >= LATER for sighting in slam.session.sightings)
+    assert all(scan.stamp >= LATER for scan in slam.session.scans)
     assert error(finished, elsewhere, finished, elsewhere) < 0.02
     with pytest.raises(MapError, match="nowhere on the map"):
         run(elsewhere, left, frozen=True)

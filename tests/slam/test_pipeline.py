@@ -15,7 +15,7 @@ from drivers.simulation.simulator import Simulation
 from slam import Config, Slam
 from slam.errors import MapError
 from slam.evaluation.metrics import score_reference
-from slam.events import Event, Finished, KeyframeAdded, MapUpdated, ScanTracked, GroundTruthReceived
+from slam.events import Event, Finished, GroundTruthReceived, KeyframeAdded, MapUpdated, ScanTracked
 from slam.io.tum import Trajectory
 
 

@@ -1,6 +1,6 @@
 """A second look at a whole run: everything associated again with the map that came of it, and solved in batch."""
 
-from .drive import Drive, drive_of
-from .refiner import Refined, laid_path, refine
+from .refiner import Refined, match_trajectory, refine
+from .scan_history import ScanHistory, build_scan_history
 
-__all__ = ["Drive", "Refined", "drive_of", "laid_path", "refine"]
+__all__ = ["Refined", "ScanHistory", "build_scan_history", "match_trajectory", "refine"]

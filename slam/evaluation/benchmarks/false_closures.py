@@ -14,7 +14,7 @@ from ...events import Event, LoopDecided
 from ...io.tum import Trajectory
 from ...loop_closure.closer import LoopCloser
 from ...loop_closure.proposal import Hypothesis, distinct, propose, refined
-from ...loop_closure.recent_walls import WallSet, ReferenceMap
+from ...loop_closure.recent_walls import ReferenceMap, WallSet
 from ...pipeline import Slam
 from ..metrics import Relations, read_relations, score_relations
 
@@ -73,7 +73,7 @@ class Adversary:
         stay, *others = honest
         if len(self.forced) % 2:
             most = max(hypothesis.length for hypothesis in honest)
-            false = replace(false, explained=1.0, weakest=1.0, length=OUTDONE * max(most, recent.length()))
+            false = replace(false, overlap_ratio=1.0, weakest=1.0, length=OUTDONE * max(most, recent.length()))
         self.forced.append((false, pose))
         return [stay, *sorted([false, *others], key=lambda hypothesis: -hypothesis.length)]
 

@@ -55,7 +55,7 @@ def run(world: str, laps: int, config: Config, *, seed: int = 0) -> Iterator[Lap
 
 
 def _measured(number: int, times: list[float], slam: Slam) -> Lap:
-    mapper = slam.belief.mapper
+    mapper = slam.slam_state.mapper
     return Lap(
         number=number,
         median=float(np.median(times)),

@@ -19,7 +19,7 @@ from drivers.messages import Message, Odometry, Scan
 from ...config import Config
 from ...errors import MapError
 from ...geometry.segments import Floats
-from ...loop_closure.relocalisation import MapIndex, submap_of, index_map, relocalise
+from ...loop_closure.relocalisation import MapIndex, index_map, relocalise, submap_of
 from ...mapping.mapper import Mapper
 from ...pipeline import Slam
 
@@ -89,7 +89,7 @@ def cut(messages: Sequence[Message], config: Config) -> Known:
     whole = _mapped(messages, config).finish()
     at = np.searchsorted(whole.stamps, half.keyframe_stamps).clip(0, len(whole.stamps) - 1)
     return Known(
-        index=index_map(slam.belief.mapper),
+        index=index_map(slam.slam_state.mapper),
         before=half.keyframes,
         after=whole.poses[at],
         all_stamps=whole.stamps,
@@ -111,7 +111,7 @@ def index_of(messages: Sequence[Message], config: Config) -> MapIndex:
     """The map of some messages, prepared."""
     slam = _mapped(messages, config)
     slam.finish()
-    return index_map(slam.belief.mapper)
+    return index_map(slam.slam_state.mapper)
 
 
 def run(
@@ -182,9 +182,9 @@ def _fragments(
         for message in messages[np.searchsorted(all_stamps, since) : np.searchsorted(all_stamps, end + LATER)]:
             if message.stamp <= end or isinstance(message, Odometry):
                 slam.add(message)
-        belief = slam.belief
-        if belief.mapper.keyframe_count:
-            yield belief.keyframe_stamps[-1], belief.mapper
+        slam_state = slam.slam_state
+        if slam_state.mapper.keyframe_count:
+            yield slam_state.keyframe_stamps[-1], slam_state.mapper
 
 
 def _mapped(messages: Iterable[Message], config: Config) -> Slam:

@@ -13,13 +13,13 @@ from drivers.simulation.simulator import Simulation
 from ...events import (
     Event,
     Finished,
-    Relocalised,
     KeyframeAdded,
-    WallsMerged,
     LoopDecided,
-    MapWalls,
     MapUpdated,
+    MapWalls,
+    Relocalised,
     ScanTracked,
+    WallsMerged,
 )
 from ..ground_truth import match_walls, true_walls
 from ..metrics import align, motion_errors

@@ -12,12 +12,19 @@ import numpy as np
 
 from ...errors import MapError
 from ...geometry.segments import Floats
-from ...graph.factors import Factor, GraphState, FactorKind
+from ...graph.factors import Factor, FactorKind, GraphState
 from .tables import Columns, ragged, write_table
 
 MEASURED = {FactorKind.CORNER: 2, FactorKind.OFFSET: 4}
 """How many numbers a factor measures, if not the three of a pose."""
-DIMENSION = {FactorKind.GAUGE_PRIOR: 1, FactorKind.HEADING: 1, FactorKind.OFFSET: 1, FactorKind.WALL: 2, FactorKind.CORNER: 2, FactorKind.WALL_EQUALITY: 2}
+DIMENSION = {
+    FactorKind.GAUGE_PRIOR: 1,
+    FactorKind.HEADING: 1,
+    FactorKind.OFFSET: 1,
+    FactorKind.WALL: 2,
+    FactorKind.CORNER: 2,
+    FactorKind.WALL_EQUALITY: 2,
+}
 """Rows of a factor's covariance, if not the three of a pose."""
 UPPER = {size: np.triu_indices(size) for size in (1, 2, 3)}
 KEYFRAME, WALL, CORNER = "keyframe", "wall", "corner"

@@ -10,10 +10,10 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ...errors import MapError
-from ...estimation.slam_state import Anchor, Standing
+from ...estimation.slam_state import Anchor, TrackingCheckpoint
 from ...geometry.segments import Floats
 from ...localisation.tracker import PoseFix
-from ...loop_closure.closer import Look, LoopSearchState
+from ...loop_closure.closer import LoopSearchState, PendingCandidate
 
 FORMAT = "wclm-slam session"
 VERSION = 3
@@ -56,11 +56,11 @@ class _Anchor(_Record):
 class _Look(_Record):
     motion: Pose
     walls: list[int]
-    way: Finite
+    travel: Finite
 
 
 class _Looks(_Record):
-    last_way: Finite
+    last_travel: Finite
     held: list[_Look]
     candidates: int
     refused: list[Pose]
@@ -75,7 +75,7 @@ class _Graph(_Record):
 class _Learned(_Record):
     sigma_range: Finite
     odometry: list[list[Finite]]
-    flatness: list[Finite]
+    roughness: list[Finite]
 
 
 class Head(_Record):
@@ -89,8 +89,8 @@ class Head(_Record):
     step: Pose
     fit: Finite
     anchor: _Anchor | None
-    carried: bool
-    carried_keyframes: list[int]
+    kidnapped: bool
+    kidnapped_keyframes: list[int]
     looks: _Looks
     graph: _Graph
     learned: _Learned
@@ -100,7 +100,7 @@ class Head(_Record):
         cls,
         recordings: list[Recording],
         starts: list[int],
-        standing: Standing,
+        checkpoint: TrackingCheckpoint,
         looks: LoopSearchState,
         graph: tuple[int, bool],
         learned: tuple[float, Floats, Floats],
@@ -112,27 +112,27 @@ class Head(_Record):
             {
                 "recordings": recordings,
                 "starts": starts,
-                "firm": None if standing.firm is None else _data(standing.firm),
-                "step": standing.step.tolist(),
-                "fit": standing.fit,
-                "anchor": None if standing.anchor is None else _data(standing.anchor),
-                "carried": standing.carried,
-                "carried_keyframes": list(standing.carried_keyframes),
+                "firm": None if checkpoint.firm is None else _data(checkpoint.firm),
+                "step": checkpoint.step.tolist(),
+                "fit": checkpoint.fit,
+                "anchor": None if checkpoint.anchor is None else _data(checkpoint.anchor),
+                "kidnapped": checkpoint.kidnapped,
+                "kidnapped_keyframes": list(checkpoint.kidnapped_keyframes),
                 "looks": _data(looks, held=held, refused=[motion.tolist() for motion in looks.refused]),
                 "graph": {"updates": graph[0], "qr": graph[1]},
                 "learned": {
                     "sigma_range": learned[0],
                     "odometry": learned[1].tolist(),
-                    "flatness": learned[2].tolist(),
+                    "roughness": learned[2].tolist(),
                 },
             }
         )
 
     @property
-    def standing(self) -> Standing:
+    def checkpoint(self) -> TrackingCheckpoint:
         """Where the robot stands."""
         firm, anchor = self.firm, self.anchor
-        return Standing(
+        return TrackingCheckpoint(
             None if firm is None else PoseFix(np.array(firm.pose), np.array(firm.odometry)),
             np.array(self.step),
             self.fit,
@@ -141,16 +141,18 @@ class Head(_Record):
             else Anchor(
                 anchor.keyframe, np.array(anchor.relative), np.array(anchor.covariance), np.array(anchor.odometry)
             ),
-            self.carried,
-            self.carried_keyframes,
+            self.kidnapped,
+            self.kidnapped_keyframes,
         )
 
     @property
-    def remembered_looks(self) -> LoopSearchState:
+    def search_state(self) -> LoopSearchState:
         """What the search for loops remembers."""
-        held = tuple(Look(np.array(look.motion), frozenset(look.walls), look.way) for look in self.looks.held)
+        held = tuple(
+            PendingCandidate(np.array(look.motion), frozenset(look.walls), look.travel) for look in self.looks.held
+        )
         refused = tuple(np.array(motion) for motion in self.looks.refused)
-        return LoopSearchState(self.looks.last_way, held, self.looks.candidates, refused, self.looks.contested)
+        return LoopSearchState(self.looks.last_travel, held, self.looks.candidates, refused, self.looks.contested)
 
 
 def _data(thing: Any, **instead: Any) -> dict[str, Any]:

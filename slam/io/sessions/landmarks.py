@@ -13,11 +13,11 @@ import numpy as np
 
 from ...errors import MapError
 from ...geometry.segments import Floats
-from ...mapping.landmarks import CORNER, STANDING, WALL, Landmarks
+from ...mapping.landmarks import CORNER, NEVER_REMOVED, WALL, Landmarks
 from ...mapping.wall_removal import FreeSpaceEvidence
 from .tables import Columns, Ragged, ragged, write_table
 
-COUNTS = ("observations", "first_seen", "last_seen", "kept")
+COUNTS = ("observations", "first_seen", "last_seen", "merged_into")
 CORNER_COUNTS = ("observations", "last_seen")
 UPPER = (0, 0, 1), (0, 1, 1)
 
@@ -33,7 +33,7 @@ DOUBTED = ("doubted", "doubts")
 """Cells of a wall, and the number that goes with each. Not in tables of version 1, nor is `retired_at`."""
 
 
-def write_walls(file: Path, landmarks: Landmarks, doubts: FreeSpaceEvidence) -> None:
+def write_walls(file: Path, landmarks: Landmarks, free_space_evidence: FreeSpaceEvidence) -> None:
     """Write the table of walls. Raises OSError."""
     rows = landmarks.walls.rows
     covered = [np.sort(np.array(list(cells), dtype=np.int64)) for cells in landmarks.covered]
@@ -43,13 +43,13 @@ def write_walls(file: Path, landmarks: Landmarks, doubts: FreeSpaceEvidence) -> 
         {
             **{name: rows["frame"][:, k] for k, name in enumerate(("x", "y", "heading"))},
             **{name: rows[name] for name in ("low", "high")},
-            **{name: rows[name].astype(np.int32) for name in (*COUNTS, "retired_at")},
+            **{name: rows[name].astype(np.int32) for name in (*COUNTS, "removed_at")},
             **{name: covariance[:, k] for k, name in enumerate(WALL_COVARIANCE)},
             **{f"{IN_MAP}{name}": in_map[:, k] for k, name in enumerate(WALL_COVARIANCE)},
             "in_graph": rows["in_graph"],
             "covered": ragged(covered, np.int32),
             **_by_cell(OPENED, landmarks.opened, len(rows)),
-            **_by_cell(DOUBTED, doubts.counts, len(rows)),
+            **_by_cell(DOUBTED, free_space_evidence.counts, len(rows)),
         },
     )
 
@@ -88,10 +88,10 @@ def _read_by_cell(table: Columns, names: tuple[str, str]) -> dict[int, dict[int,
 
 def read_doubts(walls: Path, version: int) -> FreeSpaceEvidence:
     """Read what was counted of walls that may no longer be there. Raises MapError naming the file."""
-    doubts = FreeSpaceEvidence()
+    free_space_evidence = FreeSpaceEvidence()
     if version > 1:
-        doubts.counts = _read_by_cell(Columns(walls), DOUBTED)
-    return doubts
+        free_space_evidence.counts = _read_by_cell(Columns(walls), DOUBTED)
+    return free_space_evidence
 
 
 def read_landmarks(walls: Path, corners: Path, version: int) -> Landmarks:
@@ -103,11 +103,11 @@ def read_landmarks(walls: Path, corners: Path, version: int) -> Landmarks:
     rows["low"], rows["high"] = table.floats("low", finite=False), table.floats("high", finite=False)
     for name in COUNTS:
         rows[name] = table.integers(name)
-    rows["retired_at"] = table.integers("retired_at") if version > 1 else STANDING
+    rows["removed_at"] = table.integers("removed_at") if version > 1 else NEVER_REMOVED
     for name, prefix in zip(COVARIANCES, ("", IN_MAP), strict=True):
         rows[name] = _both_halves(table.floats(*(f"{prefix}{entry}" for entry in WALL_COVARIANCE)))
     rows["in_graph"] = table.flags("in_graph")
-    if (rows["kept"] >= len(rows)).any():
+    if (rows["merged_into"] >= len(rows)).any():
         raise MapError(f"{walls}: a wall is said to be one that is not there")
     landmarks.walls.fill(rows)
     cells, lengths = table.ragged_integers("covered")

@@ -17,24 +17,24 @@ from drivers.messages import Scan
 
 from ...config import Config, load_config
 from ...errors import MapError
-from ...estimation.refinement import Drive, drive_of
+from ...estimation.refinement import ScanHistory, build_scan_history
 from ...estimation.slam_state import SlamState
 from ...mapping.keyframes import KeyframeRecords
 from ...mapping.landmarks import Landmarks
 from ...mapping.mapper import Mapper
 from ...mapping.wall_roughness import WallRoughness
 from ...odometry.history import OdometryHistory
-from ...preprocessing.scan_queue import ProcessedScan
+from ...preprocessing.preprocessor import ProcessedScan
 from ..output_dir import CONFIG, SESSION
 from .graph import read_factors, read_graph, write_factors, write_variables
 from .head import Head, Recording, read_head, write_head
 from .landmarks import read_doubts, read_landmarks, write_corners, write_walls
-from .sightings import UPPER, Sighted, read_sightings, write_recent, write_sightings
+from .scans import UPPER, StoredScans, read_scans, write_recent, write_scans
 from .tables import Columns, write_table
 from .waiting import read_waiting, write_waiting
 
 HEAD = "session.json"
-SIGHTINGS = "sightings.parquet"
+SIGHTINGS = "scans.parquet"
 RECENT = "recent.parquet"
 ODOMETRY = "odometry.parquet"
 KEYFRAMES = "keyframes.parquet"
@@ -48,7 +48,7 @@ COVARIANCE = ("xx", "xy", "xh", "yy", "yh", "hh")
 ADRIFT = {"adrift_xx": (0, 0), "adrift_xy": (0, 1), "adrift_yy": (1, 1)}  # not in tables before version 3
 WORDS = ("status", "reason")
 COUNTS = ("candidate", "keyframe", "old", "matches", "merged")
-SCORES = ("stamp", "explained", "runner_up", "sigma", "contradicted", "shift")
+SCORES = ("stamp", "overlap_ratio", "runner_up", "sigma", "contradicted", "shift")
 """Of a decision on a place that looked known, besides the motion."""
 
 
@@ -69,8 +69,8 @@ class StoredSession:
     """
 
     config: Config
-    belief: SlamState
-    sightings: Sequence[ProcessedScan]
+    slam_state: SlamState
+    scans: Sequence[ProcessedScan]
     odometry: Sequence[OdometryHistory]
     starts: Sequence[int]
     sigma_range: float
@@ -82,30 +82,32 @@ class StoredSession:
     def latest(self) -> float:
         """When the last of it was measured, seconds; -inf where nothing was."""
         stamps = [history.latest for history in self.odometry]
-        stamps += [sighting.stamp for sighting in self.sightings[-1:]] + [scan.stamp for scan in self.waiting]
+        stamps += [scan.stamp for scan in self.scans[-1:]] + [scan.stamp for scan in self.waiting]
         return max(stamps, default=-np.inf)
 
-    def drive(self) -> Drive:
+    def drive(self) -> ScanHistory:
         """All sightings, and where they belong."""
-        belief = self.belief
-        return drive_of(self.sightings, belief.path, belief.keyframe_stamps, belief.carried_keyframes, self.starts)
+        slam_state = self.slam_state
+        return build_scan_history(
+            self.scans, slam_state.trajectory, slam_state.keyframe_stamps, slam_state.kidnapped_keyframes, self.starts
+        )
 
 
 def write_stored(directory: Path, stored: StoredSession) -> None:
     """Write a session into the directory of a run, beside its settings. Raises OSError."""
     folder = directory / SESSION
     folder.mkdir()
-    belief, mapper = stored.belief, stored.belief.mapper
+    slam_state, mapper = stored.slam_state, stored.slam_state.mapper
     graph = mapper.graph.state()
-    learned = stored.sigma_range, belief.odometry_model.samples, mapper.flatness.samples
-    starts, standing, looks = list(stored.starts), belief.standing, belief.loops.looks
-    head = Head.of(stored.recordings, starts, standing, looks, (graph.updates, graph.qr), learned)
-    sighted = Sighted(list(stored.sightings), belief.path, belief.keyframe_stamps, mapper.names)
-    write_sightings(folder / SIGHTINGS, sighted)
+    learned = stored.sigma_range, slam_state.odometry_model.samples, mapper.roughness.samples
+    starts, checkpoint, looks = list(stored.starts), slam_state.checkpoint, slam_state.loops.looks
+    head = Head.of(stored.recordings, starts, checkpoint, looks, (graph.updates, graph.qr), learned)
+    sighted = StoredScans(list(stored.scans), slam_state.trajectory, slam_state.keyframe_stamps, mapper.landmark_ids)
+    write_scans(folder / SIGHTINGS, sighted)
     write_recent(folder / RECENT, sighted)
     _write_odometry(folder / ODOMETRY, stored.odometry)
-    _write_keyframes(folder / KEYFRAMES, belief.keyframe_stamps, mapper.keyframes)
-    write_walls(folder / WALLS, mapper.landmarks, mapper.doubts)
+    _write_keyframes(folder / KEYFRAMES, slam_state.keyframe_stamps, mapper.keyframes)
+    write_walls(folder / WALLS, mapper.landmarks, mapper.free_space_evidence)
     write_corners(folder / CORNERS, mapper.landmarks)
     write_variables(folder / VARIABLES, graph)
     write_factors(folder / FACTORS, graph.factors, mapper.waiting)
@@ -128,36 +130,36 @@ def read_stored(path: Path) -> StoredSession:
         raise MapError(f"{path}: holds no {SESSION}/{HEAD}, so it cannot be gone on from; make it again: `wclm run`")
     head = read_head(folder / HEAD)
     config = load_config(path / CONFIG)
-    sighted = read_sightings(folder / SIGHTINGS, folder / RECENT)
+    sighted = read_scans(folder / SIGHTINGS, folder / RECENT)
     records = _read_keyframes(folder / KEYFRAMES, sighted, head.version)
-    rows = drive_of(sighted.sightings, sighted.path, sighted.keyframe_stamps, ()).keyframes
-    keyframes = {k: sighted.sightings[row] for k, row in enumerate(rows.tolist())}
+    rows = build_scan_history(sighted.scans, sighted.path, sighted.keyframe_stamps, ()).keyframes
+    keyframes = {k: sighted.scans[row] for k, row in enumerate(rows.tolist())}
     factors, waiting = read_factors(folder / FACTORS)
     graph = read_graph(folder / VARIABLES, factors, updates=head.graph.updates, qr=head.graph.qr)
-    flatness = WallRoughness()
-    flatness.take(np.array(head.learned.flatness))
+    roughness = WallRoughness()
+    roughness.take(np.array(head.learned.roughness))
     landmarks = read_landmarks(folder / WALLS, folder / CORNERS, head.version)
-    doubts = read_doubts(folder / WALLS, head.version)
+    free_space_evidence = read_doubts(folder / WALLS, head.version)
     _check(folder / HEAD, head, sighted, landmarks)
     try:
-        segments = [keyframes[k].seen.segments for k in range(len(rows))]
-        mapper = Mapper.restored(graph, landmarks, flatness, doubts, records, segments, waiting)
-        belief = SlamState.restored(
+        segments = [keyframes[k].features.segments for k in range(len(rows))]
+        mapper = Mapper.restored(graph, landmarks, roughness, free_space_evidence, records, segments, waiting)
+        slam_state = SlamState.restored(
             config.odometry,
             np.array(head.learned.odometry).reshape(-1, 6),
             mapper,
             sighted.path,
             sighted.keyframe_stamps,
-            head.standing,
-            head.remembered_looks,
+            head.checkpoint,
+            head.search_state,
             keyframes,
         )
     except (MapError, IndexError, RuntimeError, ValueError) as error:  # tables that do not belong together
         raise MapError(f"{path}: the session cannot be put together: {str(error).splitlines()[0]}") from error
     return StoredSession(
         config=config,
-        belief=belief,
-        sightings=sighted.sightings,
+        slam_state=slam_state,
+        scans=sighted.scans,
         odometry=_read_odometry(folder / ODOMETRY),
         starts=list(head.starts),
         sigma_range=head.learned.sigma_range,
@@ -167,15 +169,15 @@ def read_stored(path: Path) -> StoredSession:
     )
 
 
-def _check(file: Path, head: Head, sighted: Sighted, landmarks: Landmarks) -> None:
+def _check(file: Path, head: Head, sighted: StoredScans, landmarks: Landmarks) -> None:
     """Whether what refers to something refers to what is there. Raises MapError."""
     count = len(sighted.keyframe_stamps)
     if head.anchor is not None and head.anchor.keyframe >= count:
         raise MapError(f"{file}: anchor: there is no keyframe {head.anchor.keyframe}")
-    if any(not 0 <= keyframe < count for keyframe in head.carried_keyframes):
+    if any(not 0 <= keyframe < count for keyframe in head.kidnapped_keyframes):
         raise MapError(f"{file}: carried_keyframes: there are {count} keyframes")
-    if any(not 0 <= row <= len(sighted.sightings) for row in head.starts):
-        raise MapError(f"{file}: starts: there are {len(sighted.sightings)} scans")
+    if any(not 0 <= row <= len(sighted.scans) for row in head.starts):
+        raise MapError(f"{file}: starts: there are {len(sighted.scans)} scans")
     walls = max((int(names.walls.max(initial=-1)) for names in sighted.names), default=-1)
     corners = max((int(names.corners.max(initial=-1)) for names in sighted.names), default=-1)
     if walls >= len(landmarks.walls) or corners >= len(landmarks.corners):
@@ -202,25 +204,27 @@ def _write_keyframes(file: Path, stamps: Sequence[float], records: KeyframeRecor
     covariances = np.array(records.covariances).reshape(-1, 3, 3)
     upper = covariances[:, UPPER[0], UPPER[1]]
     columns = {"stamp": np.array(stamps)}
-    columns |= {name: records.trail[:, k] for k, name in enumerate(("x", "y", "heading"))}
-    columns["way"] = np.array(records.ways[: len(stamps)])
+    columns |= {name: records.keyframe_poses[:, k] for k, name in enumerate(("x", "y", "heading"))}
+    columns["way"] = np.array(records.travelled[: len(stamps)])
     columns |= {name: upper[:, k] for k, name in enumerate(COVARIANCE)}
-    columns |= {name: records.adrift[:, *place] for name, place in ADRIFT.items()}
+    columns |= {name: records.correlated_drift[:, *place] for name, place in ADRIFT.items()}
     write_table(file, columns)
 
 
-def _read_keyframes(file: Path, sighted: Sighted, version: int) -> KeyframeRecords:
+def _read_keyframes(file: Path, sighted: StoredScans, version: int) -> KeyframeRecords:
     table = Columns(file)
     if not np.array_equal(table.floats("stamp"), sighted.keyframe_stamps):
         raise MapError(f"{file}: has other keyframes than {SIGHTINGS}")
     upper = table.floats(*COVARIANCE)
     covariances = np.zeros((len(table), 3, 3))
     covariances[:, UPPER[0], UPPER[1]] = covariances[:, UPPER[1], UPPER[0]] = upper
-    ways = table.floats("way").tolist()
-    adrift = np.zeros((len(table), 2, 2))
+    travelled = table.floats("way").tolist()
+    correlated_drift = np.zeros((len(table), 2, 2))
     for name, (row, column) in ADRIFT.items() if version > 2 else ():
-        adrift[:, row, column] = adrift[:, column, row] = table.floats(name)
-    return KeyframeRecords(table.floats("x", "y", "heading"), ways or [0.0], sighted.names, list(covariances), adrift)
+        correlated_drift[:, row, column] = correlated_drift[:, column, row] = table.floats(name)
+    return KeyframeRecords(
+        table.floats("x", "y", "heading"), travelled or [0.0], sighted.names, list(covariances), correlated_drift
+    )
 
 
 def _write_closures(file: Path, closures: Sequence[Mapping[str, Any]]) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from drivers import se2
 
-from ...estimation.refinement.drive import Drive
+from ...estimation.refinement.scan_history import ScanHistory
 from ...geometry.segments import Floats
 from ...loop_closure.relocalisation import MapIndex, Relocalisation, relocalise
 from ...mapping.mapper import Mapper
@@ -65,7 +65,7 @@ class Agreement:
         return f"{told}, {self.recognised - len(self.members)} say otherwise"
 
 
-def locate(mapper: Mapper, drive: Drive, index: MapIndex) -> Agreement:
+def locate(mapper: Mapper, drive: ScanHistory, index: MapIndex) -> Agreement:
     """Look for every piece of a session in another's map."""
     looked_for, recognised = 0, []
     for keyframes, fragment in fragments(mapper, drive):

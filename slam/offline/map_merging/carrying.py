@@ -15,7 +15,7 @@ from ...io.sessions import StoredSession
 from ...mapping.keyframes import LandmarkIds
 from ...mapping.landmarks import Landmarks
 from ...mapping.mapper import Mapper
-from ...mapping.trajectory_builder import Path
+from ...mapping.trajectory_builder import TrajectoryBuilder
 from ...odometry.history import OdometryHistory
 
 CLOCK_GAP = 1.0  # seconds between two sessions whose clocks have to be told apart
@@ -25,7 +25,7 @@ CLOCK_GAP = 1.0  # seconds between two sessions whose clocks have to be told apa
 class Numbers:
     """How many there are of everything, so that what comes after is numbered on from there."""
 
-    sightings: int
+    scans: int
     keyframes: int
     walls: int
     corners: int
@@ -33,15 +33,15 @@ class Numbers:
     @classmethod
     def of(cls, session: StoredSession) -> Numbers:
         """Those of a session."""
-        mapper = session.belief.mapper
+        mapper = session.slam_state.mapper
         walls, corners = len(mapper.landmarks.walls), len(mapper.landmarks.corners)
-        return cls(len(session.sightings), mapper.keyframe_count, walls, corners)
+        return cls(len(session.scans), mapper.keyframe_count, walls, corners)
 
 
 def shift_after(session: StoredSession, after: float) -> float:
     """Seconds to add to the stamps of a session that they go on after a time (seconds); none if they do."""
     begins = [float(history.stamps[0]) for history in session.odometry if len(history)]
-    first = min([session.sightings[0].stamp, *begins])
+    first = min([session.scans[0].stamp, *begins])
     return 0.0 if first > after else math.ceil(after - first) + CLOCK_GAP
 
 
@@ -49,7 +49,7 @@ def shifted(session: StoredSession, shift: float) -> StoredSession:
     """The session with seconds added to its stamps. Its belief keeps its own."""
     return replace(
         session,
-        sightings=[replace(sighting, stamp=sighting.stamp + shift) for sighting in session.sightings],
+        scans=[replace(scan, stamp=scan.stamp + shift) for scan in session.scans],
         odometry=[OdometryHistory.of(history.stamps + shift, history.poses) for history in session.odometry],
         recordings=[
             recording.model_copy(update={name: getattr(recording, name) + shift for name in ("shift", "first", "last")})
@@ -66,10 +66,10 @@ def joined_landmarks(first: Mapper, second: Mapper, motion: se2.Pose) -> Landmar
     walls, corners = first.landmarks.walls.rows, first.landmarks.corners.rows
     more_walls, more_corners = second.landmarks.walls.rows.copy(), second.landmarks.corners.rows.copy()
     more_walls["frame"] = se2.compose(motion, more_walls["frame"])
-    more_walls["kept"] = _numbered(more_walls["kept"], len(walls))
+    more_walls["merged_into"] = _numbered(more_walls["merged_into"], len(walls))
     for name in ("first_seen", "last_seen"):
         more_walls[name] += first.keyframe_count
-    more_walls["retired_at"] = _numbered(more_walls["retired_at"], first.keyframe_count)
+    more_walls["removed_at"] = _numbered(more_walls["removed_at"], first.keyframe_count)
     more_corners["position"] = se2.transform(motion, more_corners["position"])
     more_corners["headings"] = se2.wrap(more_corners["headings"] + motion[2])
     more_corners["walls"] = _numbered(more_corners["walls"], len(walls))
@@ -90,14 +90,17 @@ def joined_landmarks(first: Mapper, second: Mapper, motion: se2.Pose) -> Landmar
 def joined_names(first: Mapper, second: Mapper) -> list[LandmarkIds]:
     """What the keyframes of both see, by the numbers in the joined landmarks; walls that are one by one name."""
     walls, corners = len(first.landmarks.walls), len(first.landmarks.corners)
-    more = [LandmarkIds(_numbered(names.walls, walls), _numbered(names.corners, corners)) for names in _by_kept_walls(second)]
+    more = [
+        LandmarkIds(_numbered(landmark_ids.walls, walls), _numbered(landmark_ids.corners, corners))
+        for landmark_ids in _by_kept_walls(second)
+    ]
     return [*_by_kept_walls(first), *more]
 
 
-def joined_path(first: Path, second: Path, keyframes: int, shift: float) -> Path:
+def joined_path(first: TrajectoryBuilder, second: TrajectoryBuilder, keyframes: int, shift: float) -> TrajectoryBuilder:
     """Both paths, one after the other; the second hangs on keyframes numbered on from `keyframes`, `shift` seconds
     later."""
-    path = Path()
+    path = TrajectoryBuilder()
     for part, number, seconds in ((first, 0, 0.0), (second, keyframes, shift)):
         for stamp, keyframe, relative, information in zip(*part.hung(), strict=True):
             path.add(float(stamp) + seconds, int(keyframe) + number, relative, information)
@@ -105,8 +108,11 @@ def joined_path(first: Path, second: Path, keyframes: int, shift: float) -> Path
 
 
 def _by_kept_walls(mapper: Mapper) -> Sequence[LandmarkIds]:
-    kept = mapper.landmarks.walls.rows["kept"]
-    return [LandmarkIds(np.where(names.walls >= 0, kept[names.walls], -1), names.corners) for names in mapper.names]
+    kept = mapper.landmarks.walls.rows["merged_into"]
+    return [
+        LandmarkIds(np.where(landmark_ids.walls >= 0, kept[landmark_ids.walls], -1), landmark_ids.corners)
+        for landmark_ids in mapper.landmark_ids
+    ]
 
 
 def _numbered(identities: NDArray[np.int64], number: int) -> NDArray[np.int64]:

@@ -29,9 +29,9 @@ def join(sessions: Sequence[tuple[str, StoredSession]]) -> Joined:
     """
     _refuse_what_is_there_twice(sessions)
     for name, session in sessions:
-        if not session.belief.mapper.keyframe_count:
+        if not session.slam_state.mapper.keyframe_count:
             raise MapError(f"{name}: has no keyframe, so there is nothing to join")
-        session.belief.mapper.settle()
+        session.slam_state.mapper.settle()
     (_, whole), *left = sessions
     found: list[tuple[str, Agreement]] = []
     while left:
@@ -62,5 +62,5 @@ def _refuse_what_is_there_twice(sessions: Sequence[tuple[str, StoredSession]]) -
 
 
 def _located(sessions: Sequence[tuple[str, StoredSession]], whole: StoredSession) -> list[Agreement]:
-    index = index_map(whole.belief.mapper)
-    return [locate(session.belief.mapper, session.drive(), index) for _, session in sessions]
+    index = index_map(whole.slam_state.mapper)
+    return [locate(session.slam_state.mapper, session.drive(), index) for _, session in sessions]

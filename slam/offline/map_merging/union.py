@@ -11,10 +11,10 @@ import numpy as np
 from drivers import se2
 
 from ...errors import MapError
-from ...estimation.refinement import drive_of
-from ...estimation.refinement.drive import Drive
-from ...estimation.refinement.rounds import motion_to
-from ...estimation.slam_state import SlamState, Standing
+from ...estimation.refinement import build_scan_history
+from ...estimation.refinement.iteration import motion_to
+from ...estimation.refinement.scan_history import ScanHistory
+from ...estimation.slam_state import SlamState, TrackingCheckpoint
 from ...geometry.segments import Floats
 from ...io.sessions import StoredSession
 from ...loop_closure.closer import CARRYING_SIGMAS, LEAST_MERGED, LoopSearchState, together
@@ -35,32 +35,32 @@ def united(first: StoredSession, second: StoredSession, agreement: Agreement) ->
     count, own = Numbers.of(first), second
     shift = shift_after(second, first.latest)
     second = shifted(second, shift)
-    one, other = first.belief, own.belief
+    one, other = first.slam_state, own.slam_state
     model = OdometryModel(first.config.odometry)
     samples = np.concatenate([one.odometry_model.samples, other.odometry_model.samples])
     model.take(samples)
-    path = joined_path(one.path, other.path, count.keyframes, shift)
+    path = joined_path(one.trajectory, other.trajectory, count.keyframes, shift)
     stamps = [*one.keyframe_stamps, *(stamp + shift for stamp in other.keyframe_stamps)]
-    sightings = [*first.sightings, *second.sightings]
-    carried = [*one.carried_keyframes, *(keyframe + count.keyframes for keyframe in other.carried_keyframes)]
-    starts = [*first.starts, *(row + count.sightings for row in second.starts)]
-    drive = drive_of(sightings, path, stamps, carried, starts)
+    scans = [*first.scans, *second.scans]
+    carried = [*one.kidnapped_keyframes, *(keyframe + count.keyframes for keyframe in other.kidnapped_keyframes)]
+    starts = [*first.starts, *(row + count.scans for row in second.starts)]
+    drive = build_scan_history(scans, path, stamps, carried, starts)
     motion = agreement.members[0].found.motion
     mapper = _solved(one.mapper, other.mapper, motion, drive, model, agreement)
-    belief = SlamState.restored(
+    slam_state = SlamState.restored(
         first.config.odometry,
         samples,
         mapper,
         path,
         stamps,
         _standing(other, mapper, count.keyframes, carried),
-        LoopSearchState(last_way=mapper.ways[-1]),
-        {k: sightings[row] for k, row in enumerate(drive.keyframes.tolist())},
+        LoopSearchState(last_travel=mapper.travelled[-1]),
+        {k: scans[row] for k, row in enumerate(drive.keyframes.tolist())},
     )
     return StoredSession(
         config=first.config,
-        belief=belief,
-        sightings=sightings,
+        slam_state=slam_state,
+        scans=scans,
         odometry=[*first.odometry, *second.odometry],
         starts=starts,
         sigma_range=second.sigma_range,
@@ -71,23 +71,23 @@ def united(first: StoredSession, second: StoredSession, agreement: Agreement) ->
 
 
 def _solved(
-    first: Mapper, second: Mapper, motion: se2.Pose, drive: Drive, model: OdometryModel, agreement: Agreement
+    first: Mapper, second: Mapper, motion: se2.Pose, drive: ScanHistory, model: OdometryModel, agreement: Agreement
 ) -> Mapper:
     """The map of both. Raises MapError where too few of the walls that are the same come together."""
     walls = len(first.landmarks.walls)
     mapper = Mapper()
     mapper.landmarks = joined_landmarks(first, second, motion)
-    mapper.flatness = WallRoughness()
-    mapper.flatness.take(np.concatenate([first.flatness.samples, second.flatness.samples]))
-    poses = np.concatenate([first.trail, se2.compose(motion, second.trail)])
+    mapper.roughness = WallRoughness()
+    mapper.roughness.take(np.concatenate([first.roughness.samples, second.roughness.samples]))
+    poses = np.concatenate([first.keyframe_poses, se2.compose(motion, second.keyframe_poses)])
     nowhere = np.zeros(len(drive), dtype=bool)
-    for k, (row, names) in enumerate(zip(drive.keyframes, joined_names(first, second), strict=True)):
-        seen = drive.sightings[row].seen
+    for k, (row, landmark_ids) in enumerate(zip(drive.keyframes, joined_names(first, second), strict=True)):
+        seen = drive.scans[row].features
         reached = None if k == 0 else motion_to(k, drive, model, poses, np.zeros((3, 3)), nowhere)
-        mapper.extend(poses[k], reached, seen.segments, seen.corners, names)
+        mapper.extend(poses[k], reached, seen.segments, seen.corners, landmark_ids)
     for member in agreement.members:
-        old = _nearest(first.trail, member.found.pose)
-        there = se2.between(first.trail[old], member.found.pose)
+        old = _nearest(first.keyframe_poses, member.found.pose)
+        there = se2.between(first.keyframe_poses[old], member.found.pose)
         mapper.graph.tie_keyframes(old, member.keyframes[-1] + first.keyframe_count, there, CARRYING_SIGMAS)
     mapper.solve()
     mapper.remember_covariances()
@@ -95,35 +95,35 @@ def _solved(
     return mapper
 
 
-def _nearest(trail: Floats, pose: se2.Pose) -> int:
-    return int(np.hypot(*(trail[:, :2] - pose[:2]).T).argmin())
+def _nearest(keyframe_poses: Floats, pose: se2.Pose) -> int:
+    return int(np.hypot(*(keyframe_poses[:, :2] - pose[:2]).T).argmin())
 
 
 def _make_one(mapper: Mapper, agreement: Agreement, number: int) -> None:
     """Make one of the walls that were recognised in each other; the second map's are numbered on from `number`."""
     rows = mapper.landmarks.walls.rows
     found = np.concatenate([member.found.pairs + np.array([0, number]) for member in agreement.members])
-    pairs = list(dict.fromkeys((int(rows["kept"][old]), int(rows["kept"][new])) for old, new in found))
+    pairs = list(dict.fromkeys((int(rows["merged_into"][old]), int(rows["merged_into"][new])) for old, new in found))
     joined = [(old, new) for old, new in pairs if together(rows[old], rows[new])]
     if len(joined) < LEAST_MERGED * len(pairs):
         raise MapError(f"only {len(joined)} of {len(pairs)} walls that looked the same come together")
     for old, new in joined:
-        if old != new and rows["kept"][old] == old and rows["kept"][new] == new:
+        if old != new and rows["merged_into"][old] == old and rows["merged_into"][new] == new:
             mapper.merge_walls(old, new)
     mapper.graph.update()
     mapper.settle()
 
 
-def _standing(belief: SlamState, mapper: Mapper, keyframes: int, carried: Sequence[int]) -> Standing:
+def _standing(slam_state: SlamState, mapper: Mapper, keyframes: int, carried: Sequence[int]) -> TrackingCheckpoint:
     """Where the robot of a belief stands in a map in which its keyframes are numbered on from `keyframes`."""
-    standing = belief.standing
-    if standing.anchor is None or standing.firm is None:
-        return replace(standing, carried_keyframes=carried)
-    anchor = replace(standing.anchor, keyframe=standing.anchor.keyframe + keyframes)
-    before = belief.mapper.trail[standing.anchor.keyframe]
-    pose = se2.compose(mapper.trail[anchor.keyframe], se2.between(before, standing.firm.pose))
-    firm = replace(standing.firm, pose=pose)
-    return replace(standing, firm=firm, anchor=anchor, carried_keyframes=carried)
+    checkpoint = slam_state.checkpoint
+    if checkpoint.anchor is None or checkpoint.firm is None:
+        return replace(checkpoint, kidnapped_keyframes=carried)
+    anchor = replace(checkpoint.anchor, keyframe=checkpoint.anchor.keyframe + keyframes)
+    before = slam_state.mapper.keyframe_poses[checkpoint.anchor.keyframe]
+    pose = se2.compose(mapper.keyframe_poses[anchor.keyframe], se2.between(before, checkpoint.firm.pose))
+    firm = replace(checkpoint.firm, pose=pose)
+    return replace(checkpoint, firm=firm, anchor=anchor, kidnapped_keyframes=carried)
 
 
 def _closures(session: StoredSession, keyframes: int) -> list[dict[str, Any]]:

@@ -71,7 +71,7 @@ def plot_closure(path: Path, before: MapUpdated, path_before: Floats, decided: L
     drawn = np.concatenate([walls_before, walls_after]).reshape(-1, 2)
     title = f"A loop of {_driven(path_before):.0f} m is closed: the robot moves by {decided.shift:.2f} m"
     subtitle = (
-        f"explains {100 * decided.explained:.0f} % of the wall seen lately, {decided.matches} walls, known to "
+        f"explains {100 * decided.overlap_ratio:.0f} % of the wall seen lately, {decided.matches} walls, known to "
         f"{1000 * decided.sigma:.0f} mm; the next best place {100 * decided.runner_up:.0f} % as much; "
         f"{len(decided.merged)} pairs of walls made one"
     )

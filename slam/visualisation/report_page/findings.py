@@ -91,10 +91,10 @@ def _loops(loops: dict[str, int]) -> Iterator[Finding]:
 
 
 def _health(health: dict[str, Any]) -> Iterator[Finding]:
-    explained = health.get("explained_median")
-    if explained is not None and explained < LITTLE_EXPLAINED:
+    overlap_ratio = health.get("overlap_ratio_median")
+    if overlap_ratio is not None and overlap_ratio < LITTLE_EXPLAINED:
         yield Finding(
-            f"The map explains only {percent(explained)} of what the scans see.",
+            f"The map explains only {percent(overlap_ratio)} of what the scans see.",
             "Too much that moves, a floor or a window in the lidar's plane, or a map that came apart.",
             grave=True,
         )

@@ -14,7 +14,7 @@ SHOWN = ("accepted", "retracted")
 TERMS = {
     "what": "one that waited had passed, but needed a second look that agreed, and none came",
     "keyframes": "where it was decided, and one that saw the place before",
-    "explained": "of the wall seen lately, the share that would fall on old walls; the more the better",
+    "overlap_ratio": "of the wall seen lately, the share that would fall on old walls; the more the better",
     "walls": "how many walls would",
     "runner-up": "how much another place explains, relative to this one: near 100 % the two cannot be told apart",
     "σ": "how well the motion is known where it is known worst",
@@ -84,7 +84,7 @@ def _decisions(rows: list[dict[str, Any]], start: float) -> str:
         ("what", lambda row: STATUS.get(row["status"], row["status"])),
         ("keyframes", lambda row: f"{row['keyframe']} → {row['old']}"),
         ("why", lambda row: row["reason"] or "–"),
-        ("explained", lambda row: percent(row["explained"])),
+        ("overlap_ratio", lambda row: percent(row["overlap_ratio"])),
         ("walls", lambda row: str(row["matches"])),
         ("runner-up", lambda row: percent(row["runner_up"])),
         ("σ", lambda row: length(row["sigma"])),

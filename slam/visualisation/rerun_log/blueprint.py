@@ -156,7 +156,7 @@ class _Panels:
         times = None if usual is None else rrb.ScalarAxis(range=(0.0, 2 * usual))
         first = [self._plot("error", "Error against the truth")] if self._extent.truth else []
         return [
-            [*first, self._plot("explained", "Explained by the map", axis=share)],
+            [*first, self._plot("overlap_ratio", "Explained by the map", axis=share)],
             [
                 self._plot("chi2", "chi² and loops"),
                 self._plot("fit", "Misfit by kind"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 
-from ...events import Correction, LoopDecided, ComparedWalls
+from ...events import ComparedWalls, Correction, LoopDecided
 from ...geometry.segments import Floats
 from . import colours
 from .recording import Recording

@@ -74,7 +74,7 @@ def loop_report(event: LoopDecided) -> str:
 
 _TESTS = {
     "drift": "motion, as a share of the drift to be expected",
-    "explained": "share of recent wall that falls on old wall",
+    "overlap_ratio": "share of recent wall that falls on old wall",
     "weakest": "the same of the walls that tell of one direction, where it is least",
     "length": "metres of it",
     "gain": "metres more than where the robot is believed to be",

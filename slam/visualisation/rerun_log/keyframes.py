@@ -59,14 +59,16 @@ class KeyframeLayer:
         self._recording.log("world/here", rr.Transform3D(translation=[x, y, 0.0]))
         self._recording.log("world/keyframe", _placed(pose))
 
-    def log(self, event: KeyframeAdded, explained: float, lines: MapWalls | None, corners: MapCorners | None) -> float:
+    def log(
+        self, event: KeyframeAdded, overlap_ratio: float, lines: MapWalls | None, corners: MapCorners | None
+    ) -> float:
         """Log a keyframe; returns the largest sigma of its position, metres, NaN where unknown.
 
         `explained` is what its scan's registration said; `lines` and `corners` are the map as last heard of.
         """
         position_sigma, heading_sigma = self._log_pose(event)
         self._log_features(event, lines, corners)
-        self._log_metrics(event, explained, position_sigma, heading_sigma)
+        self._log_metrics(event, overlap_ratio, position_sigma, heading_sigma)
         report = documents.keyframe(event, position_sigma, heading_sigma)
         self._recording.log("keyframe", rr.TextDocument(report, media_type=rr.MediaType.MARKDOWN))
         return position_sigma
@@ -117,14 +119,16 @@ class KeyframeLayer:
             self._recording.log(entity, rr.LineStrips3D.from_fields(strips=strips))
         (self._filled.add if len(strips) else self._filled.discard)(entity)
 
-    def _log_metrics(self, event: KeyframeAdded, explained: float, position_sigma: float, heading_sigma: float) -> None:
+    def _log_metrics(
+        self, event: KeyframeAdded, overlap_ratio: float, position_sigma: float, heading_sigma: float
+    ) -> None:
         gates = event.line_gate[(event.line_match >= 0) & np.isfinite(event.line_gate)]
         sigma = {
             "position [cm]": 100 * position_sigma,
             "heading [°]": math.degrees(heading_sigma),
             "range [cm]": 100 * event.sigma_range,
         }
-        self._metrics.log("explained", {"share of wall length": explained})
+        self._metrics.log("overlap_ratio", {"share of wall length": overlap_ratio})
         self._metrics.log("sigma", sigma)
         self._metrics.log("association", {"largest d²": float(gates.max()) if len(gates) else math.nan})
         self._metrics.log("time", {"total": sum(event.timings.values())} | event.timings)

@@ -22,17 +22,17 @@ from ...events import (
     Event,
     Finished,
     GraphInspected,
+    GroundTruthReceived,
     KeyframeAdded,
-    WallsMerged,
-    WallsRemoved,
     LoopDecided,
     MapCorners,
-    MapWalls,
     MapUpdated,
+    MapWalls,
     Notice,
     ScanTracked,
     StateChanged,
-    GroundTruthReceived,
+    WallsMerged,
+    WallsRemoved,
 )
 from ...geometry.segments import Floats
 from . import colours, documents, maps
@@ -177,7 +177,7 @@ class EventLog:
         self._recording.log("log", rr.TextLog(text, level=level))
 
     def _write_scan(self, event: ScanTracked) -> None:
-        self._explained = event.explained
+        self._explained = event.overlap_ratio
         self._between(event.stamp)
         self._keyframes.move_robot(event.pose)
 

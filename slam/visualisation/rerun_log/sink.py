@@ -16,13 +16,13 @@ import numpy as np
 from ...events import (
     Event,
     Finished,
+    GroundTruthReceived,
     KeyframeAdded,
-    WallsMerged,
-    WallsRemoved,
     LoopDecided,
     ScanTracked,
     StateChanged,
-    GroundTruthReceived,
+    WallsMerged,
+    WallsRemoved,
 )
 from .server import ViewerServer
 

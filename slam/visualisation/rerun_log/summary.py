@@ -67,9 +67,9 @@ def _health(told: Told) -> Iterator[str]:
     slam = told.summary.get("slam") or {}
     health = slam.get("health") or {}
     if health:
-        explained = 100 * (health.get("explained_median") or 0.0)
+        overlap_ratio = 100 * (health.get("overlap_ratio_median") or 0.0)
         counts = ", ".join(f"{health.get(name, 0)} {name}" for name in ("searched", "unplaced", "blind", "lost"))
-        yield f"health      the map explains {explained:.0f} % of a scan (median); scans: {counts}"
+        yield f"health      the map explains {overlap_ratio:.0f} % of a scan (median); scans: {counts}"
     else:
         shares = [row.values["Scalars:scalars"][0] for row in rows(told.chunks, "/metrics/explained")]
         known = sorted(share for share in shares if not math.isnan(share))

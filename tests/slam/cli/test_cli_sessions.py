@@ -97,7 +97,7 @@ def test_a_session_is_optimised(wclm: Any, session: Path) -> None:
     summary = json.loads(Path("better", SUMMARY).read_text())
     assert summary["slam"]["refinement"]["factors_after"] == summary["slam"]["factors"]
     np.testing.assert_array_equal(read_tum(Path("better", TRAJECTORY)).stamps, read_tum(session / TRAJECTORY).stamps)
-    assert len(read_stored(Path("better")).sightings) == len(read_stored(session).sightings)
+    assert len(read_stored(Path("better")).scans) == len(read_stored(session).scans)
     wclm.refuses("optimize", session, "--out", "better", because=["better: exists already"])
 
 
@@ -126,7 +126,7 @@ def test_the_graph_has_its_optimum_where_the_session_has_it(wclm: Any, session: 
     assert result.exit_code == 0, result.output
     graph = read_pose_graph(session / "map.g2o").graph
     map_ = read_map(session / MAP)
-    stored = read_stored(session).belief.mapper
+    stored = read_stored(session).slam_state.mapper
     stored.settle()  # walls that are one are tied
     assert graph.edge_count == stored.graph.factor_count - 1  # the first keyframe's prior; it is fixed instead
     assert set(1_000_000 + map_.lines.identity) <= set(graph.pose_ids)

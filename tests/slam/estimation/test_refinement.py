@@ -14,19 +14,19 @@ from drivers.simulation.simulator import Simulation
 from slam import Config, Finished, Slam
 from slam.config import OdometryConfig
 from slam.estimation.estimator import Estimator
-from slam.estimation.refinement import Drive, drive_of, refine
-from slam.estimation.refinement.renaming import recount
+from slam.estimation.refinement import ScanHistory, build_scan_history, refine
+from slam.estimation.refinement.landmark_recount import recount
 from slam.estimation.slam_state import SlamState
 from slam.evaluation.metrics import score_reference
 from slam.events import Event, GraphInspected, MapUpdated
 from slam.geometry.segments import CornerPoints, Segments
 from slam.io.tum import Trajectory
-from slam.mapping.keyframes import Motion, LandmarkIds
+from slam.mapping.keyframes import LandmarkIds, Motion
 from slam.mapping.mapper import Mapper
 from slam.matching.likelihood_field import ScanPoints
 from slam.matching.line_matcher import ScanFeatures
 from slam.odometry.error_model import OdometryModel
-from slam.preprocessing.scan_queue import Preprocessor, ProcessedScan
+from slam.preprocessing.preprocessor import Preprocessor, ProcessedScan
 from slam.run_statistics import StageTimer
 
 DOUBLED = 0.03  # metres between a wall and its false twin
@@ -54,7 +54,7 @@ class Driven:
     """A drive, the map that was made of it, settled, and how far odometry is trusted."""
 
     mapper: Mapper
-    drive: Drive
+    drive: ScanHistory
     noise: OdometryModel
     messages: list[Message]
 
@@ -66,24 +66,24 @@ class Driven:
 @pytest.fixture(scope="module")
 def driven() -> Driven:
     messages = list(Simulation("room", seed=3, duration=16.0))
-    front_end, estimator, sightings = Preprocessor(Config()), Estimator(SlamState(Config().odometry)), []
+    front_end, estimator, scans = Preprocessor(Config()), Estimator(SlamState(Config().odometry)), []
     for message in messages:
         if isinstance(message, GroundTruth):
             continue
         front_end.add(message)
         while (scan := front_end.next_scan()) is not None:
-            sightings.append(front_end.sight(scan, estimator.belief.odometry_model))
-            estimator.take(sightings[-1], StageTimer())
-    belief = estimator.belief
-    belief.mapper.settle()
-    drive = drive_of(sightings, belief.path, belief.keyframe_stamps, belief.carried_keyframes)
-    return Driven(belief.mapper, drive, belief.odometry_model, messages)
+            scans.append(front_end.sight(scan, estimator.slam_state.odometry_model))
+            estimator.take(scans[-1], StageTimer())
+    slam_state = estimator.slam_state
+    slam_state.mapper.settle()
+    drive = build_scan_history(scans, slam_state.trajectory, slam_state.keyframe_stamps, slam_state.kidnapped_keyframes)
+    return Driven(slam_state.mapper, drive, slam_state.odometry_model, messages)
 
 
 def walls_of(mapper: Mapper) -> np.ndarray:
     """Identities of the confirmed walls."""
     rows = mapper.landmarks.walls.rows
-    return np.flatnonzero(rows["in_graph"] & (rows["kept"] == np.arange(len(rows))))
+    return np.flatnonzero(rows["in_graph"] & (rows["merged_into"] == np.arange(len(rows))))
 
 
 def test_a_drive_is_all_sightings_where_the_path_has_them(driven: Driven) -> None:
@@ -108,8 +108,8 @@ def doubled(driven: Driven) -> Mapper:
     old, drive, poses = driven.mapper, driven.drive, driven.poses
     mapper, half = Mapper.on(old), len(poses) // 2
     rows = old.landmarks.walls.rows
-    kept = rows["kept"]
-    names = [LandmarkIds(np.where(n.walls >= 0, kept[n.walls], -1), n.corners) for n in old.names]
+    kept = rows["merged_into"]
+    names = [LandmarkIds(np.where(n.walls >= 0, kept[n.walls], -1), n.corners) for n in old.landmark_ids]
     late = np.concatenate([n.walls for n in names[half:]])
     wall = int(np.bincount(late[late >= 0]).argmax())
     beside = se2.compose(rows["frame"][wall], [0.0, DOUBLED, 0.0])
@@ -118,7 +118,7 @@ def doubled(driven: Driven) -> Mapper:
     recount(mapper.landmarks, drive, names, poses)
     certain = np.zeros(len(drive), dtype=bool)
     for k, row in enumerate(drive.keyframes):
-        seen = drive.sightings[row].seen
+        seen = drive.scans[row].features
         motion = None
         if k:
             motion = Motion(k - 1, *drive.motion(int(drive.keyframes[k - 1]), int(row), driven.noise, certain))
@@ -177,7 +177,7 @@ STEP = 0.4  # metres
 LAP = 60  # steps of a turn through nowhere, back to the room
 
 
-def visited_twice() -> tuple[Drive, np.ndarray, np.ndarray]:
+def visited_twice() -> tuple[ScanHistory, np.ndarray, np.ndarray]:
     """A drive through the room, around in a circle where nothing is to be seen, and through the room again; its true
     poses, and those that odometry has, which is off by most of a metre at the end."""
     through = [np.array([STEP, 0.0, 0.0])] * 10
@@ -190,17 +190,17 @@ def visited_twice() -> tuple[Drive, np.ndarray, np.ndarray]:
         slip = [0.04, 0.0, 0.002] if len(through) + 10 <= k < len(through) + 10 + LAP // 2 else np.zeros(3)
         claimed.append(se2.compose(claimed[-1], motion + slip))
     nothing = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)))
-    sightings = []
+    scans = []
     for k, (pose, odometry) in enumerate(zip(true, claimed, strict=True)):
         steps_in = min(k, 20 - k) if k <= 20 else k - (len(motions) - 10)
         walls = ROOM[: 0 if steps_in < 0 else WITHOUT_BAY if steps_in < AT_BAY else len(ROOM)]
         uncertain = np.tile(np.diag([0.005, 0.004]) ** 2, (len(walls), 1, 1))
         segments = Segments(se2.between(pose, walls[:, :3]).reshape(-1, 3), walls[:, 3], uncertain)
         seen = ScanFeatures(segments, nothing, ScanPoints(np.zeros((0, 2)), np.zeros((0, 2))))
-        sightings.append(ProcessedScan(0.5 * k, odometry, seen))
-    every = np.arange(len(sightings))
-    count = len(sightings)
-    drive = Drive(sightings, every, every, np.zeros((count, 3)), np.zeros((count, 3, 3)), frozenset())
+        scans.append(ProcessedScan(0.5 * k, odometry, seen))
+    every = np.arange(len(scans))
+    count = len(scans)
+    drive = ScanHistory(scans, every, every, np.zeros((count, 3)), np.zeros((count, 3, 3)), frozenset())
     return drive, np.array(true), np.array(claimed)
 
 
@@ -212,17 +212,17 @@ def test_a_loop_that_was_never_closed_is_closed() -> None:
         for wall in ROOM:
             frame = se2.compose(claimed[end], se2.between(true[end], wall[:3]))
             mapper.landmarks.add_wall(frame, wall[3], 0)
-    for k, sighting in enumerate(drive.sightings):
-        seen, visit = sighting.seen, int(k > 40)
+    for k, scan in enumerate(drive.scans):
+        seen, visit = scan.features, int(k > 40)
         names = LandmarkIds(np.arange(len(seen.segments)) + visit * len(ROOM), np.zeros(0, dtype=np.int64))
         motion = Motion(k - 1, *drive.motion(k - 1, k, noise, certain)) if k else None
         mapper.landmarks.walls.rows["observations"][names.walls] = 10
         mapper.extend(claimed[k], motion, seen.segments, seen.corners, names)
-    recount(mapper.landmarks, drive, mapper.names, claimed)
+    recount(mapper.landmarks, drive, mapper.landmark_ids, claimed)
     mapper.landmarks.walls.rows["in_graph"] = True
     mapper.solve()
     apart = se2.between(true[0], true)
-    before = np.hypot(*(mapper.trail - apart)[-1, :2])
+    before = np.hypot(*(mapper.keyframe_poses - apart)[-1, :2])
     assert before > 0.6
     refined = refine(mapper, drive, noise)
     assert refined.summary["closures_added"] == 1

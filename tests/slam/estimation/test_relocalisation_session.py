@@ -134,9 +134,9 @@ def test_a_closure_taken_back_takes_every_sighting_once_more(monkeypatch: pytest
     slam = Slam()
     for message in Simulation("large_loop", seed=0, lidar=LIDARS["short"], drive=DRIVES["bad"]):
         slam.add(message)
-    stamps = slam.belief.path.hung()[0]
+    stamps = slam.slam_state.trajectory.hung()[0]
     assert np.all(np.diff(stamps) > 0.0)
     loops = slam.finish().summary["loops"]
     assert isinstance(loops, dict)
     assert loops["retracted"] == loops["accepted"] > 0
-    assert np.all(slam.belief.mapper.landmarks.walls.rows["last_seen"] < slam.belief.mapper.keyframe_count)
+    assert np.all(slam.slam_state.mapper.landmarks.walls.rows["last_seen"] < slam.slam_state.mapper.keyframe_count)

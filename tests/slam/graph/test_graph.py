@@ -225,7 +225,9 @@ def test_between_keyframes_of_a_chain_only_the_motions_between_them_are_uncertai
     for _ in range(3):
         carry = se2.adjoint(se2.inverse(motion))
         expected = carry @ expected @ carry.T + ODOMETRY
-    np.testing.assert_allclose(graph.relative_covariance(2, 5), ROBUST_COVARIANCE_SCALE * expected, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(
+        graph.relative_covariance(2, 5), ROBUST_COVARIANCE_SCALE * expected, rtol=1e-6, atol=1e-12
+    )
 
 
 def two_frames_on_one_wall() -> FactorGraph:

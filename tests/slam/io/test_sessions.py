@@ -18,9 +18,9 @@ from slam.errors import MapError, SlamError
 from slam.io.output_dir import CONFIG, SESSION
 from slam.io.sessions import Recording, StoredSession, is_stored, read_stored, write_stored
 from slam.io.sessions.store import ADRIFT, FACTORS, HEAD, KEYFRAMES, SIGHTINGS, WALLS
-from slam.mapping.landmarks import STANDING
+from slam.mapping.landmarks import NEVER_REMOVED
 from slam.mapping.mapper import Mapper
-from slam.preprocessing.scan_queue import NO_FEATURES
+from slam.preprocessing.preprocessor import NO_FEATURES
 
 ROOM = Recording(name="room", path="sim:room", first=0.0, last=8.0)
 
@@ -56,7 +56,7 @@ def test_the_estimate_is_read_back(left: tuple[StoredSession, Path]) -> None:
     again = read_stored(path)
     assert again.recordings == [ROOM]
     assert again.config == session.config
-    one, other = (some.belief.copy().mapper for some in (session, again))
+    one, other = (some.slam_state.copy().mapper for some in (session, again))
     for before, after in zip(estimate(one), estimate(other), strict=True):
         np.testing.assert_allclose(after, before, rtol=1e-3, atol=1e-4)  # iSAM2 substitutes back to a threshold
     one.settle()
@@ -68,24 +68,24 @@ def test_the_estimate_is_read_back(left: tuple[StoredSession, Path]) -> None:
 def test_all_that_the_estimate_rests_on_is_read_back(left: tuple[StoredSession, Path]) -> None:
     session, path = left
     again = read_stored(path)
-    one, other = session.belief, again.belief
+    one, other = session.slam_state, again.slam_state
     for name in ("walls", "corners"):
         before, after = (getattr(some.mapper.landmarks, name).rows for some in (one, other))
-        for column in before.dtype.names:
+        for column in before.dtype.landmark_ids:
             # of a covariance only one half is kept, and the two agree but for rounding
             np.testing.assert_allclose(after[column], before[column], rtol=1e-9, atol=1e-15, err_msg=column)
     assert other.mapper.landmarks.covered == one.mapper.landmarks.covered
     assert other.mapper.landmarks.opened == one.mapper.landmarks.opened
-    assert other.mapper.doubts.counts == one.mapper.doubts.counts
-    assert other.mapper.flatness.variance == one.mapper.flatness.variance
+    assert other.mapper.free_space_evidence.counts == one.mapper.free_space_evidence.counts
+    assert other.mapper.roughness.variance == one.mapper.roughness.variance
     np.testing.assert_array_equal(other.odometry_model.deviations, one.odometry_model.deviations)
-    for before, after in zip(one.mapper.names, other.mapper.names, strict=True):
+    for before, after in zip(one.mapper.landmark_ids, other.mapper.names, strict=True):
         np.testing.assert_array_equal(after.walls, before.walls)
         np.testing.assert_array_equal(after.corners, before.corners)
     covariances = one.mapper.pose_covariances
     np.testing.assert_allclose(other.mapper.pose_covariances, covariances, rtol=1e-9, atol=1e-15)
     assert len(other.mapper.waiting) == len(one.mapper.waiting)
-    np.testing.assert_array_equal(other.mapper.ways, one.mapper.ways)
+    np.testing.assert_array_equal(other.mapper.travelled, one.mapper.travelled)
     np.testing.assert_allclose(other.pose, one.pose, atol=1e-12)
     np.testing.assert_array_equal(again.odometry[0].stamps, session.odometry[0].stamps)
     np.testing.assert_array_equal(again.odometry[0].poses, session.odometry[0].poses)
@@ -100,19 +100,19 @@ def test_what_was_sighted_is_read_back(left: tuple[StoredSession, Path]) -> None
     np.testing.assert_array_equal(again.anchors, drive.anchors)
     np.testing.assert_array_equal(again.relative, drive.relative)
     np.testing.assert_array_equal(again.kept, drive.kept)
-    for before, after in zip(drive.sightings, again.sightings, strict=True):
-        for some in (before.seen, after.seen):  # else what is compiled for the one would be compiled for the other anew
+    for before, after in zip(drive.scans, again.scans, strict=True):
+        for some in (before.features, after.features):  # else what is compiled for the one would be compiled for the other anew
             arrays = some.segments.frame, some.segments.half_length, some.segments.covariance, some.corners.covariance
             assert all(array.flags.c_contiguous for array in (*arrays, some.corners.position, some.corners.headings))
-        np.testing.assert_allclose(after.seen.segments.frame, before.seen.segments.frame, atol=1e-6)
-        np.testing.assert_allclose(after.seen.segments.covariance, before.seen.segments.covariance, rtol=1e-6)
-        np.testing.assert_allclose(after.seen.corners.position, before.seen.corners.position, atol=1e-6)
-        np.testing.assert_array_equal(after.seen.corners.segments, before.seen.corners.segments)
-        np.testing.assert_allclose(se2.wrap(after.seen.corners.headings - before.seen.corners.headings), 0, atol=1e-6)
-        np.testing.assert_allclose(after.seen.points.all, before.seen.points.all, atol=6e-4)
-        np.testing.assert_allclose(after.seen.points.loose, before.seen.points.loose, atol=6e-4)
+        np.testing.assert_allclose(after.features.segments.frame, before.features.segments.frame, atol=1e-6)
+        np.testing.assert_allclose(after.features.segments.covariance, before.features.segments.covariance, rtol=1e-6)
+        np.testing.assert_allclose(after.features.corners.position, before.features.corners.position, atol=1e-6)
+        np.testing.assert_array_equal(after.features.corners.segments, before.features.corners.segments)
+        np.testing.assert_allclose(se2.wrap(after.features.corners.headings - before.features.corners.headings), 0, atol=1e-6)
+        np.testing.assert_allclose(after.features.points.all, before.features.points.all, atol=6e-4)
+        np.testing.assert_allclose(after.features.points.loose, before.features.points.loose, atol=6e-4)
     for row in drive.keyframes[-5:]:  # which the next scans will be laid over
-        before, after = drive.sightings[row].seen, again.sightings[row].seen
+        before, after = drive.scans[row].features, again.scans[row].features
         np.testing.assert_array_equal(after.segments.frame, before.segments.frame)
         np.testing.assert_array_equal(after.points.loose, before.points.loose)
 
@@ -120,7 +120,7 @@ def test_what_was_sighted_is_read_back(left: tuple[StoredSession, Path]) -> None
 def test_a_session_is_small(left: tuple[StoredSession, Path]) -> None:
     session, path = left
     size = (path / SESSION / SIGHTINGS).stat().st_size
-    assert size < 2500 * len(session.sightings)  # 360 points and some twelve features a scan
+    assert size < 2500 * len(session.scans)  # 360 points and some twelve features a scan
 
 
 def test_what_was_not_kept_of_a_sighting_is_not_there_afterwards(tmp_path: Path) -> None:
@@ -129,11 +129,11 @@ def test_what_was_not_kept_of_a_sighting_is_not_there_afterwards(tmp_path: Path)
         slam.add(message)
     slam.finish()
     session = slam.session
-    last = len(session.sightings) - 1
-    session.sightings = [*session.sightings[:last], session.sightings[last].without_view()]
+    last = len(session.scans) - 1
+    session.scans = [*session.scans[:last], session.scans[last].without_view()]
     leave(tmp_path, session)
     again = read_stored(tmp_path)
-    assert again.sightings[last].seen is NO_FEATURES
+    assert again.scans[last].features is NO_FEATURES
     assert again.drive().kept.sum() == last
 
 
@@ -150,13 +150,13 @@ def test_a_session_that_knows_of_no_retired_walls_is_read(left: tuple[StoredSess
     path = shutil.copytree(left[1], tmp_path / "out")
     head, walls = path / SESSION / HEAD, path / SESSION / WALLS
     head.write_text(json.dumps(json.loads(head.read_text()) | {"version": 1}))
-    new = ["retired_at", "opened", "opened_at", "doubted", "doubts"]
+    new = ["removed_at", "opened", "opened_at", "doubted", "doubts"]
     pq.write_table(pq.read_table(walls).drop_columns(new), walls)
-    mapper = read_stored(path).belief.mapper
-    assert (mapper.landmarks.walls.rows["retired_at"] == STANDING).all()
-    assert len(mapper.landmarks.walls) == len(left[0].belief.mapper.landmarks.walls)
+    mapper = read_stored(path).slam_state.mapper
+    assert (mapper.landmarks.walls.rows["removed_at"] == NEVER_REMOVED).all()
+    assert len(mapper.landmarks.walls) == len(left[0].slam_state.mapper.landmarks.walls)
     assert not mapper.landmarks.opened
-    assert not mapper.doubts.counts
+    assert not mapper.free_space_evidence.counts
 
 
 def test_a_session_that_does_not_know_where_it_was_adrift_is_read(
@@ -167,9 +167,9 @@ def test_a_session_that_does_not_know_where_it_was_adrift_is_read(
     head, keyframes = path / SESSION / HEAD, path / SESSION / KEYFRAMES
     head.write_text(json.dumps(json.loads(head.read_text()) | {"version": 2}))
     pq.write_table(pq.read_table(keyframes).drop_columns(list(ADRIFT)), keyframes)
-    mapper = read_stored(path).belief.mapper
-    assert mapper.adrift.shape == (mapper.keyframe_count, 2, 2)
-    assert not mapper.adrift.any()
+    mapper = read_stored(path).slam_state.mapper
+    assert mapper.correlated_drift.shape == (mapper.keyframe_count, 2, 2)
+    assert not mapper.correlated_drift.any()
 
 
 def test_a_session_of_another_version_says_so(left: tuple[StoredSession, Path], tmp_path: Path) -> None:
@@ -183,7 +183,7 @@ def test_a_session_of_another_version_says_so(left: tuple[StoredSession, Path], 
 @pytest.mark.parametrize(
     ("instead", "told"),
     [
-        ({"carried_keyframes": [10**6]}, "carried_keyframes: there are"),
+        ({"kidnapped_keyframes": [10**6]}, "carried_keyframes: there are"),
         ({"starts": [-1]}, "starts: there are"),
         ({"sigma": 1}, "sigma: Extra inputs are not permitted"),
         ({"fit": None}, "fit: Input should be a valid number"),

@@ -19,7 +19,7 @@ from slam.matching.likelihood_field import (
     SEARCH_TURN_STEP,
     RecentPoints,
     ScanPoints,
-    likeness,
+    likelihood_score,
     make_field,
     search,
 )
@@ -36,10 +36,10 @@ def test_points_seen_where_they_are_known_are_alike() -> None:
     field = make_field(outline(), np.zeros((0, 2)), np.array([2.0, 2.0]))
     pose = np.array([1.5, 1.5, 0.4])
     points = se2.transform(se2.inverse(pose), outline())
-    assert likeness(field, points, pose) > 0.9
-    assert likeness(field, points, pose + np.array([0.5, 0.0, 0.3])) < 0.4
-    assert likeness(field, points, pose + np.array([100.0, 0.0, 0.0])) == 0.0
-    assert likeness(field, np.zeros((0, 2)), pose) == 0.0
+    assert likelihood_score(field, points, pose) > 0.9
+    assert likelihood_score(field, points, pose + np.array([0.5, 0.0, 0.3])) < 0.4
+    assert likelihood_score(field, points, pose + np.array([100.0, 0.0, 0.0])) == 0.0
+    assert likelihood_score(field, np.zeros((0, 2)), pose) == 0.0
 
 
 @pytest.mark.parametrize("off", [[1.0, -0.8, 0.9], [-1.3, 0.2, -1.2], [0.0, 0.0, 0.0]])

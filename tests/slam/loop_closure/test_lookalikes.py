@@ -148,7 +148,7 @@ def test_the_adversary_proposes_a_wrong_place_and_forges_every_other_score() -> 
     adversary(recent, old, pose)
     forged = adversary(recent, old, pose)[1]
     assert len(adversary.forced) == 2
-    assert forged.explained == 1.0
+    assert forged.overlap_ratio == 1.0
     assert forged.length > max(hypothesis.length for hypothesis in honest)
     assert all(distinct(forged.motion, other.motion, pose) for other in honest[:2])
 

@@ -14,7 +14,7 @@ from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.loop_closure.closer import LoopCloser, LoopDecision, close
 from slam.loop_closure.proposal import Hypothesis, propose, refined
 from slam.loop_closure.recent_walls import OLD_WAY, recent_and_reference
-from slam.loop_closure.verification import VerificationContext, Verdict, allowed_by_estimate, is_astray, verify
+from slam.loop_closure.verification import Verdict, VerificationContext, allowed_by_estimate, is_astray, verify
 from slam.mapping.data_association import UNMATCHED, Association
 from slam.mapping.keyframes import Motion
 from slam.mapping.landmarks import Landmarks
@@ -76,15 +76,17 @@ def judged(
 ) -> Verdict:
     """The verdict on the best place, where the estimate has the `covariance` of the pose."""
     recent, old = recent_and_reference(landmarks, pose, ways)
-    return verify(propose(recent, old, pose), VerificationContext(recent, old, landmarks, pose, views, lambda: covariance))
+    return verify(
+        propose(recent, old, pose), VerificationContext(recent, old, landmarks, pose, views, lambda: covariance)
+    )
 
 
 @pytest.mark.parametrize("drift", [[0.9, -0.7, 0.12], [-1.5, 0.4, -0.1], [0.3, 0.25, 0.0]])
 def test_the_drift_of_a_room_seen_again_is_found(drift: list[float]) -> None:
     landmarks, pose, ways = seen_again(ROOM, np.array(drift))
     stay, best, *_ = hypotheses_of(landmarks, pose, ways)
-    assert stay.explained < 0.6 * best.explained
-    assert best.explained == pytest.approx(1.0, abs=0.02)
+    assert stay.overlap_ratio < 0.6 * best.overlap_ratio
+    assert best.overlap_ratio == pytest.approx(1.0, abs=0.02)
     np.testing.assert_allclose(se2.compose(best.motion, pose), INSIDE, atol=5e-3)
     assert sorted(best.matches) == list(range(len(ROOM)))
 
@@ -109,12 +111,12 @@ def looks(drifts: list[se2.Pose], covariance: Floats) -> list[LoopDecision]:
         mapper = SimpleNamespace(
             landmarks=landmarks,
             pose=pose,
-            ways=[*ways, ways[-1] + 2.0 * look],
+            travelled=[*ways, ways[-1] + 2.0 * look],
             views=[],
             keyframe_count=3,
             relative_covariance=lambda old, keyframe: covariance,
         )
-        decisions.append(closer.look(cast(Mapper, mapper)))
+        decisions.append(closer.search(cast(Mapper, mapper)))
     assert None not in decisions
     return [decision for decision in decisions if decision is not None]
 
@@ -181,7 +183,7 @@ def test_walls_along_one_direction_alone_do_not_make_a_place() -> None:
     add(landmarks, np.concatenate([sides, moved]), 1, drift)
     recent, old = recent_and_reference(landmarks, se2.compose(drift, INSIDE), np.array([0.0, 60.0]))
     found = refined(np.array([-0.9, 0.7, 0.0]), recent, old, se2.compose(drift, INSIDE))
-    assert found.explained > 0.65
+    assert found.overlap_ratio > 0.65
     assert found.weakest == pytest.approx(0.25, abs=0.05)
 
 
@@ -261,7 +263,7 @@ def test_closing_brings_the_robot_back_and_makes_one_map_of_two() -> None:
     assert closed.status == "accepted"
     assert len(closed.merged) == len(ROOM)
     np.testing.assert_allclose(mapper.pose, back, atol=0.01)
-    kept = mapper.landmarks.walls.rows["kept"]
+    kept = mapper.landmarks.walls.rows["merged_into"]
     assert [kept[wall] for wall in second] == first
     assert mapper.graph.factor_count == factors + len(ROOM)  # the ties; what carried the map over is gone
 
@@ -278,4 +280,4 @@ def test_walls_that_do_not_come_together_make_no_loop() -> None:
     # and what is done to a copy leaves no trace
     np.testing.assert_allclose(mapper.graph.keyframe_poses(mapper.keyframe_count), before, atol=1e-12)
     assert mapper.graph.factor_count == factors
-    assert list(mapper.landmarks.walls.rows["kept"][second]) == second
+    assert list(mapper.landmarks.walls.rows["merged_into"][second]) == second

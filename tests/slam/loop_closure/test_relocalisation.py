@@ -15,7 +15,7 @@ from drivers.messages import GroundTruth, Message
 from drivers.simulation.simulator import Simulation
 from slam.geometry.segments import Floats, Segments
 from slam.loop_closure.map_descriptor import MapDescriptor, describe_map
-from slam.loop_closure.relocalisation import Submap, MapIndex, Relocalisation, submap_of, index_map, relocalise
+from slam.loop_closure.relocalisation import MapIndex, Relocalisation, Submap, index_map, relocalise, submap_of
 from slam.loop_closure.visibility import look
 from slam.loop_closure.wall_pairs import pair_table
 from slam.mapping.landmarks import Landmarks
@@ -212,14 +212,14 @@ def office() -> tuple[MapIndex, se2.Pose]:
     first = next(message for message in messages if isinstance(message, GroundTruth))
     slam = mapped(messages)
     slam.finish()
-    return index_map(slam.belief.mapper), first.pose
+    return index_map(slam.slam_state.mapper), first.pose
 
 
 def test_a_robot_put_down_in_an_office_finds_itself(office: tuple[MapIndex, se2.Pose]) -> None:
     index, origin = office
     accepted = 0
     for slam, truth in pieces("office", seed=5, seconds=8.0, starts=[8.0, 20.0, 32.0, 44.0]):
-        found = relocalise(submap_of(slam.belief.mapper), index)
+        found = relocalise(submap_of(slam.slam_state.mapper), index)
         if found is None or not found.verdict.accepted:
             continue
         accepted += 1
@@ -232,7 +232,7 @@ def test_a_robot_put_down_in_an_office_finds_itself(office: tuple[MapIndex, se2.
 @pytest.mark.parametrize("world", ["room", "columns", "corridor"])
 def test_a_robot_in_another_building_is_not_believed(world: str, office: tuple[MapIndex, se2.Pose]) -> None:
     for slam, _ in pieces(world, seed=5, seconds=8.0, starts=[2.0, 12.0]):
-        found = relocalise(submap_of(slam.belief.mapper), office[0])
+        found = relocalise(submap_of(slam.slam_state.mapper), office[0])
         assert found is None or not found.verdict.accepted
 
 

@@ -29,7 +29,7 @@ def test_an_absorbed_wall_leaves_its_extent_and_its_name() -> None:
     landmarks.absorb(second, third)
     landmarks.absorb(first, second)
     walls = landmarks.walls.rows
-    np.testing.assert_array_equal(walls["kept"], [first, first, first])
+    np.testing.assert_array_equal(walls["merged_into"], [first, first, first])
     assert (walls["low"][first], walls["high"][first]) == pytest.approx((-3.5, 5.5))
     assert (walls["observations"][first], walls["first_seen"][first], walls["last_seen"][first]) == (3, 1, 9)
     assert list(landmarks.walls_near(np.array([0.0, 1.0, 0.0]), 5.0)) == [first]
@@ -132,20 +132,20 @@ def scattered(unevenness: float, count: int, seed: int) -> tuple[np.ndarray, np.
 
 @pytest.mark.parametrize("unevenness", [0.004, 0.01])
 def test_unevenness_is_learned_in_spite_of_wrong_associations(unevenness: float) -> None:
-    flatness = WallRoughness()
+    roughness = WallRoughness()
     for seed in range(40):
         residuals, covariances, halves = scattered(unevenness, 12, seed)
         residuals[0] += 0.1
-        flatness.add(residuals, covariances, halves)
-    assert np.sqrt(flatness.variance) == pytest.approx(unevenness, rel=0.25)
+        roughness.add(residuals, covariances, halves)
+    assert np.sqrt(roughness.variance) == pytest.approx(unevenness, rel=0.25)
 
 
 def test_perfect_walls_are_found_to_be_even() -> None:
-    flatness = WallRoughness()
-    assert flatness.variance > 0.0
+    roughness = WallRoughness()
+    assert roughness.variance > 0.0
     for seed in range(60):
-        flatness.add(*scattered(0.0, 12, seed))
-    assert np.sqrt(flatness.variance) < 5e-4
+        roughness.add(*scattered(0.0, 12, seed))
+    assert np.sqrt(roughness.variance) < 5e-4
 
 
 def test_unevenness_turns_short_segments_more() -> None:

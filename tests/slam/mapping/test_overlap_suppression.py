@@ -28,7 +28,7 @@ def landmarks_of(*walls: tuple[list[float], float, int]) -> Landmarks:
 def shown_pieces(landmarks: Landmarks) -> dict[int, Floats]:
     """The stretches of the walls that a map shows."""
     shown = suppress_overlapping_walls(landmarks)
-    return {int(wall): shown.pieces(int(wall)) for wall in np.flatnonzero(shown.standing())}
+    return {int(wall): shown.pieces(int(wall)) for wall in np.flatnonzero(shown.active())}
 
 
 def test_of_two_lines_on_one_wall_the_one_seen_most_often_is_left() -> None:
@@ -68,7 +68,7 @@ def test_walls_that_meet_at_a_blunt_angle_end_about_where_they_meet() -> None:
 
 def test_walls_that_are_not_confirmed_or_not_there_any_more_hide_nothing() -> None:
     landmarks = landmarks_of(([0.0, 0.0, 0.0], 2.0, 9), ([0.0, 0.01, 0.0], 2.0, 8), ([0.0, 0.02, 0.0], 1.0, 2))
-    landmarks.retire(0, 5)
+    landmarks.remove_wall(0, 5)
     landmarks.walls.rows["in_graph"][1] = False
     shown = suppress_overlapping_walls(landmarks)
     assert shown.covered == landmarks.covered
@@ -81,10 +81,10 @@ def test_corners_go_to_the_wall_that_stands_for_theirs() -> None:
         ([0.0, 0.04, 0.0], 0.8, 2),
         ([2.0, 1.0, np.pi / 2], 1.0, 9),
     )
-    landmarks.walls.rows["kept"][2] = 1  # merged before
+    landmarks.walls.rows["merged_into"][2] = 1  # merged before
     shown = suppress_overlapping_walls(landmarks)
-    assert shown.walls.rows["kept"].tolist() == [0, 0, 0, 3]
-    assert landmarks.walls.rows["kept"].tolist() == [0, 1, 1, 3]  # the estimate is left alone
+    assert shown.walls.rows["merged_into"].tolist() == [0, 0, 0, 3]
+    assert landmarks.walls.rows["merged_into"].tolist() == [0, 1, 1, 3]  # the estimate is left alone
 
 
 @given(
@@ -111,7 +111,7 @@ def heights(landmarks: Landmarks) -> Floats:
     at = np.arange(-6.0, 6.0, CELL)
     rows = landmarks.walls.rows
     found = np.full((len(rows), len(at)), np.nan)
-    for wall in np.flatnonzero(landmarks.standing()).tolist():
+    for wall in np.flatnonzero(landmarks.active()).tolist():
         x, y, turn = rows["frame"][wall]
         seen = np.array([landmarks.is_covered(wall, along) for along in (at - x) / np.cos(turn)])
         found[wall, seen] = y + (at[seen] - x) * np.tan(turn)

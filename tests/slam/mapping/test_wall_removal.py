@@ -16,10 +16,10 @@ from drivers.simulation.simulator import Lidar, Simulation
 from drivers.simulation.world import Passing, World
 from slam import Slam
 from slam.config import Config, config_to_toml
-from slam.events import Event, Finished, WallsRemoved, MapWalls
+from slam.events import Event, Finished, MapWalls, WallsRemoved
 from slam.io.output_dir import CONFIG
 from slam.io.sessions import StoredSession, read_stored, write_stored
-from slam.mapping.landmarks import CELL, STANDING, Landmarks
+from slam.mapping.landmarks import CELL, NEVER_REMOVED, Landmarks
 from slam.mapping.mapper import Mapper
 from slam.mapping.wall_removal import BEHIND, SAME, STEEPEST, FreeSpaceEvidence, sight
 from slam.offline.map_merging.carrying import joined_landmarks
@@ -178,7 +178,7 @@ class Room:
     """Its landmarks, and looks from below the middle wall; the sides are known since the keyframe `first`."""
 
     def __init__(self, first: int = 0, observations: int = 9) -> None:
-        self.landmarks, self.doubts, self.ways = Landmarks(), FreeSpaceEvidence(), [0.0]
+        self.landmarks, self.free_space_evidence, self.ways = Landmarks(), FreeSpaceEvidence(), [0.0]
         self.wall = self.landmarks.add_wall(MIDDLE, 1.0, 0)
         self.landmarks.walls.rows["observations"][self.wall] = observations
         for side, half in zip(SIDES, HALVES, strict=True):
@@ -192,11 +192,13 @@ class Room:
             middle = np.column_stack([np.arange(-1.0, 1.0, 0.05), np.zeros(40)])
             points = np.concatenate([AROUND, middle]) if seen else AROUND
             covariances = [np.zeros((3, 3))] * len(self.ways)
-            self.doubts.look(self.landmarks, pose, se2.transform(se2.inverse(pose), points), self.ways, covariances)
+            self.free_space_evidence.update(
+                self.landmarks, pose, se2.transform(se2.inverse(pose), points), self.ways, covariances
+            )
 
     @property
     def retired(self) -> bool:
-        return bool(self.landmarks.walls.rows["retired_at"][self.wall] != STANDING)
+        return bool(self.landmarks.walls.rows["removed_at"][self.wall] != NEVER_REMOVED)
 
 
 def test_a_wall_is_retired_that_is_seen_through_often_enough() -> None:
@@ -205,9 +207,9 @@ def test_a_wall_is_retired_that_is_seen_through_often_enough() -> None:
     assert not room.retired
     room.look(30)
     assert room.retired
-    assert room.landmarks.standing().tolist() == [False, True, True, True, True]
+    assert room.landmarks.active().tolist() == [False, True, True, True, True]
     assert room.wall not in room.landmarks.walls_near(np.array([0.0, 1.0, 0.0]), 5.0)
-    assert room.doubts.counts == {}
+    assert room.free_space_evidence.counts == {}
 
 
 def test_what_was_seen_less_often_is_retired_sooner() -> None:
@@ -249,21 +251,21 @@ def test_nothing_counts_while_the_robot_may_be_elsewhere() -> None:
     room = Room()
     for _ in range(20):
         room.look(4)
-        room.doubts.suspend(room.ways[-1])
-        assert room.doubts.counts == {}
+        room.free_space_evidence.suspend(room.ways[-1])
+        assert room.free_space_evidence.counts == {}
     assert not room.retired
 
 
 def test_what_is_counted_is_part_of_a_copy() -> None:
     room = Room()
     room.look(3)
-    assert room.doubts.counts
+    assert room.free_space_evidence.counts
     other = copy.deepcopy(room)
     other.look(30)
     assert other.retired
     assert not room.retired
     assert len(room.landmarks.covered[room.wall]) == 20
-    assert room.doubts.counts
+    assert room.free_space_evidence.counts
 
 
 # --- drives
@@ -282,22 +284,24 @@ def furnished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_partition_that_was_taken_out_leaves_the_map_and_stays_in_the_session(
     furnished: Path, tmp_path: Path, refine: bool
 ) -> None:
-    before = read_stored(furnished).belief.mapper
+    before = read_stored(furnished).slam_state.mapper
     told = Retired()
     slam, finished = run(drive(world(), seed=1, shift=1000.0), read_stored(furnished), refine=refine, sinks=[told])
-    assert sorted(told.lines) == slam.belief.mapper.landmarks.retired().tolist()
+    assert sorted(told.lines) == slam.slam_state.mapper.landmarks.removed_walls().tolist()
     assert length_on(finished.lines, PARTITION) == 0.0
     assert length_on(finished.lines, ROOM) > 28.0
     assert finished.summary["retired_walls"] == 2  # its long sides
-    again = read_stored(leave(slam.session, tmp_path / "out")).belief.mapper
-    for landmarks in (slam.belief.mapper.landmarks, again.landmarks):
-        rows = landmarks.walls.rows[landmarks.retired()]
-        assert (rows["retired_at"] >= before.keyframe_count).all()
+    again = read_stored(leave(slam.session, tmp_path / "out")).slam_state.mapper
+    for landmarks in (slam.slam_state.mapper.landmarks, again.landmarks):
+        rows = landmarks.walls.rows[landmarks.removed_walls()]
+        assert (rows["removed_at"] >= before.keyframe_count).all()
         assert (rows["observations"] > 5).all()
         assert (rows["last_seen"] < before.keyframe_count).all()
-        known = [len(landmarks.covered[wall]) + len(landmarks.opened.get(wall, ())) for wall in landmarks.retired()]
+        known = [
+            len(landmarks.covered[wall]) + len(landmarks.opened.get(wall, ())) for wall in landmarks.removed_walls()
+        ]
         assert CELL * min(known) > 2.5
-    assert again.landmarks.opened == slam.session.belief.mapper.landmarks.opened
+    assert again.landmarks.opened == slam.session.slam_state.mapper.landmarks.opened
 
 
 def test_what_is_still_there_stays(furnished: Path) -> None:
@@ -313,7 +317,7 @@ def test_a_door_that_is_opened_opens_the_wall(furnished: Path) -> None:
     gap = np.array([[3.7, 3.05, 4.3, 3.05], [3.7, 2.95, 4.3, 2.95]])
     place = world(always=np.concatenate([ROOM, halves]))
     slam, finished = run(drive(place, seed=1, shift=1000.0), read_stored(furnished), refine=True)
-    assert slam.belief.mapper.landmarks.opened
+    assert slam.slam_state.mapper.landmarks.opened
     assert length_on(finished.lines, gap, 0.03) < 0.15
     assert length_on(finished.lines, halves) > 3.5
     assert finished.summary["retired_walls"] == 0
@@ -323,7 +327,7 @@ def test_a_door_that_is_opened_opens_the_wall(furnished: Path) -> None:
 def test_who_stands_there_for_some_seconds_is_no_wall_in_the_end(seed: int) -> None:
     person = np.array(box(4.0, 3.0, 0.45, 0.3))
     slam, finished = run(drive(world(passing=[Passing(0.0, 7.0, person, NOTHING[1])]), seed))
-    assert len(slam.belief.mapper.landmarks.retired())  # it had become one
+    assert len(slam.slam_state.mapper.landmarks.removed_walls())  # it had become one
     assert length_on(finished.lines, person) == 0.0
     assert length_on(finished.lines, ROOM) > 28.0
 
@@ -334,7 +338,7 @@ def test_a_door_that_stood_half_open_is_no_wall_in_the_end() -> None:
     closed = np.array([[4.0, 3.0, 4.85, 3.0]])
     passing = [Passing(0.0, 9.0, leaf, NOTHING[1]), Passing(9.0, 99.0, closed, NOTHING[1])]
     slam, finished = run(drive(world(passing=passing)))
-    assert len(slam.belief.mapper.landmarks.retired())
+    assert len(slam.slam_state.mapper.landmarks.removed_walls())
     assert length_on(finished.lines, away) == 0.0
     assert length_on(finished.lines, closed) > 0.6
 
@@ -350,10 +354,12 @@ def test_in_a_building_that_does_not_change_nothing_is_retired(seed: int) -> Non
 def test_what_was_counted_is_gone_on_from(tmp_path: Path) -> None:
     partition = Passing(0.0, 16.0, PARTITION, NOTHING[1])
     slam, _ = run(drive(world(passing=[partition]), duration=18.0))
-    doubts = slam.session.belief.mapper.doubts
-    assert doubts.counts
+    free_space_evidence = slam.session.slam_state.mapper.free_space_evidence
+    assert free_space_evidence.counts
     again = read_stored(leave(slam.session, tmp_path / "out"))
-    assert again.belief.mapper.doubts.counts == {wall: cells for wall, cells in doubts.counts.items() if cells}
+    assert again.slam_state.mapper.free_space_evidence.counts == {
+        wall: cells for wall, cells in free_space_evidence.counts.items() if cells
+    }
 
 
 def test_of_two_sessions_each_keeps_what_was_gone_in_it() -> None:
@@ -362,14 +368,14 @@ def test_of_two_sessions_each_keeps_what_was_gone_in_it() -> None:
     for mapper, retired in ((first, 0), (second, 1)):
         for _ in range(2):
             mapper.landmarks.add_wall(MIDDLE, 1.0, 0)
-        mapper.landmarks.retire(retired, 7)
+        mapper.landmarks.remove_wall(retired, 7)
         mapper.landmarks.open(1 - retired, [2, 3], 9)
     joined = joined_landmarks(first, second, np.array([1.0, 2.0, 0.3]))
-    assert joined.walls.rows["retired_at"].tolist() == [7, STANDING, STANDING, 57]
+    assert joined.walls.rows["removed_at"].tolist() == [7, NEVER_REMOVED, NEVER_REMOVED, 57]
     assert joined.opened == {1: {2: 9, 3: 9}, 2: {2: 59, 3: 59}}
-    assert joined.standing().tolist() == [False, True, True, False]
-    assert joined.standing(keyframe=7).tolist() == [True, True, True, True]
-    assert joined.standing(keyframe=57).tolist() == [False, True, True, True]
+    assert joined.active().tolist() == [False, True, True, False]
+    assert joined.active(keyframe=7).tolist() == [True, True, True, True]
+    assert joined.active(keyframe=57).tolist() == [False, True, True, True]
 
 
 def test_a_wall_keeps_its_opening_when_another_turns_out_to_be_it() -> None:

@@ -53,7 +53,7 @@ def test_a_pose_in_a_room_is_found_from_far_off(seed: int) -> None:
     error = se2.between(truth, found.pose)
     assert np.hypot(*error[:2]) < 0.006
     assert abs(error[2]) < 0.004
-    assert found.explained > 0.95
+    assert found.overlap_ratio > 0.95
     assert error @ found.information @ error < 25.0
 
 
@@ -110,7 +110,7 @@ def test_a_wall_seen_from_its_other_side_is_not_that_wall() -> None:
     truth = np.array([0.5, 0.2, 0.05])
     turned = CORRIDOR + np.array([0.0, 0.0, np.pi])
     found = place(truth, scan_from(truth, turned, CORRIDOR_HALVES), known(CORRIDOR, CORRIDOR_HALVES), LOOSE_PRIOR)
-    assert found.explained == 0.0
+    assert found.overlap_ratio == 0.0
     np.testing.assert_allclose(found.pose, truth, atol=1e-9)
     np.testing.assert_array_equal(found.information, 0.0)
 
@@ -126,7 +126,7 @@ def test_walls_beyond_their_known_extent_do_not_count() -> None:
         scan.corners,
         NO_POINTS,
     )
-    assert place(truth, away, local_map, LOOSE_PRIOR).explained == 0.0
+    assert place(truth, away, local_map, LOOSE_PRIOR).overlap_ratio == 0.0
 
 
 @pytest.mark.parametrize("with_map", [True, False])
@@ -137,4 +137,4 @@ def test_nothing_to_lay_or_to_lay_it_on_leaves_the_prediction(with_map: bool) ->
     found = place(prediction, scan, local_map, LOOSE_PRIOR)
     np.testing.assert_allclose(found.pose, prediction, atol=1e-12)
     np.testing.assert_array_equal(found.information, 0.0)
-    assert found.explained == 0.0
+    assert found.overlap_ratio == 0.0

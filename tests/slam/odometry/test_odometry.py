@@ -12,7 +12,7 @@ from drivers.simulation.world import World
 from features import Extractor, Noise
 from slam.config import OdometryConfig
 from slam.geometry.segments import corner_points, segments_from_lines
-from slam.mapping.trajectory_builder import Path
+from slam.mapping.trajectory_builder import TrajectoryBuilder
 from slam.odometry.error_model import OdometryModel, fused_motion
 from slam.odometry.history import OdometryHistory, wheel_travel
 from slam.preprocessing.deskew import deskew, loosen, middle_of
@@ -115,11 +115,13 @@ def test_what_is_common_to_all_motions_is_taken_out_of_them() -> None:
 
 def test_errors_add_up_where_nothing_holds_the_robot() -> None:
     model, step = OdometryModel(OdometryConfig(translation_error=0.1)), np.array([0.3, 0.0, 0.0])
-    assert not model.adrift(step, HELD).any()
-    adrift = model.adrift(step, CORRIDOR)
-    np.testing.assert_allclose(adrift[1:], 0.0, atol=1e-3 * adrift[0, 0])  # across, the walls hold it
+    assert not model.correlated_drift(step, HELD).any()
+    correlated_drift = model.correlated_drift(step, CORRIDOR)
+    np.testing.assert_allclose(
+        correlated_drift[1:], 0.0, atol=1e-3 * correlated_drift[0, 0]
+    )  # across, the walls hold it
     steps = 50  # 15 metres; a wheel that is a tenth too large errs by 1.5
-    assert np.sqrt(steps * adrift[0, 0]) > 1.5 > 5 * np.sqrt(steps * model.covariance(step)[0, 0])
+    assert np.sqrt(steps * correlated_drift[0, 0]) > 1.5 > 5 * np.sqrt(steps * model.covariance(step)[0, 0])
 
 
 def test_points_correct_the_motion_only_where_they_say_something() -> None:
@@ -221,7 +223,7 @@ def test_a_longer_sweep_makes_lines_less_certain() -> None:
 
 def test_the_path_goes_through_the_scans_and_does_not_jump() -> None:
     told, random = history(100, 0.04), np.random.default_rng(1)
-    path, keyframes = Path(), []
+    path, keyframes = TrajectoryBuilder(), []
     stamps = np.arange(0.11, 3.5, 0.25)
     for k, stamp in enumerate(stamps):  # the map is turned against the odometry, which drifts
         true = se2.compose([5.0, -2.0, 2.5], on_circle(stamp) + np.array([0.02 * stamp, 0.0, 0.01 * stamp]))
@@ -240,7 +242,7 @@ def test_the_path_goes_through_the_scans_and_does_not_jump() -> None:
 
 
 def test_what_odometry_misses_is_missed_while_the_wheels_roll() -> None:
-    told, path = OdometryHistory(), Path()
+    told, path = OdometryHistory(), TrajectoryBuilder()
     for k in range(21):  # stands for a second, then drives for one at half a metre a second
         told.add(Odometry(0.1 * k, np.array([max(0.0, 0.05 * (k - 10)), 0.0, 0.0])))
     path.add(0.0, 0, np.zeros(3), np.eye(3))
@@ -251,7 +253,7 @@ def test_what_odometry_misses_is_missed_while_the_wheels_roll() -> None:
 
 
 def test_one_scan_is_path_enough() -> None:
-    told, path = history(), Path()
+    told, path = history(), TrajectoryBuilder()
     path.add(0.55, 0, np.array([1.0, 0.0, 0.0]), np.eye(3))
     _, poses = path.at_odometry(np.array([[1.0, 1.0, np.pi / 2]]), told)
     there = se2.compose([1.0, 2.0, np.pi / 2], se2.between(told.at(0.55), told.at(0.0)))

@@ -94,7 +94,7 @@ def test_two_drives_through_one_building_become_one_map(both: Path, sessions: di
     told = np.array(truth)
     score = score_reference(path, Trajectory(told[:, 0], told[:, 1:]))
     assert score.figures()["ate_max"] < 0.03
-    alone = [len(session.belief.mapper.landmarks.walls) for _, session in read(sessions, "first", "second")]
+    alone = [len(session.slam_state.mapper.landmarks.walls) for _, session in read(sessions, "first", "second")]
     assert len(read_map(both / "map.json").lines) < 0.75 * sum(alone)
     np.testing.assert_allclose(path.poses[0], np.zeros(3), atol=5e-3)  # in the frame of the first
 
@@ -114,10 +114,10 @@ def test_a_joined_session_is_a_session(both: Path, sessions: dict[str, Path]) ->
     assert 60 < summary["path_length"] < 80
     (_, first), (_, second), (_, joined) = read(sessions | {"both": both}, "first", "second", "both")
     assert len(joined.odometry) == len(joined.starts) == 2
-    assert len(joined.sightings) == len(first.sightings) + len(second.sightings)
-    path, last = read_tum(both / "trajectory.tum"), joined.sightings[-1].stamp
+    assert len(joined.scans) == len(first.scans) + len(second.scans)
+    path, last = read_tum(both / "trajectory.tum"), joined.scans[-1].stamp
     told = [np.interp(last, path.stamps, path.poses[:, k]) for k in range(2)]
-    np.testing.assert_allclose(joined.belief.pose[:2], told, atol=0.005)
+    np.testing.assert_allclose(joined.slam_state.pose[:2], told, atol=0.005)
     with pytest.raises(MapError, match="other: is not recognised in both"):
         join([("both", joined), *read(sessions, "other")])
 
@@ -146,7 +146,7 @@ def test_what_was_seen_once_does_not_count_twice(both: Path, sessions: dict[str,
 def test_a_session_without_a_map_is_refused(sessions: dict[str, Path]) -> None:
     empty = Slam()
     session = read_stored(sessions["first"])
-    session.belief = empty.belief
+    session.slam_state = empty.slam_state
     with pytest.raises(MapError, match="first: has no keyframe"):
         join([("first", session), *read(sessions, "second")])
 
@@ -162,7 +162,7 @@ class Visit:
     recordings: tuple[Recording, ...] = ()
 
     @property
-    def belief(self) -> SimpleNamespace:
+    def slam_state(self) -> SimpleNamespace:
         return SimpleNamespace(mapper=SimpleNamespace(keyframe_count=1, settle=lambda: None, rooms=self.rooms))
 
     def drive(self) -> None: ...
@@ -262,8 +262,8 @@ def test_a_session_that_is_later_keeps_its_clock(sessions: dict[str, Path]) -> N
     assert shift_after(session, 14.0) == 0.0
     shift = shift_after(session, 1000.5)
     moved = shifted(session, shift)
-    assert moved.sightings[0].stamp > 1000.5
-    assert [some.stamp for some in moved.sightings] == [some.stamp + shift for some in session.sightings]
+    assert moved.scans[0].stamp > 1000.5
+    assert [some.stamp for some in moved.scans] == [some.stamp + shift for some in session.scans]
 
 
 # The public recordings

@@ -30,7 +30,7 @@ DECISION = {
     "matches": 6,
     "merged": 3,
     "motion": [0.1, 0.0, 0.0],
-    "explained": 0.81,
+    "overlap_ratio": 0.81,
     "runner_up": 0.4,
     "sigma": 0.02,
     "contradicted": 0.0,
@@ -54,7 +54,7 @@ SUMMARY: dict[str, Any] = {
         "loops": {"proposed": 2, "accepted": 1, "held": 0, "rejected": 1, "retracted": 0},
         "loop_decisions": [DECISION, DECISION | {"candidate": 6, "status": "rejected", "reason": "<b>no</b>"}],
         "timings": {"keyframe_median_ms": 1.5, "keyframe_p99_ms": 9.0, "keyframe_max_ms": 30.0, "graph_mean_ms": 0.7},
-        "health": {"explained_median": 0.95},
+        "health": {"overlap_ratio_median": 0.95},
         "states": [],
     },
 }
@@ -157,7 +157,7 @@ def test_a_map_without_walls_has_a_page(tmp_path: Path, finished: Finished) -> N
 def test_what_looked_wrong_is_told_in_words(tmp_path: Path, finished: Finished) -> None:
     slam = {
         "loops": {"proposed": 3, "retracted": 2},
-        "health": {"explained_median": 0.6, "blind": 1, "empty_scans": 4},
+        "health": {"overlap_ratio_median": 0.6, "blind": 1, "empty_scans": 4},
         "odometry_deviation_per_metre": [1.58, 0.02],
         "states": [
             {"stamp": 2.0, "state": "LOST", "direction": None},

@@ -16,15 +16,15 @@ from rerun.chunk import RrdReader
 from slam.errors import OutputError
 from slam.events import (
     Finished,
+    GroundTruthReceived,
     KeyframeAdded,
     LoopDecided,
     MapCorners,
-    MapWalls,
     MapUpdated,
+    MapWalls,
     Notice,
     ScanTracked,
     StateChanged,
-    GroundTruthReceived,
 )
 from slam.visualisation.rerun_log import ReviewLog, recording, sink
 from slam.visualisation.rerun_log.files import parts_of
@@ -112,7 +112,7 @@ def test_metrics_are_named_and_in_the_units_they_name(corridor):
     assert dict(rows(path, "/metrics/counts", "Scalars:scalars"))[30] == list(keyframes[30].counts.values())
     times = dict(rows(path, "/metrics/time", "Scalars:scalars"))[30]
     assert times == [sum(keyframes[30].timings.values()), *keyframes[30].timings.values()]
-    assert dict(rows(path, "/metrics/explained", "Scalars:scalars"))[30] == [0.9]
+    assert dict(rows(path, "/metrics/overlap_ratio", "Scalars:scalars"))[30] == [0.9]
     assert [k for k, _ in rows(path, "/metrics/chi2", "Scalars:scalars")] == list(range(0, 136, 5))
     assert dict(rows(path, "/metrics/time/1", "Scalars:scalars")) == {20: [7.0], 40: [8.0]}  # a stage that began late
 
@@ -238,7 +238,8 @@ def test_a_log_that_stalls_takes_no_more_memory_and_loses_no_closure(tmp_path, m
 def decided(candidate: int, status: str) -> LoopDecided:
     return LoopDecided(
         index=0, stamp=float(candidate), candidate=candidate, old=0, motion=np.zeros(3), status=status,
-        reason="as it is", explained=0.9, matches=5, runner_up=0.1, sigma=0.01, contradicted=0.0, merged=(), shift=0.0,
+        reason="as it is", overlap_ratio=0.9, matches=5, runner_up=0.1, sigma=0.01, contradicted=0.0,
+        merged=(), shift=0.0,
     )  # fmt: skip
 
 

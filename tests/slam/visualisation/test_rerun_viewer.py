@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from slam.events import Correction, Event, GraphInspected, LoopDecided, ComparedWalls, LoopTest, MapUpdated
+from slam.events import ComparedWalls, Correction, Event, GraphInspected, LoopDecided, LoopTest, MapUpdated
 from slam.graph.factor_residuals import ODOMETRY, WALL, Residuals
 from slam.visualisation.rerun_log import ReviewLog, colours
 from slam.visualisation.rerun_log.files import find_log
@@ -38,7 +38,7 @@ def closure(event: MapUpdated) -> LoopDecided:
     sight = ComparedWalls(walls + 1.0, walls, event.lines.end_points(), np.array([0, 1, 2, 3, 4, -1]))
     return LoopDecided(
         index=event.index, stamp=event.stamp, candidate=1, old=3, motion=np.array([-1.5, -1.0, 0.0]),
-        status="accepted", reason="all tests passed", explained=0.9, matches=5, runner_up=0.2, sigma=0.01,
+        status="accepted", reason="all tests passed", overlap_ratio=0.9, matches=5, runner_up=0.2, sigma=0.01,
         contradicted=0.0, merged=((0, 40),), shift=1.8, tests=(LoopTest("walls", 5.0, 4.0, True, True),), sight=sight,
         correction=Correction(drifted, event.keyframes, event.lines, 100.0, 5000.0, 120.0),
     )  # fmt: skip

@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ...geometry.segments import Floats, Integers
-from ...mapping.trajectory_builder import Path
+from ...mapping.trajectory_builder import TrajectoryBuilder
 from ...odometry.error_model import OdometryModel
-from ...preprocessing.scan_queue import NO_FEATURES, ProcessedScan
-from ..slam_state import CARRIED_SIGMAS
+from ...preprocessing.preprocessor import NO_FEATURES, ProcessedScan
+from ..slam_state import UNMEASURED_MOTION_SIGMAS
 
 ASTRAY_SIGMAS = np.array([0.5, 0.5, 0.3])  # metres, metres, radians: of a motion in which odometry proved wrong
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drive:
+class ScanHistory:
     """n sightings in time order, k of which are keyframes.
 
     keyframes  (k,) rows of those
@@ -29,62 +29,64 @@ class Drive:
     carried    rows of the sightings to which the robot was moved without odometry's knowing; a new drive begins so, too
     """
 
-    sightings: Sequence[ProcessedScan]
+    scans: Sequence[ProcessedScan]
     keyframes: Integers
     anchors: Integers
     relative: Floats
     informations: Floats
-    carried: frozenset[int]
+    kidnapped: frozenset[int]
 
     def __len__(self) -> int:
-        return len(self.sightings)
+        return len(self.scans)
 
     @property
     def stamps(self) -> Floats:
         """(n,) seconds."""
-        return np.array([sighting.stamp for sighting in self.sightings])
+        return np.array([scan.stamp for scan in self.scans])
 
     @property
     def odometry(self) -> Floats:
         """(n, 3) where odometry was."""
-        return np.array([sighting.odometry for sighting in self.sightings]).reshape(-1, 3)
+        return np.array([scan.odometry for scan in self.scans]).reshape(-1, 3)
 
     @property
     def kept(self) -> NDArray[np.bool_]:
         """(n,) whether what a sighting showed was kept."""
-        return np.array([sighting.seen is not NO_FEATURES for sighting in self.sightings])
+        return np.array([scan.features is not NO_FEATURES for scan in self.scans])
 
-    def path(self, keyframe_poses: Floats, poses: Floats) -> Path:
+    def path(self, keyframe_poses: Floats, poses: Floats) -> TrajectoryBuilder:
         """The path with all sightings at `poses` (n, 3), hung on keyframes at theirs (k, 3)."""
-        path = Path()
+        path = TrajectoryBuilder()
         relative = se2.between(keyframe_poses[self.anchors], poses).reshape(-1, 3)
-        for row, sighting in enumerate(self.sightings):
-            path.add(sighting.stamp, int(self.anchors[row]), relative[row], self.informations[row])
+        for row, scan in enumerate(self.scans):
+            path.add(scan.stamp, int(self.anchors[row]), relative[row], self.informations[row])
         return path
 
     def poses(self, keyframe_poses: Floats) -> Floats:
         """(n, 3) of all sightings, given the keyframes' poses (k, 3)."""
         return se2.compose(keyframe_poses[self.anchors], self.relative).reshape(-1, 3)
 
-    def motion(self, row: int, to: int, model: OdometryModel, astray: NDArray[np.bool_]) -> tuple[se2.Pose, Floats]:
+    def motion(
+        self, row: int, to: int, model: OdometryModel, odometry_wrong: NDArray[np.bool_]
+    ) -> tuple[se2.Pose, Floats]:
         """Odometry's motion from one sighting to another, and its covariance (3, 3).
 
         `astray` (n,) says at which sightings odometry was found to be wrong: it had stood still, or jumped.
         """
-        motion = se2.between(self.sightings[row].odometry, self.sightings[to].odometry)
-        if any(row < carried <= to for carried in self.carried):
-            return motion, np.diag(CARRIED_SIGMAS**2)
-        if astray[row : to + 1].any():
+        motion = se2.between(self.scans[row].odometry, self.scans[to].odometry)
+        if any(row < kidnapped <= to for kidnapped in self.kidnapped):
+            return motion, np.diag(UNMEASURED_MOTION_SIGMAS**2)
+        if odometry_wrong[row : to + 1].any():
             return motion, np.diag(ASTRAY_SIGMAS**2)
         motion = model.corrected(motion)
         return motion, model.covariance(motion)
 
-    def adrift(self, row: int, to: int, model: OdometryModel, astray: NDArray[np.bool_]) -> Floats:
+    def correlated_drift(self, row: int, to: int, model: OdometryModel, odometry_wrong: NDArray[np.bool_]) -> Floats:
         """(2, 2): what odometry's common errors add to the covariance of the position from one sighting to another, in
         the frame of its end; where odometry is not what led there, its covariance says all."""
-        if astray[row : to + 1].any() or any(row < carried <= to for carried in self.carried):
+        if odometry_wrong[row : to + 1].any() or any(row < kidnapped <= to for kidnapped in self.kidnapped):
             return np.zeros((2, 2))
-        return model.adrift(self.motion(row, to, model, astray)[0], self.informations[to])
+        return model.correlated_drift(self.motion(row, to, model, odometry_wrong)[0], self.informations[to])
 
     def start_of(self, keyframe: int) -> int:
         """The row of the sighting from which odometry led to a keyframe: the keyframe before it, or, where a familiar
@@ -96,13 +98,13 @@ class Drive:
         return max(start, int(self.keyframes[keyframe - 1]))
 
 
-def drive_of(
-    sightings: Sequence[ProcessedScan],
-    path: Path,
+def build_scan_history(
+    scans: Sequence[ProcessedScan],
+    path: TrajectoryBuilder,
     keyframe_stamps: Sequence[float],
-    carried: Sequence[int],
+    kidnapped: Sequence[int],
     starts: Sequence[int] = (),
-) -> Drive:
+) -> ScanHistory:
     """The drive of a run: all its sightings, its path, and when its keyframes were; `carried` are keyframes, `starts`
     rows from which on odometry does not continue what came before.
 
@@ -111,27 +113,27 @@ def drive_of(
     """
     stamps, anchors, relative, informations = path.hung()
     keyframes = np.zeros(len(keyframe_stamps), dtype=np.int64)
-    all_anchors = np.zeros(len(sightings), dtype=np.int64)
-    all_relative, all_informations = np.zeros((len(sightings), 3)), np.zeros((len(sightings), 3, 3))
+    all_anchors = np.zeros(len(scans), dtype=np.int64)
+    all_relative, all_informations = np.zeros((len(scans), 3)), np.zeros((len(scans), 3, 3))
     placed = known = last = 0
     waiting: list[int] = []  # since odometry began anew
-    for row, sighting in enumerate(sightings):
+    for row, scan in enumerate(scans):
         if row in starts and row:
             waiting, last = [row], -1
-        if known < len(keyframes) and sighting.stamp == keyframe_stamps[known]:
+        if known < len(keyframes) and scan.stamp == keyframe_stamps[known]:
             keyframes[known] = row
             known += 1
-        if placed < len(stamps) and sighting.stamp == stamps[placed]:
+        if placed < len(stamps) and scan.stamp == stamps[placed]:
             all_anchors[row], all_relative[row] = anchors[placed], relative[placed]
             all_informations[row] = informations[placed]
             for before in waiting if last < 0 else ():
-                motion = se2.between(sighting.odometry, sightings[before].odometry)
+                motion = se2.between(scan.odometry, scans[before].odometry)
                 all_anchors[before], all_relative[before] = anchors[placed], se2.compose(relative[placed], motion)
             placed, last = placed + 1, row
         elif last < 0:
             waiting.append(row)
         else:
-            motion = se2.between(sightings[last].odometry, sighting.odometry)
+            motion = se2.between(scans[last].odometry, scan.odometry)
             all_anchors[row], all_relative[row] = all_anchors[last], se2.compose(all_relative[last], motion)
-    jumps = frozenset([*(int(keyframes[k]) for k in carried), *(row for row in starts if row)])
-    return Drive(sightings, keyframes, all_anchors, all_relative, all_informations, jumps)
+    jumps = frozenset([*(int(keyframes[k]) for k in kidnapped), *(row for row in starts if row)])
+    return ScanHistory(scans, keyframes, all_anchors, all_relative, all_informations, jumps)

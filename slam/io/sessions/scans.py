@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path as FilePath
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -19,10 +19,10 @@ from ...errors import MapError
 from ...geometry.segments import CornerPoints, Floats, Integers, Segments
 from ...mapping.keyframes import LandmarkIds
 from ...mapping.mapper import KEPT_VIEWS
-from ...mapping.trajectory_builder import Path
+from ...mapping.trajectory_builder import TrajectoryBuilder
 from ...matching.likelihood_field import ScanPoints
 from ...matching.line_matcher import ScanFeatures
-from ...preprocessing.scan_queue import NO_FEATURES, ProcessedScan
+from ...preprocessing.preprocessor import NO_FEATURES, ProcessedScan
 from .tables import Columns, Ragged, ragged, write_table
 
 Number = TypeVar("Number", bound=np.generic)
@@ -37,24 +37,24 @@ CORNER = ("x", "y", "xx", "xy", "yy")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sighted:
+class StoredScans:
     """All sightings, the path through them, and the keyframes among them: their stamps and what they see by name."""
 
-    sightings: list[ProcessedScan]
-    path: Path
+    scans: list[ProcessedScan]
+    path: TrajectoryBuilder
     keyframe_stamps: list[float]
     names: list[LandmarkIds]
 
 
-def write_sightings(file: FilePath, sighted: Sighted) -> None:
+def write_scans(file: Path, sighted: StoredScans) -> None:
     """Write the table. Raises OSError."""
-    sightings, count = sighted.sightings, len(sighted.sightings)
-    stamps = np.array([sighting.stamp for sighting in sightings])
+    scans, count = sighted.scans, len(sighted.scans)
+    stamps = np.array([scan.stamp for scan in scans])
     hung_stamps, anchors, relative, informations = sighted.path.hung()
     placed = _rows_of(hung_stamps, stamps)
     keyframes = _rows_of(np.array(sighted.keyframe_stamps), stamps)
     columns: dict[str, NDArray[np.generic] | Ragged] = {"stamp": stamps}
-    odometry = np.array([sighting.odometry for sighting in sightings]).reshape(-1, 3)
+    odometry = np.array([scan.odometry for scan in scans]).reshape(-1, 3)
     columns |= {f"odometry_{name}": odometry[:, k] for k, name in enumerate(("x", "y", "heading"))}
     columns["keyframe"] = _at(keyframes, np.arange(len(keyframes)), count, -1).astype(np.int32)
     columns["anchor"] = _at(placed, anchors, count, -1).astype(np.int32)
@@ -63,8 +63,8 @@ def write_sightings(file: FilePath, sighted: Sighted) -> None:
     upper = informations[:, UPPER[0], UPPER[1]]
     for k, name in enumerate(INFORMATION):
         columns[f"information_{name}"] = _at(placed, upper[:, k], count, 0.0)
-    columns["seen"] = np.array([sighting.seen is not NO_FEATURES for sighting in sightings], dtype=bool)
-    columns |= _features([sighting.seen for sighting in sightings], exact=False)
+    columns["seen"] = np.array([scan.features is not NO_FEATURES for scan in scans], dtype=bool)
+    columns |= _features([scan.features for scan in scans], exact=False)
     none = np.zeros(0, dtype=np.int64)
     walls, corners = [none] * count, [none] * count
     for row, names in zip(keyframes, sighted.names, strict=True):
@@ -90,10 +90,10 @@ def _at(rows: Integers, values: NDArray[np.generic], count: int, elsewhere: floa
     return column
 
 
-def write_recent(file: FilePath, sighted: Sighted) -> None:
+def write_recent(file: Path, sighted: StoredScans) -> None:
     """Write the table of what the last keyframes saw. Raises OSError."""
-    rows = _rows_of(np.array(sighted.keyframe_stamps), np.array([some.stamp for some in sighted.sightings]))[-RECENT:]
-    seen = [sighted.sightings[row].seen for row in rows.tolist()]
+    rows = _rows_of(np.array(sighted.keyframe_stamps), np.array([some.stamp for some in sighted.scans]))[-RECENT:]
+    seen = [sighted.scans[row].features for row in rows.tolist()]
     write_table(file, {"row": rows.astype(np.int32), **_features(seen, exact=True)})
 
 
@@ -127,7 +127,7 @@ def _in_units(column: Ragged) -> Ragged:
     return Ragged(counts.astype(np.int32), column.lengths)
 
 
-def read_sightings(file: FilePath, recent: FilePath) -> Sighted:
+def read_scans(file: Path, recent: Path) -> StoredScans:
     """Read both tables. Raises MapError naming the file."""
     table = Columns(file)
     stamps, odometry = table.floats("stamp"), table.floats("odometry_x", "odometry_y", "odometry_heading")
@@ -138,7 +138,7 @@ def read_sightings(file: FilePath, recent: FilePath) -> Sighted:
             raise MapError(f"{recent}: is not of the same session as {file.name}")
         seen[row] = some
     kept = table.flags("seen")
-    sightings = [
+    scans = [
         ProcessedScan(float(stamps[row]), odometry[row], seen[row] if kept[row] else NO_FEATURES)
         for row in range(len(table))
     ]
@@ -150,7 +150,7 @@ def read_sightings(file: FilePath, recent: FilePath) -> Sighted:
     upper = table.floats(*(f"information_{name}" for name in INFORMATION))
     informations = np.zeros((len(table), 3, 3))
     informations[:, UPPER[0], UPPER[1]] = informations[:, UPPER[1], UPPER[0]] = upper
-    path = Path()
+    path = TrajectoryBuilder()
     for row in np.flatnonzero(anchor >= 0).tolist():
         path.add(float(stamps[row]), int(anchor[row]), relative[row], informations[row])
     walls, corners = (_split(*table.ragged_integers(name)) for name in ("names_walls", "names_corners"))
@@ -158,7 +158,7 @@ def read_sightings(file: FilePath, recent: FilePath) -> Sighted:
     for row, named in zip(rows.tolist(), names, strict=True):
         if len(named.walls) != len(seen[row].segments) or len(named.corners) != len(seen[row].corners):
             raise MapError(f"{file}: a keyframe does not say what each thing that it sees is")
-    return Sighted(sightings, path, stamps[rows].tolist(), names)
+    return StoredScans(scans, path, stamps[rows].tolist(), names)
 
 
 def _split(values: NDArray[Number], lengths: Integers) -> list[NDArray[Number]]:
@@ -166,7 +166,7 @@ def _split(values: NDArray[Number], lengths: Integers) -> list[NDArray[Number]]:
     return np.split(values, np.cumsum(lengths)[:-1]) if len(lengths) else []
 
 
-def _read_features(table: Columns, file: FilePath, *, exact: bool) -> list[ScanFeatures]:
+def _read_features(table: Columns, file: Path, *, exact: bool) -> list[ScanFeatures]:
     segments = _split(*table.ragged_floats(*(f"segment_{name}" for name in SEGMENT)))
     corners = _split(*table.ragged_floats(*(f"corner_{name}" for name in CORNER)))
     pairs = _split(*table.ragged_integers("corner_before", "corner_after"))

@@ -37,11 +37,11 @@ class ProcessedScan:
 
     stamp: float
     odometry: se2.Pose
-    seen: ScanFeatures
+    features: ScanFeatures
 
     def without_view(self) -> ProcessedScan:
         """That there was a scan; what it showed is not kept."""
-        return replace(self, seen=NO_FEATURES)
+        return replace(self, features=NO_FEATURES)
 
 
 class Preprocessor:

@@ -16,7 +16,7 @@ from ...mapping.local_map import LocalMap, landmarks_around
 from ...mapping.mapper import REACH_MARGIN
 from ...matching.likelihood_field import LikelihoodField, make_field
 from ...matching.line_matcher import NEAR_STARTS, Registration
-from .drive import Drive
+from .scan_history import ScanHistory
 
 TILE = 4.0  # metres: scans taken within one square see one field of points
 NEAR = 6.0  # metres from the middle of a tile, within which keyframes give it their points
@@ -33,37 +33,37 @@ class Alignment:
 
     registration: Registration
     believable: bool
-    astray: bool
+    odometry_wrong: bool
 
 
 class PoseFix:
     """The map that scans are laid over: landmarks and keyframes at `poses` (k, 3), with all their points."""
 
-    def __init__(self, drive: Drive, landmarks: Landmarks, poses: Floats, flatness: float) -> None:
-        self._drive, self._landmarks, self._poses, self._flatness = drive, landmarks, poses, flatness
+    def __init__(self, history: ScanHistory, landmarks: Landmarks, poses: Floats, roughness: float) -> None:
+        self._drive, self._landmarks, self._poses, self._flatness = history, landmarks, poses, roughness
         self._tile: tuple[int, int] | None = None
         self._fields: dict[int, LikelihoodField] = {}
         self._prior = np.diag(PRIOR_SIGMAS**-2)
 
     def local_map(self, row: int, pose: se2.Pose) -> LocalMap:
         """The landmarks that a sighting may show from `pose`: those that were there then."""
-        reach = REACH_MARGIN + self._drive.sightings[row].seen.segments.reach()
+        reach = REACH_MARGIN + self._drive.scans[row].features.segments.reach()
         keyframe = int(np.searchsorted(self._drive.keyframes, row, side="right")) - 1
         return landmarks_around(self._landmarks, pose, reach, keyframe=keyframe)
 
-    def lay(self, row: int, poses: Floats, local_map: LocalMap) -> Alignment:
+    def match(self, row: int, poses: Floats, local_map: LocalMap) -> Alignment:
         """Lay a sighting over the map near where it is, and where the even course between its neighbours has it, if
         that is somewhere else; `poses` (n, 3) are those of all sightings."""
-        scan = self._drive.sightings[row].seen
+        scan = self._drive.scans[row].features
         around = MatchTarget(local_map, self._field(int(self._drive.anchors[row])), self._flatness)
-        fit = around.lay(scan, poses[row], self._prior, NEAR_STARTS[:1])
+        fit = around.match(scan, poses[row], self._prior, NEAR_STARTS[:1])
         course = self._even_course(row, poses)
-        astray = False
+        odometry_wrong = False
         if np.hypot(*(course - poses[row])[:2]) > ASTRAY:
-            other = around.lay(scan, course, self._prior, NEAR_STARTS[:1])
-            astray = other.both > fit.both + CLEARLY_LIKER
-            fit = other if astray else fit
-        return Alignment(fit.registration, fit.believable, astray)
+            other = around.match(scan, course, self._prior, NEAR_STARTS[:1])
+            odometry_wrong = other.both > fit.both + CLEARLY_LIKER
+            fit = other if odometry_wrong else fit
+        return Alignment(fit.registration, fit.believable, odometry_wrong)
 
     def covariance(self, registration: Registration) -> Floats:
         """(3, 3) of a pose found by laying a sighting over the map, in the base's frame."""
@@ -74,7 +74,7 @@ class PoseFix:
         """Where a sighting is if the base moved evenly from the one before to the one after it."""
         if not 0 < row < len(poses) - 1:
             return np.asarray(poses[row], dtype=np.float64)
-        before, now, after = (self._drive.sightings[r].stamp for r in (row - 1, row, row + 1))
+        before, now, after = (self._drive.scans[r].stamp for r in (row - 1, row, row + 1))
         part = (now - before) / (after - before) if after > before else 0.5
         return se2.compose(poses[row - 1], part * se2.between(poses[row - 1], poses[row + 1]))
 
@@ -92,7 +92,7 @@ class PoseFix:
         near = np.flatnonzero(np.hypot(*(self._poses[:, :2] - centre).T) < NEAR)
         near = near[near % 2 == half]
         near = near[:: max(1, -(-len(near) // MOST_KEYFRAMES))]
-        scans = [self._drive.sightings[self._drive.keyframes[k]].seen.points for k in near]
+        scans = [self._drive.scans[self._drive.keyframes[k]].features.points for k in near]
         everything = _moved([scan.all for scan in scans], self._poses[near])
         return make_field(everything, _moved([scan.loose for scan in scans], self._poses[near]), centre)
 
