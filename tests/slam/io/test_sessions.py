@@ -79,7 +79,7 @@ def test_all_that_the_estimate_rests_on_is_read_back(left: tuple[StoredSession, 
     assert other.mapper.free_space_evidence.counts == one.mapper.free_space_evidence.counts
     assert other.mapper.roughness.variance == one.mapper.roughness.variance
     np.testing.assert_array_equal(other.odometry_model.deviations, one.odometry_model.deviations)
-    for before, after in zip(one.mapper.landmark_ids, other.mapper.names, strict=True):
+    for before, after in zip(one.mapper.landmark_ids, other.mapper.landmark_ids, strict=True):
         np.testing.assert_array_equal(after.walls, before.walls)
         np.testing.assert_array_equal(after.corners, before.corners)
     covariances = one.mapper.pose_covariances

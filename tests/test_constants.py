@@ -1,0 +1,60 @@
+"""Every numeric constant of the estimator core states where its value is from."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+SLAM = Path(__file__).parents[1] / "slam"
+CORE = (
+    "geometry",
+    "graph",
+    "odometry",
+    "preprocessing",
+    "mapping",
+    "matching",
+    "localisation",
+    "loop_closure",
+    "estimation",
+)
+FILES = sorted(file for room in CORE for file in (SLAM / room).rglob("*.py"))
+ORIGIN = "Origin:"
+
+
+def constants(tree: ast.Module) -> Iterator[tuple[str, ast.Assign | ast.AnnAssign]]:
+    """Yield the module-level assignments of an expression with a number in it to an upper-case name."""
+    for node in tree.body:
+        if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
+            target = node.targets[0] if isinstance(node, ast.Assign) else node.target
+            first = target.elts[0] if isinstance(target, ast.Tuple) else target
+            numbers = (leaf for leaf in ast.walk(node.value) if isinstance(leaf, ast.Constant))
+            if (
+                isinstance(first, ast.Name)
+                and first.id.strip("_").isupper()
+                and any(isinstance(leaf.value, int | float) and not isinstance(leaf.value, bool) for leaf in numbers)
+            ):
+                yield first.id, node
+
+
+def comment_of(lines: list[str], node: ast.stmt) -> str:
+    """Return the comment lines directly above a statement, and the comments on its own lines."""
+    first = node.lineno - 1
+    while first > 0 and lines[first - 1].lstrip().startswith("#"):
+        first -= 1
+    return "\n".join(line.partition("#")[2] for line in lines[first : node.end_lineno])
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.relative_to(SLAM).as_posix())
+def test_every_constant_states_its_origin(file: Path) -> None:
+    text = file.read_text(encoding="utf-8")
+    lines = text.splitlines()
+    missing = [name for name, node in constants(ast.parse(text)) if ORIGIN not in comment_of(lines, node)]
+    assert not missing, f"no comment with '{ORIGIN}' for {', '.join(missing)}"
+
+
+def test_a_missing_origin_is_found() -> None:
+    text = "GATE = 13.8  # chi-square\n# Metres. Origin: convention.\nREACH = 2.0\nNAMES = ('a', 'b')\n"
+    lines = text.splitlines()
+    found = {name: ORIGIN in comment_of(lines, node) for name, node in constants(ast.parse(text))}
+    assert found == {"GATE": False, "REACH": True}
