@@ -14,10 +14,12 @@ from slam import Slam
 from slam.config import Config, config_to_toml
 from slam.errors import MapError
 from slam.evaluation.metrics import align
-from slam.events import Event, Finished, Notice
+from slam.events import Finished, Notice
 from slam.io.output_dir import CONFIG
-from slam.io.sessions import read_stored, write_stored
+from slam.io.sessions import read_session, write_session
 from slam.io.tum import Trajectory
+
+from .listeners import EventCollector
 
 DRIVEN, INTERRUPTED = 30.0, 17.0  # seconds of the first drive
 LATER = 1000.0  # seconds until the next
@@ -33,28 +35,19 @@ def drive(world: str, seed: int, begin: float, end: float, shift: float = 0.0) -
     ]
 
 
-class Notices:
-    def __init__(self) -> None:
-        self.texts: list[str] = []
-
-    def handle(self, event: Event) -> None:
-        if isinstance(event, Notice):
-            self.texts.append(event.text)
-
-
 def run(messages: Sequence[Message], left: Path | None = None, *, frozen: bool = False) -> tuple[Slam, Finished, list]:
-    notices = Notices()
-    resumed = None if left is None else read_stored(left)
-    slam = Slam(sinks=[notices], resumed=resumed, frozen=frozen)
+    listener = EventCollector()
+    resumed = None if left is None else read_session(left)
+    slam = Slam(sinks=[listener], resumed=resumed, frozen=frozen)
     for message in messages:
         slam.add(message)
-    return slam, slam.finish(), notices.texts
+    return slam, slam.finish(), [notice.text for notice in listener.of(Notice)]
 
 
 def leave(slam: Slam, directory: Path) -> Path:
     directory.mkdir()
     (directory / CONFIG).write_text(config_to_toml(Config()))
-    write_stored(directory, slam.session)
+    write_session(directory, slam.session)
     return directory
 
 
@@ -132,7 +125,7 @@ def test_a_drive_from_an_unknown_place_is_found_on_the_map_and_makes_it_grow(
     assert error(finished, first, finished, first) < 0.01
     assert error(finished, second, finished, first) < 0.01
     session = slam.session
-    assert session.starts == [0, len(read_stored(left).scans)]
+    assert session.starts == [0, len(read_session(left).scans)]
     drives = session.drive()
     assert session.starts[1] in drives.kidnapped
     poses = drives.poses(finished.keyframes)  # of all sightings, also before the place was known
@@ -140,7 +133,7 @@ def test_a_drive_from_an_unknown_place_is_found_on_the_map_and_makes_it_grow(
     rows = [k for k, scan in enumerate(session.scans) if scan.stamp > LATER]
     truth = at_truth(replace(finished, stamps=drives.stamps[rows], poses=poses[rows]), second)
     assert np.hypot(*(se2.compose(there, truth[0]) - truth[1])[:, :2].T).max() < 0.05
-    again = read_stored(leave(slam, tmp_path / "both"))
+    again = read_session(leave(slam, tmp_path / "both"))
     assert again.starts == session.starts
     assert [len(history) for history in again.odometry] == [len(history) for history in session.odometry]
 

@@ -11,34 +11,26 @@ from drivers.simulation.simulator import Lidar, Simulation
 from slam import Slam
 from slam.events import StateChanged
 
+from .listeners import EventCollector
+
 SHORT_SIGHTED = Lidar(beams=360, range_max=12.0)
-
-
-class States:
-    """Collects the changes of state."""
-
-    def __init__(self) -> None:
-        self.changes: list[StateChanged] = []
-
-    def handle(self, event: object) -> None:
-        if isinstance(event, StateChanged):
-            self.changes.append(event)
 
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_bare_corridor_leaves_the_way_along_it_to_odometry(seed: int) -> None:
-    states, truth = States(), []
-    slam = Slam(sinks=[states])
+    listener, truth = EventCollector(), []
+    slam = Slam(sinks=[listener])
     for message in Simulation("bare_corridor", seed=seed, duration=18.0, lidar=SHORT_SIGHTED):
         if isinstance(message, GroundTruth):
             truth.append([message.stamp, *message.pose])
         slam.add(message)
     result = slam.finish()
+    changes = listener.of(StateChanged)
 
-    assert [change.state for change in states.changes] == ["DEGENERATE"]  # once, and to the end
-    assert states.changes[0].stamp < 1.0
-    assert states.changes[0].direction is not None
-    assert abs(np.sin(states.changes[0].direction)) < np.sin(np.radians(2.0))  # the corridor runs along x
+    assert [change.state for change in changes] == ["DEGENERATE"]  # once, and to the end
+    assert changes[0].stamp < 1.0
+    assert changes[0].direction is not None
+    assert abs(np.sin(changes[0].direction)) < np.sin(np.radians(2.0))  # the corridor runs along x
 
     stamps, *columns = np.array(truth).T
     true = np.array([np.interp(result.keyframe_stamps, stamps, column) for column in columns]).T

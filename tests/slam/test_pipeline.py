@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,24 +14,13 @@ from drivers.simulation.simulator import Simulation
 from slam import Config, Slam
 from slam.errors import MapError
 from slam.evaluation.metrics import score_reference
-from slam.events import Event, Finished, GroundTruthReceived, KeyframeAdded, MapUpdated, ScanTracked
+from slam.events import Finished, GroundTruthReceived, KeyframeAdded, MapUpdated, ScanTracked
 from slam.io.tum import Trajectory
 
-
-class Listener:
-    """Keeps every event."""
-
-    def __init__(self) -> None:
-        self.events: list[Event] = []
-
-    def handle(self, event: Event) -> None:
-        self.events.append(event)
-
-    def of(self, kind: type) -> list[Any]:
-        return [event for event in self.events if isinstance(event, kind)]
+from .listeners import EventCollector
 
 
-def run(messages: Iterable[Message], config: Config | None = None, listener: Listener | None = None) -> Finished:
+def run(messages: Iterable[Message], config: Config | None = None, listener: EventCollector | None = None) -> Finished:
     slam = Slam(config, [listener] if listener else [])
     for message in messages:
         slam.add(message)
@@ -82,7 +70,7 @@ def test_a_room_has_its_walls_and_corners(drive_result: Finished) -> None:
 
 
 def test_events_tell_the_story_in_order(drive: list[Message]) -> None:
-    listener = Listener()
+    listener = EventCollector()
     finished = run(drive, listener=listener)
     scans = [message for message in drive if isinstance(message, Scan)]
     keyframes, tracked = listener.of(KeyframeAdded), listener.of(ScanTracked)
@@ -107,7 +95,7 @@ def test_events_tell_the_story_in_order(drive: list[Message]) -> None:
 
 
 def test_listening_and_repeating_change_nothing(drive: list[Message], drive_result: Finished) -> None:
-    again = run(drive, listener=Listener())
+    again = run(drive, listener=EventCollector())
     assert again.poses.tobytes() == drive_result.poses.tobytes()
     assert again.lines.frame.tobytes() == drive_result.lines.frame.tobytes()
     assert again.lines.covariance.tobytes() == drive_result.lines.covariance.tobytes()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from pathlib import Path
 from typing import Any
@@ -17,28 +16,19 @@ from slam import Slam
 from slam.config import Config, config_to_toml
 from slam.evaluation.metrics import read_relations, score_reference, score_relations
 from slam.events import Finished
-from slam.io.exports import OccupancyGrid, placed_scans
+from slam.io.exports import OccupancyGrid, place_scans
 from slam.io.exports.occupancy import OCCUPIED
 from slam.io.output_dir import CONFIG
-from slam.io.sessions import StoredSession, read_stored, write_stored
+from slam.io.sessions import StoredSession, read_session, write_session
 from slam.io.tum import Trajectory, read_tum
 from slam.optimisation import optimise
 
-ROOT = Path(__file__).parents[2]
-FOLDER = Path(os.environ.get("WCLM_DATASETS", ROOT.parent / "shared" / "datasets"))
-
-
-def folder_of(name: str, *files: str) -> Path:
-    """The folder that holds these files of a recording; else the test is skipped."""
-    folder = FOLDER / name
-    if not all((folder / f"{name}.{file}").exists() for file in files):
-        pytest.skip(f"{folder} is not there; set WCLM_DATASETS to the folder that holds {name}/{name}.clf")
-    return folder
+from ..recordings import recording_folder
 
 
 def score(name: str, seconds: float | None = None, *, refine: bool = False) -> dict[str, float]:
     """The scores of the first `seconds` of a recording, or of all of it."""
-    folder = folder_of(name, "clf", "relations")
+    folder = recording_folder(name, "clf", "relations")
     slam, start = Slam(refine=refine), None
     for message in drivers.open(folder / f"{name}.clf"):
         start = message.stamp if start is None else start
@@ -77,7 +67,7 @@ def test_the_second_look(name: str, translation: float, rotation: float) -> None
 
 
 def scored(name: str, finished: Finished) -> dict[str, float]:
-    relations = read_relations(folder_of(name, "clf", "relations") / f"{name}.relations")
+    relations = read_relations(recording_folder(name, "clf", "relations") / f"{name}.relations")
     return score_relations(Trajectory(finished.stamps, finished.poses), relations).figures()
 
 
@@ -85,15 +75,15 @@ def kept(slam: Slam, directory: Path) -> StoredSession:
     """What a run leaves, written down and read again."""
     directory.mkdir()
     (directory / CONFIG).write_text(config_to_toml(slam.config))
-    write_stored(directory, slam.session)
-    return read_stored(directory)
+    write_session(directory, slam.session)
+    return read_session(directory)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["intel", "fr079", "csail"])
 def test_optimised_later_is_as_good_as_refined_at_once(name: str, tmp_path: Path) -> None:
     slam = Slam(keep_views=True)
-    for message in drivers.open(folder_of(name, "clf", "relations") / f"{name}.clf"):
+    for message in drivers.open(recording_folder(name, "clf", "relations") / f"{name}.clf"):
         slam.add(message)
     slam.finish()
     started = time.process_time()
@@ -105,7 +95,7 @@ def test_optimised_later_is_as_good_as_refined_at_once(name: str, tmp_path: Path
 
 @pytest.mark.slow
 def test_intel_cut_in_two_and_gone_on_with(tmp_path: Path) -> None:
-    messages = list(drivers.open(folder_of("intel", "clf", "relations") / "intel.clf"))
+    messages = list(drivers.open(recording_folder("intel", "clf", "relations") / "intel.clf"))
     middle = 0.5 * (messages[0].stamp + messages[-1].stamp)
     first = Slam()
     for message in messages:
@@ -124,7 +114,7 @@ def test_intel_cut_in_two_and_gone_on_with(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_picture_for_ros_agrees_with_one_of_gmappings_path(wclm: Any, map_server: Any) -> None:
     """Both in the frame of the picture. GMapping's path is off by some 0.1 m itself, so not all walls can agree."""
-    folder = folder_of("intel", "clf", "gmapping.tum")
+    folder = recording_folder("intel", "clf", "gmapping.tum")
     assert wclm("run", folder / "intel.clf", "--out", "out", "--no-review").exit_code == 0
     assert wclm("map", "out", "--format", "pgm").exit_code == 0
     ours = map_server(Path("out/map.yaml")).occupied()
@@ -132,7 +122,7 @@ def test_the_picture_for_ros_agrees_with_one_of_gmappings_path(wclm: Any, map_se
     carried = se2.inverse(score_reference(read_tum(Path("out/trajectory.tum")), path).alignment)
     grid = OccupancyGrid(0.05)
     in_our_frame = Trajectory(path.stamps, se2.compose(carried, path.poses))
-    grid.add_all(placed_scans(drivers.open(folder / "intel.clf"), in_our_frame, Config().lidar))
+    grid.add_all(place_scans(drivers.open(folder / "intel.clf"), in_our_frame, Config().lidar))
     theirs = grid.occupancy().centres(OCCUPIED)
     assert min(len(ours), len(theirs)) > 10_000
     for some, others in ((ours, theirs), (theirs, ours)):

@@ -18,16 +18,18 @@ from slam.estimation.refinement import ScanHistory, build_scan_history, refine
 from slam.estimation.refinement.landmark_recount import recount
 from slam.estimation.slam_state import SlamState
 from slam.evaluation.metrics import score_reference
-from slam.events import Event, GraphInspected, MapUpdated
+from slam.events import GraphInspected, MapUpdated
 from slam.geometry.segments import CornerPoints, Segments
 from slam.io.tum import Trajectory
-from slam.mapping.keyframes import LandmarkIds, Motion
+from slam.mapping.keyframes import KeyframeMotion, LandmarkIds
 from slam.mapping.mapper import Mapper
 from slam.matching.likelihood_field import ScanPoints
 from slam.matching.line_matcher import ScanFeatures
 from slam.odometry.error_model import OdometryModel
 from slam.preprocessing.preprocessor import Preprocessor, ProcessedScan
 from slam.run_statistics import StageTimer
+
+from ..listeners import EventCollector
 
 DOUBLED = 0.03  # metres between a wall and its false twin
 
@@ -75,7 +77,7 @@ def driven() -> Driven:
             scans.append(front_end.sight(scan, estimator.slam_state.odometry_model))
             estimator.take(scans[-1], StageTimer())
     slam_state = estimator.slam_state
-    slam_state.mapper.settle()
+    slam_state.mapper.converge()
     drive = build_scan_history(scans, slam_state.trajectory, slam_state.keyframe_stamps, slam_state.kidnapped_keyframes)
     return Driven(slam_state.mapper, drive, slam_state.odometry_model, messages)
 
@@ -106,7 +108,7 @@ def test_a_good_map_is_not_made_worse(driven: Driven) -> None:
 def doubled(driven: Driven) -> Mapper:
     """The map with its most seen wall mapped twice: what the second half of the drive saw of it is of a twin."""
     old, drive, poses = driven.mapper, driven.drive, driven.poses
-    mapper, half = Mapper.on(old), len(poses) // 2
+    mapper, half = Mapper.with_landmarks_of(old), len(poses) // 2
     rows = old.landmarks.walls.rows
     kept = rows["merged_into"]
     names = [LandmarkIds(np.where(n.walls >= 0, kept[n.walls], -1), n.corners) for n in old.landmark_ids]
@@ -121,8 +123,8 @@ def doubled(driven: Driven) -> Mapper:
         seen = drive.scans[row].features
         motion = None
         if k:
-            motion = Motion(k - 1, *drive.motion(int(drive.keyframes[k - 1]), int(row), driven.noise, certain))
-        mapper.extend(poses[k], motion, seen.segments, seen.corners, names[k])
+            motion = KeyframeMotion(k - 1, *drive.motion(int(drive.keyframes[k - 1]), int(row), driven.noise, certain))
+        mapper.add_keyframe_with_ids(poses[k], motion, seen.segments, seen.corners, names[k])
     mapper.solve()
     assert {wall, twin} <= set(walls_of(mapper))
     return mapper
@@ -139,11 +141,11 @@ def test_a_wall_that_was_mapped_twice_becomes_one(driven: Driven) -> None:
 
 def test_a_map_that_comes_to_rest_has_no_wall_twice(driven: Driven) -> None:
     spoilt = doubled(driven)
-    spoilt.remember_covariances()
+    spoilt.recompute_pose_covariances()
     before = walls_of(spoilt)
-    assert spoilt.settle() >= 1
+    assert spoilt.converge() >= 1
     assert len(walls_of(spoilt)) < len(before)
-    assert spoilt.settle() == 0
+    assert spoilt.converge() == 0
 
 
 def test_what_was_believed_of_a_sighting_gives_way_to_what_it_shows(driven: Driven) -> None:
@@ -215,9 +217,9 @@ def test_a_loop_that_was_never_closed_is_closed() -> None:
     for k, scan in enumerate(drive.scans):
         seen, visit = scan.features, int(k > 40)
         names = LandmarkIds(np.arange(len(seen.segments)) + visit * len(ROOM), np.zeros(0, dtype=np.int64))
-        motion = Motion(k - 1, *drive.motion(k - 1, k, noise, certain)) if k else None
+        motion = KeyframeMotion(k - 1, *drive.motion(k - 1, k, noise, certain)) if k else None
         mapper.landmarks.walls.rows["observations"][names.walls] = 10
-        mapper.extend(claimed[k], motion, seen.segments, seen.corners, names)
+        mapper.add_keyframe_with_ids(claimed[k], motion, seen.segments, seen.corners, names)
     recount(mapper.landmarks, drive, mapper.landmark_ids, claimed)
     mapper.landmarks.walls.rows["in_graph"] = True
     mapper.solve()
@@ -230,17 +232,9 @@ def test_a_loop_that_was_never_closed_is_closed() -> None:
     assert np.hypot(*(refined.poses - apart)[-10:, :2].T).max() < 0.02
 
 
-class Listener:
-    def __init__(self) -> None:
-        self.events: list[Event] = []
-
-    def handle(self, event: Event) -> None:
-        self.events.append(event)
-
-
 def test_refining_twice_gives_the_same_and_tells_of_the_map() -> None:
     messages = list(Simulation("room", seed=5, duration=8.0))
-    listener = Listener()
+    listener = EventCollector()
     results = []
     for _ in range(2):
         slam = Slam(sinks=[listener], refine=True)

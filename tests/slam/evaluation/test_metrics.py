@@ -21,9 +21,10 @@ from slam.evaluation.metrics import (
 )
 from slam.io.tum import Trajectory, read_tum, write_tum
 
+from ...recordings import recording_file
+
 SHARED = Path(__file__).parents[3].parent / "shared"
 SCORER = Path(os.environ.get("WCLM_SCORER", SHARED / "tools" / "score_relations.py"))
-DATASETS = Path(os.environ.get("WCLM_DATASETS", SHARED / "datasets"))
 
 
 def wandering(count: int, seed: int) -> Trajectory:
@@ -108,9 +109,7 @@ def test_figures_are_the_judges(tmp_path: Path, every: int) -> None:
 
 @pytest.mark.parametrize("name", ["intel", "fr079", "csail"])
 def test_figures_are_the_judges_on_real_recordings(name: str) -> None:
-    trajectory, relations = DATASETS / name / f"{name}.gmapping.tum", DATASETS / name / f"{name}.relations"
-    if not trajectory.exists():
-        pytest.skip(f"no recordings at {DATASETS}; WCLM_DATASETS says where")
+    trajectory, relations = (recording_file(name, suffix) for suffix in ("gmapping.tum", "relations"))
     ours = score_relations(read_tum(trajectory), read_relations(relations)).figures()
     assert ours == judged(trajectory, relations)
 

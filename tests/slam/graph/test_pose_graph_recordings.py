@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from slam.graph.pose_graph import Edges, PoseGraph, optimise, read_pose_graph
 from slam.graph.pose_graph.least_squares import edge_chi2, variables_of
 
-ROOT = Path(__file__).parents[3]
-FOLDER = Path(os.environ.get("WCLM_DATASETS", ROOT.parent / "shared" / "datasets")) / "g2o"
+from ...recordings import dataset_file
+
 OPTIMA = {"intel-1228": 215.83, "mitb-808": 41.163, "m3500": 137.913, "intel-1728": 45.005, "csail-1045": 40.555}
 
 
 def graph_of(name: str) -> PoseGraph:
-    path = FOLDER / f"{name}.g2o"
-    if not path.exists():
-        pytest.skip(f"{path} is not there; set WCLM_DATASETS to the folder that holds g2o/{name}.g2o")
-    return read_pose_graph(path).graph
+    return read_pose_graph(dataset_file(f"g2o/{name}.g2o")).graph
 
 
 @pytest.mark.parametrize("name", OPTIMA)

@@ -24,18 +24,16 @@ from slam.matching.likelihood_field import (
     search,
 )
 
+from ..listeners import EventCollector
+from ..outlines import outline
 
-def outline() -> Floats:
-    """Points every two centimetres along an angular room without symmetry, in the map."""
-    corners = np.array([[0, 0], [5, 0], [5, 2], [3.5, 2], [3.5, 4], [0, 4]], float)
-    sides = zip(corners, np.roll(corners, -1, axis=0), strict=True)
-    return np.concatenate([np.linspace(a, b, int(np.hypot(*(b - a)) / 0.02)) for a, b in sides])
+ROOM = outline([(0, 0), (5, 0), (5, 2), (3.5, 2), (3.5, 4), (0, 4)])  # angular, without symmetry
 
 
 def test_points_seen_where_they_are_known_are_alike() -> None:
-    field = make_field(outline(), np.zeros((0, 2)), np.array([2.0, 2.0]))
+    field = make_field(ROOM, np.zeros((0, 2)), np.array([2.0, 2.0]))
     pose = np.array([1.5, 1.5, 0.4])
-    points = se2.transform(se2.inverse(pose), outline())
+    points = se2.transform(se2.inverse(pose), ROOM)
     assert likelihood_score(field, points, pose) > 0.9
     assert likelihood_score(field, points, pose + np.array([0.5, 0.0, 0.3])) < 0.4
     assert likelihood_score(field, points, pose + np.array([100.0, 0.0, 0.0])) == 0.0
@@ -44,9 +42,9 @@ def test_points_seen_where_they_are_known_are_alike() -> None:
 
 @pytest.mark.parametrize("off", [[1.0, -0.8, 0.9], [-1.3, 0.2, -1.2], [0.0, 0.0, 0.0]])
 def test_a_pose_is_found_far_from_its_prediction(off: list[float]) -> None:
-    field = make_field(outline(), np.zeros((0, 2)), np.array([2.0, 2.0]))
+    field = make_field(ROOM, np.zeros((0, 2)), np.array([2.0, 2.0]))
     pose = np.array([1.5, 1.5, 0.4])
-    found, like = search(field, se2.transform(se2.inverse(pose), outline()), pose + off)
+    found, like = search(field, se2.transform(se2.inverse(pose), ROOM), pose + off)
     assert like > 0.7
     assert np.abs(found - pose)[:2].max() < SEARCH_STEP
     assert abs(found[2] - pose[2]) < SEARCH_TURN_STEP
@@ -100,14 +98,8 @@ class FailingOdometry:
 
 def drive(source: FailingOdometry) -> tuple[Finished, Floats, list[str]]:
     """The result, the errors of the keyframes (k, 2) in metres and radians, and what was noticed."""
-    noticed: list[str] = []
-
-    class Listener:
-        def handle(self, event: object) -> None:
-            if isinstance(event, Notice):
-                noticed.append(event.text)
-
-    slam, truth = Slam(sinks=[Listener()]), []
+    listener, truth = EventCollector(), []
+    slam = Slam(sinks=[listener])
     for message in source:
         slam.add(message)
         if isinstance(message, GroundTruth):
@@ -117,7 +109,8 @@ def drive(source: FailingOdometry) -> tuple[Finished, Floats, list[str]]:
     columns[2] = np.unwrap(columns[2])
     true = np.column_stack([np.interp(result.keyframe_stamps, stamps, column) for column in columns])
     error = se2.between(result.keyframes, se2.between(true[0], true))
-    return result, np.column_stack([np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])]), noticed
+    notices = [notice.text for notice in listener.of(Notice)]
+    return result, np.column_stack([np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])]), notices
 
 
 @pytest.mark.parametrize("makes_up", [True, False])

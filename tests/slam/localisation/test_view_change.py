@@ -9,14 +9,9 @@ from drivers import se2
 from slam.geometry.segments import Floats
 from slam.localisation.view_change import View
 
+from ..outlines import outline
+
 NEVER_REMOVED = np.zeros(3)
-
-
-def outline(corners: list[tuple[float, float]]) -> Floats:
-    """Points every two centimetres along the sides of a room, metres."""
-    ends = np.array(corners)
-    sides = zip(ends, np.roll(ends, -1, axis=0), strict=True)
-    return np.concatenate([np.linspace(a, b, int(np.hypot(*(b - a)) / 0.02)) for a, b in sides])
 
 
 ROOM = outline([(-2, -1), (3, -1), (3, 1), (1.5, 1), (1.5, 3), (-2, 3)])

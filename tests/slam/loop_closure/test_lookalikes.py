@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,12 +14,12 @@ from slam.evaluation.benchmarks import false_closures
 from slam.evaluation.benchmarks.false_closures import Adversary
 from slam.evaluation.benchmarks.lookalike import WORLDS, Drive, condense, drive, run
 from slam.evaluation.benchmarks.witness import Decided
+from slam.loop_closure.loop_status import LoopStatus
 from slam.loop_closure.proposal import distinct, propose
 from slam.loop_closure.recent_walls import recent_and_reference
 from slam.mapping.landmarks import Landmarks
 
-ROOT = Path(__file__).parents[3]
-FOLDER = Path(os.environ.get("WCLM_DATASETS", ROOT.parent / "shared" / "datasets"))
+from ...recordings import recording_folder
 
 
 def decided(status: str, error: float, turn: float = 0.0, reason: str = "all tests passed") -> Decided:
@@ -33,20 +31,22 @@ def a_drive(*decisions: Decided, drift: float = 2.0, joined: bool = True, found:
 
 
 def test_only_accepted_closures_can_be_wrong() -> None:
-    assert not a_drive(decided("held", 3.0), decided("rejected", 3.0), decided("accepted", 0.2)).wrong
-    assert a_drive(decided("accepted", 0.6)).wrong
-    assert a_drive(decided("accepted", 0.1, np.radians(11.0))).wrong
+    assert not a_drive(
+        decided(LoopStatus.PENDING, 3.0), decided(LoopStatus.REJECTED, 3.0), decided(LoopStatus.ACCEPTED, 0.2)
+    ).wrong
+    assert a_drive(decided(LoopStatus.ACCEPTED, 0.6)).wrong
+    assert a_drive(decided(LoopStatus.ACCEPTED, 0.1, np.radians(11.0))).wrong
 
 
 def test_a_row_counts_what_was_needed_and_found() -> None:
     mended, open_ = (
-        a_drive(decided("accepted", 0.1)),
-        a_drive(decided("rejected", 2.0, reason="7.1 m of wall < 8 m"), joined=False),
+        a_drive(decided(LoopStatus.ACCEPTED, 0.1)),
+        a_drive(decided(LoopStatus.REJECTED, 2.0, reason="7.1 m of wall < 8 m"), joined=False),
     )
-    unneeded = a_drive(decided("rejected", 0.0, reason="6.4 m of wall < 8 m"), drift=0.1)
+    unneeded = a_drive(decided(LoopStatus.REJECTED, 0.0, reason="6.4 m of wall < 8 m"), drift=0.1)
     (row,) = condense([mended, open_, unneeded])
     assert (row.drives, row.needed, row.found) == (3, 2, 1)
-    assert (row.proposed, row.accepted, row.rejected, row.held, row.wrong) == (3, 1, 2, 0, 0)
+    assert (row.proposed, row.accepted, row.rejected, row.pending, row.wrong) == (3, 1, 2, 0, 0)
     assert row.reasons == {"m of wall m": 2}
 
 
@@ -68,7 +68,9 @@ def test_a_loop_that_drift_left_open_is_closed_where_it_should_be() -> None:
 @pytest.mark.parametrize(("world", "seed"), [("moved_furniture", 9), ("equal_offices", 18)])
 def test_no_wrong_closure_where_places_look_alike(world: str, seed: int) -> None:
     result = drive(world, seed)
-    convincing = [d for d in result.decided if d.error > 0.5 and (d.status == "held" or "deviations" in d.reason)]
+    convincing = [
+        d for d in result.decided if d.error > 0.5 and (d.status == LoopStatus.PENDING or "deviations" in d.reason)
+    ]
     assert convincing, "nothing wrong looked right: this proves nothing"
     assert not result.wrong
 
@@ -97,7 +99,10 @@ def test_no_wrong_closure_in_any_look_alike_world() -> None:
 
 
 def test_the_bench_prints_a_row_a_world(wclm: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    outcomes = {0: a_drive(decided("accepted", 0.1)), 1: replace(a_drive(decided("accepted", 3.0)), seed=1)}
+    outcomes = {
+        0: a_drive(decided(LoopStatus.ACCEPTED, 0.1)),
+        1: replace(a_drive(decided(LoopStatus.ACCEPTED, 3.0)), seed=1),
+    }
     monkeypatch.setattr("slam.warmup.warm_up", lambda: None)
     monkeypatch.setattr(
         "slam.evaluation.benchmarks.lookalike.drive", lambda world, seed: replace(outcomes[seed], world=world)
@@ -157,9 +162,7 @@ def test_the_adversary_proposes_a_wrong_place_and_forges_every_other_score() -> 
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("name", ["intel", "fr079", "csail"])
 def test_false_candidates_change_nothing(name: str) -> None:
-    folder = FOLDER / name
-    if not (folder / f"{name}.clf").exists() or not (folder / f"{name}.relations").exists():
-        pytest.skip(f"{folder} is not there; set WCLM_DATASETS to the folder that holds {name}/{name}.clf")
+    folder = recording_folder(name, "clf", "relations")
     outcome = false_closures.run(folder / f"{name}.clf", folder / f"{name}.relations")
     assert outcome.forced == min(50, outcome.looks)
     assert outcome.taken == 0

@@ -16,13 +16,15 @@ from drivers.simulation.simulator import Lidar, Simulation
 from drivers.simulation.world import Passing, World
 from slam import Slam
 from slam.config import Config, config_to_toml
-from slam.events import Event, Finished, MapWalls, WallsRemoved
+from slam.events import Finished, MapWalls, WallsRemoved
 from slam.io.output_dir import CONFIG
-from slam.io.sessions import StoredSession, read_stored, write_stored
+from slam.io.sessions import StoredSession, read_session, write_session
 from slam.mapping.landmarks import CELL, NEVER_REMOVED, Landmarks
 from slam.mapping.mapper import Mapper
 from slam.mapping.wall_removal import BEHIND, SAME, STEEPEST, FreeSpaceEvidence, sight
-from slam.offline.map_merging.carrying import joined_landmarks
+from slam.offline.map_merging.transfer import joined_landmarks
+
+from ..listeners import EventCollector
 
 LIDAR = Lidar(beams=360)
 NOTHING = np.zeros((0, 4)), np.zeros((0, 3))
@@ -50,23 +52,12 @@ def drive(place: World, seed: int = 0, shift: float = 0.0, duration: float | Non
     return [replace(message, stamp=message.stamp + shift) for message in messages]
 
 
-class Retired:
-    """The walls that listeners are told of."""
-
-    def __init__(self) -> None:
-        self.lines: list[int] = []
-
-    def handle(self, event: Event) -> None:
-        if isinstance(event, WallsRemoved):
-            self.lines.extend(event.lines)
-
-
 def run(
     messages: Sequence[Message],
     resumed: StoredSession | None = None,
     *,
     refine: bool = False,
-    sinks: Sequence[Retired] = (),
+    sinks: Sequence[EventCollector] = (),
 ) -> tuple[Slam, Finished]:
     slam = Slam(resumed=resumed, refine=refine, sinks=sinks)
     for message in messages:
@@ -77,7 +68,7 @@ def run(
 def leave(session: StoredSession, directory: Path) -> Path:
     directory.mkdir()
     (directory / CONFIG).write_text(config_to_toml(Config()))
-    write_stored(directory, session)
+    write_session(directory, session)
     return directory
 
 
@@ -284,14 +275,15 @@ def furnished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_partition_that_was_taken_out_leaves_the_map_and_stays_in_the_session(
     furnished: Path, tmp_path: Path, refine: bool
 ) -> None:
-    before = read_stored(furnished).slam_state.mapper
-    told = Retired()
-    slam, finished = run(drive(world(), seed=1, shift=1000.0), read_stored(furnished), refine=refine, sinks=[told])
-    assert sorted(told.lines) == slam.slam_state.mapper.landmarks.removed_walls().tolist()
+    before = read_session(furnished).slam_state.mapper
+    listener = EventCollector()
+    slam, finished = run(drive(world(), seed=1, shift=1000.0), read_session(furnished), refine=refine, sinks=[listener])
+    removed = [wall for event in listener.of(WallsRemoved) for wall in event.lines]
+    assert sorted(removed) == slam.slam_state.mapper.landmarks.removed_walls().tolist()
     assert length_on(finished.lines, PARTITION) == 0.0
     assert length_on(finished.lines, ROOM) > 28.0
     assert finished.summary["retired_walls"] == 2  # its long sides
-    again = read_stored(leave(slam.session, tmp_path / "out")).slam_state.mapper
+    again = read_session(leave(slam.session, tmp_path / "out")).slam_state.mapper
     for landmarks in (slam.slam_state.mapper.landmarks, again.landmarks):
         rows = landmarks.walls.rows[landmarks.removed_walls()]
         assert (rows["removed_at"] >= before.keyframe_count).all()
@@ -306,7 +298,7 @@ def test_a_partition_that_was_taken_out_leaves_the_map_and_stays_in_the_session(
 
 def test_what_is_still_there_stays(furnished: Path) -> None:
     same = world(always=np.concatenate([ROOM, PARTITION]))
-    _, finished = run(drive(same, seed=2, shift=1000.0), read_stored(furnished))
+    _, finished = run(drive(same, seed=2, shift=1000.0), read_session(furnished))
     assert length_on(finished.lines, PARTITION) > 5.5
     assert finished.summary["retired_walls"] == 0
 
@@ -316,7 +308,7 @@ def test_a_door_that_is_opened_opens_the_wall(furnished: Path) -> None:
     halves = np.array([*box(3.0, 3.0, 1.0, 0.1), *box(5.0, 3.0, 1.0, 0.1)])
     gap = np.array([[3.7, 3.05, 4.3, 3.05], [3.7, 2.95, 4.3, 2.95]])
     place = world(always=np.concatenate([ROOM, halves]))
-    slam, finished = run(drive(place, seed=1, shift=1000.0), read_stored(furnished), refine=True)
+    slam, finished = run(drive(place, seed=1, shift=1000.0), read_session(furnished), refine=True)
     assert slam.slam_state.mapper.landmarks.opened
     assert length_on(finished.lines, gap, 0.03) < 0.15
     assert length_on(finished.lines, halves) > 3.5
@@ -356,7 +348,7 @@ def test_what_was_counted_is_gone_on_from(tmp_path: Path) -> None:
     slam, _ = run(drive(world(passing=[partition]), duration=18.0))
     free_space_evidence = slam.session.slam_state.mapper.free_space_evidence
     assert free_space_evidence.counts
-    again = read_stored(leave(slam.session, tmp_path / "out"))
+    again = read_session(leave(slam.session, tmp_path / "out"))
     assert again.slam_state.mapper.free_space_evidence.counts == {
         wall: cells for wall, cells in free_space_evidence.counts.items() if cells
     }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -26,15 +25,16 @@ from slam.evaluation.benchmarks.relocalisation import halves
 from slam.evaluation.metrics import read_relations, score_reference, score_relations
 from slam.io.map_json import read_map
 from slam.io.output_dir import CONFIG, RESULTS
-from slam.io.sessions import Recording, StoredSession, read_stored, write_stored
+from slam.io.sessions import Recording, StoredSession, read_session, write_session
 from slam.io.tum import Trajectory, read_tum
 from slam.loop_closure.relocalisation import PlaceVerdict, Relocalisation
 from slam.offline.map_merging import Agreement, join
-from slam.offline.map_merging.agreement import Recognised, independent, largest_agreement
-from slam.offline.map_merging.carrying import shift_after, shifted
+from slam.offline.map_merging.consensus import Recognised, independent, largest_agreement
+from slam.offline.map_merging.transfer import shift_after, shifted
 from slam.optimisation import optimise
 
-FOLDER = Path(os.environ.get("WCLM_DATASETS", Path(__file__).parents[4] / "shared" / "datasets"))
+from ...recordings import recording_file
+
 OFFICE = {"first": ("sim:office?seed=1&duration=75", 0.0), "second": ("sim:office?seed=2&duration=90", 15.0)}
 """Two drives through one building, and from when on each is looked at: the second begins within the first's way."""
 
@@ -49,7 +49,7 @@ def mapped(messages: Sequence[Message], name: str, directory: Path) -> Path:
     session.recordings.append(Recording(name=name, path=None, first=messages[0].stamp, last=messages[-1].stamp))
     directory.mkdir()
     (directory / CONFIG).write_text(config_to_toml(session.config))
-    write_stored(directory, session)
+    write_session(directory, session)
     return directory
 
 
@@ -66,7 +66,7 @@ def sessions(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def read(sessions: dict[str, Path], *names: str) -> list[tuple[str, StoredSession]]:
-    return [(name, read_stored(sessions[name])) for name in names]
+    return [(name, read_session(sessions[name])) for name in names]
 
 
 # Joined
@@ -83,7 +83,7 @@ def both(sessions: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) ->
 
 
 def test_two_drives_through_one_building_become_one_map(both: Path, sessions: dict[str, Path]) -> None:
-    path, recordings = read_tum(both / "trajectory.tum"), read_stored(both).recordings
+    path, recordings = read_tum(both / "trajectory.tum"), read_session(both).recordings
     assert [recording.name for recording in recordings] == ["first", "second"]
     truth = [
         (message.stamp + recording.shift, *message.pose)
@@ -100,7 +100,7 @@ def test_two_drives_through_one_building_become_one_map(both: Path, sessions: di
 
 
 def test_clocks_are_told_apart(both: Path) -> None:
-    first, second = read_stored(both).recordings
+    first, second = read_session(both).recordings
     assert first.shift == 0.0
     assert second.shift > 35.0
     assert second.first > first.last
@@ -145,7 +145,7 @@ def test_what_was_seen_once_does_not_count_twice(both: Path, sessions: dict[str,
 
 def test_a_session_without_a_map_is_refused(sessions: dict[str, Path]) -> None:
     empty = Slam()
-    session = read_stored(sessions["first"])
+    session = read_session(sessions["first"])
     session.slam_state = empty.slam_state
     with pytest.raises(MapError, match="first: has no keyframe"):
         join([("first", session), *read(sessions, "second")])
@@ -163,14 +163,14 @@ class Visit:
 
     @property
     def slam_state(self) -> SimpleNamespace:
-        return SimpleNamespace(mapper=SimpleNamespace(keyframe_count=1, settle=lambda: None, rooms=self.rooms))
+        return SimpleNamespace(mapper=SimpleNamespace(keyframe_count=1, converge=lambda: None, rooms=self.rooms))
 
     def drive(self) -> None: ...
 
 
 @pytest.fixture
 def visits(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    module = import_module("slam.offline.map_merging.join")
+    module = import_module("slam.offline.map_merging.merge")
 
     def locate(mapper: Any, drive: None, index: Any) -> Agreement:
         shared = len(mapper.rooms & index.rooms)
@@ -269,20 +269,12 @@ def test_a_session_that_is_later_keeps_its_clock(sessions: dict[str, Path]) -> N
 # The public recordings
 
 
-def file_of(name: str, suffix: str) -> Path:
-    """A file of a recording; where it is not at hand the test is skipped."""
-    file = FOLDER / name / f"{name}.{suffix}"
-    if not file.exists():
-        pytest.skip(f"{file} is not there; set WCLM_DATASETS to the folder that holds {name}/{name}.{suffix}")
-    return file
-
-
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("name", ["intel", "csail"])
 def test_halves_mapped_apart_and_joined_are_as_accurate_as_the_whole(name: str, tmp_path: Path) -> None:
-    messages = list(drivers.open(file_of(name, "clf")))
-    relations = read_relations(file_of(name, "relations"))
+    messages = list(drivers.open(recording_file(name, "clf")))
+    relations = read_relations(recording_file(name, "relations"))
     whole = Slam(refine=True)
     for message in messages:
         whole.add(message)
@@ -303,9 +295,9 @@ def test_halves_mapped_apart_and_joined_are_as_accurate_as_the_whole(name: str, 
 @pytest.mark.timeout(900)
 def test_the_public_buildings_are_not_taken_for_each_other(tmp_path: Path) -> None:
     names = ("intel", "fr079", "csail")
-    left = {name: mapped(list(drivers.open(file_of(name, "clf"))), name, tmp_path / name) for name in names}
+    left = {name: mapped(list(drivers.open(recording_file(name, "clf"))), name, tmp_path / name) for name in names}
     for first in names:
         for second in names:
             if first != second:
                 with pytest.raises(MapError, match=f"{second}: is not recognised in {first}"):
-                    join([(name, read_stored(left[name])) for name in (first, second)])
+                    join([(name, read_session(left[name])) for name in (first, second)])
