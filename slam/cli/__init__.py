@@ -14,31 +14,31 @@ from typer.core import TyperGroup
 
 from drivers.errors import SlamError
 
-from . import bench_features as bench_features
-from . import bench_loops as bench_loops
-from . import bench_slam as bench_slam
-from .batch import batch
-from .bench import bench
-from .calibrate import calibrate
-from .console import INTERRUPTED, MISTAKE, complain
-from .demo import demo
-from .devices import devices
-from .emulate import emulate
-from .evaluate import evaluate
-from .features import features
-from .info import info
-from .live import live
-from .map import export_map
-from .merge import merge
-from .optimize import optimize
-from .page import report
-from .record import record
-from .replay import replay
-from .review import review
-from .run import run
-from .simulate import simulate
+from .commands.batch import batch
+from .commands.bench import bench
+from .commands.bench import features as _features
+from .commands.bench import loops as _loops
+from .commands.bench import slam as _slam
+from .commands.calibrate import calibrate
+from .commands.demo import demo
+from .commands.devices import devices
+from .commands.emulate import emulate
+from .commands.evaluate import evaluate
+from .commands.features import features
+from .commands.info import info
+from .commands.live import live
+from .commands.map import export_map
+from .commands.merge import merge
+from .commands.optimize import optimize
+from .commands.record import record
+from .commands.replay import replay
+from .commands.report import report
+from .commands.review import review
+from .commands.run import run
+from .commands.simulate import simulate
+from .console import EXIT_INTERRUPTED, EXIT_USER_ERROR, print_message
 
-TERMINATED = 128 + signal.SIGTERM
+EXIT_TERMINATED = 128 + signal.SIGTERM
 
 
 class _Commands(TyperGroup):
@@ -48,11 +48,11 @@ class _Commands(TyperGroup):
         try:
             return super().invoke(ctx)
         except SlamError as error:
-            complain(str(error))
-            raise typer.Exit(MISTAKE) from error
+            print_message(str(error))
+            raise typer.Exit(EXIT_USER_ERROR) from error
         except KeyboardInterrupt as error:
-            complain("interrupted; nothing was written")
-            raise typer.Exit(INTERRUPTED) from error
+            print_message("interrupted; nothing was written")
+            raise typer.Exit(EXIT_INTERRUPTED) from error
 
 
 app = typer.Typer(
@@ -108,7 +108,7 @@ app.add_typer(bench, name="bench")
 
 def main() -> None:
     """Entry point of `wclm`. Being told to terminate cleans up just as Ctrl-C does."""
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(EXIT_TERMINATED))
     app(prog_name="wclm")
 
 

@@ -1,59 +1,35 @@
-"""What commands say while they work and when they fail: on stderr, so that stdout holds nothing but results."""
+"""Messages and progress of commands on stderr, so that stdout holds only results."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from threading import Timer
-from typing import Annotated, TypeVar
+from typing import TypeVar
 
 import typer
 
-MISTAKE = 2
-"""Exit status for what the user can mend; also typer's for wrong usage."""
-INTERRUPTED = 130
-"""Exit status after Ctrl-C, as shells have it."""
-EVERY = 20
-"""Items between two looks at the progress bar."""
-
-SLOW = 2.0
-"""Seconds after which a person wants to know what is going on."""
+EXIT_USER_ERROR = 2
+"""Exit status of errors that the user can correct; typer uses the same for wrong usage."""
+EXIT_INTERRUPTED = 130
+"""Exit status after Ctrl-C, as in shells: 128 + SIGINT."""
+PROGRESS_STRIDE = 20
+"""Items between two updates of the progress bar."""
+SLOW_SECONDS = 2.0
+"""Delay of the message of `print_if_slow`, seconds."""
 
 Item = TypeVar("Item")
 
-SetOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set", metavar="GROUP.KEY=VALUE", help="Change one setting, e.g. lidar.sigma_range=0.02; may be repeated."
-    ),
-]
-ConfigOption = Annotated[Path | None, typer.Option("--config", help="Settings, a TOML file.")]
-OutOption = Annotated[Path, typer.Option("--out", help="Directory for the results; made if it is not there.")]
-ReviewOption = Annotated[bool, typer.Option("--review/--no-review", help="Write the log for the viewer.")]
-PlotOption = Annotated[bool, typer.Option("--plot", help="Draw the map as map.png, too.")]
-DurationOption = Annotated[float | None, typer.Option("--duration", min=0.0, help="Seconds; without it until Ctrl-C.")]
-OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace results that are there already.")]
 
-ContinueOption = Annotated[
-    Path | None, typer.Option("--continue", metavar="SESSION", help="Go on with the map that a run left in SESSION.")
-]
-LocalizeOption = Annotated[
-    Path | None,
-    typer.Option("--localize", metavar="SESSION", help="Only find the path on the map in SESSION; it stays as it is."),
-]
-RefineOption = Annotated[bool, typer.Option("--refine", help="Look at everything again after the last scan.")]
-
-
-def complain(text: str) -> None:
-    """One line on stderr, whatever the text is."""
+def print_message(text: str) -> None:
+    """Print `text` on stderr as one line that starts with `wclm: `."""
     typer.echo(f"wclm: {' '.join(text.split())}", err=True)
 
 
 @contextmanager
-def say_if_slow(text: str) -> Iterator[None]:
-    """Say `text` on stderr if what is inside the context takes its time."""
-    timer = Timer(SLOW, complain, [text])
+def print_if_slow(text: str) -> Iterator[None]:
+    """Print `text` on stderr if the block takes longer than SLOW_SECONDS."""
+    timer = Timer(SLOW_SECONDS, print_message, [text])
     timer.daemon = True
     timer.start()
     try:
@@ -62,8 +38,8 @@ def say_if_slow(text: str) -> Iterator[None]:
         timer.cancel()
 
 
-def progress(items: Iterable[Item], total: int, doing: str) -> Iterator[Item]:
-    """The same items, with a progress bar on stderr if that is a terminal; `total` 0 means that nobody knows."""
+def progress(items: Iterable[Item], total: int, label: str) -> Iterator[Item]:
+    """Yield `items`, with a progress bar on stderr if that is a terminal; `total` is 0 if unknown."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -73,8 +49,8 @@ def progress(items: Iterable[Item], total: int, doing: str) -> Iterator[Item]:
         return
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task(doing, total=total or None)
+        task = bar.add_task(label, total=total or None)
         for count, item in enumerate(items):
-            if count % EVERY == 0:
+            if count % PROGRESS_STRIDE == 0:
                 bar.update(task, completed=count)
             yield item

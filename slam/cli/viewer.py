@@ -9,19 +9,19 @@ import sys
 from pathlib import Path
 
 from ..io.output_dir import REVIEW
-from .console import complain
+from .console import print_message
 
-LOCALLY = ("--bind", "127.0.0.1")  # viewers listen, too, and everywhere unless told
+LOCAL_ONLY = ("--bind", "127.0.0.1")  # viewers listen, too, and everywhere unless told
 
 
 def viewer_command(out: Path) -> list[str]:
     """The command that opens the review log in `out`."""
-    return [_viewer(), *LOCALLY, str(out / REVIEW)]
+    return [_viewer(), *LOCAL_ONLY, str(out / REVIEW)]
 
 
-def watching_command(url: str) -> list[str]:
+def connect_command(url: str) -> list[str]:
     """The command that looks on at a live run's server."""
-    return [_viewer(), *LOCALLY, "--connect", url]
+    return [_viewer(), *LOCAL_ONLY, "--connect", url]
 
 
 def _viewer() -> str:
@@ -49,4 +49,4 @@ def open_viewer(command: list[str]) -> None:
             stderr=subprocess.DEVNULL,
         )
     except OSError as error:
-        complain(f"the viewer cannot be started: {error}")
+        print_message(f"the viewer cannot be started: {error}")

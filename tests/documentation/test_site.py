@@ -48,7 +48,7 @@ def test_links_of_the_readme_lead_somewhere() -> None:
 
 
 def test_pictures_are_small_and_all_of_them_are_shown() -> None:
-    from slam.cli.gallery import RECORDINGS, gallery
+    from slam.cli.commands.demo_pictures import RECORDINGS, gallery
 
     made = {file for pictures in gallery(None) for file in pictures.files} | {f"{name}.png" for name in RECORDINGS}
     sizes = {path.name: path.stat().st_size for path in PICTURES.iterdir()}

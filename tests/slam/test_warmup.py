@@ -7,7 +7,7 @@ import time
 import pytest
 
 import slam
-from slam.cli.console import say_if_slow
+from slam.cli.console import print_if_slow
 
 RUN = """
 import gc
@@ -45,10 +45,10 @@ def test_the_second_warm_up_costs_next_to_nothing() -> None:
 
 def test_only_what_is_slow_is_spoken_of(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("slam.cli.console.SLOW", 0.05)
-    with say_if_slow("compiling"):
+    with print_if_slow("compiling"):
         pass
     time.sleep(0.1)
     assert capsys.readouterr().err == ""
-    with say_if_slow("compiling"):
+    with print_if_slow("compiling"):
         time.sleep(0.2)
     assert capsys.readouterr().err == "wclm: compiling\n"

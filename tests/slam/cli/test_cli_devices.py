@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 import drivers
-from drivers.devices.supervisor import State, Status
-from slam.cli.monitor import Monitor
+from drivers.devices.supervisor import DeviceState, DeviceStatus
+from slam.cli.device_monitor import DeviceMonitor
 
 
 def test_replay_takes_as_long_as_the_recording(wclm: Any) -> None:
@@ -62,15 +62,15 @@ def test_no_port_is_said(wclm: Any, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_changes_is_said_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     from drivers.devices.acquisition import Snapshot
 
-    def snapshot(state: State, problem: str = "") -> Snapshot:
-        return Snapshot((Status("ld06:/dev/a", True, state, "/dev/a", "LD06", problem, 0.1, {"messages": 3}),))
+    def snapshot(state: DeviceState, problem: str = "") -> Snapshot:
+        return Snapshot((DeviceStatus("ld06:/dev/a", True, state, "/dev/a", "LD06", problem, 0.1, {"messages": 3}),))
 
-    with Monitor() as monitor:
-        monitor.show(snapshot(State.RUNNING))
-        monitor.show(snapshot(State.LOST, "/dev/a: connection lost"))
-        monitor.show(snapshot(State.LOST, "/dev/a: connection lost"))
-        monitor.show(snapshot(State.STARTING, "/dev/a: connection lost"))
-        monitor.show(snapshot(State.RUNNING, "/dev/a: connection lost"))
+    with DeviceMonitor() as monitor:
+        monitor.show(snapshot(DeviceState.RUNNING))
+        monitor.show(snapshot(DeviceState.LOST, "/dev/a: connection lost"))
+        monitor.show(snapshot(DeviceState.LOST, "/dev/a: connection lost"))
+        monitor.show(snapshot(DeviceState.STARTING, "/dev/a: connection lost"))
+        monitor.show(snapshot(DeviceState.RUNNING, "/dev/a: connection lost"))
     printed = capsys.readouterr()
     assert printed.out == ""
     assert printed.err.splitlines() == [

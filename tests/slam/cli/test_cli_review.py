@@ -24,9 +24,9 @@ from rerun.chunk import RrdReader
 
 from slam.events import Event
 from slam.io.output_dir import REVIEW, SUMMARY
-from slam.visualisation.rerun_log import recording
-from slam.visualisation.rerun_log.files import find_log
-from slam.visualisation.rerun_log.opening import make_ready
+from slam.visualisation.rerun_log import rrd_writer
+from slam.visualisation.rerun_log.log_files import find_log
+from slam.visualisation.rerun_log.combined_log import write_combined_log
 
 from ..corridor import keyframes_in
 from ..visualisation.test_rerun_viewer import with_a_closure, write
@@ -166,7 +166,7 @@ def test_an_old_log_gets_todays_layout_and_keeps_its_rows(tmp_path: Path) -> Non
     old.set_time("keyframe", sequence=3)
     old.log("world/map/walls", rr.LineStrips3D([[[0, 0, 0], [40, 0, 0]], [[0, 0, 0], [0, 30, 0]]]))
     old.disconnect()
-    make_ready([find_log(tmp_path / "old.rrd")], ["old"], tmp_path / "ready.rrd")
+    write_combined_log([find_log(tmp_path / "old.rrd")], ["old"], tmp_path / "ready.rrd")
     (layout,) = RrdReader(tmp_path / "ready.rrd").blueprints()
     names = set()
     for chunk in RrdReader(tmp_path / "ready.rrd").stream(store=layout):
@@ -181,12 +181,12 @@ def test_an_old_log_gets_todays_layout_and_keeps_its_rows(tmp_path: Path) -> Non
 def test_a_log_that_was_cut_off_opens_as_far_as_it_goes(
     corridor: tuple[Path, list[Event]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recording, "FLUSH_PERIOD", 0.02)  # the log of a second is written as that of an hour
+    monkeypatch.setattr(rrd_writer, "FLUSH_PERIOD", 0.02)  # the log of a second is written as that of an hour
     whole = write(tmp_path / "whole.rrd", corridor[1]).read_bytes()
     for share in (0.5, 0.77):  # in the middle of a message
         cut = tmp_path / "cut.rrd"
         cut.write_bytes(whole[: int(share * len(whole))])
-        make_ready([find_log(cut)], ["cut"], tmp_path / "ready.rrd")
+        write_combined_log([find_log(cut)], ["cut"], tmp_path / "ready.rrd")
         assert len(keyframes_in(tmp_path / "ready.rrd")) > 0.3 * share * 136
 
 
@@ -203,7 +203,7 @@ def test_the_log_of_a_run_that_was_killed_is_found_and_opens(wclm: Any, tmp_path
     assert not out.exists()
     log = find_log(out)
     assert not log.ended
-    make_ready([log], ["office"], tmp_path / "ready.rrd")
+    write_combined_log([log], ["office"], tmp_path / "ready.rrd")
     found = keyframes_in(tmp_path / "ready.rrd")
     assert found == set(range(len(found)))
     assert len(found) > 20

@@ -12,10 +12,11 @@ from drivers import se2
 from drivers.recordings.mcap import McapWriter
 from drivers.simulation.simulator import Simulation
 from slam.graph.pose_graph import optimise, read_pose_graph
-from slam.io.exports import open_recording, read_session
+from slam.io.recordings import open_recording
+from slam.io.run_results import read_run_results
 from slam.io.map_json import read_map
 from slam.io.output_dir import MAP, RESULTS, SESSION, SUMMARY, TRAJECTORY
-from slam.io.sessions import read_stored
+from slam.io.sessions import read_session
 from slam.io.tum import read_tum
 
 DRIVES = {"first": (1, 0.0, 20.0), "second": (2, 10.0, 22.0)}
@@ -58,7 +59,7 @@ def test_a_run_is_gone_on_with(wclm: Any, folder: Path, session: Path) -> None:
     assert len(path) > len(read_tum(session / TRAJECTORY))
     assert path.stamps[-1] > first["last"]
     assert len(read_map(Path("both", MAP)).lines) > len(read_map(session / MAP).lines)
-    chained = [message.stamp for message in open_recording(read_session(Path("both")))]
+    chained = [message.stamp for message in open_recording(read_run_results(Path("both")))]
     assert chained == sorted(chained)
     assert wclm("map", "both", "--format", "ply").exit_code == 0
     assert wclm("run", folder / "second.mcap", "--continue", "both", "--out", "both", "--no-review").exit_code == 2
@@ -97,7 +98,7 @@ def test_a_session_is_optimised(wclm: Any, session: Path) -> None:
     summary = json.loads(Path("better", SUMMARY).read_text())
     assert summary["slam"]["refinement"]["factors_after"] == summary["slam"]["factors"]
     np.testing.assert_array_equal(read_tum(Path("better", TRAJECTORY)).stamps, read_tum(session / TRAJECTORY).stamps)
-    assert len(read_stored(Path("better")).scans) == len(read_stored(session).scans)
+    assert len(read_session(Path("better")).scans) == len(read_session(session).scans)
     wclm.refuses("optimize", session, "--out", "better", because=["better: exists already"])
 
 
@@ -126,8 +127,8 @@ def test_the_graph_has_its_optimum_where_the_session_has_it(wclm: Any, session: 
     assert result.exit_code == 0, result.output
     graph = read_pose_graph(session / "map.g2o").graph
     map_ = read_map(session / MAP)
-    stored = read_stored(session).slam_state.mapper
-    stored.settle()  # walls that are one are tied
+    stored = read_session(session).slam_state.mapper
+    stored.converge()  # walls that are one are tied
     assert graph.edge_count == stored.graph.factor_count - 1  # the first keyframe's prior; it is fixed instead
     assert set(1_000_000 + map_.lines.identity) <= set(graph.pose_ids)
     assert set(2_000_000 + map_.corners.identity) == set(graph.landmark_ids)

@@ -22,7 +22,7 @@ def test_a_simulation_is_recorded_and_looked_into(wclm: Any, tmp_path: Path) -> 
 
 
 def test_wrong_simulations_are_refused(wclm: Any, tmp_path: Path) -> None:
-    wclm.refuses("simulate", "moon", "a.mcap", because=["moon: no such world; there are "])
+    wclm.refuses("simulate", "moon", "a.mcap", because=["moon: no such world; choose one of "])
     wclm.refuses("simulate", "room", "a.mcap", "--duration", "-1", because=["duration must be positive"])
     assert wclm("simulate", "room", "a.bag").exit_code == 2
     assert not list(tmp_path.iterdir())

@@ -21,11 +21,11 @@ from rerun.chunk import RrdReader
 from rich.console import Console
 
 from drivers.devices.acquisition import Snapshot
-from drivers.devices.supervisor import State, Status
+from drivers.devices.supervisor import DeviceState, DeviceStatus
 from drivers.messages import Odometry, Scan
 from drivers.recordings.mcap import Mcap
-from slam.cli.console import MISTAKE
-from slam.cli.dashboard import Dashboard
+from slam.cli.console import EXIT_USER_ERROR
+from slam.cli.commands.live_dashboard import LiveDashboard
 from slam.errors import OutputError
 from slam.evaluation.metrics import score_reference
 from slam.events import Notice, ScanTracked, StateChanged
@@ -194,7 +194,7 @@ def test_devices_that_break_down_cost_nothing_that_was_measured(tmp_path: Path) 
         (reader,) = Path(f"/proc/{run.process.pid}/task/{run.process.pid}/children").read_text().split()[-1:]
         os.kill(int(reader), signal.SIGKILL)
         status, out, err = run.wait()
-    assert status == MISTAKE
+    assert status == EXIT_USER_ERROR
     assert err.splitlines()[-1] == "wclm: the process that reads the devices ended unexpectedly"
     assert "Traceback" not in err
     assert "results " in out
@@ -237,20 +237,20 @@ def test_what_cannot_be_is_refused_before_anything_turns(wclm: Any, tmp_path: Pa
         port = taken.getsockname()[1]
         wclm.refuses(*run, "--port", port, because=["127.0.0.1: viewers cannot be served at port", "in use"])
     for wrong in (devices[:2], devices[2:], ("--lidar", "create2:/dev/a", "--base", "kobuki:/dev/b")):
-        assert wclm("live", *wrong, "--out", "map").exit_code == MISTAKE
+        assert wclm("live", *wrong, "--out", "map").exit_code == EXIT_USER_ERROR
     (tmp_path / "map").mkdir()
     (tmp_path / "map" / "mine.txt").write_text("precious")
     wclm.refuses(*run, because=["map: exists already"])
 
 
 def test_the_terminal_shows_where_the_robot_is_and_how_its_devices_do(capsys: pytest.CaptureFixture[str]) -> None:
-    dashboard = Dashboard()
+    dashboard = LiveDashboard()
     pose = np.array([1.25, -0.5, np.pi / 2])
     dashboard.handle(ScanTracked(time.time() - 0.25, pose, pose, 0.93, 7))
     dashboard.handle(StateChanged(3.0, "LOST", None))
     dashboard.handle(Notice(3.0, "the scan fits nowhere near; left out"))
     counters = {"messages": 42, "connections": 2, "losses": 1, "bad": 0}
-    status = Status("create2:/dev/a", False, State.LOST, "/dev/a", "Create 2", "unplugged", 0.1, counters)
+    status = DeviceStatus("create2:/dev/a", False, DeviceState.LOST, "/dev/a", "Create 2", "unplugged", 0.1, counters)
     snapshot = Snapshot((status,), dropped=3, late=4)
     console = Console(width=120, record=True, file=io.StringIO())
     console.print(dashboard.draw(snapshot, {("create2:/dev/a", "messages"): 66.7}))

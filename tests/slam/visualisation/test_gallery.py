@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from slam.cli import gallery
+from slam.cli.commands import demo_pictures as gallery
 from slam.evaluation.benchmarks import monte_carlo
 from slam.evaluation.benchmarks.monte_carlo import NOISE, Wall, corner_positions, deviations, line_parameters
 

@@ -1,0 +1,109 @@
+"""What has become of each recording of a batch: on disk at any time, on the screen while it runs, as a table after."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from ...errors import OutputError
+from ...offline.batch import Job, Row, Status, completed, row_of, write_table
+from ...visualisation.report_page.words import duration
+
+FILE_WIDTH = 200
+"""Columns of what is no terminal: a file, another program."""
+
+
+class BatchStatus:
+    """One row for each job, in their order; written to `path` with every change."""
+
+    def __init__(self, jobs: Sequence[Job], path: Path) -> None:
+        self._rows = {job.name: self._found(job) for job in jobs}
+        self._jobs = jobs
+        self._path = path
+        self._screen = Console(stderr=True)
+        write_table(path, self._rows.values())
+
+    @staticmethod
+    def _found(job: Job) -> Row:
+        """What there is of a job before the batch begins."""
+        if job.overwrite:
+            return row_of(job, Status.WAITING)
+        try:
+            summary = completed(job)
+        except OutputError as error:
+            return row_of(job, Status.FAILED, error=str(error))
+        return row_of(job, Status.WAITING if summary is None else Status.KEPT, summary)
+
+    @property
+    def to_do(self) -> list[Job]:
+        """Jobs that wait."""
+        return [job for job in self._jobs if self._rows[job.name].status == Status.WAITING]
+
+    @property
+    def complete(self) -> int:
+        """Recordings that have their results."""
+        return sum(row.status in (Status.DONE, Status.KEPT) for row in self._rows.values())
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def process_messages(self, rows: Iterator[Row]) -> None:
+        """Take rows as they come, and show how far the batch is. Whatever ends it, what was under way waits again."""
+        try:
+            with self._bar() as bar:
+                task = bar.add_task("recordings", total=len(self), completed=len(self) - len(self.to_do))
+                for row in rows:
+                    self._rows[row.name] = row
+                    write_table(self._path, self._rows.values())
+                    if row.status != Status.RUNNING:
+                        bar.console.print(_line(row), markup=False, highlight=False, soft_wrap=True)
+                        bar.advance(task)
+        finally:
+            for name, row in self._rows.items():
+                if row.status == Status.RUNNING:
+                    self._rows[name] = replace(row, status=Status.WAITING)
+            write_table(self._path, self._rows.values())
+
+    @contextmanager
+    def _bar(self) -> Iterator[Progress]:
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        hidden = not self._screen.is_terminal
+        with Progress(*columns, console=self._screen, transient=True, disable=hidden) as bar:
+            yield bar
+
+    def show(self) -> None:
+        """The table, then what went wrong, on stdout."""
+        table = Table(box=None, pad_edge=False)
+        table.add_column("recording", overflow="fold")
+        for heading in ("status", "length", "driven", "scans", "keyframes", "loops", "took", "memory"):
+            table.add_column(heading, justify="left" if heading == "status" else "right", no_wrap=True)
+        for row in self._rows.values():
+            table.add_row(
+                row.name,
+                row.status.value,
+                "" if row.duration is None else duration(row.duration),
+                "" if row.path_length is None else f"{row.path_length:.0f} m",
+                *("" if count is None else str(count) for count in (row.scans, row.keyframes, row.loops)),
+                "" if row.seconds is None else duration(row.seconds),
+                "" if row.memory is None else f"{row.memory:.0f} MiB",
+            )
+        screen = Console(highlight=False, markup=False)
+        if not screen.is_terminal:
+            screen.width = FILE_WIDTH
+        screen.print(table)
+        for row in self._rows.values():
+            if row.error is not None:
+                screen.print(_line(row), soft_wrap=True)
+
+
+def _line(row: Row) -> str:
+    """What a person wants to know at once."""
+    if row.error is not None:
+        return f"{row.name}: {row.status.value}: {row.error}"
+    return f"{row.name}: {row.status.value}" + ("" if row.seconds is None else f" in {duration(row.seconds)}")

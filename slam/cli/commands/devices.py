@@ -1,0 +1,74 @@
+"""`wclm devices`: which serial ports there are, who answers on them, and how devices are doing."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..console import print_if_slow, print_message
+
+if TYPE_CHECKING:
+    from drivers.devices.device_spec import DeviceSpec
+
+
+def devices(
+    specs: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[SPEC]...", help="Devices such as rplidar:/dev/ttyUSB0; without, all ports."),
+    ] = None,
+    watch: Annotated[bool, typer.Option("--watch", help="Start them and show all counters live.")] = False,
+    seconds: Annotated[float | None, typer.Option("--for", metavar="SECONDS", help="Watch for so long only.")] = None,
+) -> None:
+    """List serial ports and the lidars and bases that answer on them. Nothing moves.
+
+    Bases are asked before lidars: some bytes that lidars are asked with make some bases move.
+
+    Example: [bold]wclm devices rplidar:/dev/ttyUSB0 create2:/dev/ttyUSB1 --watch[/bold]
+    """
+    from drivers.devices.device_spec import parse_devices
+
+    asked = parse_devices(" + ".join(specs)) if specs else []
+    if watch:
+        if not asked:
+            raise typer.BadParameter("say which devices to watch", param_hint="SPEC")
+        _watch(asked, seconds)
+    elif asked:
+        _identify(asked)
+    else:
+        _list()
+
+
+def _list() -> None:
+    from concurrent.futures import ThreadPoolExecutor
+
+    from drivers.devices.ports import serial_ports
+    from drivers.devices.probing import probe
+
+    ports = serial_ports()
+    if not ports:
+        print_message("no serial port is there; is an adapter plugged in?")
+    with ThreadPoolExecutor() as pool, print_if_slow("asking what is on the ports; this takes up to half a minute"):
+        for port, answer in zip(ports, pool.map(probe, [port.path for port in ports]), strict=True):
+            typer.echo(f"{port.path}  {port.description}\n    {answer}")
+
+
+def _identify(specs: list[DeviceSpec]) -> None:
+    from drivers.devices.probing import identify
+
+    for spec in specs:
+        typer.echo(f"{spec.text}\n    {identify(spec)}")
+
+
+def _watch(specs: list[DeviceSpec], seconds: float | None) -> None:
+    from drivers.devices.acquisition import Acquisition
+
+    from ..acquisition_loop import receive_messages, stop_on_signals
+    from ..device_monitor import DeviceMonitor
+
+    with Acquisition(specs) as acquisition, stop_on_signals(acquisition), DeviceMonitor() as monitor:
+        for _ in receive_messages(acquisition, seconds, monitor.show):
+            pass
+    for device in acquisition.snapshot.devices:
+        typer.echo(f"{device.spec}\n    {device.identity}")
+        typer.echo("\n".join(f"    {name:<22} {count:10d}" for name, count in device.counters.items()))

@@ -1,0 +1,150 @@
+"""`wclm optimize` of a session, or of a recording, which is made one first."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ...config import Config, config_to_toml
+from ...io.host import peak_memory, versions
+from ...io.output_dir import PICTURE, REVIEW, OutputDirectory, write_results
+from ..console import print_if_slow
+from ..run_input import InputStatistics, RecordingInput, absolute_source
+from ..run_summary import RunResult, format_summary
+from ..slam_run import COMPILING, READING_SESSION, NoticeCollector, process_messages, write_report_page
+
+if TYPE_CHECKING:
+    from ...events import Event, Sink
+    from ...io.sessions import StoredSession
+    from ...visualisation.rerun_log import ReviewLog
+
+SHOWN_SHIFTS = 3
+MAX_WAITING = 100  # events for the review log
+PAUSE = 0.01  # seconds
+
+
+class BlockingSink:
+    """A review log that leaves nothing out: no robot waits, so whoever tells it of something does."""
+
+    def __init__(self, log: ReviewLog) -> None:
+        self._log = log
+
+    def handle(self, event: Event) -> None:
+        """Take one event, when most of those before it are written."""
+        while self._log.waiting > MAX_WAITING:
+            time.sleep(PAUSE)
+        self._log.handle(event)
+
+
+def optimize_session(path: Path, out: Path, *, overwrite: bool, review: bool, picture: bool) -> list[str]:
+    """Optimise the session in a run's directory and write another; what a person should read of it.
+
+    Raises SlamError; then nothing is left behind.
+    """
+    with OutputDirectory(out, overwrite) as directory:
+        from ...io.run_results import read_run_results
+        from ...io.sessions import read_session
+
+        started = time.perf_counter()
+        summary = read_run_results(path).summary
+        with print_if_slow(READING_SESSION):
+            session = read_session(path)
+        summary = _optimise(directory, session, summary, started, review=review, picture=picture)
+    write_report_page(out)
+    return _lines(summary, out, review=review)
+
+
+def optimize_recording(
+    recording: str, config: Config, out: Path, *, overwrite: bool, review: bool, picture: bool
+) -> list[str]:
+    """Map a recording, then optimise it, likewise."""
+    import drivers
+
+    from ..run_summary import summarise_run
+
+    with OutputDirectory(out, overwrite) as directory:
+        from ...pipeline import Slam
+        from ...warmup import warm_up
+
+        with print_if_slow(COMPILING):
+            warm_up()
+        run_input = RecordingInput(drivers.open(recording), reopen=absolute_source(recording))
+        notices, statistics = NoticeCollector(), InputStatistics()
+        started = time.perf_counter()
+        with run_input.opened() as messages:
+            slam = Slam(config, [notices], keep_views=True)
+            finished, busy = process_messages(messages, slam, statistics, run_input.name)
+        took = time.perf_counter() - started
+        summary = summarise_run(
+            run_input, finished, statistics, notices.texts, None, seed=None, slam_seconds=busy, seconds=took
+        )
+        session = slam.session
+        session.recordings.append(statistics.recording(run_input))
+        started = time.perf_counter()
+        summary = _optimise(directory, session, summary, started, review=review, picture=picture)
+    write_report_page(out)
+    return _lines(summary, out, review=review)
+
+
+def _optimise(
+    directory: Path, session: StoredSession, summary: dict[str, Any], started: float, *, review: bool, picture: bool
+) -> dict[str, Any]:
+    """Optimise a session into a directory; its summary, from that of the run that left it."""
+    from ...io.sessions import write_session
+    from ...io.tum import Trajectory
+    from ...optimisation import optimise
+
+    with ExitStack() as log:
+        sinks: list[Sink] = []
+        if review:
+            from ...visualisation.rerun_log import ReviewLog
+
+            settings, name = config_to_toml(session.config), str(summary.get("recording", ""))
+            written = ReviewLog(directory / REVIEW, config=settings, recording=name, versions=versions())
+            sinks.append(BlockingSink(log.enter_context(written)))
+        optimised = optimise(session, sinks)
+    finished = optimised.finished
+    if picture:
+        from ...visualisation.plots import plot_map
+
+        title = f"{summary.get('recording', '')}, optimised"
+        plot_map(directory / PICTURE, finished.lines, finished.corners, finished.poses, title=title)
+    summary = summary | {
+        "keyframes": len(finished.keyframes),
+        "walls": len(finished.lines),
+        "corners": len(finished.corners),
+        "path_length": float(Trajectory(finished.stamps, finished.poses).travelled[-1]),
+        "truth": None,  # what was told of the path before
+        "recordings": [recording.model_dump() for recording in session.recordings],
+        "slam": summary.get("slam", {})
+        | {"refinement": optimised.summary, "factors": optimised.summary["factors_after"]},
+        "optimisation_seconds": time.perf_counter() - started,
+        "peak_memory_mib": peak_memory(),
+        "versions": versions(),
+    }
+    write_results(directory, finished, session.config, summary)
+    write_session(directory, optimised.session)
+    return summary
+
+
+def _lines(summary: dict[str, Any], out: Path, *, review: bool) -> list[str]:
+    """The lines that a run tells, with what was changed in the place of its time."""
+    changed = summary["slam"]["refinement"]
+    head, first, _, *others = format_summary(RunResult(summary, review), out)
+    rows = [
+        ("before", f"cost {changed['cost_before']:.6g} of {changed['factors_before']} factors"),
+        ("after", f"cost {changed['cost_after']:.6g} of {changed['factors_after']}, {changed['rounds']} rounds"),
+        ("changed", f"{changed['associations_changed']} associations, {changed['walls_merged']} walls made one"),
+        ("closures", f"{changed['closures_added']} added, {changed['closures_removed']} removed"),
+        ("moved", _moved(changed)),
+        ("time", f"{summary['optimisation_seconds']:.1f} s, {summary['peak_memory_mib']:.0f} MiB"),
+    ]
+    return [head, first, *(f"  {name:<11}{text}" for name, text in rows), *others]
+
+
+def _moved(changed: dict[str, Any]) -> str:
+    shifts = changed["largest_shifts"][:SHOWN_SHIFTS]
+    named = ", ".join(f"{shift['metres']:.3f} m (keyframe {shift['keyframe']})" for shift in shifts)
+    return f"keyframes by {changed['median_shift']:.3f} m in the median, most of all {named}"

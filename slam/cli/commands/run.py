@@ -1,0 +1,59 @@
+"""`wclm run`: SLAM over a recording."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from ..options import (
+    ConfigOption,
+    ContinueOption,
+    LocalizeOption,
+    OutOption,
+    OverwriteOption,
+    PlotOption,
+    RefineOption,
+    ReviewOption,
+    SetOption,
+)
+
+
+def run(
+    recording: Annotated[str, typer.Argument(help="A CARMEN log, MCAP file, ROS 1 bag or ROS 2 bag directory.")],
+    out: OutOption,
+    overwrite: OverwriteOption = False,
+    refine: RefineOption = False,
+    continued: ContinueOption = None,
+    localized: LocalizeOption = None,
+    config: ConfigOption = None,
+    settings: SetOption = None,
+    review: ReviewOption = True,
+    plot: PlotOption = False,
+) -> None:
+    """Map a recording: write the path, the map and a log to look at.
+
+    With --continue the new drive may begin anywhere on the old map, or go on where the old one ended.
+
+    Example: [bold]wclm run intel.clf --out results/intel --plot[/bold]
+    """
+    import drivers
+
+    from ..run_input import RecordingInput, absolute_source
+    from ..run_summary import format_summary
+    from ..slam_run import prepare_run, run_slam
+
+    start = prepare_run(continued, localized, config, settings)
+    run_input = RecordingInput(drivers.open(recording), reopen=absolute_source(recording))
+    result = run_slam(
+        run_input,
+        start.config,
+        out,
+        overwrite=overwrite,
+        review=review,
+        picture=plot,
+        refine=refine,
+        resumed=start.resumed,
+        frozen=start.frozen,
+    )
+    typer.echo("\n".join(format_summary(result, out)))

@@ -1,0 +1,47 @@
+"""Options of the commands that open devices, and checks of them before any device starts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from drivers.devices.device_spec import DeviceSpec
+
+LidarOption = Annotated[
+    list[str] | None,
+    typer.Option("--lidar", metavar="SPEC", help="Lidar, e.g. rplidar:/dev/ttyUSB0 or ld06:auto."),
+]
+BaseOption = Annotated[
+    list[str] | None, typer.Option("--base", metavar="SPEC", help="Wheel base, e.g. create2:/dev/ttyUSB1.")
+]
+
+
+def parse_device_options(lidar: list[str] | None, base: list[str] | None) -> list[DeviceSpec]:
+    """Parse the specs of `--lidar` and `--base`.
+
+    Raises SpecError, or BadParameter if no device is given or one is given under the wrong option.
+    """
+    from drivers.devices.device_spec import parse_devices
+
+    texts = [*(lidar or ()), *(base or ())]
+    if not texts:
+        raise typer.BadParameter("at least one device is required", param_hint="--lidar / --base")
+    specs = parse_devices(" + ".join(texts))
+    for spec in specs:
+        if spec.is_lidar != (spec.text in [text.strip() for text in lidar or ()]):
+            hint = "--base" if spec.is_lidar else "--lidar"
+            raise typer.BadParameter(f"{spec.text} is a {'lidar' if spec.is_lidar else 'base'}", param_hint=hint)
+    return specs
+
+
+def check_recording_name(file: Path, overwrite: bool) -> None:
+    """Check that a recording can be written under this name. Raises BadParameter or RecordingError."""
+    from drivers.errors import RecordingError
+
+    if file.suffix != ".mcap":
+        raise typer.BadParameter(f"{file}: the name of a recording must end with .mcap")
+    if file.exists() and not overwrite:
+        raise RecordingError(file, None, "exists already; choose another name or add --overwrite")

@@ -1,0 +1,121 @@
+"""Input of a run: its messages, where they can be read again, and statistics of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from drivers import se2
+from drivers.messages import GroundTruth, Message, Odometry, Scan, Source, SourceReport
+
+from ..events import Sink
+from .console import progress
+
+if TYPE_CHECKING:
+    from ..io.sessions import Recording
+
+
+class RunInput(Protocol):
+    """Input of a run: messages and additional sinks.
+
+    name    of the source
+    sinks   receive the events of the pipeline
+    finite  if the input ends by itself; otherwise it may last for days, and memory must not grow with time
+    """
+
+    name: str
+    finite: bool
+    sinks: Sequence[Sink]
+
+    @property
+    def report(self) -> SourceReport:
+        """Skipped messages; complete after the last message."""
+        ...
+
+    @property
+    def reopen(self) -> str | None:
+        """Argument of `drivers.open` that yields the same messages again, None if there is none; valid after the last
+        message.
+        """
+        ...
+
+    def opened(self) -> AbstractContextManager[Iterable[Message]]:
+        """Return a context that provides the messages and must stay open until the map is finished."""
+        ...
+
+    def facts(self) -> dict[str, Any]:
+        """Return additional entries for the summary; valid after the last message."""
+        ...
+
+
+class RecordingInput:
+    """A `RunInput` from a recording or a simulation, with a progress bar."""
+
+    def __init__(self, source: Source, reopen: str) -> None:
+        self.name, self.reopen, self.finite = source.name, reopen, True
+        self.sinks: Sequence[Sink] = ()
+        self._source = source
+
+    @property
+    def report(self) -> SourceReport:
+        """Report of the source."""
+        return self._source.report
+
+    @contextmanager
+    def opened(self) -> Iterator[Iterable[Message]]:
+        """Provide all messages."""
+        yield progress(self._source, len(self._source), self.name)
+
+    def facts(self) -> dict[str, Any]:
+        """Return nothing: the source's report is complete."""
+        return {}
+
+
+@dataclass(slots=True)
+class InputStatistics:
+    """Statistics of the messages of a run: counts, time span, odometry poses and true poses.
+
+    shift  seconds that were added to all stamps
+    """
+
+    scans: int = 0
+    shift: float = 0.0
+    first: float = np.inf
+    last: float = -np.inf
+    odometry: list[se2.Pose] = field(default_factory=list)
+    truth_stamps: list[float] = field(default_factory=list)
+    truth: list[se2.Pose] = field(default_factory=list)
+
+    def add(self, message: Message) -> None:
+        """Count a message."""
+        if isinstance(message, GroundTruth):
+            self.truth_stamps.append(message.stamp)
+            self.truth.append(message.pose)
+            return
+        self.first, self.last = min(self.first, message.stamp), max(self.last, message.stamp)
+        if isinstance(message, Odometry):
+            self.odometry.append(message.pose)
+        elif isinstance(message, Scan):
+            self.scans += 1
+
+    def recording(self, run_input: RunInput) -> Recording:
+        """Return the entry of the recording in a session."""
+        from ..io.sessions import Recording
+
+        first, last = (self.first, self.last) if np.isfinite(self.first) else (0.0, 0.0)
+        return Recording(name=run_input.name, path=run_input.reopen, shift=self.shift, first=first, last=last)
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first measurement to the last."""
+        return max(0.0, self.last - self.first)
+
+
+def absolute_source(recording: str) -> str:
+    """Return the recording's absolute path, so that it opens from any directory; a simulation unchanged."""
+    return recording if recording.startswith("sim:") else str(Path(recording).resolve())

@@ -1,0 +1,114 @@
+"""Summary of a run: as data for summary.json, and as lines of text for the terminal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..io.host import peak_memory, versions
+
+if TYPE_CHECKING:
+    from ..evaluation.metrics import ReferenceScore
+    from ..events import Finished
+    from .run_input import InputStatistics, RunInput
+
+SHOWN_WARNINGS = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunResult:
+    """Result of a run: the content of summary.json, and True in `review` if there is a review log."""
+
+    summary: dict[str, Any]
+    review: bool
+
+
+def summarise_run(
+    run_input: RunInput,
+    finished: Finished,
+    statistics: InputStatistics,
+    notices: list[str],
+    score: ReferenceScore | None,
+    *,
+    seed: int | None,
+    slam_seconds: float,
+    seconds: float,
+) -> dict[str, Any]:
+    """Return the summary of a run: its input, result, times, memory and warnings.
+
+    score         error against ground truth, if known
+    slam_seconds  time that the pipeline took
+    seconds       time from the first message to the end
+    """
+    from ..io.tum import Trajectory
+
+    report = run_input.report
+    return {
+        "recording": run_input.name,
+        "recording_path": run_input.reopen,
+        "seed": seed,
+        "scans": statistics.scans,
+        "odometry": len(statistics.odometry),
+        "duration": statistics.duration,
+        "keyframes": len(finished.keyframes),
+        "walls": len(finished.lines),
+        "corners": len(finished.corners),
+        "path_length": float(Trajectory(finished.stamps, finished.poses).travelled[-1]),
+        "slam_seconds": slam_seconds,
+        "wall_seconds": seconds,
+        "real_time_factor": statistics.duration / slam_seconds,
+        "peak_memory_mib": peak_memory(),
+        "truth": None if score is None else score.figures(),
+        "warnings": notices,
+        "skipped": {"messages": report.skipped, "reasons": report.reasons, "first": report.first},
+        "slam": finished.summary,
+        "versions": versions(),
+    } | run_input.facts()
+
+
+def format_summary(result: RunResult, out: Path) -> list[str]:
+    """Return the summary as lines of text; `out` is the output directory."""
+    summary = result.summary
+    rows = [
+        ("map", f"{summary['walls']} walls, {summary['corners']} corners, from {summary['keyframes']} keyframes"),
+        ("time", _time(summary)),
+    ]
+    if truth := summary["truth"]:
+        rows.append(
+            ("accuracy", f"{truth['ate_rmse']:.3f} m error of the path (ATE RMSE), at most {truth['ate_max']:.3f} m")
+        )
+    if skipped := summary["skipped"]["messages"]:
+        rows.append(("skipped", f"{skipped} messages; first: {summary['skipped']['first']}"))
+    rows += [("device", _device(device)) for device in summary.get("devices", ())]
+    left_out = summary.get("review") or {}
+    if any(left_out.values()):
+        rows.append(("log", "omitted: " + ", ".join(f"{count} {name}" for name, count in left_out.items())))
+    rows += [("warning", text) for text in summary["warnings"][:SHOWN_WARNINGS]]
+    if (more := len(summary["warnings"]) - SHOWN_WARNINGS) > 0:
+        rows.append(("", f"and {more} more warnings in summary.json"))
+    rows.append(("results", f"{out}: {', '.join(sorted(entry.name for entry in out.iterdir()))}"))
+    if result.review:
+        rows.append(("view with", f"wclm review {out}"))
+    head = (
+        f"{summary['recording']}: {summary['scans']} scans in {summary['duration']:.1f} s, "
+        f"{summary['path_length']:.1f} m driven"
+    )
+    return [head] + [f"  {name:<11}{text}" for name, text in rows]
+
+
+def _device(device: dict[str, Any]) -> str:
+    """Return the message count and the faults of a device."""
+    from .device_monitor import format_faults
+
+    counters = device["counters"]
+    return ", ".join([f"{device['spec']}: {counters['messages']} messages", *format_faults(counters)])
+
+
+def _time(summary: dict[str, Any]) -> str:
+    factor = summary["real_time_factor"]
+    speed = f"{factor:.0f} times faster than real time" if factor >= 2 else f"{factor:.2f} times real time"
+    return (
+        f"{summary['slam_seconds']:.1f} s for SLAM, {speed}; {summary['wall_seconds']:.1f} s in total, "
+        f"{summary['peak_memory_mib']:.0f} MiB"
+    )
