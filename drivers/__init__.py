@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from .errors import DriverError, RecordingError, SlamError
 from .messages import GroundTruth, Message, Odometry, Scan, Source, SourceReport
-from .opening import open
-from .recordings.inspect import RecordingInfo, inspect
+from .recordings.inspection import RecordingInfo, inspect
+from .source_factory import open
 
 __all__ = [
     "DriverError",

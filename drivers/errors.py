@@ -38,7 +38,7 @@ class ConnectionLostError(PortError):
     """A port that was open is gone: unplugged, closed by the other side, or no longer taking bytes."""
 
 
-class EndOfTapeError(ConnectionLostError):
+class EndOfCaptureError(ConnectionLostError):
     """A tape of raw bytes was played to its end."""
 
 

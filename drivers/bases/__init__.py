@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from .arduino_bridge import ArduinoBridge, ArduinoBridgeDevice
 from .create2 import Create2, Create2Device
+from .interface import Poll, Request, Reset, Stream, Velocity, WheelBase, WheelDevice, WheelReading
 from .kinematics import DifferentialDrive, Noise
 from .kobuki import Kobuki, KobukiDevice
 from .odometer import Odometer
-from .readings import Poll, Request, Reset, Stream, Velocity, WheelBase, WheelDevice, WheelReading
 from .wheel_line import WheelLine, WheelLineDevice
 
 __all__ = [

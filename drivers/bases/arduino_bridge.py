@@ -11,8 +11,8 @@ import re
 from typing import ClassVar
 
 from .framing import Lines
+from .interface import Counters, Poll, Request, Reset, Velocity, WheelReading, signed
 from .kinematics import DifferentialDrive
-from .readings import Counters, Poll, Request, Reset, Velocity, WheelReading, signed
 
 CONTROL_RATE = 30
 """Frames a second of the base's control loop."""

@@ -11,8 +11,8 @@ import struct
 from typing import ClassVar
 
 from .framing import Frames
+from .interface import Counters, Request, Stream, Velocity, WheelReading
 from .kinematics import DifferentialDrive
-from .readings import Counters, Request, Stream, Velocity, WheelReading
 
 START, SAFE, FULL, DRIVE_DIRECT, STREAM, PAUSE, STOP = 128, 131, 132, 145, 148, 150, 173
 LEFT_COUNT, RIGHT_COUNT = 43, 44

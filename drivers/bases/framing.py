@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from .readings import Counters
+from .interface import Counters
 
 
 class Frames:

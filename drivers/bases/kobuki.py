@@ -15,8 +15,8 @@ from typing import ClassVar
 
 from ..se2 import wrap
 from .framing import Frames
+from .interface import Counters, Request, Velocity, WheelReading
 from .kinematics import DifferentialDrive
-from .readings import Counters, Request, Velocity, WheelReading
 
 HEADER = b"\xaa\x55"
 CORE, INERTIA = 1, 4

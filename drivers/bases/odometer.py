@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..messages import Floats, Odometry
+from .interface import WheelReading, signed
 from .kinematics import DifferentialDrive, Motion, Noise, advance, gyro_motion, wheel_motion
-from .readings import WheelReading, signed
 
 HASTE = 1.5
 """Times its top speed that a wheel may turn: what a base states is what it drives, downhill it can be faster."""

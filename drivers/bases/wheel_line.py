@@ -22,8 +22,8 @@ from typing import ClassVar
 
 from ..se2 import wrap
 from .framing import Lines
+from .interface import Counters, Request, Velocity, WheelReading, signed
 from .kinematics import DifferentialDrive
-from .readings import Counters, Request, Velocity, WheelReading, signed
 
 LONGEST = 80
 """Bytes in a line; the longest reading takes 54."""

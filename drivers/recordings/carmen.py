@@ -28,7 +28,7 @@ import numpy as np
 from .. import se2
 from ..errors import RecordingError
 from ..messages import Floats, Message, Odometry, Scan
-from .recording import Recording, is_stamp
+from .reader import Recording, is_stamp
 
 LASERS = (b"FLASER", b"RLASER", b"ROBOTLASER1")
 KINDS = (b"ODOM", *LASERS)

@@ -18,10 +18,10 @@ from mcap.records import Message as Stored
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import Writer
 
-from ..clock import to_nanoseconds
 from ..errors import RecordingError
 from ..messages import GroundTruth, Message, Odometry, Scan
-from .recording import is_stamp
+from ..timestamps import to_nanoseconds
+from .reader import is_stamp
 from .ros_messages import (
     BEAMS,
     DIAGNOSTICS,
@@ -35,7 +35,7 @@ from .ros_messages import (
     decode,
     scan_of,
 )
-from .ros_recording import BEAMS_TOPIC, KINDS, TRUTH_TOPIC, Entry, RosRecording
+from .ros_reader import BEAMS_TOPIC, KINDS, TRUTH_TOPIC, Entry, RosRecording
 
 FLUSH_PERIOD = 0.5
 """Seconds of wall time; what was written earlier survives the end of the process and of the power."""

@@ -18,9 +18,9 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from ..clock import NANOSECONDS, to_nanoseconds, to_seconds
 from ..messages import Floats, GroundTruth, Odometry, Scan
 from ..se2 import Pose, wrap
+from ..timestamps import NANOSECONDS, to_nanoseconds, to_seconds
 
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 ODOMETRY = "nav_msgs/msg/Odometry"

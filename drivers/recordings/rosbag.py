@@ -10,7 +10,7 @@ from rosbags.rosbag2 import Reader as Reader2
 
 from ..errors import RecordingError
 from .ros_messages import LASER_SCAN, ODOMETRY, POSE
-from .ros_recording import KINDS, Entry, RosRecording
+from .ros_reader import KINDS, Entry, RosRecording
 
 
 class Bag(RosRecording):

@@ -1,1 +1,22 @@
-"""Simulate a robot with a lidar and wheels in a building."""
+"""Simulate a robot with a lidar and wheel encoders in a building: `Simulation` is a source of measurements."""
+
+from __future__ import annotations
+
+from .lidar_model import LIDAR_MODELS, LidarModel
+from .simulator import Simulation, warm_up
+from .wheel_model import WHEEL_MODELS, WheelBiases, WheelModel
+from .world import TemporaryShapes, World, load_world, world_names
+
+__all__ = [
+    "LIDAR_MODELS",
+    "WHEEL_MODELS",
+    "LidarModel",
+    "Simulation",
+    "TemporaryShapes",
+    "WheelBiases",
+    "WheelModel",
+    "World",
+    "load_world",
+    "warm_up",
+    "world_names",
+]

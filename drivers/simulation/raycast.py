@@ -1,4 +1,4 @@
-"""The simulator's hot loops: where a moving lidar's beams end."""
+"""Ray casting for a lidar on a moving robot; compiled, since it takes most of the simulator's time."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from numba import njit
 
 from ..messages import Floats
 
-STEP = 0.01
-"""Seconds. The robot's speed and turn rate are constant for so long; its path is made of such arcs."""
+TIME_STEP = 0.01
+"""Seconds. Speed and turn rate are constant for this long: the trajectory is a sequence of such arcs."""
 
 
 @njit(cache=True)
 def pose_at(time: float, poses: Floats, twists: Floats) -> tuple[float, float, float]:
-    """The pose x, y, heading at a time (seconds) on a path of arcs.
+    """Return the pose x, y, heading at a time (seconds) on a trajectory of arcs.
 
-    poses   (k, 3) where each STEP begins
+    poses   (k, 3) at the beginning of each TIME_STEP
     twists  (k, 2) speed (m/s) and turn rate (rad/s) during it
     """
-    k = min(max(int(time / STEP), 0), poses.shape[0] - 1)
+    k = min(max(int(time / TIME_STEP), 0), poses.shape[0] - 1)
     x, y, heading = poses[k]
     speed, rate = twists[k]
-    elapsed = time - k * STEP
+    elapsed = time - k * TIME_STEP
     turn = rate * elapsed
     # The chord of an arc of length s that turns by a is s sin(a/2) / (a/2) long and points along heading + a/2.
     half = turn / 2.0
@@ -33,7 +33,7 @@ def pose_at(time: float, poses: Floats, twists: Floats) -> tuple[float, float, f
 
 @njit(cache=True)
 def poses_at(times: Floats, poses: Floats, twists: Floats) -> Floats:
-    """The poses (n, 3) at times (n,); the path as `pose_at` takes it."""
+    """Return the poses (n, 3) at times (n,) on the trajectory given by `poses` and `twists` (see `pose_at`)."""
     result = np.empty((times.shape[0], 3))
     for i in range(times.shape[0]):
         result[i] = pose_at(times[i], poses, twists)
@@ -41,12 +41,11 @@ def poses_at(times: Floats, poses: Floats, twists: Floats) -> Floats:
 
 
 @njit(cache=True)
-def distance(x: float, y: float, heading: float, segments: Floats, circles: Floats) -> float:
-    """How far (metres) a ray from x, y goes before it meets a segment or a circle; infinite where it meets
-    none.
+def ray_distance(x: float, y: float, heading: float, segments: Floats, circles: Floats) -> float:
+    """Return the distance (metres) along a ray from x, y to the first segment or circle; infinite if there is none.
 
     segments  (n, 4) x0 y0 x1 y1
-    circles   (m, 3) x y radius; a ray from within a circle does not meet it
+    circles   (m, 3) x y radius; a ray that starts within a circle does not meet it
     """
     dx, dy = math.cos(heading), math.sin(heading)
     nearest = math.inf
@@ -72,7 +71,7 @@ def distance(x: float, y: float, heading: float, segments: Floats, circles: Floa
 
 
 @njit(cache=True)
-def sweep(
+def cast_beams(
     times: Floats,
     bearings: Floats,
     mount: Floats,
@@ -81,18 +80,18 @@ def sweep(
     segments: Floats,
     circles: Floats,
 ) -> Floats:
-    """The distances (n,) that a lidar measures while its robot drives, without noise, metres.
+    """Return the noise-free ranges (n,) of a lidar on a moving robot, metres; infinite if a beam meets nothing.
 
-    times     (n,) when each beam is measured, seconds on the path that `poses` and `twists` are (see `pose_at`)
-    bearings  (n,) each beam's direction in the lidar's frame, radians
+    times     (n,) time of each beam, seconds, on the trajectory given by `poses` and `twists` (see `pose_at`)
+    bearings  (n,) direction of each beam in the lidar's frame, radians
     mount     [x, y, heading] of the lidar on the robot
-    segments, circles  what there is to see (see `distance`)
+    segments, circles  shapes of the world (see `ray_distance`)
     """
     result = np.empty(times.shape[0])
     for i in range(times.shape[0]):
         x, y, heading = pose_at(times[i], poses, twists)
         c, s = math.cos(heading), math.sin(heading)
-        result[i] = distance(
+        result[i] = ray_distance(
             x + c * mount[0] - s * mount[1],
             y + s * mount[0] + c * mount[1],
             heading + mount[2] + bearings[i],

@@ -1,30 +1,29 @@
-"""Worlds to simulate in: walls, doors, furniture and round columns from a small TOML file.
+"""Worlds for the simulator: walls, doors, furniture and round columns, read from a TOML file.
 
     title = "one room with a box"
-    speed = 0.5                                  # metres a second
+    speed = 0.5                                  # metres per second
     path = [[1, 1], [5, 1], [5, 3]]              # way points; the robot starts at the first
 
     [[walls]]
     from = [0, 0]
     to = [6, 0]
-    thickness = 0.12                             # 0 where left out
-    doors = [[2.0, 0.9]]                         # openings: where along the wall one begins, and its width
+    thickness = 0.12                             # default 0
+    doors = [[2.0, 0.9]]                         # openings: [start along the wall, width]
 
     [[boxes]]
     at = [3, 2]                                  # the centre
     size = [1.6, 0.8]
-    turn = 15                                    # degrees, 0 where left out
+    turn = 15                                    # degrees, default 0
 
     [[columns]]
     at = [4, 4]
     radius = 0.25
 
-Whatever has `since` or `until` (seconds after the start) stands there only then: furniture is moved while the robot is
-elsewhere, and doors are shut.
+A wall, box or column with `since` or `until` (seconds after the start) exists only during that time; thus furniture is
+moved while the robot is elsewhere, and doors are closed.
 
-Lengths are metres. A wall with a thickness shows both its faces, and the jambs of its doors; its centre line
-runs from `from` to `to`, and it is as much longer at either end as half its thickness, so that walls meet in
-closed corners.
+Lengths are in metres. A wall with a thickness has two faces and the jambs of its doors; its centre line runs from
+`from` to `to`, and both ends extend by half the thickness, so that walls meet in closed corners.
 """
 
 from __future__ import annotations
@@ -49,24 +48,24 @@ Seconds = Annotated[float, Field(allow_inf_nan=False, ge=0.0)]
 Point = tuple[Metres, Metres]
 
 ALWAYS = (0.0, math.inf)
-"""Since when and until when most things are there, seconds."""
+"""(since, until) of permanent shapes, seconds."""
 WORLD_FOLDERS = (Path(__file__).parent / "worlds", Path(__file__).parents[2] / "datasets" / "worlds")
-"""Where worlds are found by name: in an installed package, and in the source tree."""
+"""Folders with the named worlds: in an installed package, and in the source tree."""
 
 
 class _Entry(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class _Thing(_Entry):
-    """What can be seen, from `since` to before `until`, seconds after the start."""
+class _Shape(_Entry):
+    """Shape that exists from `since` to before `until`, seconds after the start."""
 
     since: Seconds = 0.0
     until: Annotated[float, Field(gt=0.0)] = math.inf
 
 
-class Wall(_Thing):
-    """A straight wall with openings."""
+class Wall(_Shape):
+    """Straight wall with openings."""
 
     start: Point = Field(alias="from")
     end: Point = Field(alias="to")
@@ -74,23 +73,23 @@ class Wall(_Thing):
     doors: list[tuple[Metres, Length]] = []
 
 
-class Box(_Thing):
-    """A piece of furniture with four straight sides."""
+class Box(_Shape):
+    """Rectangular piece of furniture."""
 
     at: Point
     size: tuple[Length, Length]
     turn: Annotated[float, Field(ge=-360.0, le=360.0)] = 0.0
 
 
-class Column(_Thing):
-    """Anything round."""
+class Column(_Shape):
+    """Round column."""
 
     at: Point
     radius: Length
 
 
 class WorldFile(_Entry):
-    """What a world's file says."""
+    """Content of a world file."""
 
     title: str = ""
     speed: Annotated[float, Field(gt=0.0, le=3.0)] = 0.5
@@ -101,8 +100,8 @@ class WorldFile(_Entry):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Passing:
-    """What can be seen only from `since` to before `until`, seconds after the start; shapes as in `World`."""
+class TemporaryShapes:
+    """Shapes that exist from `since` to before `until`, seconds after the start; arrays as in `World`."""
 
     since: float
     until: float
@@ -112,39 +111,39 @@ class Passing:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class World:
-    """What a lidar can see, and the way a robot takes.
+    """Building in which the simulated robot drives, and the way points of the drive.
 
-    segments  (n, 4) x0 y0 x1 y1, metres, of what is always there
-    circles   (m, 3) x y radius, metres, of what is always there
-    path      (k, 2) way points, metres
-    speed     metres a second
-    passing   what is there for a time
+    segments   (n, 4) x0 y0 x1 y1, metres, of permanent shapes
+    circles    (m, 3) x y radius, metres, of permanent shapes
+    waypoints  (k, 2) metres
+    speed      metres per second
+    temporary  shapes that exist for a time
     """
 
     name: str
     title: str
     segments: Floats
     circles: Floats
-    path: Floats
+    waypoints: Floats
     speed: float
-    passing: tuple[Passing, ...] = ()
+    temporary: tuple[TemporaryShapes, ...] = ()
 
-    def at(self, time: float) -> tuple[Floats, Floats]:
-        """Segments and circles as they stand `time` seconds after the start."""
-        there = [thing for thing in self.passing if thing.since <= time < thing.until]
-        if not there:
+    def shapes_at(self, time: float) -> tuple[Floats, Floats]:
+        """Return the segments (n, 4) and circles (m, 3) that exist `time` seconds after the start."""
+        present = [shapes for shapes in self.temporary if shapes.since <= time < shapes.until]
+        if not present:
             return self.segments, self.circles
-        segments = np.concatenate([self.segments, *(thing.segments for thing in there)])
-        return segments, np.concatenate([self.circles, *(thing.circles for thing in there)])
+        segments = np.concatenate([self.segments, *(shapes.segments for shapes in present)])
+        return segments, np.concatenate([self.circles, *(shapes.circles for shapes in present)])
 
 
 def world_names() -> list[str]:
-    """The names of the worlds that come with the package."""
+    """Return the names of the worlds that come with the package."""
     return sorted({file.stem for folder in WORLD_FOLDERS for file in folder.glob("*.toml")})
 
 
 def load_world(name: str | Path) -> World:
-    """A world by its name, or from a TOML file; raises RecordingError where there is none or it is wrong."""
+    """Load a world by its name or from a TOML file; raises RecordingError if it does not exist or is invalid."""
     path = _find(name)
     try:
         content = WorldFile.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
@@ -152,7 +151,7 @@ def load_world(name: str | Path) -> World:
         first = error.errors()[0]
         raise RecordingError(path, None, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise RecordingError(path, None, f"is not a world: {error}") from error
+        raise RecordingError(path, None, f"is not a valid world file: {error}") from error
     shapes = _shapes(content)
     if not shapes:
         raise RecordingError(path, None, "has no walls, boxes or columns")
@@ -164,26 +163,26 @@ def load_world(name: str | Path) -> World:
         circles,
         np.array(content.path, dtype=np.float64),
         content.speed,
-        tuple(Passing(*span, *things) for span, things in sorted(shapes.items(), key=lambda item: item[0])),
+        tuple(TemporaryShapes(*span, *arrays) for span, arrays in sorted(shapes.items(), key=lambda item: item[0])),
     )
 
 
 def _shapes(content: WorldFile) -> dict[tuple[float, float], tuple[Floats, Floats]]:
-    """Segments (n, 4) and circles (m, 3) of a file, by the time during which they are there."""
+    """Return the segments (n, 4) and circles (m, 3) of a file, keyed by their (since, until)."""
     lines: dict[tuple[float, float], list[Segment]] = defaultdict(list)
-    rounds: dict[tuple[float, float], list[tuple[float, float, float]]] = defaultdict(list)
+    circles: dict[tuple[float, float], list[tuple[float, float, float]]] = defaultdict(list)
     for wall in content.walls:
-        lines[wall.since, wall.until] += _wall(wall)
+        lines[wall.since, wall.until] += _wall_segments(wall)
     for box in content.boxes:
-        lines[box.since, box.until] += _box(box)
+        lines[box.since, box.until] += _box_segments(box)
     for column in content.columns:
-        rounds[column.since, column.until].append((*column.at, column.radius))
+        circles[column.since, column.until].append((*column.at, column.radius))
     return {
         span: (
             np.array(lines.get(span, []), dtype=np.float64).reshape(-1, 4),
-            np.array(rounds.get(span, []), dtype=np.float64).reshape(-1, 3),
+            np.array(circles.get(span, []), dtype=np.float64).reshape(-1, 3),
         )
-        for span in {**lines, **rounds}
+        for span in {**lines, **circles}
     }
 
 
@@ -195,36 +194,36 @@ def _find(name: str | Path) -> Path:
     for folder in WORLD_FOLDERS:
         if (file := folder / f"{name}.toml").is_file():
             return file
-    raise RecordingError(name, None, f"no such world; there are {', '.join(world_names())}, or give a .toml file")
+    raise RecordingError(name, None, f"no such world; choose one of {', '.join(world_names())}, or a .toml file")
 
 
 Segment = tuple[float, float, float, float]
 
 
-def _wall(wall: Wall) -> list[Segment]:
-    """A wall's visible segments: lines, or the outlines of the pieces between its doors."""
+def _wall_segments(wall: Wall) -> list[Segment]:
+    """Return a wall's visible segments: lines, or the outlines of the pieces between its doors."""
     start, end = np.array(wall.start), np.array(wall.end)
     length = float(np.hypot(*(end - start)))
     heading = float(np.arctan2(*(end - start)[::-1]))
     half = wall.thickness / 2
     pieces: list[Segment] = []
-    since = -half
+    piece_start = -half
     for begin, width in [*sorted(wall.doors), (length + half, 0.0)]:
-        if begin > since:
-            middle = se2.transform([*start, heading], [(since + begin) / 2, 0.0])
-            pieces += _outline(middle, heading, begin - since, wall.thickness)
-        since = max(since, begin + width)
+        if begin > piece_start:
+            middle = se2.transform([*start, heading], [(piece_start + begin) / 2, 0.0])
+            pieces += _outline(middle, heading, begin - piece_start, wall.thickness)
+        piece_start = max(piece_start, begin + width)
     return pieces
 
 
-def _box(box: Box) -> list[Segment]:
+def _box_segments(box: Box) -> list[Segment]:
     return _outline(np.array(box.at), np.radians(box.turn), *box.size)
 
 
 def _outline(middle: Floats, heading: float, length: float, width: float) -> list[Segment]:
-    """The four sides of a rectangle, or one line where it has no width."""
+    """Return the four sides of a rectangle, or a single segment if its width is zero."""
     x, y = length / 2, width / 2
     corners = [(-x, -y), (x, -y), (x, y), (-x, y)] if width > 0.0 else [(-x, 0.0), (x, 0.0)]
-    placed = [(float(px), float(py)) for px, py in se2.transform([*middle, heading], corners)]
-    following = placed[1:] + placed[:1] if width > 0.0 else placed[1:]
-    return [(*a, *b) for a, b in zip(placed, following, strict=False)]
+    vertices = [(float(px), float(py)) for px, py in se2.transform([*middle, heading], corners)]
+    following = vertices[1:] + vertices[:1] if width > 0.0 else vertices[1:]
+    return [(*a, *b) for a, b in zip(vertices, following, strict=False)]

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.messages import GroundTruth
-from drivers.simulation.simulator import Simulation
-from drivers.simulation.world import World
+from drivers.simulation import Simulation, World
 
 from ..config import Config
 from ..events import Finished, MapCorners, MapWalls

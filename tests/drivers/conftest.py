@@ -12,17 +12,17 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 
-from drivers.clock import to_nanoseconds
 from drivers.messages import GroundTruth, Message, Odometry, Scan
 from drivers.recordings.mcap import McapWriter
 from drivers.recordings.ros_messages import LASER_SCAN, ODOMETRY, POSE, TRANSFORMS, Encoder, type_store
-from drivers.simulation.simulator import Lidar, Simulation
+from drivers.simulation import LidarModel, Simulation
+from drivers.timestamps import to_nanoseconds
 
 
 @pytest.fixture(scope="session")
 def drive() -> list[Message]:
     """Three seconds in a room, with a lidar that sees half a turn or more in 180 beams, off-centre and turned."""
-    lidar = Lidar(beams=180, dropouts=0.05)
+    lidar = LidarModel(beams=180, dropouts=0.05)
     return list(Simulation("room", seed=7, duration=3.0, lidar=lidar, mount=(0.1, -0.05, 0.3)))
 
 

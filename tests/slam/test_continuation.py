@@ -9,7 +9,7 @@ import pytest
 
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Scan
-from drivers.simulation.simulator import Simulation
+from drivers.simulation import Simulation
 from slam import Slam
 from slam.config import Config, config_to_toml
 from slam.errors import MapError

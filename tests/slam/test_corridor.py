@@ -7,13 +7,13 @@ import pytest
 
 from drivers import se2
 from drivers.messages import GroundTruth
-from drivers.simulation.simulator import Lidar, Simulation
+from drivers.simulation import LidarModel, Simulation
 from slam import Slam
 from slam.events import StateChanged
 
 from .listeners import EventCollector
 
-SHORT_SIGHTED = Lidar(beams=360, range_max=12.0)
+SHORT_SIGHTED = LidarModel(beams=360, range_max=12.0)
 
 
 @pytest.mark.parametrize("seed", [0, 1])

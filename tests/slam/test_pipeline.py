@@ -10,7 +10,7 @@ import pytest
 
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry, Scan
-from drivers.simulation.simulator import Simulation
+from drivers.simulation import Simulation
 from slam import Config, Slam
 from slam.errors import MapError
 from slam.evaluation.metrics import score_reference

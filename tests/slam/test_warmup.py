@@ -13,7 +13,7 @@ RUN = """
 import gc
 from numba.core.registry import CPUDispatcher
 import slam
-from drivers.simulation.simulator import Simulation
+from drivers.simulation import Simulation
 
 def compiled():
     ours = [d for d in gc.get_objects() if isinstance(d, CPUDispatcher)

@@ -25,7 +25,7 @@ def simulate(
     Example: [bold]wclm simulate office office.mcap --seed 3[/bold]
     """
     from drivers.recordings.mcap import McapWriter
-    from drivers.simulation.simulator import Simulation
+    from drivers.simulation import Simulation
 
     from ...io.output_dir import unfinished_file
 

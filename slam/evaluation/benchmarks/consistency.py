@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.simulation.simulator import Lidar, Simulation
+from drivers.simulation import LidarModel, Simulation
 
 from ...config import Config, LidarConfig
 from ...geometry.segments import Floats
@@ -42,14 +42,14 @@ def simulate(
     config: Config | None = None,
 ) -> Iterator[Nees]:
     """The NEES of one drive after the other; `duration` in seconds. All ranges are long by `range_bias`, metres."""
-    lidar = Lidar(range_bias=range_bias)
+    lidar = LidarModel(range_bias=range_bias)
     for seed in seeds:
         yield measure(Simulation(world, seed=seed, duration=duration, lidar=lidar, mount=MOUNT), config)[0]
 
 
 def calibrated(range_bias: float, duration: float = DURATION, world: str = "office") -> tuple[Config, float]:
     """A configuration that knows the lidar's error, as a drive apart from the others tells it; its standard error."""
-    drive = Simulation(world, seed=CALIBRATION_SEED, duration=duration, lidar=Lidar(range_bias=range_bias), mount=MOUNT)
+    drive = Simulation(world, seed=CALIBRATION_SEED, duration=duration, lidar=LidarModel(range_bias=range_bias), mount=MOUNT)
     bias, sigma = estimate_range_bias(list(drive), Config())
     return Config(lidar=LidarConfig(range_bias=bias)), sigma
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.messages import Scan
-from drivers.simulation.simulator import Simulation
+from drivers.simulation import Simulation
 
 from ...config import Config
 from ...pipeline import Slam
@@ -35,7 +35,7 @@ class Lap:
 def run(world: str, laps: int, config: Config, *, seed: int = 0) -> Iterator[Lap]:
     """Drive a world's path `laps` times and measure each."""
     warm_up()
-    lap = Simulation(world, seed=seed).path.duration
+    lap = Simulation(world, seed=seed).trajectory.duration
     slam = Slam(config)
     times: list[float] = []
     start: float | None = None

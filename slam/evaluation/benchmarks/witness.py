@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers import se2
-from drivers.simulation.simulator import Simulation
+from drivers.simulation import Simulation
 
 from ...events import (
     Event,
@@ -60,7 +60,7 @@ class Witness:
     """
 
     def __init__(self, simulation: Simulation) -> None:
-        self._path, self._walls = simulation.path, true_walls(simulation.world, np.zeros(3))
+        self._trajectory, self._walls = simulation.trajectory, true_walls(simulation.world, np.zeros(3))
         self._tracked = np.zeros(3)  # where the robot was believed to be, before a closure could move it
         # Of the keyframes that were told of. A robot that was lost makes some that are not.
         self._estimate: dict[int, se2.Pose] = {}
@@ -89,7 +89,7 @@ class Witness:
                 self._look_up(event)
 
     def _add(self, event: KeyframeAdded) -> None:
-        truth = self._path.at(np.array([event.stamp]))[0]
+        truth = self._trajectory.poses_at(np.array([event.stamp]))[0]
         before = max(self._truth, default=None)
         step = 0.0 if before is None else float(np.hypot(*(truth - self._truth[before])[:2]))
         way = step if before is None else self._ways[before] + step
@@ -121,7 +121,7 @@ class Witness:
         told = list(self._truth)
         nearest = told[int(np.hypot(*(np.array([self._estimate[k] for k in told]) - event.pose)[:, :2].T).argmin())]
         estimated = se2.between(self._estimate[nearest], event.pose)
-        true = se2.between(self._truth[nearest], self._path.at(np.array([event.stamp]))[0])
+        true = se2.between(self._truth[nearest], self._trajectory.poses_at(np.array([event.stamp]))[0])
         self.misplaced.append(float(motion_errors(estimated[None], true[None]).translation[0]))
 
     @property
@@ -139,13 +139,13 @@ class Witness:
 
     def last_error(self, finished: Finished) -> float:
         """Metres by which the last keyframe is off, as seen from the first."""
-        truth = self._path.at(finished.keyframe_stamps[[0, -1]])
+        truth = self._trajectory.poses_at(finished.keyframe_stamps[[0, -1]])
         ends = np.array([se2.between(poses[0], poses[-1]) for poses in (finished.keyframes, truth)])
         return float(motion_errors(ends[:1], ends[1:]).translation[0])
 
     def ate(self, finished: Finished) -> float:
         """Metres, root mean square of the keyframes' positions after alignment with the truth."""
-        estimate, truth = finished.keyframes[:, :2], self._path.at(finished.keyframe_stamps)[:, :2]
+        estimate, truth = finished.keyframes[:, :2], self._trajectory.poses_at(finished.keyframe_stamps)[:, :2]
         left = se2.transform(align(estimate, onto=truth), estimate) - truth
         return float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
 

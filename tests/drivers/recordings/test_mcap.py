@@ -18,9 +18,9 @@ from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 
 from drivers import GroundTruth, Message, Odometry, RecordingError, Scan
-from drivers.clock import to_nanoseconds, to_seconds
 from drivers.recordings.mcap import Mcap, McapWriter
 from drivers.recordings.ros_messages import quaternion_of
+from drivers.timestamps import to_nanoseconds, to_seconds
 
 Same = Callable[[list[Message], list[Message]], None]
 

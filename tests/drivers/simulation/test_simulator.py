@@ -11,12 +11,20 @@ import pytest
 
 from drivers import GroundTruth, Message, Odometry, RecordingError, Scan, se2
 from drivers.messages import Floats
-from drivers.simulation.raycast import STEP
-from drivers.simulation.simulator import Drive, Lidar, Simulation, warm_up
-from drivers.simulation.world import Passing, World, load_world, world_names
+from drivers.simulation import (
+    LidarModel,
+    Simulation,
+    TemporaryShapes,
+    WheelModel,
+    World,
+    load_world,
+    warm_up,
+    world_names,
+)
+from drivers.simulation.raycast import TIME_STEP
 
-QUIET = Lidar(sigma_range=0.0, sigma_bearing=0.0, dropouts=0.0, mixed=0.0)
-PERFECT = Drive(slip=0.0, encoder=0.0, scale_bias=0.0, difference_bias=0.0, wheelbase_bias=0.0)
+QUIET = LidarModel(sigma_range=0.0, sigma_bearing=0.0, dropouts=0.0, mixed=0.0)
+PERFECT = WheelModel(slip=0.0, encoder=0.0, scale_bias=0.0, difference_bias=0.0, wheelbase_bias=0.0)
 ROBOT_RADIUS = 0.25
 
 
@@ -48,7 +56,7 @@ def test_noise_of_the_lidar_does_not_change_the_wheels() -> None:
 
 
 def test_rates_and_truth_at_every_stamp() -> None:
-    messages = list(Simulation("room", duration=10.0, drive=Drive(rate=50.0)))
+    messages = list(Simulation("room", duration=10.0, wheels=WheelModel(rate=50.0)))
     truth = truth_of(messages)
     assert len(scans_of(messages)) == 99
     assert sum(isinstance(message, Odometry) for message in messages) == 501
@@ -58,16 +66,16 @@ def test_rates_and_truth_at_every_stamp() -> None:
 
 @pytest.mark.parametrize("mount", [(0.0, 0.0, 0.0), (0.3, -0.2, 2.0)])
 def test_beams_end_on_the_walls_when_each_is_placed_at_its_own_time(mount: tuple[float, float, float]) -> None:
-    simulation = Simulation(square(), duration=8.0, lidar=QUIET, drive=PERFECT, mount=mount)
+    simulation = Simulation(square(), duration=8.0, lidar=QUIET, wheels=PERFECT, mount=mount)
     for scan in scans_of(list(simulation))[::10]:
-        poses = simulation.path.at(scan.stamp + scan.time_offsets)
+        poses = simulation.trajectory.poses_at(scan.stamp + scan.time_offsets)
         ends = np.column_stack([scan.ranges * np.cos(scan.angles), scan.ranges * np.sin(scan.angles)])
         placed = se2.transform(se2.compose(poses, scan.mount), ends)
         assert np.abs(placed).max(axis=1) == pytest.approx(5.0, abs=1e-5)
 
 
 def test_perfect_wheels_tell_the_truth() -> None:
-    messages = list(Simulation(square(), duration=8.0, drive=PERFECT))
+    messages = list(Simulation(square(), duration=8.0, wheels=PERFECT))
     truth = truth_of(messages)
     start = truth[0.0]
     for message in messages:
@@ -128,7 +136,7 @@ def test_mixed_pixels_lie_between_the_surfaces() -> None:
 def test_a_wall_at_grazing_incidence_has_no_mixed_pixels() -> None:
     corners = np.array([[-30.0, -0.5], [30.0, -0.5], [30.0, 1.5], [-30.0, 1.5]])
     walls = np.hstack([corners, np.roll(corners, -1, axis=0)])
-    hall = replace(square(), segments=walls, path=np.array([[0.0, 0.0], [10.0, 0.0]]))
+    hall = replace(square(), segments=walls, waypoints=np.array([[0.0, 0.0], [10.0, 0.0]]))
     mixed = scans_of(list(Simulation(hall, duration=3.0, lidar=replace(QUIET, mixed=1.0))))
     clean = scans_of(list(Simulation(hall, duration=3.0, lidar=QUIET)))
     for a, b in zip(mixed, clean, strict=True):
@@ -136,16 +144,16 @@ def test_a_wall_at_grazing_incidence_has_no_mixed_pixels() -> None:
 
 
 def test_slip_is_as_stated_and_biases_are_drawn_per_seed() -> None:
-    drive = replace(PERFECT, slip=0.01)
-    straight = replace(square(100.0), path=np.array([[0.0, 0.0], [40.0, 0.0]]))
+    wheels = replace(PERFECT, slip=0.01)
+    straight = replace(square(100.0), waypoints=np.array([[0.0, 0.0], [40.0, 0.0]]))
     finals = []
     for seed in range(300):
-        simulation = Simulation(straight, seed=seed, duration=5.0, drive=drive, lidar=replace(QUIET, beams=1))
+        simulation = Simulation(straight, seed=seed, duration=5.0, wheels=wheels, lidar=replace(QUIET, beams=1))
         messages = list(simulation)
         last = [message for message in messages if isinstance(message, Odometry)][-1]
         truth = truth_of(messages)
         finals.append(se2.between(truth[0.0], truth[last.stamp])[0] - last.pose[0])
-    way = np.hypot(*np.diff(simulation.path.poses[:, :2], axis=0).T).sum()
+    way = np.hypot(*np.diff(simulation.trajectory.poses[:, :2], axis=0).T).sum()
     # The mean of two wheels, each with a variance of slip^2 per metre.
     assert np.std(finals) == pytest.approx(0.01 * np.sqrt(way / 2), rel=0.25)
     left = [Simulation("room", seed=seed).biases.left for seed in range(200)]
@@ -156,17 +164,17 @@ def test_slip_is_as_stated_and_biases_are_drawn_per_seed() -> None:
 def test_parameters_say_everything() -> None:
     parameters = Simulation("room", seed=9).parameters
     assert parameters["seed"] == 9
-    assert set(parameters) == {"world", "seed", "duration", "lidar", "drive", "mount", "biases"}
+    assert set(parameters) == {"world", "seed", "duration", "lidar", "wheels", "mount", "biases"}
 
 
 @pytest.mark.parametrize("name", world_names())
 def test_worlds_can_be_driven_through(name: str) -> None:
     simulation = Simulation(name)
-    poses = simulation.path.poses[::5]
-    for since, until in [(0.0, np.inf), *((thing.since, thing.until) for thing in simulation.world.passing)]:
-        times = 5 * STEP * np.arange(len(poses))
+    poses = simulation.trajectory.poses[::5]
+    for since, until in [(0.0, np.inf), *((thing.since, thing.until) for thing in simulation.world.temporary)]:
+        times = 5 * TIME_STEP * np.arange(len(poses))
         way = poses[(times >= since) & (times < until), :2]
-        walls, circles = simulation.world.at(since)
+        walls, circles = simulation.world.shapes_at(since)
         start, along = walls[:, :2], walls[:, 2:] - walls[:, :2]
         share = np.clip(((way[:, None] - start) * along).sum(-1) / (along**2).sum(-1), 0, 1)
         gaps = np.linalg.norm(way[:, None] - start - share[..., None] * along, axis=-1)
@@ -174,12 +182,12 @@ def test_worlds_can_be_driven_through(name: str) -> None:
         if len(circles):
             gaps = np.linalg.norm(way[:, None] - circles[:, :2], axis=-1) - circles[:, 2]
             assert gaps.min() > ROBOT_RADIUS
-    assert poses[-1, :2] == pytest.approx(simulation.world.path[-1], abs=0.1)
+    assert poses[-1, :2] == pytest.approx(simulation.world.waypoints[-1], abs=0.1)
 
 
 def test_a_scan_shows_what_stands_there_at_its_time() -> None:
-    screen = Passing(2.0, 4.0, np.array([[-1.0, 2.0, 1.0, 2.0]]), np.zeros((0, 3)))
-    still = replace(square(), speed=1e-6, passing=(screen,))
+    screen = TemporaryShapes(2.0, 4.0, np.array([[-1.0, 2.0, 1.0, 2.0]]), np.zeros((0, 3)))
+    still = replace(square(), speed=1e-6, temporary=(screen,))
     scans = scans_of(list(Simulation(still, duration=6.0, lidar=QUIET, mount=(0, 0, 0))))
     ahead = {scan.stamp: scan.ranges[np.abs(scan.angles - np.pi / 2).argmin()] for scan in scans}
     for stamp, distance in ahead.items():
@@ -188,9 +196,9 @@ def test_a_scan_shows_what_stands_there_at_its_time() -> None:
 
 def test_office_is_a_real_drive() -> None:
     simulation = Simulation("office")
-    way = np.hypot(*np.diff(simulation.path.poses[:, :2], axis=0).T).sum()
+    way = np.hypot(*np.diff(simulation.trajectory.poses[:, :2], axis=0).T).sum()
     assert 100 < way < 150
-    assert 200 < simulation.path.duration < 320
+    assert 200 < simulation.trajectory.duration < 320
 
 
 def test_simulates_faster_than_real_time() -> None:
@@ -203,10 +211,10 @@ def test_simulates_faster_than_real_time() -> None:
 
 def test_long_durations_go_round_again() -> None:
     simulation = Simulation("room", duration=120.0)
-    assert simulation.path.duration == pytest.approx(120.0)
-    assert np.hypot(*np.diff(simulation.path.poses[:, :2], axis=0).T).sum() > 35
+    assert simulation.trajectory.duration == pytest.approx(120.0)
+    assert np.hypot(*np.diff(simulation.trajectory.poses[:, :2], axis=0).T).sum() > 35
     there_and_back = Simulation(square(), duration=60.0)
-    assert np.abs(there_and_back.path.poses[:, :2]).max() < 1.5
+    assert np.abs(there_and_back.trajectory.poses[:, :2]).max() < 1.5
 
 
 @pytest.mark.parametrize(
@@ -219,10 +227,10 @@ def test_long_durations_go_round_again() -> None:
         {"seed": -1},
         {"mount": (0.0, 0.0)},
         {"mount": (np.nan, 0.0, 0.0)},
-        {"lidar": Lidar(beams=0)},
-        {"lidar": Lidar(dropouts=2.0)},
-        {"lidar": Lidar(sigma_range=-0.01)},
-        {"drive": Drive(rate=0.0)},
+        {"lidar": LidarModel(beams=0)},
+        {"lidar": LidarModel(dropouts=2.0)},
+        {"lidar": LidarModel(sigma_range=-0.01)},
+        {"wheels": WheelModel(rate=0.0)},
     ],
 )
 def test_impossible_arguments_are_refused(arguments: dict[str, object]) -> None:
@@ -232,9 +240,9 @@ def test_impossible_arguments_are_refused(arguments: dict[str, object]) -> None:
 
 
 def test_way_points_on_top_of_each_other_do_not_hang() -> None:
-    world = replace(square(), path=np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.0], [0.0, 0.0]]))
-    assert Simulation(world, duration=5.0).path.duration == pytest.approx(5.0)
-    assert Simulation(world).path.duration < 10.0
+    world = replace(square(), waypoints=np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.0], [0.0, 0.0]]))
+    assert Simulation(world, duration=5.0).trajectory.duration == pytest.approx(5.0)
+    assert Simulation(world).trajectory.duration < 10.0
 
 
 def test_world_comes_from_its_file() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers import RecordingError
-from drivers.simulation.world import World, load_world
+from drivers.simulation import World, load_world
 
 PATH = "path = [[0, 0], [1, 0]]\n"
 
@@ -51,7 +51,7 @@ def test_boxes_and_columns(tmp_path: Path) -> None:
         ("", "path"),
         ("path = [[0, 0]]", "path"),
         (PATH, "no walls"),
-        ("not toml", "not a world"),
+        ("not toml", "not a valid world file"),
         (PATH + "wals = []", "wals"),
         (PATH + "[[walls]]\nfrom = [0, nan]\nto = [1, 1]", "walls.0"),
         (PATH + "[[columns]]\nat = [0, 0]\nradius = -1", "radius"),
@@ -75,7 +75,7 @@ def test_things_come_and_go(tmp_path: Path) -> None:
         "[[columns]]\nat = [5, 5]\nradius = 0.3\nsince = 5\nuntil = 9\n"
     )
     here = world(tmp_path, text)
-    assert [(len(segments), len(circles)) for segments, circles in map(here.at, (0.0, 4.9, 5.0, 9.0))] == [
+    assert [(len(segments), len(circles)) for segments, circles in map(here.shapes_at, (0.0, 4.9, 5.0, 9.0))] == [
         (5, 0), (5, 0), (1, 1), (1, 0),
     ]  # fmt: skip
     assert here.segments.tolist() == [[0, 1, 4, 1]]

@@ -10,7 +10,7 @@ import pytest
 
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry
-from drivers.simulation.simulator import Simulation
+from drivers.simulation import Simulation
 from slam import Config, Finished, Slam
 from slam.config import OdometryConfig
 from slam.estimation.estimator import Estimator

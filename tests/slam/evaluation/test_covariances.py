@@ -7,8 +7,7 @@ import pytest
 
 from drivers import se2
 from drivers.messages import Odometry, Scan
-from drivers.simulation.simulator import Simulation
-from drivers.simulation.world import World
+from drivers.simulation import Simulation, World
 from slam.evaluation.benchmarks.consistency import simulate, summarise, table
 from slam.evaluation.ground_truth import Nees, TrueWalls, corner_nees, match_walls, measure, true_walls, wall_nees
 from slam.events import MapCorners, MapWalls
@@ -99,7 +98,7 @@ def test_the_first_keyframe_defines_the_map() -> None:
     simulation = Simulation("room", duration=6.0)
     nees, finished = measure(simulation)
     assert len(nees.poses) == len(finished.keyframes) - 1
-    truth = simulation.path.at(finished.keyframe_stamps)
+    truth = simulation.trajectory.poses_at(finished.keyframe_stamps)
     difference = se2.between(se2.between(truth[0], truth), finished.keyframes)
     np.testing.assert_allclose(difference[0], 0.0, atol=1e-3)
     assert np.abs(difference[:, :2]).max() < 0.01

@@ -12,7 +12,7 @@ from typer.testing import Result
 
 from drivers import se2
 from drivers.messages import GroundTruth, Message
-from drivers.simulation.simulator import Simulation
+from drivers.simulation import Simulation
 from slam.geometry.segments import Floats, Segments
 from slam.loop_closure.map_descriptor import MapDescriptor, describe_map
 from slam.loop_closure.relocalisation import MapIndex, Relocalisation, Submap, index_map, relocalise, submap_of

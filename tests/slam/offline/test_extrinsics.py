@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.messages import Odometry, Scan
-from drivers.simulation.simulator import Simulation
+from drivers.simulation import Simulation
 from slam.config import Config, LidarConfig
 from slam.errors import MapError
 from slam.offline.calibration.extrinsics import Calibration, Wheels, calibrate

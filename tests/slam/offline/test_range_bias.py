@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.messages import Scan
-from drivers.simulation.simulator import Lidar, Simulation
+from drivers.simulation import LidarModel, Simulation
 from features import Extractor, Noise
 from slam.config import Config, LidarConfig
 from slam.errors import MapError
@@ -17,7 +17,7 @@ from slam.preprocessing.deskew import deskew
 
 
 def drive(bias: float, seed: int = 0, seconds: float = 20.0) -> list[object]:
-    return list(Simulation("office", seed=seed, duration=seconds, lidar=Lidar(range_bias=bias)))
+    return list(Simulation("office", seed=seed, duration=seconds, lidar=LidarModel(range_bias=bias)))
 
 
 @pytest.mark.parametrize("bias", [-0.02, 0.0, 0.02, 0.05])

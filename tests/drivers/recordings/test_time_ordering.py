@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers import Odometry
-from drivers.recordings.ordering import in_order
+from drivers.recordings.time_ordering import in_order
 
 
 class Notes:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ..errors import RecordingError
 from ..messages import GroundTruth, Message, SourceReport
-from .ordering import in_order
+from .time_ordering import in_order
 
 LATEST_STAMP = 2.0**31
 """Seconds; a later stamp (past January 2038) does not fit into the 32 bits that ROS has for it."""

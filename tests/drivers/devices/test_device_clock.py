@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.device_clock import SPAN, WINDOW, DeviceClock
+from drivers.devices.device_clock import SPAN, WINDOW, DeviceClock
 from drivers.messages import Floats
 
 START = 1.7e9

@@ -11,7 +11,7 @@ from typing import Any
 
 from ..errors import RecordingError
 from ..messages import GroundTruth, Message, Odometry
-from .recording import Recording, is_stamp
+from .reader import Recording, is_stamp
 from .ros_messages import (
     BEAMS,
     LASER_SCAN,

@@ -11,7 +11,7 @@ import pytest
 
 import drivers
 from drivers import RecordingError
-from drivers.simulation.simulator import Simulation
+from drivers.simulation import Simulation
 
 
 def test_simulation_with_options() -> None:
@@ -23,7 +23,7 @@ def test_simulation_with_options() -> None:
     worse = drivers.open("sim:room?lidar=short&odometry=bad")
     assert isinstance(worse, Simulation)
     assert worse.lidar.range_max < source.lidar.range_max
-    assert worse.drive.scale_bias > source.drive.scale_bias
+    assert worse.wheels.scale_bias > source.wheels.scale_bias
 
 
 def test_directory_whose_recorder_was_killed(tmp_path: Path, recordings: dict[str, str]) -> None:

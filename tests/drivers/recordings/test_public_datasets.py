@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 import tomllib
 from collections import Counter
@@ -14,16 +13,10 @@ import pytest
 import drivers
 from drivers import Message, Odometry, Scan
 
+from ...recordings import recording_file
+
 ROOT = Path(__file__).parents[3]
-FOLDER = Path(os.environ.get("WCLM_DATASETS", ROOT.parent / "shared" / "datasets"))
 CATALOGUE = tomllib.loads((ROOT / "datasets" / "catalogue.toml").read_text())["recording"]
-
-
-def recording(name: str) -> Path:
-    path = FOLDER / name / f"{name}.clf"
-    if not path.exists():
-        pytest.skip(f"{path} is not there; set WCLM_DATASETS to the folder that holds {name}/{name}.clf")
-    return path
 
 
 @pytest.mark.parametrize(
@@ -31,7 +24,7 @@ def recording(name: str) -> Path:
     [("intel", 180, [0, 0, 0], 508), ("fr079", 360, [-0.04, 0, 0], 393), ("csail", 361, [0, 0, 0], 374)],
 )
 def test_benchmark_recording(name: str, beams: int, mount: list[float], way: float) -> None:
-    path = recording(name)
+    path = recording_file(name)
     source = drivers.open(path)
     start = time.perf_counter()
     messages: list[Message] = list(source)

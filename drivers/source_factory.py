@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from urllib.parse import parse_qsl
 
-from .devices.specs import is_device, parse_devices
+from .devices.device_spec import is_device_spec, parse_devices
 from .errors import RecordingError
 from .messages import Source
 
@@ -23,17 +23,17 @@ def open(spec: str | Path) -> Source:
 
     Raises RecordingError where the path does not exist, or nothing is known that reads it; its content is
     looked at when the source is iterated. Libraries for other formats than the one asked for are not loaded.
-    Devices (see `devices.specs`) are started when the source is iterated, which can be done once; raises SpecError,
+    Devices (see `devices.device_spec`) are started when the source is iterated, which can be done once; raises SpecError,
     a DriverError, where they are asked for wrongly.
     """
     if str(spec).startswith("sim:"):
         return _simulation(str(spec))
     if str(spec).startswith("replay:"):
         return _replay(str(spec))
-    if is_device(str(spec)):
-        from .devices.live import Live
+    if is_device_spec(str(spec)):
+        from .devices.device_source import DeviceSource
 
-        return Live(parse_devices(str(spec)))
+        return DeviceSource(parse_devices(str(spec)))
     path = Path(spec)
     suffix = path.suffix.lower()
     if not path.exists():
@@ -85,7 +85,7 @@ def _replay(spec: str) -> Source:
 
 
 def _simulation(spec: str) -> Source:
-    from .simulation.simulator import DRIVES, LIDARS, Simulation
+    from .simulation import LIDAR_MODELS, WHEEL_MODELS, Simulation
 
     world, _, query = spec.removeprefix("sim:").partition("?")
     options = dict(parse_qsl(query, keep_blank_values=True))
@@ -95,12 +95,12 @@ def _simulation(spec: str) -> Source:
         mount = [float(value) for value in options.pop("mount", "0.1,0,0").split(",")]
     except ValueError as error:
         raise RecordingError(spec, None, f"not a number: {error}") from error
-    lidar, drive = options.pop("lidar", "long"), options.pop("odometry", "good")
-    if lidar not in LIDARS:
-        raise RecordingError(spec, None, f"no lidar {lidar!r}; there are {', '.join(LIDARS)}")
-    if drive not in DRIVES:
-        raise RecordingError(spec, None, f"no odometry {drive!r}; there are {', '.join(DRIVES)}")
+    lidar, wheels = options.pop("lidar", "long"), options.pop("odometry", "good")
+    if lidar not in LIDAR_MODELS:
+        raise RecordingError(spec, None, f"no lidar {lidar!r}; there are {', '.join(LIDAR_MODELS)}")
+    if wheels not in WHEEL_MODELS:
+        raise RecordingError(spec, None, f"no odometry {wheels!r}; there are {', '.join(WHEEL_MODELS)}")
     if options:
         there = "seed, duration, lidar, odometry and mount=x,y,heading"
         raise RecordingError(spec, None, f"unknown option {', '.join(options)}; there are {there}")
-    return Simulation(world or "office", seed, duration, LIDARS[lidar], DRIVES[drive], mount)
+    return Simulation(world or "office", seed, duration, LIDAR_MODELS[lidar], WHEEL_MODELS[wheels], mount)

@@ -31,7 +31,7 @@ EARLY = 0.010
 SETTLED = 5.0
 """Seconds of device time below which an earlier pair is believed anyhow, and all before it was held up, as bytes are
 that wait in a port until it is opened."""
-LATE = 2.0
+LOSS_DELAY = 2.0
 """Seconds that a pair may be late. Serial buffers hold about one second of any device; more is a jump."""
 CONFIRM = 5
 """Pairs in a row that are off the line before the clock is taken to have jumped; fewer are single wrong readings."""
@@ -78,9 +78,9 @@ class DeviceClock:
         """
         pair = (self._unwrapped(device_time, arrived) * self.tick, arrived)
         late = self._late(pair)
-        if self._pairs and -LATE < late < -EARLY and self._span() < SETTLED:
+        if self._pairs and -LOSS_DELAY < late < -EARLY and self._span() < SETTLED:
             self._restart()
-        elif self._pairs and not -EARLY <= late <= LATE:
+        elif self._pairs and not -EARLY <= late <= LOSS_DELAY:
             return self._off_the_line(pair)
         self.strays += len(self._held)
         self._held.clear()
