@@ -1,1 +1,1 @@
-"""Match a scan to the local map: line registration and the likelihood field of raw points."""
+"""Scan matching: registration with walls and corners, and the likelihood field of scan points."""
