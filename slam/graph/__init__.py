@@ -1,1 +1,1 @@
-"""The factor graph; the only place that knows GTSAM."""
+"""The factor graph and its solver. GTSAM is used only in this package."""

@@ -1,4 +1,4 @@
-"""How well landmarks are known as seen from a keyframe, from what is known of all of them together."""
+"""Covariances of landmarks relative to a keyframe, from the joint covariance of all of them."""
 
 from __future__ import annotations
 
@@ -10,20 +10,22 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 
-# The kernel takes weight from honest observations, too: w = 1 / (1 + s / 8) for the squared error s, which is
-# chi-square with 1 degree of freedom. The Hessian so weighted claims 1 / E[w] = 1.105 times the covariance of plain
-# least squares; an M-estimator's own, E[w^2 s] / E[w + 2 s dw/ds]^2, is 1.034 times it. This is the latter divided by
-# the former, for the marginals that are told; association compares with what the graph itself believes.
+# Factor that corrects the marginals of the graph for the robust kernel, which reduces the weight of correct
+# observations, too: w = 1 / (1 + s / 8) for the squared error s, chi-square with 1 dof. The inverse of the
+# weighted Hessian is 1 / E[w] = 1.105 times the covariance of plain least squares; the covariance of an M-estimator,
+# E[w^2 s] / E[w + 2 s dw/ds]^2, is 1.034 times it. This is the latter divided by the former. It is applied to published
+# covariances; data association uses those of the graph. Origin: chi-square, 1 dof, integrated with WALL_CAUCHY_SCALE.
 ROBUST_COVARIANCE_SCALE = 0.936
 
 
 class LandmarkCovariances(NamedTuple):
-    """How well a keyframe and landmarks are known.
+    """Covariances of a keyframe, of n walls and of m corners.
 
-    pose             (3, 3) of the keyframe in the map's axes
-    walls            (n, 2, 2) of the offset across and the heading at the wall's frame, as seen from the keyframe
-    corners          (m, 2, 2) of the position in the map's axes, as seen from the keyframe
-    walls_in_map, corners_in_map   the same, in the map
+    pose             (3, 3) of the keyframe's pose in the map, along the map's axes
+    walls            (n, 2, 2) of offset and heading at the wall's frame, relative to the keyframe
+    corners          (m, 2, 2) of the position along the map's axes, relative to the keyframe
+    walls_in_map     (n, 2, 2) of offset and heading in the map, times ROBUST_COVARIANCE_SCALE
+    corners_in_map   (m, 2, 2) of the position in the map, times ROBUST_COVARIANCE_SCALE
     """
 
     pose: Floats
@@ -34,20 +36,26 @@ class LandmarkCovariances(NamedTuple):
 
 
 def landmark_covariances(joint: Floats, pose: se2.Pose, frames: Floats, positions: Floats) -> LandmarkCovariances:
-    """From the joint covariance of a keyframe at `pose`, walls at `frames` (n, 3) and corners at `positions` (m, 2), in
-    this order, each in the frame that GTSAM has it in."""
+    """Compute relative covariances from a joint one.
+
+    joint      (k, k), k = 3 + 3 n + 2 m, of the keyframe, the walls and the corners, in this order, in GTSAM's tangent
+               spaces: poses and walls in their own frames, corners along the map's axes
+    pose       [x, y, heading] of the keyframe
+    frames     (n, 3) of the walls
+    positions  (m, 2) of the corners
+    """
     own = joint[:3, :3]
     c, s = np.cos(pose[2]), np.sin(pose[2])
     rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    ends = np.cumsum([3, *(3 for _ in frames), *(2 for _ in positions)])
-    wall_covariances = _relative(joint, ends[: len(frames)], 3, se2.adjoint(se2.between(frames, pose)))
+    starts = np.cumsum([3, *(3 for _ in frames), *(2 for _ in positions)])
+    wall_covariances = _relative(joint, starts[: len(frames)], 3, se2.adjoint(se2.between(frames, pose)))
     lever = positions - pose[:2]
-    carry = np.zeros((len(positions), 2, 3))
-    carry[:, 0, 0] = carry[:, 1, 1] = 1.0
-    carry[:, 0, 2], carry[:, 1, 2] = -lever[:, 1], lever[:, 0]
-    corner_covariances = _relative(joint, ends[len(frames) : -1], 2, carry @ rotation)
-    blocks = [joint[at : at + 3, at : at + 3][1:, 1:] for at in ends[: len(frames)]]
-    points = [joint[at : at + 2, at : at + 2] for at in ends[len(frames) : -1]]
+    jacobian = np.zeros((len(positions), 2, 3))
+    jacobian[:, 0, 0] = jacobian[:, 1, 1] = 1.0
+    jacobian[:, 0, 2], jacobian[:, 1, 2] = -lever[:, 1], lever[:, 0]
+    corner_covariances = _relative(joint, starts[len(frames) : -1], 2, jacobian @ rotation)
+    blocks = [joint[k : k + 3, k : k + 3][1:, 1:] for k in starts[: len(frames)]]
+    points = [joint[k : k + 2, k : k + 2] for k in starts[len(frames) : -1]]
     return LandmarkCovariances(
         rotation @ own @ rotation.T,
         wall_covariances[:, 1:, 1:],
@@ -57,14 +65,17 @@ def landmark_covariances(joint: Floats, pose: se2.Pose, frames: Floats, position
     )
 
 
-def _relative(joint: Floats, begins: Floats, size: int, carry: Floats) -> Floats:
-    """(n, size, size): covariances of landmarks at `begins` (n,) of a joint covariance, less the error of the pose at
-    its beginning, which `carry` (n, size, 3) takes to each."""
-    at = begins[:, None] + np.arange(size)
-    own, cross = joint[:3, :3], joint[at, :3] @ carry.transpose(0, 2, 1)
+def _relative(joint: Floats, starts: Floats, size: int, jacobian: Floats) -> Floats:
+    """Return the covariances (n, size, size) of landmarks relative to the pose whose covariance is joint[:3, :3].
+
+    starts    (n,) first row of each landmark in the joint covariance
+    jacobian  (n, size, 3) change of each landmark if it moves with the pose
+    """
+    rows = starts[:, None] + np.arange(size)
+    own, cross = joint[:3, :3], joint[rows, :3] @ jacobian.transpose(0, 2, 1)
     return np.asarray(
-        joint[at[:, :, None], at[:, None, :]]
-        + carry @ own @ carry.transpose(0, 2, 1)
+        joint[rows[:, :, None], rows[:, None, :]]
+        + jacobian @ own @ jacobian.transpose(0, 2, 1)
         - cross
         - cross.transpose(0, 2, 1)
     )

@@ -1,7 +1,8 @@
-"""What the graph is made of, as plain data that can be written down, and as the factors of GTSAM that it stands for."""
+"""Factors of the graph as plain data that can be stored, and their conversion into factors of GTSAM."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -14,9 +15,14 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 
-CAUCHY_SCALE = 4.0  # standard deviations at which the observation of a corner counts half
-WALL_CAUCHY_SCALE = CAUCHY_SCALE / 2**0.5  # the same for one of the two numbers that a wall is observed by
-ODOMETRY_CAUCHY_SCALE = 2.0  # the same for odometry: single readings can be grossly wrong
+# Standard deviations at which the weight of a corner's observation is one half.
+# Origin: chosen, few observations that are correct lose weight; not measured.
+CAUCHY_SCALE = 4.0
+# The same for each of the two factors of a wall's observation: together they are as strong as one of both.
+# Origin: definition.
+WALL_CAUCHY_SCALE = CAUCHY_SCALE / 2**0.5
+# The same for odometry. Origin: chosen, smaller because single readings can be grossly wrong; not measured.
+ODOMETRY_CAUCHY_SCALE = 2.0
 
 CORNER_KERNEL = gtsam.noiseModel.mEstimator.Cauchy.Create(CAUCHY_SCALE)
 WALL_KERNEL = gtsam.noiseModel.mEstimator.Cauchy.Create(WALL_CAUCHY_SCALE)
@@ -24,43 +30,44 @@ ODOMETRY_KERNEL = gtsam.noiseModel.mEstimator.Cauchy.Create(ODOMETRY_CAUCHY_SCAL
 
 
 class FactorKind(StrEnum):
-    """What a factor says of a keyframe `first`, or of a wall, and of something `second`.
+    """Kinds of factors between a keyframe (or wall) `first` and a variable `second`, as written to session files.
 
-    measured [x, y, heading] or [x, y], and its covariance, are:
-    START   the pose of `first`, which defines the map's frame; no `second`
-    MOTION  the keyframe `second` as seen from `first`, by odometry; (3, 3). Robust
-    GAUGE_PRIOR   the wall's frame as seen from `first`; (1, 1), along the wall: says where on it the frame stands
-    HEADING the same; (1, 1), of its heading. Robust
-    OFFSET  the same, and a lever: [x, y, heading, lever]; (1, 1), of offset across plus lever times heading. Robust
-    WALL    a segment of a wall that is not in the graph yet, and waits; (2, 2), of the offset across it and its heading
-    CORNER  the corner's position as seen from `first`; (2, 2). Robust
-    WALL_EQUALITY    the frame of the wall `second` as seen from the wall `first`: they are one; (2, 2) as for WALL
-    LOOP     the keyframe `second` as seen from `first`, by a closed loop; (3, 3)
+    Their `measured` values, [x, y, heading] or [x, y], and covariances are:
+    POSE_PRIOR     the pose of `first`, which defines the map's frame; (3, 3). No `second`
+    ODOMETRY       the keyframe `second` in the frame of `first`; (3, 3). Robust
+    GAUGE_PRIOR    the wall's frame in the frame of `first`; (1, 1), of its position along the wall
+    WALL_HEADING   the wall's frame in the frame of `first`; (1, 1), of its heading. Robust
+    WALL_OFFSET    [x, y, heading, lever]: as before; (1, 1), of its offset across plus lever times heading. Robust
+    WALL           a segment in the frame of `first`; (2, 2), of its offset across and heading. Not a factor of GTSAM:
+                   an observation that waits until the wall `second` is confirmed
+    CORNER         the corner's position in the frame of `first`; (2, 2). Robust
+    WALL_EQUALITY  the frame of the wall `second` in that of the wall `first`: they are one; (2, 2), as for WALL
+    LOOP           the keyframe `second` in the frame of `first`, from a loop closure; (3, 3)
     """
 
-    START = "start"
-    MOTION = "motion"
-    GAUGE_PRIOR = "along"
-    HEADING = "heading"
-    OFFSET = "offset"
+    POSE_PRIOR = "pose_prior"
+    ODOMETRY = "odometry"
+    GAUGE_PRIOR = "gauge_prior"
+    WALL_HEADING = "wall_heading"
+    WALL_OFFSET = "wall_offset"
     WALL = "wall"
     CORNER = "corner"
-    WALL_EQUALITY = "same"
-    LOOP = "tie"
+    WALL_EQUALITY = "wall_equality"
+    LOOP = "loop"
 
 
+# Standard deviations at which a factor's weight is one half; the other kinds have no robust kernel.
 CAUCHY_SCALES = {
-    FactorKind.MOTION: ODOMETRY_CAUCHY_SCALE,
-    FactorKind.HEADING: WALL_CAUCHY_SCALE,
-    FactorKind.OFFSET: WALL_CAUCHY_SCALE,
+    FactorKind.ODOMETRY: ODOMETRY_CAUCHY_SCALE,
+    FactorKind.WALL_HEADING: WALL_CAUCHY_SCALE,
+    FactorKind.WALL_OFFSET: WALL_CAUCHY_SCALE,
     FactorKind.CORNER: CAUCHY_SCALE,
 }
-"""Standard deviations at which a factor counts half; the other kinds always count in full."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Factor:
-    """One statement of the graph; see Kind."""
+    """One factor; see FactorKind."""
 
     kind: FactorKind
     first: int
@@ -71,13 +78,16 @@ class Factor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GraphState:
-    """All that a graph consists of: as much as is needed to go on from it as if it had never been away.
+    """Everything a graph consists of: enough to continue with exactly the same results.
 
-    factors    those that hold
-    keyframes  (k, 3) where they were linearised last, not the estimate; likewise walls and corners, with their
-               identities, and their frames (w, 3) and positions (c, 2)
-    updates    how often the estimate was updated: of which every so many linearises anew
-    qr         whether Cholesky has failed on this graph
+    factors    all factors, in the order in which they were added
+    keyframes  (k, 3) linearisation points of the poses, not the estimate
+    walls      (w,) landmark ids
+    frames     (w, 3) linearisation points of the walls' frames
+    corners    (c,) landmark ids
+    positions  (c, 2) linearisation points of the corners
+    updates    number of updates of the estimate: every RELINEARIZE_SKIP-th relinearises
+    qr         True if factors are eliminated by QR because Cholesky has failed on this graph
     """
 
     factors: list[Factor]
@@ -90,54 +100,71 @@ class GraphState:
     qr: bool
 
 
-def pose2(pose: se2.Pose) -> gtsam.Pose2:
-    """A pose as GTSAM has it."""
+def to_pose2(pose: se2.Pose) -> gtsam.Pose2:
+    """Convert a pose [x, y, heading] into GTSAM's."""
     return gtsam.Pose2(float(pose[0]), float(pose[1]), float(pose[2]))
 
 
-def made(factor: Factor) -> gtsam.NonlinearFactor:
-    """The factor of GTSAM that a statement stands for."""
+def from_pose2(pose: gtsam.Pose2) -> se2.Pose:
+    """Convert GTSAM's pose into [x, y, heading]."""
+    return np.array([pose.x(), pose.y(), pose.theta()])
+
+
+def to_gtsam_graph(factors: Iterable[Factor]) -> gtsam.NonlinearFactorGraph:
+    """Convert factors into a graph of GTSAM."""
+    graph = gtsam.NonlinearFactorGraph()
+    for factor in factors:
+        graph.add(to_gtsam(factor))
+    return graph
+
+
+def to_gtsam(factor: Factor) -> gtsam.NonlinearFactor:
+    """Convert a factor into GTSAM's."""
     first, second, measured, covariance = factor.first, factor.second, factor.measured, factor.covariance
-    if factor.kind is FactorKind.CORNER:
-        return _corner(first, second, measured, covariance)
-    if factor.kind is FactorKind.START:
-        return gtsam.PriorFactorPose2(X(first), pose2(measured), gtsam.noiseModel.Gaussian.Covariance(covariance))
-    if factor.kind is FactorKind.MOTION:
-        gaussian = gtsam.noiseModel.Gaussian.Covariance(covariance)
-        robust = gtsam.noiseModel.Robust.Create(ODOMETRY_KERNEL, gaussian)
-        return gtsam.BetweenFactorPose2(X(first), X(second), pose2(measured), robust)
-    if factor.kind is FactorKind.LOOP:
-        gaussian = gtsam.noiseModel.Gaussian.Covariance(covariance)
-        return gtsam.BetweenFactorPose2(X(first), X(second), pose2(measured), gaussian)
+    match factor.kind:
+        case FactorKind.CORNER:
+            return _corner_factor(first, second, measured, covariance)
+        case FactorKind.POSE_PRIOR:
+            return gtsam.PriorFactorPose2(
+                X(first), to_pose2(measured), gtsam.noiseModel.Gaussian.Covariance(covariance)
+            )
+        case FactorKind.ODOMETRY:
+            gaussian = gtsam.noiseModel.Gaussian.Covariance(covariance)
+            robust = gtsam.noiseModel.Robust.Create(ODOMETRY_KERNEL, gaussian)
+            return gtsam.BetweenFactorPose2(X(first), X(second), to_pose2(measured), robust)
+        case FactorKind.LOOP:
+            gaussian = gtsam.noiseModel.Gaussian.Covariance(covariance)
+            return gtsam.BetweenFactorPose2(X(first), X(second), to_pose2(measured), gaussian)
     partial = gtsam.noiseModel.Gaussian.SqrtInformation(root_information(factor), False)
-    if factor.kind is FactorKind.WALL_EQUALITY:
-        return gtsam.BetweenFactorPose2(L(first), L(second), pose2(measured), partial)
-    if factor.kind is FactorKind.GAUGE_PRIOR:
-        return gtsam.BetweenFactorPose2(X(first), L(second), pose2(measured), partial)
+    match factor.kind:
+        case FactorKind.WALL_EQUALITY:
+            return gtsam.BetweenFactorPose2(L(first), L(second), to_pose2(measured), partial)
+        case FactorKind.GAUGE_PRIOR:
+            return gtsam.BetweenFactorPose2(X(first), L(second), to_pose2(measured), partial)
     robust = gtsam.noiseModel.Robust.Create(WALL_KERNEL, partial)
-    return gtsam.BetweenFactorPose2(X(first), L(second), pose2(measured), robust)
+    return gtsam.BetweenFactorPose2(X(first), L(second), to_pose2(measured), robust)
 
 
-def _corner(keyframe: int, corner: int, position: Floats, covariance: Floats) -> gtsam.NonlinearFactor:
-    """A corner by its bearing and range."""
+def _corner_factor(keyframe: int, corner: int, position: Floats, covariance: Floats) -> gtsam.NonlinearFactor:
+    """Convert the observation of a corner into bearing and range."""
     x, y = float(position[0]), float(position[1])
-    reach = float(np.hypot(x, y))
-    to_polar = np.array([[-y / reach**2, x / reach**2], [x / reach, y / reach]])
+    distance = float(np.hypot(x, y))
+    to_polar = np.array([[-y / distance**2, x / distance**2], [x / distance, y / distance]])
     noise = gtsam.noiseModel.Gaussian.Covariance(to_polar @ covariance @ to_polar.T)
     robust = gtsam.noiseModel.Robust.Create(CORNER_KERNEL, noise)
     bearing = gtsam.Rot2.fromAngle(float(np.arctan2(y, x)))
-    return gtsam.BearingRangeFactor2D(X(keyframe), C(corner), bearing, reach, robust)
+    return gtsam.BearingRangeFactor2D(X(keyframe), C(corner), bearing, distance, robust)
 
 
 def root_information(factor: Factor) -> Floats:
-    """The square root (3, 3) of the information that a factor on a wall's frame has of (along, across, heading)."""
+    """Return R (3, 3) with the information R' R of a wall's factor on (along, across, heading)."""
     root, covariance = np.zeros((3, 3)), factor.covariance
     match factor.kind:
         case FactorKind.GAUGE_PRIOR:
             root[0, 0] = 1.0 / np.sqrt(covariance[0, 0])
-        case FactorKind.HEADING:
+        case FactorKind.WALL_HEADING:
             root[0, 2] = 1.0 / np.sqrt(covariance[0, 0])
-        case FactorKind.OFFSET:
+        case FactorKind.WALL_OFFSET:
             root[0] = np.array([0.0, 1.0, factor.measured[3]]) / np.sqrt(covariance[0, 0])
         case _:
             root[1:, 1:] = np.linalg.cholesky(np.linalg.inv(covariance)).T

@@ -1,28 +1,72 @@
-"""The residuals of a graph's factors."""
+"""Residuals of a graph's factors: how well the measurements fit the estimate, to find out which of them is wrong."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
-from .factor_residuals import ALONG, CORNER, ODOMETRY, PRIOR, SAME_WALL, WALL, Residuals
+from ..geometry.segments import Floats
 
-_KINDS = {"xx": ODOMETRY, "xl": WALL, "xc": CORNER, "ll": SAME_WALL}
+if TYPE_CHECKING:
+    import gtsam
+
+# Kinds of residuals. GAUGE_PRIOR is the prior that fixes a wall's frame along the wall: a convention, no measurement.
+PRIOR, ODOMETRY, WALL, CORNER = "prior", "odometry", "wall", "corner"
+WALL_EQUALITY, GAUGE_PRIOR = "wall equality", "gauge prior"
+_ENDS = {ODOMETRY: "xx", WALL: "xL", CORNER: "xC", WALL_EQUALITY: "LL", GAUGE_PRIOR: "xL"}
+_KINDS = {"xx": ODOMETRY, "xl": WALL, "xc": CORNER, "ll": WALL_EQUALITY}
 
 
-def residuals_of(
-    factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, cauchy_scales: Mapping[str, float]
-) -> Residuals:
-    """Those of all factors that are there; what has been taken out leaves a gap in the graph.
+@dataclass(frozen=True, slots=True, eq=False)
+class Residuals:
+    """Residuals of n factors.
 
-    `cauchy_scales` of the kernels, by kind; the other kinds have none.
+    kind     one of PRIOR, ODOMETRY, WALL, CORNER, WALL_EQUALITY, GAUGE_PRIOR for each
+    between  (n, 2) keyframe and keyframe, keyframe and landmark, or landmark and landmark, by kind; -1 for none
+    squared  (n,) squared Mahalanobis distance of the measurement from the estimate, of GTSAM's whitened error
+    dof      (n,) degrees of freedom: the expected value of `squared` if the noise is as modelled
+    weight   (n,) weight of the factor by its robust kernel, 0 to 1
     """
+
+    kind: tuple[str, ...]
+    between: NDArray[np.int64]
+    squared: Floats
+    dof: NDArray[np.int64]
+    weight: Floats
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    def is_kind(self, kind: str) -> NDArray[np.bool_]:
+        """Return a mask (n,) of the factors of a kind."""
+        return np.array([one == kind for one in self.kind], dtype=bool)
+
+    def worst(self, count: int) -> NDArray[np.int64]:
+        """Return the indices of the measurements with the largest `squared / dof`, the worst first."""
+        misfit = np.where(self.is_kind(GAUGE_PRIOR) | self.is_kind(PRIOR), -np.inf, self.squared / self.dof)
+        return np.argsort(-misfit, kind="stable")[: min(count, int(np.isfinite(misfit).sum()))]
+
+    def name(self, index: int) -> str:
+        """Return a name like `x12 - L5`: x is a keyframe, L a wall, C a corner."""
+        first, second = self.between[index]
+        ends = _ENDS.get(self.kind[index])
+        return f"x{first}" if ends is None else f"{ends[0]}{first} - {ends[1]}{second}"
+
+
+def residuals_of(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Residuals:
+    """Return the residuals of all factors at `values`; removed factors, which leave empty slots, are skipped."""
+    import gtsam  # only here: events hold residuals, and viewers start in half the time without GTSAM
+
+    from .factors import CAUCHY_SCALE, ODOMETRY_CAUCHY_SCALE, WALL_CAUCHY_SCALE
+
+    cauchy_scales = {ODOMETRY: ODOMETRY_CAUCHY_SCALE, WALL: WALL_CAUCHY_SCALE, CORNER: CAUCHY_SCALE}
     kinds: list[str] = []
     between: list[tuple[int, int]] = []
     squared: list[float] = []
-    freedom: list[int] = []
+    dof: list[int] = []
     for factor in (factors.at(number) for number in range(factors.size())):
         if not isinstance(factor, gtsam.NoiseModelFactor):
             continue
@@ -30,17 +74,21 @@ def residuals_of(
         error = factor.whitenedError(values)
         kind = _KINDS.get("".join(chr(end.chr()) for end in ends), PRIOR)
         if kind == WALL and not isinstance(factor.noiseModel(), gtsam.noiseModel.Robust):
-            kind = ALONG
+            kind = GAUGE_PRIOR
         kinds.append(kind)
         between.append((ends[0].index(), ends[1].index() if len(ends) > 1 else -1))
         squared.append(float(error @ error))
-        freedom.append(_freedom(kind, factor.dim()))
+        dof.append(_degrees_of_freedom(kind, factor.dim()))
     pairs = np.array(between, dtype=np.int64).reshape(-1, 2)
     distance, scale = np.array(squared), np.array([cauchy_scales.get(kind, np.inf) for kind in kinds])
     weight = 1.0 / (1.0 + distance / scale**2)
-    return Residuals(tuple(kinds), pairs, distance, np.array(freedom, dtype=np.int64), weight)
+    return Residuals(tuple(kinds), pairs, distance, np.array(dof, dtype=np.int64), weight)
 
 
-def _freedom(kind: str, dimension: int) -> int:
-    """Of a wall a factor measures the offset or the heading; that two are one is both; ALONG is a third."""
-    return {WALL: 1, SAME_WALL: 2, ALONG: 1}.get(kind, dimension)
+def _degrees_of_freedom(kind: str, dimension: int) -> int:
+    """Return the number of directions of the error that have information.
+
+    A wall's factor measures its heading or its offset, a gauge prior the position along it, a wall equality both
+    heading and offset; GTSAM gives all of them the dimension 3.
+    """
+    return {WALL: 1, WALL_EQUALITY: 2, GAUGE_PRIOR: 1}.get(kind, dimension)

@@ -1,0 +1,264 @@
+"""The factor graph: keyframes, walls and corners as variables, odometry and observations as factors.
+
+A wall is a Pose2: a frame on it with x along the wall. An observation of a wall is two BetweenFactorPose2: one measures
+only the wall's heading, the other only its offset at the observed segment. Neither has information along the wall.
+GTSAM's Pose2 uses the full exponential map, in which an offset along the wall times the error in heading leaks into the
+offset across it. The offset is therefore measured from the predicted heading, not from the observed one: then the leak
+is of second order, whereas the noise of the observed heading would give information along a bare corridor, and pull the
+robot back. A corner is a Point2 observed by bearing and range with a full covariance. All arithmetic is GTSAM's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container, Sequence
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import C, L, X
+
+from drivers import se2
+
+from ..errors import MapError
+from ..geometry.segments import Floats
+from .factors import Factor, FactorKind, GraphState, from_pose2, to_gtsam_graph, to_pose2
+from .graph_estimate import GraphEstimate
+from .isam2 import RELINEARIZE_SKIP, IncrementalSolver
+
+# Gauss-Newton steps of `relinearize_all`. Origin: chosen, the estimate has converged before; not measured.
+BATCH_STEPS = 3
+# Maximum of updates of `update_until_converged`; the first one moves by what was below the relinearisation threshold.
+# Origin: measured, the fifth update moves everything by less than a micrometre.
+MAX_CONVERGING_UPDATES = 5
+# The same while a loop is closed, within one keyframe: the rest, a centimetre or so, follows in later updates.
+# Origin: measured, closing a loop takes a third of the time.
+CLOSING_UPDATES = 2
+# Metres and radians, norm over all variables: the estimate has converged if an update changes it by less.
+# Origin: chosen, far below any covariance; not measured.
+CONVERGED_CHANGE = 1e-5
+# Metres; standard deviation of the prior on a wall frame's position along the wall, which no observation measures.
+# Origin: chosen, weak; not measured.
+GAUGE_PRIOR_SIGMA = 0.1
+# Metres, metres, radians: the first keyframe defines the map's frame. Origin: numerical, far below what is measured.
+FIRST_POSE_SIGMAS = np.array([1e-4, 1e-4, 1e-5])
+# Metres across and radians: standard deviations of a wall equality. Origin: chosen, as small as the uncertainty of a
+# well-observed wall; not measured.
+SAME_WALL_SIGMAS = np.array([5e-3, 3e-3])
+
+
+class FactorGraph(GraphEstimate):
+    """The estimate of trajectory and map.
+
+    Additions are collected and take effect with `update`. Poses are [x, y, heading] in metres and radians; variables
+    are addressed by keyframe index and landmark id.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._new: list[Factor] = []
+        self._values = gtsam.Values()
+
+    # --- additions
+
+    def add_first_keyframe(self, pose: se2.Pose) -> None:
+        """Add keyframe 0, which defines the map's frame."""
+        self._values.insert(X(0), to_pose2(pose))
+        self._add(FactorKind.POSE_PRIOR, 0, 0, pose, np.diag(FIRST_POSE_SIGMAS**2))
+
+    def add_keyframe(self, index: int, pose: se2.Pose, start: int, motion: se2.Pose, covariance: Floats) -> None:
+        """Add a keyframe with the initial value `pose`, and the `motion` to it from the keyframe `start`.
+
+        covariance  (3, 3) of the motion, in the frame at its end
+        """
+        self._values.insert(X(index), to_pose2(pose))
+        self._add(FactorKind.ODOMETRY, start, index, motion, covariance)
+
+    def add_wall(self, keyframe: int, wall: int, frame: se2.Pose, predicted: se2.Pose) -> None:
+        """Add a wall with the initial value `frame` in the map, and its gauge prior.
+
+        The prior fixes the frame along the wall weakly at `predicted`, the frame as seen from the keyframe. It has no
+        robust kernel: no measurement determines this direction.
+        """
+        self._values.insert(L(wall), to_pose2(frame))
+        self._add(FactorKind.GAUGE_PRIOR, keyframe, wall, predicted, np.array([[GAUGE_PRIOR_SIGMA**2]]))
+
+    def add_wall_observation(
+        self, keyframe: int, wall: int, frame: se2.Pose, covariance: Floats, predicted: se2.Pose
+    ) -> None:
+        """Add a segment of a wall, observed in a keyframe, as two factors.
+
+        frame       of the segment, in the keyframe's frame
+        covariance  (2, 2) of its offset across the wall and its heading, at that frame
+        predicted   the wall's own frame in the keyframe's frame, by the present estimate
+
+        With d the offset and h the heading of the wall relative to the prediction, a segment whose centre is l metres
+        along the wall measures h and d + l h. The errors of both are correlated: given the error of h, the expected
+        error of the offset is k = C_dh / C_hh times that. So the second factor is d + (l - k) h, which is independent
+        of the first.
+        """
+        observed = se2.between(predicted, frame)
+        k = covariance[0, 1] / covariance[1, 1]
+        across = np.array([0.0, observed[1] - k * observed[2], 0.0])
+        self._add(FactorKind.WALL_HEADING, keyframe, wall, frame, covariance[1:, 1:])
+        measured = np.append(se2.compose(predicted, across), observed[0] - k)
+        self._add(FactorKind.WALL_OFFSET, keyframe, wall, measured, covariance[:1, :1] - k * covariance[:1, 1:])
+
+    def add_corner(self, corner: int, position: Floats) -> None:
+        """Add a corner with the initial value `position` (2,) in the map."""
+        self._values.insert(C(corner), np.asarray(position, dtype=np.float64))
+
+    def add_corner_observation(self, keyframe: int, corner: int, position: Floats, covariance: Floats) -> None:
+        """Add a corner's `position` (2,) in a keyframe's frame, with its covariance (2, 2)."""
+        self._add(FactorKind.CORNER, keyframe, corner, position, covariance)
+
+    def add_wall_equality(self, wall: int, other: int, along: float) -> None:
+        """Constrain two walls to be one: `other`'s frame lies on `wall`, `along` metres from its frame.
+
+        No robust kernel: the decision that they are one has been made.
+        """
+        self._add(FactorKind.WALL_EQUALITY, wall, other, np.array([along, 0.0, 0.0]), np.diag(SAME_WALL_SIGMAS**2))
+
+    def add_loop(self, old: int, keyframe: int, relative: se2.Pose, sigmas: Floats) -> None:
+        """Add a keyframe's pose relative to an old one (sigmas (3,) in metres and radians), without a robust kernel."""
+        self._add(FactorKind.LOOP, old, keyframe, relative, np.diag(sigmas**2))
+
+    def _add(self, kind: FactorKind, first: int, second: int, measured: Floats, covariance: Floats) -> None:
+        self._new.append(Factor(kind, int(first), int(second), measured, covariance))
+
+    def keyframe_pose(self, index: int) -> se2.Pose:
+        """Return a keyframe's pose in the map, also of one that waits for `update`."""
+        if self._values.exists(X(index)):
+            return from_pose2(self._values.atPose2(X(index)))
+        return super().keyframe_pose(index)
+
+    # --- solving
+
+    @property
+    def factor_count(self) -> int:
+        """Number of factors, without those waiting for `update`."""
+        return len(self.solver.factors)
+
+    def update(self) -> list[int]:
+        """Solve with all additions since the last update, and return the numbers of the new factors.
+
+        Raises MapError if the geometry leaves a variable undetermined.
+        """
+        return self._update()
+
+    def _update(
+        self,
+        *,
+        gtsam_factors: gtsam.NonlinearFactorGraph | None = None,
+        relinearize: bool = False,
+        remove: Sequence[int] = (),
+    ) -> list[int]:
+        """Pass the additions to the solver; for the arguments see there."""
+        numbers = self.solver.update(
+            self._new, self._values, gtsam_factors=gtsam_factors, relinearize=relinearize, remove=remove
+        )
+        self._new, self._values = [], gtsam.Values()
+        return numbers
+
+    def update_until_converged(self, max_updates: int = MAX_CONVERGING_UPDATES) -> None:
+        """Update and relinearise until the estimate has converged, at most `max_updates` times."""
+        distance = np.inf  # from the estimate to the point at which its variables were linearised
+        for _ in range(max_updates):
+            self._update(relinearize=True)
+            before, distance = distance, self.solver.isam.getDelta().norm()
+            if abs(distance - before) < CONVERGED_CHANGE:
+                return
+
+    def close_loop(self, old: int, keyframe: int, relative: se2.Pose, sigmas: Floats) -> list[int]:
+        """Add a loop factor, update until converged, and return the numbers of the new factors.
+
+        A robust kernel would reject it: after drift the residual is large at first.
+        """
+        self.add_loop(old, keyframe, relative, sigmas)
+        numbers = self.update()
+        self.update_until_converged(CLOSING_UPDATES)
+        return numbers
+
+    def remove_factors(self, numbers: Sequence[int]) -> None:
+        """Remove factors by their numbers."""
+        self._update(relinearize=True, remove=numbers)
+
+    def remove_wall_observations(self, walls: Container[int], since: int) -> None:
+        """Remove the observations of misassociated walls that were made by keyframes from `since` on."""
+        self.remove_factors(
+            [
+                number
+                for number, factor in self.solver.factors.items()
+                if factor.kind in (FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET)
+                and factor.first >= since
+                and factor.second in walls
+            ]
+        )
+
+    def solve_batch(self) -> None:
+        """Optimise everything added to an empty graph with Levenberg-Marquardt, and continue from that estimate.
+
+        Raises MapError if the geometry leaves a variable undetermined.
+        """
+        try:
+            self._values = gtsam.LevenbergMarquardtOptimizer(to_gtsam_graph(self._new), self._values).optimize()
+        except RuntimeError as error:
+            raise MapError(f"the map cannot be estimated: {str(error).strip().splitlines()[0]}") from error
+        self.update()
+
+    def relinearize_all(self) -> None:
+        """Solve everything again from the present estimate, at the end of a run.
+
+        Incremental solving relinearises only variables that move by more than a threshold; robust weights of the others
+        are those of their last linearisation.
+        """
+        factors = [factor for _, factor in sorted(self.solver.factors.items())]
+        gtsam_factors = to_gtsam_graph(factors)
+        for _ in range(BATCH_STEPS):
+            self._values, self._new = self.solver.isam.calculateEstimate(), factors
+            self.solver.reset()
+            self._update(gtsam_factors=gtsam_factors)
+
+    # --- copying and storing
+
+    def __deepcopy__(self, memo: dict[int, object]) -> FactorGraph:
+        """Return an independent graph with the same estimate. Nothing may be waiting for `update`."""
+        other = FactorGraph()
+        other.solver = self.solver.copy()
+        return other
+
+    def state(self) -> GraphState:
+        """Return everything the graph consists of as plain data. Nothing may be waiting for `update`."""
+        values = self.solver.isam.getLinearizationPoint()
+        keys: dict[str, list[int]] = {"x": [], "l": [], "c": []}
+        for key in sorted(values.keys()):
+            symbol = gtsam.Symbol(key)
+            keys[chr(symbol.chr())].append(symbol.index())
+        return GraphState(
+            factors=[factor for _, factor in sorted(self.solver.factors.items())],
+            keyframes=np.array([from_pose2(values.atPose2(X(k))) for k in keys["x"]]).reshape(-1, 3),
+            walls=np.array(keys["l"], dtype=np.int64),
+            frames=np.array([from_pose2(values.atPose2(L(j))) for j in keys["l"]]).reshape(-1, 3),
+            corners=np.array(keys["c"], dtype=np.int64),
+            positions=np.array([values.atPoint2(C(j)) for j in keys["c"]]).reshape(-1, 2),
+            updates=self.solver.updates,
+            qr=self.solver.qr,
+        )
+
+    @classmethod
+    def from_state(cls, state: GraphState) -> FactorGraph:
+        """Restore a graph. The estimate follows from its factors and linearisation points.
+
+        Raises MapError if the state leaves a variable undetermined.
+        """
+        graph = cls()
+        graph.solver = IncrementalSolver(qr=state.qr)
+        for k, pose in enumerate(state.keyframes):
+            graph._values.insert(X(k), to_pose2(pose))
+        for wall, frame in zip(state.walls.tolist(), state.frames, strict=True):
+            graph._values.insert(L(wall), to_pose2(frame))
+        for corner, position in zip(state.corners.tolist(), state.positions, strict=True):
+            graph._values.insert(C(corner), position)
+        graph._new = list(state.factors)
+        graph.update()
+        for _ in range((state.updates - 1) % RELINEARIZE_SKIP):  # so that the same later updates relinearise
+            graph.update()
+        return graph
