@@ -8,6 +8,6 @@ from numba import njit
 
 
 @njit(cache=True)
-def turn_of(angle: float) -> float:
+def wrap_angle(angle: float) -> float:
     """The same angle (radians) in [-pi, pi)."""
     return angle - 2 * math.pi * math.floor((angle + math.pi) / (2 * math.pi))

@@ -15,7 +15,7 @@ from numba import njit
 
 from drivers import se2
 
-from ..geometry.angles import turn_of
+from ..geometry.angles import wrap_angle
 from ..geometry.segments import CornerPoints, Floats, Integers, Segments
 from .local_map import LocalMap
 
@@ -34,11 +34,11 @@ UNMATCHED, AMBIGUOUS = -1, -2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Association:
-    """For each segment (n,) and corner (m,) the row of the local map it belongs to.
+    """Landmarks associated with the segments (n,) and corners (m,) of a scan, as rows of the local map.
 
-    UNMATCHED where it shows something new, AMBIGUOUS where it is too close to something known to be new. The distances
-    are squared Mahalanobis distances to the nearest candidate, NaN without one; `nearest_wall` and `nearest_corner` are
-    the rows of that, -1 without one, whether it was taken or not.
+    walls, corners                   row, UNMATCHED for a new landmark, or AMBIGUOUS: too close to a landmark to be new
+    nearest_wall, nearest_corner     row of the nearest candidate, matched or not; -1 without one
+    wall_distance, corner_distance   squared Mahalanobis distance to the nearest candidate; NaN without one
     """
 
     walls: Integers
@@ -47,6 +47,20 @@ class Association:
     corners: Integers
     corner_distance: Floats
     nearest_corner: Integers
+
+    def in_landmark_ids(self, walls: Integers, corners: Integers, local_map: LocalMap) -> Association:
+        """Return the same association with landmark ids instead of rows of the local map.
+
+        `walls` (n,) and `corners` (m,) are the ids assigned to the features, -1 for none.
+        """
+        return Association(
+            walls,
+            self.wall_distance,
+            _ids_of(self.nearest_wall, local_map.walls),
+            corners,
+            self.corner_distance,
+            _ids_of(self.nearest_corner, local_map.corners),
+        )
 
 
 def associate(
@@ -77,6 +91,11 @@ def _nearest(distance: Floats) -> tuple[Floats, Integers]:
     nearest, row = distance.min(axis=1), distance.argmin(axis=1)
     known = np.isfinite(nearest)
     return np.where(known, nearest, np.nan), np.where(known, row, -1)
+
+
+def _ids_of(rows: Integers, landmarks: Integers) -> Integers:
+    """Return the landmark ids of rows of the local map, -1 for row -1."""
+    return np.where(rows >= 0, landmarks[rows], -1) if len(landmarks) else np.full(len(rows), -1)
 
 
 def _take_likeliest(distance: Floats, surprise: Floats, low: Floats, high: Floats) -> Integers:
@@ -115,7 +134,7 @@ def _wall_distances(  # type: ignore[no-untyped-def]
         lever_x = c * frames[i, 0] - s * frames[i, 1]
         lever_y = s * frames[i, 0] + c * frames[i, 1]
         for j in range(len(walls)):
-            turn = turn_of(pose[2] + frames[i, 2] - walls[j, 2])
+            turn = wrap_angle(pose[2] + frames[i, 2] - walls[j, 2])
             if abs(turn) > WIDEST_HEADING:
                 continue
             wc, ws = math.cos(walls[j, 2]), math.sin(walls[j, 2])
@@ -159,9 +178,9 @@ def _corner_distances(  # type: ignore[no-untyped-def]
             residual = np.array([pose[0] + lever[0] - corners[j, 0], pose[1] + lever[1] - corners[j, 1]])
             if max(abs(residual[0]), abs(residual[1])) > WIDEST_OFFSET:
                 continue
-            if abs(turn_of(pose[2] + headings[i, 0] - corner_headings[j, 0])) > CORNER_HEADING_GATE:
+            if abs(wrap_angle(pose[2] + headings[i, 0] - corner_headings[j, 0])) > CORNER_HEADING_GATE:
                 continue
-            if abs(turn_of(pose[2] + headings[i, 1] - corner_headings[j, 1])) > CORNER_HEADING_GATE:
+            if abs(wrap_angle(pose[2] + headings[i, 1] - corner_headings[j, 1])) > CORNER_HEADING_GATE:
                 continue
             innovation = own + corner_covariances[j]
             innovation[0, 0] += roughness

@@ -1,4 +1,4 @@
-"""What is known of keyframes beside the graph: what each saw, which landmarks that is, how it was reached."""
+"""Data of keyframes: observations, landmark ids, and the motion that led to each."""
 
 from __future__ import annotations
 
@@ -10,43 +10,39 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.segments import CornerPoints, Floats, Integers, Segments
+from .data_association import Association
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyframeObservations:
-    """What a keyframe saw, and which landmarks that is.
+    """Features of a keyframe and the landmarks they were associated with.
 
-    walls (n,) and corner_landmarks (m,) are identities, -1 for what is too ambiguous to be assigned; the distances are
-    squared Mahalanobis distances to the nearest candidate, NaN without one; that is nearest_wall and nearest_corner,
-    identities, -1 without one, whether it was taken or not. new_walls are identities.
+    segments, corners  n segments and m corners in the base's frame
+    association        of these features, in landmark ids; new landmarks have theirs, -1 is an ambiguous feature
+    new_walls          ids of the walls that this keyframe added
     """
 
     segments: Segments
     corners: CornerPoints
-    walls: Integers
-    wall_distance: Floats
-    nearest_wall: Integers
-    corner_landmarks: Integers
-    corner_distance: Floats
-    nearest_corner: Integers
+    association: Association
     new_walls: Integers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkIds:
-    """Which landmarks a keyframe saw: identities for its segments (n,) and corners (m,), -1 for what is ambiguous."""
+    """Ids of the landmarks that a keyframe observed, for its segments (n,) and corners (m,); -1 for ambiguous ones."""
 
     walls: Integers
     corners: Integers
 
     def __deepcopy__(self, memo: dict[int, object]) -> LandmarkIds:
-        """Itself: names are never changed."""
+        """Return the object itself: landmark ids are never modified."""
         return self
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyframeRecords:
-    """What a mapper remembers of its k keyframes, beside the graph; see there."""
+    """What a mapper stores of its k keyframes besides the factor graph; the attributes are those of `Mapper`."""
 
     keyframe_poses: Floats
     travelled: Sequence[float]
@@ -56,11 +52,11 @@ class KeyframeRecords:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Motion:
-    """The motion [x, y, heading] from an earlier keyframe to a new one.
+class KeyframeMotion:
+    """Motion [x, y, heading] from an earlier keyframe, `start`, to a new one.
 
-    covariance  (3, 3) in the new one's frame, of errors that no other motion shares
-    adrift      (2, 2) of the position, likewise, of errors that its neighbours share where nothing held the robot
+    covariance        (3, 3) in the new keyframe's frame, of the errors independent of other motions
+    correlated_drift  (2, 2) of the position in the new keyframe's frame, of the errors shared with neighbouring motions
     """
 
     start: int
@@ -70,8 +66,8 @@ class Motion:
 
 
 @dataclass(frozen=True, slots=True)
-class Merge:
-    """The wall `absorbed` is the wall `kept`, found at a squared Mahalanobis distance."""
+class WallMerge:
+    """The wall `absorbed` was merged into the wall `kept`, at a squared Mahalanobis `distance` from it."""
 
     kept: int
     absorbed: int

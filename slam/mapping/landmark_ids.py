@@ -43,7 +43,7 @@ def _name_walls(
     for i, row in enumerate(association.walls):
         if row >= 0:
             named[i] = local_map.walls[row]
-            landmarks.see_wall(int(named[i]), frames[i], segments.half_length[i], keyframe)
+            landmarks.observe_wall(int(named[i]), frames[i], segments.half_length[i], keyframe)
         elif row == UNMATCHED:
             named[i] = landmarks.add_wall(frames[i], segments.half_length[i], keyframe)
     return named
@@ -65,7 +65,7 @@ def _name_corners(
     for i, row in enumerate(association.corners):
         if row >= 0:
             named[i] = local_map.corners[row]
-            landmarks.see_corner(int(named[i]), headings[i], keyframe)
+            landmarks.observe_corner(int(named[i]), headings[i], keyframe)
         elif row == UNMATCHED and np.hypot(*corners.position[i]) > SMALLEST_REACH:
             named[i] = landmarks.add_corner(positions[i], headings[i], walls[corners.segments[i]], keyframe)
     return named

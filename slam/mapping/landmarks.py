@@ -1,106 +1,77 @@
-"""The walls and corners known so far."""
+"""The walls and corners of the map: extents, observations, merging and removal.
+
+The extent of a wall is kept twice: `low` and `high` are its ends, and the covered cells are the parts in between that
+were observed. Cells of a wall that scans have seen through are opened: no longer covered until they are observed again.
+"""
 
 from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
 
-from ..geometry.segments import Floats
+from ..geometry.segments import Floats, Integers
+from .landmark_table import CORNER_DTYPE, NEVER_REMOVED, UNOBSERVED, WALL_DTYPE, LandmarkTable
 
-BEHIND_MARGIN = 0.5  # metres the robot may stand behind a wall's line and still be about to see it: drift, and far ends
-CELL = 0.1  # metres of wall whose having been seen is remembered together
-OPENING = 0.5  # metres of a wall never seen between two stretches that were: a door, a passage
-NEVER_REMOVED = -1  # stands for the keyframe after which a wall was no longer there, where it still is
-
-WALL = np.dtype(
-    [
-        ("frame", float, 3),  # in the map: x along the wall, which is seen from y > 0
-        ("low", float),  # metres along x, how far the wall is known
-        ("high", float),
-        ("observations", int),  # keyframes
-        ("first_seen", int),  # keyframe
-        ("last_seen", int),
-        ("covariance", float, (2, 2)),  # of offset and heading at the frame, as seen from the keyframe last_seen
-        ("covariance_in_map", float, (2, 2)),  # the same in the map, as it was when last_seen was the last keyframe
-        ("merged_into", int),  # the wall that speaks for this one: itself, or the wall that it turned out to be
-        ("in_graph", bool),
-        ("removed_at", int),  # the keyframe after which it was no longer there, STANDING where it is
-    ]
-)
-
-CORNER = np.dtype(
-    [
-        ("position", float, 2),  # in the map
-        ("headings", float, 2),  # in the map, of the walls before and after it (counter-clockwise as seen)
-        ("walls", int, 2),  # their indices, -1 where not known
-        ("observations", int),
-        ("last_seen", int),
-        ("covariance", float, (2, 2)),  # as seen from the keyframe last_seen, in the map's axes
-        ("covariance_in_map", float, (2, 2)),  # in the map, as it was when last_seen was the last keyframe
-        ("in_graph", bool),
-    ]
-)
-
-
-class Table:
-    """Rows of one structured type, growing; an index is an identity for good."""
-
-    def __init__(self, dtype: np.dtype[np.void]) -> None:
-        self._storage = np.zeros(256, dtype)
-        self._count = 0
-
-    def __len__(self) -> int:
-        return self._count
-
-    @property
-    def rows(self) -> NDArray[np.void]:
-        """The rows in use, as a view: assigning to it writes."""
-        return self._storage[: self._count]
-
-    def fill(self, rows: NDArray[np.void]) -> None:
-        """TrackingStatus these rows and no others."""
-        self._storage, self._count = np.zeros(max(256, len(rows)), rows.dtype), len(rows)
-        self._storage[: len(rows)] = rows
-
-    def append(self, **fields: Any) -> int:
-        """Add a row; returns its index."""
-        if self._count == len(self._storage):
-            self._storage = np.concatenate([self._storage, np.zeros_like(self._storage)])
-        for name, value in fields.items():
-            self._storage[name][self._count] = value
-        self._count += 1
-        return self._count - 1
+# Metres by which the robot may be behind a wall's line and still be about to see the wall: covers drift, and the far
+# ends of long walls. Origin: chosen, more than the drift within a local map; not measured.
+BEHIND_MARGIN = 0.5
+# Metres of wall per cell of coverage. Origin: chosen, finer than a door or a pillar; not measured.
+WALL_CELL = 0.1
+# Metres between two observed stretches of a wall from which on they are separate pieces: a door or a passage.
+# Origin: chosen, less than the width of a door; not measured.
+MIN_GAP_BETWEEN_PIECES = 0.5
 
 
 class Landmarks:
-    """All walls and corners, in the map's frame, as the graph last estimated them."""
+    """All walls and corners in the map's frame, as the graph last estimated them. Only `slam.mapping` writes to them.
+
+    walls, corners  tables; the row index is the landmark id
+    covered         for each wall, the cells of WALL_CELL metres along it that were observed
+    opened          for each wall with openings, the opened cells and the keyframe after which each was no longer
+                    there; a cell can be covered again by later observations
+    """
 
     def __init__(self) -> None:
-        self.walls = Table(WALL)
-        self.corners = Table(CORNER)
-        # of each wall, the cells of CELL metres along it where it was seen
+        self.walls = LandmarkTable(WALL_DTYPE)
+        self.corners = LandmarkTable(CORNER_DTYPE)
         self.covered: list[frozenset[int]] = []
-        # of walls that have been opened, the cells that were no longer there after a keyframe; they may be again
         self.opened: dict[int, dict[int, int]] = {}
+
+    @classmethod
+    def from_tables(
+        cls,
+        walls: NDArray[np.void],
+        corners: NDArray[np.void],
+        covered: Sequence[frozenset[int]],
+        opened: Mapping[int, Mapping[int, int]],
+    ) -> Landmarks:
+        """Build landmarks from rows of WALL_DTYPE and CORNER_DTYPE, and from the covered and opened cells."""
+        landmarks = cls()
+        landmarks.walls.replace_rows(walls)
+        landmarks.corners.replace_rows(corners)
+        landmarks.covered = list(covered)
+        landmarks.opened = {wall: dict(cells) for wall, cells in opened.items()}
+        return landmarks
 
     def __deepcopy__(self, memo: dict[int, object]) -> Landmarks:
         other = Landmarks()
         other.walls, other.corners = copy.deepcopy(self.walls), copy.deepcopy(self.corners)
-        other.covered = list(self.covered)  # of what never changes
+        other.covered = list(self.covered)  # the sets are immutable
         other.opened = {wall: dict(cells) for wall, cells in self.opened.items()}
         return other
 
+    # --- observations
+
     def add_wall(self, frame: se2.Pose, half_length: float, keyframe: int) -> int:
-        """A wall first seen from a keyframe, its `frame` at its centre. Returns its identity."""
-        identity = len(self.walls)
-        self.covered.append(_cells(-half_length, half_length))
+        """Add a wall first observed by a keyframe, with its `frame` at its centre, and return its id."""
+        wall = len(self.walls)
+        self.covered.append(_cells_between(-half_length, half_length))
         return self.walls.append(
             frame=frame,
             low=-half_length,
@@ -108,87 +79,157 @@ class Landmarks:
             observations=1,
             first_seen=keyframe,
             last_seen=keyframe,
-            merged_into=identity,
+            merged_into=wall,
             removed_at=NEVER_REMOVED,
         )
 
     def add_corner(self, position: Floats, headings: Floats, walls: Floats, keyframe: int) -> int:
-        """A corner first seen from a keyframe. Returns its identity."""
+        """Add a corner first observed by a keyframe and return its id."""
         return self.corners.append(
             position=position, headings=headings, walls=walls, observations=1, last_seen=keyframe
         )
 
-    def see_wall(self, wall: int, frame: se2.Pose, half_length: float, keyframe: int) -> None:
-        """A known wall seen again, as a segment with its centre at `frame` in the map; it may reach further now."""
+    def observe_wall(self, wall: int, frame: se2.Pose, half_length: float, keyframe: int) -> None:
+        """Record that a keyframe observed a known wall as a segment with its centre at `frame` in the map.
+
+        Extends the wall to the ends of the segment.
+        """
         row = self.walls.rows[wall]
         along = se2.between(row["frame"], frame)[0]
         row["low"] = min(row["low"], along - half_length)
         row["high"] = max(row["high"], along + half_length)
-        cells = _cells(along - half_length, along + half_length)
-        if wall in self.opened:  # when all is looked at again, what was seen before a stretch was opened is seen anew
+        cells = _cells_between(along - half_length, along + half_length)
+        if wall in self.opened:  # refinement observes old keyframes again: from before the opening, they do not undo it
             opened = self.opened[wall]
             cells = frozenset(cell for cell in cells if opened.get(cell, NEVER_REMOVED) < keyframe)
         self.covered[wall] |= cells
+        row["first_seen"] = min(row["first_seen"], keyframe)
         if row["last_seen"] != keyframe:
             row["observations"] += 1
             row["last_seen"] = keyframe
 
-    def see_corner(self, corner: int, headings: Floats, keyframe: int) -> None:
-        """A known corner seen again."""
+    def observe_corner(self, corner: int, headings: Floats, keyframe: int) -> None:
+        """Record that a keyframe observed a known corner."""
         row = self.corners.rows[corner]
         row["headings"] = headings
         row["observations"] += 1
         row["last_seen"] = keyframe
 
-    def absorb(self, kept: int, absorbed: int) -> None:
-        """The wall `absorbed` is the wall `kept`: it speaks for both, over the extent of both."""
+    def reset_observations(self) -> None:
+        """Clear the extents, observations and confirmation of all landmarks; ids and openings stay.
+
+        The caller then observes the landmarks again from every keyframe, and calls `drop_unobserved`.
+        """
+        walls, corners = self.walls.rows, self.corners.rows
+        walls["observations"], walls["last_seen"], walls["first_seen"] = 0, UNOBSERVED, np.iinfo(np.int64).max
+        walls["low"], walls["high"], walls["in_graph"] = np.inf, -np.inf, False
+        self.covered = [frozenset()] * len(walls)
+        corners["observations"], corners["last_seen"], corners["in_graph"] = 0, UNOBSERVED, False
+
+    def drop_unobserved(self) -> None:
+        """Finish what `reset_observations` began: deactivate the landmarks that no keyframe has observed since."""
+        walls, corners = self.walls.rows, self.corners.rows
+        for wall in self.opened:
+            self.trim_extent(wall)
+        unobserved = walls["observations"] == 0
+        dropped = unobserved & (walls["merged_into"] == np.arange(len(walls)))
+        walls["merged_into"][dropped] = UNOBSERVED
+        merged = walls["merged_into"] >= 0
+        walls["merged_into"][merged & np.isin(walls["merged_into"], np.flatnonzero(dropped))] = UNOBSERVED
+        walls["first_seen"][unobserved] = walls["last_seen"][unobserved] = 0
+        corners["position"][corners["observations"] == 0] = np.nan  # no distance to it is small
+
+    def set_wall_covariances(self, walls: Integers, covariance: Floats, in_map: Floats | None = None) -> None:
+        """Set the covariances (n, 2, 2) of walls (n,) relative to their keyframe `last_seen`, and in the map."""
+        rows = self.walls.rows
+        rows["covariance"][walls] = covariance
+        if in_map is not None:
+            rows["covariance_in_map"][walls] = in_map
+
+    def set_corner_covariances(self, corners: Integers, covariance: Floats, in_map: Floats | None = None) -> None:
+        """Set the covariances (n, 2, 2) of corners (n,) relative to their keyframe `last_seen`, and in the map."""
+        rows = self.corners.rows
+        rows["covariance"][corners] = covariance
+        if in_map is not None:
+            rows["covariance_in_map"][corners] = in_map
+
+    def confirm_observed(self, keyframes: int) -> None:
+        """Mark the landmarks that at least so many keyframes observed as confirmed, and no others."""
+        for rows in (self.walls.rows, self.corners.rows):
+            rows["in_graph"] = rows["observations"] >= keyframes
+
+    def unconfirm_all(self) -> None:
+        """Mark all landmarks as not confirmed: none is a variable of a graph yet."""
+        for rows in (self.walls.rows, self.corners.rows):
+            rows["in_graph"] = False
+
+    # --- merging and removal
+
+    def merge_walls(self, kept: int, absorbed: int) -> None:
+        """Merge the wall `absorbed` into the wall `kept`, which gets the extent and the observations of both."""
         walls = self.walls.rows
         walls["merged_into"][walls["merged_into"] == absorbed] = kept
         row, other = walls[kept], walls[absorbed]
         along = se2.between(row["frame"], other["frame"])[0]
         row["low"] = min(row["low"], along + other["low"])
         row["high"] = max(row["high"], along + other["high"])
-        shift = round(along / CELL)
-        opened, also = self.opened.get(kept, {}), self.opened.get(absorbed, {})
-        also = {cell + shift: keyframe for cell, keyframe in also.items()}
-        shifted = [cell + shift for cell in self.covered[absorbed]]
-        # either may have been opened after the other was seen last
-        own = {cell for cell in self.covered[kept] if also.get(cell, NEVER_REMOVED) < row["last_seen"]}
-        self.covered[kept] = frozenset(
-            own | {cell for cell in shifted if opened.get(cell, NEVER_REMOVED) < other["last_seen"]}
-        )
-        if opened or also:
-            both = opened.keys() | also.keys()
-            self.opened[kept] = {
-                cell: max(opened.get(cell, NEVER_REMOVED), also.get(cell, NEVER_REMOVED)) for cell in both
-            }
+        self._merge_cells(kept, absorbed, round(along / WALL_CELL))
         row["observations"] += other["observations"]
         row["first_seen"] = min(row["first_seen"], other["first_seen"])
         row["last_seen"] = max(row["last_seen"], other["last_seen"])
 
+    def _merge_cells(self, kept: int, absorbed: int, shift: int) -> None:
+        """Merge the covered and opened cells of two walls; cell 0 of `absorbed` is cell `shift` of `kept`.
+
+        A cell that one wall covers stays covered only if that wall was last observed after the other one's cell was
+        opened.
+        """
+        last_seen = self.walls.rows["last_seen"]
+        opened = self.opened.get(kept, {})
+        also_opened = {cell + shift: keyframe for cell, keyframe in self.opened.get(absorbed, {}).items()}
+        own = {cell for cell in self.covered[kept] if also_opened.get(cell, NEVER_REMOVED) < last_seen[kept]}
+        shifted = [cell + shift for cell in self.covered[absorbed]]
+        self.covered[kept] = frozenset(
+            own | {cell for cell in shifted if opened.get(cell, NEVER_REMOVED) < last_seen[absorbed]}
+        )
+        if opened or also_opened:
+            self.opened[kept] = {
+                cell: max(opened.get(cell, NEVER_REMOVED), also_opened.get(cell, NEVER_REMOVED))
+                for cell in opened.keys() | also_opened.keys()
+            }
+
     def remove_wall(self, wall: int, keyframe: int) -> None:
-        """A wall is no longer there after a keyframe. What is known of it is kept."""
+        """Mark a wall as no longer there after a keyframe. Its row is kept."""
         self.walls.rows["removed_at"][wall] = keyframe
 
-    def open(self, wall: int, cells: Iterable[int], keyframe: int) -> None:
-        """Some cells of a wall are no longer there after a keyframe, though the rest of it is."""
+    def open_wall(self, wall: int, cells: Iterable[int], keyframe: int) -> None:
+        """Open cells of a wall: they are no longer there after a keyframe, the rest of the wall is."""
         self.opened.setdefault(wall, {}).update(dict.fromkeys(cells, keyframe))
         self.covered[wall] -= frozenset(cells)
-        self.shorten(wall)
+        self.trim_extent(wall)
 
-    def opened_cells(self, wall: int) -> frozenset[int]:
-        """The cells of a wall that were seen once and are no longer there."""
-        return frozenset(self.opened.get(wall, ())) - self.covered[wall]
+    def forget_openings(self) -> None:
+        """Treat all opened cells as never opened."""
+        self.opened = {}
 
-    def shorten(self, wall: int) -> None:
-        """Let a wall end where what is left of it does."""
+    def trim_extent(self, wall: int) -> None:
+        """Move the ends of a wall to within a cell of its outermost covered cells."""
         row, covered = self.walls.rows[wall], self.covered[wall]
         if covered:
-            row["low"] = max(row["low"], CELL * (min(covered) - 1))
-            row["high"] = min(row["high"], CELL * (max(covered) + 2))
+            row["low"] = max(row["low"], WALL_CELL * (min(covered) - 1))
+            row["high"] = min(row["high"], WALL_CELL * (max(covered) + 2))
+
+    # --- queries
+
+    def opened_cells(self, wall: int) -> frozenset[int]:
+        """Return the opened cells of a wall that have not been observed again."""
+        return frozenset(self.opened.get(wall, ())) - self.covered[wall]
 
     def active(self, walls: NDArray[np.int64] | None = None, *, keyframe: int | None = None) -> NDArray[np.bool_]:
-        """(n,): which walls, of all or of some, speak for themselves and are still there, or were after a keyframe."""
+        """Return (n,) which walls, of all or of the given ids, are neither merged nor removed.
+
+        With `keyframe`, a wall removed at that keyframe or later counts as active.
+        """
         rows, walls = self.walls.rows, np.arange(len(self.walls)) if walls is None else walls
         removed_at = rows["removed_at"][walls]
         there = removed_at == NEVER_REMOVED
@@ -197,16 +238,16 @@ class Landmarks:
         return np.asarray(there & (rows["merged_into"][walls] == walls))
 
     def removed_walls(self) -> NDArray[np.int64]:
-        """Identities of the confirmed walls that are no longer there."""
+        """Return the ids of the confirmed walls that have been removed."""
         walls = self.walls.rows
         return np.flatnonzero(walls["in_graph"] & (walls["removed_at"] != NEVER_REMOVED))
 
     def active_corners(self, corners: NDArray[np.int64], keyframe: int | None = None) -> NDArray[np.bool_]:
-        """(m,): whether the walls of some corners (m,), as far as they are known, are still there, or were."""
-        walls, named = self.walls.rows, self.corners.rows["walls"][corners]
+        """Return (m,) which corners have no removed wall among their known walls; `keyframe` as in `active`."""
+        walls, of_corners = self.walls.rows, self.corners.rows["walls"][corners]
         if not len(walls):
             return np.ones(len(corners), dtype=bool)
-        kept = np.where(named >= 0, walls["merged_into"][named], -1)
+        kept = np.where(of_corners >= 0, walls["merged_into"][of_corners], -1)
         removed_at = np.where(kept >= 0, walls["removed_at"][kept], NEVER_REMOVED)
         gone = removed_at != NEVER_REMOVED
         if keyframe is not None:
@@ -214,37 +255,41 @@ class Landmarks:
         return np.asarray(~gone.any(axis=1))
 
     def is_covered(self, wall: int, along: float) -> bool:
-        """Whether a wall was seen at a place `along` metres from its frame: between its ends there may be doors."""
-        return math.floor(along / CELL) in self.covered[wall]
+        """True if a wall was observed `along` metres from its frame."""
+        return math.floor(along / WALL_CELL) in self.covered[wall]
 
     def pieces(self, wall: int) -> Floats:
-        """(k, 2): the stretches of a wall that were seen, from and to, metres from its frame; `low` and `high` are the
-        outermost ends."""
+        """Return (k, 2) the observed stretches of a wall, begin and end in metres along its frame.
+
+        The outermost ends are `low` and `high`; gaps of up to MIN_GAP_BETWEEN_PIECES metres do not divide a wall.
+        """
         row = self.walls.rows[wall]
         cells = np.sort(np.fromiter(self.covered[wall], dtype=np.int64, count=len(self.covered[wall])))
-        breaks = np.flatnonzero(np.diff(cells) > OPENING / CELL)
-        begin = np.concatenate([[row["low"]], CELL * cells[breaks + 1]])
-        end = np.concatenate([CELL * (cells[breaks] + 1), [row["high"]]])
+        breaks = np.flatnonzero(np.diff(cells) > MIN_GAP_BETWEEN_PIECES / WALL_CELL)
+        begin = np.concatenate([[row["low"]], WALL_CELL * cells[breaks + 1]])
+        end = np.concatenate([WALL_CELL * (cells[breaks] + 1), [row["high"]]])
         return np.column_stack([begin, end])
 
     def walls_near(self, pose: se2.Pose, radius: float, *, keyframe: int | None = None) -> NDArray[np.int64]:
-        """Identities of the walls with a part within `radius` (metres) of the pose that may be seen from there, and
-        that are still there, or were after a `keyframe`."""
+        """Return the ids of the active walls with a part within `radius` metres of a pose on their visible side.
+
+        `keyframe` as in `active`.
+        """
         walls = self.walls.rows
         if not len(walls):
             return np.zeros(0, dtype=np.int64)
-        seen = se2.transform(se2.inverse(walls["frame"]), pose[:2])
-        beyond = np.maximum(0.0, np.maximum(walls["low"] - seen[:, 0], seen[:, 0] - walls["high"]))
-        near = np.flatnonzero((np.hypot(beyond, seen[:, 1]) < radius) & (seen[:, 1] > -BEHIND_MARGIN))
+        viewpoint = se2.transform(se2.inverse(walls["frame"]), pose[:2])
+        beyond = np.maximum(0.0, np.maximum(walls["low"] - viewpoint[:, 0], viewpoint[:, 0] - walls["high"]))
+        near = np.flatnonzero((np.hypot(beyond, viewpoint[:, 1]) < radius) & (viewpoint[:, 1] > -BEHIND_MARGIN))
         return near[self.active(near, keyframe=keyframe)]
 
     def corners_near(self, pose: se2.Pose, radius: float, *, keyframe: int | None = None) -> NDArray[np.int64]:
-        """Identities of the corners within `radius` (metres) of the pose, of walls as above."""
+        """Return the ids of the active corners within `radius` metres of a pose; `keyframe` as in `active`."""
         offset = self.corners.rows["position"] - pose[:2]
         near = np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) < radius)
         return near[self.active_corners(near, keyframe)]
 
 
-def _cells(low: float, high: float) -> frozenset[int]:
-    """The cells that lie wholly between two places along a wall."""
-    return frozenset(range(math.ceil(low / CELL), math.floor(high / CELL)))
+def _cells_between(low: float, high: float) -> frozenset[int]:
+    """Return the cells that lie entirely between two positions along a wall (metres)."""
+    return frozenset(range(math.ceil(low / WALL_CELL), math.floor(high / WALL_CELL)))

@@ -30,7 +30,7 @@ class OdometrySegments:
         """Stamp of the last reading, -inf without one."""
         return max((history.latest for history in self.histories), default=-np.inf)
 
-    def continue_with(self, reading: Odometry) -> bool:
+    def is_continued_by(self, reading: Odometry) -> bool:
         """Whether a reading continues the last drive."""
         if not self.histories or not len(self.histories[-1]):
             return False

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ..geometry.segments import Integers
-from .landmarks import CELL, Landmarks
+from .landmarks import WALL_CELL, Landmarks
 
 DEPTH = 0.05  # metres by which a wall's frames, pillars and ledges may stand out: the bays of a facade are deeper
 ALIKE = math.radians(10.0)  # by which the lines may be turned against each other
@@ -39,7 +39,7 @@ def suppress_overlapping_walls(landmarks: Landmarks) -> Landmarks:
         left = _runs(shown.covered[wall].difference(*behind.values()))
         shown.covered[wall] = left
         if left:
-            shown.shorten(wall)
+            shown.trim_extent(wall)
         else:
             rows["merged_into"][rows["merged_into"] == wall] = max(behind, key=lambda other: len(behind[other]))
     return shown
@@ -61,9 +61,9 @@ def _behind(landmarks: Landmarks, wall: int, other: int) -> frozenset[int]:
     """The cells of a wall where another one was seen a little before or behind it."""
     frames = landmarks.walls.rows["frame"]
     cells = np.fromiter(landmarks.covered[wall], dtype=np.int64, count=len(landmarks.covered[wall]))
-    middles = np.column_stack([CELL * (cells + 0.5), np.zeros(len(cells))])
+    middles = np.column_stack([WALL_CELL * (cells + 0.5), np.zeros(len(cells))])
     seen = se2.transform(se2.between(frames[other], frames[wall]), middles).reshape(-1, 2)
-    also = np.isin(np.floor(seen[:, 0] / CELL), list(landmarks.covered[other]))
+    also = np.isin(np.floor(seen[:, 0] / WALL_CELL), list(landmarks.covered[other]))
     return _runs(frozenset(cells[also & (np.abs(seen[:, 1]) < DEPTH)].tolist()))
 
 

@@ -37,7 +37,7 @@ class TrajectoryBuilder:
         self._relative.append(relative)
         self._informations.append(information)
 
-    def hung(self) -> tuple[Floats, NDArray[np.int64], Floats, Floats]:
+    def relative_poses(self) -> tuple[Floats, NDArray[np.int64], Floats, Floats]:
         """Stamps (n,) of the scans, keyframes (n,) they hang on, poses (n, 3) relative to those, and informations."""
         relative = np.array(self._relative).reshape(-1, 3)
         informations = np.array(self._informations).reshape(-1, 3, 3)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ..geometry.segments import Floats
-from ..graph.backend import FactorGraph
+from ..graph.factor_graph import FactorGraph
 from .landmarks import Landmarks
 from .local_map import LocalMap
 
@@ -24,7 +24,7 @@ GATE = 5.99  # squared Mahalanobis distance, chi-square with 2 degrees of freedo
 WIDEST_OFFSET = 0.10  # metres between two walls that may be one, where they overlap
 WIDEST_HEADING = math.radians(4.0)
 LEAST_OVERLAP = 0.2  # metres along the wall
-LEAST_OBSERVATIONS = 3  # keyframes, where only what is known from the robot's place tells two walls apart
+MIN_OBSERVATIONS_TO_MERGE = 3  # keyframes, where only what is known from the robot's place tells two walls apart
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,7 @@ class Overlap:
         return float(difference @ np.linalg.solve(covariance + uneven, difference))
 
 
-def find_duplicate(
+def find_duplicate_wall(
     local_map: LocalMap, mature: NDArray[np.bool_], seen: NDArray[np.bool_], roughness: float
 ) -> Duplicate | None:
     """The most certain pair of walls of the local map that are one, None where there is none.
@@ -88,7 +88,7 @@ def find_duplicate(
     return best
 
 
-def merge_everywhere(
+def merge_duplicate_walls(
     landmarks: Landmarks, graph: FactorGraph, roughness: float, merge: Callable[[int, int], None]
 ) -> int:
     """Have `merge` make one of each pair of walls (kept, absorbed) that are one, the most certain first; returns how
@@ -102,7 +102,7 @@ def merge_everywhere(
     alike = overlaps(walls["frame"][rows], walls["low"][rows], walls["high"][rows])
     pairs = np.array([rows[[pair.first, pair.second]] for pair in alike], dtype=np.int64).reshape(-1, 2)
     found = []
-    for pair, (first, second), joint in zip(alike, pairs.tolist(), graph.walls_covariances(pairs), strict=True):
+    for pair, (first, second), joint in zip(alike, pairs.tolist(), graph.wall_pair_covariances(pairs), strict=True):
         distance = pair.distance(_relative(joint, pair), roughness)
         if distance < GATE:
             found.append((distance, first, second))

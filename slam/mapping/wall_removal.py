@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ..geometry.segments import Floats, Integers
-from .landmarks import CELL, Landmarks
+from .landmarks import WALL_CELL, Landmarks
 
 STEP = 0.2  # metres between two looks that count: what is mistaken once is mistaken again from the same place
 BEHIND = 0.3  # metres from a wall's line on either side, and as many standard deviations of it besides, where
@@ -66,28 +66,27 @@ class FreeSpaceEvidence:
     counts  of a wall, by cell
     """
 
-    def __init__(self) -> None:
-        self.counts: dict[int, dict[int, int]] = {}
+    def __init__(self, counts: Mapping[int, Mapping[int, int]] | None = None) -> None:
+        self.counts: dict[int, dict[int, int]] = {wall: dict(cells) for wall, cells in (counts or {}).items()}
         self._stood: Floats | None = None
         self._suspended = -np.inf
 
     def __deepcopy__(self, memo: dict[int, object]) -> FreeSpaceEvidence:
-        other = FreeSpaceEvidence()
-        other.counts = {wall: dict(cells) for wall, cells in self.counts.items()}
+        other = FreeSpaceEvidence(self.counts)
         other._stood, other._suspended = self._stood, self._suspended
         return other
 
-    def forget(self) -> None:
+    def clear(self) -> None:
         """The map has moved: what was counted was counted against another one."""
         self.counts, self._stood = {}, None
 
     def suspend(self, travel: float) -> None:
         """After so many metres of driving, another place explains more of what is seen than where the robot is believed
         to be: what was counted may be wrong, and what is seen next, too."""
-        self.forget()
+        self.clear()
         self._suspended = travel
 
-    def settle(self, walls: Sequence[int]) -> None:
+    def discard(self, walls: Sequence[int]) -> None:
         """Something is known of some walls that makes what was counted pointless."""
         for wall in walls:
             self.counts.pop(wall, None)
@@ -144,15 +143,15 @@ class FreeSpaceEvidence:
             return False
         opened = landmarks.opened_cells(wall)  # which may go on
         stretches = _stretches(gone | opened, covered | opened)
-        left = CELL * len(covered - frozenset(cell for stretch in stretches for cell in stretch))
-        nothing_left = left < min(MOST_LEFT, max(LEAST_LEFT, LEAST_LEFT_SHARE * CELL * len(covered)))
-        wide = [stretch for stretch in stretches if CELL * len(stretch) >= LEAST_OPENING]
+        left = WALL_CELL * len(covered - frozenset(cell for stretch in stretches for cell in stretch))
+        nothing_left = left < min(MOST_LEFT, max(LEAST_LEFT, LEAST_LEFT_SHARE * WALL_CELL * len(covered)))
+        wide = [stretch for stretch in stretches if WALL_CELL * len(stretch) >= LEAST_OPENING]
         opening = covered.intersection(cell for stretch in wide for cell in stretch)
         if nothing_left or (opening and observations == 1):  # what was seen but once, and in part wrongly, was no wall
             landmarks.remove_wall(wall, keyframe)
-            self.settle([wall])
+            self.discard([wall])
         elif opening:
-            landmarks.open(wall, opening, keyframe)
+            landmarks.open_wall(wall, opening, keyframe)
             self.counts[wall] = {cell: count for cell, count in counts.items() if cell not in opening}
         return bool(nothing_left or opening)
 
@@ -165,8 +164,8 @@ def _looked(landmarks: Landmarks, pose: se2.Pose, points: Floats) -> _Look:
     rows = every[walls]
     active = landmarks.active(walls)
     walls, rows = walls[active], rows[active]
-    first = np.floor(rows["low"] / CELL).astype(np.int64)
-    sizes = np.ceil(rows["high"] / CELL).astype(np.int64) - first
+    first = np.floor(rows["low"] / WALL_CELL).astype(np.int64)
+    sizes = np.ceil(rows["high"] / WALL_CELL).astype(np.int64) - first
     ends = np.concatenate([[0], np.cumsum(sizes)])
     return _Look(walls, rows, first, ends, *sight(pose, points, rows["frame"].copy(), first, ends))
 
@@ -211,7 +210,7 @@ def sight(pose, points, frames, first, ends):  # type: ignore[no-untyped-def]
                 if abs(rise) < STEEPEST * math.hypot(run, rise):
                     continue
                 run *= -ey / rise
-            cell = math.floor((ex + run) / CELL) - first[wall]
+            cell = math.floor((ex + run) / WALL_CELL) - first[wall]
             if 0 <= cell < size:
                 if near:
                     seen[start + cell] = True
@@ -220,7 +219,7 @@ def sight(pose, points, frames, first, ends):  # type: ignore[no-untyped-def]
         for cell in range(start, start + size):
             if seen[cell]:
                 depth[cell] = 0.0
-                length[wall] += CELL
+                length[wall] += WALL_CELL
     return seen, depth, length
 
 
@@ -259,7 +258,7 @@ def _deep(depth, first, frame, covariance, pose, lost):  # type: ignore[no-untyp
     deep = np.zeros(len(depth), dtype=np.bool_)
     for cell in range(len(depth)):
         if depth[cell] > 0.0:
-            along = CELL * (first + cell + 0.5)
+            along = WALL_CELL * (first + cell + 0.5)
             lever = c * (frame[0] - pose[0]) + s * (frame[1] - pose[1]) + along
             jacobian = np.array([-s, c, lever])
             variance = covariance[0, 0] + 2 * along * covariance[0, 1] + along * along * covariance[1, 1]
@@ -277,7 +276,7 @@ def _believed(look: _Look, through: dict[int, list[int]], travelled: Sequence[fl
     if not through:
         return []
     against = np.zeros(len(look.walls))
-    against[list(through)] = [CELL * len(cells) for cells in through.values()]
+    against[list(through)] = [WALL_CELL * len(cells) for cells in through.values()]
     lately = bisect_left(travelled, travelled[-1] - RECENT_WAY)
     rows = look.rows
     doubled = look.length * np.exp(2j * rows["frame"][:, 2])

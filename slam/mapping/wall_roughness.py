@@ -28,15 +28,15 @@ class WallRoughness:
 
     @property
     def samples(self) -> Floats:
-        """(n,) what the estimate rests on; `take` has them again."""
+        """(n,) what the estimate rests on; `add_samples` has them again."""
         return self._samples
 
-    def take(self, samples: Floats) -> None:
+    def add_samples(self, samples: Floats) -> None:
         """Go on from what another estimate rested on."""
         self._samples = np.concatenate([self._samples, samples])[-WINDOW:]
         self._estimate()
 
-    def add(self, residuals: Floats, covariances: Floats, half_lengths: Floats) -> None:
+    def add_residuals(self, residuals: Floats, covariances: Floats, half_lengths: Floats) -> None:
         """Take residuals (n, 2) of offset and heading, the covariances (n, 2, 2) expected of them without unevenness.
 
         The variance that brings the median of the squared residuals to its expectation is found from the excess of each
@@ -44,7 +44,7 @@ class WallRoughness:
         """
         excess = residuals**2 / NORMAL_MEDIAN - np.diagonal(covariances, axis1=1, axis2=2)
         excess[:, 1] *= half_lengths**2 / 3
-        self.take(excess.ravel())
+        self.add_samples(excess.ravel())
 
     def _estimate(self) -> None:
         if not len(self._samples):
@@ -54,7 +54,7 @@ class WallRoughness:
         self.variance = trust * observed + (1 - trust) * START
 
 
-def uneven(covariances: Floats, half_lengths: Floats, variance: float) -> Floats:
+def add_roughness(covariances: Floats, half_lengths: Floats, variance: float) -> Floats:
     """Covariances (n, 2, 2) of offset and heading with the walls' unevenness added."""
     result = covariances.copy()
     result[:, 0, 0] += variance

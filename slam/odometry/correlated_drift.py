@@ -14,7 +14,7 @@ import numpy as np
 from ..geometry.segments import Floats
 
 
-def planar(position: Floats) -> Floats:
+def embed_position_covariance(position: Floats) -> Floats:
     """(3, 3): a covariance (2, 2) of position as one of a pose. What would be below zero in some direction is not."""
     values, vectors = np.linalg.eigh(position)
     covariance = np.zeros((3, 3))
@@ -22,7 +22,7 @@ def planar(position: Floats) -> Floats:
     return covariance
 
 
-def turned(covariance: Floats, angle: float) -> Floats:
+def rotate_covariance(covariance: Floats, angle: float) -> Floats:
     """(3, 3): the covariance of a pose [x, y, heading] after its axes were turned by an angle (radians)."""
     c, s = np.cos(angle), np.sin(angle)
     rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

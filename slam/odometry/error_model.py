@@ -60,15 +60,15 @@ class OdometryModel:
 
     @property
     def samples(self) -> Floats:
-        """(n, 6) motions as they were claimed and found, on which the estimate rests; `take` has them again."""
+        """(n, 6) motions as they were claimed and found, on which the estimate rests; `add_samples` has them again."""
         return self._samples
 
-    def take(self, samples: Floats) -> None:
+    def add_samples(self, samples: Floats) -> None:
         """Go on from what another estimate rested on."""
         self._samples = np.concatenate([self._samples, samples])[-MEMORY:]
         self._estimate()
 
-    def learn(self, claimed: se2.Pose, found: se2.Pose, held_by: Floats) -> None:
+    def add_motion(self, claimed: se2.Pose, found: se2.Pose, held_by: Floats) -> None:
         """Take a motion [x, y, heading] as the odometry claims it, and as it was found to be.
 
         `held_by` (3, 3) is the information of what was seen at its end. Where that leaves a direction open, as along a
@@ -77,7 +77,7 @@ class OdometryModel:
         if not self._config.learn or wheel_travel(claimed) < LEAST_WAY:
             return
         if weakest_direction(found, held_by, HELD_SIGMA) is None:
-            self.take(np.concatenate([claimed, found])[None])
+            self.add_samples(np.concatenate([claimed, found])[None])
 
     def _estimate(self) -> None:
         claimed, found = self._samples[:, :3], self._samples[:, 3:]
@@ -90,7 +90,7 @@ class OdometryModel:
         by_wheels = se2.wrap(found[turns, 2] - self._veer * ahead[turns])
         self._turning = 1.0 / np.clip(1.0 + _trusted(turned[turns] / by_wheels - 1.0), 1 / MOST_WRONG, MOST_WRONG)
         claimed, found = claimed[-WINDOW:], found[-WINDOW:]
-        error, travel = se2.between(self.corrected(claimed), found), wheel_travel(claimed)
+        error, travel = se2.between(self.correct(claimed), found), wheel_travel(claimed)
         squared = (
             (error[:, 0] ** 2 + error[:, 1] ** 2) / (PLANE_MEDIAN * travel**2),
             error[:, 2] ** 2 / NORMAL_MEDIAN / travel,
@@ -99,7 +99,7 @@ class OdometryModel:
         trust = len(claimed) / (len(claimed) + START_COUNT)
         self._rates = np.maximum(self._start, LEAST_RATE) ** (1 - trust) * observed**trust
 
-    def corrected(self, motion: se2.Pose) -> se2.Pose:
+    def correct(self, motion: se2.Pose) -> se2.Pose:
         """Motions (..., 3) as odometry claims them, without the errors that are common to all."""
         turn = self._turning * motion[..., 2] + self._veer * motion[..., 0]
         bend = 0.5 * (turn - motion[..., 2])  # the chord of an arc points half its turn ahead
@@ -132,7 +132,7 @@ class OdometryModel:
         return np.asarray(self._rates[0] * wheel_travel(motion) * ALIKE_WAY * np.outer(along, along))
 
 
-def fused_motion(
+def fuse_motion(
     claimed: se2.Pose, covariance: Floats, found: se2.Pose, point_information: Floats
 ) -> tuple[se2.Pose, Floats]:
     """The motion between two keyframes, and its covariance (3, 3), from odometry and from points on no wall.

@@ -23,7 +23,7 @@ class OdometryHistory:
         self._poses: list[se2.Pose] = []
 
     @classmethod
-    def of(cls, stamps: Floats, poses: Floats) -> OdometryHistory:
+    def from_arrays(cls, stamps: Floats, poses: Floats) -> OdometryHistory:
         """Readings (n,), (n, 3) in time order."""
         history = cls()
         history._stamps, history._poses = stamps.tolist(), list(poses)

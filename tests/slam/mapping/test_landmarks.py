@@ -5,8 +5,8 @@ import pytest
 
 from slam.mapping.landmarks import Landmarks
 from slam.mapping.local_map import LocalMap, empty_local_map, local_map_around
-from slam.mapping.wall_merging import Duplicate, find_duplicate
-from slam.mapping.wall_roughness import WallRoughness, uneven
+from slam.mapping.wall_merging import Duplicate, find_duplicate_wall
+from slam.mapping.wall_roughness import WallRoughness, add_roughness
 
 STILL = [np.zeros((3, 3))]
 
@@ -14,8 +14,8 @@ STILL = [np.zeros((3, 3))]
 def test_a_wall_grows_with_what_is_seen_of_it() -> None:
     landmarks = Landmarks()
     wall = landmarks.add_wall(np.array([1.0, 2.0, np.pi / 2]), 0.5, keyframe=0)
-    landmarks.see_wall(wall, np.array([1.0, 3.0, np.pi / 2]), 0.7, keyframe=1)
-    landmarks.see_wall(wall, np.array([1.0, 1.9, np.pi / 2]), 0.1, keyframe=1)
+    landmarks.observe_wall(wall, np.array([1.0, 3.0, np.pi / 2]), 0.7, keyframe=1)
+    landmarks.observe_wall(wall, np.array([1.0, 1.9, np.pi / 2]), 0.1, keyframe=1)
     row = landmarks.walls.rows[wall]
     assert (row["low"], row["high"]) == pytest.approx((-0.5, 1.7))
     assert (row["observations"], row["first_seen"], row["last_seen"]) == (2, 0, 1)  # keyframes count, not pieces
@@ -26,8 +26,8 @@ def test_an_absorbed_wall_leaves_its_extent_and_its_name() -> None:
     first = landmarks.add_wall(np.array([0.0, 0.0, 0.0]), 1.0, keyframe=3)
     second = landmarks.add_wall(np.array([4.0, 0.01, 0.0]), 1.5, keyframe=1)
     third = landmarks.add_wall(np.array([-3.0, 0.01, 0.0]), 0.5, keyframe=9)
-    landmarks.absorb(second, third)
-    landmarks.absorb(first, second)
+    landmarks.merge_walls(second, third)
+    landmarks.merge_walls(first, second)
     walls = landmarks.walls.rows
     np.testing.assert_array_equal(walls["merged_into"], [first, first, first])
     assert (walls["low"][first], walls["high"][first]) == pytest.approx((-3.5, 5.5))
@@ -38,7 +38,7 @@ def test_an_absorbed_wall_leaves_its_extent_and_its_name() -> None:
 def test_between_its_ends_a_wall_may_have_doors() -> None:
     landmarks = Landmarks()
     wall = landmarks.add_wall(np.array([0.0, 0.0, 0.0]), 1.0, keyframe=0)
-    landmarks.see_wall(wall, np.array([4.0, 0.0, 0.0]), 1.0, keyframe=1)
+    landmarks.observe_wall(wall, np.array([4.0, 0.0, 0.0]), 1.0, keyframe=1)
     assert landmarks.is_covered(wall, 0.0)
     assert not landmarks.is_covered(wall, 2.0)
     assert landmarks.is_covered(wall, 4.0)
@@ -83,7 +83,7 @@ def pair(second: tuple[float, float, float], sigma: float = 0.003, half: float =
 
 
 def duplicate(local_map: LocalMap, mature: bool = True, seen: bool = True) -> Duplicate | None:
-    return find_duplicate(local_map, np.array([True, mature]), np.array([False, seen]), 1e-6)
+    return find_duplicate_wall(local_map, np.array([True, mature]), np.array([False, seen]), 1e-6)
 
 
 def test_two_frames_on_one_wall_are_found() -> None:
@@ -125,7 +125,7 @@ def scattered(unevenness: float, count: int, seed: int) -> tuple[np.ndarray, np.
     sigma = random.uniform(0.001, 0.003, (count, 2))
     halves = random.uniform(0.3, 2.0, count)
     covariances = sigma[:, :, None] ** 2 * np.eye(2)
-    whole = uneven(covariances, halves, unevenness**2)
+    whole = add_roughness(covariances, halves, unevenness**2)
     residuals = np.sqrt(np.diagonal(whole, axis1=1, axis2=2)) * random.normal(size=(count, 2))
     return residuals, covariances, halves
 
@@ -136,7 +136,7 @@ def test_unevenness_is_learned_in_spite_of_wrong_associations(unevenness: float)
     for seed in range(40):
         residuals, covariances, halves = scattered(unevenness, 12, seed)
         residuals[0] += 0.1
-        roughness.add(residuals, covariances, halves)
+        roughness.add_residuals(residuals, covariances, halves)
     assert np.sqrt(roughness.variance) == pytest.approx(unevenness, rel=0.25)
 
 
@@ -144,12 +144,12 @@ def test_perfect_walls_are_found_to_be_even() -> None:
     roughness = WallRoughness()
     assert roughness.variance > 0.0
     for seed in range(60):
-        roughness.add(*scattered(0.0, 12, seed))
+        roughness.add_residuals(*scattered(0.0, 12, seed))
     assert np.sqrt(roughness.variance) < 5e-4
 
 
 def test_unevenness_turns_short_segments_more() -> None:
-    result = uneven(np.zeros((2, 2, 2)), np.array([0.5, 1.0]), 1e-6)
+    result = add_roughness(np.zeros((2, 2, 2)), np.array([0.5, 1.0]), 1e-6)
     np.testing.assert_allclose(result[:, 0, 0], 1e-6)
     np.testing.assert_allclose(result[:, 1, 1], [1.2e-5, 3e-6])  # 12 f / length squared
 
@@ -157,10 +157,10 @@ def test_unevenness_turns_short_segments_more() -> None:
 def test_a_wall_is_told_in_pieces_where_a_door_divides_it():
     landmarks = Landmarks()
     wall = landmarks.add_wall(np.zeros(3), 1.0, keyframe=0)
-    landmarks.see_wall(wall, np.array([1.2, 0.0, 0.0]), 0.4, keyframe=1)  # the stretch goes on
+    landmarks.observe_wall(wall, np.array([1.2, 0.0, 0.0]), 0.4, keyframe=1)  # the stretch goes on
     np.testing.assert_allclose(landmarks.pieces(wall), [[-1.0, 1.6]])
-    landmarks.see_wall(wall, np.array([3.5, 0.0, 0.0]), 1.0, keyframe=2)  # behind a door
+    landmarks.observe_wall(wall, np.array([3.5, 0.0, 0.0]), 1.0, keyframe=2)  # behind a door
     np.testing.assert_allclose(landmarks.pieces(wall), [[-1.0, 1.6], [2.5, 4.5]])
     other = landmarks.add_wall(np.array([2.0, 0.0, 0.0]), 0.5, keyframe=3)
-    landmarks.absorb(wall, other)
+    landmarks.merge_walls(wall, other)
     np.testing.assert_allclose(landmarks.pieces(wall), [[-1.0, 4.5]])

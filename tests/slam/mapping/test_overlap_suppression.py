@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from slam.geometry.segments import Floats
-from slam.mapping.landmarks import CELL, Landmarks
+from slam.mapping.landmarks import WALL_CELL, Landmarks
 from slam.mapping.overlap_suppression import DEPTH, LEAST_CELLS, suppress_overlapping_walls
 
 
@@ -40,7 +40,7 @@ def test_of_two_lines_on_one_wall_the_one_seen_most_often_is_left() -> None:
 def test_what_one_line_shows_beyond_another_stays() -> None:
     pieces = shown_pieces(landmarks_of(([0.0, 0.0, 0.0], 2.0, 9), ([2.0, 0.03, 0.0], 2.0, 2)))
     np.testing.assert_allclose(pieces[0], [[-2.0, 2.0]])
-    assert pieces[1][0] == pytest.approx([0.0, 2.0], abs=2 * CELL)  # along the second, whose frame is at 2
+    assert pieces[1][0] == pytest.approx([0.0, 2.0], abs=2 * WALL_CELL)  # along the second, whose frame is at 2
 
 
 @pytest.mark.parametrize(
@@ -63,7 +63,7 @@ def test_walls_that_meet_at_a_blunt_angle_end_about_where_they_meet() -> None:
     bent = [2.0 + 1.5 * np.cos(turn), 1.5 * np.sin(turn), turn]
     pieces = shown_pieces(landmarks_of(([0.0, 0.0, 0.0], 2.4, 9), (bent, 1.5, 5)))
     np.testing.assert_allclose(pieces[0], [[-2.4, 2.4]])
-    assert pieces[1][0] == pytest.approx([-1.5 + 0.4, 1.5], abs=2 * CELL)
+    assert pieces[1][0] == pytest.approx([-1.5 + 0.4, 1.5], abs=2 * WALL_CELL)
 
 
 def test_walls_that_are_not_confirmed_or_not_there_any_more_hide_nothing() -> None:
@@ -108,7 +108,7 @@ def test_no_stretch_is_shown_twice_and_none_is_lost(walls: list[tuple[float, flo
 
 def heights(landmarks: Landmarks) -> Floats:
     """(n, p): the y of each wall where it was seen, at an x every CELL; NaN elsewhere."""
-    at = np.arange(-6.0, 6.0, CELL)
+    at = np.arange(-6.0, 6.0, WALL_CELL)
     rows = landmarks.walls.rows
     found = np.full((len(rows), len(at)), np.nan)
     for wall in np.flatnonzero(landmarks.active()).tolist():

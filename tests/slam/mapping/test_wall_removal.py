@@ -12,21 +12,20 @@ from hypothesis import strategies as st
 
 from drivers import se2
 from drivers.messages import Message
-from drivers.simulation.simulator import Lidar, Simulation
-from drivers.simulation.world import Passing, World
+from drivers.simulation import LidarModel, Simulation, TemporaryShapes, World
 from slam import Slam
 from slam.config import Config, config_to_toml
 from slam.events import Finished, MapWalls, WallsRemoved
 from slam.io.output_dir import CONFIG
 from slam.io.sessions import StoredSession, read_session, write_session
-from slam.mapping.landmarks import CELL, NEVER_REMOVED, Landmarks
+from slam.mapping.landmark_table import NEVER_REMOVED, WALL_CELL, Landmarks
 from slam.mapping.mapper import Mapper
 from slam.mapping.wall_removal import BEHIND, SAME, STEEPEST, FreeSpaceEvidence, sight
 from slam.offline.map_merging.transfer import joined_landmarks
 
 from ..listeners import EventCollector
 
-LIDAR = Lidar(beams=360)
+LIDAR = LidarModel(beams=360)
 NOTHING = np.zeros((0, 4)), np.zeros((0, 3))
 PATH = np.array([[1.2, 1.2], [6.8, 1.2], [6.8, 4.8], [1.2, 4.8], [1.2, 1.4], [6.5, 1.4]])
 START = np.array([1.2, 1.2, 0.0])  # of that path: the map's frame in the world
@@ -43,7 +42,7 @@ ROOM = np.array([*box(4.0, 3.0, 8.0, 6.0), *box(7.6, 5.8, 0.8, 0.4), *box(0.25, 
 PARTITION = np.array(box(4.0, 3.0, 3.0, 0.1))
 
 
-def world(*, always: np.ndarray = ROOM, passing: Sequence[Passing] = ()) -> World:
+def world(*, always: np.ndarray = ROOM, passing: Sequence[TemporaryShapes] = ()) -> World:
     return World("room", "a room", always, np.zeros((0, 3)), PATH, 0.7, tuple(passing))
 
 
@@ -111,7 +110,7 @@ def test_a_sight_line_opens_the_cell_it_goes_through(
     side: float,
 ) -> None:
     """Wherever wall and robot are, from either side; the nearer end tells how deep."""
-    along = CELL * (cell + 0.5)
+    along = WALL_CELL * (cell + 0.5)
     slope = np.sqrt(1.0 - sine**2) / sine * (-1.0 if backwards else 1.0)
     eye, point = [along - slope * before, side * before], [along + slope * behind, -side * behind]
     seen, depth, length = look_at(frame, heading, eye, [point])
@@ -123,7 +122,7 @@ def test_a_sight_line_opens_the_cell_it_goes_through(
     seen, depth, length = look_at(frame, heading, eye, [point, on_it])  # what is seen is not seen through
     assert np.flatnonzero(seen).tolist() == [cell + 10]
     assert not depth.any()
-    assert length == pytest.approx(CELL)
+    assert length == pytest.approx(WALL_CELL)
 
 
 @pytest.mark.parametrize(
@@ -267,7 +266,7 @@ def furnished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The session of a drive through a room with a partition."""
     slam, finished = run(drive(world(always=np.concatenate([ROOM, PARTITION]))))
     assert length_on(finished.lines, PARTITION) > 5.5
-    assert finished.summary["retired_walls"] == 0
+    assert finished.summary["removed_walls"] == 0
     return leave(slam.session, tmp_path_factory.mktemp("run") / "out")
 
 
@@ -282,7 +281,7 @@ def test_a_partition_that_was_taken_out_leaves_the_map_and_stays_in_the_session(
     assert sorted(removed) == slam.slam_state.mapper.landmarks.removed_walls().tolist()
     assert length_on(finished.lines, PARTITION) == 0.0
     assert length_on(finished.lines, ROOM) > 28.0
-    assert finished.summary["retired_walls"] == 2  # its long sides
+    assert finished.summary["removed_walls"] == 2  # its long sides
     again = read_session(leave(slam.session, tmp_path / "out")).slam_state.mapper
     for landmarks in (slam.slam_state.mapper.landmarks, again.landmarks):
         rows = landmarks.walls.rows[landmarks.removed_walls()]
@@ -292,7 +291,7 @@ def test_a_partition_that_was_taken_out_leaves_the_map_and_stays_in_the_session(
         known = [
             len(landmarks.covered[wall]) + len(landmarks.opened.get(wall, ())) for wall in landmarks.removed_walls()
         ]
-        assert CELL * min(known) > 2.5
+        assert WALL_CELL * min(known) > 2.5
     assert again.landmarks.opened == slam.session.slam_state.mapper.landmarks.opened
 
 
@@ -300,7 +299,7 @@ def test_what_is_still_there_stays(furnished: Path) -> None:
     same = world(always=np.concatenate([ROOM, PARTITION]))
     _, finished = run(drive(same, seed=2, shift=1000.0), read_session(furnished))
     assert length_on(finished.lines, PARTITION) > 5.5
-    assert finished.summary["retired_walls"] == 0
+    assert finished.summary["removed_walls"] == 0
 
 
 def test_a_door_that_is_opened_opens_the_wall(furnished: Path) -> None:
@@ -312,13 +311,13 @@ def test_a_door_that_is_opened_opens_the_wall(furnished: Path) -> None:
     assert slam.slam_state.mapper.landmarks.opened
     assert length_on(finished.lines, gap, 0.03) < 0.15
     assert length_on(finished.lines, halves) > 3.5
-    assert finished.summary["retired_walls"] == 0
+    assert finished.summary["removed_walls"] == 0
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 8))])
 def test_who_stands_there_for_some_seconds_is_no_wall_in_the_end(seed: int) -> None:
     person = np.array(box(4.0, 3.0, 0.45, 0.3))
-    slam, finished = run(drive(world(passing=[Passing(0.0, 7.0, person, NOTHING[1])]), seed))
+    slam, finished = run(drive(world(passing=[TemporaryShapes(0.0, 7.0, person, NOTHING[1])]), seed))
     assert len(slam.slam_state.mapper.landmarks.removed_walls())  # it had become one
     assert length_on(finished.lines, person) == 0.0
     assert length_on(finished.lines, ROOM) > 28.0
@@ -328,7 +327,7 @@ def test_a_door_that_stood_half_open_is_no_wall_in_the_end() -> None:
     leaf = np.array([[4.0, 3.0, 4.6, 3.6]])
     away = np.array([[4.2, 3.2, 4.6, 3.6]])  # from the hinge
     closed = np.array([[4.0, 3.0, 4.85, 3.0]])
-    passing = [Passing(0.0, 9.0, leaf, NOTHING[1]), Passing(9.0, 99.0, closed, NOTHING[1])]
+    passing = [TemporaryShapes(0.0, 9.0, leaf, NOTHING[1]), TemporaryShapes(9.0, 99.0, closed, NOTHING[1])]
     slam, finished = run(drive(world(passing=passing)))
     assert len(slam.slam_state.mapper.landmarks.removed_walls())
     assert length_on(finished.lines, away) == 0.0
@@ -340,11 +339,11 @@ def test_a_door_that_stood_half_open_is_no_wall_in_the_end() -> None:
 def test_in_a_building_that_does_not_change_nothing_is_retired(seed: int) -> None:
     """Twice around an office; that segments reach across doors at times is found out."""
     _, finished = run(list(Simulation("office", seed=seed)))
-    assert finished.summary["retired_walls"] == 0
+    assert finished.summary["removed_walls"] == 0
 
 
 def test_what_was_counted_is_gone_on_from(tmp_path: Path) -> None:
-    partition = Passing(0.0, 16.0, PARTITION, NOTHING[1])
+    partition = TemporaryShapes(0.0, 16.0, PARTITION, NOTHING[1])
     slam, _ = run(drive(world(passing=[partition]), duration=18.0))
     free_space_evidence = slam.session.slam_state.mapper.free_space_evidence
     assert free_space_evidence.counts
@@ -361,7 +360,7 @@ def test_of_two_sessions_each_keeps_what_was_gone_in_it() -> None:
         for _ in range(2):
             mapper.landmarks.add_wall(MIDDLE, 1.0, 0)
         mapper.landmarks.remove_wall(retired, 7)
-        mapper.landmarks.open(1 - retired, [2, 3], 9)
+        mapper.landmarks.open_wall(1 - retired, [2, 3], 9)
     joined = joined_landmarks(first, second, np.array([1.0, 2.0, 0.3]))
     assert joined.walls.rows["removed_at"].tolist() == [7, NEVER_REMOVED, NEVER_REMOVED, 57]
     assert joined.opened == {1: {2: 9, 3: 9}, 2: {2: 59, 3: 59}}
@@ -377,10 +376,10 @@ def test_a_wall_keeps_its_opening_when_another_turns_out_to_be_it() -> None:
         landmarks.add_wall(MIDDLE, 1.0, 0)
         landmarks.add_wall(np.array([0.5, 0.0, 0.0]), 1.0, 0)
         shift = 5 * (opened == 1)
-        landmarks.open(opened, [cell - shift for cell in (0, 1, 2)], 4)
-        landmarks.absorb(0, 1)
+        landmarks.open_wall(opened, [cell - shift for cell in (0, 1, 2)], 4)
+        landmarks.merge_walls(0, 1)
         assert not landmarks.covered[0] & {0, 1, 2}
-        landmarks.see_wall(0, np.array([0.15, 0.0, 0.0]), 0.06, 4)  # when all is looked at again
+        landmarks.observe_wall(0, np.array([0.15, 0.0, 0.0]), 0.06, 4)  # when all is looked at again
         assert 1 not in landmarks.covered[0]
-        landmarks.see_wall(0, np.array([0.15, 0.0, 0.0]), 0.06, 5)
+        landmarks.observe_wall(0, np.array([0.15, 0.0, 0.0]), 0.06, 5)
         assert landmarks.covered[0] & {0, 1, 2} == {1}

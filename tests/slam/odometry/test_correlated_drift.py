@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from drivers import se2
 from drivers.messages import GroundTruth
-from drivers.simulation.simulator import LIDARS, Simulation
+from drivers.simulation import LIDAR_MODELS, Simulation
 from slam import Slam
-from slam.odometry.correlated_drift import planar, turned
+from slam.odometry.correlated_drift import embed_position_covariance, rotate_covariance
 
 LENGTH = 60.0  # metres
 BEND = 0.01  # metres: standard deviation of where a wall stands every 3 m
@@ -37,7 +37,7 @@ def bent_corridor(folder: Path, seed: int) -> Path:
 
 @pytest.mark.parametrize("seed", [3, 5])
 def test_walls_that_are_not_quite_straight_do_not_tear_a_corridor(tmp_path: Path, seed: int) -> None:
-    simulation = Simulation(bent_corridor(tmp_path, seed), seed=seed, lidar=LIDARS["short"])
+    simulation = Simulation(bent_corridor(tmp_path, seed), seed=seed, lidar=LIDAR_MODELS["short"])
     slam, truth = Slam(), []
     for message in simulation:
         if isinstance(message, GroundTruth):
@@ -59,13 +59,13 @@ numbers = st.floats(-2.0, 2.0)
 @given(root=st.tuples(numbers, numbers, numbers), angle=st.floats(-10.0, 10.0))
 def test_covariances_are_turned_with_their_axes(root: tuple[float, float, float], angle: float) -> None:
     factor = np.array([[root[0], 0.0], [root[1], root[2]]])
-    covariance = planar(factor @ factor.T)
+    covariance = embed_position_covariance(factor @ factor.T)
     np.testing.assert_allclose(covariance[:2, :2], factor @ factor.T, atol=1e-9)
     assert not covariance[2].any()
     axis = np.array([np.cos(angle), np.sin(angle), 0.0])  # the old first axis, seen in turned axes
-    assert axis @ turned(covariance, angle) @ axis == pytest.approx(covariance[0, 0], abs=1e-9)
-    np.testing.assert_allclose(turned(turned(covariance, angle), -angle), covariance, atol=1e-9)
+    assert axis @ rotate_covariance(covariance, angle) @ axis == pytest.approx(covariance[0, 0], abs=1e-9)
+    np.testing.assert_allclose(rotate_covariance(rotate_covariance(covariance, angle), -angle), covariance, atol=1e-9)
 
 
 def test_what_would_be_below_zero_in_some_direction_is_not() -> None:
-    np.testing.assert_allclose(planar(np.diag([1.0, -0.5])), np.diag([1.0, 0.0, 0.0]), atol=1e-12)
+    np.testing.assert_allclose(embed_position_covariance(np.diag([1.0, -0.5])), np.diag([1.0, 0.0, 0.0]), atol=1e-12)

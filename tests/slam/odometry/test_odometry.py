@@ -7,15 +7,14 @@ import pytest
 
 from drivers import se2
 from drivers.messages import Odometry, Scan
-from drivers.simulation.simulator import Drive, Lidar, Simulation
-from drivers.simulation.world import World
+from drivers.simulation import LidarModel, Simulation, WheelModel, World
 from features import Extractor, Noise
 from slam.config import OdometryConfig
 from slam.geometry.segments import corner_points, segments_from_lines
 from slam.mapping.trajectory_builder import TrajectoryBuilder
-from slam.odometry.error_model import OdometryModel, fused_motion
+from slam.odometry.error_model import OdometryModel, fuse_motion
 from slam.odometry.history import OdometryHistory, wheel_travel
-from slam.preprocessing.deskew import deskew, loosen, middle_of
+from slam.preprocessing.deskew import add_motion_uncertainty, deskew, sweep_middle
 
 CIRCLE = 0.8, 1.2  # metres a second, radians a second
 HELD = np.diag([1e6, 1e6, 1e6])  # by what is seen, in all directions
@@ -71,7 +70,7 @@ def test_rates_are_learned_in_spite_of_gross_errors(translation: float, rotation
         error = random.normal(size=3) * [translation * way, translation * way, rotation * np.sqrt(way)]
         if k % 10 == 0:
             error += [0.5, 0.0, 0.5]
-        noise.learn(claimed, se2.compose(claimed, error), HELD)
+        noise.add_motion(claimed, se2.compose(claimed, error), HELD)
     assert noise.deviations == pytest.approx([translation, rotation], rel=0.4)
 
 
@@ -79,10 +78,10 @@ def test_nothing_is_learned_where_that_is_configured_or_the_robot_stands() -> No
     claimed, found = np.array([1.0, 0.0, 0.0]), np.array([1.5, 0.0, 0.5])
     fixed = OdometryModel(OdometryConfig(learn=False))
     before = fixed.deviations.copy()
-    fixed.learn(claimed, found, HELD)
+    fixed.add_motion(claimed, found, HELD)
     np.testing.assert_array_equal(fixed.deviations, before)
     noise = OdometryModel(OdometryConfig())
-    noise.learn(0.01 * claimed, found, HELD)
+    noise.add_motion(0.01 * claimed, found, HELD)
     np.testing.assert_array_equal(noise.deviations, before)
     assert np.linalg.eigvalsh(noise.covariance(np.zeros(3))).min() > 0
 
@@ -91,7 +90,7 @@ def test_a_corridor_does_not_teach_that_odometry_is_right_along_it() -> None:
     random, noise = np.random.default_rng(0), OdometryModel(OdometryConfig(translation_error=0.1))
     claimed = np.array([0.3, 0.0, 0.0])
     for _ in range(200):
-        noise.learn(claimed, se2.compose(claimed, [0.0, random.normal(0, 1e-3), random.normal(0, 0.01)]), CORRIDOR)
+        noise.add_motion(claimed, se2.compose(claimed, [0.0, random.normal(0, 1e-3), random.normal(0, 0.01)]), CORRIDOR)
     assert noise.deviations == pytest.approx(OdometryModel(OdometryConfig(translation_error=0.1)).deviations)
 
 
@@ -104,12 +103,12 @@ def test_what_is_common_to_all_motions_is_taken_out_of_them() -> None:
         bend = 0.5 * (turn - claimed[2])
         found = np.array([length * claimed[0] * np.cos(bend), length * claimed[0] * np.sin(bend), turn])
         gross = [0.5, 0.0, 0.5] if k % 10 == 0 else [0.0, 0.0, 0.0]
-        noise.learn(claimed, se2.compose(found, random.normal(0, [3e-3, 3e-3, 5e-3]) + gross), HELD)
+        noise.add_motion(claimed, se2.compose(found, random.normal(0, [3e-3, 3e-3, 5e-3]) + gross), HELD)
     assert noise.systematic == pytest.approx([length, turning, veer], abs=0.01)
-    np.testing.assert_allclose(noise.corrected(claimed), found, atol=0.01)
+    np.testing.assert_allclose(noise.correct(claimed), found, atol=0.01)
     assert noise.deviations[0] < 0.02  # what was taken out is not noise any more
     again = OdometryModel(OdometryConfig())
-    again.take(noise.samples)
+    again.add_samples(noise.samples)
     np.testing.assert_array_equal(again.systematic, noise.systematic)
 
 
@@ -127,10 +126,10 @@ def test_errors_add_up_where_nothing_holds_the_robot() -> None:
 def test_points_correct_the_motion_only_where_they_say_something() -> None:
     claimed, found = np.array([0.3, 0.0, 0.0]), np.array([0.26, 0.02, 0.01])
     covariance = np.diag([0.02, 0.02, 0.01]) ** 2
-    same, unchanged = fused_motion(claimed, covariance, found, np.zeros((3, 3)))
+    same, unchanged = fuse_motion(claimed, covariance, found, np.zeros((3, 3)))
     np.testing.assert_allclose(same, claimed)
     np.testing.assert_allclose(unchanged, covariance)
-    motion, fused = fused_motion(claimed, covariance, found, np.diag([1e8, 0.0, 0.0]))
+    motion, fused = fuse_motion(claimed, covariance, found, np.diag([1e8, 0.0, 0.0]))
     np.testing.assert_allclose(motion, [0.26, 0.0, 0.0], atol=1e-4)
     assert fused[0, 0] < 1e-7
     assert fused[1, 1] == pytest.approx(covariance[1, 1])
@@ -142,9 +141,9 @@ def spinning() -> Simulation:
     walls = np.hstack([corners, np.roll(corners, -1, axis=0)])
     path = np.array([[-1.0, 0.0], [0.5, 0.0], [0.5, 1.0], [-1.0, 1.0], [-1.0, 0.0]])
     world = World("square", "square", walls, np.zeros((0, 3)), path, 0.5)
-    drive = Drive(slip=0.0, encoder=0.0, scale_bias=0.0, difference_bias=0.0, wheelbase_bias=0.0)
-    lidar = Lidar(sigma_range=0.0, sigma_bearing=0.0, dropouts=0.02, mixed=0.0)
-    return Simulation(world, duration=8.0, lidar=lidar, drive=drive)
+    wheels = WheelModel(slip=0.0, encoder=0.0, scale_bias=0.0, difference_bias=0.0, wheelbase_bias=0.0)
+    lidar = LidarModel(sigma_range=0.0, sigma_bearing=0.0, dropouts=0.02, mixed=0.0)
+    return Simulation(world, duration=8.0, lidar=lidar, wheels=wheels)
 
 
 def test_walls_stay_straight_and_where_they_are_while_the_robot_turns() -> None:
@@ -155,13 +154,13 @@ def test_walls_stay_straight_and_where_they_are_while_the_robot_turns() -> None:
         if isinstance(message, Odometry):
             told.add(message)
     scans = [message for message in messages if isinstance(message, Scan)]
-    poses = simulation.path.at(np.array([scan.stamp for scan in scans]))
+    poses = simulation.trajectory.poses_at(np.array([scan.stamp for scan in scans]))
     turning = [k for k, (a, b) in enumerate(pairwise(poses)) if abs(se2.wrap(b[2] - a[2])) > 0.08][:12]
     assert len(turning) > 5
     skewed = []
     for k in turning:
         sweep = deskew(scans[k], told, simulation.mount)
-        lidar = se2.compose(simulation.path.at(np.array([sweep.stamp]))[0], simulation.mount)
+        lidar = se2.compose(simulation.trajectory.poses_at(np.array([sweep.stamp]))[0], simulation.mount)
         local = np.column_stack([sweep.ranges * np.cos(sweep.bearings), sweep.ranges * np.sin(sweep.bearings)])
         points = se2.transform(lidar, local[np.isfinite(sweep.ranges)])
         assert np.abs(np.abs(points).max(axis=1) - 3.0).max() < 0.003
@@ -177,8 +176,8 @@ def test_a_sweep_at_once_is_left_as_it_is() -> None:
     sweep = deskew(scan, history(), np.zeros(3))
     np.testing.assert_array_equal(sweep.ranges, scan.ranges)
     np.testing.assert_array_equal(sweep.bearings, scan.angles)
-    assert sweep.stamp == middle_of(scan) == 1.0
-    assert not sweep.way.any()
+    assert sweep.stamp == sweep_middle(scan) == 1.0
+    assert not sweep.travel.any()
     empty = Scan(1.0, np.zeros(0), np.zeros(0), np.zeros(0), 0.1, 10.0)
     assert len(deskew(empty, history(), np.zeros(3)).ranges) == 0
 
@@ -215,7 +214,7 @@ def test_a_longer_sweep_makes_lines_less_certain() -> None:
         features = Extractor(Noise(0.01, 0.001)).extract(ranges, angles)
         segments = segments_from_lines(features.lines, np.zeros(3))
         corners = corner_points(features.corners, segments, np.zeros(3))
-        segments, corners = loosen(segments, corners, features.lines, sweep, noise)
+        segments, corners = add_motion_uncertainty(segments, corners, features.lines, sweep, noise)
         assert np.linalg.eigvalsh(segments.covariance).min() > 0
         variances.append([segments.covariance[:, 0, 0].sum(), np.trace(corners.covariance, axis1=1, axis2=2).sum()])
     assert (np.diff(variances, axis=0) > 0).all()
