@@ -17,7 +17,7 @@ import typer
 from typer.cli import get_docs_for_click
 from typer.main import get_command
 
-from drivers.devices.specs import COMMON, KINDS, Option
+from drivers.devices.device_spec import COMMON_OPTIONS, DEVICE_KINDS, Option
 from slam.cli import app
 from slam.config import Config, config_to_toml
 
@@ -113,25 +113,25 @@ def _allowed(value: dict[str, Any]) -> str:
 def _devices() -> list[str]:
     """Which kinds there are, and what each takes."""
     lines = ["| kind | devices | needs | takes, too |", "|---|---|---|---|"]
-    for name, kind in KINDS.items():
-        needs = ", ".join(f"`{option}`" for option in kind.needed) or "nothing"
-        takes = ", ".join(f"`{option}`" for option in kind.options if option not in (*kind.needed, *COMMON))
-        lines.append(f"| `{name}` | {_cell(kind.about)} | {needs} | {takes} |")
+    for name, kind in DEVICE_KINDS.items():
+        needs = ", ".join(f"`{option}`" for option in kind.required) or "nothing"
+        takes = ", ".join(f"`{option}`" for option in kind.options if option not in (*kind.required, *COMMON_OPTIONS))
+        lines.append(f"| `{name}` | {_cell(kind.description)} | {needs} | {takes} |")
     options: dict[str, tuple[Option, list[str]]] = {}
-    for name, kind in KINDS.items():
+    for name, kind in DEVICE_KINDS.items():
         for key, option in kind.options.items():
             options.setdefault(key, (option, []))[1].append(name)
     lines += ["", "| option | of | meaning |", "|---|---|---|"]
     for key, (option, names) in options.items():
-        lines.append(f"| `{key}` | {_group(names)} | {_cell(option.about)} |")
+        lines.append(f"| `{key}` | {_group(names)} | {_cell(option.description)} |")
     return [*lines, ""]
 
 
 def _group(names: list[str]) -> str:
     groups = {
-        "all": list(KINDS),
-        "lidars": [name for name, kind in KINDS.items() if kind.is_lidar],
-        "bases": [name for name, kind in KINDS.items() if not kind.is_lidar],
+        "all": list(DEVICE_KINDS),
+        "lidars": [name for name, kind in DEVICE_KINDS.items() if kind.is_lidar],
+        "bases": [name for name, kind in DEVICE_KINDS.items() if not kind.is_lidar],
     }
     listed = ", ".join(f"`{name}`" for name in names)
     return next((group for group, members in groups.items() if members == names), listed)

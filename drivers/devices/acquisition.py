@@ -26,18 +26,18 @@ from threading import Event, Thread
 from types import TracebackType
 from typing import Self
 
-from ..clock import day_offset
 from ..errors import DriverError
 from ..messages import Message
-from .reorder_buffer import Outlet
-from .specs import DeviceSpec
-from .supervisor import Session, Status
+from ..timestamps import wall_clock_offset
+from .device_spec import DeviceSpec
+from .reorder_buffer import ReorderBuffer
+from .supervisor import DeviceStatus, Supervisor
 
 STATUS_PERIOD = 0.2
 """Seconds between two snapshots."""
-IDLE = 0.05
+POLL_PERIOD = 0.05
 """Seconds after which the processes look up, whatever happens."""
-FAREWELL = 5.0
+HALT_TIMEOUT = 5.0
 """Seconds that halting may take before the process is ended by force; a device is given what its handshake takes."""
 
 
@@ -50,7 +50,7 @@ class Snapshot:
     late     messages left out because later ones had been given out before they came
     """
 
-    devices: tuple[Status, ...] = ()
+    devices: tuple[DeviceStatus, ...] = ()
     dropped: int = 0
     late: int = 0
 
@@ -80,13 +80,16 @@ class Acquisition:
     _process: multiprocessing.process.BaseProcess | None = None
     _pipe: Connection | None = None
     _ended: bool = False
-    _early: deque[Message] = field(default_factory=deque)  # came before all devices ran
+    _startup_messages: deque[Message] = field(default_factory=deque)  # came before all devices ran
 
     def __enter__(self) -> Self:
         context = multiprocessing.get_context("spawn")
-        self._pipe, theirs = context.Pipe()
+        self._pipe, child_end = context.Pipe()
         self._process = context.Process(
-            target=_acquire, args=(theirs, tuple(self.specs), day_offset()), name="wclm-acquisition", daemon=True
+            target=_acquire,
+            args=(child_end, tuple(self.specs), wall_clock_offset()),
+            name="wclm-acquisition",
+            daemon=True,
         )
         # Ctrl-C goes to all processes of a terminal; the reading one shall hear of it from this one.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -94,9 +97,9 @@ class Acquisition:
             self._process.start()
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
-            theirs.close()
+            child_end.close()
         try:
-            while not self.snapshot.devices or not all(status.ran for status in self.snapshot.devices):
+            while not self.snapshot.devices or not all(status.has_run for status in self.snapshot.devices):
                 self._receive_status()
         except BaseException:
             self.close()
@@ -117,11 +120,11 @@ class Acquisition:
 
     def receive(self, timeout: float) -> Message | None:
         """The next message; None where none comes within a timeout (seconds), or any more."""
-        if self._early:
-            return self._early.popleft()
+        if self._startup_messages:
+            return self._startup_messages.popleft()
         end = time.monotonic() + timeout
-        while not self._ended and self._wait(max(0.0, end - time.monotonic())):
-            message = self._take()
+        while not self._ended and self._poll_pipe(max(0.0, end - time.monotonic())):
+            message = self._receive_item()
             if message is not None:
                 return message
         return None
@@ -129,7 +132,7 @@ class Acquisition:
     @property
     def ended(self) -> bool:
         """Whether no message is left and none will come."""
-        return self._ended and not self._early
+        return self._ended and not self._startup_messages
 
     def stop(self) -> None:
         """Have all devices halted; what they have measured can still be received."""
@@ -143,14 +146,14 @@ class Acquisition:
             return
         if not self._ended:
             self.stop()
-        end = time.monotonic() + FAREWELL
+        end = time.monotonic() + HALT_TIMEOUT
         with suppress(DriverError):
             while not self._ended and time.monotonic() < end:
-                if self._wait(IDLE):
-                    self._take()
+                if self._poll_pipe(POLL_PERIOD):
+                    self._receive_item()
         self._ended = True
         self._pipe.close()
-        self._process.join(FAREWELL if time.monotonic() < end else 0.0)
+        self._process.join(HALT_TIMEOUT if time.monotonic() < end else 0.0)
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
@@ -160,18 +163,18 @@ class Acquisition:
     def _receive_status(self) -> None:
         if self._ended:
             raise DriverError("the devices were stopped before they began")
-        if self._wait(1.0):
+        if self._poll_pipe(1.0):
             before = self.snapshot
             while self.snapshot is before and not self._ended:
-                early = self._take()
-                if early is not None:
-                    self._early.append(early)
+                message = self._receive_item()
+                if message is not None:
+                    self._startup_messages.append(message)
 
-    def _wait(self, timeout: float) -> bool:
+    def _poll_pipe(self, timeout: float) -> bool:
         assert self._pipe is not None
         return self._pipe.poll(timeout)
 
-    def _take(self) -> Message | None:
+    def _receive_item(self) -> Message | None:
         """Take one thing from the pipe; the message, if it is one."""
         assert self._pipe is not None
         try:
@@ -195,65 +198,67 @@ class Acquisition:
         return None
 
 
-class _Reader:
+class _DeviceReader:
     """The reading side: a session and a thread for each device; this thread sends."""
 
     def __init__(self, pipe: Connection, specs: Sequence[DeviceSpec], offset: float) -> None:
         self.stop = Event()
         self._pipe = pipe
-        self._outlet = Outlet(len(specs), offset)
-        self._sessions = [
-            Session(spec, partial(self._outlet.put, device), [other.address for other in specs if other is not spec])
+        self._buffer = ReorderBuffer(len(specs), offset)
+        self._supervisors = [
+            Supervisor(spec, partial(self._buffer.put, device), [other.address for other in specs if other is not spec])
             for device, spec in enumerate(specs)
         ]
         self._crash: BaseException | None = None
 
     def run(self) -> None:
         """Until told to stop, all sessions ended, or one failed."""
-        threads = [Thread(target=self._guarded, args=(session,)) for session in self._sessions]
+        threads = [Thread(target=self._run_supervisor, args=(supervisor,)) for supervisor in self._supervisors]
         for thread in threads:
             thread.start()
-        told = 0.0
+        status_sent = 0.0
         try:
             while not self.stop.is_set() and any(thread.is_alive() for thread in threads):
-                read = min(session.read_until for session in self._sessions)
-                for message in self._outlet.take(read, IDLE):
+                read = min(supervisor.read_until for supervisor in self._supervisors)
+                for message in self._buffer.pop(read, POLL_PERIOD):
                     self._pipe.send(message)
-                if time.monotonic() >= told + STATUS_PERIOD:
+                if time.monotonic() >= status_sent + STATUS_PERIOD:
                     self._pipe.send(self._snapshot())
-                    told = time.monotonic()
+                    status_sent = time.monotonic()
                 if self._pipe.poll():
                     self._pipe.recv()
                     break
-                if any(session.failure for session in self._sessions) or self._crash:
+                if any(supervisor.failure for supervisor in self._supervisors) or self._crash:
                     break
         finally:
             self.stop.set()
             for thread in threads:
                 thread.join()
-        for message in self._outlet.flush():
+        for message in self._buffer.flush():
             self._pipe.send(message)
         self._pipe.send(self._snapshot())
-        failure = self._crash or next((session.failure for session in self._sessions if session.failure), None)
+        failure = self._crash or next(
+            (supervisor.failure for supervisor in self._supervisors if supervisor.failure), None
+        )
         self._pipe.send(_Failed(str(failure)) if failure else _Ended())
 
-    def _guarded(self, session: Session) -> None:
+    def _run_supervisor(self, supervisor: Supervisor) -> None:
         try:
-            session.run(self.stop)
+            supervisor.run(self.stop)
         except Exception as error:  # a bug; it shall end everything and be seen, not a thread silently
             place = traceback.extract_tb(error.__traceback__)[-1]
             what = f"{type(error).__name__} in {place.name}, line {place.lineno}: {error}"
-            self._crash = DriverError(f"{session.spec.text}: internal error: {what}")
+            self._crash = DriverError(f"{supervisor.spec.text}: internal error: {what}")
 
     def _snapshot(self) -> Snapshot:
-        statuses = tuple(session.status() for session in self._sessions)
-        return Snapshot(statuses, self._outlet.dropped, self._outlet.late)
+        statuses = tuple(supervisor.status() for supervisor in self._supervisors)
+        return Snapshot(statuses, self._buffer.dropped, self._buffer.late)
 
 
 def _acquire(pipe: Connection, specs: Sequence[DeviceSpec], offset: float) -> None:
     """What the reading process does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    reader = _Reader(pipe, specs, offset)
+    reader = _DeviceReader(pipe, specs, offset)
     signal.signal(signal.SIGTERM, lambda *_: reader.stop.set())
     with suppress(EOFError, OSError):  # the other process is no more
         reader.run()

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import TypeVar
 
-from ..errors import NoAnswerError
+from ..errors import NoResponseError
 from ..messages import Message
 from ..transport import Received, Transport
 
@@ -15,10 +15,10 @@ READ_TIMEOUT = 0.05
 """Seconds; always the same, because a change configures a serial port anew."""
 READ_PAUSE = 0.01
 """Seconds between reads. What costs is the number of reads; the buffers of the system hold far more than this."""
-LONGEST_DRAIN = 1.0
+MAX_DRAIN_DURATION = 1.0
 """Seconds after which a device is taken to send without end."""
 
-Answer = TypeVar("Answer")
+AnswerT = TypeVar("AnswerT")
 
 
 class Device(ABC):
@@ -36,20 +36,20 @@ class Device(ABC):
 
     bauds: tuple[int, ...]
     dtr = False
-    patience = 5.0
+    start_timeout = 5.0
 
     def __init__(self) -> None:
         self.identity = self.serial = ""
-        self.wanted_serial = ""
+        self.required_serial = ""
 
     @property
     @abstractmethod
-    def units(self) -> int:
+    def measurement_count(self) -> int:
         """See above."""
 
     @abstractmethod
     def identify(self, transport: Transport, baud: int) -> None:
-        """Find out who is there, without anything moving; raises NoAnswerError where it is not such a device."""
+        """Find out who is there, without anything moving; raises NoResponseError where it is not such a device."""
 
     @abstractmethod
     def start(self, transport: Transport, baud: int) -> None:
@@ -76,32 +76,32 @@ class Device(ABC):
         return received, messages
 
     def check_serial(self, transport: Transport) -> None:
-        """Raises NoAnswerError where another one of the kind answers than the one that is wanted."""
-        if self.wanted_serial and self.serial.lower() != self.wanted_serial.lower():
-            raise NoAnswerError(
+        """Raises NoResponseError where another one of the kind answers than the one that is wanted."""
+        if self.required_serial and self.serial.lower() != self.required_serial.lower():
+            raise NoResponseError(
                 transport.name,
-                f"here is {self.identity} with the serial number {self.serial or 'unknown'}, not {self.wanted_serial}",
+                f"found {self.identity} with the serial number {self.serial or 'unknown'}, not {self.required_serial}",
             )
 
 
 def drain(transport: Transport) -> None:
     """Take what comes until nothing does, so that an answer is not looked for among old bytes."""
     received = transport.read(READ_TIMEOUT)
-    end = received.time + LONGEST_DRAIN
+    end = received.time + MAX_DRAIN_DURATION
     while received.data and received.time < end:
         received = transport.read(READ_TIMEOUT)
 
 
 def await_answer(
-    transport: Transport, take: Callable[[bytes], Answer | None], timeout: float
-) -> tuple[Answer, float] | None:
+    transport: Transport, parse: Callable[[bytes], AnswerT | None], timeout: float
+) -> tuple[AnswerT, float] | None:
     """Read until `take`, given the bytes as they come, returns something: that and its time. None after the timeout
     (seconds).
     """
     received = transport.read(READ_TIMEOUT)
     end = received.time + timeout
     while True:
-        if received.data and (answer := take(received.data)) is not None:
+        if received.data and (answer := parse(received.data)) is not None:
             return answer, received.time
         if received.time >= end:
             return None

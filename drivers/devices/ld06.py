@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ..errors import NoAnswerError
+from ..errors import NoResponseError
 from ..lidars import ld06
 from ..transport import Transport
 from .device import await_answer
-from .lidar import Lidar, Stream
+from .lidar import LidarDevice, LidarStream
 
-LISTEN = 1.0
+LISTEN_DURATION = 1.0
 """Seconds; the lidar sends 375 packets in one."""
-ENOUGH = 36
+MIN_MEASUREMENTS = 36
 """Measurements, of three packets, by which it is recognised."""
 
 
-class Ld06(Lidar):
+class Ld06Device(LidarDevice):
     """An LD06 or LD19. Options: see `specs`."""
 
     def __init__(self, options: Mapping[str, Any]) -> None:
@@ -28,18 +28,18 @@ class Ld06(Lidar):
         """Listen."""
         decoder = ld06.Ld06Decoder(baud=baud)
 
-        def take(data: bytes) -> bool | None:
+        def parse(data: bytes) -> bool | None:
             decoder.feed(data)
-            return True if decoder.counters.samples >= ENOUGH else None
+            return True if decoder.counters.samples >= MIN_MEASUREMENTS else None
 
-        if await_answer(transport, take, LISTEN) is None:
-            raise NoAnswerError(transport.name, "no LD06 or LD19 is heard here; is it powered, does its head turn?")
+        if await_answer(transport, parse, LISTEN_DURATION) is None:
+            raise NoResponseError(transport.name, "no LD06 or LD19 is heard here; is it powered, does its head turn?")
         self.identity = "LDROBOT LD06 or LD19"
 
     def halt(self, transport: Transport) -> None:
         """Nothing: only cutting its power stops it."""
 
-    def _begin(self, transport: Transport, baud: int) -> Stream:
+    def _start_stream(self, transport: Transport, baud: int) -> LidarStream:
         decoder = ld06.Ld06Decoder(baud=baud)
         limits = (ld06.RANGE_MIN, ld06.RANGE_MAX)
-        return Stream(decoder, ld06.POINTS / ld06.SAMPLE_RATE, ld06.LAYOUT.itemsize, limits)
+        return LidarStream(decoder, ld06.POINTS / ld06.SAMPLE_RATE, ld06.LAYOUT.itemsize, limits)

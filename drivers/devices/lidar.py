@@ -7,15 +7,15 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from ..lidars.records import Decoder
+from ..lidars.measurements import Decoder
 from ..lidars.revolutions import RevolutionAssembler
 from ..messages import Message
 from ..transport import Received, Transport
 from .device import Device
-from .stamping import Onward, PacketStamper
+from .packet_stamper import MonotonicStamps, PacketStamper
 
 
-class Stream(NamedTuple):
+class LidarStream(NamedTuple):
     """How a lidar that was started is understood.
 
     decoder  of its format
@@ -30,32 +30,32 @@ class Stream(NamedTuple):
     size: int
     limits: tuple[float, float]
     whole_packets: bool = False
-    rest: Received = Received(b"", 0.0)
+    remainder: Received = Received(b"", 0.0)
 
 
-class Lidar(Device):
+class LidarDevice(Device):
     """A lidar with the options of a spec (see `specs`)."""
 
     def __init__(self, options: Mapping[str, Any]) -> None:
         super().__init__()
-        self.wanted_serial = options.get("serial", "")
+        self.required_serial = options.get("serial", "")
         self._options = options
-        self._past: Counter[str] = Counter()  # of earlier connections
-        self._onward = Onward()
-        self._stream: Stream | None = None
-        self._rest: Received | None = None
+        self._previous_counts: Counter[str] = Counter()  # of earlier connections
+        self._monotonic = MonotonicStamps()
+        self._stream: LidarStream | None = None
+        self._remainder: Received | None = None
 
     @property
-    def units(self) -> int:
+    def measurement_count(self) -> int:
         """Samples of undamaged packets."""
-        return self._past["samples"] + (self._stream.decoder.counters.samples if self._stream else 0)
+        return self._previous_counts["samples"] + (self._stream.decoder.counters.samples if self._stream else 0)
 
     def start(self, transport: Transport, baud: int) -> None:
         """Identify it, make it measure, and begin a new stream."""
-        self._past = Counter(self.counters())
+        self._previous_counts = Counter(self.counters())
         self._stream = None
         self.identify(transport, baud)
-        stream = self._begin(transport, baud)
+        stream = self._start_stream(transport, baud)
         range_min, range_max = stream.limits
         self._assembler = RevolutionAssembler(
             self._options.get("range_min", range_min),
@@ -65,23 +65,23 @@ class Lidar(Device):
             stream.whole_packets,
         )
         self._stamper = PacketStamper(stream.period, stream.size)
-        self._stream, self._rest = stream, stream.rest
+        self._stream, self._remainder = stream, stream.remainder
 
     def feed(self, received: Received) -> list[Message]:
         """The scans that bytes complete."""
         assert self._stream is not None
-        rest, self._rest = self._rest, None
-        messages = self.feed(rest) if rest is not None and rest.data else []
+        remainder, self._remainder = self._remainder, None
+        messages = self.feed(remainder) if remainder is not None and remainder.data else []
         if received.data:
-            self._stamper.note(received)
+            self._stamper.add_chunk(received)
             measurements = self._stream.decoder.feed(received.data)
-            stamps = self._onward.stamps(self._stamper.stamps(measurements))
+            stamps = self._monotonic.stamps(self._stamper.stamps(measurements))
             messages += self._assembler.add(measurements, stamps)
         return messages
 
     def counters(self) -> dict[str, int]:
         """Of the decoders, the revolutions and the clocks."""
-        counts = Counter(self._past)
+        counts = Counter(self._previous_counts)
         if self._stream is not None:
             counts.update(self._stream.decoder.counters.as_dict())
             del counts["bytes"]  # the session counts them
@@ -93,5 +93,5 @@ class Lidar(Device):
         return dict(counts)
 
     @abstractmethod
-    def _begin(self, transport: Transport, baud: int) -> Stream:
+    def _start_stream(self, transport: Transport, baud: int) -> LidarStream:
         """Make the identified lidar measure."""

@@ -9,8 +9,8 @@ from pathlib import Path
 from serial.tools import list_ports
 
 from ..errors import PortError
-from ..transport import SerialPort, Tap, TapePlayer, TcpConnection, Transport
-from .specs import AUTO, TAPE, DeviceSpec
+from ..transport import CapturingTransport, ReplayTransport, SerialPort, TcpConnection, Transport
+from .device_spec import AUTO, CAPTURE_PREFIX, DeviceSpec
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,31 +27,31 @@ def serial_ports() -> list[Port]:
     return sorted(found, key=lambda port: port.path)
 
 
-def is_searched(spec: DeviceSpec, moved: bool) -> bool:
+def searches_ports(spec: DeviceSpec, moved: bool) -> bool:
     """Whether a device is to be looked for on ports that nobody named; `moved` says that it may be elsewhere now."""
-    return spec.address == AUTO or (moved and spec.tcp is None and not spec.address.startswith(TAPE))
+    return spec.address == AUTO or (moved and spec.tcp is None and not spec.address.startswith(CAPTURE_PREFIX))
 
 
-def addresses(spec: DeviceSpec, moved: bool, others: Collection[str]) -> Iterator[str]:
+def candidate_addresses(spec: DeviceSpec, moved: bool, other_addresses: Collection[str]) -> Iterator[str]:
     """Where to look for a device: at its address, and where it is searched on all ports but those of other devices."""
     if spec.address != AUTO:
         yield spec.address
-    if is_searched(spec, moved):
-        named = {Path(address).resolve() for address in (*others, spec.address)}
+    if searches_ports(spec, moved):
+        named = {Path(address).resolve() for address in (*other_addresses, spec.address)}
         yield from (port.path for port in serial_ports() if Path(port.path).resolve() not in named)
 
 
-def connect(spec: DeviceSpec, address: str, baud: int, dtr: bool, again: bool = False) -> Transport:
+def connect(spec: DeviceSpec, address: str, baud: int, dtr: bool, append: bool = False) -> Transport:
     """Open a connection; raises PortError. Tapes play in their own time. A tape that is recorded is gone on with if
     the device is connected `again`.
     """
-    if address.startswith(TAPE):
-        return TapePlayer(address.removeprefix(TAPE), paced=True)
+    if address.startswith(CAPTURE_PREFIX):
+        return ReplayTransport(address.removeprefix(CAPTURE_PREFIX), paced=True)
     transport: Transport = TcpConnection(*spec.tcp) if spec.tcp is not None else SerialPort(address, baud, dtr)
     if "tape" not in spec.options:
         return transport
     try:
-        return Tap(transport, spec.options["tape"], again)
+        return CapturingTransport(transport, spec.options["tape"], append)
     except PortError:
         transport.close()
         raise

@@ -9,38 +9,38 @@ from __future__ import annotations
 
 from contextlib import suppress
 
-from ..errors import DriverError, NoAnswerError
+from ..errors import DriverError, NoResponseError
 from .device import Device
-from .ld06 import Ld06
+from .device_spec import DeviceSpec
+from .ld06 import Ld06Device
 from .ports import connect
 from .registry import make_device
-from .rplidar import Rplidar
-from .scip import Scip
-from .specs import DeviceSpec
-from .wheels import MOST_HARMLESS, Base
+from .rplidar import RplidarDevice
+from .scip import ScipDevice
+from .wheel_base import PROBE_ORDER, WheelBaseDevice
 
-LISTEN = 2.5
+WHEEL_BASE_TIMEOUT = 2.5
 """Seconds for bases; boards that restart when their port is opened take about two."""
 
 
-def candidates() -> list[tuple[str, Device]]:
+def probe_candidates() -> list[tuple[str, Device]]:
     """All kinds of devices, those first that must be asked first."""
     return [
-        ("ld06", Ld06({})),
-        *((kind, Base(kind, {})) for kind in MOST_HARMLESS),
-        ("scip", Scip({})),
-        ("rplidar", Rplidar({})),
+        ("ld06", Ld06Device({})),
+        *((kind, WheelBaseDevice(kind, {})) for kind in PROBE_ORDER),
+        ("scip", ScipDevice({})),
+        ("rplidar", RplidarDevice({})),
     ]
 
 
 def probe(path: str) -> str:
     """Who answers on a serial port, in a line for people; why nobody does, where the port cannot be opened."""
-    for kind, device in candidates():
-        device.patience = LISTEN
+    for kind, device in probe_candidates():
+        device.start_timeout = WHEEL_BASE_TIMEOUT
         spec = DeviceSpec(kind, path, {}, f"{kind}:{path}")
         try:
             return f"{_identify(spec, device)}  ->  {spec.text}"
-        except NoAnswerError:
+        except NoResponseError:
             continue
         except DriverError as error:
             return str(error)
@@ -48,18 +48,18 @@ def probe(path: str) -> str:
 
 
 def identify(spec: DeviceSpec) -> str:
-    """What a device says that it is; raises NoAnswerError where it is not there, PortError where its port is not."""
+    """What a device says that it is; raises NoResponseError where it is not there, PortError where its port is not."""
     return _identify(spec, make_device(spec))
 
 
 def _identify(spec: DeviceSpec, device: Device) -> str:
-    error: NoAnswerError | None = None
+    error: NoResponseError | None = None
     for baud in device.bauds:
         transport = connect(spec, spec.address, baud, device.dtr)
         try:
             device.identify(transport, baud)
             return device.identity
-        except NoAnswerError as failure:
+        except NoResponseError as failure:
             error = error or failure
         finally:
             with suppress(DriverError):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import time
 
-from ..messages import Message, Scan, end_of
+from ..messages import Message, Scan, end_stamp
 from ..recordings.mcap import McapWriter
 from ..recordings.ros_messages import Diagnostic
 from .acquisition import Snapshot
-from .supervisor import State
+from .supervisor import DeviceState
 
 DIAGNOSTICS_PERIOD = 1.0
 """Seconds."""
@@ -27,7 +27,7 @@ class Recorder:
         self._writer = writer
         self._first: float | None = None
         self._last = float("-inf")
-        self._told = float("-inf")
+        self._diagnostics_written = float("-inf")
 
     @property
     def duration(self) -> float:
@@ -40,24 +40,24 @@ class Recorder:
         self.scans += isinstance(message, Scan)
         self.odometry += not isinstance(message, Scan)
         self._first = message.stamp if self._first is None else self._first
-        self._last = max(end_of(message), self._last)
+        self._last = max(end_stamp(message), self._last)
 
-    def look(self, snapshot: Snapshot) -> None:
+    def write_diagnostics_if_due(self, snapshot: Snapshot) -> None:
         """Append how the devices are doing, if it is time to; cheap otherwise."""
-        if time.monotonic() >= self._told + DIAGNOSTICS_PERIOD:
-            self.tell(snapshot)
+        if time.monotonic() >= self._diagnostics_written + DIAGNOSTICS_PERIOD:
+            self.write_diagnostics(snapshot)
 
-    def tell(self, snapshot: Snapshot) -> None:
+    def write_diagnostics(self, snapshot: Snapshot) -> None:
         """Append how the devices are doing, once anything was measured."""
         if self._first is not None:
-            self._told = time.monotonic()
-            self._writer.write_diagnostics(self._last, diagnostics_of(snapshot))
+            self._diagnostics_written = time.monotonic()
+            self._writer.write_diagnostics(self._last, make_diagnostics(snapshot))
 
 
-def diagnostics_of(snapshot: Snapshot) -> list[Diagnostic]:
+def make_diagnostics(snapshot: Snapshot) -> list[Diagnostic]:
     """How the devices and the acquisition are doing, as it is recorded."""
     devices = [
-        Diagnostic(device.spec, device.state is State.LOST, device.problem or device.state.value, device.counters)
+        Diagnostic(device.spec, device.state is DeviceState.LOST, device.problem or device.state.value, device.counters)
         for device in snapshot.devices
     ]
     losses = {"dropped": snapshot.dropped, "late": snapshot.late}

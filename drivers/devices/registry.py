@@ -6,15 +6,19 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from .device import Device
-from .ld06 import Ld06
-from .rplidar import Rplidar
-from .scip import Scip
-from .specs import DeviceSpec
-from .wheels import Base
+from .device_spec import DeviceSpec
+from .ld06 import Ld06Device
+from .rplidar import RplidarDevice
+from .scip import ScipDevice
+from .wheel_base import WheelBaseDevice
 
-LIDARS: Mapping[str, Callable[[Mapping[str, Any]], Device]] = {"rplidar": Rplidar, "ld06": Ld06, "scip": Scip}
+LIDAR_DEVICES: Mapping[str, Callable[[Mapping[str, Any]], Device]] = {
+    "rplidar": RplidarDevice,
+    "ld06": Ld06Device,
+    "scip": ScipDevice,
+}
 
 
 def make_device(spec: DeviceSpec) -> Device:
     """The device, not yet connected."""
-    return LIDARS[spec.kind](spec.options) if spec.is_lidar else Base(spec.kind, spec.options)
+    return LIDAR_DEVICES[spec.kind](spec.options) if spec.is_lidar else WheelBaseDevice(spec.kind, spec.options)

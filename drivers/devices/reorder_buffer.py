@@ -7,18 +7,18 @@ from collections import deque
 from dataclasses import replace
 from threading import Condition
 
-from ..messages import Message, end_of
+from ..messages import Message, end_stamp
 
 CAPACITY = 4096
 """Messages that wait for a consumer that is busy: of a lidar and a base more than half a minute's."""
-BATCH = 16
+MAX_BATCH = 16
 """Messages taken at once: what is taken can no longer be dropped."""
-HOLD = 1.5
+MAX_HOLD = 1.5
 """Seconds that a message waits for another device's earlier ones while that is read and sends none; the slowest lidar
 turns in a second."""
 
 
-class Outlet:
+class ReorderBuffer:
     """Where sessions put messages, and one thread takes them.
 
     devices   how many put
@@ -35,7 +35,7 @@ class Outlet:
         self._offset, self._capacity = offset, capacity
         self._ends = [float("-inf")] * devices  # of what each device sent
         self._heap: list[tuple[float, int, Message]] = []
-        self._arrived = 0
+        self._sequence = 0
         self._last = float("-inf")
         self._ready: deque[Message] = deque()
         self._changed = Condition()
@@ -44,21 +44,21 @@ class Outlet:
         """Messages of one device, stamped on the steady clock; none begins before the end of one put earlier."""
         with self._changed:
             for message in messages:
-                heapq.heappush(self._heap, (message.stamp, self._arrived, message))
-                self._arrived += 1
-                self._ends[device] = max(self._ends[device], end_of(message))
+                heapq.heappush(self._heap, (message.stamp, self._sequence, message))
+                self._sequence += 1
+                self._ends[device] = max(self._ends[device], end_stamp(message))
             self._release(min(self._ends))
             self._changed.notify()
 
-    def take(self, read: float, timeout: float) -> list[Message]:
+    def pop(self, read_until: float, timeout: float) -> list[Message]:
         """A few messages, the next ones that are due when all devices have been read up to a time (seconds on the
         steady clock) and what they sent was put; waits at most a timeout for one where there is none.
         """
         with self._changed:
-            self._release(read - HOLD)
+            self._release(read_until - MAX_HOLD)
             if not self._ready:
                 self._changed.wait(timeout)
-            return [self._ready.popleft() for _ in range(min(BATCH, len(self._ready)))]
+            return [self._ready.popleft() for _ in range(min(MAX_BATCH, len(self._ready)))]
 
     def flush(self) -> list[Message]:
         """All that is left: nothing will be put any more."""

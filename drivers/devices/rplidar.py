@@ -7,52 +7,52 @@ from collections.abc import Generator, Mapping
 from contextlib import suppress
 from typing import Any, TypeVar
 
-from ..errors import DriverError, NoAnswerError
+from ..errors import DriverError, NoResponseError
 from ..lidars.rplidar import modes as scan_modes
 from ..lidars.rplidar import requests
-from ..lidars.rplidar.answers import (
-    OLD_SAMPLE_RATE,
-    Answer,
-    AnswerReader,
-    Health,
-    Info,
-    SampleRate,
-    Status,
-    has_motor_pwm,
-)
 from ..lidars.rplidar.decoding import SIZES, decoder_for
 from ..lidars.rplidar.models import BAUDS, DEFAULT_PWM, DEFAULT_SPEED, UNKNOWN, Motor, model_of, name_of
 from ..lidars.rplidar.requests import Request
+from ..lidars.rplidar.responses import (
+    DEFAULT_SAMPLE_RATE,
+    Health,
+    HealthStatus,
+    Info,
+    ResponseReader,
+    ResponseType,
+    SampleRate,
+    has_motor_pwm,
+)
 from ..transport import Received, Transport
 from .device import await_answer, drain
-from .lidar import Lidar, Stream
+from .lidar import LidarDevice, LidarStream
 
 ANSWER_TIMEOUT = 0.3
 """Seconds; a device that listens answers within some milliseconds."""
-TRIES = 3
+MAX_TRIES = 3
 SCAN_TIMEOUT = 3.0
 """Seconds; some models answer a request to scan only when the head turns steadily."""
-REBOOT = 15.0
+REBOOT_TIMEOUT = 15.0
 """Seconds that a device may take to come back after a reset; most take one."""
-SETTLE = 0.1
+STOP_PAUSE = 0.1
 """Seconds between STOP and what follows; the documented millisecond is too short for many devices."""
 FIRMWARE_WITH_SAMPLE_RATE = (1, 17)
 PACKET_SAMPLES = {
-    Answer.STANDARD: 1,
-    Answer.EXPRESS: 32,
-    Answer.HQ: 96,
-    Answer.ULTRA: 96,
-    Answer.DENSE: 40,
-    Answer.ULTRA_DENSE: 64,
+    ResponseType.STANDARD: 1,
+    ResponseType.EXPRESS: 32,
+    ResponseType.HQ: 96,
+    ResponseType.ULTRA: 96,
+    ResponseType.DENSE: 40,
+    ResponseType.ULTRA_DENSE: 64,
 }
 
 Result = TypeVar("Result")
 
 
-class Rplidar(Lidar):
+class RplidarDevice(LidarDevice):
     """An RPLIDAR. Options: see `specs`; `mode` is the name of a scan mode, or typical."""
 
-    patience = 10.0
+    start_timeout = 10.0
 
     def __init__(self, options: Mapping[str, Any]) -> None:
         super().__init__(options)
@@ -66,7 +66,7 @@ class Rplidar(Lidar):
         transport.set_dtr(False)
         transport.write(requests.STOP.packet())
         drain(transport)
-        self._info = info = _info(transport, TRIES)
+        self._info = info = _info(transport, MAX_TRIES)
         self._motor = model_of(info.model).motor
         major, minor = info.firmware
         self.serial = info.serial
@@ -76,111 +76,115 @@ class Rplidar(Lidar):
     def halt(self, transport: Transport) -> None:
         """Stop the scan, then the motor."""
         transport.write(requests.STOP.packet())
-        time.sleep(SETTLE)
+        time.sleep(STOP_PAUSE)
         if self._motor is Motor.SPEED:
             transport.write(requests.set_motor_speed(0).packet())
         elif self._motor is Motor.PWM and self._has_pwm:
             transport.write(requests.set_motor_pwm(0).packet())
         elif self._motor is Motor.DTR:
             transport.set_dtr(True)
-        time.sleep(SETTLE)
+        time.sleep(STOP_PAUSE)
 
-    def _begin(self, transport: Transport, baud: int) -> Stream:
+    def _start_stream(self, transport: Transport, baud: int) -> LidarStream:
         assert self._info is not None
-        self._heal(transport)
+        self._reset_if_failed(transport)
         model = model_of(self._info.model)
-        modes = self._modes(transport, model.range_max)
+        modes = self._query_modes(transport, model.range_max)
         mode = modes.choose(self._options.get("mode", "typical"))
-        self._spin(transport)
+        self._start_motor(transport)
         # A pseudo terminal and a network carry bytes at any speed: then it was the device's own port that took time.
-        known = model is UNKNOWN or baud in model.bauds
-        decoder = decoder_for(mode.answer, mode.sample_period, baud if known else model.bauds[0], model.corrected)
-        rest = _start_scan(transport, mode.start(), mode.answer)
-        samples = PACKET_SAMPLES[Answer(mode.answer)]
+        baud_is_physical = model is UNKNOWN or baud in model.bauds
+        decoder = decoder_for(
+            mode.response_type, mode.sample_period, baud if baud_is_physical else model.bauds[0], model.triangulates
+        )
+        remainder = _start_scan(transport, mode.start(), mode.response_type)
+        samples = PACKET_SAMPLES[ResponseType(mode.response_type)]
         self.identity += f", mode {mode.name}"
         limits = (model.range_min, mode.max_distance or model.range_max)
-        return Stream(decoder, samples * mode.sample_period, SIZES[Answer(mode.answer)], limits, rest=rest)
+        return LidarStream(
+            decoder, samples * mode.sample_period, SIZES[ResponseType(mode.response_type)], limits, remainder=remainder
+        )
 
-    def _heal(self, transport: Transport) -> None:
+    def _reset_if_failed(self, transport: Transport) -> None:
         """Reset a device that says that it failed; raises DriverError where it still does."""
         health = _health(transport)
-        if health.status is not Status.ERROR:
+        if health.status is not HealthStatus.ERROR:
             return
         transport.write(requests.RESET.packet())
-        end = time.monotonic() + REBOOT
+        end = time.monotonic() + REBOOT_TIMEOUT
         while True:
             time.sleep(0.5)
             drain(transport)  # it greets with lines of text
             try:
                 _info(transport, 1)
                 break
-            except NoAnswerError:
+            except NoResponseError:
                 if time.monotonic() > end:
                     raise
         health = _health(transport)
-        if health.status is Status.ERROR:
+        if health.status is HealthStatus.ERROR:
             raise DriverError(f"{transport.name}: the lidar reports error {health.code}, also after a reset")
 
-    def _modes(self, transport: Transport, max_distance: float) -> scan_modes.Modes:
+    def _query_modes(self, transport: Transport, max_distance: float) -> scan_modes.Modes:
         assert self._info is not None
-        if scan_modes.tells_modes(self._info):
-            return _survey(transport, scan_modes.survey())
-        rate = OLD_SAMPLE_RATE
+        if scan_modes.reports_modes(self._info):
+            return _run_query(transport, scan_modes.query_modes())
+        rate = DEFAULT_SAMPLE_RATE
         if self._info.firmware >= FIRMWARE_WITH_SAMPLE_RATE:
-            reader = AnswerReader(Answer.SAMPLE_RATE, SampleRate.SIZE)
-            rate = SampleRate.parse(_ask(transport, requests.GET_SAMPLE_RATE, reader))
-        return scan_modes.modes_of_old(rate, max_distance)
+            reader = ResponseReader(ResponseType.SAMPLE_RATE, SampleRate.SIZE)
+            rate = SampleRate.parse(_request(transport, requests.GET_SAMPLE_RATE, reader))
+        return scan_modes.legacy_modes(rate, max_distance)
 
-    def _spin(self, transport: Transport) -> None:
+    def _start_motor(self, transport: Transport) -> None:
         """Start the motor, where that is not the scan's part; as fast as the device wants."""
         assert self._info is not None
         speed, duty = DEFAULT_SPEED, DEFAULT_PWM
-        if self._motor in (Motor.SPEED, Motor.PWM) and scan_modes.tells_modes(self._info):
-            with suppress(NoAnswerError):  # firmware that knows its modes, but not this entry
-                speed, duty = _survey(transport, scan_modes.desired_rotation())
+        if self._motor in (Motor.SPEED, Motor.PWM) and scan_modes.reports_modes(self._info):
+            with suppress(NoResponseError):  # firmware that knows its modes, but not this entry
+                speed, duty = _run_query(transport, scan_modes.query_rotation())
         if self._motor is Motor.SPEED:
             transport.write(requests.set_motor_speed(speed).packet())
         elif self._motor is Motor.PWM:
-            reader = AnswerReader(Answer.MOTOR_BOARD, 4)
-            self._has_pwm = has_motor_pwm(_ask(transport, requests.GET_MOTOR_BOARD, reader))
+            reader = ResponseReader(ResponseType.MOTOR_BOARD, 4)
+            self._has_pwm = has_motor_pwm(_request(transport, requests.GET_MOTOR_BOARD, reader))
             if self._has_pwm:
                 transport.write(requests.set_motor_pwm(duty).packet())
 
 
-def _ask(transport: Transport, request: Request, reader: AnswerReader, tries: int = TRIES) -> bytes:
-    """The payload of the answer to a request; raises NoAnswerError."""
+def _request(transport: Transport, request: Request, reader: ResponseReader, tries: int = MAX_TRIES) -> bytes:
+    """The payload of the answer to a request; raises NoResponseError."""
     for _ in range(tries):
         transport.write(request.packet())
         if found := await_answer(transport, reader.feed, ANSWER_TIMEOUT):
             return found[0]
-    raise NoAnswerError(transport.name, "no RPLIDAR answers here; is it powered, and the speed of the port right?")
+    raise NoResponseError(transport.name, "no RPLIDAR answers here; is it powered, and the speed of the port right?")
 
 
 def _info(transport: Transport, tries: int) -> Info:
-    return Info.parse(_ask(transport, requests.GET_INFO, AnswerReader(Answer.INFO, Info.SIZE), tries))
+    return Info.parse(_request(transport, requests.GET_INFO, ResponseReader(ResponseType.INFO, Info.SIZE), tries))
 
 
 def _health(transport: Transport) -> Health:
-    return Health.parse(_ask(transport, requests.GET_HEALTH, AnswerReader(Answer.HEALTH, Health.SIZE)))
+    return Health.parse(_request(transport, requests.GET_HEALTH, ResponseReader(ResponseType.HEALTH, Health.SIZE)))
 
 
-def _survey(transport: Transport, questions: Generator[Request, bytes, Result]) -> Result:
+def _run_query(transport: Transport, questions: Generator[Request, bytes, Result]) -> Result:
     """Ask what a generator wants to know."""
     try:
         request = next(questions)
         while True:
-            reader = AnswerReader(Answer.CONFIGURATION, prefix=scan_modes.echo(request))
-            request = questions.send(_ask(transport, request, reader))
+            reader = ResponseReader(ResponseType.CONFIGURATION, prefix=scan_modes.echo(request))
+            request = questions.send(_request(transport, request, reader))
     except StopIteration as end:
         result: Result = end.value
         return result
 
 
-def _start_scan(transport: Transport, request: Request, answer: int) -> Received:
+def _start_scan(transport: Transport, request: Request, response_type: int) -> Received:
     """Start scanning; the first bytes of the stream."""
     transport.write(request.packet())
-    reader = AnswerReader(answer, multiple=True)
+    reader = ResponseReader(response_type, multiple=True)
     found = await_answer(transport, reader.feed, SCAN_TIMEOUT)
     if found is None:
-        raise NoAnswerError(transport.name, "the RPLIDAR answers, but does not begin to scan")
-    return Received(reader.rest, found[1])
+        raise NoResponseError(transport.name, "the RPLIDAR answers, but does not begin to scan")
+    return Received(reader.remainder, found[1])

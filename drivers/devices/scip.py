@@ -8,24 +8,24 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import NoAnswerError
+from ..errors import NoResponseError
 from ..lidars import scip, scip_scan
-from ..lidars.scip import Parameters, Reply, ReplyReader
+from ..lidars.scip import Parameters, Reply, ReplyParser
 from ..transport import Transport
 from .device import await_answer, drain
-from .lidar import Lidar, Stream
+from .lidar import LidarDevice, LidarStream
 
 BAUDS = (115200, 19200, 38400)
 """Bits a second of RS-232 ports; USB and Ethernet take any."""
 ANSWER_TIMEOUT = 0.5
 """Seconds; a device that measures may first finish a scan."""
-TRIES = 2
+MAX_TRIES = 2
 
 
-class Scip(Lidar):
+class ScipDevice(LidarDevice):
     """A Hokuyo. Options: see `specs`; with `baud` the port is taken for RS-232, whose bytes take time."""
 
-    patience = 10.0
+    start_timeout = 10.0
 
     def __init__(self, options: Mapping[str, Any]) -> None:
         super().__init__(options)
@@ -36,13 +36,13 @@ class Scip(Lidar):
         """Silence it and ask who it is."""
         transport.write(b"\n" + scip.STOP)
         drain(transport)
-        reply = _ask(transport, scip.PARAMETERS)
+        reply = _request(transport, scip.PARAMETERS)
         if reply.status == "E":
             transport.write(scip.USE_SCIP2)
             drain(transport)
-            reply = _ask(transport, scip.PARAMETERS)
+            reply = _request(transport, scip.PARAMETERS)
         self._parameters = Parameters.parse(reply)
-        self.serial = _field(_ask(transport, scip.VERSION), "SERI")
+        self.serial = _field(_request(transport, scip.VERSION), "SERI")
         self.identity = f"Hokuyo {self._parameters.model}, serial number {self.serial}"
         self.check_serial(transport)
 
@@ -50,36 +50,36 @@ class Scip(Lidar):
         """Stop measuring, which switches the laser off; the motor goes on turning."""
         transport.write(scip.STOP)
 
-    def _begin(self, transport: Transport, baud: int) -> Stream:
+    def _start_stream(self, transport: Transport, baud: int) -> LidarStream:
         assert self._parameters is not None
-        found = self._parameters
-        request = scip.Measure(found.first, found.last)
-        decoder = scip_scan.ScipDecoder(found, request, baud if "baud" in self._options else math.inf)
-        _ask(transport, scip.LASER_ON)
+        parameters = self._parameters
+        request = scip.MeasureRequest(parameters.first, parameters.last)
+        decoder = scip_scan.ScipDecoder(parameters, request, baud if "baud" in self._options else math.inf)
+        _request(transport, scip.LASER_ON)
         transport.write(request.packet())
         size = len(scip_scan.encode(np.zeros(request.count), request, 0))
-        limits = (found.range_min, found.range_max)
-        return Stream(decoder, 60.0 / found.speed, size, limits, whole_packets=True)
+        limits = (parameters.range_min, parameters.range_max)
+        return LidarStream(decoder, 60.0 / parameters.speed, size, limits, whole_packets=True)
 
 
-def _ask(transport: Transport, command: bytes) -> Reply:
-    """The reply to a command; raises NoAnswerError."""
-    reader = ReplyReader()
+def _request(transport: Transport, command: bytes) -> Reply:
+    """The reply to a command; raises NoResponseError."""
+    reader = ReplyParser()
 
-    def take(data: bytes) -> Reply | None:
+    def parse(data: bytes) -> Reply | None:
         return next((reply for reply in reader.feed(data) if reply.echo == command.rstrip()), None)
 
-    for _ in range(TRIES):
+    for _ in range(MAX_TRIES):
         transport.write(command)
-        if found := await_answer(transport, take, ANSWER_TIMEOUT):
-            return found[0]
-    raise NoAnswerError(transport.name, "no lidar that speaks SCIP answers here")
+        if parameters := await_answer(transport, parse, ANSWER_TIMEOUT):
+            return parameters[0]
+    raise NoResponseError(transport.name, "no lidar that speaks SCIP answers here")
 
 
 def _field(reply: Reply, name: str) -> str:
     """A field of a reply with lines such as `SERI:H0906091;`; empty where it is not there."""
     for line in reply.lines:
-        text = scip.verified(line)
+        text = scip.strip_checksum(line)
         if text is not None and text.startswith(name.encode() + b":"):
             return text.decode("ascii", errors="replace").partition(":")[2].rstrip(";")
     return ""

@@ -19,6 +19,6 @@ Times are seconds since the emulator was started, on the host's steady clock; wh
 from __future__ import annotations
 
 from .emulator import Emulator
-from .setup import Event, Setup, base_names, lidar_names
+from .emulator_setup import EmulatorSetup, FaultEvent, base_names, lidar_names
 
-__all__ = ["Emulator", "Event", "Setup", "base_names", "lidar_names"]
+__all__ = ["Emulator", "EmulatorSetup", "FaultEvent", "base_names", "lidar_names"]

@@ -7,13 +7,13 @@ from abc import ABC, abstractmethod
 from typing import TypeVar
 
 from ..messages import Floats
-from .line import Line
+from .serial_line import SerialLine
 
 Time = TypeVar("Time", float, Floats)
 """Seconds, one or many."""
 
 
-class Device(ABC):
+class EmulatedDevice(ABC):
     """A device on a line, with a clock of its own that begins when it is switched on.
 
     name         as the user chose it
@@ -25,28 +25,28 @@ class Device(ABC):
     requests     understood from the host
     """
 
-    def __init__(self, name: str, line: Line, drift: float, usb_powered: bool) -> None:
+    def __init__(self, name: str, line: SerialLine, drift: float, usb_powered: bool) -> None:
         self.name, self.line, self.drift, self.usb_powered = name, line, drift, usb_powered
         self.on = False
         self.restarts = -1
         self.requests = 0
-        self._born = 0.0
+        self._powered_since = 0.0
 
     def switch_on(self, time: float) -> None:
         """Start, or start again."""
         self.on = True
         self.restarts += 1
-        self._born = time
+        self._powered_since = time
 
     def switch_off(self) -> None:
         """Lose the power."""
         self.on = False
 
     @abstractmethod
-    def port_opened(self, time: float) -> None:
+    def on_port_opened(self, time: float) -> None:
         """A program has opened the port."""
 
-    def fail(self, time: float) -> bool:
+    def inject_error(self, time: float) -> bool:
         """Have an inner error that only a reset mends; False where the device knows no such thing."""
         return False
 
@@ -57,11 +57,11 @@ class Device(ABC):
 
     @property
     @abstractmethod
-    def misheard(self) -> int:
+    def unrecognised(self) -> int:
         """Bytes from the host that it did not understand."""
 
     @abstractmethod
-    def hear(self, data: bytes, time: float) -> None:
+    def receive(self, data: bytes, time: float) -> None:
         """Take what the host has sent."""
 
     @abstractmethod
@@ -72,10 +72,10 @@ class Device(ABC):
     def report(self) -> dict[str, object]:
         """What it did, by name."""
 
-    def own(self, time: Time) -> Time:
+    def to_device_time(self, time: Time) -> Time:
         """A time on its own clock, seconds since it was switched on."""
-        return (time - self._born) * (1.0 + self.drift)
+        return (time - self._powered_since) * (1.0 + self.drift)
 
-    def host(self, own: Time) -> Time:
+    def to_host_time(self, own: Time) -> Time:
         """The time when its own clock shows `own`."""
-        return self._born + own / (1.0 + self.drift)
+        return self._powered_since + own / (1.0 + self.drift)

@@ -14,30 +14,29 @@ from typing import Any
 
 import numpy as np
 
-from ..bases.readings import Velocity
-from ..clock import day_offset
+from ..bases.interface import Velocity
 from ..errors import RecordingError
 from ..lidars import ld06
-from ..simulation.simulator import Lidar, warm_up
-from ..simulation.world import World, load_world
-from . import base, rplidar_kinds
-from .device import Device
-from .keyboard import Keyboard, steered
-from .ld06 import Ld06
-from .line import Damager, Line
-from .link import Link
-from .motion import CommandedPilot, Motion, PathPilot
-from .optics import Optics
-from .port import PtyPort
-from .rplidar import Rplidar
-from .scip import URG, Scip
-from .setup import Setup
-from .truth import TruthFile
-from .wheels import Encoders, Gyro
+from ..simulation import LidarModel, World, load_world, warm_up
+from ..timestamps import wall_clock_offset
+from . import rplidar_variants, wheel_base
+from .beam_model import BeamModel
+from .connection import DeviceConnection
+from .device import EmulatedDevice
+from .emulator_setup import EmulatorSetup
+from .ground_truth import GroundTruthWriter
+from .keyboard import Keyboard, apply_keys
+from .ld06 import EmulatedLd06
+from .pty_port import PtyPort
+from .robot_motion import CommandedPilot, PathPilot, RobotMotion
+from .rplidar import EmulatedRplidar
+from .scip import URG, EmulatedScip
+from .serial_line import Corruptor, SerialLine
+from .wheel_sensors import Encoders, Gyro
 
-LONGEST_STEP = 0.5
+MAX_STEP = 0.5
 """Seconds; longer ones, as when the host was suspended, are made in parts."""
-LEAST_PAUSE, MOST_PAUSE = 0.001, 0.005
+MIN_PAUSE, MAX_PAUSE = 0.001, 0.005
 """Seconds to sleep between steps. In between it wakes when a packet is through, so that packets arrive in time; the
 host's requests wait for the next step.
 """
@@ -55,67 +54,73 @@ class Emulator:
     made, DriverError where there is no keyboard.
     """
 
-    def __init__(self, setup: Setup, begun: float | None = None) -> None:
+    def __init__(self, setup: EmulatorSetup, begun: float | None = None) -> None:
         self.setup = setup
         warm_up()  # takes seconds the first time, and must not once time runs
         self.begun = clocks.monotonic() if begun is None else begun
-        self.day = self.begun + day_offset()
+        self.day = self.begun + wall_clock_offset()
         self._world = setup.world if isinstance(setup.world, World) else load_world(setup.world)
         self._pilot = CommandedPilot(self._world)
-        self.motion = Motion(self._world, PathPilot(self._world) if setup.drive == "path" else self._pilot)
+        self.motion = RobotMotion(self._world, PathPilot(self._world) if setup.drive == "path" else self._pilot)
         self._time = 0.0
-        self._closing = ExitStack()
+        self._open_resources = ExitStack()
 
     def __enter__(self) -> Emulator:
         setup = self.setup
-        optics, wheels, gyro, *noises = np.random.default_rng(setup.seed).spawn(7)
+        beams, wheels, gyro, *noises = np.random.default_rng(setup.seed).spawn(7)
         with ExitStack() as opening:
             self._keyboard = opening.enter_context(Keyboard()) if setup.drive == "keyboard" else None
-            self._truth = opening.enter_context(TruthFile(setup.truth, self.motion, self.day)) if setup.truth else None
-            self.lidar = self._link(opening, "lidar", self._lidar(optics), noises[:2])
-            self.base = self._link(opening, "base", self._base(wheels, gyro), noises[2:])
+            self._truth = (
+                opening.enter_context(GroundTruthWriter(setup.truth, self.motion, self.day)) if setup.truth else None
+            )
+            self.lidar = self._connect(opening, "lidar", self._lidar(beams), noises[:2])
+            self.base = self._connect(opening, "base", self._base(wheels, gyro), noises[2:])
             if setup.report is not None:
                 opening.callback(self._write_report)
-            self._closing = opening.pop_all()
+            self._open_resources = opening.pop_all()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._closing.close()
+        self._open_resources.close()
 
-    def _link(self, opening: ExitStack, who: str, device: Device, random: list[np.random.Generator]) -> Link:
+    def _connect(
+        self, opening: ExitStack, who: str, device: EmulatedDevice, random: list[np.random.Generator]
+    ) -> DeviceConnection:
         """A device at its port."""
         setup = self.setup
         port = PtyPort(setup.lidar_port if who == "lidar" else setup.base_port)
         opening.callback(port.unplug)
         events = [event for event in setup.events if event.device == who]
-        return Link(device, port, events, Damager(setup.drop, setup.insert, setup.flip, random[0]), random[1])
+        return DeviceConnection(
+            device, port, events, Corruptor(setup.drop, setup.insert, setup.flip, random[0]), random[1]
+        )
 
-    def _lidar(self, random: np.random.Generator) -> Device:
+    def _lidar(self, random: np.random.Generator) -> EmulatedDevice:
         setup, drift = self.setup, self.setup.lidar_drift / 1e6
 
-        def optics(range_min: float, range_max: float) -> Optics:
-            noise: Lidar = replace(setup.noise, range_min=range_min, range_max=range_max)
-            return Optics(self.motion, np.array(setup.mount, dtype=np.float64), noise, random)
+        def beams(range_min: float, range_max: float) -> BeamModel:
+            noise: LidarModel = replace(setup.noise, range_min=range_min, range_max=range_max)
+            return BeamModel(self.motion, np.array(setup.mount, dtype=np.float64), noise, random)
 
         if setup.lidar == "ld06":
-            return Ld06(setup.lidar, Line(ld06.BAUD), drift, optics(ld06.RANGE_MIN, ld06.RANGE_MAX))
+            return EmulatedLd06(setup.lidar, SerialLine(ld06.BAUD), drift, beams(ld06.RANGE_MIN, ld06.RANGE_MAX))
         if setup.lidar == "scip":
-            return Scip(setup.lidar, Line(math.inf), drift, optics(URG.range_min, URG.range_max))
-        kind = rplidar_kinds.KINDS[setup.lidar]
-        limits = optics(kind.model.range_min, kind.model.range_max)
-        return Rplidar(setup.lidar, Line(kind.baud), drift, kind, limits)
+            return EmulatedScip(setup.lidar, SerialLine(math.inf), drift, beams(URG.range_min, URG.range_max))
+        kind = rplidar_variants.RPLIDAR_VARIANTS[setup.lidar]
+        limits = beams(kind.model.range_min, kind.model.range_max)
+        return EmulatedRplidar(setup.lidar, SerialLine(kind.baud), drift, kind, limits)
 
-    def _base(self, random: np.random.Generator, gyro: np.random.Generator) -> Device:
-        setup, kind = self.setup, base.KINDS[self.setup.base]
+    def _base(self, random: np.random.Generator, gyro: np.random.Generator) -> EmulatedDevice:
+        setup, kind = self.setup, wheel_base.BASE_VARIANTS[self.setup.base]
         encoders = Encoders(self.motion, kind.wheels, setup.wheels, random)
-        obey: Callable[[Velocity], None] = self._obey if setup.drive == "base" else lambda _: None
-        line, drift = Line(kind.baud), setup.base_drift / 1e6
-        return base.Base(setup.base, line, drift, kind, encoders, Gyro(self.motion, gyro), obey)
+        obey: Callable[[Velocity], None] = self._set_target_velocity if setup.drive == "base" else lambda _: None
+        line, drift = SerialLine(kind.baud), setup.base_drift / 1e6
+        return wheel_base.EmulatedWheelBase(setup.base, line, drift, kind, encoders, Gyro(self.motion, gyro), obey)
 
-    def _obey(self, velocity: Velocity) -> None:
-        self._pilot.wanted = velocity
+    def _set_target_velocity(self, velocity: Velocity) -> None:
+        self._pilot.target = velocity
 
     @property
     def due(self) -> float:
@@ -125,9 +130,9 @@ class Emulator:
     def step(self, time: float) -> None:
         """Let everything happen up to a time, seconds since the start; times never decrease."""
         while self._time < time:
-            self._time = min(time, self._time + LONGEST_STEP)
+            self._time = min(time, self._time + MAX_STEP)
             if self._keyboard is not None:
-                self._pilot.wanted = steered(self._pilot.wanted, self._keyboard.pressed())
+                self._pilot.target = apply_keys(self._pilot.target, self._keyboard.read_keys())
             self.motion.advance(self._time)
             self.lidar.step(self._time)
             self.base.step(self._time)
@@ -137,11 +142,11 @@ class Emulator:
     def run(self, duration: float | None = None) -> None:
         """Go on in real time, for so many seconds or until it is interrupted."""
         end = math.inf if duration is None else clocks.monotonic() - self.begun + duration
-        with at_once():
+        with realtime_priority():
             while (now := clocks.monotonic() - self.begun) < end:
                 self.step(now)
                 pause = self.due - (clocks.monotonic() - self.begun)
-                clocks.sleep(min(max(pause, LEAST_PAUSE), MOST_PAUSE))
+                clocks.sleep(min(max(pause, MIN_PAUSE), MAX_PAUSE))
 
     def report(self) -> dict[str, Any]:
         """What happened so far, as plain values; `seconds` counts from `begun`, seconds since 1970."""
@@ -166,7 +171,7 @@ class Emulator:
 
 
 @contextmanager
-def at_once() -> Iterator[None]:
+def realtime_priority() -> Iterator[None]:
     """What is inside runs whenever it has something to do, before all other programs, if this one may have that.
 
     Hardware does not wait for a processor. An emulator that has to, on a computer that is busy, sends later than any

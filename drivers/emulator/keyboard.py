@@ -10,28 +10,28 @@ import termios
 import tty
 from types import TracebackType
 
-from ..bases.readings import Velocity
+from ..bases.interface import Velocity
 from ..errors import DriverError
 
-FASTER, SHARPER = 0.1, 0.25
+SPEED_STEP, TURN_RATE_STEP = 0.1, 0.25
 """Metres and radians a second that a key adds."""
-TOP_SPEED, TOP_TURN_RATE = 0.5, 1.5
-KEY = re.compile(rb"\x1b\[[A-D]|\x1bO[A-D]|[wasdWASD ]")
-STEPS = {b"A": (1, 0), b"B": (-1, 0), b"C": (0, -1), b"D": (0, 1)}
+MAX_SPEED, MAX_TURN_RATE = 0.5, 1.5
+KEY_PATTERN = re.compile(rb"\x1b\[[A-D]|\x1bO[A-D]|[wasdWASD ]")
+ARROW_STEPS = {b"A": (1, 0), b"B": (-1, 0), b"C": (0, -1), b"D": (0, 1)}
 """By the last character of what an arrow key sends: forwards, counter-clockwise."""
-LETTERS = {b"w": b"A", b"s": b"B", b"d": b"C", b"a": b"D"}
+LETTER_ARROWS = {b"w": b"A", b"s": b"B", b"d": b"C", b"a": b"D"}
 HELP = "arrow keys: faster, slower, left, right; space: stop"
 
 
-def steered(velocity: Velocity, keys: bytes) -> Velocity:
+def apply_keys(velocity: Velocity, keys: bytes) -> Velocity:
     """The velocity after keys, as a terminal sends them; the space bar stands still, unknown keys do nothing."""
-    for key in KEY.findall(keys):
+    for key in KEY_PATTERN.findall(keys):
         if key == b" ":
             velocity = Velocity(0.0, 0.0)
             continue
-        forwards, left = STEPS[LETTERS.get(key.lower(), key[-1:])]
-        speed, turn_rate = velocity.speed + forwards * FASTER, velocity.turn_rate + left * SHARPER
-        velocity = Velocity(min(max(speed, -TOP_SPEED), TOP_SPEED), min(max(turn_rate, -TOP_TURN_RATE), TOP_TURN_RATE))
+        forwards, left = ARROW_STEPS[LETTER_ARROWS.get(key.lower(), key[-1:])]
+        speed, turn_rate = velocity.speed + forwards * SPEED_STEP, velocity.turn_rate + left * TURN_RATE_STEP
+        velocity = Velocity(min(max(speed, -MAX_SPEED), MAX_SPEED), min(max(turn_rate, -MAX_TURN_RATE), MAX_TURN_RATE))
     return velocity
 
 
@@ -53,7 +53,7 @@ class Keyboard:
     ) -> None:
         termios.tcsetattr(self._input, termios.TCSADRAIN, self._before)
 
-    def pressed(self) -> bytes:
+    def read_keys(self) -> bytes:
         """What was typed since the last call; does not wait."""
         ready, _, _ = select.select([self._input], [], [], 0.0)
         return os.read(self._input, 256) if ready else b""

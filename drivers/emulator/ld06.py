@@ -7,26 +7,26 @@ import math
 import numpy as np
 
 from ..lidars import ld06
-from .device import Device
-from .line import Line
-from .optics import Optics
+from .beam_model import BeamModel
+from .device import EmulatedDevice
+from .serial_line import SerialLine
 
-RATE = 10.0
+ROTATION_RATE = 10.0
 """Revolutions a second."""
-SPIN_UP = 1.0
+SPIN_UP_DURATION = 1.0
 """Seconds until it turns steadily."""
-INTENSITY = 200
+RETURN_INTENSITY = 200
 """Of what came back."""
 
 
-class Ld06(Device):
+class EmulatedLd06(EmulatedDevice):
     """A one-way stream of packets of 12 measurements."""
 
-    def __init__(self, name: str, line: Line, drift: float, optics: Optics) -> None:
+    def __init__(self, name: str, line: SerialLine, drift: float, beams: BeamModel) -> None:
         super().__init__(name, line, drift, usb_powered=True)
-        self._optics = optics
+        self._beams = beams
         self._packets = 0  # since it was switched on
-        self._heard = 0
+        self._received_bytes = 0
         self.samples = 0
 
     def switch_on(self, time: float) -> None:
@@ -34,37 +34,37 @@ class Ld06(Device):
         super().switch_on(time)
         self._packets = 0
 
-    def port_opened(self, time: float) -> None:
+    def on_port_opened(self, time: float) -> None:
         """It does not notice."""
 
     @property
-    def misheard(self) -> int:
+    def unrecognised(self) -> int:
         """All that was sent to it."""
-        return self._heard
+        return self._received_bytes
 
-    def hear(self, data: bytes, time: float) -> None:
+    def receive(self, data: bytes, time: float) -> None:
         """Nothing: its receiving wire is not connected."""
-        self._heard += len(data)
+        self._received_bytes += len(data)
 
     @property
     def due(self) -> float:
         """When the next packet is complete."""
-        return self.host(self._end()) if self.on else math.inf
+        return self.to_host_time(self._packet_end()) if self.on else math.inf
 
-    def _end(self) -> float:
+    def _packet_end(self) -> float:
         """Own time of the next packet's last point."""
-        return SPIN_UP + ((self._packets + 1) * ld06.POINTS - 1) / ld06.SAMPLE_RATE
+        return SPIN_UP_DURATION + ((self._packets + 1) * ld06.POINTS - 1) / ld06.SAMPLE_RATE
 
     def advance(self, time: float) -> None:
         """Measure and send what is due."""
         while time >= self.due:
-            end = self._end()
-            own = end - np.arange(ld06.POINTS - 1, -1, -1) / ld06.SAMPLE_RATE
-            heads = 2.0 * np.pi * RATE * (own - SPIN_UP)
-            ranges = self._optics.measure(self.host(own), -heads)
-            intensities = np.where(np.isnan(ranges), 0, INTENSITY)
-            told = (heads[[0, -1]][None], ranges[None], intensities[None])
-            self.line.send(ld06.encode(*told, 2.0 * np.pi * RATE, end), self.host(end))
+            end = self._packet_end()
+            device_times = end - np.arange(ld06.POINTS - 1, -1, -1) / ld06.SAMPLE_RATE
+            heads = 2.0 * np.pi * ROTATION_RATE * (device_times - SPIN_UP_DURATION)
+            ranges = self._beams.measure(self.to_host_time(device_times), -heads)
+            intensities = np.where(np.isnan(ranges), 0, RETURN_INTENSITY)
+            fields = (heads[[0, -1]][None], ranges[None], intensities[None])
+            self.line.send(ld06.encode(*fields, 2.0 * np.pi * ROTATION_RATE, end), self.to_host_time(end))
             self._packets += 1
             self.samples += ld06.POINTS
 

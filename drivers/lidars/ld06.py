@@ -5,8 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from ..messages import Floats
-from .framing import Framer, Layout
-from .records import NOTHING, PACKET, SAMPLE, Bytes, Counters, Flags, Integers, Measurements, counter_clockwise
+from .framing import PacketFramer, PacketLayout
+from .measurements import (
+    NO_MEASUREMENTS,
+    PACKET,
+    SAMPLE,
+    Bytes,
+    DecoderCounters,
+    Flags,
+    Integers,
+    Measurements,
+    to_counter_clockwise,
+)
 
 BAUD = 230400
 POINTS = 12
@@ -28,10 +38,10 @@ LAYOUT = np.dtype(
     ]
 )
 HEADER, LENGTH = 0x54, 0x2C
-TURN = 36000
+TURN_HUNDREDTHS = 36000
 TIME_WRAP = 30000
 """Milliseconds after which the device's clock begins again."""
-TOO_WIDE = 3.0
+MAX_SPAN_FACTOR = 3.0
 """A packet that spans so many times what its speed allows is wrong. The example in the manual spans 1.8 times that."""
 POLYNOMIAL = 0x4D
 
@@ -50,7 +60,7 @@ def _crc_tables() -> Bytes:
 CRC_TABLES = _crc_tables()
 
 
-def crc_of(packets: Bytes) -> Bytes:
+def crc8(packets: Bytes) -> Bytes:
     """CRC-8 of packets (m, 47): polynomial 4D, from 0, over all bytes but the last.
 
     The CRC is linear, so that it is the XOR of what each byte contributes by itself.
@@ -59,49 +69,49 @@ def crc_of(packets: Bytes) -> Bytes:
     return np.asarray(np.bitwise_xor.reduce(CRC_TABLES[np.arange(size), packets[:, :size]], axis=1), dtype=np.uint8)
 
 
-def intact(packets: Bytes) -> Flags:
+def checksums_match(packets: Bytes) -> Flags:
     """Whether the CRCs of packets (m, 47) are right."""
-    return np.asarray(crc_of(packets) == packets[:, -1])
+    return np.asarray(crc8(packets) == packets[:, -1])
 
 
 class Ld06Decoder:
     """Decodes the stream, as a `Decoder`. The device's clock is counted on over its wrap every 30 s."""
 
     def __init__(self, sample_rate: float = SAMPLE_RATE, baud: float = BAUD) -> None:
-        self.counters = Counters()
+        self.counters = DecoderCounters()
         self.sample_rate = sample_rate
-        layout = Layout(LAYOUT.itemsize, ((0xFF, HEADER), (0xFF, LENGTH)), intact)
-        self._framer = Framer(layout, self.counters)
+        layout = PacketLayout(LAYOUT.itemsize, ((0xFF, HEADER), (0xFF, LENGTH)), checksums_match)
+        self._framer = PacketFramer(layout, self.counters)
         self._offsets = -(LAYOUT.itemsize * 10.0 / baud + np.arange(POINTS - 1, -1, -1) / sample_rate)
         self._angle: int | None = None  # of the last sample, in 1/1100 degree
         self._time: int | None = None  # of the last packet, milliseconds, unwrapped
 
     def feed(self, data: bytes) -> Measurements:
         """The measurements that these bytes complete."""
-        frames = self._framer.feed(data)
-        packets = frames.data.view(LAYOUT)[:, 0]
-        span = np.mod(packets["last"].astype(np.int64) - packets["first"], TURN)
-        fits = span <= packets["speed"] * (100.0 * TOO_WIDE * POINTS / self.sample_rate)
+        batch = self._framer.feed(data)
+        packets = batch.data.view(LAYOUT)[:, 0]
+        span = np.mod(packets["last"].astype(np.int64) - packets["first"], TURN_HUNDREDTHS)
+        fits = span <= packets["speed"] * (100.0 * MAX_SPAN_FACTOR * POINTS / self.sample_rate)
         self.counters.implausible += POINTS * int(np.count_nonzero(~fits))
         packets, span = packets[fits], span[fits]
         count = len(packets)
         if not count:
-            return NOTHING
+            return NO_MEASUREMENTS
         # In units of 1/1100 degree all angles are whole.
         angles = packets["first"].astype(np.int64)[:, None] * (POINTS - 1) + span[:, None] * np.arange(POINTS)
-        angles = np.mod(angles, TURN * (POINTS - 1)).ravel()
+        angles = np.mod(angles, TURN_HUNDREDTHS * (POINTS - 1)).ravel()
         before = np.concatenate([angles[:1] if self._angle is None else [self._angle], angles[:-1]])
         self._angle = int(angles[-1])
         samples = np.empty(count * POINTS, dtype=SAMPLE)
-        samples["angle"] = counter_clockwise(np.radians(angles / (100.0 * (POINTS - 1))))
+        samples["angle"] = to_counter_clockwise(np.radians(angles / (100.0 * (POINTS - 1))))
         distance = packets["points"]["distance"].ravel()
         samples["range"] = np.where(distance > 0, distance / 1e3, np.nan)
         samples["quality"] = packets["points"]["intensity"].ravel()
-        samples["start"] = before - angles > TURN * (POINTS - 1) // 2  # packets may overlap a little
+        samples["start"] = before - angles > TURN_HUNDREDTHS * (POINTS - 1) // 2  # packets may overlap a little
         samples["offset"] = np.tile(self._offsets, count)
         samples["packet"] = np.repeat(np.arange(count), POINTS)
         carriers = np.empty(count, dtype=PACKET)
-        carriers["end"], carriers["continuous"] = frames.ends[fits], frames.continuous[fits]
+        carriers["end"], carriers["continuous"] = batch.ends[fits], batch.continuous[fits]
         carriers["device_time"] = self._unwrapped(packets["time"].astype(np.int64)) / 1e3
         self.counters.samples += len(samples)
         return Measurements(samples, carriers)
@@ -122,11 +132,11 @@ def encode(angles: Floats, ranges: Floats, intensities: Integers, speed: float, 
     packets = np.zeros(len(ranges), dtype=LAYOUT)
     packets["header"], packets["length"] = HEADER, LENGTH
     packets["speed"] = round(np.degrees(speed))
-    hundredths = np.round(np.degrees(angles) * 100.0).astype(np.int64) % TURN
+    hundredths = np.round(np.degrees(angles) * 100.0).astype(np.int64) % TURN_HUNDREDTHS
     packets["first"], packets["last"] = hundredths[:, 0], hundredths[:, 1]
-    told = np.round(np.nan_to_num(ranges, posinf=0.0) * 1e3)
-    packets["points"]["distance"] = np.where(told <= 0xFFFF, told, 0)
+    millimetres = np.round(np.nan_to_num(ranges, posinf=0.0) * 1e3)
+    packets["points"]["distance"] = np.where(millimetres <= 0xFFFF, millimetres, 0)
     packets["points"]["intensity"] = intensities
     packets["time"] = round(time * 1e3) % TIME_WRAP
-    packets["crc"] = crc_of(packets.view(np.uint8).reshape(len(packets), -1))
+    packets["crc"] = crc8(packets.view(np.uint8).reshape(len(packets), -1))
     return packets.tobytes()

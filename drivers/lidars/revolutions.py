@@ -8,19 +8,19 @@ import numpy as np
 
 from ..messages import Floats, Scan
 from ..se2 import Pose
-from .records import Measurements, Records
+from .measurements import Measurements, StructuredArray
 
-COVERAGE = np.radians(300.0)
+MIN_SPAN = np.radians(300.0)
 """What a revolution must span. Two lost capsules of an RPLIDAR leave 30 to 50 degrees out."""
-TOO_MUCH = np.radians(420.0)
+MAX_SPAN = np.radians(420.0)
 """What no revolution spans: then the start of one was lost."""
-WIDEST_GAP = np.radians(60.0)
+MAX_ANGLE_GAP = np.radians(60.0)
 """Between neighbouring beams of a revolution that counts as complete."""
-LONGEST_GAP = 0.24
+MAX_TIME_GAP = 0.24
 """Of a revolution's duration, between measurements. Where the start between two turns is lost with more than half a
 turn, so that the angles alone look like one turn, it is more than a quarter.
 """
-MOST_SAMPLES = 1 << 15
+MAX_SAMPLES = 1 << 15
 """In a revolution; an RPLIDAR at 32 000 a second that turns once a second has about as many."""
 
 
@@ -32,8 +32,8 @@ class RevolutionCounters:
     incomplete: int = 0
 
 
-def scan_of(
-    samples: Records,
+def make_scan(
+    samples: StructuredArray,
     stamps: Floats,
     range_min: float,
     range_max: float,
@@ -79,9 +79,9 @@ class RevolutionAssembler:
 
     def reset(self) -> None:
         """Forget the revolution under way: the lidar was started again."""
-        self._samples: list[Records] = []
+        self._samples: list[StructuredArray] = []
         self._stamps: list[Floats] = []
-        self._begun = False
+        self._has_start = False
 
     def add(self, measurements: Measurements, stamps: Floats) -> list[Scan]:
         """The scans that measurements (n,) taken at `stamps` (n,), in seconds on the host's clock, complete."""
@@ -91,37 +91,37 @@ class RevolutionAssembler:
         for first, end in zip([0, *starts], [*starts, len(samples)], strict=True):
             if first < end and samples["start"][first]:
                 scans += self._finish()
-                self._begun = True
-            if self._begun:
+                self._has_start = True
+            if self._has_start:
                 self._samples.append(samples[first:end])
                 self._stamps.append(stamps[first:end])
         if self.whole_packets:
             scans += self._finish()
-        if sum(map(len, self._samples)) > MOST_SAMPLES:
+        if sum(map(len, self._samples)) > MAX_SAMPLES:
             self.counters.incomplete += 1
             self.reset()
         return scans
 
     def _finish(self) -> list[Scan]:
         """The scan of what was collected, if it is complete."""
-        if not self._begun:
+        if not self._has_start:
             return []
         samples, stamps = np.concatenate(self._samples), np.concatenate(self._stamps)
         self.reset()
-        if not self.whole_packets and not complete(samples, stamps):
+        if not self.whole_packets and not is_complete_revolution(samples, stamps):
             self.counters.incomplete += 1
             return []
         self.counters.complete += 1
-        return [scan_of(samples, stamps, self.range_min, self.range_max, self.mount, self.upside_down)]
+        return [make_scan(samples, stamps, self.range_min, self.range_max, self.mount, self.upside_down)]
 
 
-def complete(samples: Records, stamps: Floats) -> bool:
+def is_complete_revolution(samples: StructuredArray, stamps: Floats) -> bool:
     """Whether samples (n,) taken at `stamps` (n,) go around once without too large a gap."""
     if len(samples) < 2:
         return False
     angles = np.sort(np.unwrap(samples["angle"]))
     span = angles[-1] - angles[0]
-    if not COVERAGE <= span <= TOO_MUCH or np.diff(angles).max() > WIDEST_GAP:
+    if not MIN_SPAN <= span <= MAX_SPAN or np.diff(angles).max() > MAX_ANGLE_GAP:
         return False
     duration = stamps[-1] - stamps[0]
-    return bool(duration > 0.0 and np.diff(stamps).max() <= LONGEST_GAP * duration)
+    return bool(duration > 0.0 and np.diff(stamps).max() <= MAX_TIME_GAP * duration)

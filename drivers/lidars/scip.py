@@ -11,14 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import DriverError
-from .records import Bytes, Flags, Integers
+from .measurements import Bytes, Flags, Integers
 
 OFFSET = 0x30
 """Characters 0x30 to 0x6F stand for six bits."""
-LINE = 64
+LINE_LENGTH = 64
 """Characters of data in a line, before its checksum."""
-LONGEST_LINE = 256
-MOST_LINES = 256
+MAX_LINE_LENGTH = 256
+MAX_LINES = 256
 """In a reply; 1 921 steps of three characters, the most that a Hokuyo sends, take 91."""
 OK = "00"
 DATA = "99"
@@ -38,7 +38,7 @@ def checksum(text: bytes) -> bytes:
     return bytes([(sum(text) & 0x3F) + OFFSET])
 
 
-def verified(line: bytes) -> bytes | None:
+def strip_checksum(line: bytes) -> bytes | None:
     """A line without its checksum; None where that is wrong.
 
     Lines of parameters have a semicolon before the checksum, which does not count.
@@ -62,9 +62,9 @@ def decode_values(characters: Bytes, width: int) -> tuple[Integers, Flags]:
     return (groups << (6 * np.arange(width - 1, -1, -1))).sum(axis=1), good
 
 
-def clock_of(line: bytes) -> int | None:
+def parse_clock(line: bytes) -> int | None:
     """Milliseconds on the device's clock, modulo 2^24; None where the line is damaged."""
-    text = verified(line)
+    text = strip_checksum(line)
     if text is None or len(text) != 4:
         return None
     values, good = decode_values(np.frombuffer(text, np.uint8), 4)
@@ -86,7 +86,7 @@ class Reply:
         return b"\n".join([self.echo, status + checksum(status), *self.lines, b"", b""])
 
 
-class ReplyReader:
+class ReplyParser:
     """Replies out of bytes in any chunks. What is too long, or has no status, is passed over and counted."""
 
     def __init__(self) -> None:
@@ -115,14 +115,14 @@ class ReplyReader:
         return replies
 
     def _extend(self, part: bytes) -> None:
-        room = LONGEST_LINE - len(self._line)
+        room = MAX_LINE_LENGTH - len(self._line)
         self._line += part[:room]
         if len(part) > room:
             self._overlong = True
             self.bytes_skipped += len(part) - room
 
     def _add(self, line: bytes) -> None:
-        if len(self._lines) < MOST_LINES:
+        if len(self._lines) < MAX_LINES:
             self._lines.append(line)
         else:
             self._overlong = True
@@ -133,7 +133,9 @@ class ReplyReader:
         lines, self._lines = self._lines, []
         overlong, self._overlong = self._overlong, False
         if not overlong and len(lines) >= 2:
-            status = lines[1] if len(lines[1]) == 1 else verified(lines[1])  # SCIP 1.1 has a status without checksum
+            status = (
+                lines[1] if len(lines[1]) == 1 else strip_checksum(lines[1])
+            )  # SCIP 1.1 has a status without checksum
             if status is not None and len(status) <= 2 and status.isascii():
                 return Reply(lines[0], status.decode("ascii"), tuple(lines[2:]), end)
         self.bytes_skipped += sum(len(line) + 1 for line in lines)
@@ -170,7 +172,7 @@ class Parameters:
         """Raises DriverError where the reply lacks something or is damaged."""
         fields: dict[str, str] = {}
         for line in reply.lines:
-            text = verified(line)
+            text = strip_checksum(line)
             if text is None:
                 raise DriverError("the lidar's parameters came damaged")
             name, _, value = text.decode("ascii", errors="replace").rstrip(";").partition(":")
@@ -208,7 +210,7 @@ class Parameters:
 
 
 @dataclass(frozen=True, slots=True)
-class Measure:
+class MeasureRequest:
     """A request for measurements of the steps `first` to `last`, in clusters of `cluster` neighbours whose nearest is
     told.
 
@@ -230,7 +232,7 @@ class Measure:
         return math.ceil((self.last - self.first + 1) / self.cluster)
 
     @property
-    def head(self) -> bytes:
+    def echo_prefix(self) -> bytes:
         """What every echo begins with."""
         command = ("M" if self.continuous else "G") + ("D" if self.width == 3 else "S")
         text = f"{command}{self.first:04d}{self.last:04d}{self.cluster:02d}"
@@ -238,4 +240,4 @@ class Measure:
 
     def packet(self) -> bytes:
         """The bytes to send; continuous measurements are asked for without end."""
-        return self.head + (b"00" if self.continuous else b"") + b"\n"
+        return self.echo_prefix + (b"00" if self.continuous else b"") + b"\n"

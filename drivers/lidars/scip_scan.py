@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from ..messages import Floats
-from .records import NO_QUALITY, NOTHING, PACKET, SAMPLE, Bytes, Counters, Measurements
+from .measurements import NO_MEASUREMENTS, NO_QUALITY, PACKET, SAMPLE, Bytes, DecoderCounters, Measurements
 from .scip import (
     DATA,
-    LINE,
+    LINE_LENGTH,
     OK,
-    Measure,
+    MeasureRequest,
     Parameters,
     Reply,
-    ReplyReader,
+    ReplyParser,
     checksum,
-    clock_of,
     decode_values,
     encode_values,
+    parse_clock,
 )
 
 CLOCK_WRAP = 1 << 24
@@ -37,9 +37,9 @@ class ScipDecoder:
     scan. Replies to other requests are passed over, as their bytes are by the counters.
     """
 
-    def __init__(self, parameters: Parameters, request: Measure, baud: float = np.inf) -> None:
-        self.parameters, self.request, self.counters = parameters, request, Counters()
-        self._reader = ReplyReader()
+    def __init__(self, parameters: Parameters, request: MeasureRequest, baud: float = np.inf) -> None:
+        self.parameters, self.request, self.counters = parameters, request, DecoderCounters()
+        self._reader = ReplyParser()
         self._clock: int | None = None  # milliseconds, unwrapped
         self._intact = False  # the last reply was taken
         middle = request.first + np.arange(request.count) * request.cluster + 0.5 * (request.cluster - 1)
@@ -60,7 +60,7 @@ class ScipDecoder:
                 parts.append(scan)
         self.counters.bytes_skipped += self._reader.bytes_skipped - skipped
         if not parts:
-            return NOTHING
+            return NO_MEASUREMENTS
         self.counters.packets += len(parts)
         samples = np.concatenate([part.samples for part in parts])
         self.counters.samples += len(samples)
@@ -68,11 +68,15 @@ class ScipDecoder:
 
     def _scan(self, reply: Reply, row: int) -> Measurements | None:
         """The scan in a reply, as packet number `row`; None where it holds none."""
-        if not self._asked(reply.echo) or reply.status != (DATA if self.request.continuous else OK) or not reply.lines:
+        if (
+            not self._is_own_echo(reply.echo)
+            or reply.status != (DATA if self.request.continuous else OK)
+            or not reply.lines
+        ):
             if reply.status != OK:  # which is what the first reply to a request that goes on says
                 self.counters.bytes_skipped += len(reply.packet())
             return None
-        clock = clock_of(reply.lines[0])
+        clock = parse_clock(reply.lines[0])
         characters = self._characters(reply.lines[1:])
         if clock is None or characters is None:
             self.counters.checksum_failures += 1
@@ -89,10 +93,10 @@ class ScipDecoder:
         packet = np.array([(reply.end, self._unwrapped(clock) / 1e3, self._intact)], dtype=PACKET)
         return Measurements(samples, packet)
 
-    def _asked(self, echo: bytes) -> bool:
+    def _is_own_echo(self, echo: bytes) -> bool:
         """Whether an echo is that of the request, whatever the number of scans that remain."""
-        head, rest = echo[: len(self.request.head)], echo[len(self.request.head) :]
-        return head == self.request.head and (
+        echo_prefix, rest = echo[: len(self.request.echo_prefix)], echo[len(self.request.echo_prefix) :]
+        return echo_prefix == self.request.echo_prefix and (
             len(rest) == 2 and rest.isdigit() if self.request.continuous else not rest
         )
 
@@ -101,11 +105,11 @@ class ScipDecoder:
         as there should be.
         """
         total = self.request.count * self.request.width
-        if len(lines) != -(-total // LINE):
+        if len(lines) != -(-total // LINE_LENGTH):
             return None
         characters = np.full(total, DAMAGED, dtype=np.uint8)
         for i, line in enumerate(lines):
-            part = characters[i * LINE : (i + 1) * LINE]
+            part = characters[i * LINE_LENGTH : (i + 1) * LINE_LENGTH]
             if len(line) == len(part) + 1 and checksum(line[:-1]) == line[-1:]:
                 part[:] = np.frombuffer(line, np.uint8, len(part))
             else:
@@ -118,16 +122,16 @@ class ScipDecoder:
         return self._clock
 
 
-def encode(ranges: Floats, request: Measure, clock: int, remaining: int = 0) -> bytes:
+def encode(ranges: Floats, request: MeasureRequest, clock: int, remaining: int = 0) -> bytes:
     """The reply with one scan: `ranges` (n,) metres (NaN where nothing came back, which is told as 0), n =
     request.count; the device's `clock` in milliseconds; how many scans remain of those asked for, 0 where they are
     without end.
     """
-    most = (1 << 6 * request.width) - 1
-    values = np.clip(np.round(np.nan_to_num(ranges, posinf=0.0) * 1e3), 0, most).astype(np.int64)
+    max_value = (1 << 6 * request.width) - 1
+    values = np.clip(np.round(np.nan_to_num(ranges, posinf=0.0) * 1e3), 0, max_value).astype(np.int64)
     text = encode_values(values, request.width)
     time = encode_values(np.array([clock % CLOCK_WRAP]), 4)
-    lines = [time, *(text[i : i + LINE] for i in range(0, len(text), LINE))]
-    echo = request.head + (b"%02d" % remaining if request.continuous else b"")
+    lines = [time, *(text[i : i + LINE_LENGTH] for i in range(0, len(text), LINE_LENGTH))]
+    echo = request.echo_prefix + (b"%02d" % remaining if request.continuous else b"")
     status = DATA if request.continuous else OK
     return Reply(echo, status, tuple(line + checksum(line) for line in lines), 0).packet()

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from .byte_capture import Tap, TapePlayer
+from .byte_capture import CapturingTransport, ReplayTransport
 from .serial_port import SerialPort
 from .tcp import TcpConnection
 from .transport import Received, Transport
 
-__all__ = ["Received", "SerialPort", "Tap", "TapePlayer", "TcpConnection", "Transport"]
+__all__ = ["CapturingTransport", "Received", "ReplayTransport", "SerialPort", "TcpConnection", "Transport"]

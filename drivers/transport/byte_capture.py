@@ -17,14 +17,14 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from ..errors import EndOfTapeError, PortError, RecordingError
+from ..errors import EndOfCaptureError, PortError, RecordingError
 from .transport import Received, Transport
 
-LINE = re.compile(r"([0-9]+(?:\.[0-9]+)?) ([<>]) ((?:[0-9a-fA-F]{2})+)")
+LINE_PATTERN = re.compile(r"([0-9]+(?:\.[0-9]+)?) ([<>]) ((?:[0-9a-fA-F]{2})+)")
 FROM_DEVICE = "<"
 
 
-class Tap:
+class CapturingTransport:
     """A `Transport` that writes what passes through another one to a tape, which is begun anew or gone on with.
 
     failure  why the tape ended early, as on a full disk; None while it goes on. The connection goes on anyhow
@@ -40,19 +40,19 @@ class Tap:
             self._file = Path(path).open("a" if append else "w", encoding="ascii", buffering=1)  # noqa: SIM115
         except OSError as failure:
             raise PortError(self.name, f"the tape {path} cannot be written: {failure.strerror}") from failure
-        self._note(f"# {self.name}".encode("ascii", "backslashreplace").decode())
+        self._write_line(f"# {self.name}".encode("ascii", "backslashreplace").decode())
 
     def read(self, timeout: float) -> Received:
         """Read from the connection."""
         received = self._transport.read(timeout)
         if received.data:
-            self._note(f"{received.time:.9f} < {received.data.hex()}")
+            self._write_line(f"{received.time:.9f} < {received.data.hex()}")
         return received
 
     def write(self, data: bytes) -> None:
         """Write to the connection."""
         if data:
-            self._note(f"{time.monotonic():.9f} > {data.hex()}")
+            self._write_line(f"{time.monotonic():.9f} > {data.hex()}")
         self._transport.write(data)
 
     def set_dtr(self, asserted: bool) -> bool:
@@ -71,7 +71,7 @@ class Tap:
         except OSError as failure:
             self.failure = self.failure or f"{failure.strerror}"
 
-    def _note(self, line: str) -> None:
+    def _write_line(self, line: str) -> None:
         if self.failure is None:
             try:
                 self._file.write(line.replace("\n", " ") + "\n")
@@ -79,7 +79,7 @@ class Tap:
                 self.failure = f"{failure}"
 
 
-class TapePlayer:
+class ReplayTransport:
     """A `Transport` that plays what came from the device, with the times of the tape.
 
     path   of the tape
@@ -93,28 +93,28 @@ class TapePlayer:
     def __init__(self, path: str | Path, paced: bool = False) -> None:
         self.name = str(path)
         self._paced = paced
-        self._chunks = iter(read_tape(path))
-        self._now: float | None = None  # on the tape
+        self._chunks = iter(read_received(path))
+        self._time: float | None = None  # on the tape
         self._cancelled = self._closed = False
         self._next = next(self._chunks, None)
 
     def read(self, timeout: float) -> Received:
         """The next chunk, or nothing where the tape has none within the timeout (seconds)."""
         if self._closed:
-            raise EndOfTapeError(self.name, "closed")
+            raise EndOfCaptureError(self.name, "closed")
         if self._next is None:
-            raise EndOfTapeError(self.name, "the tape ends here")
-        now = self._next.time if self._now is None else self._now
+            raise EndOfCaptureError(self.name, "the tape ends here")
+        now = self._next.time if self._time is None else self._time
         if self._cancelled:
             self._cancelled = False
             return Received(b"", now)
         if self._next.time > now + timeout:
-            self._pass(timeout)
-            self._now = now + timeout
-            return Received(b"", self._now)
+            self._wait_if_paced(timeout)
+            self._time = now + timeout
+            return Received(b"", self._time)
         received, self._next = self._next, next(self._chunks, None)
-        self._pass(received.time - now)
-        self._now = received.time
+        self._wait_if_paced(received.time - now)
+        self._time = received.time
         return received
 
     def write(self, data: bytes) -> None:
@@ -132,17 +132,17 @@ class TapePlayer:
         """End playing."""
         self._closed = True
 
-    def _pass(self, duration: float) -> None:
+    def _wait_if_paced(self, duration: float) -> None:
         if self._paced:
             time.sleep(max(duration, 0.0))
 
 
-def read_tape(path: str | Path) -> Iterator[Received]:
+def read_received(path: str | Path) -> Iterator[Received]:
     """The chunks that came from the device. Raises RecordingError where the tape cannot be read."""
-    return (received for direction, received in read_lines(path) if direction == FROM_DEVICE)
+    return (received for direction, received in read_capture(path) if direction == FROM_DEVICE)
 
 
-def read_lines(path: str | Path) -> Iterator[tuple[str, Received]]:
+def read_capture(path: str | Path) -> Iterator[tuple[str, Received]]:
     """The chunks in both directions, each with its arrow. Raises RecordingError where the tape cannot be read."""
     try:
         with Path(path).open(encoding="ascii", newline="\n") as file:
@@ -152,7 +152,7 @@ def read_lines(path: str | Path) -> Iterator[tuple[str, Received]]:
                 text = line.strip()
                 if not text or text.startswith("#"):
                     continue
-                match = LINE.fullmatch(text)
+                match = LINE_PATTERN.fullmatch(text)
                 if match is None:
                     raise RecordingError(path, number, "not a line of a tape: <seconds> <arrow> <hex>")
                 yield match[2], Received(bytes.fromhex(match[3]), float(match[1]))

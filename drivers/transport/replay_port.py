@@ -12,17 +12,17 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from .byte_capture import FROM_DEVICE, read_lines
+from .byte_capture import FROM_DEVICE, read_capture
 
-ANSWER = 5.0
+MAX_HOST_DELAY = 5.0
 """Seconds of waiting for what the tape says that the host sent; then the tape goes on without it."""
-OPENING = 60.0
+MAX_OPEN_DELAY = 60.0
 """Seconds of waiting for somebody to open the port."""
-LARGEST = 4096
+MAX_READ_SIZE = 4096
 """Bytes taken at once."""
 
 
-class TapePort:
+class ReplayPort:
     """Plays a tape from the device's side, a context.
 
     name   the port to open
@@ -33,13 +33,13 @@ class TapePort:
     """
 
     def __init__(self, path: str | Path, speed: float = 1.0) -> None:
-        self._lines = read_lines(path)
+        self._chunks = read_capture(path)
         self._speed = speed
-        self._heard = 0
-        self._ours, self._theirs = pty.openpty()
-        tty.setraw(self._theirs)
-        os.set_blocking(self._ours, False)
-        self.name = os.ttyname(self._theirs)
+        self._received_bytes = 0
+        self._controller, self._terminal = pty.openpty()
+        tty.setraw(self._terminal)
+        os.set_blocking(self._controller, False)
+        self.name = os.ttyname(self._terminal)
 
     def __enter__(self) -> Self:
         return self
@@ -47,32 +47,32 @@ class TapePort:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        os.close(self._ours)
-        os.close(self._theirs)
+        os.close(self._controller)
+        os.close(self._terminal)
 
     def play(self) -> int:
         """Play to the end; the number of bytes that went out. Bytes for which the port has no room are lost, as those
         of a device are.
         """
-        count, expected, before = 0, 0, None
-        for direction, received in self._lines:
-            if before is not None:
-                self._listen(time.monotonic() + (received.time - before) / self._speed)
-            before = received.time
+        count, expected, previous = 0, 0, None
+        for direction, received in self._chunks:
+            if previous is not None:
+                self._receive(time.monotonic() + (received.time - previous) / self._speed)
+            previous = received.time
             if direction == FROM_DEVICE:
                 with suppress(BlockingIOError):
-                    count += os.write(self._ours, received.data)
+                    count += os.write(self._controller, received.data)
             else:
                 expected += len(received.data)
-                self._listen(time.monotonic() + (ANSWER if self._heard else OPENING), expected)
+                self._receive(time.monotonic() + (MAX_HOST_DELAY if self._received_bytes else MAX_OPEN_DELAY), expected)
         return count
 
-    def _listen(self, until: float, expected: int | None = None) -> None:
+    def _receive(self, until: float, expected: int | None = None) -> None:
         """Take what the host sends, until a time, or until as many bytes have come in all as are expected."""
-        while expected is None or self._heard < expected:
+        while expected is None or self._received_bytes < expected:
             left = until - time.monotonic()
             if left <= 0.0:
                 return
-            ready, _, _ = select.select([self._ours], [], [], left)
+            ready, _, _ = select.select([self._controller], [], [], left)
             if ready:
-                self._heard += len(os.read(self._ours, LARGEST))
+                self._received_bytes += len(os.read(self._controller, MAX_READ_SIZE))

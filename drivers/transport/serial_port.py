@@ -11,15 +11,15 @@ from typing import Any
 import serial
 
 from ..errors import ConnectionLostError, PortError
-from .transport import Received, take_promptly
+from .transport import Received, read_promptly
 
 WRITE_TIMEOUT = 1.0
 """Seconds; requests are a few bytes, and a port that takes none for so long is stuck."""
-FAILURES = (OSError, termios.error)
+PORT_ERRORS = (OSError, termios.error)
 """What pyserial and the system raise when a port is gone; pyserial's own errors are OSErrors."""
-NO_LOW_LATENCY = (ValueError, NotImplementedError)
+LOW_LATENCY_ERRORS = (ValueError, NotImplementedError)
 """What pyserial raises for a port, and on a system, without such a mode."""
-NO_LINE = (errno.ENOTTY, errno.EINVAL)
+NO_MODEM_LINE_CODES = (errno.ENOTTY, errno.EINVAL)
 """What setting a modem line fails with on ports that have none."""
 REASONS = {
     errno.ENOENT: "no such port; is the device plugged in?",
@@ -51,12 +51,12 @@ class SerialPort:
             self._serial.port = port
             self._serial.dtr = self._serial.rts = dtr  # an ESP32 is held in reset while the two differ
             self._serial.open()
-            with suppress(*NO_LOW_LATENCY):
+            with suppress(*LOW_LATENCY_ERRORS):
                 self._serial.set_low_latency_mode(True)  # adapters hold bytes back for 16 ms without it
-        except FAILURES as failure:
-            raise PortError(port, _reason(failure)) from failure
-        except (ValueError, OverflowError) as failure:
-            raise PortError(port, f"{failure}") from failure
+        except PORT_ERRORS as error:
+            raise PortError(port, _reason(error)) from error
+        except (ValueError, OverflowError) as error:
+            raise PortError(port, f"{error}") from error
 
     def read(self, timeout: float) -> Received:
         """All that has arrived; waits at most a timeout (seconds) for the first byte."""
@@ -66,17 +66,17 @@ class SerialPort:
             first = self._serial.read(1)
             if not first:
                 return Received(b"", time.monotonic())
-            rest, arrived = take_promptly(lambda: self._serial.read(self._serial.in_waiting))
-        except FAILURES as failure:
-            raise self._lost(failure) from failure
+            rest, arrived = read_promptly(lambda: self._serial.read(self._serial.in_waiting))
+        except PORT_ERRORS as error:
+            raise self._connection_lost(error) from error
         return Received(first + rest, arrived)
 
     def write(self, data: bytes) -> None:
         """Send; raises ConnectionLostError, too, where the port takes no bytes for a second."""
         try:
             self._serial.write(data)
-        except FAILURES as failure:
-            raise self._lost(failure) from failure
+        except PORT_ERRORS as error:
+            raise self._connection_lost(error) from error
 
     def set_dtr(self, asserted: bool) -> bool:
         """Set the line; False on ports that have none, as pseudo terminals. It stays so when the port is closed."""
@@ -84,11 +84,11 @@ class SerialPort:
             raise ConnectionLostError(self.name, "closed")
         try:
             self._serial.dtr = asserted
-        except FAILURES as failure:
-            if failure.args[0] in NO_LINE:
+        except PORT_ERRORS as error:
+            if error.args[0] in NO_MODEM_LINE_CODES:
                 return False
-            raise self._lost(failure) from failure
-        self._keep_lines()
+            raise self._connection_lost(error) from error
+        self._keep_modem_lines()
         return True
 
     def cancel(self) -> None:
@@ -100,20 +100,20 @@ class SerialPort:
         self._closed = True
         self._serial.close()
 
-    def _keep_lines(self) -> None:
+    def _keep_modem_lines(self) -> None:
         """Have the lines stay as they are when the port is closed; else the motor of an A1 turns again."""
         try:
             attributes = termios.tcgetattr(self._serial.fileno())
             attributes[2] &= ~termios.HUPCL
             termios.tcsetattr(self._serial.fileno(), termios.TCSANOW, attributes)
-        except termios.error as failure:
-            if failure.args[0] != errno.EINVAL:  # which may be the answer to a speed that has no name in termios
-                raise self._lost(failure) from failure
+        except termios.error as error:
+            if error.args[0] != errno.EINVAL:  # which may be the answer to a speed that has no name in termios
+                raise self._connection_lost(error) from error
 
-    def _lost(self, failure: Exception) -> ConnectionLostError:
-        return ConnectionLostError(self.name, "closed" if self._closed else f"connection lost: {_reason(failure)}")
+    def _connection_lost(self, error: Exception) -> ConnectionLostError:
+        return ConnectionLostError(self.name, "closed" if self._closed else f"connection lost: {_reason(error)}")
 
 
-def _reason(failure: Exception) -> str:
-    code = getattr(failure, "errno", None) or (failure.args[0] if failure.args else None)
-    return REASONS.get(code, str(failure)) if isinstance(code, int) else str(failure)
+def _reason(error: Exception) -> str:
+    code = getattr(error, "errno", None) or (error.args[0] if error.args else None)
+    return REASONS.get(code, str(error)) if isinstance(code, int) else str(error)

@@ -6,13 +6,13 @@ import selectors
 import socket
 
 from ..errors import ConnectionLostError, PortError
-from .transport import Received, take_promptly
+from .transport import Received, read_promptly
 
 CONNECT_TIMEOUT = 3.0
 """Seconds; devices stand in the same room."""
 WRITE_TIMEOUT = 1.0
 """Seconds; as for serial ports."""
-LARGEST = 65536
+MAX_READ_SIZE = 65536
 """Bytes taken at once."""
 
 
@@ -28,16 +28,16 @@ class TcpConnection:
             raise PortError(self.name, f"no connection: {failure}") from failure
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.settimeout(WRITE_TIMEOUT)
-        self._waker, self._wake = socket.socketpair()
+        self._wake_receiver, self._wake_sender = socket.socketpair()
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._socket, selectors.EVENT_READ)
-        self._selector.register(self._waker, selectors.EVENT_READ)
+        self._selector.register(self._wake_receiver, selectors.EVENT_READ)
 
     def read(self, timeout: float) -> Received:
         """All that has arrived; waits at most a timeout (seconds) for the first byte."""
         self._check_open()
         self._selector.select(timeout)
-        return take_promptly(self._take)
+        return read_promptly(self._read_available)
 
     def write(self, data: bytes) -> None:
         """Send; raises ConnectionLostError, too, where the other side takes no bytes for a second."""
@@ -55,25 +55,25 @@ class TcpConnection:
     def cancel(self) -> None:
         """Make a read that waits, or else the next one, return at once."""
         if not self._closed:
-            self._wake.send(b"\0")
+            self._wake_sender.send(b"\0")
 
     def close(self) -> None:
         """End the connection."""
         if not self._closed:
             self._closed = True
             self._selector.close()
-            for end in (self._socket, self._waker, self._wake):
+            for end in (self._socket, self._wake_receiver, self._wake_sender):
                 end.close()
 
-    def _take(self) -> bytes:
+    def _read_available(self) -> bytes:
         """The bytes that are there."""
         ready = [key.fileobj for key, _ in self._selector.select(0.0)]
-        if self._waker in ready:
-            self._waker.recv(LARGEST)
+        if self._wake_receiver in ready:
+            self._wake_receiver.recv(MAX_READ_SIZE)
         if self._socket not in ready:
             return b""
         try:
-            data = self._socket.recv(LARGEST)
+            data = self._socket.recv(MAX_READ_SIZE)
         except OSError as failure:
             raise ConnectionLostError(self.name, f"connection lost: {failure}") from failure
         if not data:

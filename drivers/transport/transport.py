@@ -6,10 +6,10 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
-PROMPT = 1e-3
+PROMPT_DURATION = 1e-3
 """Seconds from asking for bytes to having looked at the clock, where nothing else keeps the host busy; these are some
 calls of the system, of about 20 microseconds each."""
-TAKES = 5
+MAX_READS = 5
 """In a row at most, on a host that is never prompt."""
 
 
@@ -57,7 +57,7 @@ class Transport(Protocol):
         ...
 
 
-def take_promptly(take: Callable[[], bytes]) -> Received:
+def read_promptly(read: Callable[[], bytes]) -> Received:
     """What `take` gives, the bytes that are there without waiting for any, with the time when they were.
 
     A busy host may put the program aside between the bytes and the look at the clock. Then they would all seem to have
@@ -65,10 +65,10 @@ def take_promptly(take: Callable[[], bytes]) -> Received:
     time.
     """
     data = b""
-    for _ in range(TAKES):
+    for _ in range(MAX_READS):
         before = time.monotonic()
-        data += take()
+        data += read()
         after = time.monotonic()
-        if after - before < PROMPT:
+        if after - before < PROMPT_DURATION:
             break
     return Received(data, after)

@@ -14,7 +14,7 @@ import pytest
 import typer
 from typer.main import get_command
 
-from drivers.devices.specs import parse_devices
+from drivers.devices.device_spec import parse_devices
 from slam.cli import app
 
 from .blocks import NEEDS, PAGES, ROOT, Block, blocks, mentions

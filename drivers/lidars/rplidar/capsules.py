@@ -10,32 +10,32 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...messages import Floats
-from ..framing import Framer, Layout
-from ..records import (
+from ..framing import PacketFramer, PacketLayout
+from ..measurements import (
+    NO_MEASUREMENTS,
     NO_QUALITY,
-    NOTHING,
     PACKET,
     SAMPLE,
     Bytes,
-    Counters,
+    DecoderCounters,
     Flags,
     Integers,
     Measurements,
-    Records,
-    counter_clockwise,
+    StructuredArray,
+    to_counter_clockwise,
 )
 
-MARKS = ((0xF0, 0xA0), (0xF0, 0x50))
-RESET = 0x8000
+SYNC_MARKS = ((0xF0, 0xA0), (0xF0, 0x50))
+RESET_FLAG = 0x8000
 """Bit of the start angle: first capsule after the start, or the angle's base was reset. Not a new revolution."""
 TURN_Q6 = 360 * 64
-FASTEST = 50.0
+MAX_ROTATION_RATE = 50.0
 """Revolutions a second that no RPLIDAR reaches (they turn 5 to 20 times): a larger step means that capsules between two
 were lost, or that the head seemed to turn back."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Returns:
+class CapsuleReturns:
     """What (m) capsules of N samples hold: `ranges` (m, N) metres, NaN where invalid; `quality` (m, N) or None where
     the format has none; `correction` (m, N) degrees to subtract from the head's angle, or None where there is nothing
     to.
@@ -53,10 +53,10 @@ class CapsuleFormat:
     read  (capsules (m,), the ones that follow each (m,)) of `layout` -> Returns
     """
 
-    answer: int
+    response_type: int
     layout: np.dtype[np.void]
     samples: int
-    read: Callable[[Records, Records], Returns]
+    decode: Callable[[StructuredArray, StructuredArray], CapsuleReturns]
 
     @property
     def size(self) -> int:
@@ -64,13 +64,13 @@ class CapsuleFormat:
         return self.layout.itemsize
 
 
-def intact(capsules: Bytes) -> Flags:
+def checksums_match(capsules: Bytes) -> Flags:
     """Whether the low nibbles of the first two bytes are the XOR of all bytes after them; capsules (m, size)."""
-    told = (capsules[:, 0] & 0x0F) | ((capsules[:, 1] & 0x0F) << 4)
-    return np.asarray(told == np.bitwise_xor.reduce(capsules[:, 2:], axis=1))
+    stored = (capsules[:, 0] & 0x0F) | ((capsules[:, 1] & 0x0F) << 4)
+    return np.asarray(stored == np.bitwise_xor.reduce(capsules[:, 2:], axis=1))
 
 
-def seal(capsules: Records) -> bytes:
+def add_checksums(capsules: StructuredArray) -> bytes:
     """The bytes of capsules (m,) with sync nibbles and checksum put in."""
     raw = capsules.view(np.uint8).reshape(len(capsules), -1)
     checksum = np.bitwise_xor.reduce(raw[:, 2:], axis=1)
@@ -79,14 +79,14 @@ def seal(capsules: Records) -> bytes:
     return raw.tobytes()
 
 
-def blank(format: CapsuleFormat, heads: Floats, reset: bool) -> Records:
+def new_capsules(format: CapsuleFormat, heads: Floats, reset: bool) -> StructuredArray:
     """Capsules (m,) that begin with the head at `heads` (m,) radians clockwise; `reset` marks the first as the first
     after a start.
     """
     capsules = np.zeros(len(heads), dtype=format.layout)
     capsules["angle"] = np.round(np.degrees(heads) * 64.0).astype(np.int64) % TURN_Q6
     if reset and len(heads):
-        capsules["angle"][0] |= RESET
+        capsules["angle"][0] |= RESET_FLAG
     return capsules
 
 
@@ -101,24 +101,24 @@ class CapsuleDecoder:
     """
 
     def __init__(self, format: CapsuleFormat, sample_period: float, baud: float) -> None:
-        self.format, self.counters = format, Counters()
-        self._framer = Framer(Layout(format.size, MARKS, intact), self.counters)
+        self.format, self.counters = format, DecoderCounters()
+        self._framer = PacketFramer(PacketLayout(format.size, SYNC_MARKS, checksums_match), self.counters)
         count = format.samples
         # A sample takes its period, is filtered for another half, waits for the capsule's others, then for the line.
         self._offsets = -(format.size * 10.0 / baud + sample_period * (1.5 + np.arange(count - 1, -1, -1)))
-        self._limit_q6 = min(TURN_Q6, int(TURN_Q6 * FASTEST * count * sample_period))
+        self._limit_q6 = min(TURN_Q6, int(TURN_Q6 * MAX_ROTATION_RATE * count * sample_period))
         self._last: Bytes | None = None  # the newest capsule, which awaits the next
         self._last_end = 0
         self._head: int | None = None  # where the head was at the last sample given out, in 1/64/count degrees
-        self._given_end = -1  # end of the last capsule whose samples were given out
+        self._emitted_end = -1  # end of the last capsule whose samples were given out
 
     def feed(self, data: bytes) -> Measurements:
         """The measurements that these bytes complete."""
-        frames = self._framer.feed(data)
-        if not len(frames.data):
-            return NOTHING
-        raw, ends = frames.data, frames.ends
-        follows = frames.continuous
+        batch = self._framer.feed(data)
+        if not len(batch.data):
+            return NO_MEASUREMENTS
+        raw, ends = batch.data, batch.ends
+        follows = batch.continuous
         if self._last is not None:
             raw = np.concatenate([self._last[None], raw])
             ends = np.concatenate([[self._last_end], ends])
@@ -127,19 +127,19 @@ class CapsuleDecoder:
         self._last, self._last_end = raw[-1].copy(), int(ends[-1])
         capsules = np.ascontiguousarray(raw).view(self.format.layout)[:, 0]
         words = capsules["angle"].astype(np.int64)
-        heads = words & ~RESET
+        heads = words & ~RESET_FLAG
         steps = np.mod(heads[1:] - heads[:-1], TURN_Q6)
-        usable = follows & ((words[1:] & RESET) == 0)
+        usable = follows & ((words[1:] & RESET_FLAG) == 0)
         plausible = (steps <= self._limit_q6) & (heads[:-1] < TURN_Q6) & (heads[1:] < TURN_Q6)
         self.counters.discarded += int(np.count_nonzero(~usable))
         self.counters.implausible += self.format.samples * int(np.count_nonzero(usable & ~plausible))
         pairs = np.flatnonzero(usable & plausible)
         if not len(pairs):
-            return NOTHING
-        returns = self.format.read(capsules[pairs], capsules[pairs + 1])
+            return NO_MEASUREMENTS
+        returns = self.format.decode(capsules[pairs], capsules[pairs + 1])
         return self._measurements(heads[pairs], steps[pairs], ends[pairs], returns)
 
-    def _measurements(self, heads: Integers, steps: Integers, ends: Integers, returns: Returns) -> Measurements:
+    def _measurements(self, heads: Integers, steps: Integers, ends: Integers, returns: CapsuleReturns) -> Measurements:
         count, capsules = self.format.samples, len(heads)
         # In units of 1/64/count degrees everything is whole, so that turning on never seems to turn back.
         turn = TURN_Q6 * count
@@ -151,7 +151,7 @@ class CapsuleDecoder:
         if returns.correction is not None:
             degrees = degrees - returns.correction
         samples = np.empty(capsules * count, dtype=SAMPLE)
-        samples["angle"] = counter_clockwise(np.radians(degrees.ravel()))
+        samples["angle"] = to_counter_clockwise(np.radians(degrees.ravel()))
         samples["range"] = returns.ranges.ravel()
         samples["quality"] = NO_QUALITY if returns.quality is None else returns.quality.ravel()
         samples["start"] = swept < before
@@ -160,18 +160,18 @@ class CapsuleDecoder:
         packets = np.empty(capsules, dtype=PACKET)
         packets["end"] = ends
         packets["device_time"] = np.nan
-        packets["continuous"] = ends - self.format.size == np.concatenate([[self._given_end], ends[:-1]])
-        self._given_end = int(ends[-1])
+        packets["continuous"] = ends - self.format.size == np.concatenate([[self._emitted_end], ends[:-1]])
+        self._emitted_end = int(ends[-1])
         self.counters.samples += len(samples)
         return Measurements(samples, packets)
 
 
-def millimetres(distances: Integers) -> Floats:
+def to_metres(distances: Integers) -> Floats:
     """Distances in whole millimetres as metres; NaN for 0 and less, which mean that nothing came back."""
     return np.where(distances > 0, distances / 1e3, np.nan)
 
 
-def whole_millimetres(ranges: Floats, largest: int) -> Integers:
+def to_millimetres(ranges: Floats, largest: int) -> Integers:
     """Ranges in metres as whole millimetres; 0 where there is none or it exceeds what the format can tell."""
-    told = np.round(np.nan_to_num(ranges, nan=0.0, posinf=0.0, neginf=0.0) * 1e3)
-    return np.where((told > 0) & (told <= largest), told, 0).astype(np.int64)
+    stored = np.round(np.nan_to_num(ranges, nan=0.0, posinf=0.0, neginf=0.0) * 1e3)
+    return np.where((stored > 0) & (stored <= largest), stored, 0).astype(np.int64)

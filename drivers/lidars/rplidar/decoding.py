@@ -3,41 +3,41 @@
 from __future__ import annotations
 
 from ...errors import DriverError
-from ..records import Decoder
+from ..measurements import Decoder
 from . import dense, express, hq, standard, ultra, ultra_dense
-from .answers import Answer, Descriptor
 from .capsules import CapsuleDecoder
 from .hq import HqDecoder
+from .responses import Descriptor, ResponseType
 from .standard import StandardDecoder
 
-CAPSULES = {format.answer: format for format in (express.FORMAT, ultra.FORMAT, dense.FORMAT, ultra_dense.FORMAT)}
+CAPSULES = {format.response_type: format for format in (express.FORMAT, ultra.FORMAT, dense.FORMAT, ultra_dense.FORMAT)}
 SIZES = {
-    Answer.STANDARD: standard.SIZE,
-    Answer.HQ: hq.LAYOUT.itemsize,
-    **{Answer(answer): format.size for answer, format in CAPSULES.items()},
+    ResponseType.STANDARD: standard.SIZE,
+    ResponseType.HQ: hq.LAYOUT.itemsize,
+    **{ResponseType(response_type): format.size for response_type, format in CAPSULES.items()},
 }
 """Bytes of a packet."""
 
 
-def decoder_for(answer: int, sample_period: float, baud: float, corrected: bool) -> Decoder:
+def decoder_for(response_type: int, sample_period: float, baud: float, triangulates: bool) -> Decoder:
     """The decoder of a scan mode's type of answer; raises DriverError where there is none.
 
     sample_period  seconds between samples
     baud           of the port, bits a second
     corrected      whether the model triangulates (see `models.Model`)
     """
-    if answer == Answer.STANDARD:
-        return StandardDecoder(sample_period, baud, corrected)
-    if answer == Answer.HQ:
+    if response_type == ResponseType.STANDARD:
+        return StandardDecoder(sample_period, baud, triangulates)
+    if response_type == ResponseType.HQ:
         return HqDecoder(sample_period, baud)
-    if answer in CAPSULES:
-        return CapsuleDecoder(CAPSULES[answer], sample_period, baud)
-    raise DriverError(f"measurements of type 0x{answer:02X} are unknown")
+    if response_type in CAPSULES:
+        return CapsuleDecoder(CAPSULES[response_type], sample_period, baud)
+    raise DriverError(f"measurements of type 0x{response_type:02X} are unknown")
 
 
-def descriptor_of(answer: int) -> Descriptor:
+def descriptor_of(response_type: int) -> Descriptor:
     """What a device sends before measurements of that type; raises DriverError where it is unknown."""
     for known, size in SIZES.items():
-        if known == answer:
-            return Descriptor(size, True, answer)
-    raise DriverError(f"measurements of type 0x{answer:02X} are unknown")
+        if known == response_type:
+            return Descriptor(size, True, response_type)
+    raise DriverError(f"measurements of type 0x{response_type:02X} are unknown")

@@ -5,24 +5,24 @@ from __future__ import annotations
 import numpy as np
 
 from ...messages import Floats
-from ..records import Records
-from .capsules import CapsuleFormat, Returns, blank, millimetres, seal, whole_millimetres
+from ..measurements import StructuredArray
+from .capsules import CapsuleFormat, CapsuleReturns, add_checksums, new_capsules, to_metres, to_millimetres
 
 LAYOUT = np.dtype([("sync", "u1", 2), ("angle", "<u2"), ("distances", "<u2", 40)])
 
 
-def read(capsules: Records, following: Records) -> Returns:
+def decode(capsules: StructuredArray, following: StructuredArray) -> CapsuleReturns:
     """The distances as they stand there."""
-    return Returns(millimetres(capsules["distances"].astype(np.int64)))
+    return CapsuleReturns(to_metres(capsules["distances"].astype(np.int64)))
 
 
-FORMAT = CapsuleFormat(0x85, LAYOUT, 40, read)
+FORMAT = CapsuleFormat(0x85, LAYOUT, 40, decode)
 
 
 def encode(heads: Floats, ranges: Floats, reset: bool = False) -> bytes:
     """Capsules (m,) with the head at `heads` (m,) radians clockwise at their beginning and `ranges` (m, 40) metres; NaN
     where nothing came back. `reset` marks the first capsule after a start.
     """
-    capsules = blank(FORMAT, heads, reset)
-    capsules["distances"] = whole_millimetres(ranges, 0xFFFF)
-    return seal(capsules)
+    capsules = new_capsules(FORMAT, heads, reset)
+    capsules["distances"] = to_millimetres(ranges, 0xFFFF)
+    return add_checksums(capsules)

@@ -7,10 +7,20 @@ import zlib
 import numpy as np
 
 from ...messages import Floats
-from ..framing import Framer, Layout
-from ..records import NOTHING, PACKET, SAMPLE, Bytes, Counters, Flags, Integers, Measurements, counter_clockwise
+from ..framing import PacketFramer, PacketLayout
+from ..measurements import (
+    NO_MEASUREMENTS,
+    PACKET,
+    SAMPLE,
+    Bytes,
+    DecoderCounters,
+    Flags,
+    Integers,
+    Measurements,
+    to_counter_clockwise,
+)
 
-ANSWER = 0x83
+RESPONSE_TYPE = 0x83
 NODES = 96
 NODE = np.dtype([("angle", "<u2"), ("distance", "<u4"), ("quality", "u1"), ("flags", "u1")])
 LAYOUT = np.dtype([("sync", "u1"), ("timestamp", "<u8"), ("nodes", NODE, NODES), ("crc", "<u4")])
@@ -19,43 +29,43 @@ QUARTER = 1 << 14
 """Angle units in 90 degrees."""
 
 
-def crc_of(packet: bytes) -> int:
+def crc32_of(packet: bytes) -> int:
     """CRC-32 over what comes before the packet's CRC, filled up with zeros to a multiple of four bytes."""
     body = packet[:-4]
     return zlib.crc32(body + bytes(-len(body) % 4))
 
 
-def intact(packets: Bytes) -> Flags:
+def checksums_match(packets: Bytes) -> Flags:
     """Whether the CRCs of packets (m, 781) are right."""
-    told = packets[:, -4:].copy().view("<u4")[:, 0]
-    return np.asarray(told == [crc_of(packet.tobytes()) for packet in packets], dtype=np.bool_)
+    stored = packets[:, -4:].copy().view("<u4")[:, 0]
+    return np.asarray(stored == [crc32_of(packet.tobytes()) for packet in packets], dtype=np.bool_)
 
 
 class HqDecoder:
     """Decodes packets of 96 nodes, as a `Decoder`; seconds between samples, and the port's bits a second."""
 
     def __init__(self, sample_period: float, baud: float) -> None:
-        self.counters = Counters()
-        self._framer = Framer(Layout(LAYOUT.itemsize, ((0xFF, SYNC),), intact), self.counters)
+        self.counters = DecoderCounters()
+        self._framer = PacketFramer(PacketLayout(LAYOUT.itemsize, ((0xFF, SYNC),), checksums_match), self.counters)
         waiting = sample_period * (1.5 + np.arange(NODES - 1, -1, -1))
         self._offsets = -(LAYOUT.itemsize * 10.0 / baud + waiting)
 
     def feed(self, data: bytes) -> Measurements:
         """The measurements that these bytes complete."""
-        frames = self._framer.feed(data)
-        count = len(frames.data)
+        batch = self._framer.feed(data)
+        count = len(batch.data)
         if not count:
-            return NOTHING
-        nodes = frames.data.view(LAYOUT)[:, 0]["nodes"].ravel()
+            return NO_MEASUREMENTS
+        nodes = batch.data.view(LAYOUT)[:, 0]["nodes"].ravel()
         samples = np.empty(len(nodes), dtype=SAMPLE)
-        samples["angle"] = counter_clockwise(nodes["angle"] * (np.pi / 2.0 / QUARTER))
+        samples["angle"] = to_counter_clockwise(nodes["angle"] * (np.pi / 2.0 / QUARTER))
         samples["range"] = np.where(nodes["distance"] > 0, nodes["distance"] / 4e3, np.nan)
         samples["quality"] = nodes["quality"]
         samples["start"] = nodes["flags"] & 1
         samples["offset"] = np.tile(self._offsets, count)
         samples["packet"] = np.repeat(np.arange(count), NODES)
         packets = np.empty(count, dtype=PACKET)
-        packets["end"], packets["continuous"] = frames.ends, frames.continuous
+        packets["end"], packets["continuous"] = batch.ends, batch.continuous
         packets["device_time"] = np.nan  # there is a timestamp, but its unit is not documented
         self.counters.samples += len(samples)
         return Measurements(samples, packets)
@@ -72,5 +82,5 @@ def encode(angles: Floats, ranges: Floats, qualities: Integers, starts: Flags, t
     nodes["distance"] = np.round(np.nan_to_num(ranges) * 4e3)
     nodes["quality"], nodes["flags"] = qualities, starts
     for packet in packets:
-        packet["crc"] = crc_of(packet.tobytes())
+        packet["crc"] = crc32_of(packet.tobytes())
     return packets.tobytes()

@@ -34,7 +34,7 @@ class Model:
     name: str
     bauds: tuple[int, ...]
     motor: Motor
-    corrected: bool
+    triangulates: bool
     range_min: float
     range_max: float
 

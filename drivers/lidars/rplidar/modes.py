@@ -10,25 +10,25 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from ...errors import DriverError
-from .answers import Answer, Info, SampleRate
 from .requests import SCAN, Request, express_scan, get_configuration
+from .responses import Info, ResponseType, SampleRate
 
-FIRMWARE = (1, 24)
+FIRST_FIRMWARE_WITH_MODES = (1, 24)
 """The first of A-series lidars that tells its modes; those that measure times of flight always do."""
-FIRST_WITH_MODES = 4
+FIRST_MODEL_WITH_MODES = 4
 """Major number of the first model that always tells its modes."""
-MOST = 32
+MAX_MODES = 32
 """Modes; a device that claims more is not believed."""
 
 
-class Entry(IntEnum):
+class ConfigEntry(IntEnum):
     """Of the configuration. From 0x71 to 0x7F but for COUNT and TYPICAL they exist for each mode."""
 
     ROTATION = 0x01
     COUNT = 0x70
     SAMPLE_PERIOD = 0x71
     MAX_DISTANCE = 0x74
-    ANSWER = 0x75
+    RESPONSE_TYPE = 0x75
     TYPICAL = 0x7C
     NAME = 0x7F
 
@@ -41,11 +41,11 @@ class ScanMode:
     name: str
     sample_period: float
     max_distance: float
-    answer: int
+    response_type: int
 
     def start(self) -> Request:
         """What starts it."""
-        return SCAN if self.answer == Answer.STANDARD else express_scan(self.id)
+        return SCAN if self.response_type == ResponseType.STANDARD else express_scan(self.id)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,49 +55,49 @@ class Modes:
     modes: tuple[ScanMode, ...]
     typical: int
 
-    def choose(self, wanted: str = "typical") -> ScanMode:
+    def choose(self, name: str = "typical") -> ScanMode:
         """The typical mode, or the one of that name, whatever its case; raises DriverError naming those there are."""
         for mode in self.modes:
-            if (mode.id == self.typical) if wanted == "typical" else (mode.name.lower() == wanted.lower()):
+            if (mode.id == self.typical) if name == "typical" else (mode.name.lower() == name.lower()):
                 return mode
         names = ", ".join(mode.name for mode in self.modes) or "none"
-        raise DriverError(f"the lidar has no scan mode {wanted!r}; it has: {names}")
+        raise DriverError(f"the lidar has no scan mode {name!r}; it has: {names}")
 
 
-def tells_modes(info: Info) -> bool:
+def reports_modes(info: Info) -> bool:
     """Whether the device can be asked for its modes."""
-    return info.model >> 4 >= FIRST_WITH_MODES or info.firmware >= FIRMWARE
+    return info.model >> 4 >= FIRST_MODEL_WITH_MODES or info.firmware >= FIRST_FIRMWARE_WITH_MODES
 
 
-def modes_of_old(rate: SampleRate, max_distance: float) -> Modes:
+def legacy_modes(rate: SampleRate, max_distance: float) -> Modes:
     """The two modes of firmware that cannot be asked; `max_distance` in metres is the model's."""
-    standard = ScanMode(0, "Standard", rate.standard, max_distance, Answer.STANDARD)
-    return Modes((standard, ScanMode(0, "Express", rate.express, max_distance, Answer.EXPRESS)), typical=0)
+    standard = ScanMode(0, "Standard", rate.standard, max_distance, ResponseType.STANDARD)
+    return Modes((standard, ScanMode(0, "Express", rate.express, max_distance, ResponseType.EXPRESS)), typical=0)
 
 
-def survey() -> Generator[Request, bytes, Modes]:
+def query_modes() -> Generator[Request, bytes, Modes]:
     """Ask for all modes: yields requests, to be sent one after the other the payloads of their answers, and returns the
     modes. Raises DriverError where an answer makes no sense.
     """
-    (count,) = yield from _ask(Entry.COUNT, "<H")
-    if not 0 < count <= MOST:
+    (count,) = yield from _query_numbers(ConfigEntry.COUNT, "<H")
+    if not 0 < count <= MAX_MODES:
         raise DriverError(f"the lidar claims {count} scan modes")
-    (typical,) = yield from _ask(Entry.TYPICAL, "<H")
+    (typical,) = yield from _query_numbers(ConfigEntry.TYPICAL, "<H")
     modes = []
     for mode in range(count):
-        (period,) = yield from _ask(Entry.SAMPLE_PERIOD, "<I", mode)
-        (distance,) = yield from _ask(Entry.MAX_DISTANCE, "<I", mode)
-        (answer,) = yield from _ask(Entry.ANSWER, "<B", mode)
-        name = _text((yield from _exchange(Entry.NAME, mode)))
+        (period,) = yield from _query_numbers(ConfigEntry.SAMPLE_PERIOD, "<I", mode)
+        (distance,) = yield from _query_numbers(ConfigEntry.MAX_DISTANCE, "<I", mode)
+        (response_type,) = yield from _query_numbers(ConfigEntry.RESPONSE_TYPE, "<B", mode)
+        name = _parse_text((yield from _query(ConfigEntry.NAME, mode)))
         if period == 0:
             raise DriverError(f"the lidar tells no sample period for scan mode {name!r}")
-        modes.append(ScanMode(mode, name, period / 256e6, distance / 256.0, answer))
+        modes.append(ScanMode(mode, name, period / 256e6, distance / 256.0, response_type))
     return Modes(tuple(modes), typical)
 
 
-def desired_rotation() -> Generator[Request, bytes, tuple[int, int]]:
+def query_rotation() -> Generator[Request, bytes, tuple[int, int]]:
     """Ask how fast the head should turn: revolutions a minute, and the PWM duty that gives about that. As `survey`."""
-    speed, duty = yield from _ask(Entry.ROTATION, "<HH")
+    speed, duty = yield from _query_numbers(ConfigEntry.ROTATION, "<HH")
     return speed, duty
 
 
@@ -106,35 +106,35 @@ def echo(request: Request) -> bytes:
     return request.payload[:4]
 
 
-def answer_to(request: Request, modes: Modes, rotation: tuple[int, int] = (600, 660)) -> bytes | None:
+def configuration_response(request: Request, modes: Modes, rotation: tuple[int, int] = (600, 660)) -> bytes | None:
     """The payload with which a device of these modes answers a request for configuration; None if it does not know
     it.
     """
     entry = struct.unpack("<I", request.payload[:4])[0] if len(request.payload) >= 4 else -1
     number = struct.unpack("<H", request.payload[4:6])[0] if len(request.payload) >= 6 else -1
     mode = next((mode for mode in modes.modes if mode.id == number), None)
-    if entry == Entry.ROTATION:
+    if entry == ConfigEntry.ROTATION:
         data = struct.pack("<HH", *rotation)
-    elif entry == Entry.COUNT:
+    elif entry == ConfigEntry.COUNT:
         data = struct.pack("<H", len(modes.modes))
-    elif entry == Entry.TYPICAL:
+    elif entry == ConfigEntry.TYPICAL:
         data = struct.pack("<H", modes.typical)
     elif mode is None:
         return None
-    elif entry == Entry.SAMPLE_PERIOD:
+    elif entry == ConfigEntry.SAMPLE_PERIOD:
         data = struct.pack("<I", round(mode.sample_period * 256e6))
-    elif entry == Entry.MAX_DISTANCE:
+    elif entry == ConfigEntry.MAX_DISTANCE:
         data = struct.pack("<I", round(mode.max_distance * 256.0))
-    elif entry == Entry.ANSWER:
-        data = struct.pack("<B", mode.answer)
-    elif entry == Entry.NAME:
+    elif entry == ConfigEntry.RESPONSE_TYPE:
+        data = struct.pack("<B", mode.response_type)
+    elif entry == ConfigEntry.NAME:
         data = mode.name.encode("ascii") + b"\0"
     else:
         return None
     return echo(request) + data
 
 
-def _exchange(entry: Entry, mode: int | None) -> Generator[Request, bytes, bytes]:
+def _query(entry: ConfigEntry, mode: int | None) -> Generator[Request, bytes, bytes]:
     """Ask for one entry; its data without the echo."""
     request = get_configuration(entry, mode)
     payload = yield request
@@ -143,12 +143,14 @@ def _exchange(entry: Entry, mode: int | None) -> Generator[Request, bytes, bytes
     return payload[4:]
 
 
-def _ask(entry: Entry, format: str, mode: int | None = None) -> Generator[Request, bytes, Sequence[int]]:
-    data = yield from _exchange(entry, mode)
+def _query_numbers(
+    entry: ConfigEntry, format: str, mode: int | None = None
+) -> Generator[Request, bytes, Sequence[int]]:
+    data = yield from _query(entry, mode)
     if len(data) < struct.calcsize(format):
         raise DriverError(f"the lidar's {entry.name} has only {len(data)} bytes")
     return struct.unpack_from(format, data)
 
 
-def _text(data: bytes) -> str:
+def _parse_text(data: bytes) -> str:
     return data.split(b"\0")[0].decode("ascii", errors="replace").strip()

@@ -9,28 +9,28 @@ from __future__ import annotations
 import numpy as np
 
 from ...messages import Floats
-from ..records import Integers, Records
-from .capsules import CapsuleFormat, Returns, blank, millimetres, seal, whole_millimetres
+from ..measurements import Integers, StructuredArray
+from .capsules import CapsuleFormat, CapsuleReturns, add_checksums, new_capsules, to_metres, to_millimetres
 
 LAYOUT = np.dtype([("sync", "u1", 2), ("angle", "<u2"), ("cabins", "<u4", 32)])
 
 # by level: the first major on it, and the distance in millimetres that it stands for; a step is 2^level millimetres
 FIRST_MAJOR = np.array([0, 512, 1280, 1792, 3328])
 FIRST_DISTANCE = np.array([0, 512, 2048, 4096, 16384])
-LARGEST = int(FIRST_DISTANCE[4] + ((0xFFF - FIRST_MAJOR[4]) << 4))
-INVALID = (-512, 511)
+MAX_DISTANCE = int(FIRST_DISTANCE[4] + ((0xFFF - FIRST_MAJOR[4]) << 4))
+INVALID_DIFFERENCES = (-512, 511)
 """Differences that mean: nothing came back."""
-NEAR = 50
+NEAR_DISTANCE = 50
 """Millimetres; nearer distances are corrected by a constant."""
 
 
-def expand(majors: Integers) -> tuple[Integers, Integers]:
+def decode_majors(majors: Integers) -> tuple[Integers, Integers]:
     """Distances in millimetres and levels that majors stand for."""
     level = np.searchsorted(FIRST_MAJOR, majors, side="right") - 1
     return FIRST_DISTANCE[level] + ((majors - FIRST_MAJOR[level]) << level), level
 
 
-def compress(distances: Integers) -> Integers:
+def encode_majors(distances: Integers) -> Integers:
     """Majors nearest to distances in millimetres."""
     level = np.searchsorted(FIRST_DISTANCE, distances, side="right") - 1
     half = (1 << level) >> 1
@@ -43,32 +43,32 @@ def correction(distances: Integers) -> Floats:
 
     In radians * 2^16 it is 8 degrees - 64 k - k^3 / 98304, k = 98361 / (4 d) rounded down.
     """
-    k = 98361 // (4 * np.maximum(distances, NEAR))
+    k = 98361 // (4 * np.maximum(distances, NEAR_DISTANCE))
     lag = int(np.pi / 180.0 * 8.0 * 65536.0) - (k << 6) - k**3 // 98304
-    return np.where(distances >= NEAR, np.degrees(lag / 65536.0), 7.5)
+    return np.where(distances >= NEAR_DISTANCE, np.degrees(lag / 65536.0), 7.5)
 
 
-def read(capsules: Records, following: Records) -> Returns:
+def decode(capsules: StructuredArray, following: StructuredArray) -> CapsuleReturns:
     """Distances from majors and differences; the last cabin's third sample builds on the following capsule's first."""
     cabins = capsules["cabins"].astype(np.int64)
     majors = np.column_stack([cabins & 0xFFF, following["cabins"][:, 0].astype(np.int64) & 0xFFF])
-    values, levels = expand(majors)
+    values, levels = decode_majors(majors)
     first, after = values[:, :-1], values[:, 1:]
     base, level = _base(values, levels)
     second, third = _signed(cabins >> 12), _signed(cabins >> 22)
     distances = np.stack(
         [
             first,
-            np.where(np.isin(second, INVALID), 0, base + (second << level)),
-            np.where(np.isin(third, INVALID), 0, after + (third << levels[:, 1:])),
+            np.where(np.isin(second, INVALID_DIFFERENCES), 0, base + (second << level)),
+            np.where(np.isin(third, INVALID_DIFFERENCES), 0, after + (third << levels[:, 1:])),
         ],
         axis=-1,
     ).reshape(len(capsules), -1)
     distances = np.maximum(distances, 0)
-    return Returns(millimetres(distances), None, correction(distances))
+    return CapsuleReturns(to_metres(distances), None, correction(distances))
 
 
-FORMAT = CapsuleFormat(0x84, LAYOUT, 96, read)
+FORMAT = CapsuleFormat(0x84, LAYOUT, 96, decode)
 
 
 def encode(heads: Floats, ranges: Floats, ahead: float = np.nan, reset: bool = False) -> bytes:
@@ -77,17 +77,17 @@ def encode(heads: Floats, ranges: Floats, ahead: float = np.nan, reset: bool = F
 
     A second or third sample too far from what it builds on cannot be told and becomes invalid, as in the device.
     """
-    capsules = blank(FORMAT, heads, reset)
-    wanted = whole_millimetres(ranges, LARGEST).reshape(-1, 3)
-    last = whole_millimetres(np.array([ahead]), LARGEST)
-    majors = compress(np.concatenate([wanted[:, 0], last]))
-    values, levels = expand(majors)
+    capsules = new_capsules(FORMAT, heads, reset)
+    wanted = to_millimetres(ranges, MAX_DISTANCE).reshape(-1, 3)
+    last = to_millimetres(np.array([ahead]), MAX_DISTANCE)
+    majors = encode_majors(np.concatenate([wanted[:, 0], last]))
+    values, levels = decode_majors(majors)
     base, level = _base(values[None], levels[None])
     second = _difference(wanted[:, 1], base[0], level[0])
     third = _difference(wanted[:, 2], values[1:], levels[1:])
     words = majors[:-1] | ((second & 0x3FF) << 12) | ((third & 0x3FF) << 22)
     capsules["cabins"] = words.reshape(-1, 32)
-    return seal(capsules)
+    return add_checksums(capsules)
 
 
 def _base(values: Integers, levels: Integers) -> tuple[Integers, Integers]:
@@ -104,5 +104,5 @@ def _signed(bits: Integers) -> Integers:
 def _difference(wanted: Integers, base: Integers, level: Integers) -> Integers:
     """What a second or third sample says to come nearest to the wanted distance; an invalid one where nothing does."""
     steps = (wanted - base + ((1 << level) >> 1)) >> level
-    told = (wanted > 0) & (steps > INVALID[0]) & (steps < INVALID[1])
-    return np.where(told, steps, INVALID[0])
+    stored = (wanted > 0) & (steps > INVALID_DIFFERENCES[0]) & (steps < INVALID_DIFFERENCES[1])
+    return np.where(stored, steps, INVALID_DIFFERENCES[0])

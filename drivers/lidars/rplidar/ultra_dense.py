@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from ...messages import Floats
-from ..records import Integers, Records
-from .capsules import CapsuleFormat, Returns, blank, millimetres, seal, whole_millimetres
+from ..measurements import Integers, StructuredArray
+from .capsules import CapsuleFormat, CapsuleReturns, add_checksums, new_capsules, to_metres, to_millimetres
 
 CABIN = np.dtype([("low", "<u2", 2), ("high", "u1")])
 LAYOUT = np.dtype([("sync", "u1", 2), ("timestamp", "<u4"), ("status", "<u2"), ("angle", "<u2"), ("cabins", CABIN, 32)])
@@ -20,10 +20,10 @@ BITS = np.array([10, 11, 12, 13])
 STEP = np.array([2, 3, 4, 5])
 BASE = np.array([0, 2046, 8187, 24567])
 SHORTENED = np.array([0, 1, 2, 3])
-LARGEST = int(BASE[3] + STEP[3] * ((1 << BITS[3]) - 1))
+MAX_DISTANCE = int(BASE[3] + STEP[3] * ((1 << BITS[3]) - 1))
 
 
-def unpack(words: Integers) -> tuple[Integers, Integers]:
+def unpack_words(words: Integers) -> tuple[Integers, Integers]:
     """Words of 20 bits as distances in millimetres and qualities, of the same shape."""
     scale = words & 3
     body = words >> 2
@@ -31,32 +31,32 @@ def unpack(words: Integers) -> tuple[Integers, Integers]:
     return distances, (body >> BITS[scale]) << SHORTENED[scale]
 
 
-def pack(distances: Integers, qualities: Integers) -> Integers:
+def pack_words(distances: Integers, qualities: Integers) -> Integers:
     """Words of 20 bits, in the finest scale that reaches; distances in millimetres, qualities 0 to 255."""
     scale = np.searchsorted(BASE[1:] - 1, distances, side="left")
     steps = np.clip((distances - BASE[scale] + STEP[scale] // 2) // STEP[scale], 0, ((1 << BITS) - 1)[scale])
     return np.asarray(scale | (steps << 2) | ((qualities >> SHORTENED[scale]) << (BITS[scale] + 2)))
 
 
-def read(capsules: Records, following: Records) -> Returns:
+def decode(capsules: StructuredArray, following: StructuredArray) -> CapsuleReturns:
     """Two words of 20 bits a cabin, their highest four in its last byte."""
     cabins = capsules["cabins"]
     high = cabins["high"].astype(np.int64)
     words = cabins["low"].astype(np.int64) | (np.stack([high & 0x0F, high >> 4], axis=-1) << 16)
-    distances, qualities = unpack(words.reshape(len(capsules), -1))
-    return Returns(millimetres(distances), qualities)
+    distances, qualities = unpack_words(words.reshape(len(capsules), -1))
+    return CapsuleReturns(to_metres(distances), qualities)
 
 
-FORMAT = CapsuleFormat(0x86, LAYOUT, 64, read)
+FORMAT = CapsuleFormat(0x86, LAYOUT, 64, decode)
 
 
 def encode(heads: Floats, ranges: Floats, qualities: Integers, timestamp: int = 0, reset: bool = False) -> bytes:
     """Capsules (m,) with the head at `heads` (m,) radians clockwise at their beginning, `ranges` (m, 64) metres (NaN
     where nothing came back) and `qualities` (m, 64) 0 to 255; all with one device `timestamp`.
     """
-    capsules = blank(FORMAT, heads, reset)
+    capsules = new_capsules(FORMAT, heads, reset)
     capsules["timestamp"] = timestamp
-    words = pack(whole_millimetres(ranges, LARGEST), qualities.astype(np.int64))
+    words = pack_words(to_millimetres(ranges, MAX_DISTANCE), qualities.astype(np.int64))
     capsules["cabins"]["low"] = (words & 0xFFFF).reshape(-1, 32, 2)
     capsules["cabins"]["high"] = (words[:, ::2] >> 16) | ((words[:, 1::2] >> 16) << 4)
-    return seal(capsules)
+    return add_checksums(capsules)

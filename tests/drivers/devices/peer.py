@@ -26,12 +26,12 @@ from typing import Any
 import numpy as np
 
 from drivers.bases import Create2Device, Stream, WheelReading
-from drivers.emulator.emulator import at_once
+from drivers.emulator.emulator import realtime_priority
 from drivers.lidars.rplidar import dense
-from drivers.lidars.rplidar.answers import Answer, Descriptor, Health, Info, Status
 from drivers.lidars.rplidar.decoding import descriptor_of
-from drivers.lidars.rplidar.modes import Modes, ScanMode, answer_to
+from drivers.lidars.rplidar.modes import Modes, ScanMode, configuration_response
 from drivers.lidars.rplidar.requests import Command, Request, RequestReader
+from drivers.lidars.rplidar.responses import Descriptor, Health, HealthStatus, Info, ResponseType
 
 RATE, TURNS, BAUD = 9200.0, 9.7, 256000
 SAMPLES = 40
@@ -130,7 +130,7 @@ class LidarPeer:
         for request in self.requests.feed(data):
             self.obey(request)
 
-    def answer(self, kind: Answer, payload: bytes) -> None:
+    def answer(self, kind: ResponseType, payload: bytes) -> None:
         self.terminal.write(Descriptor(len(payload), False, kind).packet() + payload)
 
     def obey(self, request: Request) -> None:
@@ -146,13 +146,16 @@ class LidarPeer:
         elif self.begun is not None:
             return
         elif command == Command.GET_INFO:
-            self.answer(Answer.INFO, Info(0x61, (1, 29), 7, SERIAL).payload())
+            self.answer(ResponseType.INFO, Info(0x61, (1, 29), 7, SERIAL).payload())
         elif command == Command.GET_HEALTH:
-            self.answer(Answer.HEALTH, Health(Status.ERROR if self.sick else Status.GOOD, 4 * self.sick).payload())
+            self.answer(
+                ResponseType.HEALTH,
+                Health(HealthStatus.ERROR if self.sick else HealthStatus.GOOD, 4 * self.sick).payload(),
+            )
         elif command == Command.GET_CONFIGURATION:
-            payload = answer_to(request, MODES)
+            payload = configuration_response(request, MODES)
             if payload is not None:
-                self.answer(Answer.CONFIGURATION, payload)
+                self.answer(ResponseType.CONFIGURATION, payload)
         elif command == Command.EXPRESS_SCAN:
             self.terminal.write(descriptor_of(0x85).packet())
             self.begun, self.capsule = time.monotonic(), 0
@@ -229,5 +232,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    with at_once():  # hardware does not wait for a processor
+    with realtime_priority():  # hardware does not wait for a processor
         main()

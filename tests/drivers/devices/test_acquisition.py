@@ -20,9 +20,9 @@ import pytest
 import drivers
 from drivers import DriverError, Message, Odometry, Scan
 from drivers.devices.acquisition import Acquisition
-from drivers.devices.specs import parse_devices
-from drivers.devices.supervisor import State
-from drivers.messages import end_of
+from drivers.devices.device_spec import parse_devices
+from drivers.devices.supervisor import DeviceState
+from drivers.messages import end_stamp
 
 RATE, TURNS = 9200.0, 9.7
 METRES_PER_READING = 10 * 0.444565e-3
@@ -94,7 +94,7 @@ def test_every_counter_is_there_and_devices_stand_still_afterwards(peer: Any) ->
         receive_for(acquisition, 1.0)
         lidar, base = acquisition.snapshot.devices
         assert peer.scans_since_last_stop()
-    assert (lidar.state, base.state) == (State.RUNNING, State.RUNNING)
+    assert (lidar.state, base.state) == (DeviceState.RUNNING, DeviceState.RUNNING)
     assert "S1M1" in lidar.identity
     assert "DenseBoost" in lidar.identity
     assert "00112233445566778899AABBCCDDEEFF" in lidar.identity
@@ -199,8 +199,8 @@ def test_unplugged_devices_come_back(peer: Any) -> None:
         receive_for(acquisition, 0.5)
         peer.tell("unplug lidar 0.7")
         peer.tell("unplug base 0.7")
-        receive_until(acquisition, lambda: {d.state for d in acquisition.snapshot.devices} == {State.LOST})
-        receive_until(acquisition, lambda: {d.state for d in acquisition.snapshot.devices} == {State.RUNNING})
+        receive_until(acquisition, lambda: {d.state for d in acquisition.snapshot.devices} == {DeviceState.LOST})
+        receive_until(acquisition, lambda: {d.state for d in acquisition.snapshot.devices} == {DeviceState.RUNNING})
         messages = receive_for(acquisition, 1.0)
         devices = acquisition.snapshot.devices
     assert sum(isinstance(message, Scan) for message in messages) > 4
@@ -228,7 +228,7 @@ def test_faults_on_the_line_are_counted_and_overcome(peer: Any, fault: str, sile
         def seen() -> bool:
             device = acquisition.snapshot.devices[index]
             noticed = device.counters["silences"] if silent else device.counters["bytes_skipped"]
-            return noticed > 0 and device.state is State.RUNNING
+            return noticed > 0 and device.state is DeviceState.RUNNING
 
         receive_until(acquisition, seen)
         messages = receive_for(acquisition, 0.8)
@@ -325,5 +325,5 @@ def test_a_lidar_that_still_streams_is_started_cleanly(peer: Any) -> None:
 
 def test_end_of_a_message() -> None:
     scan = Scan(5.0, np.ones(3), np.arange(3.0), np.array([0.2, 0.1, 0.0]), 0.1, 9.0)
-    assert end_of(scan) == 5.2
-    assert end_of(Odometry(5.0, np.zeros(3))) == 5.0
+    assert end_stamp(scan) == 5.2
+    assert end_stamp(Odometry(5.0, np.zeros(3))) == 5.0

@@ -17,14 +17,14 @@ import pytest
 from drivers import Message, Odometry, Scan
 from drivers.bases import Create2Device, KobukiDevice, WheelReading, create2, kobuki
 from drivers.devices.device import READ_PAUSE
-from drivers.devices.lidar import Lidar, Stream
-from drivers.devices.reorder_buffer import HOLD, Outlet
-from drivers.devices.wheels import Base
+from drivers.devices.lidar import LidarDevice, LidarStream
+from drivers.devices.reorder_buffer import MAX_HOLD, ReorderBuffer
+from drivers.devices.wheel_base import WheelBaseDevice
 from drivers.lidars import ld06
 from drivers.lidars.rplidar import dense
 from drivers.lidars.rplidar.decoding import decoder_for
 from drivers.transport import Received, transport
-from drivers.transport.transport import take_promptly
+from drivers.transport.transport import read_promptly
 
 SECONDS, START = 5.0, 1000.0
 TURNS = 10.0
@@ -43,17 +43,17 @@ class Sent(NamedTuple):
     times: np.ndarray
 
 
-def dense_lidar() -> tuple[Stream, float, Sent]:
+def dense_lidar() -> tuple[LidarStream, float, Sent]:
     """One that tells no time; how it is understood, its samples a second, and what it sends."""
     rate, baud, size = 9200.0, 256000.0, 84
     samples = np.arange(int(SECONDS * rate)).reshape(-1, 40)
     heads = 2 * np.pi * TURNS / rate * samples[:, 0]
     data = dense.encode(heads, 1.0 + samples % COUNTED / 1e3, reset=True)
-    stream = Stream(decoder_for(0x85, 1 / rate, baud, False), 40 / rate, size, (0.1, 40.0))
+    stream = LidarStream(decoder_for(0x85, 1 / rate, baud, False), 40 / rate, size, (0.1, 40.0))
     return stream, rate, Sent(data, size, START + (samples[:, -1] + 1.5) / rate + size * 10 / baud)
 
 
-def telling_lidar() -> tuple[Stream, float, Sent]:
+def telling_lidar() -> tuple[LidarStream, float, Sent]:
     """One that tells its own time, on a clock that runs slow."""
     rate, size = ld06.SAMPLE_RATE, ld06.LAYOUT.itemsize
     data, samples = b"", np.arange(int(SECONDS * rate)).reshape(-1, ld06.POINTS)
@@ -61,22 +61,22 @@ def telling_lidar() -> tuple[Stream, float, Sent]:
         bearings = 2 * np.pi * TURNS / rate * row[None, [0, -1]]
         ranges, bright = 1.0 + row[None] % COUNTED / 1e3, np.full((1, ld06.POINTS), 200)
         data += ld06.encode(bearings, ranges, bright, 2 * np.pi * TURNS, row[-1] / rate / 1.0001)
-    stream = Stream(ld06.Ld06Decoder(), ld06.POINTS / rate, size, (0.1, 40.0))
+    stream = LidarStream(ld06.Ld06Decoder(), ld06.POINTS / rate, size, (0.1, 40.0))
     return stream, rate, Sent(data, size, START + samples[:, -1] / rate + size * 10 / ld06.BAUD)
 
 
-def counting_base() -> tuple[Base, float, Sent]:
+def counting_base() -> tuple[WheelBaseDevice, float, Sent]:
     """One that tells no time; its seconds between readings, and what it sends."""
     frames = [Create2Device().encode(WheelReading(i, i)) for i in range(int(SECONDS / 0.015))]
-    return Base("create2", {}), 0.015, sent(frames, 0.015, create2.Create2.baud)
+    return WheelBaseDevice("create2", {}), 0.015, sent(frames, 0.015, create2.Create2.baud)
 
 
-def telling_base() -> tuple[Base, float, Sent]:
+def telling_base() -> tuple[WheelBaseDevice, float, Sent]:
     """One that tells milliseconds, on a clock that wraps meanwhile and runs slow."""
     first = kobuki.Kobuki.wraps_at - 2000
     times = [first + int(20 * i / 1.0001) for i in range(int(SECONDS / 0.02))]
     frames = [KobukiDevice().encode(WheelReading(i, i, time)) for i, time in enumerate(times)]
-    return Base("kobuki", {}), 0.02, sent(frames, 0.02, kobuki.Kobuki.baud)
+    return WheelBaseDevice("kobuki", {}), 0.02, sent(frames, 0.02, kobuki.Kobuki.baud)
 
 
 def sent(frames: list[bytes], period: float, baud: float) -> Sent:
@@ -84,10 +84,10 @@ def sent(frames: list[bytes], period: float, baud: float) -> Sent:
     return Sent(b"".join(frames), size, START + period * np.arange(len(frames)) + size * 10 / baud)
 
 
-class PluggedLidar(Lidar):
+class PluggedLidar(LidarDevice):
     """Found already."""
 
-    def __init__(self, stream: Stream) -> None:
+    def __init__(self, stream: LidarStream) -> None:
         super().__init__({})
         self._plugged = stream
         nobody: Any = None
@@ -99,7 +99,7 @@ class PluggedLidar(Lidar):
     def halt(self, transport: Any) -> None:
         pass
 
-    def _begin(self, transport: Any, baud: int) -> Stream:
+    def _start_stream(self, transport: Any, baud: int) -> LidarStream:
         return self._plugged
 
 
@@ -143,7 +143,7 @@ def reads(number: int, device: Sent, host: Host, patch: pytest.MonkeyPatch) -> I
     while at < len(device.data):
         host.sleep(max(0.0, byte_times[at] - host.now))
         patch.setattr(transport, "time", host)
-        received = take_promptly(take)
+        received = read_promptly(take)
         yield host.monotonic(), number, received
         host.sleep(READ_PAUSE)
 
@@ -153,8 +153,8 @@ class Drive:
     """What came of it: the messages given out, their errors (seconds), and how many there should be."""
 
     lidar: PluggedLidar
-    base: Base
-    outlet: Outlet
+    base: WheelBaseDevice
+    buffer: ReorderBuffer
     messages: list[Message] = field(default_factory=list)
     errors: np.ndarray = field(default_factory=lambda: np.empty(0))
     scans: int = 0
@@ -166,23 +166,23 @@ def drive(robot: str, seed: int, chance: float, longest: float, freezes: int, pa
     base, period, rolled = counting_base() if robot == "counting" else telling_base()
     random = np.random.default_rng(seed)
     begins = random.uniform(START + 1.0, START + SECONDS, freezes)
-    frozen = np.stack([begins, begins + random.uniform(0.2, HOLD - 0.2, freezes)], axis=1)
-    result = Drive(PluggedLidar(stream), base, Outlet(2, 0.0))
+    frozen = np.stack([begins, begins + random.uniform(0.2, MAX_HOLD - 0.2, freezes)], axis=1)
+    result = Drive(PluggedLidar(stream), base, ReorderBuffer(2, 0.0))
     hosts = [Host(child, chance, longest, frozen) for child in random.spawn(2)]
     threads = [reads(number, device, hosts[number], patch) for number, device in enumerate((scanned, rolled))]
     read = [START, START]
     for _, number, received in heapq.merge(*threads, key=lambda event: event[0]):
-        result.messages += result.outlet.take(min(read), 0.0)
-        result.outlet.put(number, (result.lidar, base)[number].feed(received))
+        result.messages += result.buffer.pop(min(read), 0.0)
+        result.buffer.put(number, (result.lidar, base)[number].feed(received))
         read[number] = received.time
-        result.messages += result.outlet.take(min(read), 0.0)
-    result.messages += result.outlet.flush()
+        result.messages += result.buffer.pop(min(read), 0.0)
+    result.messages += result.buffer.flush()
     result.errors = np.array([error_of(message, rate, period, base) for message in result.messages])
     result.scans, result.readings = int(SECONDS * TURNS) - 1, len(rolled.times)
     return result
 
 
-def error_of(message: Message, rate: float, period: float, base: Base) -> float:
+def error_of(message: Message, rate: float, period: float, base: WheelBaseDevice) -> float:
     """Seconds by which a stamp is later than the truth, which the devices tell in what they measure."""
     if isinstance(message, Scan):
         sample = round(1e3 * float(message.ranges[np.argmin(message.time_offsets)])) - 1000
@@ -196,7 +196,7 @@ def error_of(message: Message, rate: float, period: float, base: Base) -> float:
 def assert_in_order(driven: Drive) -> None:
     stamps = np.array([message.stamp for message in driven.messages])
     assert np.all(np.diff(stamps) >= 0.0)
-    assert (driven.outlet.late, driven.outlet.dropped) == (0, 0)
+    assert (driven.buffer.late, driven.buffer.dropped) == (0, 0)
 
 
 def assert_complete(driven: Drive) -> None:

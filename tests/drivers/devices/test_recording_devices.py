@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from drivers import Odometry, RecordingError, Scan
-from drivers.recordings.mcap import Mcap, McapWriter
+from drivers.recordings.mcap import McapReader, McapWriter
 
 WCLM = [sys.executable, "-c", "from slam.cli import main; main()"]
 LARGEST_DELAY = 0.3
@@ -45,7 +45,7 @@ def kill_and_read(peer: Any, path: Path, after: float) -> None:
     process.kill()
     out, err = process.communicate()
     assert out + err == ""
-    source = Mcap(path)
+    source = McapReader(path)
     messages = list(source)
     assert {type(message) for message in messages} == {Scan, Odometry}
     assert messages[-1].stamp > killed - 1.0 - LARGEST_DELAY
@@ -73,7 +73,7 @@ def test_told_to_end_it_finishes_the_file(peer: Any, tmp_path: Path, number: int
     process.send_signal(number)
     out, err = process.communicate(timeout=20)
     assert (process.returncode, err) == (0, "")
-    source = Mcap(path)
+    source = McapReader(path)
     messages = list(source)
     scans = sum(isinstance(message, Scan) for message in messages)
     assert out.startswith(f"{path}: {scans} scans and {len(messages) - scans} odometry readings in ")
@@ -90,7 +90,7 @@ def test_a_full_disk_ends_the_recording_and_keeps_it(peer: Any, tmp_path: Path) 
     assert (process.returncode, out) == (2, "")
     assert len(err.splitlines()) == 1
     assert err.startswith(f"wclm: {path}: cannot be written: File too large; the recording ends here, after ")
-    source = Mcap(path)
+    source = McapReader(path)
     assert {type(message) for message in source} == {Scan, Odometry}
     assert path.stat().st_size <= limit
     assert not peer.scans_since_last_stop()
@@ -114,7 +114,7 @@ def test_the_writer_keeps_whole_chunks_on_a_full_disk(tmp_path: Path, monkeypatc
             write_without_end()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert [message.stamp for message in Mcap(path)] == written
+    assert [message.stamp for message in McapReader(path)] == written
     with pytest.raises(RecordingError, match="closed"):
         writer.write(Odometry(1e3, np.zeros(3)))
     writer.close()
@@ -154,6 +154,6 @@ def test_a_disk_that_is_really_full(peer: Any, tmp_path: Path) -> None:
         _, err = process.communicate(timeout=60)
         assert process.returncode == 2
         assert "No space left on device; the recording ends here" in err
-        assert {type(message) for message in Mcap(disk / "a.mcap")} == {Scan, Odometry}
+        assert {type(message) for message in McapReader(disk / "a.mcap")} == {Scan, Odometry}
     finally:
         subprocess.run(["umount", disk], check=True)

@@ -10,23 +10,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.emulator import Emulator, Setup
-from drivers.emulator.link import Link
-from drivers.lidars.rplidar.answers import AnswerReader
+from drivers.emulator import Emulator, EmulatorSetup
+from drivers.emulator.connection import DeviceConnection
 from drivers.lidars.rplidar.requests import Request
+from drivers.lidars.rplidar.responses import ResponseReader
 from drivers.messages import Floats
-from drivers.simulation.driving import Drive
-from drivers.simulation.simulator import Lidar
+from drivers.simulation import LidarModel, WheelModel
 from drivers.transport import SerialPort
 
-EXACT = Lidar(sigma_range=0.0, sigma_bearing=0.0, dropouts=0.0, mixed=0.0)
-PERFECT = Drive(slip=0.0, encoder=0.0, scale_bias=0.0, difference_bias=0.0, wheelbase_bias=0.0)
+EXACT = LidarModel(sigma_range=0.0, sigma_bearing=0.0, dropouts=0.0, mixed=0.0)
+PERFECT = WheelModel(slip=0.0, encoder=0.0, scale_bias=0.0, difference_bias=0.0, wheelbase_bias=0.0)
 
 
 class Host:
     """A program that has a port open; what it has read and when."""
 
-    def __init__(self, bench: Bench, link: Link, baud: int) -> None:
+    def __init__(self, bench: Bench, link: DeviceConnection, baud: int) -> None:
         self.bench, self.link = bench, link
         self.port = SerialPort(str(link.port.path), baud)
         self.data = b""
@@ -47,7 +46,7 @@ class Host:
         counts, times = np.array(self._chunks).T
         return np.asarray(times[np.searchsorted(counts, ends)])
 
-    def ask(self, request: Request, answer: AnswerReader, patience: float = 0.3) -> bytes | None:
+    def ask(self, request: Request, answer: ResponseReader, patience: float = 0.3) -> bytes | None:
         """Send a request to an RPLIDAR; its answer's payload, None if none comes."""
         self.port.write(request.packet())
         until = self.bench.time + patience
@@ -97,7 +96,7 @@ def bench(tmp_path: Path) -> Iterator[Callable[..., Bench]]:
             folder = tmp_path / f"robot{len(list(tmp_path.iterdir()))}"
             ports = {"lidar_port": folder / "lidar", "base_port": folder / "base"}
             settings: dict[str, Any] = {"world": "room", "noise": EXACT, "wheels": PERFECT, **ports, **wanted}
-            emulator = opened.enter_context(Emulator(Setup(**settings), begun=1000.0))
+            emulator = opened.enter_context(Emulator(EmulatorSetup(**settings), begun=1000.0))
             return Bench(emulator, opened)
 
         yield make

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from drivers.bases import ArduinoBridge, Create2, Kobuki, Odometer, Velocity, WheelBase, WheelLine
-from drivers.emulator.base import ARDUINO, ARDUINO_BOOT, KINDS
-from drivers.emulator.keyboard import steered
-from drivers.emulator.motion import RADIUS, clearance
+from drivers.emulator.keyboard import apply_keys
+from drivers.emulator.robot_motion import ROBOT_RADIUS, clearance
+from drivers.emulator.wheel_base import ARDUINO_BOOT_DURATION, ARDUINO_GEOMETRY, BASE_VARIANTS
 from drivers.messages import Floats
 from drivers.se2 import between
-from drivers.simulation.driving import Drive
+from drivers.simulation import WheelModel
 
 from .conftest import Bench, Host
 
@@ -27,22 +27,22 @@ MakeBench = Callable[..., Bench]
 PROTOCOLS: dict[str, Callable[[], WheelBase]] = {
     "create2": Create2,
     "kobuki": Kobuki,
-    "arduino": lambda: ArduinoBridge(ARDUINO),
-    "wheels": lambda: WheelLine(ARDUINO),
+    "arduino": lambda: ArduinoBridge(ARDUINO_GEOMETRY),
+    "wheels": lambda: WheelLine(ARDUINO_GEOMETRY),
 }
 
 
-def awake(bench: Bench, name: str) -> tuple[Host, WheelBase]:
+def started(bench: Bench, name: str) -> tuple[Host, WheelBase]:
     """A base that has been started."""
     protocol = PROTOCOLS[name]()
     host = bench.open("base", protocol.baud)
-    bench.go(ARDUINO_BOOT + 0.1)
+    bench.go(ARDUINO_BOOT_DURATION + 0.1)
     host.forget()
     host.port.write(protocol.start())
     return host, protocol
 
 
-def reckoned(bench: Bench, host: Host, protocol: WheelBase, seconds: float) -> tuple[Floats, Floats, Odometer]:
+def dead_reckon(bench: Bench, host: Host, protocol: WheelBase, seconds: float) -> tuple[Floats, Floats, Odometer]:
     """Stamps (n,) and poses (n, 3) in the odometry's frame, on the way."""
     odometer = Odometer(protocol.wheels)
     stamps, poses = [], []
@@ -63,73 +63,73 @@ def reckoned(bench: Bench, host: Host, protocol: WheelBase, seconds: float) -> t
 @pytest.mark.parametrize("name", PROTOCOLS)
 def test_odometry_is_the_driven_path(bench: MakeBench, name: str) -> None:
     robot = bench(base=name)
-    host, protocol = awake(robot, name)
-    stamps, poses, odometer = reckoned(robot, host, protocol, 12.0)
+    host, protocol = started(robot, name)
+    stamps, poses, odometer = dead_reckon(robot, host, protocol, 12.0)
     truth = robot.emulator.motion
     begin, end = truth.at(stamps[[0, -1]])
-    driven = between(begin, end)
-    assert np.hypot(*driven[:2]) > 2.0
+    travelled = between(begin, end)
+    assert np.hypot(*travelled[:2]) > 2.0
     # A reading is up to 25 ms old when it is taken up, which is 12 mm; a count is 0.44 mm, and 2 mrad of a turn.
-    assert poses[-1] == pytest.approx(driven, abs=0.03)
+    assert poses[-1] == pytest.approx(travelled, abs=0.03)
     assert protocol.counters.skipped == protocol.counters.bad == protocol.counters.lost == 0
     assert odometer.counters.resets == odometer.counters.jumps == odometer.counters.gyro_jumps == 0
-    period = KINDS[name].period
+    period = BASE_VARIANTS[name].period
     if period is not None:
         assert len(stamps) == pytest.approx(12.0 / period, rel=0.02)
 
 
 def test_wheels_are_wrong_as_they_are_said_to_be(bench: MakeBench) -> None:
-    robot = bench(base="create2", seed=3, drive="base", wheels=Drive(slip=0.0, encoder=0.0))
-    host, protocol = awake(robot, "create2")
+    robot = bench(base="create2", seed=3, drive="base", wheels=WheelModel(slip=0.0, encoder=0.0))
+    host, protocol = started(robot, "create2")
     host.port.write(protocol.drive(Velocity(0.3, 0.0)))
-    _, poses, _ = reckoned(robot, host, protocol, 5.0)
-    told: Any = robot.emulator.base.report()["biases"]
-    driven, _ = robot.emulator.motion.driven(robot.time)
-    way = np.hypot(*np.diff(poses[:, :2], axis=0).T).sum()
-    assert way / driven == pytest.approx((told["left"] + told["right"]) / 2, abs=0.01)
-    assert abs(told["left"] - 1.0) > 0.015  # of this seed
+    _, poses, _ = dead_reckon(robot, host, protocol, 5.0)
+    biases: Any = robot.emulator.base.report()["biases"]
+    travelled, _ = robot.emulator.motion.travelled(robot.time)
+    distance = np.hypot(*np.diff(poses[:, :2], axis=0).T).sum()
+    assert distance / travelled == pytest.approx((biases["left"] + biases["right"]) / 2, abs=0.01)
+    assert abs(biases["left"] - 1.0) > 0.015  # of this seed
 
 
 @pytest.mark.parametrize("name", PROTOCOLS)
 def test_velocities_are_driven(bench: MakeBench, name: str) -> None:
     robot = bench(base=name, drive="base")
-    host, protocol = awake(robot, name)
+    host, protocol = started(robot, name)
     start = robot.emulator.motion.at(np.array([robot.time]))[0]
     for _ in range(10):
         host.port.write(protocol.drive(Velocity(0.2, 0.5)))
         robot.go(0.2)
-    driven, turned = robot.emulator.motion.driven(robot.time)
-    assert driven == pytest.approx(0.2 * (2.0 - 0.2 / 0.6 / 2), abs=0.02)  # it speeds up at 0.6 m/s^2
+    travelled, turned = robot.emulator.motion.travelled(robot.time)
+    assert travelled == pytest.approx(0.2 * (2.0 - 0.2 / 0.6 / 2), abs=0.02)  # it speeds up at 0.6 m/s^2
     assert turned == pytest.approx(0.5 * (2.0 - 0.5 / 4.0 / 2), abs=0.03)
     assert np.hypot(*between(start, robot.emulator.motion.at(np.array([robot.time]))[0])[:2]) > 0.3
     host.port.write(protocol.stop())
     robot.go(1.0)
-    rest = robot.emulator.motion.driven(robot.time)
+    remainder = robot.emulator.motion.travelled(robot.time)
     robot.go(0.5)
-    assert robot.emulator.motion.driven(robot.time) == rest
+    assert robot.emulator.motion.travelled(robot.time) == remainder
 
 
 def test_a_base_that_is_not_told_to_go_on_stops(bench: MakeBench) -> None:
     robot = bench(base="wheels", drive="base")
-    host, protocol = awake(robot, "wheels")
+    host, protocol = started(robot, "wheels")
     host.port.write(protocol.drive(Velocity(0.2, 0.0)))
     robot.go(2.0)
-    assert 0.03 < robot.emulator.motion.driven(robot.time)[0] < 0.15
+    assert 0.03 < robot.emulator.motion.travelled(robot.time)[0] < 0.15
 
 
 def test_walls_stop_the_robot(bench: MakeBench) -> None:
     robot = bench(base="create2", drive="base")
-    host, protocol = awake(robot, "create2")
+    host, protocol = started(robot, "create2")
     host.port.write(protocol.drive(Velocity(0.5, 0.0)))
     robot.step = 0.02
     robot.go(30.0)
     x, y, _ = robot.emulator.motion.at(np.array([robot.time]))[0]
-    assert clearance(x, y, robot.emulator.motion.world) == pytest.approx(RADIUS, abs=0.02)
+    assert clearance(x, y, robot.emulator.motion.world) == pytest.approx(ROBOT_RADIUS, abs=0.02)
     host.port.write(protocol.drive(Velocity(-0.3, 0.0)))
     robot.go(1.0)
-    assert robot.emulator.motion.driven(robot.time)[0] > 0.5
+    assert robot.emulator.motion.travelled(robot.time)[0] > 0.5
     x, y, _ = robot.emulator.motion.at(np.array([robot.time]))[0]
-    assert clearance(x, y, robot.emulator.motion.world) > RADIUS + 0.1
+    assert clearance(x, y, robot.emulator.motion.world) > ROBOT_RADIUS + 0.1
 
 
 def test_a_create_is_silent_until_it_is_started_and_after_it_is_stopped(bench: MakeBench) -> None:
@@ -153,7 +153,7 @@ def test_opening_the_port_restarts_an_arduino(bench: MakeBench, name: str) -> No
     robot.go(5.0)  # it has driven by now
     protocol = PROTOCOLS[name]()
     host = robot.open("base", protocol.baud)
-    robot.go(ARDUINO_BOOT - 0.1)
+    robot.go(ARDUINO_BOOT_DURATION - 0.1)
     host.port.write(protocol.poll())
     assert host.data == b""
     robot.go(0.2)
@@ -166,7 +166,7 @@ def test_opening_the_port_restarts_an_arduino(bench: MakeBench, name: str) -> No
 
 def test_a_drifting_base_sends_at_its_own_rate(bench: MakeBench) -> None:
     robot = bench(base="kobuki", base_drift=10_000.0)
-    host, protocol = awake(robot, "kobuki")
+    host, protocol = started(robot, "kobuki")
     robot.go(4.0)
     readings = protocol.feed(host.data)
     assert len(readings) == pytest.approx(4.0 * 50 * 1.01, abs=1.1)
@@ -176,7 +176,7 @@ def test_a_drifting_base_sends_at_its_own_rate(bench: MakeBench) -> None:
 def test_the_same_seed_drives_the_same_counts(bench: MakeBench) -> None:
     streams = []
     for step in (0.002, 0.005):
-        robot = bench(base="kobuki", seed=5, wheels=Drive())
+        robot = bench(base="kobuki", seed=5, wheels=WheelModel())
         robot.step = step
         host = robot.open("base")
         robot.go(3.0)
@@ -185,11 +185,11 @@ def test_the_same_seed_drives_the_same_counts(bench: MakeBench) -> None:
 
 
 def test_arrow_keys_steer() -> None:
-    velocity = steered(Velocity(0.0, 0.0), b"\x1b[A\x1b[AW\x1b[D?")
+    velocity = apply_keys(Velocity(0.0, 0.0), b"\x1b[A\x1b[AW\x1b[D?")
     assert velocity == Velocity(pytest.approx(0.3), pytest.approx(0.25))
-    assert steered(velocity, b"\x1bOCd") == Velocity(velocity.speed, pytest.approx(-0.25))
-    assert steered(velocity, b"\x1b[B" * 50).speed == -0.5
-    assert steered(velocity, b" ") == Velocity(0.0, 0.0)
+    assert apply_keys(velocity, b"\x1bOCd") == Velocity(velocity.speed, pytest.approx(-0.25))
+    assert apply_keys(velocity, b"\x1b[B" * 50).speed == -0.5
+    assert apply_keys(velocity, b" ") == Velocity(0.0, 0.0)
 
 
 def test_keys_of_a_terminal_drive_the_robot(bench: MakeBench, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -203,7 +203,7 @@ def test_keys_of_a_terminal_drive_the_robot(bench: MakeBench, monkeypatch: pytes
         robot.go(2.0)
         os.write(keys, b" ")
         robot.go(0.5)
-        assert robot.emulator.motion.driven(robot.time)[0] == pytest.approx(0.2 * 1.9, abs=0.03)
+        assert robot.emulator.motion.travelled(robot.time)[0] == pytest.approx(0.2 * 1.9, abs=0.03)
         robot.emulator.__exit__(None, None, None)
         assert termios.tcgetattr(terminal) == before
     os.close(keys)

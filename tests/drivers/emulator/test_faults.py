@@ -16,14 +16,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.bases import Create2
-from drivers.emulator import Emulator, Event, Setup
-from drivers.emulator.line import MOST_WAITING, Damager, Line
-from drivers.emulator.port import PtyPort
+from drivers.emulator import Emulator, EmulatorSetup, FaultEvent
+from drivers.emulator.pty_port import PtyPort
+from drivers.emulator.serial_line import MAX_BACKLOG, Corruptor, SerialLine
 from drivers.errors import ConnectionLostError, DriverError, PortError, RecordingError
 from drivers.lidars import ld06
-from drivers.lidars.rplidar.answers import Answer, AnswerReader
 from drivers.lidars.rplidar.decoding import decoder_for
 from drivers.lidars.rplidar.requests import SCAN, express_scan
+from drivers.lidars.rplidar.responses import ResponseReader, ResponseType
 from drivers.transport import SerialPort
 
 from .conftest import EXACT, Bench, Host
@@ -37,7 +37,7 @@ MakeBench = Callable[..., Bench]
 @given(st.lists(st.integers(1, 40), min_size=1, max_size=20), st.sampled_from([9600, 115200, 1_000_000]), st.data())
 @settings(max_examples=50, deadline=None)
 def test_a_line_carries_bytes_in_order_at_its_pace(sizes: list[int], baud: int, data: st.DataObject) -> None:
-    line = Line(baud)
+    line = SerialLine(baud)
     sent = b""
     free = 0.0
     ends = []
@@ -52,31 +52,31 @@ def test_a_line_carries_bytes_in_order_at_its_pace(sizes: list[int], baud: int, 
     time, came = 0.0, 0
     while came < len(sent):
         time += data.draw(st.floats(1e-4, 0.02))
-        came += len(line.take(time))
+        came += len(line.read(time))
         assert came == pytest.approx(np.searchsorted(ends, time), abs=1)
-    assert line.take(time + 1.0) == b""
+    assert line.read(time + 1.0) == b""
     assert line.due == np.inf
 
 
 def test_many_packets_are_sent_as_one_by_one() -> None:
-    at_once, singly = Line(115200), Line(115200)
+    realtime_priority, singly = SerialLine(115200), SerialLine(115200)
     times = np.array([0.0, 1e-4, 1e-2, 1e-2, 2e-2])
     data = bytes(range(25))
-    at_once.send(data, times)
+    realtime_priority.send(data, times)
     for i, time in enumerate(times):
         singly.send(data[5 * i : 5 * i + 5], float(time))
     for moment in np.arange(0.0, 0.03, 1e-4):
-        assert at_once.take(float(moment)) == singly.take(float(moment))
+        assert realtime_priority.read(float(moment)) == singly.read(float(moment))
 
 
 def test_what_a_slow_line_cannot_carry_is_lost_and_counted() -> None:
-    line, sent = Line(9600), 0
+    line, sent = SerialLine(9600), 0
     for i in range(2000):
         line.send(bytes(10), i * 1e-3)  # ten times too much
         sent += 10
-    came = len(line.take(1e9))
+    came = len(line.read(1e9))
     assert came + line.overflow == sent
-    assert came == pytest.approx((2.0 + MOST_WAITING) * 960, rel=0.02)
+    assert came == pytest.approx((2.0 + MAX_BACKLOG) * 960, rel=0.02)
 
 
 CHANCE = st.floats(0.0, 0.3)
@@ -87,26 +87,26 @@ CHANCE = st.floats(0.0, 0.3)
 def test_damage_does_not_depend_on_chunks(
     data: bytes, drop: float, insert: float, flip: float, cuts: list[int]
 ) -> None:
-    whole = Damager(drop, insert, flip, np.random.default_rng(1))
-    parts = Damager(drop, insert, flip, np.random.default_rng(1))
+    whole = Corruptor(drop, insert, flip, np.random.default_rng(1))
+    parts = Corruptor(drop, insert, flip, np.random.default_rng(1))
     cuts = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
     damaged = whole(data)
     assert b"".join(parts(data[a:b]) for a, b in pairwise(cuts)) == damaged
-    assert whole.damage == parts.damage
-    assert len(damaged) == len(data) - whole.damage.dropped + whole.damage.inserted
+    assert whole.counts == parts.counts
+    assert len(damaged) == len(data) - whole.counts.dropped + whole.counts.inserted
 
 
 def test_each_kind_of_damage_is_what_it_says() -> None:
     data = bytes(1000)
-    flipper = Damager(0.0, 0.0, 0.1, np.random.default_rng(0))
+    flipper = Corruptor(0.0, 0.0, 0.1, np.random.default_rng(0))
     bits = np.unpackbits(np.frombuffer(flipper(data), np.uint8)).sum()
-    assert flipper.damage.flipped == bits
+    assert flipper.counts.flipped == bits
     assert 60 < bits < 140
-    dropper = Damager(0.1, 0.0, 0.0, np.random.default_rng(0))
-    assert dropper(data) == bytes(1000 - dropper.damage.dropped)
-    inserter = Damager(0.0, 0.1, 0.0, np.random.default_rng(0))
-    assert len(inserter(data)) == 1000 + inserter.damage.inserted
-    assert Damager(0.0, 0.0, 0.0, np.random.default_rng(0))(data) is data
+    dropper = Corruptor(0.1, 0.0, 0.0, np.random.default_rng(0))
+    assert dropper(data) == bytes(1000 - dropper.counts.dropped)
+    inserter = Corruptor(0.0, 0.1, 0.0, np.random.default_rng(0))
+    assert len(inserter(data)) == 1000 + inserter.counts.inserted
+    assert Corruptor(0.0, 0.0, 0.0, np.random.default_rng(0))(data) is data
 
 
 # -- ports ----------------------------------------------------------------------------------------------------------
@@ -117,9 +117,9 @@ def test_a_port_keeps_its_name_and_takes_no_other_things(tmp_path: Path) -> None
     link.parent.mkdir()
     link.symlink_to("/dev/pts/none")  # left behind
     port = PtyPort(link)
-    assert not port.opened
+    assert not port.is_open
     with_program = SerialPort(str(link), 256000)
-    assert port.opened
+    assert port.is_open
     assert port.baud == 256000
     other = PtyPort(link)  # another emulator took the name
     port.unplug()
@@ -129,7 +129,7 @@ def test_a_port_keeps_its_name_and_takes_no_other_things(tmp_path: Path) -> None
     with pytest.raises(ConnectionLostError):
         with_program.read(1.0)
     with_program.close()
-    assert (other.read(), other.write(b"x"), other.baud, other.plugged) == (b"", 0, None, False)
+    assert (other.read(), other.write(b"x"), other.baud, other.is_plugged) == (b"", 0, None, False)
     link.write_text("precious")
     with pytest.raises(PortError, match="exists"):
         PtyPort(link)
@@ -171,7 +171,7 @@ def scanning(robot: Bench) -> Host:
     """An S1's dense capsules."""
     host = robot.open("lidar", 256000)
     robot.go(0.6)
-    assert host.ask(express_scan(1), AnswerReader(Answer.DENSE, multiple=True)) == b""
+    assert host.ask(express_scan(1), ResponseReader(ResponseType.DENSE, multiple=True)) == b""
     host.forget()
     return host
 
@@ -195,7 +195,7 @@ def test_injected_faults_are_those_that_arrive(bench: MakeBench) -> None:
 
 
 def test_unplugging_and_coming_back(bench: MakeBench) -> None:
-    events = (Event("unplug", "lidar", 3.0, 1.0), Event("unplug", "base", 3.0, 1.0))
+    events = (FaultEvent("unplug", "lidar", 3.0, 1.0), FaultEvent("unplug", "base", 3.0, 1.0))
     robot = bench(events=events)
     lidar, base = scanning(robot), robot.open("base")
     base.port.write(Create2().start())
@@ -220,7 +220,7 @@ def test_unplugging_and_coming_back(bench: MakeBench) -> None:
 
 
 def test_stalls_and_restarts(bench: MakeBench) -> None:
-    robot = bench(events=(Event("restart", "lidar", 4.0), Event("stall", "lidar", 2.5, 0.5)))
+    robot = bench(events=(FaultEvent("restart", "lidar", 4.0), FaultEvent("stall", "lidar", 2.5, 0.5)))
     host = scanning(robot)
     robot.go(2.49 - robot.time)
     before = len(host.data)
@@ -234,17 +234,17 @@ def test_stalls_and_restarts(bench: MakeBench) -> None:
     counts = robot.emulator.lidar.counts
     assert counts.stalled == pytest.approx(0.5 * 19320, rel=0.03)
     assert (counts.stalls, counts.restarts) == (1, 1)
-    decoder = decoder_for(Answer.DENSE, 1 / 9200, 256000, corrected=False)
+    decoder = decoder_for(ResponseType.DENSE, 1 / 9200, 256000, triangulates=False)
     decoder.feed(host.data)
     assert decoder.counters.checksum_failures <= 2  # where it was silent, and where it began again
 
 
 def test_a_failed_lidar_does_not_scan(bench: MakeBench) -> None:
-    robot = bench(events=(Event("fail", "lidar", 2.5),))
+    robot = bench(events=(FaultEvent("fail", "lidar", 2.5),))
     host = scanning(robot)
     robot.go(3.0 - robot.time)
     host.forget()
-    assert host.ask(SCAN, AnswerReader(Answer.STANDARD, multiple=True)) is None
+    assert host.ask(SCAN, ResponseReader(ResponseType.STANDARD, multiple=True)) is None
     assert host.data == b""
     assert robot.emulator.lidar.counts.fails == 1
 
@@ -255,8 +255,8 @@ def test_a_failed_lidar_does_not_scan(bench: MakeBench) -> None:
 )
 def test_events_that_are_none(kind: str, text: str) -> None:
     with pytest.raises(DriverError, match=f"--{kind}"):
-        Event.parse(kind, text)
-    assert Event.parse("unplug", "lidar@20:3") == Event("unplug", "lidar", 20.0, 3.0)
+        FaultEvent.parse(kind, text)
+    assert FaultEvent.parse("unplug", "lidar@20:3") == FaultEvent("unplug", "lidar", 20.0, 3.0)
 
 
 @pytest.mark.parametrize(
@@ -268,13 +268,13 @@ def test_events_that_are_none(kind: str, text: str) -> None:
         ({"drop": 0.6, "flip": 0.6}, "between 0 and 1"),
         ({"lidar_drift": 1e6}, "drift"),
         ({"seed": -1}, "seed"),
-        ({"lidar": "ld06", "events": (Event("fail", "lidar", 1.0),)}, "only RPLIDARs"),
+        ({"lidar": "ld06", "events": (FaultEvent("fail", "lidar", 1.0),)}, "only RPLIDARs"),
         ({"base_port": Path("a"), "lidar_port": Path("a")}, "different ports"),
     ],
 )
 def test_setups_that_cannot_be(wrong: dict[str, object], because: str) -> None:
     with pytest.raises(DriverError, match=because):
-        Setup("room", **wrong)  # type: ignore[arg-type]
+        EmulatorSetup("room", **wrong)  # type: ignore[arg-type]
 
 
 # -- the whole ------------------------------------------------------------------------------------------------------
@@ -282,7 +282,7 @@ def test_setups_that_cannot_be(wrong: dict[str, object], because: str) -> None:
 
 def test_truth_and_report_are_left_behind(bench: MakeBench, tmp_path: Path) -> None:
     ports = {"lidar_port": tmp_path / "lidar", "base_port": tmp_path / "base"}
-    setup = Setup("room", truth=tmp_path / "truth.tum", report=tmp_path / "report.json", **ports)
+    setup = EmulatorSetup("room", truth=tmp_path / "truth.tum", report=tmp_path / "report.json", **ports)
     with Emulator(setup, begun=1000.0) as emulator:
         for time in np.arange(0.0, 4.0, 0.013):
             emulator.step(float(time))
@@ -302,26 +302,26 @@ def test_truth_and_report_are_left_behind(bench: MakeBench, tmp_path: Path) -> N
 def test_what_cannot_be_written_is_said(tmp_path: Path) -> None:
     ports = {"lidar_port": tmp_path / "lidar", "base_port": tmp_path / "base"}
     report = tmp_path / "report.json"
-    setup = Setup("room", truth=tmp_path, report=report, **ports)
+    setup = EmulatorSetup("room", truth=tmp_path, report=report, **ports)
     with pytest.raises(RecordingError, match="cannot be written"), Emulator(setup):
         pass
-    setup = Setup("room", report=tmp_path / "none" / "report.json", **ports)
+    setup = EmulatorSetup("room", report=tmp_path / "none" / "report.json", **ports)
     with pytest.raises(RecordingError, match="cannot be written"), Emulator(setup):
         assert setup.lidar_port.exists()
     with pytest.raises(RecordingError, match="no such world"):
-        Emulator(Setup("moon", **ports))
+        Emulator(EmulatorSetup("moon", **ports))
     assert not list(tmp_path.iterdir())
 
 
 def test_in_real_time_bytes_keep_their_pace(tmp_path: Path) -> None:
-    setup = Setup("room", noise=EXACT, lidar_port=tmp_path / "lidar", base_port=tmp_path / "base")
+    setup = EmulatorSetup("room", noise=EXACT, lidar_port=tmp_path / "lidar", base_port=tmp_path / "base")
     with Emulator(setup) as emulator:
         running = threading.Thread(target=emulator.run, args=(3.0,))
         running.start()
         with_lidar = SerialPort(str(tmp_path / "lidar"), 256000)
         with_lidar.read(1.0)  # the banner
         with_lidar.write(express_scan(1).packet())
-        decoder = decoder_for(Answer.DENSE, 1 / 9200, 256000, corrected=False)
+        decoder = decoder_for(ResponseType.DENSE, 1 / 9200, 256000, triangulates=False)
         arrivals = []
         while running.is_alive():
             received = with_lidar.read(0.05)

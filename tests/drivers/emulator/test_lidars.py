@@ -7,26 +7,26 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from drivers.emulator.rplidar_kinds import KINDS
-from drivers.emulator.rplidar_scan import NODES
+from drivers.emulator.rplidar_scan import BURST_DURATION
+from drivers.emulator.rplidar_variants import RPLIDAR_VARIANTS
 from drivers.emulator.scip import URG
 from drivers.lidars import ld06, scip, scip_scan
-from drivers.lidars.records import Decoder, Measurements
+from drivers.lidars.measurements import Decoder, Measurements
 from drivers.lidars.revolutions import RevolutionAssembler
 from drivers.lidars.rplidar import modes, requests
-from drivers.lidars.rplidar.answers import Answer, AnswerReader, Health, Info, SampleRate, Status
 from drivers.lidars.rplidar.decoding import decoder_for
 from drivers.lidars.rplidar.models import BAUDS
+from drivers.lidars.rplidar.responses import Health, HealthStatus, Info, ResponseReader, ResponseType, SampleRate
 from drivers.messages import Floats, Scan
 
 from .conftest import Bench, Host
 
 MakeBench = Callable[..., Bench]
 
-MEASURE = scip.Measure(URG.first, URG.last)
+MEASURE = scip.MeasureRequest(URG.first, URG.last)
 RPLIDARS = [
-    *(("rplidar-a1", mode.name) for mode in KINDS["rplidar-a1"].modes.modes),
-    *(("rplidar-s1", mode.name) for mode in KINDS["rplidar-s1"].modes.modes),
+    *(("rplidar-a1", mode.name) for mode in RPLIDAR_VARIANTS["rplidar-a1"].modes.modes),
+    *(("rplidar-s1", mode.name) for mode in RPLIDAR_VARIANTS["rplidar-s1"].modes.modes),
     ("rplidar-a1-old", "Express"),
     ("rplidar-a2", "typical"),
     ("rplidar-a3", "typical"),
@@ -34,7 +34,7 @@ RPLIDARS = [
     ("rplidar-s2", "typical"),
     ("rplidar-s3", "typical"),
 ]
-QUANTA = {Answer.ULTRA: 0.009, Answer.ULTRA_DENSE: 0.003}
+QUANTA = {ResponseType.ULTRA: 0.009, ResponseType.ULTRA_DENSE: 0.003}
 """Metres; half a millimetre where nothing else is said."""
 
 
@@ -46,18 +46,18 @@ def started(bench: Bench, lidar: str, mode: str) -> tuple[Host, Decoder, float]:
         host = bench.open("lidar")
         host.port.write(scip.LASER_ON + MEASURE.packet())
         return host, scip_scan.ScipDecoder(URG, MEASURE), 0.0006
-    kind = KINDS[lidar]
+    kind = RPLIDAR_VARIANTS[lidar]
     chosen = kind.modes.choose(mode)
     host = bench.open("lidar", kind.baud)
     bench.go(0.6)
     host.port.write(requests.set_motor_pwm(660).packet())
-    start = requests.HQ_SCAN if chosen.answer == Answer.HQ else chosen.start()
-    reader = AnswerReader(chosen.answer, multiple=True)
+    start = requests.HQ_SCAN if chosen.response_type == ResponseType.HQ else chosen.start()
+    reader = ResponseReader(chosen.response_type, multiple=True)
     assert host.ask(start, reader) == b""
-    assert reader.rest == b""
+    assert reader.remainder == b""
     host.forget()
-    decoder = decoder_for(chosen.answer, chosen.sample_period, kind.baud, kind.model.corrected)
-    return host, decoder, QUANTA.get(Answer(chosen.answer), 0.0006)
+    decoder = decoder_for(chosen.response_type, chosen.sample_period, kind.baud, kind.model.triangulates)
+    return host, decoder, QUANTA.get(ResponseType(chosen.response_type), 0.0006)
 
 
 def measured(host: Host, decoder: Decoder) -> tuple[Measurements, Floats]:
@@ -80,7 +80,7 @@ def test_what_is_decoded_is_what_is_there(bench: MakeBench, lidar: str, mode: st
     samples = measurements.samples
     # Arrival is seen a tick late at most, and standard nodes come in small bursts. Directions are told to 1/64 degree,
     # or corrected to 1/8 degree.
-    latest = robot.step + (NODES if mode == "Standard" else 0.0)
+    latest = robot.step + (BURST_DURATION if mode == "Standard" else 0.0)
     motion, mount = robot.emulator.motion, np.array(robot.emulator.setup.mount)
     cast = [
         motion.sweep(stamps - late, samples["angle"] + aside, mount)
@@ -138,31 +138,31 @@ def test_a_device_clock_drifts(bench: MakeBench) -> None:
     assert gone == pytest.approx(1.005, abs=2e-3)
 
 
-@pytest.mark.parametrize("lidar", KINDS)
+@pytest.mark.parametrize("lidar", RPLIDAR_VARIANTS)
 def test_an_rplidar_says_who_it_is(bench: MakeBench, lidar: str) -> None:
-    robot, kind = bench(lidar=lidar), KINDS[lidar]
+    robot, kind = bench(lidar=lidar), RPLIDAR_VARIANTS[lidar]
     host = robot.open("lidar", kind.baud)
     robot.go(0.6)
     assert host.data.startswith(b"RP LIDAR System")
-    info = host.ask(requests.GET_INFO, AnswerReader(Answer.INFO, Info.SIZE))
-    health = host.ask(requests.GET_HEALTH, AnswerReader(Answer.HEALTH, Health.SIZE))
+    info = host.ask(requests.GET_INFO, ResponseReader(ResponseType.INFO, Info.SIZE))
+    health = host.ask(requests.GET_HEALTH, ResponseReader(ResponseType.HEALTH, Health.SIZE))
     assert info is not None
     assert Info.parse(info) == kind.info
     assert health is not None
-    assert Health.parse(health).status == Status.GOOD
-    if not kind.tells_modes:
-        asked = requests.get_configuration(modes.Entry.COUNT)
-        assert host.ask(asked, AnswerReader(Answer.CONFIGURATION)) is None
-        rate = host.ask(requests.GET_SAMPLE_RATE, AnswerReader(Answer.SAMPLE_RATE, SampleRate.SIZE))
+    assert Health.parse(health).status == HealthStatus.GOOD
+    if not kind.reports_modes:
+        asked = requests.get_configuration(modes.ConfigEntry.COUNT)
+        assert host.ask(asked, ResponseReader(ResponseType.CONFIGURATION)) is None
+        rate = host.ask(requests.GET_SAMPLE_RATE, ResponseReader(ResponseType.SAMPLE_RATE, SampleRate.SIZE))
         assert rate is not None
         assert SampleRate.parse(rate) == SampleRate(508e-6, 254e-6)
         return
 
-    def survey() -> modes.Modes:
-        steps = modes.survey()
+    def query_modes() -> modes.Modes:
+        steps = modes.query_modes()
         request = next(steps)
         while True:
-            payload = host.ask(request, AnswerReader(Answer.CONFIGURATION, prefix=modes.echo(request)))
+            payload = host.ask(request, ResponseReader(ResponseType.CONFIGURATION, prefix=modes.echo(request)))
             assert payload is not None
             try:
                 request = steps.send(payload)
@@ -170,8 +170,8 @@ def test_an_rplidar_says_who_it_is(bench: MakeBench, lidar: str) -> None:
                 told: modes.Modes = done.value
                 return told
 
-    told = survey()
-    assert [(m.name, m.answer) for m in told.modes] == [(m.name, m.answer) for m in kind.modes.modes]
+    told = query_modes()
+    assert [(m.name, m.response_type) for m in told.modes] == [(m.name, m.response_type) for m in kind.modes.modes]
     assert told.choose().sample_period == pytest.approx(kind.modes.choose().sample_period, rel=1e-3)
 
 
@@ -181,7 +181,7 @@ def test_only_the_right_speed_is_understood(bench: MakeBench) -> None:
     answered = []
     for baud in BAUDS:
         host = robot.open("lidar", baud)
-        if host.ask(requests.GET_INFO, AnswerReader(Answer.INFO, Info.SIZE), patience=0.1) is not None:
+        if host.ask(requests.GET_INFO, ResponseReader(ResponseType.INFO, Info.SIZE), patience=0.1) is not None:
             answered.append(baud)
         robot.close(host)
     assert answered == [256000]
@@ -193,7 +193,7 @@ def test_a_scan_ends_when_it_is_told_to_and_a_reset_brings_the_banner(bench: Mak
     host, _, _ = started(robot, "rplidar-s1", "DenseBoost")
     robot.go(1.5)
     assert len(host.data) > 5000
-    assert host.ask(requests.GET_INFO, AnswerReader(Answer.INFO, Info.SIZE)) is None  # not while it scans
+    assert host.ask(requests.GET_INFO, ResponseReader(ResponseType.INFO, Info.SIZE)) is None  # not while it scans
     host.port.write(requests.STOP.packet())
     robot.go(0.1)
     host.forget()
@@ -210,8 +210,8 @@ def test_motors_are_started_as_the_family_wants(bench: MakeBench) -> None:
     robot = bench(lidar="rplidar-a2")
     host = robot.open("lidar", 115200)
     robot.go(0.6)
-    assert host.ask(requests.GET_MOTOR_BOARD, AnswerReader(Answer.MOTOR_BOARD, 4)) == b"\1\0\0\0"
-    assert host.ask(requests.SCAN, AnswerReader(Answer.STANDARD, multiple=True)) == b""
+    assert host.ask(requests.GET_MOTOR_BOARD, ResponseReader(ResponseType.MOTOR_BOARD, 4)) == b"\1\0\0\0"
+    assert host.ask(requests.SCAN, ResponseReader(ResponseType.STANDARD, multiple=True)) == b""
     host.forget()
     robot.go(1.5)
     assert host.data == b""  # the head stands
@@ -228,10 +228,10 @@ def test_an_inner_error_lasts_until_a_reset(bench: MakeBench) -> None:
     robot = bench(lidar="rplidar-s1")
     host, _, _ = started(robot, "rplidar-s1", "DenseBoost")
     robot.go(1.2)
-    robot.emulator.lidar.device.fail(robot.time)
+    robot.emulator.lidar.device.inject_error(robot.time)
     robot.go(0.1)
-    for status in (Status.ERROR, Status.GOOD):
-        payload = host.ask(requests.GET_HEALTH, AnswerReader(Answer.HEALTH, Health.SIZE))
+    for status in (HealthStatus.ERROR, HealthStatus.GOOD):
+        payload = host.ask(requests.GET_HEALTH, ResponseReader(ResponseType.HEALTH, Health.SIZE))
         assert payload is not None
         assert Health.parse(payload).status == status
         host.port.write(requests.RESET.packet())
@@ -241,7 +241,7 @@ def test_an_inner_error_lasts_until_a_reset(bench: MakeBench) -> None:
 def test_scip_answers(bench: MakeBench) -> None:
     robot = bench(lidar="scip")
     host = robot.open("lidar", 19200)  # on USB any speed will do
-    replies = scip.ReplyReader()
+    replies = scip.ReplyParser()
 
     def ask(command: bytes) -> list[scip.Reply]:
         host.forget()
@@ -254,13 +254,13 @@ def test_scip_answers(bench: MakeBench) -> None:
     assert [reply.status for command in (scip.STOP, scip.LASER_ON, scip.USE_SCIP2) for reply in ask(command)] == [
         "00"
     ] * 3
-    clocks = [scip.clock_of(reply.lines[0]) for _ in range(2) for reply in ask(scip.CLOCK)]
+    clocks = [scip.parse_clock(reply.lines[0]) for _ in range(2) for reply in ask(scip.CLOCK)]
     assert clocks[0] is not None
     assert clocks[1] == pytest.approx(clocks[0] + 350, abs=3)
     assert ask(b"XX\n")[0].status == "0E"
     assert ask(b"MD0000999901000\n")[0].status == "04"
-    once = ask(scip.Measure(100, 200, cluster=3, continuous=False, width=2).packet())
+    once = ask(scip.MeasureRequest(100, 200, cluster=3, continuous=False, width=2).packet())
     assert [(reply.status, len(reply.lines)) for reply in once] == [("00", 3)]  # the time, 68 characters
-    echoes = [reply.echo[-2:] for reply in ask(MEASURE.head + b"02\n")]
+    echoes = [reply.echo[-2:] for reply in ask(MEASURE.echo_prefix + b"02\n")]
     assert echoes == [b"02", b"01", b"00"]
-    assert robot.emulator.lidar.device.misheard == 3
+    assert robot.emulator.lidar.device.unrecognised == 3

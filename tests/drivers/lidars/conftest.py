@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from drivers.lidars import ld06, scip, scip_scan
-from drivers.lidars.records import Decoder
+from drivers.lidars.measurements import Decoder
 from drivers.lidars.rplidar import dense, express, hq, standard, ultra, ultra_dense
-from drivers.lidars.rplidar.answers import Answer
 from drivers.lidars.rplidar.decoding import decoder_for
+from drivers.lidars.rplidar.responses import ResponseType
 from drivers.messages import Floats
 
 RATE = 9.7  # revolutions a second
 URG = scip.Parameters("URG-04LX", 0.02, 5.6, 1024, 44, 725, 384, 600.0)
-MEASURE = scip.Measure(44, 725)
+MEASURE = scip.MeasureRequest(44, 725)
 
 
 @dataclass(frozen=True)
@@ -75,13 +75,13 @@ def make_stream(kind: str, revolutions: float, seed: int = 1) -> Stream:
     heads, flat, ones = bearings[:, 0], ranges.ravel(), np.full(ranges.shape, 47)
     starts = starts_of(bearings.ravel())
     answers = {
-        "standard-a1": Answer.STANDARD,
-        "standard-c1": Answer.STANDARD,
-        "express": Answer.EXPRESS,
-        "ultra": Answer.ULTRA,
-        "dense": Answer.DENSE,
-        "ultra-dense": Answer.ULTRA_DENSE,
-        "hq": Answer.HQ,
+        "standard-a1": ResponseType.STANDARD,
+        "standard-c1": ResponseType.STANDARD,
+        "express": ResponseType.EXPRESS,
+        "ultra": ResponseType.ULTRA,
+        "dense": ResponseType.DENSE,
+        "ultra-dense": ResponseType.ULTRA_DENSE,
+        "hq": ResponseType.HQ,
     }
     if kind == "ld06":
         data = b"".join(
@@ -91,7 +91,7 @@ def make_stream(kind: str, revolutions: float, seed: int = 1) -> Stream:
             for k in range(packets)
         )
         return Stream(data, ld06.Ld06Decoder, revolutions, packets * count / rate, count)
-    corrected = kind in ("standard-a1", "express", "ultra")
+    triangulates = kind in ("standard-a1", "express", "ultra")
     if kind == "standard-a1":
         lag = np.radians(ultra.correction(np.nan_to_num(flat * 1e3).astype(np.int64)))
         data = standard.encode(bearings.ravel() - lag, flat, ones.ravel(), starts)
@@ -110,7 +110,7 @@ def make_stream(kind: str, revolutions: float, seed: int = 1) -> Stream:
         data = hq.encode(bearings, ranges, ones, starts.reshape(ranges.shape))
     return Stream(
         data,
-        lambda: decoder_for(answers[kind], 1.0 / rate, baud, corrected),
+        lambda: decoder_for(answers[kind], 1.0 / rate, baud, triangulates),
         revolutions,
         packets * count / rate,
         count,

@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 
 from drivers import DriverError
 from drivers.lidars import ld06, scip, scip_scan
-from drivers.lidars.records import NO_QUALITY
+from drivers.lidars.measurements import NO_QUALITY
 
 PACKET = bytes.fromhex(
     "54 2C 68 08 AB 7E E0 00 E4 DC 00 E2 D9 00 E5 D5 00 E3 D3 00 E4 D0 00 E9 CD 00 E4 CA 00 E2 C7 00 E9 C5 00 E5 C2 00"
@@ -79,15 +79,15 @@ class TestScipLanguage:
     def test_known_sums_and_values(self) -> None:
         assert scip.checksum(b"00") == b"P"
         assert scip.checksum(b"99") == b"b"
-        assert scip.verified(b"1Dh1Dhj") == b"1Dh1Dh"
+        assert scip.strip_checksum(b"1Dh1Dhj") == b"1Dh1Dh"
         for text, width, value in ((b"1Dh", 3, 5432), (b"CB", 2, 1234)):
             values, good = scip.decode_values(np.frombuffer(text, np.uint8), width)
             assert (values.tolist(), good.tolist()) == ([value], [True])
             assert scip.encode_values(np.array([value]), width) == text
         values, good = scip.decode_values(np.frombuffer(b"1Dh1Dh", np.uint8), 3)
         assert values.tolist() == [5432, 5432]
-        assert scip.Measure(44, 725).packet() == b"MD0044072501000\n"
-        assert scip.Measure(44, 725, continuous=False).packet() == b"GD0044072501\n"
+        assert scip.MeasureRequest(44, 725).packet() == b"MD0044072501000\n"
+        assert scip.MeasureRequest(44, 725, continuous=False).packet() == b"GD0044072501\n"
 
     @given(arrays(np.int64, st.integers(1, 50), elements=st.integers(0, (1 << 18) - 1)))
     def test_values_round_trip(self, values: np.ndarray) -> None:
@@ -99,7 +99,7 @@ class TestScipLanguage:
     def test_parameters(self) -> None:
         reply = scip.Reply(b"PP", "00", URG.lines(), 0)
         assert b"DMIN:20;" in reply.packet()
-        (got,) = scip.ReplyReader().feed(reply.packet())
+        (got,) = scip.ReplyParser().feed(reply.packet())
         assert scip.Parameters.parse(got) == URG
         assert pytest.approx(0.1 / 1024) == URG.step_period
 
@@ -118,21 +118,21 @@ class TestScipLanguage:
             scip.Parameters.parse(scip.Reply(b"PP", "00", lines, 0))
 
     def test_replies(self) -> None:
-        reader = scip.ReplyReader()
+        reader = scip.ReplyParser()
         replies = reader.feed(b"noise\nQT\n00P\n\nQT\nE\n\nTM1\n00P\n00000\n\nMD\n99b\n")
         assert [(r.echo, r.status) for r in replies] == [(b"QT", "E"), (b"TM1", "00")]
         assert reader.bytes_skipped == len(b"noise\nQT\n00P\n")
         replies = reader.feed(b"\nQT\n00P\n\n")
         assert [(r.echo, r.status) for r in replies] == [(b"MD", "99"), (b"QT", "00")]
-        assert scip.clock_of(b"00000") == 0
-        assert scip.clock_of(b"00001") is None
-        assert scip.clock_of(b"") is None
+        assert scip.parse_clock(b"00000") == 0
+        assert scip.parse_clock(b"00001") is None
+        assert scip.parse_clock(b"") is None
 
 
 class TestScipScan:
     def test_known_lines(self) -> None:
         """Two steps whose values and checksum stand in the manual, with the clock before them."""
-        measure = scip.Measure(383, 384)
+        measure = scip.MeasureRequest(383, 384)
         far = scip.Parameters("UTM-30LX", 0.02, 60.0, 1440, 0, 1080, 384, 2400.0)
         decoder = scip_scan.ScipDecoder(far, measure)
         data = b"MD0383038401000\n00P\n\nMD0383038401000\n99b\n0?Ooa\n1Dh1Dhj\n\n"
@@ -154,7 +154,7 @@ class TestScipScan:
         continuous=st.booleans(),
     )
     def test_round_trip(self, ranges: np.ndarray, clock: int, width: int, continuous: bool) -> None:
-        measure = scip.Measure(44, 725, 3, continuous, width)
+        measure = scip.MeasureRequest(44, 725, 3, continuous, width)
         assert measure.count == 228
         decoder = scip_scan.ScipDecoder(URG, measure)
         measurements = decoder.feed(scip_scan.encode(ranges, measure, clock))
@@ -164,7 +164,7 @@ class TestScipScan:
         assert np.all(np.diff(measurements.samples["angle"]) > 0)
 
     def test_clock_goes_on_over_its_wrap(self) -> None:
-        measure = scip.Measure(44, 725)
+        measure = scip.MeasureRequest(44, 725)
         decoder = scip_scan.ScipDecoder(URG, measure)
         clocks = [(1 << 24) - 100, 0, 100]
         data = b"".join(scip_scan.encode(np.ones(682), measure, clock) for clock in clocks)
@@ -172,13 +172,13 @@ class TestScipScan:
         np.testing.assert_allclose(np.diff(times), 0.1)
 
     def test_error_codes_and_far_values_are_no_ranges(self) -> None:
-        measure = scip.Measure(44, 53)
+        measure = scip.MeasureRequest(44, 53)
         ranges = np.array([0.0, 0.001, 0.019, 0.02, 1.0, 5.6, 5.601, 5.0, 0.006, 2.0])
         got = scip_scan.ScipDecoder(URG, measure).feed(scip_scan.encode(ranges, measure, 0)).samples["range"]
         np.testing.assert_array_equal(np.isnan(got), [1, 1, 1, 0, 0, 0, 1, 0, 1, 0])
 
     def test_damaged_line_costs_its_beams_only(self) -> None:
-        measure = scip.Measure(44, 725)
+        measure = scip.MeasureRequest(44, 725)
         data = bytearray(scip_scan.encode(np.full(682, 3.0), measure, 5))
         data[data.index(b"\n", 60) + 10] ^= 1
         decoder = scip_scan.ScipDecoder(URG, measure)
@@ -187,7 +187,7 @@ class TestScipScan:
         assert decoder.counters.checksum_failures == 1
 
     def test_replies_to_other_requests_are_passed_over(self) -> None:
-        other, mine = scip.Measure(45, 725), scip.Measure(44, 725)
+        other, mine = scip.MeasureRequest(45, 725), scip.MeasureRequest(44, 725)
         decoder = scip_scan.ScipDecoder(URG, mine)
         assert not len(decoder.feed(scip_scan.encode(np.ones(681), other, 5)))
         assert decoder.counters.bytes_skipped > 2000

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.lidars.records import NOTHING, PACKET, SAMPLE, Measurements, counter_clockwise
-from drivers.lidars.revolutions import MOST_SAMPLES, RevolutionAssembler, scan_of
+from drivers.lidars.measurements import NO_MEASUREMENTS, PACKET, SAMPLE, Measurements, to_counter_clockwise
+from drivers.lidars.revolutions import MAX_SAMPLES, RevolutionAssembler, make_scan
 
 RATE, BEAMS = 10.0, 360
 
@@ -19,7 +19,7 @@ def turning(first: float, last: float, begin: float = 0.5) -> tuple[Measurements
     """Measurements of a lidar that turns clockwise from `first` to `last` revolutions, and their stamps."""
     turns = np.arange(round(first * BEAMS), round(last * BEAMS)) / BEAMS
     samples = np.zeros(len(turns), SAMPLE)
-    samples["angle"] = counter_clockwise(2 * np.pi * turns)
+    samples["angle"] = to_counter_clockwise(2 * np.pi * turns)
     samples["range"] = 1.0 + np.mod(turns, 1.0)
     samples["start"] = np.isclose(np.mod(turns, 1.0), 0.0)
     packets = np.zeros(1, PACKET)
@@ -116,7 +116,7 @@ def test_of_beams_in_one_direction_the_one_that_returned_is_kept() -> None:
     samples = measurements.samples
     samples["angle"][5] = samples["angle"][4]
     samples["range"][4] = np.nan
-    scan = scan_of(samples, stamps, 0.1, 5.0)
+    scan = make_scan(samples, stamps, 0.1, 5.0)
     assert len(scan.ranges) == len(samples) - 1
     assert not np.isnan(scan.ranges).any()
     assert np.all(np.diff(scan.angles) > 0)
@@ -128,7 +128,7 @@ def test_without_starts_nothing_is_held() -> None:
     assembler = RevolutionAssembler(0.1, 5.0)
     assert assembler.add(measurements, stamps) == []
     measurements.samples["start"][0] = True
-    for _ in range(2 * MOST_SAMPLES // len(stamps)):
+    for _ in range(2 * MAX_SAMPLES // len(stamps)):
         assert assembler.add(measurements, stamps) == []
         measurements.samples["start"] = False
     assert assembler.counters.incomplete == 1
@@ -136,8 +136,8 @@ def test_without_starts_nothing_is_held() -> None:
 
 def test_nothing_gives_nothing() -> None:
     assembler = RevolutionAssembler(0.1, 5.0)
-    assert assembler.add(NOTHING, np.empty(0)) == []
-    assert len(NOTHING.stamps(np.empty(0))) == 0
+    assert assembler.add(NO_MEASUREMENTS, np.empty(0)) == []
+    assert len(NO_MEASUREMENTS.stamps(np.empty(0))) == 0
 
 
 def test_reset_forgets_the_revolution_under_way() -> None:

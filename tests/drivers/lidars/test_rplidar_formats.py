@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from drivers.lidars.records import NO_QUALITY, Records
+from drivers.lidars.measurements import NO_QUALITY, StructuredArray
 from drivers.lidars.rplidar import dense, express, hq, standard, ultra, ultra_dense
 from drivers.lidars.rplidar.capsules import CapsuleDecoder, CapsuleFormat
 
@@ -21,11 +21,11 @@ PERIOD = 100e-6
 QUICK = settings(max_examples=20, deadline=None)
 
 
-def decoded(format: CapsuleFormat, data: bytes) -> Records:
+def decoded(format: CapsuleFormat, data: bytes) -> StructuredArray:
     return CapsuleDecoder(format, PERIOD, 256000).feed(data).samples
 
 
-def clockwise(samples: Records) -> np.ndarray:
+def clockwise(samples: StructuredArray) -> np.ndarray:
     """The device's own angles in degrees."""
     return np.degrees(-samples["angle"]) % 360.0
 
@@ -52,15 +52,15 @@ class TestStandard:
     )
     def test_nodes(self, node: str, start: bool, quality: int, degrees: float, millimetres: float) -> None:
         nodes = np.frombuffer(bytes.fromhex(node), standard.NODE)
-        assert standard.checked(nodes).all()
-        (sample,) = standard.read(nodes)
+        assert standard.check_bits_match(nodes).all()
+        (sample,) = standard.decode_nodes(nodes)
         assert (bool(sample["start"]), int(sample["quality"])) == (start, quality)
         assert np.degrees(-sample["angle"]) % 360 == pytest.approx(degrees, abs=1e-9)
         assert sample["range"] == pytest.approx(millimetres * 1e-3, nan_ok=True)
 
     @pytest.mark.parametrize("node", ["3C 61 00 71 17", "3F 61 00 71 17", "3D 60 00 71 17"])
     def test_wrong_check_bits(self, node: str) -> None:
-        assert not standard.checked(np.frombuffer(bytes.fromhex(node), standard.NODE)).any()
+        assert not standard.check_bits_match(np.frombuffer(bytes.fromhex(node), standard.NODE)).any()
 
     @QUICK
     @given(
@@ -73,9 +73,9 @@ class TestStandard:
         angles = begin + np.radians(step) * np.arange(60)
         starts = np.arange(60) == 20
         data = standard.encode(angles, ranges, qualities, starts)
-        samples = standard.StandardDecoder(PERIOD, 115200, corrected=False).feed(data).samples
+        samples = standard.StandardDecoder(PERIOD, 115200, triangulates=False).feed(data).samples
         known = len(samples)
-        assert known == 60 - standard.AHEAD
+        assert known == 60 - standard.CONFIRMING_NODES
         np.testing.assert_allclose(samples["range"], ranges[:known], atol=0.126e-3)
         np.testing.assert_array_equal(samples["quality"], qualities[:known])
         np.testing.assert_array_equal(samples["start"], starts[:known])
@@ -110,7 +110,7 @@ class TestExpress:
         """Cabins of a real lidar: what they say is what the geometry of the optics predicts, to its resolution."""
         capsules = np.zeros(1, express.LAYOUT)
         capsules["cabins"][0, 0] = np.frombuffer(bytes.fromhex(cabin), express.CABIN)[0]
-        returns = express.read(capsules, capsules)
+        returns = express.decode(capsules, capsules)
         assert returns.correction is not None
         assert tuple(returns.correction[0, :2]) == degrees
         assert returns.ranges[0, :2] * 1e3 == pytest.approx(millimetres)
@@ -223,12 +223,12 @@ class TestUltra:
         ],
     )
     def test_majors(self, major: int, value: int, level: int) -> None:
-        assert [int(part[0]) for part in ultra.expand(np.array([major]))] == [value, level]
-        assert ultra.compress(np.array([value]))[0] == major
+        assert [int(part[0]) for part in ultra.decode_majors(np.array([major]))] == [value, level]
+        assert ultra.encode_majors(np.array([value]))[0] == major
 
     def test_every_major_is_its_distance(self) -> None:
         majors = np.arange(4096)
-        np.testing.assert_array_equal(ultra.compress(ultra.expand(majors)[0]), majors)
+        np.testing.assert_array_equal(ultra.encode_majors(ultra.decode_majors(majors)[0]), majors)
 
     @pytest.mark.parametrize(
         ("millimetres", "degrees"),
@@ -248,27 +248,27 @@ class TestUltra:
         ranges = np.where(lost & (changes > 0), np.nan, base + changes)
         got = decoded(ultra.FORMAT, ultra.encode(np.radians([10.0, 20.0, 30.0]), ranges))["range"]
         wanted = ranges[:2].ravel()
-        told = ~np.isnan(got)
-        assert not np.any(told & np.isnan(wanted))
-        assert np.abs(got[told] - wanted[told]).max(initial=0.0) <= 8.6e-3
+        stored = ~np.isnan(got)
+        assert not np.any(stored & np.isnan(wanted))
+        assert np.abs(got[stored] - wanted[stored]).max(initial=0.0) <= 8.6e-3
         firsts = np.arange(0, len(wanted), 3)
         assert np.array_equal(np.isnan(got[firsts]), np.isnan(wanted[firsts]))
         built = ~np.isnan(ranges.ravel()[: len(wanted) + 1])
         expected = built[:-1][1::3] & built[:-1][0::3]
-        assert np.all(told[1::3][expected])
+        assert np.all(stored[1::3][expected])
 
     @given(st.binary(min_size=128, max_size=128), st.binary(min_size=128, max_size=128))
     @QUICK
     def test_what_was_decoded_is_encoded_to_the_same_ranges(self, one: bytes, other: bytes) -> None:
         data = sealed(struct.pack("<H", 640) + one) + sealed(struct.pack("<H", 1280) + other)
         ranges = decoded(ultra.FORMAT, data)["range"].reshape(1, 96)
-        ahead = ultra.read(*(np.frombuffer(data[132:], ultra.LAYOUT),) * 2).ranges[0, 0]
+        ahead = ultra.decode(*(np.frombuffer(data[132:], ultra.LAYOUT),) * 2).ranges[0, 0]
         again = ultra.encode(np.radians([10.0]), ranges, ahead)
         again += ultra.encode(np.radians([20.0]), np.full((1, 96), ahead))
         second = decoded(ultra.FORMAT, again)["range"]
-        told = ~np.isnan(second)
-        np.testing.assert_allclose(second[told], ranges[0][told], atol=8.1e-3)
-        assert np.count_nonzero(told) >= np.count_nonzero(~np.isnan(ranges[0, ::3]))
+        stored = ~np.isnan(second)
+        np.testing.assert_allclose(second[stored], ranges[0][stored], atol=8.1e-3)
+        assert np.count_nonzero(stored) >= np.count_nonzero(~np.isnan(ranges[0, ::3]))
 
 
 class TestUltraDense:
@@ -277,13 +277,13 @@ class TestUltraDense:
         [(0xC87D0, 1000, 200), (0xC87D1, 3546, 200), (0xC87D2, 10187, 200), (0xA07D3, 27067, 160)],
     )
     def test_words(self, word: int, millimetres: int, quality: int) -> None:
-        assert [int(part[0]) for part in ultra_dense.unpack(np.array([word]))] == [millimetres, quality]
-        assert ultra_dense.pack(np.array([millimetres]), np.array([quality]))[0] == word
+        assert [int(part[0]) for part in ultra_dense.unpack_words(np.array([word]))] == [millimetres, quality]
+        assert ultra_dense.pack_words(np.array([millimetres]), np.array([quality]))[0] == word
 
     def test_cabin(self) -> None:
         capsules = np.zeros(1, ultra_dense.LAYOUT)
         capsules["cabins"][0, 0] = np.frombuffer(bytes.fromhex("D0 87 D1 87 CC"), ultra_dense.CABIN)[0]
-        returns = ultra_dense.read(capsules, capsules)
+        returns = ultra_dense.decode(capsules, capsules)
         assert returns.ranges[0, :2] == pytest.approx([1.0, 3.546])
         assert returns.quality is not None
         assert returns.quality[0, :2].tolist() == [200, 200]
@@ -311,7 +311,7 @@ class TestHq:
     def test_known_packet(self) -> None:
         packet = self.packet()
         assert len(packet) == 781
-        assert hq.crc_of(packet) == zlib.crc32(packet[:777] + bytes(3)) == 0x8B818E8A
+        assert hq.crc32_of(packet) == zlib.crc32(packet[:777] + bytes(3)) == 0x8B818E8A
         samples = hq.HqDecoder(PERIOD, 1e6).feed(packet).samples
         assert len(samples) == 96
         assert np.degrees(-samples["angle"][0]) == pytest.approx(45.0)

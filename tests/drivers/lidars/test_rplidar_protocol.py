@@ -11,18 +11,18 @@ from hypothesis import strategies as st
 
 from drivers import DriverError
 from drivers.lidars.rplidar import decoding, models, modes, requests
-from drivers.lidars.rplidar.answers import (
-    Answer,
-    AnswerReader,
+from drivers.lidars.rplidar.modes import ConfigEntry, Modes, ScanMode
+from drivers.lidars.rplidar.requests import Request, RequestReader
+from drivers.lidars.rplidar.responses import (
     Descriptor,
     Health,
+    HealthStatus,
     Info,
+    ResponseReader,
+    ResponseType,
     SampleRate,
-    Status,
     has_motor_pwm,
 )
-from drivers.lidars.rplidar.modes import Entry, Modes, ScanMode
-from drivers.lidars.rplidar.requests import Request, RequestReader
 
 REQUESTS = [
     (requests.STOP, "A5 25"),
@@ -41,13 +41,13 @@ REQUESTS = [
     (requests.set_motor_pwm(660), "A5 F0 02 94 02 C1"),
     (requests.set_motor_pwm(0), "A5 F0 02 00 00 57"),
     (requests.GET_MOTOR_BOARD, "A5 FF 04 00 00 00 00 5E"),
-    (requests.get_configuration(Entry.TYPICAL), "A5 84 04 7C 00 00 00 59"),
-    (requests.get_configuration(Entry.COUNT), "A5 84 04 70 00 00 00 55"),
-    (requests.get_configuration(Entry.ROTATION), "A5 84 04 01 00 00 00 24"),
-    (requests.get_configuration(Entry.SAMPLE_PERIOD, 1), "A5 84 06 71 00 00 00 01 00 57"),
-    (requests.get_configuration(Entry.MAX_DISTANCE, 1), "A5 84 06 74 00 00 00 01 00 52"),
-    (requests.get_configuration(Entry.ANSWER, 1), "A5 84 06 75 00 00 00 01 00 53"),
-    (requests.get_configuration(Entry.NAME, 1), "A5 84 06 7F 00 00 00 01 00 59"),
+    (requests.get_configuration(ConfigEntry.TYPICAL), "A5 84 04 7C 00 00 00 59"),
+    (requests.get_configuration(ConfigEntry.COUNT), "A5 84 04 70 00 00 00 55"),
+    (requests.get_configuration(ConfigEntry.ROTATION), "A5 84 04 01 00 00 00 24"),
+    (requests.get_configuration(ConfigEntry.SAMPLE_PERIOD, 1), "A5 84 06 71 00 00 00 01 00 57"),
+    (requests.get_configuration(ConfigEntry.MAX_DISTANCE, 1), "A5 84 06 74 00 00 00 01 00 52"),
+    (requests.get_configuration(ConfigEntry.RESPONSE_TYPE, 1), "A5 84 06 75 00 00 00 01 00 53"),
+    (requests.get_configuration(ConfigEntry.NAME, 1), "A5 84 06 7F 00 00 00 01 00 59"),
 ]
 A1 = Modes(
     (
@@ -99,18 +99,18 @@ def test_request_with_a_wrong_checksum_is_passed_over() -> None:
 @pytest.mark.parametrize(
     ("packet", "size", "multiple", "type"),
     [
-        ("A5 5A 14 00 00 00 04", 20, False, Answer.INFO),
-        ("A5 5A 03 00 00 00 06", 3, False, Answer.HEALTH),
-        ("A5 5A 04 00 00 00 15", 4, False, Answer.SAMPLE_RATE),
-        ("A5 5A 05 00 00 40 81", 5, True, Answer.STANDARD),
-        ("A5 5A 54 00 00 40 82", 84, True, Answer.EXPRESS),
-        ("A5 5A 0D 03 00 40 83", 781, True, Answer.HQ),
-        ("A5 5A 84 00 00 40 84", 132, True, Answer.ULTRA),
-        ("A5 5A 54 00 00 40 85", 84, True, Answer.DENSE),
-        ("A5 5A AA 00 00 40 86", 170, True, Answer.ULTRA_DENSE),
+        ("A5 5A 14 00 00 00 04", 20, False, ResponseType.INFO),
+        ("A5 5A 03 00 00 00 06", 3, False, ResponseType.HEALTH),
+        ("A5 5A 04 00 00 00 15", 4, False, ResponseType.SAMPLE_RATE),
+        ("A5 5A 05 00 00 40 81", 5, True, ResponseType.STANDARD),
+        ("A5 5A 54 00 00 40 82", 84, True, ResponseType.EXPRESS),
+        ("A5 5A 0D 03 00 40 83", 781, True, ResponseType.HQ),
+        ("A5 5A 84 00 00 40 84", 132, True, ResponseType.ULTRA),
+        ("A5 5A 54 00 00 40 85", 84, True, ResponseType.DENSE),
+        ("A5 5A AA 00 00 40 86", 170, True, ResponseType.ULTRA_DENSE),
     ],
 )
-def test_descriptors(packet: str, size: int, multiple: bool, type: Answer) -> None:
+def test_descriptors(packet: str, size: int, multiple: bool, type: ResponseType) -> None:
     descriptor = Descriptor.parse(bytes.fromhex(packet))
     assert descriptor == Descriptor(size, multiple, type)
     assert descriptor.packet() == bytes.fromhex(packet)
@@ -134,8 +134,8 @@ def test_identity() -> None:
 
 
 def test_health() -> None:
-    assert Health.parse(bytes.fromhex("02 04 00")) == Health(Status.ERROR, 4)
-    assert Health(Status.WARNING, 0x1234).payload() == bytes.fromhex("01 34 12")
+    assert Health.parse(bytes.fromhex("02 04 00")) == Health(HealthStatus.ERROR, 4)
+    assert Health(HealthStatus.WARNING, 0x1234).payload() == bytes.fromhex("01 34 12")
     with pytest.raises(DriverError, match="health status 7"):
         Health.parse(bytes.fromhex("07 00 00"))
 
@@ -170,38 +170,38 @@ def test_payloads_of_any_bytes(payload: bytes) -> None:
 @given(sizes=st.lists(st.integers(1, 30), min_size=1, max_size=5))
 def test_answer_is_found_behind_anything(before: bytes, sizes: list[int]) -> None:
     payload = bytes(range(20))
-    data = before + Descriptor(20, False, Answer.INFO).packet() + payload + b"rest"
-    reader = AnswerReader(Answer.INFO, Info.SIZE)
+    data = before + Descriptor(20, False, ResponseType.INFO).packet() + payload + b"rest"
+    reader = ResponseReader(ResponseType.INFO, Info.SIZE)
     at = k = 0
     got = None
     while got is None and at < len(data):
         got = reader.feed(data[at : at + sizes[k % len(sizes)]])
         at, k = at + sizes[k % len(sizes)], k + 1
     assert got == payload
-    assert b"rest".startswith(reader.rest)
+    assert b"rest".startswith(reader.remainder)
     assert reader.bytes_skipped == len(before)
 
 
 def test_scan_begins_behind_its_descriptor() -> None:
-    reader = AnswerReader(Answer.DENSE, 84, multiple=True)
+    reader = ResponseReader(ResponseType.DENSE, 84, multiple=True)
     assert reader.feed(b"noise\xa5\x5a\x54\x00\x00") is None
     assert reader.feed(b"\x40\x85first bytes") == b""
-    assert reader.rest == b"first bytes"
+    assert reader.remainder == b"first bytes"
 
 
 def test_answer_to_another_question_is_passed_over() -> None:
-    asked = requests.get_configuration(Entry.COUNT)
-    reader = AnswerReader(Answer.CONFIGURATION, prefix=modes.echo(asked))
+    asked = requests.get_configuration(ConfigEntry.COUNT)
+    reader = ResponseReader(ResponseType.CONFIGURATION, prefix=modes.echo(asked))
     other = bytes.fromhex("7C 00 00 00 03 00")
     wanted = bytes.fromhex("70 00 00 00 05 00")
     for payload in (other, wanted):
-        got = reader.feed(Descriptor(len(payload), False, Answer.CONFIGURATION).packet() + payload)
+        got = reader.feed(Descriptor(len(payload), False, ResponseType.CONFIGURATION).packet() + payload)
     assert got == wanted
 
 
 @given(st.lists(st.binary(max_size=200) | st.just(b"\xa5\x5a\x00\x02\x00\x00\x20"), max_size=20))
 def test_answer_reader_takes_any_bytes_and_holds_few(chunks: list[bytes]) -> None:
-    reader = AnswerReader(Answer.CONFIGURATION, prefix=b"\x70\0\0\0")
+    reader = ResponseReader(ResponseType.CONFIGURATION, prefix=b"\x70\0\0\0")
     fed = 0
     for chunk in chunks:
         if reader.feed(chunk) is not None:
@@ -212,14 +212,14 @@ def test_answer_reader_takes_any_bytes_and_holds_few(chunks: list[bytes]) -> Non
 
 def converse(known: Modes) -> Modes:
     """Survey an emulated device."""
-    survey = modes.survey()
-    request = next(survey)
+    query_modes = modes.query_modes()
+    request = next(query_modes)
     while True:
         assert request.command == requests.Command.GET_CONFIGURATION
-        payload = modes.answer_to(request, known)
+        payload = modes.configuration_response(request, known)
         assert payload is not None
         try:
-            request = survey.send(payload)
+            request = query_modes.send(payload)
         except StopIteration as end:
             found: Modes = end.value
             return found
@@ -229,7 +229,7 @@ def test_modes_are_read_from_the_device() -> None:
     found = converse(A1)
     assert found.typical == A1.typical
     for one, other in zip(found.modes, A1.modes, strict=True):
-        assert (one.id, one.name, one.answer) == (other.id, other.name, other.answer)
+        assert (one.id, one.name, one.response_type) == (other.id, other.name, other.response_type)
         assert one.sample_period == pytest.approx(other.sample_period, rel=1e-4)
         assert one.max_distance == pytest.approx(other.max_distance)
 
@@ -248,40 +248,40 @@ def test_modes_are_chosen_by_name_or_as_typical() -> None:
     [("71 00 00 00 00 FA 00 00", 250e-6), ("71 00 00 00 B2 6C 00 00", 108.695e-6)],
 )
 def test_sample_periods(answer: str, period: float) -> None:
-    survey = modes.survey()
-    next(survey)
-    survey.send(b"\x70\0\0\0\x01\0")
-    assert survey.send(b"\x7c\0\0\0\x00\0") == requests.get_configuration(Entry.SAMPLE_PERIOD, 0)
-    survey.send(bytes.fromhex(answer))
-    survey.send(b"\x74\0\0\0" + struct.pack("<I", 40 * 256))
-    survey.send(b"\x75\0\0\0\x85")
+    query_modes = modes.query_modes()
+    next(query_modes)
+    query_modes.send(b"\x70\0\0\0\x01\0")
+    assert query_modes.send(b"\x7c\0\0\0\x00\0") == requests.get_configuration(ConfigEntry.SAMPLE_PERIOD, 0)
+    query_modes.send(bytes.fromhex(answer))
+    query_modes.send(b"\x74\0\0\0" + struct.pack("<I", 40 * 256))
+    query_modes.send(b"\x75\0\0\0\x85")
     with pytest.raises(StopIteration) as end:
-        survey.send(b"\x7f\0\0\0DenseBoost\0")
+        query_modes.send(b"\x7f\0\0\0DenseBoost\0")
     (mode,) = end.value.value.modes
-    assert (mode.name, mode.max_distance, mode.answer) == ("DenseBoost", 40.0, Answer.DENSE)
+    assert (mode.name, mode.max_distance, mode.response_type) == ("DenseBoost", 40.0, ResponseType.DENSE)
     assert mode.sample_period == pytest.approx(period, rel=1e-5)
 
 
 @given(st.lists(st.binary(max_size=12), min_size=1, max_size=10), st.booleans())
 def test_survey_of_a_mad_device(answers: list[bytes], echoed: bool) -> None:
-    survey = modes.survey()
-    request = next(survey)
+    query_modes = modes.query_modes()
+    request = next(query_modes)
     with suppress(DriverError, StopIteration):
         for answer in answers:
-            request = survey.send((modes.echo(request) if echoed else b"") + answer)
+            request = query_modes.send((modes.echo(request) if echoed else b"") + answer)
 
 
 def test_old_firmware_has_two_modes() -> None:
-    assert not modes.tells_modes(Info(24, (1, 23), 5, "00"))
-    assert modes.tells_modes(Info(24, (1, 24), 5, "00"))
-    assert modes.tells_modes(Info(0x61, (1, 2), 5, "00"))
-    old = modes.modes_of_old(SampleRate(476e-6, 238e-6), 12.0)
+    assert not modes.reports_modes(Info(24, (1, 23), 5, "00"))
+    assert modes.reports_modes(Info(24, (1, 24), 5, "00"))
+    assert modes.reports_modes(Info(0x61, (1, 2), 5, "00"))
+    old = modes.legacy_modes(SampleRate(476e-6, 238e-6), 12.0)
     assert old.choose("express").start() == requests.express_scan(0)
     assert old.choose("standard").start() == requests.SCAN
 
 
 def test_typical_of_old_firmware_is_standard() -> None:
-    assert modes.modes_of_old(SampleRate(476e-6, 238e-6), 12.0).choose().answer == Answer.STANDARD
+    assert modes.legacy_modes(SampleRate(476e-6, 238e-6), 12.0).choose().response_type == ResponseType.STANDARD
 
 
 @pytest.mark.parametrize(
@@ -303,7 +303,7 @@ def test_models(number: int, name: str, motor: models.Motor) -> None:
     assert models.name_of(number) == name
     assert model.motor is motor
     assert set(model.bauds) <= set(models.BAUDS)
-    assert model.corrected == (number >> 4 <= 3)
+    assert model.triangulates == (number >> 4 <= 3)
 
 
 def test_unknown_measurements_are_refused() -> None:

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from drivers.lidars.records import Decoder, Measurements, Records
+from drivers.lidars.measurements import Decoder, Measurements, StructuredArray
 from drivers.lidars.revolutions import RevolutionAssembler
 
 FUZZ = settings(max_examples=5, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -28,7 +28,7 @@ def in_chunks(decoder: Decoder, data: bytes, sizes: list[int]) -> list[Measureme
     return out
 
 
-def flattened(parts: list[Measurements]) -> tuple[Records, Records]:
+def flattened(parts: list[Measurements]) -> tuple[StructuredArray, StructuredArray]:
     """All samples and packets, the samples' packets numbered throughout."""
     packets = np.concatenate([part.packets for part in parts])
     firsts = np.cumsum([0, *(len(part.packets) for part in parts)])
@@ -68,7 +68,7 @@ def damaged(data: bytes, rate: float, kinds: str, random: np.random.Generator) -
     return bytes(out), len(hits)
 
 
-def points(samples: Records) -> np.ndarray:
+def points(samples: StructuredArray) -> np.ndarray:
     """Direction + i range of all that was measured; beams without a return are no points."""
     valid = samples[~np.isnan(samples["range"])]
     return valid["angle"] + 1j * valid["range"]

@@ -19,9 +19,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import ConnectionLostError, DriverError, EndOfTapeError, PortError, RecordingError
-from drivers.transport import Received, SerialPort, Tap, TapePlayer, TcpConnection, Transport, transport
-from drivers.transport.transport import TAKES, take_promptly
+from drivers.errors import ConnectionLostError, DriverError, EndOfCaptureError, PortError, RecordingError
+from drivers.transport import (
+    CapturingTransport,
+    Received,
+    ReplayTransport,
+    SerialPort,
+    TcpConnection,
+    Transport,
+    transport,
+)
+from drivers.transport.transport import MAX_READS, read_promptly
 
 ALL_BYTES = bytes(range(256))
 
@@ -123,10 +131,10 @@ def test_a_host_that_is_held_up_between_bytes_and_clock_takes_what_came_meanwhil
 
     monkeypatch.setattr(transport, "time", SimpleNamespace(monotonic=lambda: now))
     now += 0.01
-    data, arrived = take_promptly(take)
+    data, arrived = read_promptly(take)
     assert len(data) == taken
-    assert calls == min(held_up + 1, TAKES)
-    assert arrived - (100.0 + len(data) / 1000) == pytest.approx(1e-5 if held_up < TAKES else 0.05)
+    assert calls == min(held_up + 1, MAX_READS)
+    assert arrived - (100.0 + len(data) / 1000) == pytest.approx(1e-5 if held_up < MAX_READS else 0.05)
 
 
 def test_reads_look_at_the_clock_promptly(pair: tuple[Transport, Peer], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -331,12 +339,12 @@ class Script:
         self.closed = True
 
 
-def play(player: TapePlayer, timeout: float = 1e9) -> list[Received]:
+def play(player: ReplayTransport, timeout: float = 1e9) -> list[Received]:
     chunks = []
     while True:
         try:
             received = player.read(timeout)
-        except EndOfTapeError:
+        except EndOfCaptureError:
             return chunks
         if received.data:
             chunks.append(received)
@@ -355,25 +363,25 @@ def test_what_a_tap_writes_a_player_plays(
     for data, wait in chunks:
         clock = round(clock + wait * 1e-9, 9)
         script.append(Received(data, clock))
-    tap = Tap(Script([*script]), path)
+    tap = CapturingTransport(Script([*script]), path)
     for chunk in script:
         tap.write(chunk.data[:3])
         assert tap.read(1.0) == chunk
     tap.close()
     assert tap.failure is None
-    assert play(TapePlayer(path), timeout) == [chunk for chunk in script if chunk.data]
+    assert play(ReplayTransport(path), timeout) == [chunk for chunk in script if chunk.data]
 
 
 def test_time_passes_on_an_unpaced_tape_only(tmp_path: Path) -> None:
     path = tmp_path / "tape"
     path.write_text("# a tape\n\n1.0 < 0102\n1.5 > ff\n100.0 < 03\n")
-    player = TapePlayer(path)
+    player = ReplayTransport(path)
     player.write(b"whatever")
     before = time.monotonic()
     assert player.read(0.05) == (b"\x01\x02", 1.0)
     assert player.read(50.0) == (b"", 51.0)
     assert player.read(50.0) == (b"\x03", 100.0)
-    with pytest.raises(EndOfTapeError):
+    with pytest.raises(EndOfCaptureError):
         player.read(0.1)
     assert time.monotonic() < before + 5.0
 
@@ -382,14 +390,14 @@ def test_a_paced_tape_takes_its_time(tmp_path: Path) -> None:
     path = tmp_path / "tape"
     path.write_text("1.0 < 01\n1.1 < 02\n1.2 < 03\n")
     before = time.monotonic()
-    assert len(play(TapePlayer(path, paced=True), 0.03)) == 3
+    assert len(play(ReplayTransport(path, paced=True), 0.03)) == 3
     assert time.monotonic() >= before + 0.2
 
 
 def test_a_torn_tape_plays_to_the_tear(tmp_path: Path) -> None:
     path = tmp_path / "tape"
     path.write_text("1.0 < 0102\n1.1 < 03")
-    assert [chunk.data for chunk in play(TapePlayer(path))] == [b"\x01\x02"]
+    assert [chunk.data for chunk in play(ReplayTransport(path))] == [b"\x01\x02"]
 
 
 @pytest.mark.parametrize("line", ["1.0 < 012", "1.0 = 01", "x < 01", "1.0 <", "nan < 00", "1.0 < 01 02", "ü"])
@@ -397,23 +405,23 @@ def test_a_bad_line_is_named(tmp_path: Path, line: str) -> None:
     path = tmp_path / "tape"
     path.write_text(f"1.0 < 01\n{line}\n")
     with pytest.raises(RecordingError) as caught:
-        play(TapePlayer(path))
+        play(ReplayTransport(path))
     assert str(caught.value).startswith(str(path))
 
 
 def test_a_missing_tape(tmp_path: Path) -> None:
     with pytest.raises(RecordingError):
-        TapePlayer(tmp_path / "none")
+        ReplayTransport(tmp_path / "none")
 
 
 def test_a_tape_that_cannot_be_begun(tmp_path: Path) -> None:
     with pytest.raises(PortError, match="cannot be written"):
-        Tap(Script([]), tmp_path / "none" / "tape")
+        CapturingTransport(Script([]), tmp_path / "none" / "tape")
 
 
 def test_a_full_disk_ends_the_tape_and_not_the_connection() -> None:
     script = Script([Received(b"abc", 1.0), Received(b"def", 2.0)])
-    tap = Tap(script, "/dev/full")
+    tap = CapturingTransport(script, "/dev/full")
     assert tap.read(1.0).data == b"abc"
     tap.write(b"hello")
     assert tap.failure is not None

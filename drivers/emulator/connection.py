@@ -9,17 +9,17 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from .device import Device
-from .line import Damager
-from .port import PtyPort
-from .setup import Event
+from .device import EmulatedDevice
+from .emulator_setup import FaultEvent
+from .pty_port import PtyPort
+from .serial_line import Corruptor
 
 BAUD_TOLERANCE = 0.03
 """Share by which the speeds of both ends of a line may differ and still be understood."""
 
 
 @dataclass(slots=True)
-class Counts:
+class ConnectionCounts:
     """What happened; but for the events in bytes.
 
     sent      arrived in a port that a program had open
@@ -44,7 +44,7 @@ class Counts:
     fails: int = 0
 
 
-class Link:
+class DeviceConnection:
     """Steps a device and carries bytes between it and its port.
 
     events  that happen to it
@@ -52,11 +52,16 @@ class Link:
     """
 
     def __init__(
-        self, device: Device, port: PtyPort, events: Iterable[Event], damage: Damager, random: np.random.Generator
+        self,
+        device: EmulatedDevice,
+        port: PtyPort,
+        events: Iterable[FaultEvent],
+        corruptor: Corruptor,
+        random: np.random.Generator,
     ) -> None:
-        self.device, self.port, self.counts = device, port, Counts()
+        self.device, self.port, self.counts = device, port, ConnectionCounts()
         self._events = deque(sorted(events, key=lambda event: event.time))
-        self._damage, self._random = damage, random
+        self._corruptor, self._random = corruptor, random
         self._opened = False
         self._plug_at = self._stalled_until = -math.inf
         device.switch_on(0.0)
@@ -65,28 +70,28 @@ class Link:
     def due(self) -> float:
         """When it should be stepped next."""
         event = self._events[0].time if self._events else math.inf
-        plug = self._plug_at if not self.port.plugged else math.inf
+        plug = self._plug_at if not self.port.is_plugged else math.inf
         return min(self.device.due, self.device.line.due, event, plug)
 
     def step(self, time: float) -> None:
         """Let happen what happens until a time."""
         while self._events and self._events[0].time <= time:
-            self._happen(self._events.popleft(), time)
-        if not self.port.plugged and time >= self._plug_at:
+            self._apply_event(self._events.popleft(), time)
+        if not self.port.is_plugged and time >= self._plug_at:
             self.port.plug()
             if self.device.usb_powered:
                 self.device.switch_on(time)
-        opened = self.port.opened
-        if opened and not self._opened:
-            self.device.port_opened(time)
-        self._opened = opened
-        if heard := self.port.read():
-            self._hear(heard, time)
+        is_open = self.port.is_open
+        if is_open and not self._opened:
+            self.device.on_port_opened(time)
+        self._opened = is_open
+        if received := self.port.read():
+            self._pass_to_device(received, time)
         self.device.advance(time)
-        if said := self.device.line.take(time):
-            self._say(said, time)
+        if sent := self.device.line.read(time):
+            self._pass_to_port(sent, time)
 
-    def _happen(self, event: Event, time: float) -> None:
+    def _apply_event(self, event: FaultEvent, time: float) -> None:
         device, counts = self.device, self.counts
         if event.kind == "unplug":
             counts.unplugs += 1
@@ -99,42 +104,42 @@ class Link:
             counts.stalls += 1
             self._stalled_until = max(self._stalled_until, event.time + event.duration)
         elif event.kind == "fail":
-            counts.fails += device.fail(time)
+            counts.fails += device.inject_error(time)
         elif device.on:
             counts.restarts += 1
             device.switch_off()
             device.line.clear(time)
             device.switch_on(time)
 
-    def _hear(self, data: bytes, time: float) -> None:
+    def _pass_to_device(self, data: bytes, time: float) -> None:
         """Pass what the host has sent."""
         self.counts.received += len(data)
         if time < self._stalled_until:
             self.counts.stalled += len(data)
-        elif self._wrong_speed():
+        elif self._is_baud_wrong():
             self.counts.garbled += len(data)
         else:
-            self.device.hear(data, time)
+            self.device.receive(data, time)
 
-    def _say(self, data: bytes, time: float) -> None:
+    def _pass_to_port(self, data: bytes, time: float) -> None:
         """Pass what has come through from the device."""
         counts = self.counts
-        if not self.port.plugged:
+        if not self.port.is_plugged:
             counts.unplugged += len(data)
         elif time < self._stalled_until:
             counts.stalled += len(data)
         elif not self._opened:
             counts.unheard += len(data)
         else:
-            if self._wrong_speed():
+            if self._is_baud_wrong():
                 counts.garbled += len(data)
                 data = self._random.bytes(len(data))
-            arriving = self._damage(data)
-            taken = self.port.write(arriving)
-            counts.sent += taken
-            counts.overrun += len(arriving) - taken
+            arriving = self._corruptor(data)
+            consumed = self.port.write(arriving)
+            counts.sent += consumed
+            counts.overrun += len(arriving) - consumed
 
-    def _wrong_speed(self) -> bool:
+    def _is_baud_wrong(self) -> bool:
         """Whether the program has set a speed that is not the line's."""
         baud, set_to = self.device.line.baud, self.port.baud
         return set_to is not None and math.isfinite(baud) and abs(set_to / baud - 1.0) > BAUD_TOLERANCE
@@ -147,9 +152,9 @@ class Link:
             "baud": device.line.baud if math.isfinite(device.line.baud) else None,
             "port": str(self.port.path),
             **asdict(self.counts),
-            **asdict(self._damage.damage),
+            **asdict(self._corruptor.counts),
             "overflow": device.line.overflow,
-            "misheard": device.misheard,
+            "misheard": device.unrecognised,
             "requests": device.requests,
             "starts": 1 + device.restarts,
             **device.report(),

@@ -13,7 +13,7 @@ from ..messages import Floats
 Bytes = NDArray[np.uint8]
 Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
-Records = NDArray[Any]
+StructuredArray = NDArray[Any]
 """A structured array; its fields are said where it is used."""
 
 NO_QUALITY = -1
@@ -53,8 +53,8 @@ continuous   nothing has been lost between the packet before and this one
 class Measurements:
     """What a chunk of bytes completed: `samples` (n,) of SAMPLE in the order measured, `packets` (m,) of PACKET."""
 
-    samples: Records
-    packets: Records
+    samples: StructuredArray
+    packets: StructuredArray
 
     def __len__(self) -> int:
         """The number of samples."""
@@ -65,12 +65,12 @@ class Measurements:
         return np.asarray(arrivals[self.samples["packet"]] + self.samples["offset"])
 
 
-NOTHING = Measurements(np.empty(0, SAMPLE), np.empty(0, PACKET))
+NO_MEASUREMENTS = Measurements(np.empty(0, SAMPLE), np.empty(0, PACKET))
 """No measurements."""
 
 
 @dataclass(slots=True)
-class Counters:
+class DecoderCounters:
     """What a decoder has seen since it was made. Nothing is dropped without being counted here.
 
     bytes              fed
@@ -101,13 +101,13 @@ class Decoder(Protocol):
     packets. The samples are the same whatever the chunks.
     """
 
-    counters: Counters
+    counters: DecoderCounters
 
     def feed(self, data: bytes) -> Measurements:
         """The measurements that these bytes complete."""
         ...
 
 
-def counter_clockwise(clockwise: Floats) -> Floats:
+def to_counter_clockwise(clockwise: Floats) -> Floats:
     """Angles that count clockwise as REP-103 angles; radians, wrapped to [-pi, pi]."""
     return np.asarray(np.mod(np.pi - clockwise, 2.0 * np.pi) - np.pi)

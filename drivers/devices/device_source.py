@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 from ..errors import DriverError
 from ..messages import Message, SourceReport
 from .acquisition import Acquisition, Snapshot
-from .specs import DeviceSpec
+from .device_spec import DeviceSpec
 
 
-class Live:
+class DeviceSource:
     """Devices as a `Source`. Iterating starts them; leaving the iteration in any way halts them.
 
     snapshot  how they are doing

@@ -8,33 +8,31 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import DriverError
-from ..simulation.driving import Drive
-from ..simulation.simulator import Lidar
-from ..simulation.world import World
-from . import base, rplidar_kinds
+from ..simulation import LidarModel, WheelModel, World
+from . import rplidar_variants, wheel_base
 
 DRIVES = ("path", "base", "keyboard")
 """Who steers: the world's path, the velocities that the base is sent, the arrow keys."""
-EVENTS = ("unplug", "stall", "restart", "fail")
+FAULT_KINDS = ("unplug", "stall", "restart", "fail")
 """The port disappears for a while; it says nothing for a while; the device starts again; it has an inner error."""
-LASTING = ("unplug", "stall")
-EVENT = re.compile(r"(lidar|base)@([0-9]+(?:\.[0-9]+)?)(?::([0-9]+(?:\.[0-9]+)?))?")
-LARGEST_DRIFT = 10_000.0
+LASTING_FAULTS = ("unplug", "stall")
+EVENT_PATTERN = re.compile(r"(lidar|base)@([0-9]+(?:\.[0-9]+)?)(?::([0-9]+(?:\.[0-9]+)?))?")
+MAX_CLOCK_DRIFT = 10_000.0
 """Parts per million; ceramic resonators are within half of it."""
 
 
 def lidar_names() -> list[str]:
     """The lidars that can be emulated."""
-    return [*rplidar_kinds.KINDS, "ld06", "scip"]
+    return [*rplidar_variants.RPLIDAR_VARIANTS, "ld06", "scip"]
 
 
 def base_names() -> list[str]:
     """The wheel bases that can be emulated."""
-    return list(base.KINDS)
+    return list(wheel_base.BASE_VARIANTS)
 
 
 @dataclass(frozen=True, slots=True)
-class Event:
+class FaultEvent:
     """A fault: what (one of EVENTS), to whom ("lidar" or "base"), when, and for how long; seconds."""
 
     kind: str
@@ -43,17 +41,17 @@ class Event:
     duration: float = 0.0
 
     @classmethod
-    def parse(cls, kind: str, text: str) -> Event:
+    def parse(cls, kind: str, text: str) -> FaultEvent:
         """From DEVICE@SECONDS, with :SECONDS for how long where it lasts. Raises DriverError where it is none."""
-        match = EVENT.fullmatch(text)
-        if match is None or (match[3] is not None) != (kind in LASTING):
-            example = "lidar@20:3" if kind in LASTING else "lidar@20"
+        match = EVENT_PATTERN.fullmatch(text)
+        if match is None or (match[3] is not None) != (kind in LASTING_FAULTS):
+            example = "lidar@20:3" if kind in LASTING_FAULTS else "lidar@20"
             raise DriverError(f"--{kind} {text}: say it as {example}, the device (lidar or base) and seconds")
         return cls(kind, match[1], float(match[2]), float(match[3] or 0.0))
 
 
 @dataclass(frozen=True, slots=True)
-class Setup:
+class EmulatorSetup:
     """A robot in a world, and what goes wrong.
 
     world         the name of a world that comes with the package, a TOML file, or a World
@@ -81,12 +79,12 @@ class Setup:
     drive: str = "path"
     seed: int = 0
     mount: tuple[float, float, float] = (0.1, 0.0, 0.0)
-    noise: Lidar = field(default_factory=Lidar)
-    wheels: Drive = field(default_factory=Drive)
+    noise: LidarModel = field(default_factory=LidarModel)
+    wheels: WheelModel = field(default_factory=WheelModel)
     drop: float = 0.0
     insert: float = 0.0
     flip: float = 0.0
-    events: tuple[Event, ...] = ()
+    events: tuple[FaultEvent, ...] = ()
     lidar_drift: float = 0.0
     base_drift: float = 0.0
     truth: Path | None = None
@@ -103,8 +101,8 @@ class Setup:
         chances = (self.drop, self.insert, self.flip)
         if not all(0.0 <= chance <= 1.0 for chance in chances) or sum(chances) > 1.0:
             raise DriverError("the probabilities of damaged bytes must lie between 0 and 1, and so must their sum")
-        if not all(abs(drift) <= LARGEST_DRIFT for drift in (self.lidar_drift, self.base_drift)):
-            raise DriverError(f"clocks drift by at most {LARGEST_DRIFT:.0f} parts per million")
+        if not all(abs(drift) <= MAX_CLOCK_DRIFT for drift in (self.lidar_drift, self.base_drift)):
+            raise DriverError(f"clocks drift by at most {MAX_CLOCK_DRIFT:.0f} parts per million")
         if self.seed < 0:
             raise DriverError("the seed must not be negative")
         if any(

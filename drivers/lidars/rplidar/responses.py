@@ -9,13 +9,13 @@ from typing import Any, ClassVar
 
 from ...errors import DriverError
 
-START = b"\xa5\x5a"
+SYNC = b"\xa5\x5a"
 DESCRIPTOR_SIZE = 7
-LONGEST = 1024
+MAX_RESPONSE_SIZE = 1024
 """Bytes; no single answer is longer."""
 
 
-class Answer(IntEnum):
+class ResponseType(IntEnum):
     """Types of answers."""
 
     INFO = 0x04
@@ -42,18 +42,18 @@ class Descriptor:
 
     def packet(self) -> bytes:
         """The bytes that the device sends: the length has 30 bits, the two above are the mode."""
-        return START + struct.pack("<IB", self.size | (self.multiple << 30), self.type)
+        return SYNC + struct.pack("<IB", self.size | (self.multiple << 30), self.type)
 
     @classmethod
     def parse(cls, packet: bytes) -> Descriptor:
         """From its 7 bytes; raises DriverError where they are none."""
-        if len(packet) != DESCRIPTOR_SIZE or packet[:2] != START or packet[5] >> 6 > 1:
+        if len(packet) != DESCRIPTOR_SIZE or packet[:2] != SYNC or packet[5] >> 6 > 1:
             raise DriverError(f"no answer descriptor: {packet[:16].hex(' ')}")
         word, kind = struct.unpack("<IB", packet[2:])
         return cls(word & 0x3FFFFFFF, bool(word >> 30), kind)
 
 
-class AnswerReader:
+class ResponseReader:
     """Waits for one answer in bytes that may begin with anything: a scan that still runs, the banner after a reset.
 
     type      of the answer
@@ -67,49 +67,49 @@ class AnswerReader:
     def __init__(self, type: int, size: int | None = None, multiple: bool = False, prefix: bytes = b"") -> None:
         self.type, self.size, self.multiple, self.prefix = type, size, multiple, prefix
         self.bytes_skipped = 0
-        self.rest = b""
+        self.remainder = b""
         self._held = b""
         self._payload: bytes | None = None
 
     def feed(self, data: bytes) -> bytes | None:
         """The answer's payload, empty for a scan's, as soon as it is there; None before."""
         if self._payload is not None:
-            self.rest += data
+            self.remainder += data
             return self._payload
         self._held += data
-        while (size := self._wanted()) is not None and len(self._held) >= DESCRIPTOR_SIZE + size:
+        while (size := self._find_descriptor()) is not None and len(self._held) >= DESCRIPTOR_SIZE + size:
             end = DESCRIPTOR_SIZE + size
             payload = self._held[DESCRIPTOR_SIZE:end]
             if not payload.startswith(self.prefix):
                 self._skip(1)
                 continue
-            self._payload, self.rest, self._held = payload, self._held[end:], b""
+            self._payload, self.remainder, self._held = payload, self._held[end:], b""
             return payload
         return None
 
-    def _wanted(self) -> int | None:
+    def _find_descriptor(self) -> int | None:
         """Pass what comes before a fitting descriptor; the length of the payload after it, None where none is there."""
-        at = self._held.find(START)
+        at = self._held.find(SYNC)
         while at >= 0 and at + DESCRIPTOR_SIZE <= len(self._held):
-            if (size := self._fits(self._held[at : at + DESCRIPTOR_SIZE])) is not None:
+            if (size := self._payload_size(self._held[at : at + DESCRIPTOR_SIZE])) is not None:
                 self._skip(at)
                 return size
-            at = self._held.find(START, at + 1)
+            at = self._held.find(SYNC, at + 1)
         # The last bytes may begin a descriptor.
-        self._skip(at if at >= 0 else len(self._held) - self._held.endswith(START[:1]))
+        self._skip(at if at >= 0 else len(self._held) - self._held.endswith(SYNC[:1]))
         return None
 
-    def _fits(self, packet: bytes) -> int | None:
+    def _payload_size(self, packet: bytes) -> int | None:
         """The length of the payload that a descriptor announces, None where it is not the one waited for."""
         try:
-            found = Descriptor.parse(packet)
+            descriptor = Descriptor.parse(packet)
         except DriverError:
             return None
-        if found.type != self.type or found.multiple != self.multiple:
+        if descriptor.type != self.type or descriptor.multiple != self.multiple:
             return None
-        if (self.size is not None and found.size != self.size) or found.size > LONGEST:
+        if (self.size is not None and descriptor.size != self.size) or descriptor.size > MAX_RESPONSE_SIZE:
             return None
-        return 0 if self.multiple else found.size
+        return 0 if self.multiple else descriptor.size
 
     def _skip(self, count: int) -> None:
         self.bytes_skipped += count
@@ -140,7 +140,7 @@ class Info:
         return struct.pack("<BBBB16s", self.model, *self.firmware[::-1], self.hardware, bytes.fromhex(self.serial))
 
 
-class Status(IntEnum):
+class HealthStatus(IntEnum):
     """Of the device's health; after an error it must be reset."""
 
     GOOD = 0
@@ -152,7 +152,7 @@ class Status(IntEnum):
 class Health:
     """Status and an error code; Slamtec does not document the codes."""
 
-    status: Status
+    status: HealthStatus
     code: int
 
     SIZE: ClassVar[int] = 3
@@ -161,9 +161,9 @@ class Health:
     def parse(cls, payload: bytes) -> Health:
         """From 3 bytes; raises DriverError where there are not as many, or the status is none."""
         status, code = _unpack("<BH", payload, "health")
-        if status not in list(Status):
+        if status not in list(HealthStatus):
             raise DriverError(f"health status {status} is unknown")
-        return cls(Status(status), code)
+        return cls(HealthStatus(status), code)
 
     def payload(self) -> bytes:
         """The bytes that the device sends."""
@@ -192,7 +192,7 @@ class SampleRate:
         return struct.pack("<HH", round(self.standard * 1e6), round(self.express * 1e6))
 
 
-OLD_SAMPLE_RATE = SampleRate(476e-6, 476e-6)
+DEFAULT_SAMPLE_RATE = SampleRate(476e-6, 476e-6)
 """Of firmware before 1.17, which cannot be asked."""
 
 

@@ -18,7 +18,7 @@ TCGETS2 = 0x802C542A
 have no name of their own.
 """
 TERMIOS2 = struct.Struct("IIII20xII")
-LARGEST = 65536
+MAX_READ_SIZE = 65536
 """Bytes read at once."""
 
 
@@ -34,18 +34,18 @@ class PtyPort:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._device = ""
-        self._end: int | None = None
+        self._controller: int | None = None
         self.plug()
 
     def plug(self) -> None:
         """Make the port appear."""
-        if self._end is not None:
+        if self._controller is not None:
             return
         if not self.path.is_symlink() and self.path.exists():
             raise PortError(str(self.path), "exists, and is no link that could be replaced; choose another name")
-        self._end, other = pty.openpty()
+        self._controller, other = pty.openpty()
         tty.setraw(other)  # else what is written before a program opens the port comes back as an echo
-        os.set_blocking(self._end, False)
+        os.set_blocking(self._controller, False)
         self._device = os.ttyname(other)
         os.close(other)  # so that it shows whether a program has opened it
         work = self.path.with_name(f".{self.path.name}-{os.getpid()}")
@@ -55,58 +55,58 @@ class PtyPort:
             work.symlink_to(self._device)
             work.replace(self.path)
         except OSError as failure:
-            os.close(self._end)
-            self._end = None
+            os.close(self._controller)
+            self._controller = None
             raise PortError(str(self.path), f"no port can be made there: {failure.strerror}") from failure
 
     def unplug(self) -> None:
         """Make it disappear: programs that have it open find the connection lost. Any number of times."""
-        if self._end is None:
+        if self._controller is None:
             return
         with suppress(OSError):  # gone, or replaced by another program's
             if self.path.readlink() == Path(self._device):
                 self.path.unlink()
-        os.close(self._end)
-        self._end = None
+        os.close(self._controller)
+        self._controller = None
 
     @property
-    def plugged(self) -> bool:
+    def is_plugged(self) -> bool:
         """Whether it is there."""
-        return self._end is not None
+        return self._controller is not None
 
     @property
-    def opened(self) -> bool:
+    def is_open(self) -> bool:
         """Whether a program has it open."""
-        if self._end is None:
+        if self._controller is None:
             return False
         poll = select.poll()
-        poll.register(self._end, select.POLLIN)
+        poll.register(self._controller, select.POLLIN)
         return not any(events & select.POLLHUP for _, events in poll.poll(0))
 
     @property
     def baud(self) -> int | None:
         """The speed that a program has set, bits a second; None where the system does not tell."""
-        if self._end is None:
+        if self._controller is None:
             return None
         try:
-            return int(TERMIOS2.unpack(fcntl.ioctl(self._end, TCGETS2, bytes(TERMIOS2.size)))[-1])
+            return int(TERMIOS2.unpack(fcntl.ioctl(self._controller, TCGETS2, bytes(TERMIOS2.size)))[-1])
         except OSError:
             return None
 
     def read(self) -> bytes:
         """What a program has written; does not wait."""
-        if self._end is None:
+        if self._controller is None:
             return b""
         try:
-            return os.read(self._end, LARGEST)
+            return os.read(self._controller, MAX_READ_SIZE)
         except OSError:  # nothing there, or nobody
             return b""
 
     def write(self, data: bytes) -> int:
         """Pass bytes on as far as the system's buffer, of about 16 000 bytes, takes them; how many it took."""
-        if self._end is None:
+        if self._controller is None:
             return 0
         try:
-            return os.write(self._end, data)
+            return os.write(self._controller, data)
         except OSError:
             return 0

@@ -10,9 +10,9 @@ import numpy as np
 
 from ..messages import Floats
 
-BITS = 10
+BITS_PER_BYTE = 10
 """On the line for each byte: start, eight of data, stop."""
-MOST_WAITING = 0.5
+MAX_BACKLOG = 0.5
 """Seconds of bytes that a device holds back for a line that is too slow; what is more is lost."""
 
 
@@ -21,10 +21,10 @@ class _Batch:
     data: bytes
     ends: Floats  # when each packet's last byte is through
     size: int  # of a packet
-    taken: int = 0
+    consumed: int = 0
 
 
-class Line:
+class SerialLine:
     """Carries packets one after the other.
 
     baud      bits a second; infinite for devices that are on USB themselves
@@ -34,7 +34,7 @@ class Line:
     def __init__(self, baud: float) -> None:
         self.baud = baud
         self.overflow = 0
-        self._byte_time = BITS / baud
+        self._byte_time = BITS_PER_BYTE / baud
         self._batches: deque[_Batch] = deque()
         self._free = 0.0  # when the last byte will be through
 
@@ -46,17 +46,17 @@ class Line:
     def send(self, data: bytes, ready: Floats | float) -> None:
         """Put packets of equal size on the line, each when it is `ready`, (m,) or one time."""
         times = np.atleast_1d(np.asarray(ready, dtype=np.float64))
-        if self._free - times[-1] > MOST_WAITING:
+        if self._free - times[-1] > MAX_BACKLOG:
             self.overflow += len(data)
             return
         size = len(data) // len(times)
-        takes, index = size * self._byte_time, np.arange(len(times))
-        begins = np.maximum.accumulate(np.maximum(times, self._free) - index * takes) + index * takes
-        ends = begins + takes
+        duration, index = size * self._byte_time, np.arange(len(times))
+        begins = np.maximum.accumulate(np.maximum(times, self._free) - index * duration) + index * duration
+        ends = begins + duration
         self._free = float(ends[-1])
         self._batches.append(_Batch(data, ends, size))
 
-    def take(self, time: float) -> bytes:
+    def read(self, time: float) -> bytes:
         """The bytes that have come through since the last call."""
         parts: list[bytes] = []
         while self._batches:
@@ -66,9 +66,9 @@ class Line:
             if packets < len(batch.ends) and self._byte_time > 0.0:
                 missing = math.ceil((float(batch.ends[packets]) - time) / self._byte_time)
                 through += max(0, batch.size - missing)
-            if through > batch.taken:
-                parts.append(batch.data[batch.taken : through])
-                batch.taken = through
+            if through > batch.consumed:
+                parts.append(batch.data[batch.consumed : through])
+                batch.consumed = through
             if through < len(batch.data):
                 break
             self._batches.popleft()
@@ -76,14 +76,14 @@ class Line:
 
     def clear(self, time: float) -> int:
         """Lose what is on the way; the number of bytes."""
-        lost = sum(len(batch.data) - batch.taken for batch in self._batches)
+        lost = sum(len(batch.data) - batch.consumed for batch in self._batches)
         self._batches.clear()
         self._free = time
         return lost
 
 
 @dataclass(slots=True)
-class Damage:
+class CorruptionCounts:
     """Bytes dropped, inserted and flipped (one bit each) so far."""
 
     dropped: int = 0
@@ -91,21 +91,21 @@ class Damage:
     flipped: int = 0
 
 
-class Damager:
+class Corruptor:
     """Damages bytes at random: before a byte another one is inserted, it is dropped, or one of its bits is flipped,
     each with a probability. The damage depends on the seed and not on how the bytes come.
     """
 
     def __init__(self, drop: float, insert: float, flip: float, random: np.random.Generator) -> None:
-        self.damage = Damage()
+        self.counts = CorruptionCounts()
         self._limits = np.cumsum([drop, insert, flip])
-        self._where, self._how = random.spawn(2)
+        self._positions, self._values = random.spawn(2)
 
     def __call__(self, data: bytes) -> bytes:
         """The bytes that arrive instead."""
         if not self._limits[-1] or not data:
             return data
-        fate = np.searchsorted(self._limits, self._where.random(len(data)), side="right")
+        fate = np.searchsorted(self._limits, self._positions.random(len(data)), side="right")
         hit = np.flatnonzero(fate < 3)
         if not len(hit):
             return data
@@ -113,13 +113,13 @@ class Damager:
         for index in map(int, hit):
             damaged += data[at:index]
             at = index + 1
-            extra, bit = (int(value) for value in self._how.integers([256, 8]))
+            extra, bit = (int(value) for value in self._values.integers([256, 8]))
             if fate[index] == 0:
-                self.damage.dropped += 1
+                self.counts.dropped += 1
             elif fate[index] == 1:
-                self.damage.inserted += 1
+                self.counts.inserted += 1
                 damaged += bytes([extra, data[index]])
             else:
-                self.damage.flipped += 1
+                self.counts.flipped += 1
                 damaged.append(data[index] ^ (1 << bit))
         return bytes(damaged + data[at:])

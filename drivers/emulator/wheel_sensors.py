@@ -8,8 +8,8 @@ import numpy as np
 
 from ..bases.kinematics import DifferentialDrive, Noise
 from ..se2 import wrap
-from ..simulation.driving import Drive, draw_biases
-from .motion import Motion
+from ..simulation.wheel_model import WheelModel, draw_biases
+from .robot_motion import RobotMotion
 
 
 class Encoders:
@@ -19,25 +19,27 @@ class Encoders:
     drive   slip, noise and biases, of which one draw is made; its rate and wheelbase are the protocol's here
     """
 
-    def __init__(self, motion: Motion, wheels: DifferentialDrive, drive: Drive, random: np.random.Generator) -> None:
+    def __init__(
+        self, motion: RobotMotion, wheels: DifferentialDrive, drive: WheelModel, random: np.random.Generator
+    ) -> None:
         self._motion, self._wheels, self._drive, self._random = motion, wheels, drive, random
         self.biases = draw_biases(drive, random)
         self._rolled = np.zeros(2)  # left, right, metres as the counts tell them
         self._zero = np.zeros(2)
-        self._last = motion.driven(0.0)
+        self._last = motion.travelled(0.0)
 
     def read(self, time: float) -> tuple[int, int]:
         """Left and right count at a time not before the last; not wrapped."""
-        driven = self._motion.driven(time)
-        way, turn = driven[0] - self._last[0], driven[1] - self._last[1]
-        self._last = driven
+        travelled = self._motion.travelled(time)
+        distance, turn = travelled[0] - self._last[0], travelled[1] - self._last[1]
+        self._last = travelled
         # Dead reckoning that divides by the stated track finds as much too little as the true one is shorter.
         half = turn * self._wheels.track / self.biases.wheelbase / 2
-        rolled = np.array([way - half, way + half])
+        rolled = np.array([distance - half, distance + half])
         slip = self._drive.slip * np.sqrt(np.abs(rolled)) * self._random.standard_normal(2)
         self._rolled += rolled * [self.biases.left, self.biases.right] + slip
-        told = self._rolled - self._zero + self._drive.encoder * self._random.standard_normal(2)
-        return math.floor(told[0] / self._wheels.left), math.floor(told[1] / self._wheels.right)
+        measured = self._rolled - self._zero + self._drive.encoder * self._random.standard_normal(2)
+        return math.floor(measured[0] / self._wheels.left), math.floor(measured[1] / self._wheels.right)
 
     def reset(self, time: float) -> None:
         """Count from zero on, from a time not before the last."""
@@ -48,7 +50,7 @@ class Encoders:
 class Gyro:
     """The heading that a gyro tells, from zero on; its error is a random walk."""
 
-    def __init__(self, motion: Motion, random: np.random.Generator, variance: float = Noise().gyro) -> None:
+    def __init__(self, motion: RobotMotion, random: np.random.Generator, variance: float = Noise().gyro) -> None:
         self._motion, self._random, self._variance = motion, random, variance
         self._error, self._last = 0.0, 0.0
 
@@ -56,4 +58,4 @@ class Gyro:
         """Radians in [-pi, pi) at a time not before the last."""
         self._error += math.sqrt(self._variance * max(time - self._last, 0.0)) * self._random.standard_normal()
         self._last = time
-        return float(wrap(self._motion.driven(time)[1] + self._error))
+        return float(wrap(self._motion.travelled(time)[1] + self._error))

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.devices.stamping import CLOSEST, LATE, CountingClock, Onward, PacketStamper
+from drivers.devices.packet_stamper import LOSS_DELAY, MIN_SPACING, MonotonicStamps, PacketCountClock, PacketStamper
 from drivers.lidars.rplidar import dense, standard
 from drivers.lidars.rplidar.decoding import decoder_for
 from drivers.transport import Received
@@ -57,7 +57,7 @@ def test_samples_are_stamped_when_they_were_measured(kind: str, lost: float) -> 
         at = end
         if not received.data:
             continue
-        stamper.note(received)
+        stamper.add_chunk(received)
         measurements = decoder.feed(received.data)
         stamps = stamper.stamps(measurements)
         valid = ~np.isnan(measurements.samples["range"])
@@ -80,21 +80,21 @@ def decoder_delay() -> float:
 
 @given(st.lists(st.lists(st.floats(0.0, 1e6), max_size=8), max_size=8))
 def test_stamps_never_run_back(chunks: list[list[float]]) -> None:
-    onward = Onward()
+    onward = MonotonicStamps()
     fitted = np.concatenate([np.empty(0), *chunks])
     stamps = np.concatenate([np.empty(0), *(onward.stamps(np.array(chunk, dtype=float)) for chunk in chunks)])
     assert np.all(np.diff(stamps) > 0.0)
     assert np.all(stamps >= fitted)
-    assert np.all(stamps <= np.maximum.accumulate(fitted) + len(fitted) * CLOSEST)
+    assert np.all(stamps <= np.maximum.accumulate(fitted) + len(fitted) * MIN_SPACING)
 
 
 def test_stamps_in_order_are_left_as_they_are() -> None:
     fitted = 1e5 + np.cumsum(np.full(1000, 1 / 32000))
-    np.testing.assert_allclose(Onward().stamps(fitted), fitted, rtol=0.0, atol=1e-10)
+    np.testing.assert_allclose(MonotonicStamps().stamps(fitted), fitted, rtol=0.0, atol=1e-10)
 
 
 def test_a_late_clock_is_caught_up_with_at_once() -> None:
-    onward = Onward()
+    onward = MonotonicStamps()
     true = 1e5 + 0.01 * np.arange(100)
     stamps = np.concatenate([onward.stamps(true[:50] + 0.08), onward.stamps(true[50:])])
     np.testing.assert_allclose(stamps[58:], true[58:], rtol=0.0, atol=1e-4)
@@ -103,17 +103,17 @@ def test_a_late_clock_is_caught_up_with_at_once() -> None:
 @pytest.mark.parametrize("period", [0.0043, 0.015])
 def test_one_late_read_is_no_loss(period: float) -> None:
     """Not even where its last packet becomes known only with the read after it."""
-    clock = CountingClock(period)
+    clock = PacketCountClock(period)
     for count in range(200):
         arrived = START + count * period
         late = count in (100, 101)
-        stamp = clock.stamp(count, START + 101 * period + 2 * LATE if late else arrived)
+        stamp = clock.stamp(count, START + 101 * period + 2 * LOSS_DELAY if late else arrived)
         assert stamp == pytest.approx(arrived, abs=1e-6)
     assert (clock.lost, clock.clock.jumps) == (0, 0)
 
 
 def test_packets_that_are_lost_whole_are_noticed() -> None:
-    clock = CountingClock(0.015)
+    clock = PacketCountClock(0.015)
     for count in range(200):
         true = START + (count + (20 if count >= 100 else 0)) * 0.015
         stamp = clock.stamp(count, true)

@@ -7,23 +7,23 @@ from collections import deque
 
 import numpy as np
 
-from ..device_clock import DeviceClock
-from ..lidars.records import Integers, Measurements
+from ..lidars.measurements import Integers, Measurements
 from ..messages import Floats
 from ..transport import Received
+from .device_clock import DeviceClock
 
-MOST_CHUNKS = 1024
+MAX_CHUNKS = 1024
 """Chunks whose arrival is remembered; a packet is known one packet after its last byte at most."""
-LATE = 0.025
+LOSS_DELAY = 0.025
 """Seconds. Adapters hold back bytes for 16 ms at most; reads take all that is there, however late they are."""
-CERTAIN = 2
+MIN_LATE_READS = 2
 """Reads in a row that are late before packets are taken to be lost; one may be late because the host was busy between
 the read and the look at its clock. The odometry forgives one wrong stamp, not two."""
-CLOSEST = 1e-6
+MIN_SPACING = 1e-6
 """Seconds between two measurements of a device at least; those of the fastest lidar are 30 times as far apart."""
 
 
-class Onward:
+class MonotonicStamps:
     """Keeps the stamps of a device from ever running back, over all its connections.
 
     A clock that is fitted anew may find that its last stamps were late, as they are where the host was busy. They have
@@ -36,7 +36,7 @@ class Onward:
 
     def stamps(self, fitted: Floats) -> Floats:
         """The stamps (n,) of the next measurements, in the order measured; seconds, CLOSEST apart at least."""
-        steps = CLOSEST * np.arange(1, len(fitted) + 1)
+        steps = MIN_SPACING * np.arange(1, len(fitted) + 1)
         earliest = np.maximum.accumulate(np.append(self._last, fitted - steps))[1:] + steps
         stamps: Floats = np.maximum(fitted, earliest)
         if len(stamps):
@@ -44,7 +44,7 @@ class Onward:
         return stamps
 
 
-class CountingClock:
+class PacketCountClock:
     """The clock of a device that tells no time: its packets come at a constant rate, and their number is the time.
 
     period  seconds from packet to packet
@@ -63,12 +63,12 @@ class CountingClock:
     def stamp(self, count: int, arrived: float) -> float:
         """The host's time (seconds) at packet number `count`, known at `arrived`, the last one of those known then."""
         stamp = self.clock.stamp(count, arrived)
-        if arrived - stamp < LATE:
+        if arrived - stamp < LOSS_DELAY:
             self._late.clear()
             return stamp
         # A read is as late as its last packet, which may be known only when the next read has completed it.
         self._late[arrived] = arrived - stamp
-        if len(self._late) < CERTAIN:
+        if len(self._late) < MIN_LATE_READS:
             return stamp
         self.lost += round(min(self._late.values()) / self.clock.tick)
         self._late.clear()
@@ -88,24 +88,24 @@ class PacketStamper:
 
     def __init__(self, period: float, size: int) -> None:
         self._size = size
-        self._telling = DeviceClock(1.0)  # for packets that tell the time in seconds
-        self._counting = CountingClock(period)
+        self._device_clock = DeviceClock(1.0)  # for packets that tell the time in seconds
+        self._count_clock = PacketCountClock(period)
         self._fed = 0
-        self._chunks: deque[tuple[int, float]] = deque(maxlen=MOST_CHUNKS)  # bytes fed up to its end, arrival
+        self._chunks: deque[tuple[int, float]] = deque(maxlen=MAX_CHUNKS)  # bytes fed up to its end, arrival
         self._last_end: int | None = None
         self._number = 0  # of the last packet
         self._damaged = 0
 
     def counters(self) -> dict[str, int]:
         """Packets that were damaged on the way or never came, and what the clocks met."""
-        clocks = (self._telling, self._counting.clock)
+        clocks = (self._device_clock, self._count_clock.clock)
         return {
-            "packets_lost": self._damaged + self._counting.lost,
+            "packets_lost": self._damaged + self._count_clock.lost,
             "clock_jumps": sum(clock.jumps for clock in clocks),
             "clock_strays": sum(clock.strays for clock in clocks),
         }
 
-    def note(self, received: Received) -> None:
+    def add_chunk(self, received: Received) -> None:
         """Remember a chunk that is about to be decoded."""
         self._fed += len(received.data)
         self._chunks.append((self._fed, received.time))
@@ -116,17 +116,19 @@ class PacketStamper:
         if not len(packets):
             return np.empty(0)
         arrivals = self._arrivals(packets["end"])
-        tells = not np.isnan(packets["device_time"]).any()
-        times = packets["device_time"] if tells else self._counted(packets["end"])
-        clock = self._telling if tells else self._counting.clock
+        has_device_time = not np.isnan(packets["device_time"]).any()
+        times = packets["device_time"] if has_device_time else self._packet_numbers(packets["end"])
+        clock = self._device_clock if has_device_time else self._count_clock.clock
         undelayed = np.empty(len(packets))
         # Of the packets that arrived together the last one was held up least; the others follow from it.
-        lasts = np.flatnonzero(np.append(arrivals[1:] != arrivals[:-1], True))
+        group_ends = np.flatnonzero(np.append(arrivals[1:] != arrivals[:-1], True))
         first = 0
-        for last in lasts.tolist():
+        for last in group_ends.tolist():
             arrived = float(arrivals[last])
             stamp = (
-                clock.stamp(float(times[last]), arrived) if tells else self._counting.stamp(int(times[last]), arrived)
+                clock.stamp(float(times[last]), arrived)
+                if has_device_time
+                else self._count_clock.stamp(int(times[last]), arrived)
             )
             group = slice(first, last + 1)
             undelayed[group] = stamp - (times[last] - times[group]) * clock.tick * (1.0 + clock.drift)
@@ -142,7 +144,7 @@ class PacketStamper:
             self._chunks.popleft()
         return np.asarray(times[rows])
 
-    def _counted(self, ends: Integers) -> Integers:
+    def _packet_numbers(self, ends: Integers) -> Integers:
         """The packets' numbers, the damaged ones in between counted."""
         before = np.empty_like(ends)
         before[0] = ends[0] - self._size if self._last_end is None else self._last_end

@@ -23,26 +23,26 @@ from ..bases import (
     create2,
     kobuki,
 )
-from ..device_clock import DeviceClock
-from ..errors import NoAnswerError
+from ..errors import NoResponseError
 from ..messages import Floats, Message
 from ..transport import Received, Transport
 from .device import READ_TIMEOUT, Device
-from .stamping import CountingClock, Onward
+from .device_clock import DeviceClock
+from .packet_stamper import MonotonicStamps, PacketCountClock
 
-ASK_AGAIN = 1.0
+REQUEST_RETRY_PERIOD = 1.0
 """Seconds after which a base that has not sent a reading yet is asked to once more: boards restart when a port is
 opened, and miss what is said meanwhile."""
 POLL_TIMEOUT = 0.2
 """Seconds; a polled base answers within some milliseconds."""
-LONGEST_FRAME = 256
+MAX_FRAME_SIZE = 256
 """Bytes; more between two readings are not one frame."""
-TOP_SPEED = 1.5
+DEFAULT_TOP_SPEED = 1.5
 """m/s of a wheel of a base that is not known: no small robot drives as fast."""
-COUNTER_BITS = 32
+DEFAULT_COUNTER_BITS = 32
 
 
-class Kind(NamedTuple):
+class BaseKind(NamedTuple):
     """Of bases.
 
     name      for people
@@ -57,20 +57,20 @@ class Kind(NamedTuple):
     dtr: bool
 
 
-KINDS: Mapping[str, Kind] = {
-    "create2": Kind("iRobot Create 2 or Roomba", Create2, create2.WHEELS, dtr=False),
-    "kobuki": Kind("Kobuki", Kobuki, kobuki.WHEELS, dtr=False),
-    "arduino": Kind("ros_arduino_bridge", ArduinoBridge, None, dtr=True),
-    "wheels": Kind("base with the project's own line protocol", WheelLine, None, dtr=True),
+BASE_KINDS: Mapping[str, BaseKind] = {
+    "create2": BaseKind("iRobot Create 2 or Roomba", Create2, create2.WHEELS, dtr=False),
+    "kobuki": BaseKind("Kobuki", Kobuki, kobuki.WHEELS, dtr=False),
+    "arduino": BaseKind("ros_arduino_bridge", ArduinoBridge, None, dtr=True),
+    "wheels": BaseKind("base with the project's own line protocol", WheelLine, None, dtr=True),
 }
 """By the name that a user types."""
-MOST_HARMLESS = ("kobuki", "wheels", "create2", "arduino")
+PROBE_ORDER = ("kobuki", "wheels", "create2", "arduino")
 """The kinds in the order to ask an unknown device; the first two say where they stand without being asked."""
 
 
-def drive_of(kind: str, options: Mapping[str, Any]) -> DifferentialDrive:
+def drive_geometry(kind: str, options: Mapping[str, Any]) -> DifferentialDrive:
     """The measures of a base of that kind with the options of a spec."""
-    drive = KINDS[kind].drive or DifferentialDrive(1.0, 1.0, 1.0, COUNTER_BITS, TOP_SPEED)
+    drive = BASE_KINDS[kind].drive or DifferentialDrive(1.0, 1.0, 1.0, DEFAULT_COUNTER_BITS, DEFAULT_TOP_SPEED)
     if "wheel_radius" in options and "ticks" in options:
         (left, right), (left_ticks, right_ticks) = options["wheel_radius"], options["ticks"]
         drive = replace(drive, left=2 * pi * left / left_ticks, right=2 * pi * right / right_ticks)
@@ -78,45 +78,45 @@ def drive_of(kind: str, options: Mapping[str, Any]) -> DifferentialDrive:
     return replace(drive, **changed)
 
 
-class Base(Device):
+class WheelBaseDevice(Device):
     """A wheel base. The pose goes on over new connections. Nothing here makes it drive."""
 
-    patience = 6.0
+    start_timeout = 6.0
 
     def __init__(self, kind: str, options: Mapping[str, Any]) -> None:
         super().__init__()
-        self._kind = KINDS[kind]
-        self._wheels = drive_of(kind, options)
+        self._kind = BASE_KINDS[kind]
+        self._wheels = drive_geometry(kind, options)
         self._odometer = Odometer(self._wheels)
-        self._onward = Onward()
+        self._monotonic = MonotonicStamps()
         self._protocol = self._kind.protocol(self._wheels)
-        self._past: Counter[str] = Counter()  # of earlier connections
-        self._frame: int
-        self._asked: float
+        self._previous_counts: Counter[str] = Counter()  # of earlier connections
+        self._frame_size: int
+        self._requested_at: float
         self.dtr = options.get("dtr", self._kind.dtr)
         self.bauds = (options.get("baud", self._protocol.baud),)
-        self._begin(self.bauds[0])
+        self._reset_protocol(self.bauds[0])
 
     @property
-    def units(self) -> int:
+    def measurement_count(self) -> int:
         """Readings."""
-        return self._past["good"] + self._protocol.counters.good
+        return self._previous_counts["good"] + self._protocol.counters.good
 
     def identify(self, transport: Transport, baud: int) -> None:
         """Ask it for a reading."""
         self.start(transport, baud)
-        end = time.monotonic() + self.patience
-        before = self.units
-        while self.units == before:
+        end = time.monotonic() + self.start_timeout
+        before = self.measurement_count
+        while self.measurement_count == before:
             if time.monotonic() > end:
-                raise NoAnswerError(transport.name, f"no {self._kind.name} answers here")
+                raise NoResponseError(transport.name, f"no {self._kind.name} answers here")
             self.step(transport)
         self.halt(transport)
 
     def start(self, transport: Transport, baud: int) -> None:
         """Have it send readings; `step` asks again until it does."""
-        self._past += Counter(asdict(self._protocol.counters)) + Counter(self._clock_counters())
-        self._begin(baud)
+        self._previous_counts += Counter(asdict(self._protocol.counters)) + Counter(self._clock_counters())
+        self._reset_protocol(baud)
         self.identity = self._kind.name
         transport.write(self._protocol.start())
 
@@ -125,9 +125,9 @@ class Base(Device):
         if self._protocol.poll_period is not None:
             return self._poll(transport, self._protocol.poll_period)
         received, messages = super().step(transport)
-        if self._protocol.counters.good == 0 and received.time > self._asked + ASK_AGAIN:
+        if self._protocol.counters.good == 0 and received.time > self._requested_at + REQUEST_RETRY_PERIOD:
             transport.write(self._protocol.start())
-            self._asked = received.time
+            self._requested_at = received.time
         return received, messages
 
     def feed(self, received: Received) -> list[Message]:
@@ -136,8 +136,8 @@ class Base(Device):
         self._bytes += len(received.data)
         readings = self._protocol.feed(received.data)
         if readings and before:
-            self._frame = min(self._frame, max(1, round(self._bytes / self._protocol.counters.good)))
-        stamps = self._onward.stamps(self._stamps(readings, received.time)).tolist()
+            self._frame_size = min(self._frame_size, max(1, round(self._bytes / self._protocol.counters.good)))
+        stamps = self._monotonic.stamps(self._stamps(readings, received.time)).tolist()
         return [message for pair in zip(readings, stamps, strict=True) if (message := self._odometer.add(*pair))]
 
     def halt(self, transport: Transport) -> None:
@@ -146,52 +146,52 @@ class Base(Device):
 
     def counters(self) -> dict[str, int]:
         """Of the protocol, the odometer and the clock."""
-        counts = self._past + Counter(asdict(self._protocol.counters)) + Counter(self._clock_counters())
+        counts = self._previous_counts + Counter(asdict(self._protocol.counters)) + Counter(self._clock_counters())
         names = ("good", "bad", "skipped", "lost", "restarts", "clock_jumps", "clock_strays")
         return {name: counts[name] for name in names} | asdict(self._odometer.counters)
 
-    def _begin(self, baud: int) -> None:
+    def _reset_protocol(self, baud: int) -> None:
         """Begin with a new connection."""
         self._protocol = self._kind.protocol(self._wheels)
         tick = self._protocol.tick
         # A clock wraps. What does not wrap is the count of the readings, which stands in for one.
         counts = tick is not None and self._protocol.wraps_at is None
-        self._counting = CountingClock(tick) if tick is not None and counts else None
+        self._count_clock = PacketCountClock(tick) if tick is not None and counts else None
         self._clock = None if tick is None or counts else DeviceClock(tick, self._protocol.wraps_at)
         self._baud, self._bytes = baud, 0
-        self._frame = LONGEST_FRAME
-        self._asked = time.monotonic()
+        self._frame_size = MAX_FRAME_SIZE
+        self._requested_at = time.monotonic()
 
     def _clock_counters(self) -> dict[str, int]:
-        clock = self._counting.clock if self._counting else self._clock
-        lost = self._counting.lost if self._counting else 0
+        clock = self._count_clock.clock if self._count_clock else self._clock
+        lost = self._count_clock.lost if self._count_clock else 0
         return {"lost": lost} | ({"clock_jumps": clock.jumps, "clock_strays": clock.strays} if clock else {})
 
     def _stamps(self, readings: list[WheelReading], arrived: float) -> Floats:
         """When readings (n,) that arrived together were measured, in seconds, as far as the clock knows."""
-        clock = self._counting.clock if self._counting else self._clock
+        clock = self._count_clock.clock if self._count_clock else self._clock
         if clock is None or not readings:
             return np.full(len(readings), arrived)
         # The last one was held up least; the others follow from it.
         times = np.array([reading.time for reading in readings])
         last = int(times[-1])
-        known = self._counting.stamp(last, arrived) if self._counting else clock.stamp(last, arrived)
+        last_stamp = self._count_clock.stamp(last, arrived) if self._count_clock else clock.stamp(last, arrived)
         ages = last - times if clock.wraps_at is None else np.mod(last - times, clock.wraps_at)
-        frame = self._frame if self._frame < LONGEST_FRAME else 0
-        return np.asarray(known - ages * clock.tick * (1.0 + clock.drift) - frame * 10.0 / self._baud)
+        frame_size = self._frame_size if self._frame_size < MAX_FRAME_SIZE else 0
+        return np.asarray(last_stamp - ages * clock.tick * (1.0 + clock.drift) - frame_size * 10.0 / self._baud)
 
     def _poll(self, transport: Transport, period: float) -> tuple[Received, list[Message]]:
         """Ask for one reading, whose time is the middle of question and answer, and pause until the next one is due."""
-        asked = time.monotonic()
+        requested_at = time.monotonic()
         transport.write(self._protocol.poll())
         messages: list[Message] = []
         while True:
             received = transport.read(READ_TIMEOUT)
             readings = self._protocol.feed(received.data)
             if readings:
-                message = self._odometer.add(readings[-1], (asked + received.time) / 2)
+                message = self._odometer.add(readings[-1], (requested_at + received.time) / 2)
                 messages = [message] if message else []
-            if readings or received.time > asked + POLL_TIMEOUT:
+            if readings or received.time > requested_at + POLL_TIMEOUT:
                 break
-        time.sleep(max(0.0, asked + period - time.monotonic()))
+        time.sleep(max(0.0, requested_at + period - time.monotonic()))
         return received, messages

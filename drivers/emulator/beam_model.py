@@ -8,25 +8,25 @@ import numpy as np
 
 from ..messages import Floats
 from ..se2 import Pose
-from ..simulation.simulator import Lidar, at_edge, steps
-from .motion import Motion
+from ..simulation.lidar_model import LidarModel, add_mixed_pixels
+from .robot_motion import RobotMotion
 
-ROUNDS = 3
+MAX_LAG_ITERATIONS = 3
 """Of finding the direction of a beam that is corrected by its own range; where that does not settle, as at the edges of
 things, nothing comes back.
 """
-SETTLED = 1e-3
+LAG_TOLERANCE = 1e-3
 """Radians by which the direction may still have changed in the last round."""
 
 
-class Optics:
+class BeamModel:
     """Casts beams into the world, with a lidar's noise.
 
     mount  [x, y, heading] on the robot
     noise  of the beams, and the limits of range
     """
 
-    def __init__(self, motion: Motion, mount: Pose, noise: Lidar, random: np.random.Generator) -> None:
+    def __init__(self, motion: RobotMotion, mount: Pose, noise: LidarModel, random: np.random.Generator) -> None:
         self._motion, self._mount, self._noise, self._random = motion, mount, noise, random
 
     def measure(self, times: Floats, bearings: Floats) -> Floats:
@@ -35,19 +35,17 @@ class Optics:
         The beams are neighbours: one beside an edge may return something between the two surfaces.
         """
         noise = self._noise
-        # at_edge looks at one beam before and two after.
+        # Whether a beam is at an edge depends on one beam before it and two after it.
         times, bearings = _extended(times), _extended(bearings)
         aimed = bearings + noise.sigma_bearing * self._random.standard_normal(len(bearings))
         ranges = self._motion.sweep(times, aimed, self._mount)
-        step = steps(ranges)
-        is_mixed, share, dropped = self._random.random((3, len(ranges)))
-        mixed = at_edge(step) & (is_mixed < noise.mixed)
-        ranges[mixed] += share[mixed] * step[mixed]
+        mixed, share, dropped = self._random.random((3, len(ranges)))
+        add_mixed_pixels(ranges, mixed < noise.mixed, share)
         ranges += noise.sigma_range * self._random.standard_normal(len(ranges))
         ranges[~((ranges >= noise.range_min) & (ranges <= noise.range_max)) | (dropped < noise.dropouts)] = np.nan
         return ranges[1:-2]
 
-    def measure_lagging(
+    def measure_with_lag(
         self, times: Floats, heads: Floats, lag_of: Callable[[Floats], Floats]
     ) -> tuple[Floats, Floats]:
         """Ranges (n,), and radians (n,) by which beams lag the head, of a lidar that triangulates and turns clockwise.
@@ -56,10 +54,10 @@ class Optics:
         lag_of  the lag that ranges (n,) mean, radians
         """
         lags = lag_of(np.full(len(heads), np.inf))
-        for _ in range(ROUNDS):
+        for _ in range(MAX_LAG_ITERATIONS):
             lags, last = lag_of(self._motion.sweep(times, lags - heads, self._mount)), lags
         ranges = self.measure(times, lags - heads)
-        ranges[np.abs(lags - last) > SETTLED] = np.nan
+        ranges[np.abs(lags - last) > LAG_TOLERANCE] = np.nan
         return ranges, lags
 
 

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 import drivers
 from drivers import DriverError
+from drivers.devices.device_spec import DEVICE_KINDS, SpecError, is_device_spec, parse_device, parse_devices
 from drivers.devices.registry import make_device
-from drivers.devices.specs import KINDS, SpecError, is_device, parse_device, parse_devices
-from drivers.devices.wheels import drive_of
+from drivers.devices.wheel_base import drive_geometry
 
 
 def test_a_lidar_with_options() -> None:
@@ -40,11 +40,11 @@ def test_several_devices_are_joined_by_a_plus_sign() -> None:
 
 def test_wheels_are_measured_by_their_radius_and_counts() -> None:
     spec = parse_device("wheels:/dev/a?wheel_radius=0.03,0.031&ticks=1000,-1000&track=0.2")
-    drive = drive_of(spec.kind, spec.options)
+    drive = drive_geometry(spec.kind, spec.options)
     assert drive.left == pytest.approx(2 * np.pi * 0.03 / 1000)
     assert drive.right == pytest.approx(-2 * np.pi * 0.031 / 1000)
     assert drive.track == 0.2
-    assert drive_of("create2", {"track": 0.3}).track == 0.3
+    assert drive_geometry("create2", {"track": 0.3}).track == 0.3
 
 
 @pytest.mark.parametrize(
@@ -81,13 +81,13 @@ def test_any_text_is_devices_or_one_error(text: str, beginning: str) -> None:
     except SpecError:
         return
     assert specs
-    assert all(spec.kind in KINDS and spec.address for spec in specs)
+    assert all(spec.kind in DEVICE_KINDS and spec.address for spec in specs)
 
 
 def test_open_tells_devices_from_recordings() -> None:
     assert drivers.open("ld06:/dev/nothing").name == "ld06:/dev/nothing"
     assert len(drivers.open("ld06:/dev/nothing")) == 0
-    assert not is_device("drive.mcap")
-    assert not is_device("ld06.mcap")
+    assert not is_device_spec("drive.mcap")
+    assert not is_device_spec("ld06.mcap")
     with pytest.raises(DriverError, match="no option"):
         drivers.open("ld06:/dev/nothing?x=1")

@@ -7,18 +7,18 @@ from typing import Protocol
 
 import numpy as np
 
-from ..bases.readings import Velocity
+from ..bases.interface import Velocity
 from ..messages import Floats
 from ..se2 import Pose, wrap
-from ..simulation.driving import ACCELERATION, TURN_ACCELERATION, Steering, arc, start_of
-from ..simulation.raycast import STEP, poses_at, sweep
+from ..simulation.raycast import TIME_STEP, cast_beams, poses_at
+from ..simulation.trajectory import MAX_ACCELERATION, MAX_TURN_ACCELERATION, WaypointFollower, drive_arc, start_pose
 from ..simulation.world import World
 
-HISTORY = 3.0
+HISTORY_DURATION = 3.0
 """Seconds of motion that are remembered at least; devices ask for what happened since the last step."""
-RADIUS = 0.20
+ROBOT_RADIUS = 0.20
 """Metres from the robot's centre to its bumper, all around."""
-BRAKING = 3.0
+BRAKING_FACTOR = 3.0
 """Times the acceleration; stopping is quicker than starting."""
 
 
@@ -26,15 +26,15 @@ class Pilot(Protocol):
     """Who steers."""
 
     def steer(self, x: float, y: float, heading: float) -> tuple[float, float]:
-        """Speed (m/s) and turn rate (rad/s) for the next STEP from a pose."""
+        """Speed (m/s) and turn rate (rad/s) for the next TIME_STEP from a pose."""
         ...
 
 
 class PathPilot:
-    """Drives along a world's way points for ever; see `driving.Steering`."""
+    """Drives along a world's way points for ever; see `trajectory.WaypointFollower`."""
 
     def __init__(self, world: World) -> None:
-        self._steering = Steering(world.path, world.speed, endless=True)
+        self._steering = WaypointFollower(world.waypoints, world.speed, endless=True)
 
     def steer(self, x: float, y: float, heading: float) -> tuple[float, float]:
         """The next step along the path."""
@@ -48,26 +48,26 @@ class CommandedPilot:
     """
 
     def __init__(self, world: World) -> None:
-        self.wanted = Velocity(0.0, 0.0)
+        self.target = Velocity(0.0, 0.0)
         self._world = world
         self._v = self._w = 0.0
 
     def steer(self, x: float, y: float, heading: float) -> tuple[float, float]:
         """The wanted velocity as far as the motors accelerate; no speed into what is nearer than RADIUS."""
-        self._v = _towards(self._v, self.wanted.speed, ACCELERATION * STEP)
-        self._w = _towards(self._w, self.wanted.turn_rate, TURN_ACCELERATION * STEP)
+        self._v = _approach(self._v, self.target.speed, MAX_ACCELERATION * TIME_STEP)
+        self._w = _approach(self._w, self.target.turn_rate, MAX_TURN_ACCELERATION * TIME_STEP)
         if self._v != 0.0:
-            ahead_x, ahead_y, _ = arc(x, y, heading, self._v, self._w)
+            ahead_x, ahead_y, _ = drive_arc(x, y, heading, self._v, self._w)
             after = clearance(ahead_x, ahead_y, self._world)
-            if after < RADIUS and after < clearance(x, y, self._world):
+            if after < ROBOT_RADIUS and after < clearance(x, y, self._world):
                 self._v = 0.0
         return self._v, self._w
 
 
-def _towards(value: float, wanted: float, step: float) -> float:
+def _approach(value: float, target: float, step: float) -> float:
     """A value changed by at most `step` away from zero, and by BRAKING times as much towards it."""
-    room = step * BRAKING if abs(wanted) < abs(value) or wanted * value < 0.0 else step
-    return value + max(-room, min(room, wanted - value))
+    room = step * BRAKING_FACTOR if abs(target) < abs(value) or target * value < 0.0 else step
+    return value + max(-room, min(room, target - value))
 
 
 def clearance(x: float, y: float, world: World) -> float:
@@ -80,8 +80,8 @@ def clearance(x: float, y: float, world: World) -> float:
     return float(min(gaps.min(initial=math.inf), round_gaps.min(initial=math.inf)))
 
 
-class Motion:
-    """Arcs of STEP seconds each, from the world's first way point on; the last HISTORY seconds are remembered.
+class RobotMotion:
+    """Arcs of TIME_STEP seconds each, from the world's first way point on; the last HISTORY seconds are remembered.
 
     world  in which the robot drives
     """
@@ -89,49 +89,51 @@ class Motion:
     def __init__(self, world: World, pilot: Pilot) -> None:
         self.world = world
         self._pilot = pilot
-        self._keep = round(HISTORY / STEP)
-        self._poses, self._twists = np.empty((2 * self._keep, 3)), np.empty((2 * self._keep, 2))
-        self._ways = np.empty((2 * self._keep, 2))  # metres driven and radians turned when each step begins
+        self._history_steps = round(HISTORY_DURATION / TIME_STEP)
+        self._poses, self._twists = np.empty((2 * self._history_steps, 3)), np.empty((2 * self._history_steps, 2))
+        self._travelled_at_steps = np.empty(
+            (2 * self._history_steps, 2)
+        )  # metres driven and radians turned when each step begins
         self._first = 0  # number of the step in row 0
         self._count = 0
-        self._pose = start_of(world.path)
-        self._way = (0.0, 0.0)
+        self._pose = start_pose(world.waypoints)
+        self._travelled = (0.0, 0.0)
         self.advance(0.0)
 
     def advance(self, time: float) -> None:
         """Drive up to a time, and to the end of the step that it lies in."""
-        while (self._first + self._count) * STEP <= time + STEP:
+        while (self._first + self._count) * TIME_STEP <= time + TIME_STEP:
             self._step()
 
     def _step(self) -> None:
         if self._count == len(self._poses):
-            for rows in (self._poses, self._twists, self._ways):
-                rows[: self._keep] = rows[self._keep :]
-            self._first, self._count = self._first + self._keep, self._keep
+            for rows in (self._poses, self._twists, self._travelled_at_steps):
+                rows[: self._history_steps] = rows[self._history_steps :]
+            self._first, self._count = self._first + self._history_steps, self._history_steps
         v, w = self._pilot.steer(*self._pose)
         row = self._count
-        self._poses[row], self._twists[row], self._ways[row] = self._pose, (v, w), self._way
+        self._poses[row], self._twists[row], self._travelled_at_steps[row] = self._pose, (v, w), self._travelled
         self._count += 1
-        self._pose = arc(*self._pose, v, w)
-        self._way = (self._way[0] + v * STEP, self._way[1] + w * STEP)
+        self._pose = drive_arc(*self._pose, v, w)
+        self._travelled = (self._travelled[0] + v * TIME_STEP, self._travelled[1] + w * TIME_STEP)
 
     def at(self, times: Floats) -> Pose:
         """True poses (n, 3) at times (n,), in the world's frame."""
-        poses = poses_at(times - self._first * STEP, self._poses[: self._count], self._twists[: self._count])
+        poses = poses_at(times - self._first * TIME_STEP, self._poses[: self._count], self._twists[: self._count])
         poses[:, 2] = wrap(poses[:, 2])
         return poses
 
-    def driven(self, time: float) -> tuple[float, float]:
+    def travelled(self, time: float) -> tuple[float, float]:
         """Metres driven, forwards positive, and radians turned since the start."""
-        row = min(max(int(time / STEP) - self._first, 0), self._count - 1)
-        elapsed = time - (self._first + row) * STEP
-        (v, w), (way, turn) = self._twists[row], self._ways[row]
-        return float(way + v * elapsed), float(turn + w * elapsed)
+        row = min(max(int(time / TIME_STEP) - self._first, 0), self._count - 1)
+        elapsed = time - (self._first + row) * TIME_STEP
+        (v, w), (distance, turn) = self._twists[row], self._travelled_at_steps[row]
+        return float(distance + v * elapsed), float(turn + w * elapsed)
 
     def sweep(self, times: Floats, bearings: Floats, mount: Pose) -> Floats:
         """How far (n,) beams go that leave a lidar mounted at `mount`, each at its time and bearing; see `raycast`."""
         poses, twists = self._poses[: self._count], self._twists[: self._count]
         world = self.world
         return np.asarray(
-            sweep(times - self._first * STEP, bearings, mount, poses, twists, world.segments, world.circles)
+            cast_beams(times - self._first * TIME_STEP, bearings, mount, poses, twists, world.segments, world.circles)
         )

@@ -8,19 +8,19 @@ from types import TracebackType
 import numpy as np
 
 from ..errors import RecordingError
-from .motion import Motion
+from .robot_motion import RobotMotion
 
 PERIOD = 0.02
 """Seconds between lines."""
 
 
-class TruthFile:
+class GroundTruthWriter:
     """Grows as the robot drives. Raises RecordingError where the file cannot be written.
 
     begun  the time of day (seconds since 1970) at the emulator's time zero
     """
 
-    def __init__(self, path: Path, motion: Motion, begun: float) -> None:
+    def __init__(self, path: Path, motion: RobotMotion, begun: float) -> None:
         self._path, self._motion, self._begun = path, motion, begun
         self._lines = 0
         try:
@@ -43,7 +43,7 @@ class TruthFile:
         except OSError as failure:
             raise RecordingError(self._path, None, f"cannot be written: {failure.strerror}") from failure
 
-    def __enter__(self) -> TruthFile:
+    def __enter__(self) -> GroundTruthWriter:
         return self
 
     def __exit__(

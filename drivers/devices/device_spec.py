@@ -24,8 +24,8 @@ import numpy as np
 from ..errors import DriverError
 
 AUTO = "auto"
-TAPE = "tape:"
-TCP = re.compile(r"(?P<host>[^/:\[\]]+|\[[0-9a-fA-F:]+\]):(?P<port>[0-9]{1,5})")
+CAPTURE_PREFIX = "tape:"
+TCP_PATTERN = re.compile(r"(?P<host>[^/:\[\]]+|\[[0-9a-fA-F:]+\]):(?P<port>[0-9]{1,5})")
 
 
 class SpecError(DriverError):
@@ -44,12 +44,12 @@ class DeviceSpec:
     @property
     def is_lidar(self) -> bool:
         """Whether it is a lidar; else it is a base."""
-        return KINDS[self.kind].is_lidar
+        return DEVICE_KINDS[self.kind].is_lidar
 
     @property
     def tcp(self) -> tuple[str, int] | None:
         """Host and port, where the device is behind a network."""
-        match = TCP.fullmatch(self.address)
+        match = TCP_PATTERN.fullmatch(self.address)
         return (match["host"].strip("[]"), int(match["port"])) if match else None
 
 
@@ -58,20 +58,20 @@ class Option:
     """What a device can be told in its spec: from the text typed to its value, and what it means."""
 
     convert: Callable[[str], Any]
-    about: str
+    description: str
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
+class DeviceKind:
     """Of devices: whether it is a lidar, what options it takes, which of them it needs, and which devices these are."""
 
     is_lidar: bool
     options: Mapping[str, Option]
-    needed: tuple[str, ...] = ()
-    about: str = ""
+    required: tuple[str, ...] = ()
+    description: str = ""
 
 
-def _numbers(count: int) -> Callable[[str], Any]:
+def _parse_numbers(count: int) -> Callable[[str], Any]:
     def convert(text: str) -> Any:
         values = [float(part) for part in text.split(",")]
         if len(values) != count or not all(map(math.isfinite, values)):
@@ -81,7 +81,7 @@ def _numbers(count: int) -> Callable[[str], Any]:
     return convert
 
 
-def _pair(text: str) -> tuple[float, float]:
+def _parse_pair(text: str) -> tuple[float, float]:
     """The left and the right wheel's; one number is for both."""
     values = [float(part) for part in text.split(",")]
     if len(values) not in (1, 2) or not all(math.isfinite(value) and value != 0.0 for value in values):
@@ -89,83 +89,83 @@ def _pair(text: str) -> tuple[float, float]:
     return values[0], values[-1]
 
 
-def _positive(text: str) -> float:
+def _parse_positive(text: str) -> float:
     value = float(text)
     if not (math.isfinite(value) and value > 0.0):
         raise ValueError("a number above 0 is needed")
     return value
 
 
-def _whole(text: str) -> int:
+def _parse_positive_int(text: str) -> int:
     value = int(text)
     if value <= 0:
         raise ValueError("a whole number above 0 is needed")
     return value
 
 
-def _yes(text: str) -> bool:
+def _parse_flag(text: str) -> bool:
     if text not in ("0", "1"):
         raise ValueError("1 (yes) or 0 (no) is needed")
     return text == "1"
 
 
-def _text(text: str) -> str:
+def _parse_text(text: str) -> str:
     if not text:
         raise ValueError("it is empty")
     return text
 
 
-COMMON = {
-    "baud": Option(_whole, "bits a second, where it is not the usual"),
-    "tape": Option(_text, "a file that receives all raw bytes with their times"),
+COMMON_OPTIONS = {
+    "baud": Option(_parse_positive_int, "bits a second, where it is not the usual"),
+    "tape": Option(_parse_text, "a file that receives all raw bytes with their times"),
 }
-LIDAR = COMMON | {
+LIDAR_OPTIONS = COMMON_OPTIONS | {
     "mount": Option(
-        _numbers(3),
+        _parse_numbers(3),
         "x,y,heading on the base, metres and radians, of the lidar's frame: x points where the device's angle is 0, "
         "y to its left",
     ),
-    "upside_down": Option(_yes, "1 if it hangs"),
-    "range_min": Option(_positive, "metres; nearer measurements count as no return"),
-    "range_max": Option(_positive, "metres; farther measurements count as no return"),
+    "upside_down": Option(_parse_flag, "1 if it hangs"),
+    "range_min": Option(_parse_positive, "metres; nearer measurements count as no return"),
+    "range_max": Option(_parse_positive, "metres; farther measurements count as no return"),
 }
-MODE = Option(_text, "the name of a scan mode; a wrong one is answered with those there are")
-SERIAL = Option(_text, "only the device with this serial number will do")
-WHEELS = COMMON | {
-    "wheel_radius": Option(_pair, "metres; `0.0331,0.0329` where left and right differ"),
+MODE_OPTION = Option(_parse_text, "the name of a scan mode; a wrong one is answered with those there are")
+SERIAL_OPTION = Option(_parse_text, "only the device with this serial number will do")
+WHEEL_OPTIONS = COMMON_OPTIONS | {
+    "wheel_radius": Option(_parse_pair, "metres; `0.0331,0.0329` where left and right differ"),
     "ticks": Option(
-        _pair,
+        _parse_pair,
         "encoder counts in a turn of a wheel; negative where they count backwards; left and right may differ",
     ),
-    "track": Option(_positive, "metres between the wheels"),
-    "top_speed": Option(_positive, "m/s of a wheel; what is beyond is taken for an error of transmission"),
-    "bits": Option(_whole, "of the encoders' counters"),
+    "track": Option(_parse_positive, "metres between the wheels"),
+    "top_speed": Option(_parse_positive, "m/s of a wheel; what is beyond is taken for an error of transmission"),
+    "bits": Option(_parse_positive_int, "of the encoders' counters"),
     "dtr": Option(
-        _yes, "1 or 0: how the line DTR is held. Boards that are USB devices themselves send nothing without it"
+        _parse_flag, "1 or 0: how the line DTR is held. Boards that are USB devices themselves send nothing without it"
     ),
 }
-MEASURES = ("wheel_radius", "ticks", "track")
+GEOMETRY_OPTIONS = ("wheel_radius", "ticks", "track")
 
-KINDS: dict[str, Kind] = {
-    "rplidar": Kind(
+DEVICE_KINDS: dict[str, DeviceKind] = {
+    "rplidar": DeviceKind(
         True,
-        LIDAR | {"mode": MODE, "serial": SERIAL},
-        about="all RPLIDARs: A1 to A3, S1 to S3, C1. The speed of the port is found out; "
+        LIDAR_OPTIONS | {"mode": MODE_OPTION, "serial": SERIAL_OPTION},
+        description="all RPLIDARs: A1 to A3, S1 to S3, C1. The speed of the port is found out; "
         "the scan mode is the one the device calls typical",
     ),
-    "ld06": Kind(True, LIDAR, about="LDROBOT LD06 and LD19"),
-    "scip": Kind(True, LIDAR | {"serial": SERIAL}, about="Hokuyo's lidars with SCIP 2.0"),
-    "create2": Kind(False, WHEELS, about="iRobot Create 2, Roomba from the 500 series on"),
-    "kobuki": Kind(False, WHEELS, about="Kobuki; its gyro's heading is used"),
-    "arduino": Kind(False, WHEELS, MEASURES, about="ros_arduino_bridge"),
-    "wheels": Kind(False, WHEELS, MEASURES, about="bases of your own making"),
+    "ld06": DeviceKind(True, LIDAR_OPTIONS, description="LDROBOT LD06 and LD19"),
+    "scip": DeviceKind(True, LIDAR_OPTIONS | {"serial": SERIAL_OPTION}, description="Hokuyo's lidars with SCIP 2.0"),
+    "create2": DeviceKind(False, WHEEL_OPTIONS, description="iRobot Create 2, Roomba from the 500 series on"),
+    "kobuki": DeviceKind(False, WHEEL_OPTIONS, description="Kobuki; its gyro's heading is used"),
+    "arduino": DeviceKind(False, WHEEL_OPTIONS, GEOMETRY_OPTIONS, description="ros_arduino_bridge"),
+    "wheels": DeviceKind(False, WHEEL_OPTIONS, GEOMETRY_OPTIONS, description="bases of your own making"),
 }
 """All kinds of devices."""
 
 
-def is_device(text: str) -> bool:
+def is_device_spec(text: str) -> bool:
     """Whether a text names devices rather than a recording."""
-    return text.partition(":")[0].strip() in KINDS and ":" in text
+    return text.partition(":")[0].strip() in DEVICE_KINDS and ":" in text
 
 
 def parse_devices(text: str) -> list[DeviceSpec]:
@@ -182,12 +182,12 @@ def parse_device(text: str) -> DeviceSpec:
     """One device; raises SpecError where it is none."""
     text = text.strip()
     name, colon, rest = text.partition(":")
-    if not colon or name not in KINDS:
-        raise SpecError(f"{text}: not a device; there are {', '.join(f'{kind}:PORT' for kind in KINDS)}")
+    if not colon or name not in DEVICE_KINDS:
+        raise SpecError(f"{text}: not a device; there are {', '.join(f'{kind}:PORT' for kind in DEVICE_KINDS)}")
     address, _, query = rest.partition("?")
     if not address:
         raise SpecError(f"{text}: says no port; for example {name}:/dev/ttyUSB0, {name}:{AUTO}")
-    kind = KINDS[name]
+    kind = DEVICE_KINDS[name]
     options: dict[str, Any] = {}
     for part in filter(None, query.split("&")):
         key, _, value = part.partition("=")
@@ -197,7 +197,7 @@ def parse_device(text: str) -> DeviceSpec:
             options[key] = kind.options[key].convert(unquote(value))
         except ValueError as error:
             raise SpecError(f"{text}: {key}={value}: {error}") from error
-    missing = [key for key in kind.needed if key not in options]
+    missing = [key for key in kind.required if key not in options]
     if missing:
         raise SpecError(
             f"{text}: {name} needs {', '.join(missing)}; for example "

@@ -29,17 +29,17 @@ from drivers.bases import (
     WheelReading,
 )
 from drivers.devices import ports
-from drivers.devices import supervisor as session
+from drivers.devices import supervisor as supervisor_module
+from drivers.devices.device_spec import parse_device
 from drivers.devices.probing import probe
-from drivers.devices.specs import parse_device
-from drivers.devices.supervisor import Session, State
+from drivers.devices.supervisor import DeviceState, Supervisor
 from drivers.errors import DriverError
 from drivers.lidars import ld06, scip, scip_scan
 from drivers.lidars.rplidar import requests, standard
-from drivers.lidars.rplidar.answers import Answer, Descriptor, Health, Info, SampleRate, Status
 from drivers.lidars.rplidar.decoding import descriptor_of
 from drivers.lidars.rplidar.requests import Command
-from drivers.transport.replay_port import TapePort
+from drivers.lidars.rplidar.responses import Descriptor, Health, HealthStatus, Info, ResponseType, SampleRate
+from drivers.transport.replay_port import ReplayPort
 
 RUN = 1.2
 WHEELS = "wheel_radius=0.05&ticks=1000&track=0.3"
@@ -70,7 +70,7 @@ class ScipPeer:
     def __init__(self) -> None:
         self.line = b""
         self.old, self.laser = True, False
-        self.measure: scip.Measure | None = scip.Measure(0, 9)
+        self.measure: scip.MeasureRequest | None = scip.MeasureRequest(0, 9)
         self.begun, self.scan = time.monotonic(), 0
 
     def __call__(self, heard: bytes) -> bytes:
@@ -99,7 +99,7 @@ class ScipPeer:
         elif line == b"BM":
             self.laser = True
         elif line.startswith(b"MD") and self.laser:
-            self.measure = scip.Measure(URG.first, URG.last)
+            self.measure = scip.MeasureRequest(URG.first, URG.last)
             self.begun, self.scan = time.monotonic(), 0
         return scip.Reply(line, scip.OK, lines, 0).packet()
 
@@ -127,16 +127,16 @@ class OldRplidar:
     def answer(self, request: requests.Request) -> bytes:
         self.heard.append(request)
         answers = {
-            Command.GET_INFO: (Answer.INFO, Info(self.model, (1, 20), 5, "AB" * 16).payload()),
-            Command.GET_HEALTH: (Answer.HEALTH, Health(Status.WARNING, 1).payload()),
-            Command.GET_SAMPLE_RATE: (Answer.SAMPLE_RATE, SampleRate(500e-6, 250e-6).payload()),
-            Command.GET_MOTOR_BOARD: (Answer.MOTOR_BOARD, bytes([1, 0, 0, 0])),
+            Command.GET_INFO: (ResponseType.INFO, Info(self.model, (1, 20), 5, "AB" * 16).payload()),
+            Command.GET_HEALTH: (ResponseType.HEALTH, Health(HealthStatus.WARNING, 1).payload()),
+            Command.GET_SAMPLE_RATE: (ResponseType.SAMPLE_RATE, SampleRate(500e-6, 250e-6).payload()),
+            Command.GET_MOTOR_BOARD: (ResponseType.MOTOR_BOARD, bytes([1, 0, 0, 0])),
         }
         if request.command == Command.STOP:
             self.begun = None
         elif request.command == Command.SCAN:
             self.begun, self.node = time.monotonic(), 0
-            return descriptor_of(Answer.STANDARD).packet()
+            return descriptor_of(ResponseType.STANDARD).packet()
         elif request.command in answers:
             kind, payload = answers[Command(request.command)]
             return Descriptor(len(payload), False, kind).packet() + payload
@@ -215,15 +215,15 @@ def plugged(behaviour: Behaviour) -> Iterator[str]:
         os.close(ours)
 
 
-def run_session(text: str, seconds: float = RUN) -> tuple[Session, list[Message]]:
+def run_supervisor(text: str, seconds: float = RUN) -> tuple[Supervisor, list[Message]]:
     messages: list[Message] = []
-    session = Session(parse_device(text), messages.extend)
+    supervisor = Supervisor(parse_device(text), messages.extend)
     stop = threading.Event()
     timer = threading.Timer(seconds, stop.set)
     timer.start()
-    session.run(stop)
+    supervisor.run(stop)
     timer.cancel()
-    return session, messages
+    return supervisor, messages
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -231,12 +231,12 @@ def test_every_kind_is_identified_and_read(kind: str) -> None:
     make, options, name, type_of_message = KINDS[kind]
     with plugged(make()) as path:
         before = time.monotonic()
-        session, messages = run_session(f"{kind}:{path}?{options}", RUN + (1.5 if kind == "scip" else 0.0))
+        supervisor, messages = run_supervisor(f"{kind}:{path}?{options}", RUN + (1.5 if kind == "scip" else 0.0))
         after = time.monotonic()
-    assert session.failure is None
-    status = session.status()
+    assert supervisor.failure is None
+    status = supervisor.status()
     assert name in status.identity
-    assert status.state is State.ENDED
+    assert status.state is DeviceState.ENDED
     assert status.counters["connections"] == 1
     assert status.counters["losses"] == 0
     assert len(messages) >= (6 if type_of_message is Scan else 25)
@@ -252,14 +252,14 @@ def test_a_device_counts_as_read_when_its_messages_were_put() -> None:
     told: list[float] = []
 
     def put(messages: list[Message]) -> None:
-        told.extend((session.read_until, time.monotonic()))
+        told.extend((supervisor.read_until, time.monotonic()))
         time.sleep(0.2)
-        told.append(session.read_until)
+        told.append(supervisor.read_until)
 
     with plugged(Ld06Peer()) as path:
-        session = Session(parse_device(f"ld06:{path}"), put)
+        supervisor = Supervisor(parse_device(f"ld06:{path}"), put)
         stop = threading.Event()
-        thread = threading.Thread(target=session.run, args=(stop,))
+        thread = threading.Thread(target=supervisor.run, args=(stop,))
         thread.start()
         wait_until(lambda: len(told) >= 9)
         stop.set()
@@ -267,18 +267,18 @@ def test_a_device_counts_as_read_when_its_messages_were_put() -> None:
     for before, begun, while_putting in zip(told[::3], told[1::3], told[2::3], strict=True):
         assert before == while_putting < begun
     assert told[6] > told[1]
-    assert session.read_until == math.inf
+    assert supervisor.read_until == math.inf
 
 
 @pytest.mark.parametrize(("model", "duties"), [(0x18, []), (0x28, [660, 0])], ids=["A1", "A2"])
 def test_old_rplidars_scan_and_stop_their_motors_in_their_own_way(model: int, duties: list[int]) -> None:
     peer = OldRplidar(model)
     with plugged(peer) as path:
-        session, messages = run_session(f"rplidar:{path}", 2.0)
+        supervisor, messages = run_supervisor(f"rplidar:{path}", 2.0)
         time.sleep(0.05)
-    assert session.failure is None
-    assert "M8, firmware 1.20" in session.status().identity
-    assert session.status().identity.endswith("mode Standard")
+    assert supervisor.failure is None
+    assert "M8, firmware 1.20" in supervisor.status().identity
+    assert supervisor.status().identity.endswith("mode Standard")
     assert len(messages) >= 4
     stamps = np.array([message.stamp for message in messages])
     np.testing.assert_allclose(np.diff(stamps), 1 / 5.5, atol=0.01)
@@ -293,14 +293,14 @@ def test_bases_are_left_standing(kind: str) -> None:
     peer = make()
     assert isinstance(peer, BasePeer)
     with plugged(peer) as path:
-        run_session(f"{kind}:{path}?{options}", 0.5)
+        run_supervisor(f"{kind}:{path}?{options}", 0.5)
         time.sleep(0.05)
     assert [request for request in peer.requests if not isinstance(request, Poll)][-1] == Velocity(0.0, 0.0)
 
 
 def test_the_way_is_what_the_wheels_rolled() -> None:
     with plugged(KINDS["wheels"][0]()) as path:
-        _, messages = run_session(f"wheels:{path}?{WHEELS}")
+        _, messages = run_supervisor(f"wheels:{path}?{WHEELS}")
     ends = [message for message in messages if isinstance(message, Odometry)]
     speed = (ends[-1].pose[0] - ends[0].pose[0]) / (ends[-1].stamp - ends[0].stamp)
     assert speed == pytest.approx(10 * DRIVE.left / 0.02, rel=0.01)
@@ -308,7 +308,7 @@ def test_the_way_is_what_the_wheels_rolled() -> None:
 
 def test_options_of_a_lidar_reach_its_scans() -> None:
     with plugged(Ld06Peer()) as path:
-        _, messages = run_session(f"ld06:{path}?mount=0.1,0.2,0.3&range_max=1.0", 0.8)
+        _, messages = run_supervisor(f"ld06:{path}?mount=0.1,0.2,0.3&range_max=1.0", 0.8)
     scan = messages[0]
     assert isinstance(scan, Scan)
     np.testing.assert_array_equal(scan.mount, [0.1, 0.2, 0.3])
@@ -331,22 +331,22 @@ def test_a_lidar_behind_tcp() -> None:
         write = lambda data: accepted and accepted[0].sendall(data)  # noqa: E731
         read = lambda: accepted[0].recv(4096) if accepted else b""  # noqa: E731
         stack.enter_context(serving(write, read, peer))
-        session, messages = run_session(f"ld06:127.0.0.1:{server.getsockname()[1]}")
+        supervisor, messages = run_supervisor(f"ld06:127.0.0.1:{server.getsockname()[1]}")
         thread.join()
         accepted[0].close()
-    assert session.failure is None
+    assert supervisor.failure is None
     assert len(messages) > 5
 
 
 def test_a_device_with_a_serial_number_is_found_on_another_port(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(session, "SILENCE", 0.3)
+    monkeypatch.setattr(supervisor_module, "SILENCE_TIMEOUT", 0.3)
     link = tmp_path / "lidar"
     messages: list[Message] = []
     stop = threading.Event()
     with ExitStack() as stack:
-        one = session.Session(parse_device(f"scip:{link}?baud=115200"), messages.extend)
+        one = Supervisor(parse_device(f"scip:{link}?baud=115200"), messages.extend)
         monkeypatch.setattr(ports, "serial_ports", lambda: [ports.Port(str(elsewhere), "")])
         first = ExitStack()
         link.symlink_to(first.enter_context(plugged(ScipPeer())))
@@ -376,16 +376,16 @@ def wait_until(condition: Callable[[], bool]) -> None:
 def test_auto_finds_the_port(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     with plugged(lambda _: b"") as empty, plugged(Ld06Peer()) as path:
         monkeypatch.setattr(ports, "serial_ports", lambda: [ports.Port(empty, ""), ports.Port(path, "")])
-        session, messages = run_session("ld06:auto", 3.0)
-    assert session.status().port == path
+        supervisor, messages = run_supervisor("ld06:auto", 3.0)
+    assert supervisor.status().port == path
     assert len(messages) > 3
 
 
 def test_no_port_at_all_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ports, "serial_ports", lambda: [])
-    session, _ = run_session("ld06:auto")
-    assert isinstance(session.failure, DriverError)
-    assert "no serial port is there" in str(session.failure)
+    supervisor, _ = run_supervisor("ld06:auto")
+    assert isinstance(supervisor.failure, DriverError)
+    assert "no serial port is there" in str(supervisor.failure)
 
 
 @pytest.mark.parametrize(
@@ -404,11 +404,11 @@ def test_a_tape_is_played_as_the_device_spoke(tmp_path: Path) -> None:
     """The tape of a session that asks, behind a terminal and as an address of its own."""
     tape = tmp_path / "scip.tape"
     with plugged(ScipPeer()) as path:
-        _, live = run_session(f"scip:{path}?tape={tape}&baud=115200", 2.0)
-    with TapePort(tape) as port:
+        _, live = run_supervisor(f"scip:{path}?tape={tape}&baud=115200", 2.0)
+    with ReplayPort(tape) as port:
         player = threading.Thread(target=port.play)
         player.start()
-        _, again = run_session(f"scip:{port.name}?baud=115200", 2.5)
+        _, again = run_supervisor(f"scip:{port.name}?baud=115200", 2.5)
         player.join()
     assert len(live) > 3
     assert abs(len(again) - len(live)) <= 1
@@ -422,15 +422,15 @@ def test_a_tape_is_played_as_the_device_spoke(tmp_path: Path) -> None:
 def test_a_tape_ends_the_session(tmp_path: Path) -> None:
     tape = tmp_path / "ld06.tape"
     with plugged(Ld06Peer()) as path:
-        run_session(f"ld06:{path}?tape={tape}", 0.9)
-    session, messages = run_session(f"ld06:tape:{tape}", 20.0)
-    assert session.failure is None
-    assert session.state is State.ENDED
+        run_supervisor(f"ld06:{path}?tape={tape}", 0.9)
+    supervisor, messages = run_supervisor(f"ld06:tape:{tape}", 20.0)
+    assert supervisor.failure is None
+    assert supervisor.state is DeviceState.ENDED
     assert len(messages) >= 2
 
 
 def test_a_tape_goes_on_over_a_new_connection(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(session, "SILENCE", 0.1)
+    monkeypatch.setattr(supervisor_module, "SILENCE_TIMEOUT", 0.1)
     tape, peer = tmp_path / "ld06.tape", Ld06Peer()
     pauses = 0.6
 
@@ -439,12 +439,12 @@ def test_a_tape_goes_on_over_a_new_connection(tmp_path: Path, monkeypatch: pytes
         return said if not 0.5 < time.monotonic() - peer.begun < 0.5 + pauses else b""
 
     with plugged(pausing) as path:
-        one, _ = run_session(f"ld06:{path}?tape={tape}", 2.5)
+        one, _ = run_supervisor(f"ld06:{path}?tape={tape}", 2.5)
     assert one.status().counters["silences"] >= 1
     assert tape.read_text().count("# /dev/") >= 2
 
 
 def test_a_tape_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
     with plugged(Ld06Peer()) as path:
-        session, _ = run_session(f"ld06:{path}?tape={tmp_path}/no/such")
-    assert "cannot be written" in str(session.failure)
+        supervisor, _ = run_supervisor(f"ld06:{path}?tape={tmp_path}/no/such")
+    assert "cannot be written" in str(supervisor.failure)
