@@ -77,12 +77,27 @@ class FeatureConfig(_Group):
     )
 
 
+class MappingConfig(_Group):
+    """When a scan becomes a keyframe. The CPU time goes with the number of keyframes."""
+
+    keyframe_distance: Finite = Field(0.33, gt=0, description="metres driven between two keyframes")
+    keyframe_turn: Finite = Field(math.radians(10.0), gt=0, description="radians turned between two keyframes")
+
+
+class LoopClosureConfig(_Group):
+    """Recognition of places that were mapped before."""
+
+    enabled: bool = Field(True, description="search for loop closures and close them")
+
+
 class Config(_Group):
     """All settings. Defaults suit indoor lidars on a wheeled base."""
 
     lidar: LidarConfig = LidarConfig()
     odometry: OdometryConfig = OdometryConfig()
     features: FeatureConfig = FeatureConfig()
+    mapping: MappingConfig = MappingConfig()
+    loop_closure: LoopClosureConfig = LoopClosureConfig()
 
 
 def load_config(path: Path | None = None, overrides: Iterable[str] = ()) -> Config:

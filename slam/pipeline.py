@@ -1,49 +1,34 @@
-"""The story of a scan: straightened, condensed into walls and corners, laid over the map, and made part of it."""
+"""SLAM from messages to map: `Slam.add` takes the messages, `Slam.finish` returns map and trajectory."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
-
-import numpy as np
 
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry, Scan
 
 from .config import Config
-from .errors import MapError
+from .errors import MapError, SlamError
 from .estimation.estimator import Estimator, ScanResult
-from .estimation.map_view import finished, map_features
-from .estimation.refinement import build_scan_history, match_trajectory, refine
+from .estimation.journal import Journal
+from .estimation.map_view import final_result, map_features
+from .estimation.refinement import match_trajectory, refine
 from .estimation.relocalisation_session import KidnappingMonitor, RelocalisationSession
-from .estimation.slam_state import KeyframeUpdate, SlamState
-from .events import (
-    Finished,
-    GroundTruthReceived,
-    MapCorners,
-    MapWalls,
-    Notice,
-    Relocalised,
-    ScanTracked,
-    Sink,
-    StateChanged,
-)
+from .estimation.slam_state import SlamState
+from .events import Finished, GroundTruthReceived, MapCorners, MapWalls, Notice, Relocalised, Sink
 from .geometry.segments import Floats
 from .io.sessions import StoredSession
-from .localisation.state import LocalisationMonitor, State
-from .localisation.tracker import PoseFix, TrackingResult, TrackingStatus
+from .localisation.state import LocalisationEvent, LocalisationState, LocalisationStateMachine
+from .localisation.tracker import PoseFix
 from .loop_closure.closer import LoopCloser
-from .mapping.mapper import Mapper
-from .mapping.odometry_segments import OdometrySegments
 from .preprocessing.preprocessor import Preprocessor, ProcessedScan
 from .publisher import Publisher
-from .run_statistics import RunStatistics, StageTimer
-from .summary import run_summary
+from .run_statistics import RunStatistics, StageTimer, run_summary
 
 
 class Slam:
-    """2-D SLAM with walls and corners. Feed it messages in time order, read the pose whenever you like, then finish.
+    """2-D SLAM with walls and corners: add messages in time order, read the pose at any time, then finish.
 
     slam = Slam()
     for message in drivers.open("intel.clf"):
@@ -62,310 +47,291 @@ class Slam:
         resumed: StoredSession | None = None,
         frozen: bool = False,
     ) -> None:
-        """`refine` asks for a second look at everything before finishing.
+        """Create an empty map, or continue a session.
 
-        For that, or to take it later, `keep_views` keeps what was sighted in familiar places, too, where nothing of it
-        enters the map: memory then grows with the time driven. `loops` looks for loops in another way than the default.
-
-        `resumed` is a session to go on from: straight on, if odometry continues, else from wherever in its map the
-        robot is found. Where the map is `frozen` it stays as it is, and only the path on it is told.
+        refine      refine the whole map offline in `finish`
+        keep_views  keep the features of scans in familiar places too, so that the session can be refined later; memory
+                    then grows with time. Implied by `refine`
+        loops       search for loop closures in another way than the default
+        resumed     session to continue: directly if odometry is continuous, else after relocalisation in its map
+        frozen      keep the map of the session unchanged and only estimate the trajectory in it
         """
         self.config = config or Config()
+        self._refine, self._frozen = refine, frozen
+        self._resumed = resumed
         self._publisher = Publisher(sinks)
-        self._front_end = Preprocessor(self.config, None if resumed is None else resumed.sigma_range)
-        self._estimator = Estimator(SlamState(self.config.odometry, loops) if resumed is None else resumed.slam_state)
-        self._drives = OdometrySegments() if resumed is None else OdometrySegments(resumed.odometry, resumed.starts)
-        self._resumed, self._frozen = resumed, frozen
-        self._front_end.wait([] if resumed is None else resumed.waiting)
+        self._statistics = RunStatistics()
+        self._localisation = LocalisationStateMachine()
+        self._relocalisation: RelocalisationSession | None = None  # while the robot is lost
+        self._kidnapping: KidnappingMonitor | None = None  # for some metres after the view changed abruptly
+        self._has_odometry = False
+        self._session: StoredSession | None = None
+        self._preprocessor = Preprocessor(self.config, None if resumed is None else resumed.sigma_range)
+        keep = refine or keep_views
+        if resumed is None:
+            self._estimator = Estimator(SlamState(self.config, loops))
+            self._journal = Journal(keep_all_features=keep)
+        else:
+            self._estimator = Estimator(resumed.slam_state)
+            self._journal = Journal(
+                resumed.scans, resumed.odometry, resumed.starts, resumed.latest, keep_all_features=keep
+            )
+            self._preprocessor.restore_queue(resumed.queued_scans)
         if frozen:
             self.slam_state.freeze()
-        self._begun = False  # whether odometry has told of anything
-        self._relocalisation: RelocalisationSession | None = None  # while the robot is lost
-        self._kidnapping: KidnappingMonitor | None = None  # while what it sees may belong elsewhere
-        self._refine, self._keep_views = refine, refine or keep_views
-        self._familiar: set[int] = set()  # rows of the journal that were sighted in familiar places
-        # everything sighted, for looking back at the end
-        self._journal: list[ProcessedScan] = [] if resumed is None else list(resumed.scans)
-        # what is of this run: the first row, and after when
-        self._since = len(self._journal), -np.inf if resumed is None else resumed.latest
-        self._state = LocalisationMonitor()
-        self._statistics = RunStatistics()
-        self._session: StoredSession | None = None
 
-    # --- what goes in
+    # --- input
 
     def add(self, message: Message) -> None:
-        """Take the next message. A scan is worked on once the odometry covers its sweep."""
+        """Add the next message. A scan is processed once odometry covers its sweep."""
         if isinstance(message, GroundTruth):
             self._publisher.publish(GroundTruthReceived(message.stamp, message.pose))
             return
-        if isinstance(message, Odometry) and not self._begun:
-            self._begin(message)
-        self._front_end.add(message)
-        while (scan := self._front_end.next_scan()) is not None:
-            self._add_scan(scan)
+        if isinstance(message, Odometry) and not self._has_odometry:
+            self._start(message)
+        self._preprocessor.add(message)
+        while (scan := self._preprocessor.next_scan()) is not None:
+            self._process_scan(scan)
 
-    def _begin(self, first: Odometry) -> None:
-        """The first reading of odometry: it continues that of a session, or the robot may be anywhere on its map."""
-        self._begun = True
+    def _process_scan(self, scan: Scan) -> None:
+        """De-skew a scan, extract features, track the pose, update the map, and publish the results."""
+        timer = StageTimer()
+        processed = self._preprocessor.process(scan, self.slam_state.odometry_model)
+        timer.lap("features")
+        self._journal.add(processed)
+        if self._relocalisation is not None:
+            self._try_to_relocalise(self._relocalisation, processed)
+            return
+        result = self._estimator.process(processed, timer)
+        if self.slam_state.in_familiar_place and not self._frozen:
+            self._journal.mark_last_familiar()
+        self._statistics.add_tracking(result.tracking)
+        self._publish_state(processed.stamp, self._localisation.update(result.tracking))
+        self._publisher.publish_tracking(processed, result.tracking, self.slam_state.mapper)
+        if result.update is not None:
+            self._statistics.add_keyframe(processed.stamp, result.update, timer)
+            self._publisher.publish_keyframe(
+                processed, result.mapper, result.update, self._preprocessor.sigma_range, timer
+            )
+        if result.retracted is not None:
+            self._statistics.add_loop(processed.stamp, result.retracted)
+            self._publisher.publish_loop(result.retracted, processed.stamp, self.slam_state.mapper, result.mapper)
+        self._check_for_kidnapping(processed, result)
+        if self.slam_state.lost:
+            self._start_relocalisation(processed.stamp)
+
+    # --- localisation state
+
+    def _start(self, first: Odometry) -> None:
+        """Start at the first odometry: it continues that of the session, or the robot may be anywhere in its map."""
+        self._has_odometry = True
         if self._resumed is None:
-            self._front_end.odometry = self._drives.begin(0)
+            self._preprocessor.odometry = self._journal.start_odometry_segment()
             return
         self._publisher.publish_map(first.stamp, self.slam_state.mapper)
-        self._front_end.odometry = self._drives.histories[-1]
-        if not self._drives.continue_with(first):
-            self._work_off(len(self._resumed.waiting))
-            self._front_end.odometry = self._drives.begin(len(self._journal))
-            self._since = len(self._journal), self._since[1]
-            self._relocalisation = RelocalisationSession(self.config.odometry, self.slam_state, (), kidnapped=True)
-            self._publish_state(first.stamp, self._state.lose())
+        self._preprocessor.odometry = self._journal.segments.histories[-1]
+        if not self._journal.segments.is_continued_by(first):
+            self._process_queue(len(self._resumed.queued_scans))
+            self._preprocessor.odometry = self._journal.start_odometry_segment()
+            self._relocalisation = RelocalisationSession(self.config, self.slam_state, (), kidnapped=True)
+            self._publish_state(first.stamp, self._localisation.handle(LocalisationEvent.STARTED_ANYWHERE))
 
-    # --- the story of a scan
-
-    def _add_scan(self, scan: Scan) -> None:
-        timer = StageTimer()
-        processed = self._front_end.sight(scan, self.slam_state.odometry_model)
-        timer.lap("features")
-        self._journal.append(processed)
-        if self._relocalisation is not None:
-            self._look_for_the_way_back(self._relocalisation, processed)
-            return
-        step = self._estimator.take(processed, timer)
-        if self.slam_state.in_familiar_place and not self._frozen:
-            self._familiar.add(len(self._journal) - 1)
-            if not self._keep_views:
-                self._journal[-1] = processed.without_view()
-        self._note(processed, step.tracking)
-        if step.extension is not None:
-            self._publish_keyframe(processed, step.mapper, step.extension, timer)
-        if step.retracted is not None:
-            self._statistics.add_loop(processed.stamp, step.retracted)
-            self._publisher.publish_loop(step.retracted, processed.stamp, self.slam_state.mapper, step.mapper)
-        self._suspect(processed, step)
-        if self.slam_state.lost:
-            slam_state = self.slam_state
-            self._relocalisation = RelocalisationSession(
-                self.config.odometry,
-                slam_state,
-                slam_state.unplaced,
-                kidnapped=slam_state.view_changed or self._kidnapping is not None,
-            )
-            self._kidnapping = None
-            self._publish_state(processed.stamp, self._state.lose())
-
-    def _suspect(self, scan: ProcessedScan, step: ScanResult) -> None:
-        """The view may have changed at a stroke: see for a while whether the robot is not somewhere else on the map."""
-        if step.before is not None and self._kidnapping is None:
-            self._kidnapping = KidnappingMonitor(self.config.odometry, step.before)
+    def _check_for_kidnapping(self, scan: ProcessedScan, result: ScanResult) -> None:
+        """After an abrupt change of the view, check for some metres whether the robot is elsewhere in the map."""
+        if result.checkpoint is not None and self._kidnapping is None:
+            self._kidnapping = KidnappingMonitor(self.config, result.checkpoint)
         if self._kidnapping is None:
             return
-        self._kidnapping.add(scan, step.tracking)
-        found = self._kidnapping.borne_out()
-        if found is not None:
-            self._found_again(found, scan.stamp, "carried away: found elsewhere in the map")
+        self._kidnapping.add(scan, result.tracking)
+        relocalised = self._kidnapping.attempt()
+        if relocalised is not None:
+            self._publisher.publish(Relocalised(scan.stamp, relocalised.state.pose.copy()))
+            text = "the robot was kidnapped: relocalised elsewhere in the map"
+            self._continue_with(relocalised, LocalisationEvent.RELOCALISED, scan.stamp, text)
         elif self._kidnapping.over:
             self._kidnapping = None
 
-    def _look_for_the_way_back(self, relocalisation: RelocalisationSession, scan: ProcessedScan) -> None:
-        """The robot is lost: see whether what it has seen since is somewhere on the map."""
-        relocalisation.add(scan)
-        self._statistics.lost += 1
-        found = relocalisation.recognised()
-        if found is not None:
-            self._found_again(found, scan.stamp, "found again in the map")
-        elif relocalisation.over:
-            text = "what is seen is not in the map where odometry has the robot; taken for a new place"
-            self._go_on_from(relocalisation.joined(), scan.stamp, text)
+    def _start_relocalisation(self, stamp: float) -> None:
+        """Map the last scans separately until their place is recognised in the map."""
+        state = self.slam_state
+        kidnapped = state.view_changed or self._kidnapping is not None
+        self._relocalisation = RelocalisationSession(self.config, state, state.untracked_scans, kidnapped=kidnapped)
+        self._kidnapping = None
+        self._publish_state(stamp, self._localisation.handle(LocalisationEvent.TRACKING_LOST))
 
-    def _found_again(self, estimator: Estimator, stamp: float, text: str) -> None:
-        self._publisher.publish(Relocalised(stamp, estimator.slam_state.pose.copy()))
-        self._go_on_from(estimator, stamp, text)
+    def _try_to_relocalise(self, session: RelocalisationSession, scan: ProcessedScan) -> None:
+        """Add a scan to the relocalisation session; continue in the map if the place is recognised, or is new."""
+        session.add(scan)
+        self._statistics.lost_scans += 1
+        relocalised = session.attempt()
+        if relocalised is not None:
+            self._publisher.publish(Relocalised(scan.stamp, relocalised.state.pose.copy()))
+            self._continue_with(relocalised, LocalisationEvent.RELOCALISED, scan.stamp, "relocalised in the map")
+        elif session.over:
+            text = "the place is not in the map near the pose from odometry; it is mapped as a new place"
+            placed = session.continue_by_odometry()
+            self._continue_with(placed, LocalisationEvent.PLACED_BY_ODOMETRY, scan.stamp, text)
 
-    def _go_on_from(self, estimator: Estimator, stamp: float, text: str) -> None:
+    def _continue_with(self, estimator: Estimator, event: LocalisationEvent, stamp: float, text: str) -> None:
+        """Replace the estimator by one that has the scans since the robot got lost in the map."""
         self._estimator, self._relocalisation, self._kidnapping = estimator, None, None
         self._publisher.publish(Notice(stamp, text))
         self._publisher.publish_map(stamp, self.slam_state.mapper)
-        self._publish_state(stamp, self._state.find())
+        self._publish_state(stamp, self._localisation.handle(event))
 
-    def _publish_state(self, stamp: float, state: State | None) -> None:
-        if state is None:
-            return
-        self._statistics.states.append((stamp, state))
-        self._publisher.publish(StateChanged(stamp, state.condition.value, state.direction))
+    def _publish_state(self, stamp: float, state: LocalisationState | None) -> None:
+        """Publish a localisation state if it has changed."""
+        if state is not None:
+            self._statistics.states.append((stamp, state))
+            self._publisher.publish_state(stamp, state)
 
-    def _note(self, scan: ProcessedScan, tracking: TrackingResult) -> None:
-        """Count how the scan was placed, and tell the listeners."""
-        stamp, overlap_ratio = scan.stamp, tracking.registration.overlap_ratio
-        self._statistics.overlap_ratio.append(overlap_ratio)
-        if tracking.status is TrackingStatus.TENTATIVE:
-            self._statistics.searched += 1
-            self._publisher.publish(
-                Notice(stamp, "odometry is far off; the pose was searched for and found in the map")
-            )
-        elif tracking.status is TrackingStatus.FAILED:
-            self._statistics.unplaced += 1
-            self._publisher.publish(Notice(stamp, "the scan fits nowhere near; left out"))
-        elif tracking.status is TrackingStatus.NO_FEATURES:
-            self._statistics.blind += 1
-        self._publish_state(stamp, self._state.update(tracking))
-        keyframe = self.slam_state.mapper.keyframe_count - 1
-        self._publisher.publish(ScanTracked(stamp, tracking.pose, scan.odometry, overlap_ratio, keyframe))
-
-    def _publish_keyframe(
-        self, scan: ProcessedScan, mapper: Mapper, extension: KeyframeUpdate, timer: StageTimer
-    ) -> None:
-        """Count what the keyframe did to the map, and tell the listeners."""
-        self._statistics.add_keyframe(timer)
-        self._statistics.merged_walls += extension.merge is not None
-        if extension.loop is not None:
-            self._statistics.add_loop(scan.stamp, extension.loop)
-        self._publisher.publish_keyframe(scan, mapper, extension, self._front_end.sigma_range, dict(timer.laps))
-
-    # --- what comes out
+    # --- output
 
     @property
     def slam_state(self) -> SlamState:
-        """What is believed now, to look into: where the robot is, its path, the map under construction."""
-        return self._estimator.slam_state
+        """Current state of the estimate: pose, trajectory and the map under construction."""
+        return self._estimator.state
 
     @property
     def pose(self) -> se2.Pose:
-        """The base's pose [x, y, heading] in the map at the last scan; see `state` for how well it is known."""
+        """Pose of the base [x, y, heading] in the map at the last scan; see `state` for how well it is known."""
         return (self.slam_state if self._relocalisation is None else self._relocalisation).pose.copy()
 
     @property
-    def state(self) -> State:
-        """Whether the robot knows where it is."""
-        return self._state.state
+    def state(self) -> LocalisationState:
+        """Localisation status: OK, DEGENERATE in one direction, or LOST."""
+        return self._localisation.state
 
     @property
     def walls(self) -> MapWalls:
-        """The walls as they are known now, without covariances: those cost time, `finish` gives them."""
+        """Current walls, without covariances, which cost time: `finish` returns them."""
         return map_features(self.slam_state.mapper, covariances=False)[0]
 
     @property
     def corners(self) -> MapCorners:
-        """The corners as they are known now, without covariances."""
+        """Current corners, without covariances."""
         return map_features(self.slam_state.mapper, covariances=False)[1]
-
-    def finish(self) -> Finished:
-        """Work off what waits, settle the estimate, and return path and map with the covariances of their marginals.
-
-        Raises MapError where there was nothing to make a map of.
-        """
-        if not self._front_end.scans:
-            raise MapError("no laser scan in it, so there is nothing to map")
-        if not self._begun:
-            raise MapError(f"{self._front_end.scans} scans, but no odometry; SLAM needs both")
-        left = self._session_before_the_end()
-        self._work_off()
-        if self._relocalisation is not None:
-            self._end_lost(self._relocalisation)
-        self._session = left or self._stored(self.slam_state.copy())
-        if not self._frozen:
-            self._statistics.merged_walls += self.slam_state.mapper.settle()
-        summary = run_summary(self._front_end, self.slam_state, self._statistics) | self._look_back()
-        if self._refine:
-            self._session = self._stored(self.slam_state)
-        stamps, poses = self._drives.trajectory(self.slam_state.trajectory, self.slam_state.mapper.keyframe_poses)
-        if self._frozen:
-            stamps, poses = stamps[stamps > self._since[1]], poses[stamps > self._since[1]]
-        self._publisher.publish_residuals(float(stamps[-1]), self.slam_state.mapper)
-        result = finished(self.slam_state, (stamps, poses), summary)
-        self._publisher.publish(result)
-        return result
-
-    def _work_off(self, count: int = sys.maxsize) -> None:
-        """Take the scans that wait, or the first of them, without odometry to cover them."""
-        while count > 0 and (scan := self._front_end.next_scan(last=True)) is not None:
-            self._add_scan(scan)
-            count -= 1
-
-    def _session_before_the_end(self) -> StoredSession | None:
-        """What is to be gone on from as if this had not been the end; None where that makes no difference, or where the
-        end has yet to decide where the robot is."""
-        waiting = self._front_end.waiting
-        if self._relocalisation is not None or not waiting or not self.slam_state.mapper.keyframe_count:
-            return None
-        session = self._stored(self.slam_state.copy())
-        session.scans, session.waiting = list(self._journal), waiting
-        return session
-
-    def _end_lost(self, relocalisation: RelocalisationSession) -> None:
-        """The robot has not been found again before the end.
-
-        Raises MapError where it never was on a map that is to stay as it is.
-        """
-        last = self._journal[-1].stamp
-        if self._drives.starts[-1] < self._since[0] or self._resumed is None or self._placed_since():
-            if not self._frozen:
-                self._go_on_from(relocalisation.joined(), last, "never found again in the map; odometry has to do")
-            self._relocalisation = None
-            return
-        if self._frozen:
-            raise MapError("what was seen is nowhere on the map that it was to be found on")
-        self._drives.keep_last()
-        self._journal, self._resumed = self._journal[self._since[0] :], None
-        alone = Estimator(SlamState(self.config.odometry))
-        for scan in self._journal:
-            step = alone.take(scan, StageTimer())
-            decisions = [step.extension.loop if step.extension else None, step.retracted]
-            for decision in decisions:
-                if decision is not None:
-                    self._statistics.add_loop(scan.stamp, decision)
-        self._go_on_from(alone, last, "never found on the map of the session, and left alone: it is not in the results")
-
-    def _placed_since(self) -> bool:
-        """Whether anything of this run is on the path."""
-        stamps = self.slam_state.trajectory.hung()[0]
-        return bool(len(stamps)) and bool(stamps[-1] > self._since[1])
 
     @property
     def session(self) -> StoredSession:
-        """All that the estimate consists of, to be kept and gone on from; known after `finish`."""
-        assert self._session is not None, "ask after finish"
+        """Complete estimate, to be stored and continued. Raises SlamError before `finish`."""
+        if self._session is None:
+            raise SlamError("the session is available after finish() only")
         return self._session
 
-    def _stored(self, slam_state: SlamState) -> StoredSession:
-        resumed = self._resumed
-        return StoredSession(
-            config=self.config,
-            slam_state=slam_state,
-            scans=self._journal,
-            odometry=self._drives.histories,
-            starts=self._drives.starts,
-            sigma_range=self._front_end.sigma_range,
-            recordings=[] if resumed is None else list(resumed.recordings),
-            closures=[*(() if resumed is None else resumed.closures), *self._statistics.loops],
-        )
+    def keyframe_covariance(self, index: int) -> Floats:
+        """Return the covariance (3, 3) of a keyframe's pose in its own frame (metres, metres, radians)."""
+        return self.slam_state.mapper.keyframe_covariance(index)
 
-    def _look_back(self) -> dict[str, object]:
-        """Lay everything sighted over the finished map, after refining that if it is wanted; what the summary gets."""
-        slam_state, last = self.slam_state, self._journal[-1].stamp
-        if slam_state.mapper.keyframe_count < 2:
+    # --- end of the run
+
+    def finish(self) -> Finished:
+        """Process the queued scans, settle the map, and return map and trajectory with marginal covariances.
+
+        Raises MapError if there was nothing to map.
+        """
+        if not self._preprocessor.scans:
+            raise MapError("no laser scan in it, so there is nothing to map")
+        if not self._has_odometry:
+            raise MapError(f"{self._preprocessor.scans} scans, but no odometry; SLAM needs both")
+        session = self._session_with_queue()
+        self._process_queue()
+        if self._relocalisation is not None:
+            self._end_lost(self._relocalisation)
+        self._session = session or self._stored(self.slam_state.copy())
+        if not self._frozen:
+            self._statistics.merged_walls += self.slam_state.mapper.converge()
+        summary = run_summary(self._preprocessor, self.slam_state, self._statistics) | self._refine_or_match()
+        if self._refine:
+            self._session = self._stored(self.slam_state)
+        state, journal = self.slam_state, self._journal
+        stamps, poses = journal.segments.trajectory(state.trajectory, state.mapper.keyframe_poses)
+        if self._frozen:
+            stamps, poses = stamps[stamps > journal.resumed_at], poses[stamps > journal.resumed_at]
+        self._publisher.publish_residuals(float(stamps[-1]), state.mapper)
+        result = final_result(state, (stamps, poses), summary)
+        self._publisher.publish(result)
+        return result
+
+    def _process_queue(self, count: int = sys.maxsize) -> None:
+        """Process at most `count` queued scans without odometry to cover them."""
+        while count > 0 and (scan := self._preprocessor.next_scan(flush=True)) is not None:
+            self._process_scan(scan)
+            count -= 1
+
+    def _session_with_queue(self) -> StoredSession | None:
+        """Return the session with the queued scans still in the queue, as if the run had not ended.
+
+        None if no scan is queued, or if the robot is lost and the end decides where it is.
+        """
+        queued = self._preprocessor.queued
+        if self._relocalisation is not None or not queued or not self.slam_state.mapper.keyframe_count:
+            return None
+        session = self._stored(self.slam_state.copy())
+        session.scans, session.queued_scans = list(self._journal.scans), queued
+        return session
+
+    def _end_lost(self, session: RelocalisationSession) -> None:
+        """End the run of a robot that was not relocalised.
+
+        Its scans are placed by odometry, or, if nothing of this run was ever in the earlier session's map, mapped alone
+        without that session. Raises MapError in the latter case if the map is frozen.
+        """
+        journal, event = self._journal, LocalisationEvent.PLACED_BY_ODOMETRY
+        stamp = journal.scans[-1].stamp
+        connected = not journal.in_new_odometry_segment or journal.any_tracked(self.slam_state.trajectory)
+        if connected or self._resumed is None:
+            if not self._frozen:
+                text = "not relocalised until the end: the last scans are placed by odometry"
+                self._continue_with(session.continue_by_odometry(), event, stamp, text)
+            self._relocalisation = None
+            return
+        if self._frozen:
+            raise MapError("the robot was never relocalised in the map of the session")
+        journal.drop_earlier_session()
+        self._resumed = None
+        alone = Estimator(SlamState(self.config))
+        for scan in journal.scans:
+            result = alone.process(scan)
+            for decision in (result.update.loop if result.update else None, result.retracted):
+                if decision is not None:
+                    self._statistics.add_loop(scan.stamp, decision)
+        text = "never relocalised in the map of the session: that map is left out of the results"
+        self._continue_with(alone, event, stamp, text)
+
+    def _refine_or_match(self) -> dict[str, object]:
+        """Match all scans to the final map, after refining the map if that is wanted; return the summary's part."""
+        state, journal = self.slam_state, self._journal
+        stamp = journal.scans[-1].stamp
+        if state.mapper.keyframe_count < 2:
             return {}
-        kidnapped, starts = slam_state.kidnapped_keyframes, self._drives.starts
-        drive = build_scan_history(self._journal, slam_state.trajectory, slam_state.keyframe_stamps, kidnapped, starts)
+        history = journal.history(state)
         try:
             if not self._refine or self._frozen:
-                # the same path whether or not what was sighted in familiar places has been kept
-                known = [s.without_view() if row in self._familiar else s for row, s in enumerate(self._journal)]
-                slam_state.trajectory = match_trajectory(
-                    slam_state.mapper, replace(drive, scans=known), slam_state.odometry_model
-                )
+                history = journal.without_familiar_features(history)  # the result must not depend on what is kept
+                state.trajectory = match_trajectory(state.mapper, history, state.odometry_model)
                 return {}
-            refined = refine(slam_state.mapper, drive, slam_state.odometry_model)
+            refined = refine(state.mapper, history, state.odometry_model)
         except MapError as error:
-            self._publisher.publish(Notice(last, f"what was seen is not looked back at: {error}"))
+            self._publisher.publish(Notice(stamp, f"the scans are not matched to the final map: {error}"))
             return {}
-        refined.mapper.remember_covariances()
-        keyframes = {k: self._journal[row] for k, row in enumerate(drive.keyframes.tolist())}
-        slam_state.settle_on(
-            refined.mapper, refined.path, PoseFix(refined.poses[-1], self._journal[-1].odometry), keyframes
+        refined.mapper.recompute_pose_covariances()
+        keyframes = {k: journal.scans[row] for k, row in enumerate(history.keyframes.tolist())}
+        state.replace_map(
+            refined.mapper, refined.path, PoseFix(refined.poses[-1], journal.scans[-1].odometry), keyframes
         )
-        self._publisher.publish_map(last, slam_state.mapper)
+        self._publisher.publish_map(stamp, state.mapper)
         return {"refinement": refined.summary}
 
-    def keyframe_covariance(self, index: int) -> Floats:
-        """(3, 3): covariance of a keyframe's pose, in the keyframe's own frame (metres, metres, radians)."""
-        return self.slam_state.mapper.keyframe_covariance(index)
+    def _stored(self, state: SlamState) -> StoredSession:
+        resumed, journal = self._resumed, self._journal
+        return StoredSession(
+            config=self.config,
+            slam_state=state,
+            scans=journal.scans,
+            odometry=journal.segments.histories,
+            starts=journal.segments.starts,
+            sigma_range=self._preprocessor.sigma_range,
+            recordings=[] if resumed is None else list(resumed.recordings),
+            loop_decisions=[*(() if resumed is None else resumed.loop_decisions), *self._statistics.loops],
+        )

@@ -1,4 +1,4 @@
-"""Telling the listeners what happened: events made of copies, and none made where nobody listens."""
+"""Publish what happens as events with copied data. Events are only built if a sink listens."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from drivers import se2
 
 from .estimation.map_view import covariances_when_last_seen, map_features
-from .estimation.slam_state import KeyframeUpdate
+from .estimation.scan_update import KeyframeUpdate
 from .events import (
     ComparedWalls,
     Correction,
@@ -21,17 +21,28 @@ from .events import (
     LoopDecided,
     LoopTest,
     MapUpdated,
+    Notice,
+    ScanTracked,
     Sink,
+    StateChanged,
     WallsMerged,
     WallsRemoved,
 )
+from .localisation.state import LocalisationState
+from .localisation.tracker import TrackingResult, TrackingStatus
 from .loop_closure.closer import LoopDecision
+from .loop_closure.loop_status import LoopStatus
 from .mapping.mapper import Mapper
 from .preprocessing.preprocessor import ProcessedScan
+from .run_statistics import StageTimer
 
-MAP_INTERVAL = 20  # keyframes between two events with the whole map
-MAP_SHARE = 0.01  # of the keyframes: for long runs the interval grows, lest telling them take longer than making them
-INSPECTION_GROWTH = 1.5  # times as many keyframes as at the last inspection: in all, three times the last one's cost
+# Keyframes between two events with the whole map.
+MAP_INTERVAL = 20
+# Share of all keyframes that this interval is at least, so that long runs do not spend most of their time on events.
+MAP_INTERVAL_SHARE = 0.01
+# Factor by which the number of keyframes grows between two inspections of the graph: all inspections together cost
+# three times the last one.
+INSPECTION_GROWTH = 1.5
 
 
 class Publisher:
@@ -40,42 +51,51 @@ class Publisher:
     def __init__(self, sinks: Sequence[Sink]) -> None:
         self._sinks = tuple(sinks)
         self._published_keyframes = np.zeros((0, 3))
-        self._published_removed: frozenset[int] | None = None  # walls; what a session knows already is no news
-        self._inspected = 0  # keyframes at the last inspection
+        self._published_removed: frozenset[int] | None = None  # wall ids; None before the first map of a session
+        self._inspected_keyframes = 0  # at the last inspection of the graph
 
     def publish(self, event: Event) -> None:
-        """Send an event that is cheap to make."""
+        """Send an event that is cheap to build."""
         for sink in self._sinks:
             sink.handle(event)
 
+    def publish_tracking(self, scan: ProcessedScan, tracking: TrackingResult, mapper: Mapper) -> None:
+        """Publish the pose of a scan, and a notice if it was not tracked normally."""
+        if tracking.status is TrackingStatus.TENTATIVE:
+            text = "odometry is far off: the pose was found in the map by a wide search"
+            self.publish(Notice(scan.stamp, text))
+        elif tracking.status is TrackingStatus.FAILED:
+            self.publish(Notice(scan.stamp, "the scan fits nowhere near its predicted pose and is left out"))
+        overlap_ratio, keyframe = tracking.registration.overlap_ratio, mapper.keyframe_count - 1
+        self.publish(ScanTracked(scan.stamp, tracking.pose, scan.odometry, overlap_ratio, keyframe))
+
+    def publish_state(self, stamp: float, state: LocalisationState) -> None:
+        """Publish a new localisation state."""
+        self.publish(StateChanged(stamp, state.status.value, state.direction))
+
     def publish_keyframe(
-        self,
-        scan: ProcessedScan,
-        mapper: Mapper,
-        extension: KeyframeUpdate,
-        sigma_range: float,
-        timings: dict[str, float],
+        self, scan: ProcessedScan, mapper: Mapper, update: KeyframeUpdate, sigma_range: float, timer: StageTimer
     ) -> None:
-        """Tell of the last keyframe, of what it changed, and of the whole map every so often."""
+        """Publish the last keyframe, its changes of the map, and at intervals the whole map."""
         if not self._sinks:
             return
         index, stamp = mapper.keyframe_count - 1, scan.stamp
-        self.publish(_keyframe_event(scan, mapper, extension, sigma_range, timings))
-        if extension.merge is not None:
-            merge = extension.merge
+        self.publish(_keyframe_event(scan, mapper, update, sigma_range, dict(timer.laps)))
+        if update.merge is not None:
+            merge = update.merge
             self.publish(WallsMerged(index, stamp, merge.kept, merge.absorbed, merge.distance))
-        if extension.loop is not None:
-            self.publish(_loop_event(extension.loop, stamp, mapper, extension.superseded))
-        if extension.superseded is not None:
+        if update.loop is not None:
+            self.publish(_loop_event(update.loop, stamp, mapper, update.superseded))
+        if update.superseded is not None:
             self.publish_map(stamp, mapper)
             self.publish_residuals(stamp, mapper)
-        elif index == 0 or index >= len(self._published_keyframes) - 1 + max(MAP_INTERVAL, MAP_SHARE * index):
+        elif index == 0 or index >= len(self._published_keyframes) - 1 + max(MAP_INTERVAL, MAP_INTERVAL_SHARE * index):
             self.publish_map(stamp, mapper)
-            if index >= INSPECTION_GROWTH * self._inspected:
+            if index >= INSPECTION_GROWTH * self._inspected_keyframes:
                 self.publish_residuals(stamp, mapper)
 
     def publish_loop(self, decision: LoopDecision, stamp: float, mapper: Mapper, superseded: Mapper) -> None:
-        """Tell of a closure that was taken back, and of the map as it is without it."""
+        """Publish a retracted closure, and the map without it."""
         if not self._sinks:
             return
         self.publish(_loop_event(decision, stamp, mapper, superseded))
@@ -83,7 +103,7 @@ class Publisher:
         self.publish_residuals(stamp, mapper)
 
     def publish_keyframes(self, mapper: Mapper, scans: Mapping[int, ProcessedScan], sigma_range: float) -> None:
-        """Tell of all keyframes where they are on a map that is finished; `sightings` are theirs."""
+        """Publish all keyframes of a finished map; `scans` are theirs, by keyframe."""
         if not self._sinks:
             return
         for index, scan in scans.items():
@@ -112,7 +132,7 @@ class Publisher:
             )
 
     def publish_map(self, stamp: float, mapper: Mapper, index: int | None = None) -> None:
-        """Tell of the whole map, as it is after the last keyframe, or after the one of `index`."""
+        """Publish the whole map, as it is after the last keyframe or after the one of `index`."""
         if not self._sinks:
             return
         keyframes = mapper.graph.keyframe_poses(mapper.keyframe_count)
@@ -135,7 +155,7 @@ class Publisher:
         )
 
     def _publish_removed(self, index: int, stamp: float, mapper: Mapper) -> None:
-        """Tell of the walls that are no longer there since the map was told last."""
+        """Publish the walls that were removed since the map was published last."""
         removed = frozenset(mapper.landmarks.removed_walls().tolist())
         news = removed - self._published_removed if self._published_removed is not None else frozenset()
         self._published_removed = removed
@@ -143,22 +163,22 @@ class Publisher:
             self.publish(WallsRemoved(index, stamp, tuple(sorted(news))))
 
     def publish_residuals(self, stamp: float, mapper: Mapper) -> None:
-        """Tell how well every factor fits."""
+        """Publish the residual of every factor."""
         if self._sinks:
-            self._inspected = mapper.keyframe_count
+            self._inspected_keyframes = mapper.keyframe_count
             self.publish(GraphInspected(mapper.keyframe_count - 1, stamp, mapper.graph.residuals()))
 
 
 def _sizes(mapper: Mapper) -> dict[str, int]:
-    """Of the map and the graph."""
+    """Return the sizes of map and graph."""
     landmarks = mapper.landmarks
     return {"walls": len(landmarks.walls), "corners": len(landmarks.corners), "factors": mapper.graph.factor_count}
 
 
 def _keyframe_event(
-    scan: ProcessedScan, mapper: Mapper, extension: KeyframeUpdate, sigma_range: float, timings: dict[str, float]
+    scan: ProcessedScan, mapper: Mapper, update: KeyframeUpdate, sigma_range: float, timings: dict[str, float]
 ) -> KeyframeAdded:
-    view = extension.view
+    view = update.observations
     return KeyframeAdded(
         index=mapper.keyframe_count - 1,
         stamp=scan.stamp,
@@ -168,12 +188,12 @@ def _keyframe_event(
         points=scan.features.points.all,
         segments=view.segments,
         corners=view.corners,
-        line_match=view.walls,
-        line_gate=view.wall_distance,
-        line_nearest=view.nearest_wall,
-        corner_match=view.corner_landmarks,
-        corner_gate=view.corner_distance,
-        corner_nearest=view.nearest_corner,
+        line_match=view.association.walls,
+        line_gate=view.association.wall_distance,
+        line_nearest=view.association.nearest_wall,
+        corner_match=view.association.corners,
+        corner_gate=view.association.corner_distance,
+        corner_nearest=view.association.nearest_corner,
         new_lines=view.new_walls,
         sigma_range=sigma_range,
         timings=timings,
@@ -199,12 +219,12 @@ def _loop_event(decision: LoopDecision, stamp: float, mapper: Mapper, superseded
         merged=decision.merged,
         shift=decision.shift,
         tests=tuple(LoopTest(t.name, float(t.value), t.gate, t.at_least, t.passed) for t in verdict.tests),
-        sight=_sight(decision),
+        sight=_compared_walls(decision),
         correction=None if superseded is None else _correction(decision, mapper, superseded),
     )
 
 
-def _sight(decision: LoopDecision) -> ComparedWalls | None:
+def _compared_walls(decision: LoopDecision) -> ComparedWalls | None:
     if decision.sight is None:
         return None
     recent, old = (constellation.end_points() for constellation in decision.sight)
@@ -213,9 +233,9 @@ def _sight(decision: LoopDecision) -> ComparedWalls | None:
 
 
 def _correction(decision: LoopDecision, mapper: Mapper, superseded: Mapper) -> Correction:
-    """What became of the keyframes up to the decision's: a closure that is taken back makes the later ones anew."""
+    """Return how the keyframes up to that of the decision moved: retracting a closure estimates later ones again."""
     count = decision.keyframe + 1
-    closed = decision.status == "accepted"
+    closed = decision.status == LoopStatus.ACCEPTED
     return Correction(
         keyframes_before=superseded.graph.keyframe_poses(count),
         keyframes=mapper.graph.keyframe_poses(count),

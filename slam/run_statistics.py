@@ -1,25 +1,34 @@
-"""Counts and times of a run, for its summary."""
+"""Count and time what happens during a run, and summarise it as plain data for `summary.json`."""
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .localisation.state import State
+from .localisation.state import LocalisationState
+from .localisation.tracker import TrackingResult, TrackingStatus
 from .loop_closure.closer import LoopDecision
+from .loop_closure.loop_status import LoopStatus
+
+if TYPE_CHECKING:
+    from .estimation.scan_update import KeyframeUpdate
+    from .estimation.slam_state import SlamState
+    from .preprocessing.preprocessor import Preprocessor
 
 
 class StageTimer:
-    """Milliseconds by stage of one scan's work."""
+    """Milliseconds by stage of processing one scan."""
 
     def __init__(self) -> None:
         self._last = time.perf_counter()
         self.laps: dict[str, float] = {}
 
     def lap(self, stage: str) -> None:
-        """The stage that has just ended took the time since the last one ended."""
+        """End a stage: it took the time since the previous stage ended."""
         now = time.perf_counter()
         self.laps[stage] = 1e3 * (now - self._last)
         self._last = now
@@ -32,47 +41,64 @@ class StageTimer:
 
 @dataclass(slots=True)
 class RunStatistics:
-    """What a run counted. `health` and `timings` condense it."""
+    """Counts and times of a run.
 
-    searched: int = 0
-    unplaced: int = 0
-    blind: int = 0
-    lost: int = 0
-    states: list[tuple[float, State]] = field(default_factory=list)
+    tentative_scans   found by the wide search
+    failed_scans      fitted nowhere near
+    featureless_scans  with too little wall and too few points
+    lost_scans        taken while the robot was lost
+    states            stamp and localisation state at each change
+    loops             every loop decision with its scores, see `loop_row`
+    overlap_ratios    of all tracked scans
+    keyframe_times    milliseconds of each keyframe
+    stage_times       milliseconds of all keyframes, by stage
+    """
+
+    tentative_scans: int = 0
+    failed_scans: int = 0
+    featureless_scans: int = 0
+    lost_scans: int = 0
+    states: list[tuple[float, LocalisationState]] = field(default_factory=list)
     merged_walls: int = 0
     loops: list[dict[str, object]] = field(default_factory=list)
-    """Every decision on a place that looked known, with the scores it was decided by."""
-    overlap_ratio: list[float] = field(default_factory=list)
+    overlap_ratios: list[float] = field(default_factory=list)
     keyframe_times: list[float] = field(default_factory=list)
     stage_times: dict[str, float] = field(default_factory=dict)
 
-    def add_keyframe(self, timer: StageTimer) -> None:
-        """Note the times of a scan that became a keyframe."""
+    def add_tracking(self, tracking: TrackingResult) -> None:
+        """Count a scan by its tracking status."""
+        self.overlap_ratios.append(tracking.registration.overlap_ratio)
+        self.tentative_scans += tracking.status is TrackingStatus.TENTATIVE
+        self.failed_scans += tracking.status is TrackingStatus.FAILED
+        self.featureless_scans += tracking.status is TrackingStatus.NO_FEATURES
+
+    def add_keyframe(self, stamp: float, update: KeyframeUpdate, timer: StageTimer) -> None:
+        """Count a keyframe, its changes of the map and its times."""
         self.keyframe_times.append(timer.total)
         for stage, duration in timer.laps.items():
             self.stage_times[stage] = self.stage_times.get(stage, 0.0) + duration
-
-    def loop_counts(self) -> dict[str, int]:
-        """How many places looked known, and what became of them; "held" ones waited for a second look in vain."""
-        decided = [row["status"] for row in self.loops]
-        return {
-            "proposed": len(decided),
-            **{name: decided.count(name) for name in ("accepted", "held", "rejected", "retracted")},
-        }
+        self.merged_walls += update.merge is not None
+        if update.loop is not None:
+            self.add_loop(stamp, update.loop)
 
     def add_loop(self, stamp: float, decision: LoopDecision) -> None:
-        """Note a decision; what it rested on, which is large, is not kept."""
+        """Add the row of a loop decision; the compared walls are not kept."""
         self.loops.append(loop_row(stamp, decision))
 
+    def loop_counts(self) -> dict[str, int]:
+        """Return the number of loop hypotheses, in total and by status; PENDING ones were never confirmed."""
+        decided = [row["status"] for row in self.loops]
+        by_status = {status.value: decided.count(status) for status in LoopStatus if status is not LoopStatus.CONFIRMED}
+        return {"proposed": len(decided), **by_status}
+
     def state_rows(self) -> list[dict[str, object]]:
-        """When the state changed, and to what."""
+        """Return the changes of the localisation state."""
         return [
-            {"stamp": stamp, "state": state.condition.value, "direction": state.direction}
-            for stamp, state in self.states
+            {"stamp": stamp, "state": state.status.value, "direction": state.direction} for stamp, state in self.states
         ]
 
     def timings(self) -> dict[str, float]:
-        """Milliseconds a keyframe: median, 99th percentile, maximum, and the mean of each stage."""
+        """Return milliseconds per keyframe: median, 99th percentile, maximum, and the mean of each stage."""
         if not self.keyframe_times:
             return {}
         times = np.array(self.keyframe_times)
@@ -86,20 +112,20 @@ class RunStatistics:
         return {name: round(value, 3) for name, value in result.items()}
 
     def health(self) -> dict[str, object]:
-        """How well scans fitted the map, and what went wrong."""
-        overlap_ratio = np.array(self.overlap_ratio or [0.0])
+        """Return how well the scans fitted the map, and how many were not tracked normally."""
+        overlap_ratios = np.array(self.overlap_ratios or [0.0])
         return {
-            "overlap_ratio_median": round(float(np.median(overlap_ratio)), 3),
-            "overlap_ratio_p05": round(float(np.percentile(overlap_ratio, 5)), 3),
-            "searched": self.searched,
-            "unplaced": self.unplaced,
-            "blind": self.blind,
-            "lost": self.lost,
+            "overlap_ratio_median": round(float(np.median(overlap_ratios)), 3),
+            "overlap_ratio_p05": round(float(np.percentile(overlap_ratios, 5)), 3),
+            "tentative": self.tentative_scans,
+            "failed": self.failed_scans,
+            "no_features": self.featureless_scans,
+            "lost": self.lost_scans,
         }
 
 
 def loop_row(stamp: float, decision: LoopDecision) -> dict[str, object]:
-    """A decision on a place that looked known, with the scores it was decided by, as it is written down."""
+    """Return a loop decision and its scores as plain data."""
     verdict = decision.verdict
     scores = {
         "overlap_ratio": verdict.overlap_ratio,
@@ -119,4 +145,28 @@ def loop_row(stamp: float, decision: LoopDecision) -> dict[str, object]:
         "merged": len(decision.merged),
         "motion": decision.motion.round(4).tolist(),
         **{name: round(value, 4) for name, value in scores.items()},
+    }
+
+
+def run_summary(preprocessor: Preprocessor, state: SlamState, statistics: RunStatistics) -> dict[str, object]:
+    """Return the summary of a run as plain data."""
+    mapper = state.mapper
+    return {
+        "scans": preprocessor.scans,
+        "keyframes": mapper.keyframe_count,
+        "factors": mapper.graph.factor_count,
+        "merged_walls": statistics.merged_walls,
+        "removed_walls": len(mapper.landmarks.removed_walls()),
+        "loops": statistics.loop_counts(),
+        "loop_decisions": statistics.loops,
+        "states": statistics.state_rows(),
+        "odometry_deviation_per_metre": state.odometry_model.deviations.round(5).tolist(),
+        "sigma_range": round(preprocessor.sigma_range, 5),
+        "wall_roughness": round(math.sqrt(mapper.roughness.variance), 5),
+        "timings": statistics.timings(),
+        "health": statistics.health()
+        | {
+            "empty_scans": preprocessor.empty_scans,
+            "scans_without_odometry": preprocessor.scans_without_odometry,
+        },
     }

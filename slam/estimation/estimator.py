@@ -1,4 +1,4 @@
-"""How a belief grows by sightings, with loops closed on trial, and taken back where what follows contradicts them."""
+"""Process scans one by one: track, map, close loops on trial, and retract closures that later scans contradict."""
 
 from __future__ import annotations
 
@@ -6,63 +6,70 @@ from dataclasses import dataclass, replace
 
 from ..localisation.tracker import TrackingResult
 from ..loop_closure.closer import LoopDecision
-from ..mapping.keyframes import KeyframeObservations
+from ..loop_closure.loop_status import LoopStatus
 from ..mapping.mapper import Mapper
 from ..preprocessing.preprocessor import ProcessedScan
 from ..run_statistics import StageTimer
 from .closure_monitor import ClosureMonitor
-from .slam_state import KeyframeUpdate, SlamState
+from .scan_update import KeyframeUpdate, close_loop, track, update_map
+from .slam_state import SlamState
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanResult:
-    """What a sighting did: where it was taken, how it extended the map if it became a keyframe, and the closure that
-    had to be taken back after it, if any. `mapper` is the map with the sighting, before anything was taken back;
-    `before` the belief before a sighting that fits abruptly worse."""
+    """Effects of one scan.
+
+    tracking    pose of the scan
+    update      changes of the map; None if the scan did not become a keyframe
+    retracted   closure that was undone because this scan contradicts it, if any
+    mapper      map with the scan, before a closure was undone
+    checkpoint  state before the scan, if the scan fits abruptly worse than the one before
+    """
 
     tracking: TrackingResult
-    extension: KeyframeUpdate | None
-    mapper: Mapper
+    update: KeyframeUpdate | None
     retracted: LoopDecision | None
-    before: SlamState | None
+    mapper: Mapper
+    checkpoint: SlamState | None
 
 
 class Estimator:
-    """Changes a belief as sightings come."""
+    """State of the estimate, and the monitor of its recent loop closures."""
 
-    def __init__(self, slam_state: SlamState) -> None:
-        self.slam_state = slam_state
+    def __init__(self, state: SlamState) -> None:
+        self.state = state
         self._monitor = ClosureMonitor()
 
-    def take(self, scan: ProcessedScan, timer: StageTimer) -> ScanResult:
-        """Place a sighting, let the map grow, close a loop or take one back."""
-        tracking = self.slam_state.place(scan, timer)
-        before = self.slam_state.copy() if tracking.abrupt else None
-        extension = self.slam_state.extend(scan, tracking, timer)
-        self._monitor.remember(scan)  # before a closure: the belief that it is tried on has the sighting
-        if extension is not None and extension.loop is not None and extension.loop.status == "agreed":
-            superseded, loop = self.slam_state.mapper, self._close(extension.view, extension.loop)
-            extension = replace(extension, loop=loop, superseded=superseded if loop.status == "accepted" else None)
+    def process(self, scan: ProcessedScan, timer: StageTimer | None = None) -> ScanResult:
+        """Update the state by one scan. `timer` measures the stages."""
+        timer = timer or StageTimer()
+        tracking = track(self.state, scan, timer)
+        checkpoint = self.state.copy() if tracking.abrupt else None
+        update = update_map(self.state, scan, tracking, timer)
+        self._monitor.record(scan)  # before a closure, whose checkpoint includes this scan
+        if update is not None and update.loop is not None and update.loop.status is LoopStatus.CONFIRMED:
+            update = self._close_loop(update, update.loop)
             timer.lap("closing")
-        mapper = self.slam_state.mapper
-        return ScanResult(tracking, extension, mapper, self._doubt(), before)
+        mapper = self.state.mapper
+        return ScanResult(tracking, update, self._retract_contradicted_closure(), mapper, checkpoint)
 
-    def _close(self, view: KeyframeObservations, decision: LoopDecision) -> LoopDecision:
-        """Close the loop that two looks agree on, on a copy, and see whether the map comes together."""
-        trial = self.slam_state.copy()
-        decision = trial.close_loop(view, decision)
-        if decision.status == "accepted":
-            self._monitor.begin(self.slam_state, decision)
-            self.slam_state = trial
-        return decision
+    def _close_loop(self, update: KeyframeUpdate, decision: LoopDecision) -> KeyframeUpdate:
+        """Close a confirmed loop on a copy of the state; keep the copy if the map fits together."""
+        trial, superseded = self.state.copy(), self.state.mapper
+        decision = close_loop(trial, update.observations, decision)
+        if decision.status is not LoopStatus.ACCEPTED:
+            return replace(update, loop=decision)
+        self._monitor.add(self.state, decision)
+        self.state = trial
+        return replace(update, loop=decision, superseded=superseded)
 
-    def _doubt(self) -> LoopDecision | None:
-        """Take back a closure that was contradicted since: the belief before it takes all sightings since again."""
-        closure = self._monitor.examine(self.slam_state.mapper, lost=self.slam_state.lost)
+    def _retract_contradicted_closure(self) -> LoopDecision | None:
+        """Undo a closure that later scans contradict: return to its checkpoint and process the scans since again."""
+        closure = self._monitor.contradicted(self.state.mapper, lost=self.state.lost)
         if closure is None:
             return None
-        self.slam_state = closure.checkpoint
-        self.slam_state.loops.refuse(closure.decision)
-        for scan in closure.since:
-            self.slam_state.extend(scan, self.slam_state.place(scan, StageTimer()), StageTimer())
+        self.state = closure.checkpoint
+        self.state.loops.refuse(closure.decision)
+        for scan in closure.scans:
+            update_map(self.state, scan, track(self.state, scan, StageTimer()), StageTimer())
         return closure.decision

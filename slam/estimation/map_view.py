@@ -1,4 +1,4 @@
-"""The map as plain data, copied out of the estimate."""
+"""Copy map and trajectory out of the estimate as plain data."""
 
 from __future__ import annotations
 
@@ -13,30 +13,36 @@ from ..mapping.mapper import Mapper
 from ..mapping.overlap_suppression import suppress_overlapping_walls
 from .slam_state import SlamState
 
-LEAST_SINE = 0.2  # of the angle between two walls that meet in a corner
-STRAYED = 0.1  # metres from a corner beyond which its walls, as they are known now, no longer make it
+# Sine of the angle between two walls below which their intersection is too uncertain to be a corner.
+# Origin: chosen, 12 degrees; not measured.
+MIN_SINE = 0.2
+# Metres between a corner and the intersection of its walls above which the corner keeps its own estimate.
+# Origin: chosen; not measured.
+MAX_INTERSECTION_DISTANCE = 0.1
 
 
-def finished(slam_state: SlamState, path: tuple[Floats, Floats], summary: dict[str, object]) -> Finished:
-    """What came of a belief that has settled, with all covariances; `path` is stamps (m,) and poses (m, 3)."""
-    mapper = slam_state.mapper
+def final_result(state: SlamState, trajectory: tuple[Floats, Floats], summary: dict[str, object]) -> Finished:
+    """Return the result of a settled estimate with all covariances; `trajectory` is stamps (m,) and poses (m, 3)."""
+    mapper = state.mapper
     lines, corners = map_features(mapper, covariances=True)
     covariances = [mapper.keyframe_covariance(index) for index in range(mapper.keyframe_count)]
     return Finished(
         lines=lines,
         corners=corners,
-        keyframe_stamps=np.array(slam_state.keyframe_stamps),
+        keyframe_stamps=np.array(state.keyframe_stamps),
         keyframes=mapper.keyframe_poses,
-        stamps=path[0],
-        poses=path[1],
+        stamps=trajectory[0],
+        poses=trajectory[1],
         summary=summary,
         keyframe_covariance=np.array(covariances).reshape(-1, 3, 3),
     )
 
 
 def map_features(mapper: Mapper, *, covariances: bool) -> tuple[MapWalls, MapCorners]:
-    """The confirmed walls, no two of them along the same stretch, and the corners; with the covariances of their
-    marginals if asked for, about a millisecond each."""
+    """Return the confirmed walls, no two of them along the same stretch, and the corners.
+
+    Marginal covariances cost about a millisecond per landmark; without them covariances are NaN.
+    """
     shown = suppress_overlapping_walls(mapper.landmarks)
     return _lines(mapper, shown, covariances=covariances), _corners(mapper, shown, covariances=covariances)
 
@@ -65,8 +71,10 @@ def _lines(mapper: Mapper, landmarks: Landmarks, *, covariances: bool) -> MapWal
 
 
 def _corners(mapper: Mapper, landmarks: Landmarks, *, covariances: bool) -> MapCorners:
-    """A corner lies on both of its walls, and they carry most of what was measured of it. So where both are in the map
-    the corner is where they meet, with the covariance that follows from theirs; elsewhere it is its own estimate.
+    """Return the corners.
+
+    A corner lies on both of its walls, and they carry most of its information. If both are in the map, the corner is
+    their intersection, with the covariance that follows from theirs; else it is the corner's own estimate.
     """
     rows, walls = landmarks.corners.rows, landmarks.walls.rows
     chosen = np.flatnonzero(rows["in_graph"])
@@ -74,25 +82,27 @@ def _corners(mapper: Mapper, landmarks: Landmarks, *, covariances: bool) -> MapC
     lines = np.full((len(chosen), 2), -1)
     position = rows["position"][chosen].copy()
     covariance = np.full((len(chosen), 2, 2), np.nan)
-    met, jacobians = [], []  # rows of corners where both walls meet
+    intersecting, jacobians = [], []  # rows of corners at an intersection
     for row, corner in enumerate(chosen):
         named = rows["walls"][corner]
         lines[row] = np.where(named >= 0, walls["merged_into"][named], -1)
         first, second = (int(wall) for wall in lines[row])
-        meeting = None
+        intersection = None
         turn = walls["frame"][second, 2] - walls["frame"][first, 2]
-        if min(first, second) >= 0 and abs(np.sin(turn)) > LEAST_SINE and walls["in_graph"][[first, second]].all():
-            meeting, jacobian = _meeting(walls["frame"][first], walls["frame"][second])
-        if meeting is not None and np.hypot(*(meeting - position[row])) < STRAYED:
-            position[row] = meeting
-            met.append(row)
+        if min(first, second) >= 0 and abs(np.sin(turn)) > MIN_SINE and walls["in_graph"][[first, second]].all():
+            intersection, jacobian = _intersection(walls["frame"][first], walls["frame"][second])
+        if intersection is not None and np.hypot(*(intersection - position[row])) < MAX_INTERSECTION_DISTANCE:
+            position[row] = intersection
+            intersecting.append(row)
             jacobians.append(jacobian)
         elif covariances:
             covariance[row] = mapper.graph.corner_covariance(int(corner))
-    if covariances and met:
+    if covariances and intersecting:
         moved = np.array(jacobians)
-        covariance[met] = moved @ mapper.graph.walls_covariances(lines[met]) @ moved.transpose(0, 2, 1)
-    if covariances:  # nobody remembers from where a corner was seen first
+        covariance[intersecting] = (
+            moved @ mapper.graph.wall_pair_covariances(lines[intersecting]) @ moved.transpose(0, 2, 1)
+        )
+    if covariances:  # the keyframe that first saw a corner is not stored, the last one is
         covariance += mapper.correlated_drift[rows["last_seen"][chosen]]
     return MapCorners(
         identity=chosen,
@@ -103,11 +113,11 @@ def _corners(mapper: Mapper, landmarks: Landmarks, *, covariances: bool) -> MapC
     )
 
 
-def _meeting(first: se2.Pose, second: se2.Pose) -> tuple[Floats, Floats]:
-    """Where two walls meet (2,), and how that moves (2, 4) with the offset and heading of either, at their frames.
+def _intersection(first: se2.Pose, second: se2.Pose) -> tuple[Floats, Floats]:
+    """Return the intersection (2,) of two walls, and its Jacobian (2, 4) by offset and heading of both at their frames.
 
-    A point p is on a wall with normal n through o where n . (p - o) = 0. Shifting the wall by y across itself and
-    turning it by t moves its line at p by y + s t, with s how far along the wall p is from o.
+    A point p is on a wall with normal n through o if n . (p - o) = 0. Shifting the wall by y across itself and turning
+    it by t moves its line at p by y + s t, with s the distance from o to p along the wall.
     """
     frames = np.stack([first, second])
     along = np.column_stack([np.cos(frames[:, 2]), np.sin(frames[:, 2])])
@@ -120,8 +130,10 @@ def _meeting(first: se2.Pose, second: se2.Pose) -> tuple[Floats, Floats]:
 
 
 def covariances_when_last_seen(mapper: Mapper, lines: MapWalls, corners: MapCorners) -> tuple[Floats, Floats]:
-    """(n, 2, 2) and (m, 2, 2): those of walls and corners in the map as they were when each was last seen, which costs
-    nothing; NaN where they have not been told."""
+    """Return the covariances (n, 2, 2) of walls and (m, 2, 2) of corners from when each was last seen.
+
+    These are stored and cost nothing; NaN if there is none.
+    """
     of_lines = mapper.landmarks.walls.rows["covariance_in_map"][lines.identity].copy()
     of_corners = mapper.landmarks.corners.rows["covariance_in_map"][corners.identity].copy()
     for covariance in (of_lines, of_corners):

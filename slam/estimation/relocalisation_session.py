@@ -1,10 +1,11 @@
-"""Finding the way back: a lost robot maps what is around it by itself, until that is recognised in its old map.
+"""Relocalise a lost or kidnapped robot: map its surroundings separately until they are recognised in the map.
 
-It may have been carried away, or have seen nothing for so long that odometry has led astray. Nothing enters the old map
-in the meantime. Once the place is recognised, the sightings since are taken as if the robot had known it all along.
+A robot is lost after it was kidnapped, or after odometry has drifted while no scan fitted. Its scans then build a small
+map in a frame of their own, and nothing enters the old map. Once the place is recognised, these scans are processed
+again from the recognised pose.
 
-Places may look alike. A robot that was carried away has seen what is around it change at a stroke; it may be anywhere.
-One that has not is where odometry has it, as well as that is known: if it is not found there, the place is a new one.
+Places may look alike. A kidnapped robot, whose view changed abruptly, may be anywhere. Any other robot is within the
+uncertainty of odometry: if it is not recognised there, its place is new.
 """
 
 from __future__ import annotations
@@ -16,34 +17,43 @@ import numpy as np
 
 from drivers import se2
 
-from ..config import OdometryConfig
+from ..config import Config
 from ..localisation.tracker import TrackingResult, TrackingStatus
 from ..loop_closure.relocalisation import Relocalisation, index_map, relocalise, submap_of
 from ..loop_closure.verification import allowed_by_estimate
 from ..preprocessing.preprocessor import ProcessedScan
-from ..run_statistics import StageTimer
 from .estimator import Estimator
 from .slam_state import SlamState
 
-LOOK_KEYFRAMES, LOOK_WAY = 3, 1.0  # keyframes and metres of driving between two looks
-ENOUGH_LOOKS = 4  # looks in a row that find the same place, other places being close behind, for it to be believed
-SAME_PLACE, SAME_HEADING = 0.3, math.radians(3.0)  # by which they may differ
-SUSPICION_WAY = 10.0  # metres of driving
-CLEARLY_MORE = 0.05  # share of the wall length seen that must fall on known walls more than where it was believed to be
-ODOMETRY_WAY = 10.0  # metres of driving in which a robot that was not carried must be found near where odometry has it
-LEAST_PLACED = 0.8  # share of the sightings since getting lost that must fit the map where they are believed to belong
+# Keyframes and metres of driving between two attempts. Origin: chosen, one attempt costs some ten milliseconds;
+# not measured.
+ATTEMPT_KEYFRAMES = 3
+ATTEMPT_DISTANCE = 1.0  # Origin: as ATTEMPT_KEYFRAMES.
+# Attempts in a row that must find the same place if alternatives are close behind.
+# Origin: tuned on simulated drives; one look-alike office was found four times.
+CONFIRMING_ATTEMPTS = 4
+# Metres and radians by which these attempts may differ. Origin: chosen; not measured.
+AGREEMENT_DISTANCE = 0.3
+AGREEMENT_TURN = math.radians(3.0)  # Origin: as AGREEMENT_DISTANCE.
+# Metres of driving for which a possible kidnapping is examined. Origin: chosen; not measured.
+KIDNAPPING_DISTANCE = 10.0
+# Overlap ratio by which another place must exceed the tracked one. Origin: chosen; not measured.
+MIN_OVERLAP_GAIN = 0.05
+# Metres of driving in which a robot that was not kidnapped must be recognised near odometry's pose.
+# Origin: chosen; not measured.
+MAX_SEARCH_DISTANCE = 10.0
+# Share of the scans that must fit the map at the recognised place. Origin: chosen; not measured.
+MIN_TRACKED_SHARE = 0.8
 
 
 class RelocalisationSession:
-    """The sightings since the robot got lost, and the small map of its own that they make.
+    """Scans since the robot got lost, and the small map that they build.
 
-    `whole` is the belief before that. It is never changed; what comes of the excursion is a new one. `carried` is
-    whether the robot may have been carried away.
+    `whole` is the state before that. It is never changed: the result is a new estimator. `kidnapped` is True if the
+    robot may have been moved without odometry noticing.
     """
 
-    def __init__(
-        self, config: OdometryConfig, whole: SlamState, scans: Sequence[ProcessedScan], *, kidnapped: bool
-    ) -> None:
+    def __init__(self, config: Config, whole: SlamState, scans: Sequence[ProcessedScan], *, kidnapped: bool) -> None:
         self._config = config
         self._whole, self._kidnapped = whole, kidnapped
         self._index = index_map(whole.mapper)
@@ -51,113 +61,120 @@ class RelocalisationSession:
 
     def _start(self, scans: Sequence[ProcessedScan]) -> None:
         self._estimator = Estimator(SlamState(self._config))
-        self._looked_keyframe, self._looked_way = 0, -LOOK_WAY
-        self._likely: list[se2.Pose] = []  # where the last looks in a row have the excursion's frame in the old map
+        self._last_attempt_keyframe, self._last_attempt_distance = 0, -ATTEMPT_DISTANCE
+        self._agreeing: list[se2.Pose] = []  # poses of the session's frame in the map, of the last attempts in a row
         self.scans: list[ProcessedScan] = []
-        self.overlap_ratio: list[float] = []  # of them, in the place that was recognised last
+        self.overlap_ratios: list[float] = []  # of the scans at the last recognised place
         for scan in scans:
             self.add(scan)
 
     def add(self, scan: ProcessedScan) -> None:
-        """Take a sighting. If the last ones do not fit those before, the robot got lost again: all starts anew."""
-        self._estimator.take(scan, StageTimer())
+        """Add a scan. If tracking is lost in the small map too, start again from the last scans."""
+        self._estimator.process(scan)
         self.scans.append(scan)
-        if self._estimator.slam_state.lost:
-            self._kidnapped = self._kidnapped or self._estimator.slam_state.view_changed
-            self._start(self._estimator.slam_state.unplaced)
+        state = self._estimator.state
+        if state.lost:
+            self._kidnapped = self._kidnapped or state.view_changed
+            self._start(state.untracked_scans)
 
     @property
-    def travel(self) -> float:
-        """Metres driven since."""
-        return self._estimator.slam_state.mapper.travelled[-1]
+    def travelled(self) -> float:
+        """Metres driven in this session."""
+        return self._estimator.state.mapper.travelled[-1]
 
     @property
     def pose(self) -> se2.Pose:
-        """Where odometry has the base in the old map, which is all that is known."""
+        """Pose of the base in the map according to odometry alone."""
         return self._whole.predict(self.scans[-1].odometry)
 
     @property
     def over(self) -> bool:
-        """Whether it is no use to look any longer: the robot is where odometry has it, and that is no known place."""
-        return not self._kidnapped and not self._whole.frozen and self.travel > ODOMETRY_WAY
+        """True if the robot is where odometry has it, and this place is not in the map."""
+        return not self._kidnapped and not self._whole.frozen and self.travelled > MAX_SEARCH_DISTANCE
 
-    def recognised(self) -> Estimator | None:
-        """The old map with the excursion's sightings where they belong on it; None if that is not known yet."""
-        mapper = self._estimator.slam_state.mapper
-        count, travel = mapper.keyframe_count, mapper.travelled[-1]
-        if count - self._looked_keyframe < LOOK_KEYFRAMES or travel - self._looked_way < LOOK_WAY:
+    def attempt(self) -> Estimator | None:
+        """Try to recognise the place.
+
+        Returns the whole map with this session's scans at the recognised place; None if it is not recognised yet, or if
+        the last attempt was too recent.
+        """
+        mapper = self._estimator.state.mapper
+        keyframes, travelled = mapper.keyframe_count, mapper.travelled[-1]
+        if (
+            keyframes - self._last_attempt_keyframe < ATTEMPT_KEYFRAMES
+            or travelled - self._last_attempt_distance < ATTEMPT_DISTANCE
+        ):
             return None
-        self._looked_keyframe, self._looked_way = count, travel
+        self._last_attempt_keyframe, self._last_attempt_distance = keyframes, travelled
         found = relocalise(submap_of(mapper), self._index)
-        if found is None or not self._believed(found) or not self._possible(found):
+        if found is None or not self._is_confirmed(found) or not self._is_reachable(found):
             return None
-        return self._at(found.motion)
+        return self._continue_at(found.motion)
 
-    def _possible(self, found: Relocalisation) -> bool:
-        """Whether the robot can have come there: carried anywhere, by itself as far as odometry may lead astray."""
+    def _is_reachable(self, found: Relocalisation) -> bool:
+        """Return True if the robot can be there: a kidnapped robot anywhere, another one as far as odometry errs."""
         if self._kidnapped:
             return True
         odometry = self.scans[0].odometry
-        seen = self._whole.mapper.landmarks.walls.rows["last_seen"][found.pairs[:, 0]]
-        covariance = self._whole.covariance_since(int(np.bincount(seen).argmax()), odometry)
+        last_seen = self._whole.mapper.landmarks.walls.rows["last_seen"][found.pairs[:, 0]]
+        covariance = self._whole.covariance_since(int(np.bincount(last_seen).argmax()), odometry)
         return allowed_by_estimate(se2.between(self._whole.predict(odometry), found.motion), covariance).passed
 
-    def _believed(self, found: Relocalisation) -> bool:
-        """Whether a place is accepted at once, or has been the likeliest often enough while more and more was seen."""
-        apart = [se2.between(before, found.motion) for before in self._likely]
-        same = all(np.hypot(x, y) < SAME_PLACE and abs(turn) < SAME_HEADING for x, y, turn in apart)
-        self._likely = [*(self._likely if same else []), found.motion] if found.verdict.likely else []
-        return found.verdict.accepted or len(self._likely) >= ENOUGH_LOOKS
+    def _is_confirmed(self, found: Relocalisation) -> bool:
+        """Return True if the place is accepted at once, or was the best one in several attempts in a row."""
+        differences = [se2.between(before, found.motion) for before in self._agreeing]
+        agrees = all(np.hypot(x, y) < AGREEMENT_DISTANCE and abs(turn) < AGREEMENT_TURN for x, y, turn in differences)
+        self._agreeing = [*(self._agreeing if agrees else []), found.motion] if found.verdict.likely else []
+        return found.verdict.accepted or len(self._agreeing) >= CONFIRMING_ATTEMPTS
 
-    def _at(self, motion: se2.Pose) -> Estimator | None:
-        """The old map with the excursion's sightings there, if they fit."""
-        slam_state = self._whole.copy()
-        slam_state.move_to(motion, self.scans[0].odometry)  # the excursion's frame is its first sighting's
-        recovered, placed = self._taken_from(slam_state)
-        self.overlap_ratio = [tracking.registration.overlap_ratio for tracking in placed]
-        fitting = sum(tracking.status is not TrackingStatus.FAILED for tracking in placed)
-        return recovered if fitting >= LEAST_PLACED * len(placed) and not recovered.slam_state.lost else None
+    def _continue_at(self, motion: se2.Pose) -> Estimator | None:
+        """Process the session's scans in the whole map from a recognised pose; None if they do not fit there."""
+        state = self._whole.copy()
+        state.move_to(motion, self.scans[0].odometry)  # the session's frame is that of its first scan
+        estimator, results = self._process_scans(state)
+        self.overlap_ratios = [result.registration.overlap_ratio for result in results]
+        fitting = sum(result.status is not TrackingStatus.FAILED for result in results)
+        return estimator if fitting >= MIN_TRACKED_SHARE * len(results) and not estimator.state.lost else None
 
-    def joined(self) -> Estimator:
-        """The old map with the excursion's sightings where odometry has them, for want of anything better.
+    def continue_by_odometry(self) -> Estimator:
+        """Process the session's scans in the whole map from the pose that odometry predicts.
 
-        The uncertainty of that is in the covariances.
+        The covariances contain the uncertainty of that pose.
         """
-        slam_state = self._whole.copy()
-        slam_state.start_anew(self.scans[0].odometry, kidnapped=self._kidnapped)
-        return self._taken_from(slam_state)[0]
+        state = self._whole.copy()
+        state.start_new_area(self.scans[0].odometry, kidnapped=self._kidnapped)
+        return self._process_scans(state)[0]
 
-    def _taken_from(self, slam_state: SlamState) -> tuple[Estimator, list[TrackingResult]]:
-        """The excursion's sightings taken from a belief on, and how each was placed."""
-        estimator = Estimator(slam_state)
-        return estimator, [estimator.take(scan, StageTimer()).tracking for scan in self.scans]
+    def _process_scans(self, state: SlamState) -> tuple[Estimator, list[TrackingResult]]:
+        estimator = Estimator(state)
+        return estimator, [estimator.process(scan).tracking for scan in self.scans]
 
 
 class KidnappingMonitor:
-    """Whether the robot has been carried to a place that looks much like the one where it is believed to be.
+    """Check whether the robot was kidnapped to a place that looks like the tracked one.
 
-    What it sees has changed at a stroke. It goes on as before; but if what it sees from then on belongs elsewhere on
-    the map, and fits better there, that is where it is.
+    It starts when the view has changed abruptly. Tracking continues; if the scans since then are recognised at another
+    place and fit better there, the robot is there.
     """
 
-    def __init__(self, config: OdometryConfig, before: SlamState) -> None:
-        self._excursion = RelocalisationSession(config, before, (), kidnapped=True)
-        self._explained: list[float] = []  # where the robot is believed to be
+    def __init__(self, config: Config, before: SlamState) -> None:
+        self._session = RelocalisationSession(config, before, (), kidnapped=True)
+        self._overlap_ratios: list[float] = []  # at the tracked place
 
     def add(self, scan: ProcessedScan, tracking: TrackingResult) -> None:
-        """Take a sighting, and where it was placed."""
-        self._excursion.add(scan)
-        self._explained.append(tracking.registration.overlap_ratio)
+        """Add a scan and its tracking result."""
+        self._session.add(scan)
+        self._overlap_ratios.append(tracking.registration.overlap_ratio)
 
     @property
     def over(self) -> bool:
-        """Whether the robot has driven far enough for it to be unfounded."""
-        return self._excursion.travel > SUSPICION_WAY
+        """True if the robot has driven far enough without being recognised elsewhere."""
+        return self._session.travelled > KIDNAPPING_DISTANCE
 
-    def borne_out(self) -> Estimator | None:
-        """The map with the sightings since where they belong, if that is elsewhere."""
-        found = self._excursion.recognised()
+    def attempt(self) -> Estimator | None:
+        """Return the map with the scans since the change at another, better place; None if there is none."""
+        found = self._session.attempt()
         if found is None:
             return None
-        better = np.mean(self._excursion.overlap_ratio) > np.mean(self._explained) + CLEARLY_MORE
+        better = np.mean(self._session.overlap_ratios) > np.mean(self._overlap_ratios) + MIN_OVERLAP_GAIN
         return found if better else None

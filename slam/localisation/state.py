@@ -1,58 +1,93 @@
-"""Whether the robot knows where it is: in every direction, in all but one, or not at all."""
+"""Localisation status: how well the robot's pose in the map is known, as one state machine."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
+from enum import Enum, StrEnum, auto
 
 from ..geometry.degeneracy import weakest_direction
 from ..odometry.error_model import ADRIFT_SIGMA
 from .tracker import TrackingResult, TrackingStatus
 
-IN_A_ROW = 3  # scans that must say so before the state changes
+# Scans in a row that must agree before the status changes between OK and DEGENERATE.
+# Origin: chosen, to suppress single scans; not measured.
+CONFIRMING_SCANS = 3
 
 
-class Condition(Enum):
-    """How well the robot's place in the map is known."""
+class LocalisationStatus(StrEnum):
+    """How well the robot's pose in the map is known."""
 
     OK = "OK"
-    DEGENERATE = "DEGENERATE"  # along one direction, say of a bare corridor, by odometry alone
-    LOST = "LOST"  # the robot is not where it was believed to be
+    DEGENERATE = "DEGENERATE"  # in one direction by odometry alone, e.g. along a bare corridor
+    LOST = "LOST"  # the pose is unknown; scans are mapped in a frame of their own
+
+
+class LocalisationEvent(Enum):
+    """Events that change the localisation status."""
+
+    OBSERVABLE = auto()  # scans determine the position in every direction
+    UNOBSERVABLE = auto()  # scans leave one direction open
+    TRACKING_LOST = auto()  # too many scans in a row fitted nowhere
+    STARTED_ANYWHERE = auto()  # a session continues from an unknown pose
+    RELOCALISED = auto()  # the place was recognised in the map
+    PLACED_BY_ODOMETRY = auto()  # the place was not recognised, odometry connects it to the map
+
+
+_STATUS, _EVENT = LocalisationStatus, LocalisationEvent
+TRANSITIONS = {
+    (_STATUS.OK, _EVENT.OBSERVABLE): _STATUS.OK,
+    (_STATUS.OK, _EVENT.UNOBSERVABLE): _STATUS.DEGENERATE,
+    (_STATUS.OK, _EVENT.TRACKING_LOST): _STATUS.LOST,
+    (_STATUS.OK, _EVENT.STARTED_ANYWHERE): _STATUS.LOST,
+    (_STATUS.OK, _EVENT.RELOCALISED): _STATUS.OK,  # kidnapped to a look-alike place, noticed while tracking
+    (_STATUS.DEGENERATE, _EVENT.OBSERVABLE): _STATUS.OK,
+    (_STATUS.DEGENERATE, _EVENT.UNOBSERVABLE): _STATUS.DEGENERATE,
+    (_STATUS.DEGENERATE, _EVENT.TRACKING_LOST): _STATUS.LOST,
+    (_STATUS.DEGENERATE, _EVENT.STARTED_ANYWHERE): _STATUS.LOST,
+    (_STATUS.DEGENERATE, _EVENT.RELOCALISED): _STATUS.OK,
+    (_STATUS.LOST, _EVENT.STARTED_ANYWHERE): _STATUS.LOST,
+    (_STATUS.LOST, _EVENT.RELOCALISED): _STATUS.OK,
+    (_STATUS.LOST, _EVENT.PLACED_BY_ODOMETRY): _STATUS.OK,
+}
+"""New status by status and event. Pairs that are missing cannot occur: a lost robot is not tracked."""
 
 
 @dataclass(frozen=True, slots=True)
-class State:
-    """A condition, and if it is DEGENERATE the direction in the map (radians, between 0 and pi) that is not known."""
+class LocalisationState:
+    """Localisation status, and the degenerate direction in the map (radians, 0 to pi) if it is DEGENERATE."""
 
-    condition: Condition
+    status: LocalisationStatus
     direction: float | None = None
 
 
-class LocalisationMonitor:
-    """Follows the placements of scans."""
+class LocalisationStateMachine:
+    """Current localisation state, changed by events and by the tracking results of scans."""
 
     def __init__(self) -> None:
-        self.state = State(Condition.OK)
-        self._streak = 0  # scans in a row that say the other thing
+        self.state = LocalisationState(LocalisationStatus.OK)
+        self._contradicting_scans = 0  # in a row
 
-    def lose(self) -> State:
-        """The robot is lost until it is found."""
-        self.state, self._streak = State(Condition.LOST), 0
-        return self.state
+    @property
+    def lost(self) -> bool:
+        """True while the pose is unknown."""
+        return self.state.status is LocalisationStatus.LOST
 
-    def find(self) -> State | None:
-        """The robot knows where it is; the new state, if it did not before."""
-        before, self.state, self._streak = self.state, State(Condition.OK), 0
-        return None if before == self.state else self.state
+    def handle(self, event: LocalisationEvent, direction: float | None = None) -> LocalisationState | None:
+        """Apply an event; return the new state, or None if it is the same as before.
 
-    def update(self, tracking: TrackingResult) -> State | None:
-        """Take a scan's placement; the new state, where it has changed."""
+        `direction` is the degenerate direction of an UNOBSERVABLE event.
+        """
+        before = self.state
+        self.state = LocalisationState(TRANSITIONS[before.status, event], direction)
+        self._contradicting_scans = 0
+        return None if self.state == before else self.state
+
+    def update(self, tracking: TrackingResult) -> LocalisationState | None:
+        """Apply a scan's tracking result; return the new state, or None if it is the same as before."""
         if tracking.status is not TrackingStatus.TRACKED:
             return None
-        direction = weakest_direction(tracking.pose, tracking.registration.held_by, ADRIFT_SIGMA)
-        condition = Condition.OK if direction is None else Condition.DEGENERATE
-        self._streak = 0 if condition is self.state.condition else self._streak + 1
-        if self._streak < IN_A_ROW:
-            return None
-        self.state, self._streak = State(condition, direction), 0
-        return self.state
+        direction = weakest_direction(tracking.pose, tracking.registration.total_information, ADRIFT_SIGMA)
+        event = LocalisationEvent.OBSERVABLE if direction is None else LocalisationEvent.UNOBSERVABLE
+        changes = TRANSITIONS[self.state.status, event] is not self.state.status
+        self._contradicting_scans = self._contradicting_scans + 1 if changes else 0
+        return self.handle(event, direction) if self._contradicting_scans >= CONFIRMING_SCANS else None

@@ -1,9 +1,9 @@
-"""Keeping hold of the robot's pose from scan to scan, also where odometry fails.
+"""Track the pose from scan to scan, including while odometry fails.
 
-Odometry may slip, stand still for a second and then catch up, or jump. A scan that falls neither on known walls nor on
-the points of the last keyframes is not believed where odometry puts it: its pose is searched for with the raw points,
-and a few scans that fit nowhere are left out before the place is taken for new, or the robot for lost where the map has
-been.
+Odometry may slip, stand still for a second and then catch up, or jump. If a scan fits neither the walls nor the points
+of the last keyframes at the pose that odometry predicts, its pose is searched for with the raw points. Scans that fit
+nowhere are left out. After several of them in a row the place counts as new if the map does not extend there, and the
+robot as lost if it does.
 """
 
 from __future__ import annotations
@@ -16,276 +16,254 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.segments import Floats
-from ..mapping.local_map import LocalMap
-from ..matching.likelihood_field import LikelihoodField, likelihood_score, search
-from ..matching.line_matcher import NEAR_STARTS, Registration, ScanFeatures, register
+from ..matching.likelihood_field import search_pose
+from ..matching.line_matcher import NEAR_STARTS, Registration, ScanFeatures
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
+from .match_target import MatchTarget, ScanMatch
 from .view_change import View
 
-# Added to the odometry's own uncertainty when predicting a scan's pose: wheels slip, clocks differ. Metres and radians.
+# Metres, metres, radians: added to the odometry model's own uncertainty in the prediction of a scan's pose, for wheel
+# slip and clock differences. Origin: tuned on Intel, fr079, CSAIL.
 PREDICTION_SIGMAS = np.array([0.05, 0.05, np.radians(4.0)])
-EXPLAINED_ENOUGH = 0.5  # share of a scan's wall length on known walls that alone makes a pose believable
-FITS_ENOUGH = 0.6  # the same, and the likeness of its points with those of the last keyframes, that together do
-CLEARLY_LIKER = 0.1  # by which the points must lie better at a searched pose than at the predicted one
-SEARCHED_LIKE = 0.5  # likeness that a searched pose must reach
-SEARCHED_POINTS = 30  # points that a scan must have for that: few of them lie well nearly everywhere
-LARGE_STEP = 0.8  # metres of way between two scans, from which on odometry may be making up for what it missed
-ABRUPTLY_WORSE = 1.0  # by which a scan fits worse than the one before where the view has changed at a stroke
-DOUBTFULLY_WORSE = 0.5  # the same, from which on it is looked whether it does
-BREAK_REMEMBERED = 10.0  # metres of driving: what looks alike at first fits nowhere some way on
-CLEARLY_BETTER = 0.3  # by which the scan must then fit better where the robot last was
-UNEVEN, UNEVEN_TURN = 0.1, np.radians(5.0)  # by which odometry's step may differ from the robot's last one unquestioned
-BETTER = 0.15  # by which a scan must fit better where the robot is if it has moved as evenly as before
-PATIENCE = 4  # scans in a row that may fit nowhere
-KNOWN_AROUND = 1.0  # metres around a known wall where the map has been
-NEW_PLACE = 0.3  # share of what is seen that lies where the map has been, below which the place is new and nobody lost
-LEAST_WALL = 0.5  # metres of wall that a scan must show, or SEARCHED_POINTS, for its pose to be found by it
+# By which the likelihood score at a searched pose must exceed that at the predicted pose.
+# Origin: tuned on Intel, fr079, CSAIL.
+MIN_SEARCH_GAIN = 0.1
+# Likelihood score that a searched pose must reach. Origin: tuned on Intel, fr079, CSAIL.
+MIN_SEARCH_SCORE = 0.5
+# Points that a scan needs for a search; few points fit nearly everywhere. Origin: chosen; not measured.
+MIN_SEARCH_POINTS = 30
+# Metres of wheel travel between two scans above which odometry may be catching up after standing still.
+# Origin: tuned on Intel, fr079, CSAIL.
+LARGE_STEP = 0.8
+# Score by which a scan must fit better at the previous pose than at the predicted one in that case.
+# Origin: tuned on Intel, fr079, CSAIL.
+STOPPED_MARGIN = 0.3
+# Metres and radians by which odometry's step may differ from the previous step without an even motion being tried as
+# well. Origin: tuned on Intel, fr079, CSAIL.
+UNEVEN_STEP = 0.1
+UNEVEN_TURN = np.radians(5.0)  # Origin: as UNEVEN_STEP.
+# Score by which a scan must fit better after an even motion than after odometry's motion.
+# Origin: tuned on Intel, fr079, CSAIL.
+EVEN_MOTION_MARGIN = 0.15
+# Drop in score from one scan to the next that, together with a changed view, suggests that the robot was kidnapped.
+# Origin: tuned on simulated drives.
+ABRUPT_DROP = 1.0
+# Drop in score above which the view is compared with the previous one. Origin: tuned on simulated drives.
+SUSPICIOUS_DROP = 0.5
+# Metres of wheel travel for which a changed view counts as recent: look-alike places differ some way on.
+# Origin: tuned on simulated drives.
+VIEW_CHANGE_MEMORY = 10.0
+# Scans in a row that may fit nowhere before tracking is lost. Origin: chosen, less than a second; not measured.
+MAX_FAILED_SCANS = 4
+# Mapped ratio below which the place counts as new instead of the robot as lost.
+# Origin: tuned on Intel, fr079, CSAIL and simulated drives.
+MAX_MAPPED_RATIO_OF_NEW_PLACE = 0.3
+# Metres of wall below which a scan with few points cannot be registered. Origin: chosen; not measured.
+MIN_WALL_LENGTH = 0.5
 
 
 class TrackingStatus(Enum):
-    """How a scan's pose was found."""
+    """Outcome of tracking one scan."""
 
-    TRACKED = "tracked"  # it fits the map where odometry led to, give or take
-    TENTATIVE = "tentative"  # it fits the map elsewhere; nothing enters the path before the next scan bears it out
-    FAILED = "failed"  # it fits nowhere near
-    NO_FEATURES = "no features"  # it shows too little to be placed by
+    TRACKED = "tracked"  # registered near the predicted pose
+    TENTATIVE = "tentative"  # found by the wide search; enters the trajectory once the next scan confirms it
+    FAILED = "failed"  # fits nowhere near
+    NO_FEATURES = "no features"  # too little wall and too few points
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackingResult:
-    """Where a scan was taken.
+    """Pose of a scan.
 
     covariance        (3, 3) of the pose in the map as it stands, in the base's frame
-    bears_out_search  whether this scan confirms the pose that was searched for one scan earlier
-    abrupt            whether it fits far worse than the scan before it, and the view broke off lately: the robot may
-                      have been carried elsewhere
+    confirms_search   True if this scan confirms the tentative pose of the scan before
+    abrupt            True if the scan fits far worse than the one before and the view changed recently: the robot may
+                      have been kidnapped
     """
 
     registration: Registration
     status: TrackingStatus
     covariance: Floats
-    bears_out_search: bool
+    confirms_search: bool
     abrupt: bool
 
     @property
     def pose(self) -> se2.Pose:
-        """The base's pose in the map."""
+        """Pose of the base in the map."""
         return self.registration.pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseFix:
-    """A pose of the base in the map and the odometry's pose at the same time."""
+    """Pose of the base in the map, and the odometry pose at the same time."""
 
     pose: se2.Pose
     odometry: se2.Pose
 
-    def step(self, odometry: se2.Pose) -> se2.Pose:
-        """The motion since, as odometry claims it."""
+    def odometry_motion(self, odometry: se2.Pose) -> se2.Pose:
+        """Return the motion [x, y, heading] since then according to odometry."""
         return se2.between(self.odometry, odometry)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MatchTarget:
-    """What a scan is compared with: landmarks, the points of the last keyframes, the variance of walls' unevenness."""
-
-    landmarks: LocalMap
-    points: LikelihoodField
-    roughness: float
-
-    def match(self, scan: ScanFeatures, prediction: se2.Pose, prior: Floats, starts: Floats = NEAR_STARTS) -> _Fit:
-        """Lay a scan over them near a predicted pose."""
-        registration = register(prediction, prior, starts, scan, self.landmarks, self.points, self.roughness)
-        return _Fit(registration, likelihood_score(self.points, scan.points.all, registration.pose))
-
-    def known_share(self, scan: ScanFeatures, pose: se2.Pose) -> float:
-        """Share of a scan's wall length, seen from `pose`, that lies where the map has been: near any known wall."""
-        walls, segments = self.landmarks, scan.segments
-        middles = se2.transform(pose, segments.frame[:, :2])
-        seen = se2.transform(se2.inverse(walls.frame)[:, None], middles[None])  # (walls, segments, 2)
-        beyond = np.maximum(0.0, np.maximum(walls.low[:, None] - seen[..., 0], seen[..., 0] - walls.high[:, None]))
-        known = np.hypot(beyond, seen[..., 1]).min(axis=0, initial=np.inf) < KNOWN_AROUND
-        total = float(segments.half_length.sum())
-        return float(segments.half_length[known].sum()) / total if total else 0.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Fit:
-    """How a scan lies on walls (`registration.explained`) and on the points of the last keyframes (`like`)."""
-
-    registration: Registration
-    like: float
-
-    @property
-    def both(self) -> float:
-        return self.registration.overlap_ratio + self.like
-
-    @property
-    def believable(self) -> bool:
-        return self.registration.overlap_ratio >= EXPLAINED_ENOUGH or self.both >= FITS_ENOUGH
-
-
 class Tracker:
-    """The last pose that is believed, and the odometry's at that time."""
+    """Pose tracking from the last fix on."""
 
     def __init__(self, model: OdometryModel) -> None:
         self._model = model
-        self._firm: PoseFix | None = None
-        self._step = np.zeros(3)  # from the scan before last to the last
-        self._misfits = 0  # scans in a row
-        self._last_fit = 0.0  # of the last scan that was placed
-        # Where the robot was before its last pose was searched for: odometry may make up for what it missed in a step,
-        # and the search may have been wrong.
-        self._left: PoseFix | None = None
-        self._view: View | None = None  # the last one that can be compared
+        self._fix: PoseFix | None = None
+        self._step = np.zeros(3)  # motion between the last two tracked scans
+        self._failed_in_a_row = 0
+        self._last_score = 0.0  # of the last tracked scan
+        # The fix before a wide search. Odometry may catch up in one step after standing still, or the search was wrong.
+        self._fix_before_search: PoseFix | None = None
+        self._view: View | None = None  # last view with enough points for a comparison
         self._odometry: se2.Pose | None = None  # at the last scan
-        self._since_break = np.inf  # metres driven since a scan showed something else than the one before it
+        self._travel_since_view_change = np.inf  # metres
 
     def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
-        """The base is at `pose` in the map, as the map is now, when odometry is at `odometry`."""
-        self._firm, self._misfits, self._left = PoseFix(pose, odometry), 0, None
+        """Set the fix: the base is at `pose` in the map when odometry is at `odometry`."""
+        self._fix, self._failed_in_a_row, self._fix_before_search = PoseFix(pose, odometry), 0, None
 
     @property
-    def firm(self) -> PoseFix | None:
-        """The last pose that is believed; None before the first scan."""
-        return self._firm
+    def fix(self) -> PoseFix | None:
+        """Last fix; None before the first scan."""
+        return self._fix
 
     @property
     def step(self) -> se2.Pose:
-        """The motion that led there."""
+        """Motion between the last two tracked scans."""
         return self._step
 
     @property
-    def fit(self) -> float:
-        """How well the last scan lay that was placed."""
-        return self._last_fit
+    def last_score(self) -> float:
+        """Match score of the last tracked scan."""
+        return self._last_score
 
-    def resume(self, firm: PoseFix, step: se2.Pose, fit: float) -> None:
-        """Go on from where another tracker was."""
-        self._firm, self._step, self._last_fit = firm, step, fit
+    def restore(self, fix: PoseFix, step: se2.Pose, last_score: float) -> None:
+        """Continue from the saved properties of another tracker."""
+        self._fix, self._step, self._last_score = fix, step, last_score
 
     def correct(self, pose: se2.Pose) -> None:
-        """The map has changed, and the pose at the last scan with it."""
-        assert self._firm is not None
-        self._firm = PoseFix(pose, self._firm.odometry)
+        """Replace the pose of the last fix after the map has changed."""
+        assert self._fix is not None
+        self._fix = PoseFix(pose, self._fix.odometry)
 
     def predict(self, odometry: se2.Pose) -> se2.Pose:
-        """Where the base is in the map when odometry is at `odometry`."""
-        return np.zeros(3) if self._firm is None else self._led(self._firm, odometry)
+        """Return the base's pose in the map, by odometry alone since the last fix."""
+        return np.zeros(3) if self._fix is None else self._extrapolate(self._fix, odometry)
 
     @property
     def lost(self) -> bool:
-        """Whether too many scans in a row fitted nowhere for the last pose to be still of use."""
-        return self._misfits >= PATIENCE
+        """True if too many scans in a row fitted nowhere."""
+        return self._failed_in_a_row >= MAX_FAILED_SCANS
 
     @property
     def view_changed(self) -> bool:
-        """Whether what is seen has changed at a stroke lately."""
-        return bool(self._since_break < BREAK_REMEMBERED)
+        """True if the view has changed abruptly within the last metres."""
+        return bool(self._travel_since_view_change < VIEW_CHANGE_MEMORY)
 
-    def track(self, odometry: se2.Pose, scan: ScanFeatures, around: MatchTarget) -> TrackingResult:
-        """Where the base was at a scan taken when odometry was at `odometry`."""
-        fit, view = self._last_fit, View(odometry, scan.points.all)
-        tracking = self._track(odometry, scan, around)
+    def track(self, odometry: se2.Pose, scan: ScanFeatures, target: MatchTarget) -> TrackingResult:
+        """Estimate the base's pose at a scan taken when odometry was at `odometry`."""
+        score_before, view = self._last_score, View(odometry, scan.points.all)
+        result = self._track(odometry, scan, target)
         if self._odometry is not None:
-            self._since_break += float(wheel_travel(se2.between(self._odometry, odometry)))
-        doubtful = (
-            tracking.status in (TrackingStatus.FAILED, TrackingStatus.TENTATIVE)
-            or self._last_fit < fit - DOUBTFULLY_WORSE
-        )
-        if doubtful and self._view_differs(view):
-            self._since_break = 0.0
+            self._travel_since_view_change += float(wheel_travel(se2.between(self._odometry, odometry)))
+        unregistered = result.status in (TrackingStatus.FAILED, TrackingStatus.TENTATIVE)
+        if (unregistered or self._last_score < score_before - SUSPICIOUS_DROP) and self._view_differs(view):
+            self._travel_since_view_change = 0.0
         self._odometry = odometry
         if view.comparable:
             self._view = view
-        return replace(tracking, abrupt=tracking.abrupt and self.view_changed)
+        return replace(result, abrupt=result.abrupt and self.view_changed)
 
     def _view_differs(self, view: View) -> bool:
-        """Whether the view is another one than the last; a tracker that has seen none cannot rule it out."""
+        """Return True if a view shows another place than the last one, or if there is no last one."""
         if self._view is None:
             return True
-        motion = self._model.corrected(se2.between(self._view.odometry, view.odometry))
+        motion = self._model.correct(se2.between(self._view.odometry, view.odometry))
         return self._view.differs_from(view, motion)
 
-    def _track(self, odometry: se2.Pose, scan: ScanFeatures, around: MatchTarget) -> TrackingResult:
-        if self._firm is None:
+    def _track(self, odometry: se2.Pose, scan: ScanFeatures, target: MatchTarget) -> TrackingResult:
+        if self._fix is None:
             self.move_to(np.zeros(3), odometry)
-        assert self._firm is not None
+        assert self._fix is not None
         prior = self._prior(odometry)
-        after_search = self._left is not None
-        predictions, leads = self._predictions(odometry)
-        fits = [around.match(scan, prediction, prior) for prediction in predictions]
-        best = int(np.argmax([fit.both - lead for fit, lead in zip(fits, leads, strict=True)]))
-        fit = fits[best]
-        bears_out = after_search and best < len(predictions) - 1
-        if _shows_too_little(scan) and len(around.landmarks.walls):
-            return self._placement(fit, TrackingStatus.NO_FEATURES, prior)
-        if fit.believable or not len(around.landmarks.walls):
-            self._step = se2.between(self._firm.pose, fit.registration.pose)
-            self.move_to(fit.registration.pose, odometry)
-            return self._placement(fit, TrackingStatus.TRACKED, prior, bears_out)
-        searched = self._search(scan, around, predictions[-1], fit.like)
-        if searched is None:
-            self._misfits += 1
-            if not self.lost or around.known_share(scan, fit.registration.pose) >= NEW_PLACE:
-                return self._placement(fit, TrackingStatus.FAILED, prior)
-            self.move_to(fit.registration.pose, odometry)
-            return self._placement(fit, TrackingStatus.TRACKED, prior)
-        far = around.match(scan, searched, prior, NEAR_STARTS[:1])
-        left = self._firm
-        self.move_to(far.registration.pose, odometry)
-        self._left = left
-        return self._placement(
-            far, TrackingStatus.TRACKED if after_search else TrackingStatus.TENTATIVE, prior, after_search
-        )
+        after_search = self._fix_before_search is not None
+        predictions, margins = self._predictions(odometry)
+        matches = [target.match(scan, prediction, prior) for prediction in predictions]
+        best = int(np.argmax([match.score - margin for match, margin in zip(matches, margins, strict=True)]))
+        match = matches[best]
+        confirms_search = after_search and best < len(predictions) - 1
+        map_is_empty = not len(target.landmarks.walls)
+        if _too_few_features(scan) and not map_is_empty:
+            return self._result(match, TrackingStatus.NO_FEATURES, prior)
+        if match.plausible or map_is_empty:
+            self._step = se2.between(self._fix.pose, match.registration.pose)
+            self.move_to(match.registration.pose, odometry)
+            return self._result(match, TrackingStatus.TRACKED, prior, confirms_search)
+        found = self._search(scan, target, predictions[-1], match.likelihood)
+        if found is None:
+            self._failed_in_a_row += 1
+            in_map = target.mapped_ratio(scan, match.registration.pose) >= MAX_MAPPED_RATIO_OF_NEW_PLACE
+            if not self.lost or in_map:
+                return self._result(match, TrackingStatus.FAILED, prior)
+            self.move_to(match.registration.pose, odometry)
+            return self._result(match, TrackingStatus.TRACKED, prior)
+        match = target.match(scan, found, prior, NEAR_STARTS[:1])
+        before = self._fix
+        self.move_to(match.registration.pose, odometry)
+        self._fix_before_search = before
+        status = TrackingStatus.TRACKED if after_search else TrackingStatus.TENTATIVE
+        return self._result(match, status, prior, after_search)
 
-    def _placement(
-        self, fit: _Fit, status: TrackingStatus, prior: Floats, bears_out_search: bool = False
+    def _result(
+        self, match: ScanMatch, status: TrackingStatus, prior: Floats, confirms_search: bool = False
     ) -> TrackingResult:
-        covariance = np.asarray(np.linalg.inv(fit.registration.held_by + prior))
-        abrupt = status is TrackingStatus.TRACKED and fit.both < self._last_fit - ABRUPTLY_WORSE
+        covariance = np.asarray(np.linalg.inv(match.registration.total_information + prior))
+        abrupt = status is TrackingStatus.TRACKED and match.score < self._last_score - ABRUPT_DROP
         if status in (TrackingStatus.TRACKED, TrackingStatus.TENTATIVE):
-            self._last_fit = fit.both
-        return TrackingResult(fit.registration, status, covariance, bears_out_search, abrupt)
+            self._last_score = match.score
+        return TrackingResult(match.registration, status, covariance, confirms_search, abrupt)
 
     def _predictions(self, odometry: se2.Pose) -> tuple[list[se2.Pose], list[float]]:
-        """Where the base may be, and by how much better than as odometry has it a scan must fit there.
+        """Return candidate poses, and for each the margin by which its match score must exceed that of the first.
 
-        That is as odometry has it; where an even motion would have led, if odometry's step is uneven; where the base
-        was, if odometry may just be making up for what it missed; and, if the last pose was searched for, as odometry
-        has it from where the robot was before.
+        1. Odometry since the last fix.
+        2. An even motion, if odometry's step is unlike the step before.
+        3. The last fix, if odometry may be catching up.
+        4. Odometry since the fix before, if the last fix is tentative.
         """
-        assert self._firm is not None
-        predictions, leads = [self._led(self._firm, odometry)], [0.0]
-        step = self._model.corrected(self._firm.step(odometry))
-        unlike = se2.between(self._step, step)
-        if np.hypot(unlike[0], unlike[1]) > UNEVEN or abs(unlike[2]) > UNEVEN_TURN:
-            predictions.append(se2.compose(self._firm.pose, self._step))
-            leads.append(BETTER)
-        if self._left is not None:
-            return [*predictions, self._firm.pose, self._led(self._left, odometry)], [*leads, 0.0, 0.0]
+        assert self._fix is not None
+        predictions, margins = [self._extrapolate(self._fix, odometry)], [0.0]
+        step = self._model.correct(self._fix.odometry_motion(odometry))
+        change = se2.between(self._step, step)
+        if np.hypot(change[0], change[1]) > UNEVEN_STEP or abs(change[2]) > UNEVEN_TURN:
+            predictions.append(se2.compose(self._fix.pose, self._step))
+            margins.append(EVEN_MOTION_MARGIN)
+        if self._fix_before_search is not None:
+            before_search = self._extrapolate(self._fix_before_search, odometry)
+            return [*predictions, self._fix.pose, before_search], [*margins, 0.0, 0.0]
         if wheel_travel(step) > LARGE_STEP:
-            return [*predictions, self._firm.pose], [*leads, CLEARLY_BETTER]
-        return predictions, leads
+            return [*predictions, self._fix.pose], [*margins, STOPPED_MARGIN]
+        return predictions, margins
 
-    def _led(self, place: PoseFix, odometry: se2.Pose) -> se2.Pose:
-        return se2.compose(place.pose, self._model.corrected(place.step(odometry)))
+    def _extrapolate(self, fix: PoseFix, odometry: se2.Pose) -> se2.Pose:
+        return se2.compose(fix.pose, self._model.correct(fix.odometry_motion(odometry)))
 
-    def _search(self, scan: ScanFeatures, around: MatchTarget, near: se2.Pose, like: float) -> se2.Pose | None:
-        """A pose where the scan's points lie clearly better than they do (`like`) where it was expected."""
-        if len(scan.points.all) < SEARCHED_POINTS:
+    def _search(self, scan: ScanFeatures, target: MatchTarget, near: se2.Pose, score: float) -> se2.Pose | None:
+        """Return a pose at which the likelihood clearly exceeds `score`, that at the predicted pose; None without."""
+        if len(scan.points.all) < MIN_SEARCH_POINTS:
             return None
-        searched, liker = search(around.points, scan.points.all, near)
-        return searched if liker >= max(SEARCHED_LIKE, like + CLEARLY_LIKER) else None
+        pose, found = search_pose(target.field, scan.points.all, near)
+        return pose if found >= max(MIN_SEARCH_SCORE, score + MIN_SEARCH_GAIN) else None
 
     def _prior(self, odometry: se2.Pose) -> Floats:
-        """(3, 3): information of the pose predicted with `odometry`, in the base's frame."""
-        assert self._firm is not None
-        return np.asarray(
-            np.linalg.inv(self._model.covariance(self._firm.step(odometry)) + np.diag(PREDICTION_SIGMAS**2))
-        )
+        """Return the information (3, 3) of the pose predicted with `odometry`, in the base's frame."""
+        assert self._fix is not None
+        covariance = self._model.covariance(self._fix.odometry_motion(odometry)) + np.diag(PREDICTION_SIGMAS**2)
+        return np.asarray(np.linalg.inv(covariance))
 
 
-def _shows_too_little(scan: ScanFeatures) -> bool:
-    return 2 * scan.segments.half_length.sum() < LEAST_WALL and len(scan.points.all) < SEARCHED_POINTS
+def _too_few_features(scan: ScanFeatures) -> bool:
+    return 2 * scan.segments.half_length.sum() < MIN_WALL_LENGTH and len(scan.points.all) < MIN_SEARCH_POINTS

@@ -1,4 +1,4 @@
-"""The extractor of features as it is configured."""
+"""Build the feature extractor from the configuration."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from ..config import Config
 
 
 def build_extractor(config: Config, sigma_range: float | None = None) -> Extractor:
-    """The extractor for the lidar and the methods that are configured.
+    """Return the extractor for the configured lidar and methods.
 
-    `sigma_range` is a range's standard deviation, metres, where many scans have shown it already.
+    `sigma_range` is the standard deviation of a range (metres) if earlier scans have determined it.
     """
     lidar = config.lidar
     learned = lidar.adapt_noise and sigma_range is not None

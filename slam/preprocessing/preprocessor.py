@@ -1,4 +1,4 @@
-"""From messages to sightings: a scan waits until the odometry covers its sweep, is straightened, and condensed."""
+"""Turn messages into processed scans: wait for odometry, de-skew, extract features, transform into the base's frame."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ from features import Features
 
 from ..config import Config
 from ..geometry.segments import CornerPoints, Segments, corner_points, segments_from_lines
-from ..matching.likelihood_field import MOST_POINTS, ScanPoints, thinned
+from ..matching.likelihood_field import MAX_POINTS, ScanPoints, subsample
 from ..matching.line_matcher import ScanFeatures
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import OdometryHistory
-from .deskew import Sweep, deskew, loosen, mount_of
+from .deskew import DeskewedScan, add_motion_uncertainty, deskew, lidar_mount
 from .extraction import build_extractor
 
-LONGEST_WAIT = 20  # scans that wait for the odometry to catch up before they are taken without
-
+# Scans in the queue above which the oldest is processed without odometry covering its sweep.
+# Origin: chosen, two seconds at 10 Hz; not measured.
+MAX_QUEUED_SCANS = 20
 
 NO_FEATURES = ScanFeatures(
     Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2))),
@@ -33,25 +34,30 @@ NO_FEATURES = ScanFeatures(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProcessedScan:
-    """What one scan shows, in the base's frame, as if seen all at once at `stamp`, when odometry was at `odometry`."""
+    """Features and points of one scan in the base's frame, corrected to the pose at `stamp`.
+
+    stamp     seconds, the middle of the sweep
+    odometry  (3,) odometry pose at `stamp`
+    features  segments, corners and points in the base's frame
+    """
 
     stamp: float
     odometry: se2.Pose
     features: ScanFeatures
 
-    def without_view(self) -> ProcessedScan:
-        """That there was a scan; what it showed is not kept."""
+    def without_features(self) -> ProcessedScan:
+        """Return the scan with its features dropped, to save memory."""
         return replace(self, features=NO_FEATURES)
 
 
 class Preprocessor:
-    """Takes scans and odometry, gives sightings."""
+    """Queue of scans that wait for odometry, and the feature extraction."""
 
     def __init__(self, config: Config, sigma_range: float | None = None) -> None:
-        """`sigma_range` is a range's standard deviation, metres, where many scans have shown it already."""
+        """`sigma_range` is the standard deviation of a range (metres) if earlier scans have determined it."""
         self._lidar = config.lidar
         self._extractor = build_extractor(config, sigma_range)
-        self._waiting: deque[Scan] = deque()
+        self._queue: deque[Scan] = deque()
         self.odometry = OdometryHistory()
         self.scans = 0
         self.empty_scans = 0
@@ -59,52 +65,56 @@ class Preprocessor:
 
     @property
     def sigma_range(self) -> float:
-        """Standard deviation of a range as it is estimated now, metres."""
+        """Current estimate of a range's standard deviation, metres."""
         return self._extractor.noise.sigma_range
 
     def add(self, message: Odometry | Scan) -> None:
-        """Take a message."""
+        """Add a message. Scans before the first odometry are dropped once the queue is full."""
         if isinstance(message, Odometry):
             self.odometry.add(message)
             return
         self.scans += 1
         self.empty_scans += not np.isfinite(message.ranges).any()
-        self._waiting.append(message)
-        if not len(self.odometry) and len(self._waiting) > LONGEST_WAIT:
-            self._waiting.popleft()
+        self._queue.append(message)
+        if not len(self.odometry) and len(self._queue) > MAX_QUEUED_SCANS:
+            self._queue.popleft()
             self.scans_without_odometry += 1
 
     @property
-    def waiting(self) -> list[Scan]:
-        """The scans that wait for odometry; `wait` has them again."""
-        return list(self._waiting)
+    def queued(self) -> list[Scan]:
+        """Scans that wait for odometry."""
+        return list(self._queue)
 
-    def wait(self, scans: Sequence[Scan]) -> None:
-        """Let scans wait that waited before; they have been counted."""
-        self._waiting.extend(scans)
+    def restore_queue(self, scans: Sequence[Scan]) -> None:
+        """Append scans that were queued in an earlier run and counted there."""
+        self._queue.extend(scans)
 
-    def next_scan(self, *, last: bool = False) -> Scan | None:
-        """The oldest scan that waits, if odometry covers it or cannot be waited for: there are many, or no more comes
-        (`last`)."""
-        if not self._waiting or not len(self.odometry):
+    def next_scan(self, *, flush: bool = False) -> Scan | None:
+        """Remove and return the oldest scan if odometry covers its sweep; None otherwise.
+
+        A scan is also returned if too many wait, or on `flush`, when no more odometry will come.
+        """
+        if not self._queue or not len(self.odometry):
             return None
-        covered = self._waiting[0].stamp + self._waiting[0].duration <= self.odometry.latest
-        ready = covered or last or len(self._waiting) > LONGEST_WAIT
-        return self._waiting.popleft() if ready else None
+        covered = self._queue[0].stamp + self._queue[0].duration <= self.odometry.latest
+        ready = covered or flush or len(self._queue) > MAX_QUEUED_SCANS
+        return self._queue.popleft() if ready else None
 
-    def sight(self, scan: Scan, odometry_model: OdometryModel) -> ProcessedScan:
-        """Straighten a scan and condense it into walls and corners, and points that are on neither."""
-        mount = mount_of(scan, self._lidar)
-        sweep = deskew(scan, self.odometry, mount, self._lidar.range_bias)
-        features = self._extractor.extract(sweep.ranges, sweep.bearings)
-        seen = _in_base_frame(sweep, features, mount, odometry_model)
-        return ProcessedScan(sweep.stamp, sweep.odometry, seen)
+    def process(self, scan: Scan, odometry_model: OdometryModel) -> ProcessedScan:
+        """De-skew a scan and extract its segments, corners and the points on neither."""
+        mount = lidar_mount(scan, self._lidar)
+        deskewed = deskew(scan, self.odometry, mount, self._lidar.range_bias)
+        features = self._extractor.extract(deskewed.ranges, deskewed.bearings)
+        in_base_frame = _to_base_frame(deskewed, features, mount, odometry_model)
+        return ProcessedScan(deskewed.stamp, deskewed.odometry, in_base_frame)
 
 
-def _in_base_frame(sweep: Sweep, features: Features, mount: se2.Pose, odometry_model: OdometryModel) -> ScanFeatures:
-    """What a scan shows, moved from the lidar's frame into the base's."""
+def _to_base_frame(
+    scan: DeskewedScan, features: Features, mount: se2.Pose, odometry_model: OdometryModel
+) -> ScanFeatures:
+    """Transform the features of a scan from the lidar's frame into the base's."""
     segments = segments_from_lines(features.lines, mount)
     corners = corner_points(features.corners, segments, mount)
-    segments, corners = loosen(segments, corners, features.lines, sweep, odometry_model)
-    points = [thinned(se2.transform(mount, some), MOST_POINTS) for some in sweep.points(features.lines)]
+    segments, corners = add_motion_uncertainty(segments, corners, features.lines, scan, odometry_model)
+    points = [subsample(se2.transform(mount, some), MAX_POINTS) for some in scan.points(features.lines)]
     return ScanFeatures(segments, corners, ScanPoints(*points))

@@ -1,0 +1,230 @@
+"""Update the state by one scan: track the pose, then extend trajectory and map.
+
+`track` finds the scan's pose. `update_map` appends it to the trajectory and, if the robot has moved far enough, makes
+the scan a keyframe: its features are associated with landmarks, the graph is solved, the map around the robot is read
+back, and loops are searched for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers import se2
+
+from ..geometry.degeneracy import weakest_direction
+from ..localisation.match_target import MatchTarget
+from ..localisation.tracker import TrackingResult, TrackingStatus
+from ..loop_closure.closer import LoopDecision, close
+from ..loop_closure.loop_status import LoopStatus
+from ..mapping.data_association import associate
+from ..mapping.keyframes import KeyframeMotion, KeyframeObservations, WallMerge
+from ..mapping.mapper import LOCAL_MAP_MARGIN, Mapper
+from ..matching.line_matcher import Registration
+from ..odometry.error_model import fuse_motion
+from ..preprocessing.preprocessor import ProcessedScan
+from ..run_statistics import StageTimer
+from .slam_state import RELOCALISED_RADIUS, Anchor, SlamState, TrajectoryEntry, covariance_after
+
+# A place is familiar after this many visits with keyframes near the robot (metres, radians) if the overlap ratio is at
+# least this. Origin: chosen so that the graph does not grow while a robot patrols a known building; not measured.
+FAMILIAR_VISITS = 2
+FAMILIAR_DISTANCE = 0.3  # Origin: as FAMILIAR_VISITS.
+FAMILIAR_TURN = np.radians(10.0)  # Origin: as FAMILIAR_VISITS.
+FAMILIAR_OVERLAP = 0.8  # Origin: as FAMILIAR_VISITS.
+# Metres: if the features leave the position less certain than this in one direction, as along a corridor, more visits
+# are needed: later scans can only improve the position of keyframes. Origin: chosen; not measured.
+FAMILIAR_SIGMA = 0.05
+FAMILIAR_VISITS_IF_DEGENERATE = 6  # Origin: chosen; not measured.
+# Keyframes made elsewhere between two visits. Origin: chosen, about 7 m of driving; not measured.
+VISIT_GAP = 20
+# Metres, metres, radians: prior of a motion that odometry did not measure. Origin: chosen, weak in a building.
+UNMEASURED_MOTION_SIGMAS = np.array([10.0, 10.0, 3.0])
+# Metres from the last tracked pose above which the local map is taken from around the predicted pose instead.
+# Origin: chosen, half of LOCAL_MAP_MARGIN; not measured.
+MAX_UNTRACKED_DISTANCE = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyframeUpdate:
+    """Changes of the map by one keyframe.
+
+    observations  features of the keyframe and the landmarks they were associated with
+    merge         walls that were found to be the same, if any
+    loop          decision on a loop hypothesis, if there was one
+    superseded    map before a loop was closed; None without a closure
+    """
+
+    observations: KeyframeObservations
+    merge: WallMerge | None
+    loop: LoopDecision | None
+    superseded: Mapper | None = None
+
+
+def track(state: SlamState, scan: ProcessedScan, timer: StageTimer) -> TrackingResult:
+    """Estimate the pose of a scan and store it in the state."""
+    _follow_prediction(state, scan)
+    target = MatchTarget(state.local_map, state.likelihood_field, state.mapper.roughness.variance)
+    tracking = state.tracker.track(scan.odometry, scan.features, target)
+    timer.lap("registration")
+    state.untracked_scans = [*state.untracked_scans, scan] if tracking.status is TrackingStatus.FAILED else []
+    if tracking.status in (TrackingStatus.TRACKED, TrackingStatus.TENTATIVE):
+        state.pose = tracking.pose
+    return tracking
+
+
+def update_map(
+    state: SlamState, scan: ProcessedScan, tracking: TrackingResult, timer: StageTimer
+) -> KeyframeUpdate | None:
+    """Append a tracked scan to the trajectory, and make it a keyframe if the robot has moved far enough.
+
+    Returns the changes of the map; None if the scan did not become a keyframe.
+    """
+    update = None
+    if tracking.status is TrackingStatus.TRACKED and _moved_enough(state):
+        familiar = _familiar_keyframe(state, tracking)
+        if familiar is None:
+            update = _add_keyframe(state, scan, tracking, timer)
+        else:
+            _pass_familiar_place(state, familiar, scan, tracking)
+    _extend_trajectory(state, scan.stamp, tracking)
+    return update
+
+
+def close_loop(state: SlamState, observations: KeyframeObservations, decision: LoopDecision) -> LoopDecision:
+    """Close a confirmed loop right after the keyframe of `observations`; returns the final decision.
+
+    If that is a rejection, the map does not fit together and the state must be discarded: try it on a copy.
+    """
+    decision = close(state.mapper, decision)
+    if decision.status is LoopStatus.ACCEPTED:
+        state.loops.forget()
+        state.mapper.free_space_evidence.clear()
+        state.local_map = state.mapper.local_map(observations)
+        _move_to_last_keyframe(state)
+    return decision
+
+
+def _follow_prediction(state: SlamState, scan: ProcessedScan) -> None:
+    """Take the local map from around the predicted pose if the robot has driven on without being tracked."""
+    predicted = state.predict(scan.odometry)
+    far = np.hypot(*(predicted - state.pose)[:2]) > MAX_UNTRACKED_DISTANCE
+    if state.anchor is not None and not state.kidnapped and far:
+        state.local_map = state.mapper.local_map_at(predicted, RELOCALISED_RADIUS)
+
+
+def _moved_enough(state: SlamState) -> bool:
+    """Return True if the robot is far enough from the anchor for a new keyframe."""
+    motion, mapping = se2.between(state.anchor_pose, state.pose), state.config.mapping
+    far = np.hypot(motion[0], motion[1]) > mapping.keyframe_distance or abs(motion[2]) > mapping.keyframe_turn
+    return state.anchor is None or bool(far)
+
+
+def _familiar_keyframe(state: SlamState, tracking: TrackingResult) -> int | None:
+    """Return the nearest keyframe of a familiar place; None if the place is not familiar.
+
+    A place is familiar if it was visited often enough and looks as before. On a frozen map every place is familiar. So
+    the graph grows with the size of the building and not with the time spent in it.
+    """
+    mapper = state.mapper
+    if state.frozen:
+        return int(mapper.keyframes_near(state.pose, np.inf, np.inf)[0])
+    if state.kidnapped or tracking.registration.overlap_ratio < FAMILIAR_OVERLAP:
+        return None
+    near = mapper.keyframes_near(state.pose, FAMILIAR_DISTANCE, FAMILIAR_TURN)
+    before = np.sort(near[near < mapper.keyframe_count - VISIT_GAP])  # without those of the current visit
+    visits = np.count_nonzero(np.diff(before) > VISIT_GAP) + 1 if len(before) else 0
+    observable = weakest_direction(state.pose, tracking.registration.information, FAMILIAR_SIGMA) is None
+    return int(near[0]) if visits >= (FAMILIAR_VISITS if observable else FAMILIAR_VISITS_IF_DEGENERATE) else None
+
+
+def _pass_familiar_place(state: SlamState, keyframe: int, scan: ProcessedScan, tracking: TrackingResult) -> None:
+    """Set the anchor relative to a keyframe of a familiar place, without changing the map."""
+    relative = se2.between(state.mapper.keyframe_poses[keyframe], state.pose)
+    state.anchor = Anchor(keyframe, relative, tracking.covariance, scan.odometry)
+    state.kidnapped = state.kidnapped and not state.frozen
+    if not state.frozen:
+        state.mapper.remove_walls_seen_through(state.pose, scan.features.points.all)
+    state.local_map = state.mapper.local_map_at(state.pose, LOCAL_MAP_MARGIN + scan.features.segments.reach())
+    state.recent_points.add(keyframe, scan.features.points.transformed(relative))
+    state.update_likelihood_field()
+
+
+def _extend_trajectory(state: SlamState, stamp: float, tracking: TrackingResult) -> None:
+    """Append the pose to the trajectory; a tentative pose once the next scan confirms it."""
+    if state.anchor is None:
+        return
+    keyframe = state.anchor.keyframe
+    relative = se2.between(state.mapper.keyframe_poses[keyframe], state.pose)
+    entry = TrajectoryEntry(stamp, keyframe, relative, tracking.registration.total_information)
+    if state.tentative is not None and tracking.confirms_search:
+        _append(state, state.tentative)
+    state.tentative = entry if tracking.status is TrackingStatus.TENTATIVE else None
+    if tracking.status is TrackingStatus.TRACKED:
+        _append(state, entry)
+
+
+def _append(state: SlamState, entry: TrajectoryEntry) -> None:
+    state.trajectory.add(entry.stamp, entry.keyframe, entry.relative, entry.information)
+
+
+def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResult, timer: StageTimer) -> KeyframeUpdate:
+    """Associate the scan's features, solve the graph, read the map back, and search for a loop."""
+    mapper, features = state.mapper, scan.features
+    association = associate(
+        state.pose,
+        tracking.covariance,
+        features.segments,
+        features.corners,
+        state.local_map,
+        mapper.roughness.variance,
+    )
+    timer.lap("association")
+    motion = None if state.anchor is None else _motion_since(state, state.anchor, scan.odometry, tracking.registration)
+    observations = mapper.add_keyframe(
+        state.pose, motion, features.segments, features.corners, association, state.local_map
+    )
+    state.keyframe_stamps.append(scan.stamp)
+    timer.lap("graph")
+    state.local_map, merge = mapper.refresh(observations)
+    if mapper.remove_walls_seen_through(mapper.pose, features.points.all):
+        state.local_map = mapper.local_map(observations)
+    state.anchor = Anchor(mapper.keyframe_count - 1, np.zeros(3), np.zeros((3, 3)), scan.odometry)
+    state.recent_points.add(mapper.keyframe_count - 1, features.points)
+    _move_to_last_keyframe(state)
+    timer.lap("local map")
+    decision = state.loops.search(mapper) if state.config.loop_closure.enabled else None
+    if decision is not None and decision.verdict.casts_doubt:
+        mapper.free_space_evidence.suspend(mapper.travelled[-1])
+    timer.lap("loops")
+    return KeyframeUpdate(observations, merge, decision)
+
+
+def _move_to_last_keyframe(state: SlamState) -> None:
+    """Set pose, likelihood field and tracker to the solved pose of the last keyframe."""
+    state.pose = state.mapper.pose
+    state.update_likelihood_field()
+    state.tracker.correct(state.pose)
+
+
+def _motion_since(state: SlamState, anchor: Anchor, odometry: se2.Pose, registration: Registration) -> KeyframeMotion:
+    """Return odometry's motion since the anchor with its covariance, and update the odometry model.
+
+    The odometry model learns from the difference between odometry's motion and the registered one.
+    """
+    model = state.odometry_model
+    measured, registered = se2.between(anchor.odometry, odometry), se2.between(state.anchor_pose, state.pose)
+    covariance, correlated_drift = np.diag(UNMEASURED_MOTION_SIGMAS**2), np.zeros((2, 2))
+    if state.kidnapped:
+        state.kidnapped_keyframes.append(state.mapper.keyframe_count)
+        motion = registered
+    else:
+        model.add_motion(measured, registered, registration.total_information)
+        motion = model.correct(measured)
+        covariance = model.covariance(motion)
+        correlated_drift = model.correlated_drift(motion, registration.total_information)
+        motion, covariance = fuse_motion(motion, covariance, registered, registration.point_information)
+    state.kidnapped = False
+    covariance = covariance + covariance_after(anchor.covariance, motion)
+    return KeyframeMotion(anchor.keyframe, se2.compose(anchor.relative, motion), covariance, correlated_drift)
