@@ -1,1 +1,1 @@
-"""Provide geometric primitives: wall segments, angles, and the directions a place leaves unobserved."""
+"""Geometric primitives: wall segments, corners, angles, and directions that observations do not determine."""

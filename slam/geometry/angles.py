@@ -1,4 +1,4 @@
-"""Angles inside compiled functions."""
+"""Angles for functions compiled with numba; elsewhere `drivers.se2.wrap` serves."""
 
 from __future__ import annotations
 
@@ -9,5 +9,5 @@ from numba import njit
 
 @njit(cache=True)
 def wrap_angle(angle: float) -> float:
-    """The same angle (radians) in [-pi, pi)."""
+    """Return the same angle (radians) in [-pi, pi)."""
     return angle - 2 * math.pi * math.floor((angle + math.pi) / (2 * math.pi))

@@ -1,4 +1,4 @@
-"""Which directions the geometry of a place leaves open: along a bare corridor no wall says how far."""
+"""Degenerate directions: those in which the features do not determine the position, e.g. along a bare corridor."""
 
 from __future__ import annotations
 
@@ -10,13 +10,18 @@ from drivers import se2
 
 from .segments import Floats
 
+# Information (per square metre and square radian) added in all directions, so that its inverse exists: corresponds to
+# a standard deviation of 1 km. Origin: numerical.
+_MIN_INFORMATION = 1e-6
+
 
 def weakest_direction(pose: se2.Pose, information: Floats, sigma: float) -> float | None:
-    """The direction in the map (radians, 0 to pi) along which the position is known worse than `sigma` (metres).
+    """Return the direction in the map, in [0, pi) radians, in which the position is least certain.
 
-    `information` (3, 3) is that of a pose, in the pose's own frame. None where every direction is known.
+    None if its standard deviation is at most `sigma` metres in every direction. `information` (3, 3) is that of the
+    pose, in its own frame.
     """
-    covariance = np.linalg.inv(information + 1e-6 * np.eye(3))[:2, :2]
+    covariance = np.linalg.inv(information + _MIN_INFORMATION * np.eye(3))[:2, :2]
     variances, directions = np.linalg.eigh(covariance)
     if variances[-1] <= sigma**2:
         return None

@@ -1,9 +1,9 @@
-"""The lines of one scan in the form that registration, association and the graph work with.
+"""Segments and corners of one scan in the base's frame, as used by registration, data association and the graph.
 
-A segment is a frame on the wall: origin at the segment's centre, x along the wall so that the robot is on the left
-(y > 0 is the side the wall is seen from). What a line tells of that frame is its offset across the wall and its
-direction; along the wall it tells nothing. So a segment carries the covariance of (y, heading) in its own frame:
-there it is nearly diagonal, stays Gaussian for short and far segments, and does not depend on the lidar's mount.
+A segment has a frame on the wall: origin at the segment's centre, x along the wall, the robot at y > 0. A line measures
+the offset of this frame across the wall and its heading, but nothing along the wall. So a segment carries the
+covariance of (offset, heading) in its own frame, where it is nearly diagonal, stays Gaussian for short and distant
+segments, and does not depend on the lidar's mount.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from drivers import se2
 
-if TYPE_CHECKING:  # the features bring numba along, which takes a second to load
+if TYPE_CHECKING:  # importing features imports numba, which takes a second
     from features.types import Corners, Lines
 
 Floats = NDArray[np.float64]
@@ -25,11 +25,11 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segments:
-    """n wall segments seen from one pose.
+    """Wall segments of one scan.
 
-    frame        (n, 3) the segments' frames [x, y, heading] in the base's frame (metres, radians)
+    frame        (n, 3) the segments' frames [x, y, heading] in the base's frame, metres and radians
     half_length  (n,) metres from the centre to either end
-    covariance   (n, 2, 2) of (offset across the wall in metres, heading in radians) at the centre
+    covariance   (n, 2, 2) of offset across the wall (metres) and heading (radians) at the centre
     """
 
     frame: Floats
@@ -40,15 +40,16 @@ class Segments:
         return len(self.frame)
 
     def reach(self) -> float:
-        """Distance of the farthest point of any segment from the base, at most (metres)."""
+        """Return an upper bound of the distance from the base to any point of a segment, metres; 0 without one."""
         return float(np.max(np.hypot(self.frame[:, 0], self.frame[:, 1]) + self.half_length, initial=0.0))
 
 
 def segments_from_lines(lines: Lines, mount: se2.Pose) -> Segments:
-    """Lines in the lidar's frame as segments in the base's frame; `mount` is the lidar's pose in the base's frame.
+    """Convert lines u x + v y = 1 in the lidar's frame to segments in the base's frame.
 
-    With d = 1/|(u, v)|, a change of (u, v) moves the wall at its centre c by d (c . d(u, v)) to its left and turns it
-    by d^2 (-v du + u dv).
+    `mount` is the lidar's pose in the base's frame. The covariance is propagated to first order: with d = 1/|(u, v)|,
+    a change of (u, v) moves the wall at its centre c by d (c . d(u, v)) to its left and turns it by
+    d^2 (-v du + u dv).
     """
     uv = lines.uv
     distance = 1.0 / np.hypot(uv[:, 0], uv[:, 1])
@@ -66,12 +67,12 @@ def segments_from_lines(lines: Lines, mount: se2.Pose) -> Segments:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CornerPoints:
-    """m corners seen from one pose.
+    """Corners of one scan.
 
     position    (m, 2) in the base's frame, metres
-    covariance  (m, 2, 2)
+    covariance  (m, 2, 2) of the position, in the base's axes
     segments    (m, 2) indices of the segments before and after the corner, counter-clockwise
-    headings    (m, 2) of those segments in the base's frame
+    headings    (m, 2) of these segments in the base's frame, radians
     """
 
     position: Floats
@@ -84,7 +85,7 @@ class CornerPoints:
 
 
 def corner_points(corners: Corners, segments: Segments, mount: se2.Pose) -> CornerPoints:
-    """Corners in the lidar's frame moved into the base's frame; `mount` is the lidar's pose in the base's frame."""
+    """Transform corners from the lidar's frame to the base's; `mount` is the lidar's pose in the base's frame."""
     c, s = np.cos(mount[2]), np.sin(mount[2])
     rotation = np.array([[c, -s], [s, c]])
     position = se2.transform(mount, corners.position).reshape(-1, 2)

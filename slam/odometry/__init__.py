@@ -1,1 +1,1 @@
-"""Store wheel odometry and model its errors."""
+"""Wheel odometry: the readings, and a model of their errors that is learned while driving."""

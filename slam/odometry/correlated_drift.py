@@ -1,10 +1,11 @@
-"""Errors that wheels make alike motion after motion, where nothing that was seen held the robot.
+"""Covariances of correlated drift: odometry errors that neighbouring motions share while no feature corrects them.
 
-Wheels larger than believed are so all along a bare corridor: what they get wrong adds up with the way, not with its
-root. The graph takes the errors of its motions for independent ones. To give each of them the variance that its share
-in the sum would need makes a chain so soft that a corridor is torn wherever walls that are not quite straight pull at
-it. So motions keep the variance of what is theirs alone, which holds the chain together, and what they share is added
-to the covariances afterwards. Closed loops and places seen again do not take it away: it is an upper bound there.
+Along a bare corridor, the error of a wrong wheel diameter is the same in every motion: it grows with the travelled
+distance, not with its square root. The graph treats the errors of motions as independent. If each motion got the
+variance that its share of the sum requires, the chain of motions would be so soft that slightly bent walls tear a
+corridor apart. So the graph gets the variance of each motion's independent errors only, and the shared errors are
+accumulated beside it and added to the covariances that it returns. Loop closures and revisited places do not reduce
+them: there, the sum is an upper bound.
 """
 
 from __future__ import annotations
@@ -15,7 +16,10 @@ from ..geometry.segments import Floats
 
 
 def embed_position_covariance(position: Floats) -> Floats:
-    """(3, 3): a covariance (2, 2) of position as one of a pose. What would be below zero in some direction is not."""
+    """Return (3, 3) the covariance of a pose whose position has the covariance (2, 2) and whose heading is certain.
+
+    Negative eigenvalues are clamped to zero.
+    """
     values, vectors = np.linalg.eigh(position)
     covariance = np.zeros((3, 3))
     covariance[:2, :2] = (vectors * np.maximum(values, 0.0)) @ vectors.T
@@ -23,7 +27,10 @@ def embed_position_covariance(position: Floats) -> Floats:
 
 
 def rotate_covariance(covariance: Floats, angle: float) -> Floats:
-    """(3, 3): the covariance of a pose [x, y, heading] after its axes were turned by an angle (radians)."""
+    """Return (3, 3) R C R^T for the covariance C of a pose [x, y, heading], with R the rotation by an angle (radians).
+
+    A heading rotates it from the pose's axes to the map's, its negative from the map's to the pose's.
+    """
     c, s = np.cos(angle), np.sin(angle)
     rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     return np.asarray(rotation @ covariance @ rotation.T)

@@ -1,4 +1,4 @@
-"""What wheel odometry gets wrong: always in the same way, which is taken out, and by chance, which is believed less."""
+"""Error model of wheel odometry: systematic errors, which are corrected, and random errors, which give covariances."""
 
 from __future__ import annotations
 
@@ -13,139 +13,170 @@ from ..geometry.degeneracy import weakest_direction
 from ..geometry.segments import Floats
 from .history import wheel_travel
 
-LEAST_WAY = 0.05  # metres: shorter motions say more of registration than of the wheels
-WINDOW = 200  # motions
-# Motions that the configured values count for, in the geometric mean: they may be wrong by a factor, and in an
-# arithmetic one a start that is five times too large would still rule after a hundred motions.
-START_COUNT = 10
-LEAST_RATE = 1e-8  # of variance; no wheels err by less than a tenth of a millimetre or of a milliradian in a metre
-HELD_SIGMA = 0.05  # metres: worse than this, what was seen does not tell how far odometry erred in a step
-ADRIFT_SIGMA = 0.3  # metres: a direction in which what is seen holds the robot worse than this is left to odometry
-# Metres of way over which the wheels' errors are the same: wheels larger than believed stay so. Where every step is
-# seen to be right or wrong that does not matter; where many steps in a row are not, their errors add up (`adrift`).
-ALIKE_WAY = 20.0
-MEMORY = 500  # motions from which is learned what is common to all
-MOST_WRONG = 2.0  # factor; wheels that turn the robot by more or less than that are not calibrated badly, but broken
-STRAIGHT = math.radians(4.0)  # a motion that turns by less tells of length and veer, one that turns by more of turning
-NORMAL_MEDIAN = 0.4549  # median of a squared standard normal variable
-PLANE_MEDIAN = 1.3863  # of the sum of two
+# Metres of wheel travel below which a motion is not used: its difference from registration is mostly registration's
+# error. Origin: chosen, above the accuracy of registration; not measured.
+MIN_TRAVEL = 0.05
+# Latest motions from which the random errors are estimated. Origin: chosen, some 60 m of driving; not measured.
+RANDOM_ERROR_SAMPLES = 200
+# Latest motions from which the systematic errors are estimated. Origin: chosen, more than for the random errors, as
+# they change less; not measured.
+MAX_SAMPLES = 500
+# Motions that the configured values count for, in a geometric mean: they may be wrong by a factor, and with an
+# arithmetic mean a value five times too large would dominate even after a hundred motions.
+# Origin: chosen; measured in simulation to be better than the arithmetic mean (commit 87552d4), the number itself not.
+PRIOR_SAMPLES = 10
+# Smallest variance of the random errors, square metres or square radians per metre: no wheels err by less than 0.1 mm
+# or 0.1 mrad in a metre. Origin: chosen, far below real wheels; not measured.
+MIN_VARIANCE_RATE = 1e-8
+# Metres: motions are not used for learning if the standard deviation of registration exceeds this in some direction.
+# Origin: chosen, about the odometry error of one motion; not measured.
+MAX_LEARNING_SIGMA = 0.05
+# Metres: drift is correlated in a direction in which the standard deviation of registration exceeds this.
+# Origin: chosen, worse than odometry over some metres; not measured.
+UNOBSERVED_SIGMA = 0.3
+# Metres of travel over which odometry errors are taken as equal, e.g. those of a wrong wheel diameter. This matters
+# only if many motions in a row are not corrected by registration.
+# Origin: chosen, the length of a corridor; not measured.
+CORRELATION_LENGTH = 20.0
+# Factor by which odometry may over- or underestimate turns; beyond, the wheels are faulty rather than miscalibrated.
+# Origin: chosen, well beyond calibration errors; not measured.
+MAX_TURN_FACTOR = 2.0
+# Radians: a motion that turns by less is used for the factor of length and for veering, else for the factor of turning.
+# Origin: chosen, several times the heading error of registration; not measured.
+MAX_STRAIGHT_TURN = math.radians(4.0)
+# Median of a squared standard normal variable. Origin: definition, chi-square, 1 dof.
+NORMAL_MEDIAN = 0.4549
+# Median of the sum of two squared standard normal variables. Origin: definition, chi-square, 2 dof.
+PLANE_MEDIAN = 1.3863
 
 
 class OdometryModel:
-    """How far wheel odometry strays, learned by comparing its motion between keyframes with what registration finds.
+    """Errors of wheel odometry, learned by comparing its motions between keyframes with registration.
 
-    What is common to all motions is taken out of them: wheels larger or smaller than believed make a motion longer by a
-    factor, a track wider than believed turns by another, unequal wheels veer with the way. The rest is noise:
-    translation errs in proportion to the way, heading as a random walk over it. Medians are deaf to single gross
-    errors, which the kernel of the graph's odometry factors has to bear.
+    Systematic errors are common to all motions: wrong wheel diameters scale the length of a motion by a factor, a wrong
+    distance between the wheels scales turns by another, and unequal wheels veer in proportion to the length. The rest
+    is random: the standard deviation of translation is proportional to the travel, heading is a random walk. All
+    estimates are medians, which single gross errors do not affect; in the graph, the robust kernel of odometry factors
+    limits them.
     """
 
     def __init__(self, config: OdometryConfig) -> None:
         self._config = config
-        self._start = np.array([config.translation_error**2, config.rotation_walk**2])
+        self._initial_rates = np.array([config.translation_error**2, config.rotation_walk**2])
         self._samples: Floats = np.zeros((0, 6))
-        self._rates = self._start
-        self._length = self._turning = 1.0
-        self._veer = 0.0  # radians a metre
+        self._rates = self._initial_rates
+        self._length_factor = self._turn_factor = 1.0
+        self._veer = 0.0  # radians per metre
 
     @property
     def deviations(self) -> Floats:
-        """(2,): standard deviations of translation after one metre of way (metres) and of heading (radians)."""
+        """(2,) standard deviations after one metre of travel, of translation (metres) and heading (radians)."""
         return np.asarray(np.sqrt(self._rates))
 
     @property
-    def systematic(self) -> Floats:
-        """(3,): factors of length and of turning, and radians that are turned a metre besides what odometry says."""
-        return np.array([self._length, self._turning, self._veer])
+    def systematic_errors(self) -> Floats:
+        """(3,) factor of length, factor of turning, and veering in radians per metre; (1, 1, 0) for perfect wheels."""
+        return np.array([self._length_factor, self._turn_factor, self._veer])
 
     @property
     def samples(self) -> Floats:
-        """(n, 6) motions as they were claimed and found, on which the estimate rests; `add_samples` has them again."""
+        """(n, 6) motions as measured by odometry and as registered, from which the model is estimated."""
         return self._samples
 
     def add_samples(self, samples: Floats) -> None:
-        """Go on from what another estimate rested on."""
-        self._samples = np.concatenate([self._samples, samples])[-MEMORY:]
+        """Add `samples` (n, 6), e.g. of a saved model, and estimate the model again."""
+        self._samples = np.concatenate([self._samples, samples])[-MAX_SAMPLES:]
         self._estimate()
 
-    def add_motion(self, claimed: se2.Pose, found: se2.Pose, held_by: Floats) -> None:
-        """Take a motion [x, y, heading] as the odometry claims it, and as it was found to be.
+    def add_motion(self, measured: se2.Pose, registered: se2.Pose, information: Floats) -> None:
+        """Learn from a motion [x, y, heading] as measured by odometry and as found by registration.
 
-        `held_by` (3, 3) is the information of what was seen at its end. Where that leaves a direction open, as along a
-        bare corridor, what was found is what odometry had claimed, and says nothing of how far that is right.
+        `information` (3, 3) is that of the registration at its end. If it leaves a direction undetermined, as along a
+        bare corridor, the registered motion is a copy of odometry there, and the motion is not used.
         """
-        if not self._config.learn or wheel_travel(claimed) < LEAST_WAY:
+        if not self._config.learn or wheel_travel(measured) < MIN_TRAVEL:
             return
-        if weakest_direction(found, held_by, HELD_SIGMA) is None:
-            self.add_samples(np.concatenate([claimed, found])[None])
+        if weakest_direction(registered, information, MAX_LEARNING_SIGMA) is None:
+            self.add_samples(np.concatenate([measured, registered])[None])
 
     def _estimate(self) -> None:
-        claimed, found = self._samples[:, :3], self._samples[:, 3:]
-        ahead, turned = claimed[:, 0], claimed[:, 2]
-        # Chosen by what was found: what is claimed is noisy, and of turns chosen by noise most are too large.
-        turns = np.abs(found[:, 2]) > STRAIGHT
-        straight = (np.abs(ahead) > LEAST_WAY) & ~turns
-        self._length = 1.0 + _trusted(found[straight, 0] / ahead[straight] - 1.0)
-        self._veer = _trusted(se2.wrap(found[straight, 2] - turned[straight]) / ahead[straight])
-        by_wheels = se2.wrap(found[turns, 2] - self._veer * ahead[turns])
-        self._turning = 1.0 / np.clip(1.0 + _trusted(turned[turns] / by_wheels - 1.0), 1 / MOST_WRONG, MOST_WRONG)
-        claimed, found = claimed[-WINDOW:], found[-WINDOW:]
-        error, travel = se2.between(self.correct(claimed), found), wheel_travel(claimed)
+        measured, registered = self._samples[:, :3], self._samples[:, 3:]
+        ahead, turn = measured[:, 0], measured[:, 2]
+        # Selected by the registered turn: measured turns are noisy, and of those selected by noise most are too large.
+        turning = np.abs(registered[:, 2]) > MAX_STRAIGHT_TURN
+        straight = (np.abs(ahead) > MIN_TRAVEL) & ~turning
+        self._length_factor = 1.0 + _shrunk_median(registered[straight, 0] / ahead[straight] - 1.0)
+        self._veer = _shrunk_median(se2.wrap(registered[straight, 2] - turn[straight]) / ahead[straight])
+        without_veer = se2.wrap(registered[turning, 2] - self._veer * ahead[turning])
+        inverse = 1.0 + _shrunk_median(turn[turning] / without_veer - 1.0)
+        self._turn_factor = 1.0 / np.clip(inverse, 1 / MAX_TURN_FACTOR, MAX_TURN_FACTOR)
+        self._estimate_rates(measured[-RANDOM_ERROR_SAMPLES:], registered[-RANDOM_ERROR_SAMPLES:])
+
+    def _estimate_rates(self, measured: Floats, registered: Floats) -> None:
+        """Estimate the variances of the random errors that remain after correction."""
+        error, travel = se2.between(self.correct(measured), registered), wheel_travel(measured)
         squared = (
             (error[:, 0] ** 2 + error[:, 1] ** 2) / (PLANE_MEDIAN * travel**2),
             error[:, 2] ** 2 / NORMAL_MEDIAN / travel,
         )
-        observed = np.maximum([np.median(some) if len(some) else LEAST_RATE for some in squared], LEAST_RATE)
-        trust = len(claimed) / (len(claimed) + START_COUNT)
-        self._rates = np.maximum(self._start, LEAST_RATE) ** (1 - trust) * observed**trust
+        observed = np.maximum(
+            [np.median(rates) if len(rates) else MIN_VARIANCE_RATE for rates in squared], MIN_VARIANCE_RATE
+        )
+        weight = len(measured) / (len(measured) + PRIOR_SAMPLES)
+        self._rates = np.maximum(self._initial_rates, MIN_VARIANCE_RATE) ** (1 - weight) * observed**weight
 
     def correct(self, motion: se2.Pose) -> se2.Pose:
-        """Motions (..., 3) as odometry claims them, without the errors that are common to all."""
-        turn = self._turning * motion[..., 2] + self._veer * motion[..., 0]
+        """Return measured motions (..., 3) without their systematic errors."""
+        turn = self._turn_factor * motion[..., 2] + self._veer * motion[..., 0]
         bend = 0.5 * (turn - motion[..., 2])  # the chord of an arc points half its turn ahead
-        x, y = self._length * motion[..., 0], self._length * motion[..., 1]
+        x, y = self._length_factor * motion[..., 0], self._length_factor * motion[..., 1]
         c, s = np.cos(bend), np.sin(bend)
         return np.stack([c * x - s * y, s * x + c * y, se2.wrap(turn)], axis=-1)
 
     def variances(self, travel: Floats) -> tuple[Floats, Floats]:
-        """Variances (...,) of translation along each axis and of heading after `way` metres (...,)."""
+        """Return the variances (...,) of translation along each axis and of heading after `travel` metres (...,)."""
         return self._rates[0] * travel**2, self._rates[1] * travel
 
     def covariance(self, motion: se2.Pose) -> Floats:
-        """(3, 3) covariance of a motion [x, y, heading] between two readings, in the frame of its end."""
+        """Return (3, 3) the covariance of a corrected motion [x, y, heading] between two readings, in its end frame."""
         travel = wheel_travel(motion)
         translation, rotation = self.variances(travel)
         translation += self._config.translation_floor**2
         rotation += self._config.rotation_floor**2
         return np.diag([translation, translation, rotation])
 
-    def correlated_drift(self, motion: se2.Pose, held_by: Floats) -> Floats:
-        """(2, 2): what a motion adds to the covariance of the position, in the frame of its end, by errors that it has
-        in common with its neighbours.
+    def correlated_drift(self, motion: se2.Pose, information: Floats) -> Floats:
+        """Return (2, 2) the position covariance that a motion adds by errors shared with neighbouring motions.
 
-        That is in the direction that what was seen at its end leaves open, given the information (3, 3) of that.
+        In the frame of the motion's end. It is zero except along the direction that the registration at the end, with
+        its `information` (3, 3), leaves undetermined. With errors constant over CORRELATION_LENGTH, n motions of travel
+        s each must add up to rate (n s) CORRELATION_LENGTH.
         """
-        direction = weakest_direction(np.zeros(3), held_by, ADRIFT_SIGMA)
+        direction = weakest_direction(np.zeros(3), information, UNOBSERVED_SIGMA)
         if direction is None:
             return np.zeros((2, 2))
         along = np.array([math.cos(direction), math.sin(direction)])
-        return np.asarray(self._rates[0] * wheel_travel(motion) * ALIKE_WAY * np.outer(along, along))
+        return np.asarray(self._rates[0] * wheel_travel(motion) * CORRELATION_LENGTH * np.outer(along, along))
 
 
 def fuse_motion(
-    claimed: se2.Pose, covariance: Floats, found: se2.Pose, point_information: Floats
+    measured: se2.Pose, covariance: Floats, registered: se2.Pose, point_information: Floats
 ) -> tuple[se2.Pose, Floats]:
-    """The motion between two keyframes, and its covariance (3, 3), from odometry and from points on no wall.
+    """Fuse odometry with the part of registration that rests on clutter points; return motion and covariance (3, 3).
 
-    Walls say nothing along a corridor; door jambs and clutter do, with `point_information` (3, 3). The motion that
-    registration `found` rests on them there. Where they say nothing, the motion stays the odometry's.
+    measured           motion by odometry, corrected, with its `covariance` (3, 3)
+    registered         motion by registration
+    point_information  (3, 3) of the clutter points alone: the walls' information enters the graph by their own factors
+
+    Along a corridor the walls do not determine the motion, but door jambs and clutter may. In directions without point
+    information, the motion stays that of odometry.
     """
     fused: Floats = np.asarray(np.linalg.inv(np.linalg.inv(covariance) + point_information), dtype=np.float64)
-    correction = found - claimed
+    correction = registered - measured
     correction[2] = se2.wrap(correction[2])
-    return claimed + fused @ point_information @ correction, fused
+    return measured + fused @ point_information @ correction, fused
 
 
-def _trusted(values: Floats) -> float:
-    """The median of how far motions stray from none, as far as there are enough of them to believe it."""
-    return float(np.median(values)) * len(values) / (len(values) + START_COUNT) if len(values) else 0.0
+def _shrunk_median(values: Floats) -> float:
+    """Return the median of deviations from zero, shrunk to zero if there are few; see PRIOR_SAMPLES."""
+    return float(np.median(values)) * len(values) / (len(values) + PRIOR_SAMPLES) if len(values) else 0.0

@@ -1,4 +1,4 @@
-"""Wheel odometry: where it says the base was at any time."""
+"""Odometry readings of a run, and the pose of the base between them."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from drivers.messages import Odometry
 
 from ..geometry.segments import Floats
 
-# Metres of way that a radian of turning counts for: about half the distance between a robot's wheels and then some.
-TRACK = 0.25
+# Metres of travel that one radian of turning counts for: about half the distance between a robot's wheels, and a bit.
+# Origin: geometry, wheels of small robots are 0.2 to 0.4 m apart.
+TRAVEL_PER_RADIAN = 0.25
 
 
 class OdometryHistory:
-    """All odometry of a run, in time order."""
+    """All odometry readings of a run, in time order."""
 
     def __init__(self) -> None:
         self._stamps: list[float] = []
@@ -24,7 +25,7 @@ class OdometryHistory:
 
     @classmethod
     def from_arrays(cls, stamps: Floats, poses: Floats) -> OdometryHistory:
-        """Readings (n,), (n, 3) in time order."""
+        """Build a history from stamps (n,) in increasing order and poses (n, 3)."""
         history = cls()
         history._stamps, history._poses = stamps.tolist(), list(poses)
         return history
@@ -33,7 +34,7 @@ class OdometryHistory:
         return len(self._stamps)
 
     def add(self, reading: Odometry) -> None:
-        """Append a reading; one with the stamp of the last replaces it."""
+        """Append a reading; one that is not later than the last replaces its pose."""
         if self._stamps and reading.stamp <= self._stamps[-1]:
             self._poses[-1] = reading.pose
             return
@@ -57,12 +58,12 @@ class OdometryHistory:
 
     @property
     def travelled(self) -> Floats:
-        """(n,) metres that the wheels have rolled up to each reading."""
+        """(n,) metres of wheel travel up to each reading."""
         poses = self.poses
         return np.concatenate([[0.0], np.cumsum(wheel_travel(se2.between(poses[:-1], poses[1:])))])
 
     def at(self, stamp: float) -> se2.Pose:
-        """The pose at a stamp, between the readings around it; held before the first and after the last."""
+        """Return the pose at a stamp, interpolated linearly in SE(2); constant before the first and after the last."""
         after = bisect.bisect_left(self._stamps, stamp)
         if after == len(self._stamps):
             return self._poses[-1]
@@ -73,10 +74,10 @@ class OdometryHistory:
         return se2.compose(self._poses[before], part * se2.between(self._poses[before], self._poses[after]))
 
     def at_each(self, stamps: Floats) -> Floats:
-        """(n, 3): the poses at several stamps that lie close together."""
+        """Return (n, 3) the poses at several stamps."""
         return np.array([self.at(float(stamp)) for stamp in stamps]).reshape(-1, 3)
 
 
 def wheel_travel(motion: se2.Pose) -> Floats:
-    """Metres (...,) that the wheels roll in motions (..., 3): their length, and what turning takes."""
-    return np.asarray(np.hypot(motion[..., 0], motion[..., 1]) + TRACK * np.abs(motion[..., 2]))
+    """Return (...,) the metres that the wheels roll in motions (..., 3): the length, plus a share for turning."""
+    return np.asarray(np.hypot(motion[..., 0], motion[..., 1]) + TRAVEL_PER_RADIAN * np.abs(motion[..., 2]))

@@ -104,12 +104,12 @@ def test_what_is_common_to_all_motions_is_taken_out_of_them() -> None:
         found = np.array([length * claimed[0] * np.cos(bend), length * claimed[0] * np.sin(bend), turn])
         gross = [0.5, 0.0, 0.5] if k % 10 == 0 else [0.0, 0.0, 0.0]
         noise.add_motion(claimed, se2.compose(found, random.normal(0, [3e-3, 3e-3, 5e-3]) + gross), HELD)
-    assert noise.systematic == pytest.approx([length, turning, veer], abs=0.01)
+    assert noise.systematic_errors == pytest.approx([length, turning, veer], abs=0.01)
     np.testing.assert_allclose(noise.correct(claimed), found, atol=0.01)
     assert noise.deviations[0] < 0.02  # what was taken out is not noise any more
     again = OdometryModel(OdometryConfig())
     again.add_samples(noise.samples)
-    np.testing.assert_array_equal(again.systematic, noise.systematic)
+    np.testing.assert_array_equal(again.systematic_errors, noise.systematic_errors)
 
 
 def test_errors_add_up_where_nothing_holds_the_robot() -> None:
