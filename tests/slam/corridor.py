@@ -1,4 +1,4 @@
-"""The events of a robot in a corridor, and what is in a log."""
+"""Synthetic events of a robot in a corridor, and helpers to read logs."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from slam.events import (
 from slam.geometry.segments import CornerPoints, Segments
 from slam.visualisation.rerun_log import ReviewLog
 
-# A corridor around a block, 24 m by 16 m outside: wall frames as the robot sees them, from inside the corridor.
+# A corridor around a block, 24 m by 16 m outside; walls are seen from inside the corridor.
 OUTER = np.array([[0.0, 0.0], [24.0, 0.0], [24.0, 16.0], [0.0, 16.0]])
 INNER = np.array([[3.0, 3.0], [3.0, 13.0], [21.0, 13.0], [21.0, 3.0]])
-WAY = np.array([[1.5, 1.5], [22.5, 1.5], [22.5, 14.5], [1.5, 14.5], [1.5, 1.5]])
-PIECE = 3.0  # metres; walls are split as doors split them
+ROUTE = np.array([[1.5, 1.5], [22.5, 1.5], [22.5, 14.5], [1.5, 14.5], [1.5, 1.5]])
+PIECE = 3.0  # metres; length of walls between doors
 EMPTY_SEGMENTS = Segments(np.empty((0, 3)), np.empty(0), np.empty((0, 2, 2)))
 
 
-def seen_corners(position: np.ndarray) -> CornerPoints:
+def make_corners(position: np.ndarray) -> CornerPoints:
     n = len(position)
     return CornerPoints(
         position=position,
@@ -41,7 +41,7 @@ def seen_corners(position: np.ndarray) -> CornerPoints:
 
 
 def corridor_walls() -> np.ndarray:
-    """(n, 4): x, y, heading of a piece's middle and its half length."""
+    """Return walls (n, 4): x, y, heading of the middle, and half length."""
     walls = []
     for polygon in (OUTER, INNER):
         for start, end in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
@@ -53,10 +53,10 @@ def corridor_walls() -> np.ndarray:
     return np.array(walls)
 
 
-def drive(step: float, laps: int = 1) -> np.ndarray:
-    """(k, 3) true poses along the corridor, turning on the spot at its corners."""
+def drive_poses(step: float, laps: int = 1) -> np.ndarray:
+    """Return true poses (k, 3) along the corridor, with turns on the spot at its corners."""
     poses = []
-    for start, end in zip(np.tile(WAY[:-1], (laps, 1)), np.tile(WAY[1:], (laps, 1)), strict=True):
+    for start, end in zip(np.tile(ROUTE[:-1], (laps, 1)), np.tile(ROUTE[1:], (laps, 1)), strict=True):
         heading = np.arctan2(*(end - start)[::-1])
         for along in np.arange(0.0, np.hypot(*(end - start)), step):
             poses.append([*(start + along * np.array([np.cos(heading), np.sin(heading)])), heading])
@@ -64,12 +64,12 @@ def drive(step: float, laps: int = 1) -> np.ndarray:
 
 
 class Corridor:
-    """The events of a robot that drives around a corridor: an estimate with a little error, odometry that drifts."""
+    """Events of a robot that drives around a corridor, with a small estimation error and drifting odometry."""
 
     def __init__(self, step: float = 0.5, laps: int = 1, start: float = 0.0, beams: int = 180, maps_every: int = 5):
         self.rng = np.random.default_rng(5)
         self.walls = corridor_walls()
-        self.truth = drive(step, laps)
+        self.truth = drive_poses(step, laps)
         self.start, self.beams, self.maps_every = start, beams, maps_every
         self.world_from_map = self.truth[0]
         self.wall_frames = se2.compose(se2.inverse(self.truth[0]), self.walls[:, :3])
@@ -114,7 +114,7 @@ class Corridor:
         segments = Segments(frame, self.walls[near, 3] * 0.8, np.tile(np.diag([1e-4, 1e-5]), (len(near), 1, 1)))
         corner = se2.transform(se2.inverse(truth), OUTER)
         seen = np.flatnonzero(np.hypot(*corner.T) < 8.0)
-        corners = seen_corners(corner[seen] + 0.02)
+        corners = make_corners(corner[seen] + 0.02)
         spread = 0.01 + 2e-4 * index
         return KeyframeAdded(
             index=index, stamp=stamp, pose=estimate, pose_covariance=np.diag([spread, spread / 2, 0.01]) ** 2,
@@ -147,7 +147,7 @@ class Corridor:
 
 
 def rows(path: Path, entity: str, component: str) -> list:
-    """What was logged of a component: (keyframe, value) in the order of keyframes; static rows have keyframe None."""
+    """Return the logged values of a component as (keyframe, value), sorted by keyframe; None for static rows."""
     found = []
     for chunk in RrdReader(path).stream():
         batch = chunk.to_record_batch()
@@ -160,7 +160,7 @@ def rows(path: Path, entity: str, component: str) -> list:
 
 
 def last(path: Path, entity: str, component: str):
-    """The value that is seen at the end of the run."""
+    """Return the value at the end of the run."""
     return rows(path, entity, component)[-1][1]
 
 
@@ -176,5 +176,5 @@ def log_events(path: Path, events) -> ReviewLog:
 
 
 def keyframes_in(path: Path) -> set[int]:
-    """The keyframes whose pose is in a log."""
+    """Return the keyframes whose pose is in a log."""
     return {k for k, _ in rows(path, "/world/keyframe", "Transform3D:translation")}

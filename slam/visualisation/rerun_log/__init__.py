@@ -1,9 +1,11 @@
-"""The review log: what the pipeline did, keyframe by keyframe, as a Rerun recording for people to look at.
+"""The review log: a Rerun recording of what the pipeline did, keyframe by keyframe.
 
-Rerun is imported only when a ReviewLog is made.
+`ReviewLog` is the sink that receives the events; `EventLog` decides what each event becomes; the `*_layer` modules draw
+one subject each; `RrdWriter` writes the rows to files and to connected viewers. Rerun is imported only when a ReviewLog
+is created.
 """
 
-from .server import ViewerServer
-from .sink import ReviewLog
+from .review_log import ReviewLog
+from .viewer import ViewerServer
 
 __all__ = ["ReviewLog", "ViewerServer"]

@@ -1,4 +1,4 @@
-"""How the viewer lays the log out: the map, what happens around the robot, what closures did, text, and plots below."""
+"""Define the viewer's layout: map, close-up, loop closures, text panels, and plots."""
 
 from __future__ import annotations
 
@@ -13,25 +13,27 @@ import rerun.blueprint as rrb
 
 from ...geometry.segments import Floats
 from .colours import BACKGROUND, GRID
+from .status_layer import ENTITY as STATUS_ENTITY
 
-FIELD_OF_VIEW = math.radians(55.0)  # vertical, of the viewer's eye; there is no orthographic one
-MAP_ASPECT, CORNER_ASPECT = 1.15, 1.6  # width by height of the map's panel, and of the one at the right below
-MARGIN = 1.1
-CLOSE_UP = 9.0  # metres across the close-up
-CONSTELLATION = 14.0  # metres across what is compared for a loop
+FIELD_OF_VIEW = math.radians(55.0)  # vertical, of the viewer's eye; Rerun has no orthographic projection
+MAP_ASPECT, CORNER_ASPECT = 1.15, 1.6  # width / height of the map's panel and of the smaller panels
+MARGIN = 1.1  # shown size / size of the map
+CLOSE_UP_SIZE = 9.0  # metres shown in the close-up
+COMPARED_SIZE = 14.0  # metres shown of the compared walls
+MAX_GRID_LINES = 30  # along one side of the map
 TABLE_COLUMNS = ("at_keyframe", "old_keyframe", "reason", "status")  # the viewer sorts them
 
 
 def eye_distance(width: float, height: float, aspect: float = MAP_ASPECT) -> float:
-    """How far above the map the eye must be to see `width` by `height` metres in a panel."""
+    """Return the height of the eye, metres, at which a panel shows `width` by `height` metres."""
     return MARGIN * max(height, width / aspect, 1.0) / (2 * math.tan(FIELD_OF_VIEW / 2))
 
 
 def grid_spacing(size: float) -> float:
-    """Metres between the grid's lines for a map of `size` metres: 1, 5, 10, 50, ... so that at most 30 are seen."""
+    """Return the grid spacing for a map of `size` metres: 1, 5, 10, 50, ... metres, at most 30 lines."""
     spacing, factors = 1.0, (5.0, 2.0)
     step = 0
-    while size / spacing > 30:
+    while size / spacing > MAX_GRID_LINES:
         spacing *= factors[step % 2]
         step += 1
     return spacing
@@ -39,20 +41,22 @@ def grid_spacing(size: float) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Extent:
-    """What a log shows: a map in the box from `low` (2,) to `high` (2,), metres, and a true path or none.
+    """Content of a log, as far as the layout depends on it.
 
-    `usual_time` is what most keyframes take, milliseconds: the plot of times shows twice that, because the first
-    keyframe, which waits for compilers, would flatten all others.
+    low, high     (2,) corners of the box around the map, metres
+    truth         True if there is ground truth
+    typical_time  milliseconds that most keyframes take; the time plot shows twice that, because the first keyframe,
+                  which waits for the compiler, would flatten all others
     """
 
     low: Floats
     high: Floats
     truth: bool = False
-    usual_time: float | None = None
+    typical_time: float | None = None
 
 
 def layout(extent: Extent) -> rrb.Blueprint:
-    """The layout for one log."""
+    """Return the layout for one log."""
     panels = _Panels("", extent)
     middle = rrb.Vertical(panels.close_up(), panels.closures(), row_shares=[1, 1])
     plots = rrb.Horizontal(
@@ -65,7 +69,7 @@ def layout(extent: Extent) -> rrb.Blueprint:
 
 
 def side_by_side(extents: Mapping[str, Extent]) -> rrb.Blueprint:
-    """The layout for several logs in one recording, each below an entity of its own: a column each."""
+    """Return the layout for several logs in one recording, a column each; the keys are the logs' root entities."""
     columns = []
     for root, extent in extents.items():
         panels = _Panels(f"{root}/", extent)
@@ -88,39 +92,39 @@ def _whole(views: rrb.Vertical | rrb.Horizontal) -> rrb.Blueprint:
 
 
 class _Panels:
-    """The panels of one log, whose entities are below `root`."""
+    """Panels of one log whose entities are below `root`."""
 
     def __init__(self, root: str, extent: Extent) -> None:
         self._root, self._extent = root, extent
 
     def map(self, name: str = "Map") -> rrb.Spatial3DView:
-        """All of the map."""
-        # The bands would double every wall; what was before, and every factor, would bury it.
+        """Return the view of the whole map."""
+        # Bands would double every wall; the map before the correction and the factors would cover it.
         hidden = ("map/wall_sigma", "before/**", "shift", "factors/**", "features/gated_out")
         contents = ["$origin/**", *(f"- $origin/{entity}" for entity in hidden)]
         return self._from_above(name, contents, MAP_ASPECT)
 
     def close_up(self) -> rrb.Spatial3DView:
-        """What is around the robot."""
-        # The origin moves with the robot and does not turn. An eye that tracks an entity would not stay above it.
+        """Return the view of the robot's surroundings."""
+        # The origin moves with the robot without turning. An eye that tracks an entity would not stay above it.
         hidden = ("odometry/**", "before/**", "shift", "factors/**", "loops/**", "path/keyframes")
         return rrb.Spatial3DView(
             origin=f"{self._root}world/here",
             contents=[f"/{self._root}world/**", *(f"- /{self._root}world/{name}" for name in hidden)],
             name="Close-up of the robot",
-            eye_controls=_eye_above(np.zeros(2), eye_distance(CLOSE_UP, CLOSE_UP, CORNER_ASPECT)),
+            eye_controls=_eye_above(np.zeros(2), eye_distance(CLOSE_UP_SIZE, CLOSE_UP_SIZE, CORNER_ASPECT)),
             line_grid=_grid(1.0),
             background=BACKGROUND,
         )
 
     def closures(self, *first: rrb.Spatial3DView) -> rrb.Tabs:
-        """What closures did, compared and rest on."""
+        """Return the views of corrections, compared walls, misfits and the factor graph."""
         before = ("before/**", "shift", "map/walls", "path/estimate", "path/recent", "loops/**", "robot/**")
         factors = ("factors/**", "map/walls", "robot/**")
         compared = rrb.Spatial3DView(
-            origin=f"{self._root}match",
-            name="Compared",
-            eye_controls=_eye_above(np.zeros(2), eye_distance(CONSTELLATION, CONSTELLATION, CORNER_ASPECT)),
+            origin=f"{self._root}compared_walls",
+            name="Compared walls",
+            eye_controls=_eye_above(np.zeros(2), eye_distance(COMPARED_SIZE, COMPARED_SIZE, CORNER_ASPECT)),
             line_grid=_grid(1.0),
             background=BACKGROUND,
         )
@@ -134,7 +138,7 @@ class _Panels:
         )
 
     def texts(self) -> rrb.Vertical:
-        """Documents, and the log's lines."""
+        """Return the text documents and the text log."""
         documents = {
             "loops/report": "Last loop",
             "legend": "Legend",
@@ -150,25 +154,28 @@ class _Panels:
         return rrb.Vertical(rrb.Tabs(*views, active_tab=1), log, row_shares=[3, 2])
 
     def plots(self) -> list[list[rrb.View]]:
-        """Numbers over time, in groups; the first of each group is the one to be seen."""
+        """Return the plots in groups of tabs; the first of each group is shown."""
         share = rrb.ScalarAxis(range=(0.0, 1.05), zoom_lock=True)
-        usual = self._extent.usual_time
-        times = None if usual is None else rrb.ScalarAxis(range=(0.0, 2 * usual))
-        first = [self._plot("error", "Error against the truth")] if self._extent.truth else []
+        typical = self._extent.typical_time
+        times = None if typical is None else rrb.ScalarAxis(range=(0.0, 2 * typical))
+        first = [self._plot("error", "Error against ground truth")] if self._extent.truth else []
         return [
-            [*first, self._plot("overlap_ratio", "Explained by the map", axis=share)],
+            [*first, self._plot("overlap_ratio", "Overlap ratio", axis=share)],
             [
                 self._plot("chi2", "chi² and loops"),
-                self._plot("fit", "Misfit by kind"),
+                self._plot("fit", "Misfit by factor kind"),
                 self._plot("association", "Largest d² of a match"),
             ],
-            [self._plot("sigma", "Pose sigma"), rrb.StateTimelineView(origin=f"{self._root}state", name="State")],
+            [
+                self._plot("sigma", "Pose sigma"),
+                rrb.StateTimelineView(origin=f"{self._root}{STATUS_ENTITY}", name="Status"),
+            ],
             [self._plot("time", "Time per keyframe [ms]", axis=times), self._plot("counts", "Counts")],
         ]
 
     def candidates(self) -> rrb.DataframeView:
-        """All decisions on loops, a row each."""
-        entity = f"/{self._root}loops/events"
+        """Return the table of all loop decisions."""
+        entity = f"/{self._root}loops/decisions"
         chosen: list[Any] = ["candidate", *(f"{entity}:{column}" for column in TABLE_COLUMNS)]
         query = rrb.archetypes.DataframeQuery(timeline="candidate", select=chosen)
         return rrb.DataframeView(origin=entity, name="Loop candidates", query=query)
@@ -200,7 +207,7 @@ def _eye_above(centre: Floats, distance: float) -> rrb.EyeControls3D:
     x, y = float(centre[0]), float(centre[1])
     return rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
-        position=[x, y - 1e-3 * distance, distance],  # straight down would leave no way up
+        position=[x, y - 1e-3 * distance, distance],  # looking straight down, the up direction would be undefined
         look_target=[x, y, 0.0],
         eye_up=[0.0, 1.0, 0.0],
     )

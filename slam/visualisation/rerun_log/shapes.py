@@ -1,7 +1,7 @@
-"""The estimate as the arrays that are drawn: plain geometry, nothing of Rerun.
+"""Compute the arrays that are drawn from the estimate; independent of Rerun.
 
-Everything lies at z = 0 apart from layers a few millimetres apart, so that a view from above is metric and what matters
-more is drawn over what matters less.
+Everything lies near z = 0, at heights a few millimetres apart, so that the view from above is metric and the more
+important things are drawn over the less important ones.
 """
 
 from __future__ import annotations
@@ -16,17 +16,18 @@ from drivers import se2
 from ...events import MapCorners, MapWalls
 from ...geometry.segments import Floats, Integers, Segments
 
-Drawn = NDArray[np.float32]
+Float32s = NDArray[np.float32]
 
-SIGMAS = 3.0
+SIGMAS = 3.0  # standard deviations shown by ellipses and bands
 ELLIPSE_HALF_THICKNESS = 5e-4  # metres; an ellipsoid must not be flat
 DASHES = 9  # of a dashed line
-ROUND_ESTIMATE = 1024.0  # parts of a metre kept of what was estimated, far below its sigmas; rounding shrinks the file
-ROUND_SCAN = 256.0  # parts of a metre kept of scan points; a third less than unrounded
+ESTIMATE_STEPS = 1024.0  # rounding steps per metre of estimates, far below their sigmas; rounding makes files smaller
+SCAN_STEPS = 256.0  # rounding steps per metre of scan points; a third smaller than unrounded
+EMPTY_MAP_HALF_SIZE = 5.0  # metres shown around the origin before anything is mapped
 
 
-class Layer(float, Enum):
-    """Heights, metres, from the bottom to the top."""
+class Height(float, Enum):
+    """Heights of the drawn layers, metres, from the bottom to the top."""
 
     ODOMETRY = -0.004
     SIGMA = -0.002
@@ -34,57 +35,57 @@ class Layer(float, Enum):
     CORNER = 0.002
     ESTIMATE = 0.004
     KEYFRAME = 0.0045
-    TRUTH = 0.005  # thin, over the estimate: they should coincide
+    GROUND_TRUTH = 0.005  # thin, above the estimate: they should coincide
     FEATURE = 0.006
     LINK = 0.008
-    SCAN = 0.010  # small, over the segments: they show how well those fit
+    SCAN = 0.010  # small dots above the segments, to show how well these fit
     LOOP = 0.012
     DECISION = 0.014
 
 
-def lift(points: ArrayLike, layer: Layer, parts: float = ROUND_ESTIMATE) -> Drawn:
-    """Points (..., 2 or more) in metres as (..., 3) at the layer's height, rounded to 1/`parts` of a metre."""
+def to_3d(points: ArrayLike, height: Height, steps: float = ESTIMATE_STEPS) -> Float32s:
+    """Return points (..., 2 or more) in metres as (..., 3) at a height, rounded to 1/`steps` of a metre."""
     flat = np.asarray(points, dtype=np.float64)[..., :2]
     lifted = np.empty((*flat.shape[:-1], 3), dtype=np.float32)
-    lifted[..., :2] = np.round(flat * parts) / parts
-    lifted[..., 2] = float(layer)
+    lifted[..., :2] = np.round(flat * steps) / steps
+    lifted[..., 2] = float(height)
     return lifted
 
 
 def segment_ends(segments: Segments, pose: se2.Pose) -> Floats:
-    """(n, 2, 2): both ends of each segment in the map, for the base at `pose`, metres."""
+    """Return both ends (n, 2, 2) of each segment in the map, for the base at `pose`, metres."""
     frame = segments.frame.reshape(-1, 3)
     along = segments.half_length[:, None] * np.stack([np.cos(frame[:, 2]), np.sin(frame[:, 2])], axis=-1)
     ends = np.stack([frame[:, :2] - along, frame[:, :2] + along], axis=1)
     return se2.transform(pose, ends)
 
 
-def ellipses(position: Floats, covariance: Floats, layer: Layer) -> tuple[Drawn, Drawn, Drawn]:
-    """The 3-sigma ellipses of (m, 2) positions with (m, 2, 2) covariances, metres.
+def ellipses(position: Floats, covariance: Floats, height: Height) -> tuple[Float32s, Float32s, Float32s]:
+    """Return the 3-sigma ellipses of (m, 2) positions with (m, 2, 2) covariances, metres.
 
     Returns centres (k, 3), half sizes (k, 3) and quaternions xyzw (k, 4).
-    Those whose covariance is not finite are left out.
+    Positions whose covariance is not finite are left out.
     """
-    known = np.isfinite(covariance).all(axis=(1, 2)) & np.isfinite(position).all(axis=1)
-    variances, axes = np.linalg.eigh(covariance[known])
+    finite = np.isfinite(covariance).all(axis=(1, 2)) & np.isfinite(position).all(axis=1)
+    variances, axes = np.linalg.eigh(covariance[finite])
     half_sizes = np.full((len(variances), 3), ELLIPSE_HALF_THICKNESS, dtype=np.float32)
     half_sizes[:, :2] = SIGMAS * np.sqrt(np.maximum(variances, 0.0))
-    half_turn = 0.5 * np.arctan2(axes[:, 1, 0], axes[:, 0, 0])
+    half_angle = 0.5 * np.arctan2(axes[:, 1, 0], axes[:, 0, 0])
     quaternions = np.zeros((len(variances), 4), dtype=np.float32)
-    quaternions[:, 2], quaternions[:, 3] = np.sin(half_turn), np.cos(half_turn)
-    return lift(position[known], layer), half_sizes, quaternions
+    quaternions[:, 2], quaternions[:, 3] = np.sin(half_angle), np.cos(half_angle)
+    return to_3d(position[finite], height), half_sizes, quaternions
 
 
 def wall_bands(lines: MapWalls) -> Floats:
-    """(k, 5, 2): closed outlines of where each wall may lie within 3 sigma of its offset at either end, metres.
+    """Return closed outlines (k, 5, 2) of the 3-sigma bands of the walls' offset along their length, metres.
 
     Walls whose covariance is not finite are left out.
     """
-    known = np.isfinite(lines.covariance).all(axis=(1, 2))
-    frame, covariance = lines.frame[known], lines.covariance[known]
-    x = np.stack([lines.low[known], lines.high[known]], axis=-1)
-    offset, coupling, turn = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
-    variance = offset[:, None] + 2 * x * coupling[:, None] + x**2 * turn[:, None]
+    finite = np.isfinite(lines.covariance).all(axis=(1, 2))
+    frame, covariance = lines.frame[finite], lines.covariance[finite]
+    x = np.stack([lines.low[finite], lines.high[finite]], axis=-1)
+    offset, coupling, heading = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+    variance = offset[:, None] + 2 * x * coupling[:, None] + x**2 * heading[:, None]
     y = SIGMAS * np.sqrt(np.maximum(variance, 0.0))
     outline_x = np.stack([x[:, 0], x[:, 1], x[:, 1], x[:, 0], x[:, 0]], axis=-1)
     outline_y = np.stack([-y[:, 0], -y[:, 1], y[:, 1], y[:, 0], -y[:, 0]], axis=-1)
@@ -92,41 +93,42 @@ def wall_bands(lines: MapWalls) -> Floats:
 
 
 def dashed(ends: Floats) -> Floats:
-    """(k, 2, 2): the dashes of lines between ends (n, 2, 2); always DASHES of them, so that long lines stay cheap."""
+    """Return the dashes (k, 2, 2) of lines between ends (n, 2, 2); DASHES per line, whatever its length."""
     parts = (np.arange(DASHES)[:, None] + np.array([0.2, 0.8])) / DASHES
     along = ends[:, 1] - ends[:, 0]
     return np.asarray(ends[:, None, None, 0] + parts[None, :, :, None] * along[:, None, None]).reshape(-1, 2, 2)
 
 
 def wall_links(centres: Floats, match: Integers, lines: MapWalls) -> Floats:
-    """(k, 2, 2): from each centre (n, 2) straight onto the wall it was matched with, metres; long where that is wrong.
+    """Return lines (k, 2, 2) from segment centres (n, 2) to their feet on the matched walls, metres.
 
-    Centres without a match, or matched with a wall that `lines` does not hold yet, are left out.
+    A long link reveals a wrong match. Centres without a match, or whose wall `lines` does not contain yet, are left
+    out.
     """
-    seen, walls = _known(match, lines.identity)
-    on_wall = se2.transform(se2.inverse(lines.frame[walls]), centres[seen])
+    matched, walls = _rows_of(match, lines.identity)
+    on_wall = se2.transform(se2.inverse(lines.frame[walls]), centres[matched])
     on_wall[:, 1] = 0.0
-    return np.stack([centres[seen], se2.transform(lines.frame[walls], on_wall)], axis=1)
+    return np.stack([centres[matched], se2.transform(lines.frame[walls], on_wall)], axis=1)
 
 
 def corner_links(position: Floats, match: Integers, corners: MapCorners) -> Floats:
-    """(k, 2, 2): from each corner seen, (n, 2) in the map, to the one it was matched with, metres; as `wall_links`."""
-    seen, matched = _known(match, corners.identity)
-    return np.stack([position[seen], corners.position[matched].reshape(-1, 2)], axis=1)
+    """Return lines (k, 2, 2) from observed corners (n, 2) in the map to their matches, metres; as `wall_links`."""
+    observed, matched = _rows_of(match, corners.identity)
+    return np.stack([position[observed], corners.position[matched].reshape(-1, 2)], axis=1)
 
 
-def _known(match: Integers, identity: Integers) -> tuple[Integers, Integers]:
-    """The features whose match is among the identities, and where among them it is."""
-    row = {known: i for i, known in enumerate(identity.tolist())}
+def _rows_of(match: Integers, identity: Integers) -> tuple[Integers, Integers]:
+    """Return the indices of the features whose match is in `identity`, and the rows there."""
+    row = {landmark_id: i for i, landmark_id in enumerate(identity.tolist())}
     pairs = [(i, row[wanted]) for i, wanted in enumerate(match.tolist()) if wanted in row]
-    seen, found = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
-    return seen, found
+    features, found = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+    return features, found
 
 
 def bounds(*points: Floats) -> tuple[Floats, Floats]:
-    """The lower and the upper corner of the box around all finite points (..., 2), metres; 10 m where there is none."""
+    """Return the lower and upper corner of the box around all finite points (..., 2), metres; 10 m without points."""
     stacked = np.concatenate([np.asarray(p, dtype=np.float64)[..., :2].reshape(-1, 2) for p in points])
     stacked = stacked[np.isfinite(stacked).all(axis=1)]
     if not len(stacked):
-        return np.full(2, -5.0), np.full(2, 5.0)
+        return np.full(2, -EMPTY_MAP_HALF_SIZE), np.full(2, EMPTY_MAP_HALF_SIZE)
     return stacked.min(axis=0), stacked.max(axis=0)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from slam.cli.commands import demo_pictures as gallery
+from slam.cli.commands import demo_pictures
 from slam.evaluation.benchmarks import monte_carlo
 from slam.evaluation.benchmarks.monte_carlo import NOISE, Wall, corner_positions, deviations, line_parameters
 
@@ -49,10 +49,10 @@ def test_corners_are_within_their_ellipses(few_trials: None) -> None:
 
 
 def test_pictures_are_made_and_made_small(wclm: Any, few_trials: None, tmp_path: Path) -> None:
-    everything = gallery.gallery(None)
+    everything = demo_pictures.picture_sets(None)
     only = [pictures for pictures in everything if "fit.png" in pictures.files]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(gallery, "gallery", lambda datasets: only)
+        patch.setattr(demo_pictures, "picture_sets", lambda datasets: only)
         result = wclm("demo", "--gallery", "made/here")
     assert result.exit_code == 0, result.output
     assert result.stdout.split() == [f"made/here/{name}" for name in only[0].files]
@@ -65,19 +65,19 @@ def test_pictures_are_made_and_made_small(wclm: Any, few_trials: None, tmp_path:
 
 def test_a_directory_that_cannot_be_made_is_one_line(wclm: Any, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
-    wclm.refuses("demo", "--gallery", "file/here", because=["file/here: cannot be made"])
+    wclm.refuses("demo", "--gallery", "file/here", because=["file/here: cannot be created"])
 
 
 def test_recordings_are_drawn_where_they_are(tmp_path: Path) -> None:
     (tmp_path / "intel").mkdir()
     (tmp_path / "intel" / "intel.clf").write_text("")
-    with_it = {name for pictures in gallery.gallery(tmp_path) for name in pictures.files}
-    assert with_it - {name for pictures in gallery.gallery(None) for name in pictures.files} == {"intel.png"}
+    with_it = {name for pictures in demo_pictures.picture_sets(tmp_path) for name in pictures.files}
+    assert with_it - {name for pictures in demo_pictures.picture_sets(None) for name in pictures.files} == {"intel.png"}
 
 
 @pytest.mark.slow
 def test_all_pictures_of_drives_are_made(tmp_path: Path) -> None:
-    for pictures in gallery.gallery(None):
+    for pictures in demo_pictures.picture_sets(None):
         scratch = tmp_path / pictures.files[0].removesuffix(".png")
         scratch.mkdir()
         pictures.make(tmp_path, scratch)

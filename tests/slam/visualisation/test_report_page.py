@@ -15,8 +15,8 @@ import pytest
 
 from slam.config import Config
 from slam.events import Finished
-from slam.io.exports import Session, read_session
 from slam.io.output_dir import write_json, write_results
+from slam.io.run_results import RunResults, read_run_results
 from slam.visualisation.report_page import write_page
 from slam.visualisation.report_page.findings import findings
 
@@ -51,7 +51,7 @@ SUMMARY: dict[str, Any] = {
     "warnings": [],
     "skipped": {"messages": 0, "reasons": {}, "first": None},
     "slam": {
-        "loops": {"proposed": 2, "accepted": 1, "held": 0, "rejected": 1, "retracted": 0},
+        "loops": {"proposed": 2, "accepted": 1, "pending": 0, "rejected": 1, "retracted": 0},
         "loop_decisions": [DECISION, DECISION | {"candidate": 6, "status": "rejected", "reason": "<b>no</b>"}],
         "timings": {"keyframe_median_ms": 1.5, "keyframe_p99_ms": 9.0, "keyframe_max_ms": 30.0, "graph_mean_ms": 0.7},
         "health": {"overlap_ratio_median": 0.95},
@@ -60,13 +60,13 @@ SUMMARY: dict[str, Any] = {
 }
 
 
-def make(folder: Path, finished: Finished, summary: dict[str, Any] = SUMMARY) -> Session:
+def make(folder: Path, finished: Finished, summary: dict[str, Any] = SUMMARY) -> RunResults:
     """A session whose path is known ever worse."""
     sigma = np.linspace(0.01, 0.15, len(finished.keyframes))
     covariance = np.eye(3) * np.square(sigma)[:, None, None]
     folder.mkdir(exist_ok=True)
     write_results(folder, replace(finished, keyframe_covariance=covariance), Config(), summary)
-    return read_session(folder)
+    return read_run_results(folder)
 
 
 def page(folder: Path, finished: Finished, summary: dict[str, Any] = SUMMARY) -> str:
@@ -131,7 +131,7 @@ def test_a_session_of_an_older_version_has_a_page(tmp_path: Path, finished: Fini
     old = {name: value for name, value in SUMMARY.items() if name not in ("truth", "skipped", "warnings", "slam")}
     session = make(tmp_path / "out", finished, old)
     (tmp_path / "out" / "keyframes.csv").unlink()
-    session = read_session(tmp_path / "out")
+    session = read_run_results(tmp_path / "out")
     write_page(tmp_path / "a.html", session)
     told = words((tmp_path / "a.html").read_text(encoding="utf-8"))
     assert "The recording does not know the true path." in told
@@ -157,7 +157,7 @@ def test_a_map_without_walls_has_a_page(tmp_path: Path, finished: Finished) -> N
 def test_what_looked_wrong_is_told_in_words(tmp_path: Path, finished: Finished) -> None:
     slam = {
         "loops": {"proposed": 3, "retracted": 2},
-        "health": {"overlap_ratio_median": 0.6, "blind": 1, "empty_scans": 4},
+        "health": {"overlap_ratio_median": 0.6, "no_features": 1, "empty_scans": 4},
         "odometry_deviation_per_metre": [1.58, 0.02],
         "states": [
             {"stamp": 2.0, "state": "LOST", "direction": None},

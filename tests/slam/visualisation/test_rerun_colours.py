@@ -1,4 +1,4 @@
-"""The colours of the review log are far apart for everybody."""
+"""The colours of the review log are far apart, also with colour-vision deficiency."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from slam.visualisation.rerun_log.colours import BACKGROUND, MEANINGFUL, Colour
+from slam.visualisation.rerun_log.colours import BACKGROUND, DISTINCT_COLOURS, Colour
 
-CLEARLY = 20.0
-"""CIELAB distance; 2 is just noticed."""
+MIN_DISTANCE = 20.0
+"""CIELAB distance; 2 is just noticeable."""
 
-# Linear RGB as it is seen without one kind of cone: Machado, Oliveira, Fernandes, "A Physiologically-based Model for
+# Linear RGB as perceived without one kind of cone: Machado, Oliveira, Fernandes, "A Physiologically-based Model for
 # Simulation of Color Vision Deficiency", IEEE Transactions on Visualization and Computer Graphics, 2009, severity 1.
 VISION = {
-    "usual": np.eye(3),
+    "normal": np.eye(3),
     "protanopia": np.array(
         [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]
     ),
@@ -41,8 +41,8 @@ def lab(colour: Colour, seen: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("vision", VISION)
-def test_no_two_meanings_look_alike(vision: str) -> None:
-    seen = [lab(colour, VISION[vision]) for colour in (*MEANINGFUL, BACKGROUND)]
+def test_all_colours_are_distinguishable(vision: str) -> None:
+    seen = [lab(colour, VISION[vision]) for colour in (*DISTINCT_COLOURS, BACKGROUND)]
     apart = {pair: np.linalg.norm(seen[pair[0]] - seen[pair[1]]) for pair in combinations(range(len(seen)), 2)}
     closest = min(apart, key=apart.__getitem__)
-    assert apart[closest] > CLEARLY, f"{closest}: {apart[closest]:.1f}"
+    assert apart[closest] > MIN_DISTANCE, f"{closest}: {apart[closest]:.1f}"

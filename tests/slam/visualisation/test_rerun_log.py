@@ -1,4 +1,4 @@
-"""The review log holds what the events said."""
+"""The review log contains the content of the events."""
 
 from __future__ import annotations
 
@@ -23,13 +23,16 @@ from slam.events import (
     MapUpdated,
     MapWalls,
     Notice,
+    Relocalised,
     ScanTracked,
     StateChanged,
 )
-from slam.visualisation.rerun_log import ReviewLog, recording, sink
-from slam.visualisation.rerun_log.files import parts_of
+from slam.loop_closure.loop_status import LoopStatus
+from slam.visualisation.rerun_log import ReviewLog, review_log, rrd_writer
+from slam.visualisation.rerun_log.event_log import EventLog
+from slam.visualisation.rerun_log.log_files import log_parts
 
-from ..corridor import EMPTY_SEGMENTS, Corridor, last, log_events, of_kind, rows, seen_corners
+from ..corridor import EMPTY_SEGMENTS, Corridor, last, log_events, make_corners, of_kind, rows
 
 
 def test_keyframes_hold_pose_and_scan(corridor):
@@ -50,7 +53,7 @@ def test_robot_moves_with_every_scan_in_sensor_time_but_not_ahead_of_its_keyfram
     assert [k for k in robot if k is not None] == [event.index for event in of_kind(events, KeyframeAdded)]
 
 
-def test_features_tell_matched_from_new_and_none(corridor):
+def test_feature_labels_distinguish_matched_new_and_rejected(corridor):
     path, events = corridor
     event = of_kind(events, KeyframeAdded)[0]
     colours_seen = rows(path, "/world/features/segments", "LineStrips3D:colors")[0][1]
@@ -61,11 +64,11 @@ def test_features_tell_matched_from_new_and_none(corridor):
     labels = rows(path, "/world/features/segments", "LineStrips3D:labels")[30][1]
     matched = np.flatnonzero(later.line_match >= 0)[0]
     assert labels[matched] == f"L{later.line_match[matched]} d²={later.line_gate[matched]:.1f}"
-    refused = np.flatnonzero((later.line_match < 0) & (later.line_nearest >= 0))
-    assert len(refused) > 1
-    assert all(labels[k] == f"not L{later.line_nearest[k]} d²=20.5" for k in refused)
-    to_what = dict(rows(path, "/world/features/gated_out", "LineStrips3D:strips"))[30]
-    assert len(to_what) == len(refused)
+    rejected = np.flatnonzero((later.line_match < 0) & (later.line_nearest >= 0))
+    assert len(rejected) > 1
+    assert all(labels[k] == f"not L{later.line_nearest[k]} d²=20.5" for k in rejected)
+    links = dict(rows(path, "/world/features/gated_out", "LineStrips3D:strips"))[30]
+    assert len(links) == len(rejected)
 
 
 def test_final_map_is_the_last_one_logged(corridor):
@@ -91,17 +94,17 @@ def test_corner_ellipses_are_three_sigma(corridor):
     np.testing.assert_allclose(shape @ along, variances[0, 0] * along, atol=1e-6)
 
 
-def test_true_path_is_laid_over_the_estimate(corridor):
+def test_true_path_is_aligned_with_the_estimate(corridor):
     path, events = corridor
     true_path = np.concatenate(last(path, "/world/truth/0", "LineStrips3D:strips"))[:, :2]
     to_estimate = np.hypot(*(true_path[:, None] - events[-1].poses[None, :, :2]).transpose(2, 0, 1)).min(axis=1)
-    assert to_estimate.max() < 0.35  # half a step and the error
+    assert to_estimate.max() < 0.35  # half a step plus the error
     errors = rows(path, "/metrics/error", "Scalars:scalars")
     assert [k for k, _ in errors] == [event.index for event in of_kind(events, KeyframeAdded)]
     assert max(value[0] for _, value in errors) < 6.0  # centimetres
 
 
-def test_metrics_are_named_and_in_the_units_they_name(corridor):
+def test_time_series_have_names_and_units(corridor):
     path, events = corridor
     keyframes = of_kind(events, KeyframeAdded)
     (_, names), *_ = rows(path, "/metrics/sigma", "SeriesLines:names")
@@ -114,14 +117,14 @@ def test_metrics_are_named_and_in_the_units_they_name(corridor):
     assert times == [sum(keyframes[30].timings.values()), *keyframes[30].timings.values()]
     assert dict(rows(path, "/metrics/overlap_ratio", "Scalars:scalars"))[30] == [0.9]
     assert [k for k, _ in rows(path, "/metrics/chi2", "Scalars:scalars")] == list(range(0, 136, 5))
-    assert dict(rows(path, "/metrics/time/1", "Scalars:scalars")) == {20: [7.0], 40: [8.0]}  # a stage that began late
+    assert dict(rows(path, "/metrics/time/1", "Scalars:scalars")) == {20: [7.0], 40: [8.0]}  # a stage that appears late
 
 
-def test_text_and_documents(corridor):
+def test_text_log_and_documents_have_the_events_texts(corridor):
     path, _ = corridor
     assert rows(path, "/log", "TextLog:text") == [
         (12, ["no odometry for 1.2 s"]),
-        (20, ["L4 is the same wall as L3: merged, d²=2.2"]),
+        (20, ["L4 merged into L3, d²=2.2"]),
         (40, ["the path moved by up to 0.30 m"]),
     ]
     assert "sigma_range = 0.01" in last(path, "/config", "TextDocument:text")[0]
@@ -130,7 +133,7 @@ def test_text_and_documents(corridor):
     assert "Keyframe 30" in rows(path, "/keyframe", "TextDocument:text")[30][1][0]
 
 
-def test_stamps_since_1970_become_dates(tmp_path):
+def test_stamps_since_1970_are_logged_as_dates(tmp_path):
     log_events(tmp_path / "dates.rrd", Corridor(step=4.0, start=1.0e9).events())
     kinds = {
         str(chunk.to_record_batch().schema.field("sensor_time").type)
@@ -144,14 +147,14 @@ def bare_keyframe(index: int) -> KeyframeAdded:
     nothing, unmatched = np.empty(0), np.empty(0, dtype=np.int64)
     return KeyframeAdded(
         index=index, stamp=float(index), pose=np.zeros(3), pose_covariance=np.full((3, 3), np.nan),
-        odometry=np.zeros(3), points=np.empty((0, 2)), segments=EMPTY_SEGMENTS, corners=seen_corners(np.empty((0, 2))),
+        odometry=np.zeros(3), points=np.empty((0, 2)), segments=EMPTY_SEGMENTS, corners=make_corners(np.empty((0, 2))),
         line_match=unmatched, line_gate=nothing, line_nearest=unmatched, corner_match=unmatched, corner_gate=nothing,
         corner_nearest=unmatched, new_lines=unmatched,
         sigma_range=0.01, timings={}, counts={},
     )  # fmt: skip
 
 
-def test_accepts_what_is_empty_or_unknown(tmp_path):
+def test_empty_and_unknown_values_are_accepted(tmp_path):
     no_lines = MapWalls(np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty(0), np.empty(0),
                         np.empty(0, dtype=np.int64), np.empty((0, 2, 2)), ())  # fmt: skip
     no_corners = MapCorners(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 2, 2)),
@@ -170,18 +173,18 @@ def test_accepts_what_is_empty_or_unknown(tmp_path):
     assert rows(tmp_path / "bare.rrd", "/world/keyframe/scan", "Points3D:positions") == [(0, []), (1, [])]
 
 
-def test_closing_twice_is_fine_and_later_events_are_ignored(tmp_path):
+def test_closing_twice_is_allowed_and_later_events_are_ignored(tmp_path):
     review = log_events(tmp_path / "twice.rrd", [])
     review.close()
     review.handle(Notice(0.0, "too late"))
 
 
-def test_a_file_that_cannot_be_written_is_an_error_of_ours(tmp_path):
+def test_an_unwritable_file_raises_an_output_error(tmp_path):
     with pytest.raises(OutputError, match="review log"):
         ReviewLog(tmp_path / "no such directory" / "review.rrd")
 
 
-def test_a_failure_is_reported_once_and_the_rest_is_logged(tmp_path, caplog):
+def test_an_error_is_reported_once_and_the_other_events_are_logged(tmp_path, caplog):
     broken = replace(bare_keyframe(0), pose=np.zeros(2))
     with caplog.at_level(logging.ERROR, logger="slam.visualisation.rerun_log"):
         review = log_events(tmp_path / "broken.rrd", [broken, bare_keyframe(1), broken])
@@ -193,14 +196,13 @@ def test_a_failure_is_reported_once_and_the_rest_is_logged(tmp_path, caplog):
 
 
 def stalled(path, monkeypatch) -> tuple[ReviewLog, threading.Event]:
-    """A log that writes nothing until it is released."""
-    review = ReviewLog(path)
-    release, write = threading.Event(), review._log.write
-    monkeypatch.setattr(review._log, "write", lambda event: (release.wait(20), write(event)))
-    return review, release
+    """Return a log that writes nothing until the event is set."""
+    release, write = threading.Event(), EventLog.write
+    monkeypatch.setattr(EventLog, "write", lambda log, event: (release.wait(20), write(log, event)))
+    return ReviewLog(path), release
 
 
-def test_never_waits_and_keeps_keyframes_when_the_log_is_slow(tmp_path, monkeypatch):
+def test_a_slow_log_does_not_block_and_keeps_keyframes(tmp_path, monkeypatch):
     review, release = stalled(tmp_path / "slow.rrd", monkeypatch)
     full = replace(bare_keyframe(0), points=np.ones((180, 2)))
     for index in range(700):
@@ -216,23 +218,60 @@ def test_never_waits_and_keeps_keyframes_when_the_log_is_slow(tmp_path, monkeypa
     assert "left out" in last(tmp_path / "slow.rrd", "/log", "TextLog:text")[0]
 
 
-def test_a_log_that_stalls_takes_no_more_memory_and_loses_no_closure(tmp_path, monkeypatch, caplog):
+def test_a_stalled_log_limits_its_memory_and_loses_no_loop_decision(tmp_path, monkeypatch, caplog):
     review, release = stalled(tmp_path / "stalled.rrd", monkeypatch)
     review.handle(bare_keyframe(0))
-    for index in range(sink.OVERRUN + 1000):
+    for index in range(review_log.STALLED_EVENTS + 1000):
         review.handle(Notice(float(index), "chatter"))
     for number in range(3):
-        review.handle(decided(number + 1, "accepted"))
+        review.handle(decided(number + 1, LoopStatus.ACCEPTED))
     review.handle(StateChanged(9.0, "LOST", None))
-    assert review.waiting < sink.OVERRUN + 10
+    assert review.waiting < review_log.STALLED_EVENTS + 10
     release.set()
     with caplog.at_level(logging.ERROR, logger="slam.visualisation.rerun_log"):
         review.close()
     assert review.lost == pytest.approx(1000, abs=5)
     assert "stalled" in caplog.text
-    found = rows(tmp_path / "stalled.rrd", "/loops/events", "loop")
+    found = rows(tmp_path / "stalled.rrd", "/loops/decisions", "loop")
     assert [value for _, value in found] == [[1], [2], [3]]
-    assert last(tmp_path / "stalled.rrd", "/state", "StateChange:state") == ["LOST"]
+    assert last(tmp_path / "stalled.rrd", "/localisation_status", "StateChange:state") == ["LOST"]
+
+
+def test_a_relocalisation_is_in_the_text_log_and_its_pose_in_the_map(tmp_path):
+    path, pose = tmp_path / "relocalised.rrd", np.array([4.0, -2.0, np.pi / 2])
+    events = [
+        bare_keyframe(0),
+        bare_keyframe(1),
+        StateChanged(1.2, "LOST", None),
+        Relocalised(1.5, np.zeros(3)),
+        Relocalised(1.7, pose),
+    ]
+    review = log_events(path, events)
+    assert review.failures == 0, review.first_failure
+    texts = dict(zip(last_levels(path), [text for _, (text,) in rows(path, "/log", "TextLog:text")], strict=True))
+    assert texts["WARN"] == "relocalised in the map at (4.00, -2.00) m, 90°"
+    outlines = last(path, "/world/relocalisations", "LineStrips3D:strips")
+    assert len(outlines) == 2
+    np.testing.assert_allclose(np.array(outlines[1])[0, :2], [4.0, -1.7], atol=1e-3)  # the tip of the arrow
+    assert last(path, "/world/relocalisations", "LineStrips3D:labels")[-1] == "relocalised after x1"
+    (robot,) = last_between_keyframes(path, "/world/robot", "Transform3D:translation")
+    np.testing.assert_allclose(robot[:2], pose[:2])
+
+
+def test_every_event_has_a_case_in_the_log(tmp_path):
+    log = EventLog(tmp_path / "unknown.rrd", "", "", {})
+    with pytest.raises(AssertionError, match="unreachable"):
+        log.write(object())  # type: ignore[arg-type]
+    log.close()
+
+
+def last_levels(path) -> list[str]:
+    return [level for _, (level,) in rows(path, "/log", "TextLog:level")]
+
+
+def last_between_keyframes(path, entity: str, component: str):
+    """Return the last value of an entity that has no keyframe."""
+    return [value for keyframe, value in rows(path, entity, component) if keyframe is None][-1]
 
 
 def decided(candidate: int, status: str) -> LoopDecided:
@@ -244,41 +283,41 @@ def decided(candidate: int, status: str) -> LoopDecided:
 
 
 def drive_slowly(review: ReviewLog) -> None:
-    """So that what is logged is in the file now and then."""
+    """Handle the events of a lap with pauses, so that the file grows meanwhile."""
     for number, event in enumerate(Corridor().events()):
         review.handle(event)
         if number % 200 == 0:
             while review.waiting:
                 time.sleep(0.01)
-            time.sleep(1.2 * recording.FLUSH_PERIOD)
+            time.sleep(1.2 * rrd_writer.FLUSH_PERIOD)
 
 
-def test_a_long_log_goes_on_in_further_files_that_say_what_they_show(tmp_path):
+def test_a_long_log_continues_in_files_that_are_readable_by_themselves(tmp_path):
     path = tmp_path / "review.rrd"
     with ReviewLog(path, config="[lidar]", recording="long", part_size=300_000) as review:
         drive_slowly(review)
-    files = parts_of(path)
+    files = log_parts(path)
     assert len(files) > 2
     assert files[:2] == (path, tmp_path / "review-2.rrd")
     keyframes = [k for file in files for k, _ in rows(file, "/world/keyframe", "Transform3D:translation")]
     assert keyframes == list(range(len(keyframes)))
     names = {RrdReader(file).recordings()[0].recording_id for file in files}
-    assert len(names) == 1  # together they are one recording
+    assert len(names) == 1  # opened together they are one recording
     for file in files:
         assert "[lidar]" in last(file, "/config", "TextDocument:text")[0]
         assert last(file, "/metrics/counts", "SeriesLines:names") == ["walls", "corners", "factors"]
 
 
-def test_the_oldest_files_but_the_first_give_way(tmp_path, monkeypatch):
-    monkeypatch.setattr(recording, "MOST_PARTS", 3)
+def test_the_oldest_files_but_the_first_are_deleted(tmp_path, monkeypatch):
+    monkeypatch.setattr(rrd_writer, "MAX_PARTS", 3)
     with ReviewLog(tmp_path / "review.rrd", part_size=200_000) as review:
         drive_slowly(review)
     numbers = [
-        1 if file.stem == "review" else int(file.stem.split("-")[1]) for file in parts_of(tmp_path / "review.rrd")
+        1 if file.stem == "review" else int(file.stem.split("-")[1]) for file in log_parts(tmp_path / "review.rrd")
     ]
     assert numbers == [1, numbers[-1] - 1, numbers[-1]]
 
 
-def test_rerun_is_imported_only_for_a_log():
+def test_rerun_is_imported_only_when_a_log_is_created():
     code = "import sys, slam, slam.events, slam.visualisation.rerun_log; sys.exit('rerun' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,4 +1,4 @@
-"""A real viewer shows logs: without an error, and in the colours that the legend names."""
+"""A real viewer shows logs without an error and in the colours of the legend."""
 
 from __future__ import annotations
 
@@ -11,25 +11,26 @@ import numpy as np
 from PIL import Image
 
 from slam.events import ComparedWalls, Correction, Event, GraphInspected, LoopDecided, LoopTest, MapUpdated
-from slam.graph.factor_residuals import ODOMETRY, WALL, Residuals
+from slam.graph.residuals import ODOMETRY, WALL, Residuals
+from slam.loop_closure.loop_status import LoopStatus
 from slam.visualisation.rerun_log import ReviewLog, colours
-from slam.visualisation.rerun_log.files import find_log
-from slam.visualisation.rerun_log.opening import make_ready
+from slam.visualisation.rerun_log.combined_log import write_combined_log
+from slam.visualisation.rerun_log.log_files import find_log
 
 from ..corridor import Corridor
-from ..viewers import load, pixels_of, troubles, viewer
+from ..viewers import errors, load, pixels_of, viewer
 
-CLOSED_AT = 100  # keyframe
+CLOSURE_KEYFRAME = 100  # keyframe
 
 
-def with_a_closure(events: Sequence[Event]) -> list[Event]:
-    """The events, and after a keyframe that a loop was closed there which moved the path."""
-    told: list[Event] = []
+def with_closure(events: Sequence[Event]) -> list[Event]:
+    """Return the events with a loop closure inserted at a keyframe, and an inspection of the graph."""
+    extended: list[Event] = []
     for event in events:
-        told.append(event)
-        if isinstance(event, MapUpdated) and event.index == CLOSED_AT:
-            told += [closure(event), inspection(event)]
-    return told
+        extended.append(event)
+        if isinstance(event, MapUpdated) and event.index == CLOSURE_KEYFRAME:
+            extended += [closure(event), inspection(event)]
+    return extended
 
 
 def closure(event: MapUpdated) -> LoopDecided:
@@ -38,7 +39,7 @@ def closure(event: MapUpdated) -> LoopDecided:
     sight = ComparedWalls(walls + 1.0, walls, event.lines.end_points(), np.array([0, 1, 2, 3, 4, -1]))
     return LoopDecided(
         index=event.index, stamp=event.stamp, candidate=1, old=3, motion=np.array([-1.5, -1.0, 0.0]),
-        status="accepted", reason="all tests passed", overlap_ratio=0.9, matches=5, runner_up=0.2, sigma=0.01,
+        status=LoopStatus.ACCEPTED, reason="all tests passed", overlap_ratio=0.9, matches=5, runner_up=0.2, sigma=0.01,
         contradicted=0.0, merged=((0, 40),), shift=1.8, tests=(LoopTest("walls", 5.0, 4.0, True, True),), sight=sight,
         correction=Correction(drifted, event.keyframes, event.lines, 100.0, 5000.0, 120.0),
     )  # fmt: skip
@@ -70,13 +71,15 @@ def pictures(path: Path, timeline: str, sequence: int, views: Sequence[str]) -> 
         client.set_time(timeline=timeline, sequence=sequence, play_state="paused")
         time.sleep(1.5)
         by_name = {view.name: view.view_id for view in client.get_state().views}
-        assert troubles(client) == []
+        assert errors(client) == []
         shots = {name: io.BytesIO(client.take_screenshot(by_name[name])) for name in views}
     return {name: np.array(Image.open(shot).convert("RGB")) for name, shot in shots.items()}
 
 
-def test_the_map_and_what_a_closure_did(corridor: tuple[Path, list[Event]], tmp_path: Path) -> None:
-    path = write(tmp_path / "review.rrd", with_a_closure(corridor[1]))
+def test_the_map_and_a_correction_are_shown_in_their_colours(
+    corridor: tuple[Path, list[Event]], tmp_path: Path
+) -> None:
+    path = write(tmp_path / "review.rrd", with_closure(corridor[1]))
     shown = pictures(path, "closure", 1, ["Map", "Before / after"])
     for colour in (colours.WALL, colours.MATCHED, colours.ESTIMATE, colours.CORNER, colours.CLOSURE):
         assert pixels_of(shown["Map"], colour) > 50, colour
@@ -85,9 +88,9 @@ def test_the_map_and_what_a_closure_did(corridor: tuple[Path, list[Event]], tmp_
     assert pixels_of(shown["Map"], colours.BEFORE) < 20
 
 
-def test_two_logs_side_by_side(corridor: tuple[Path, list[Event]], tmp_path: Path) -> None:
-    other = write(tmp_path / "other.rrd", list(Corridor(step=2.0, start=1.0e9).events()))  # that tells the time of day
-    make_ready([find_log(corridor[0]), find_log(other)], ["one", "an other"], tmp_path / "both.rrd")
+def test_two_logs_are_shown_side_by_side(corridor: tuple[Path, list[Event]], tmp_path: Path) -> None:
+    other = write(tmp_path / "other.rrd", list(Corridor(step=2.0, start=1.0e9).events()))  # stamps are times of day
+    write_combined_log([find_log(corridor[0]), find_log(other)], ["one", "an other"], tmp_path / "both.rrd")
     shown = pictures(tmp_path / "both.rrd", "keyframe", 20, ["one", "an_other"])
     for picture in shown.values():
         assert pixels_of(picture, colours.WALL) > 50

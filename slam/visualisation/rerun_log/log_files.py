@@ -1,4 +1,4 @@
-"""Which files a review log is in, and where those of a run are that did not end."""
+"""Locate the files of a review log, also of a run that has not ended or was killed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ...io.output_dir import REVIEW
 
 @dataclass(frozen=True, slots=True)
 class LogFiles:
-    """The files of one log, in their order, and the directory that it is of. `ended` is whether its run did."""
+    """Files of one log, in order, and the directory of its run. `ended` is True if the run has ended."""
 
     directory: Path
     files: tuple[Path, ...]
@@ -20,12 +20,12 @@ class LogFiles:
 
 
 def part_name(path: Path, number: int) -> Path:
-    """`review.rrd`, `review-2.rrd`, ... for the numbers from 1."""
+    """Return `review.rrd`, `review-2.rrd`, ... for part numbers from 1."""
     return path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
 
 
-def parts_of(path: Path) -> tuple[Path, ...]:
-    """The files of a log that begins with `path`, in their order; those that are there."""
+def log_parts(path: Path) -> tuple[Path, ...]:
+    """Return the existing files of a log whose first file is `path`, in order."""
     if not path.parent.is_dir():
         return ()
     numbered = re.compile(rf"{re.escape(path.stem)}-(\d+){re.escape(path.suffix)}")
@@ -35,20 +35,22 @@ def parts_of(path: Path) -> tuple[Path, ...]:
 
 
 def find_log(session: Path) -> LogFiles:
-    """The log of a session: its directory, a log file itself, or the directory that a run was to leave which has not
-    ended or was killed. Then its log is in the hidden directory beside, in which results are made; the latest one.
+    """Return the log of a session.
 
-    Raises MapError where there is none.
+    `session` is the session's directory, a log file, or the output directory of a run that has not ended or was killed.
+    The log of such a run is in the hidden directory beside it, in which results are written; the latest one is used.
+
+    Raises MapError if there is no log.
     """
     if session.is_file():
-        return LogFiles(session.parent, parts_of(session), ended=True)
-    if files := parts_of(session / REVIEW):
+        return LogFiles(session.parent, log_parts(session), ended=True)
+    if files := log_parts(session / REVIEW):
         return LogFiles(session, files, ended=not session.name.startswith("."))
     if session.is_dir() and any(session.iterdir()):
-        raise MapError(f"{session}: holds no {REVIEW}; without --no-review a run writes one")
+        raise MapError(f"{session}: contains no {REVIEW}; a run writes one unless --no-review is given")
     target = session.resolve()
     hidden = target.parent.glob(f".{target.name}-*/{REVIEW}") if target.parent.is_dir() else ()
     found = sorted(hidden, key=lambda log: log.stat().st_mtime)
     if not found:
-        raise MapError(f"{session}: is not there, nor a run that was to make it")
-    return LogFiles(found[-1].parent, parts_of(found[-1]), ended=False)
+        raise MapError(f"{session}: no such session, and no unfinished run that would write it")
+    return LogFiles(found[-1].parent, log_parts(found[-1]), ended=False)

@@ -1,4 +1,4 @@
-"""The review log as a sink of the pipeline: events go into a queue, a thread of its own logs them."""
+"""Receive the pipeline's events and log them in a separate thread, so that logging never delays SLAM."""
 
 from __future__ import annotations
 
@@ -19,35 +19,38 @@ from ...events import (
     GroundTruthReceived,
     KeyframeAdded,
     LoopDecided,
+    Relocalised,
     ScanTracked,
     StateChanged,
     WallsMerged,
     WallsRemoved,
 )
-from .server import ViewerServer
+from .viewer import ViewerServer
 
-BUSY = 500  # events waiting, about a second of work: from here on scans are left out
-OVERRUN = 5_000  # events waiting: the log has stalled, a full disk perhaps; from here on only what is seldom is kept
-SELDOM = (LoopDecided, WallsMerged, WallsRemoved, StateChanged, Finished)
-"""What is never left out: it comes so seldom that even the events of a day can wait."""
+BUSY_EVENTS = 500  # events in the queue, about a second of work; beyond, scans are left out
+STALLED_EVENTS = (
+    5_000  # events in the queue: logging has stalled, e.g. on a full disk; beyond, only rare events are kept
+)
+RARE_EVENTS = (LoopDecided, WallsMerged, WallsRemoved, StateChanged, Relocalised, Finished)
+"""Events that are never left out: so rare that those of a whole day fit into the queue."""
 
 _logger = logging.getLogger(__name__)
 
 
 class ReviewLog:
-    """Writes the pipeline's events to a Rerun recording, without ever holding the pipeline up.
+    """A sink that writes the pipeline's events to a Rerun recording without delaying the pipeline.
 
-    While the log cannot keep up, scan points and the robot's way between keyframes are left out and counted; keyframes,
-    maps and notices follow should it stall, decisions on loops never. Nothing that goes wrong while logging reaches the
-    pipeline: it is reported once, by `close`.
+    If logging cannot keep up, scan points and the robot's motion between keyframes are left out and counted; if it
+    stalls, also keyframes, maps and notices, but never loop decisions. Errors while logging do not reach the pipeline;
+    `close` reports them once.
 
-    path        the .rrd file to write; an existing one is overwritten. A long log goes on in others beside it
-    config      the settings, as TOML, to show beside the map
-    recording   what was mapped, the name under which the viewer lists the log
+    path        .rrd file to write; an existing one is overwritten. Long logs continue in further files beside it
+    config      settings as TOML, shown beside the map
+    recording   name of the mapped recording, under which the viewer lists the log
     versions    package names and their versions
-    server      where viewers can look on, however late they come
-    seed        of the randomness in what was run, if there is any
-    part_size   bytes after which another file is begun
+    server      address at which viewers can connect at any time
+    seed        of the simulation, if there is one
+    part_size   bytes after which another file is started
     """
 
     def __init__(
@@ -61,14 +64,14 @@ class ReviewLog:
         seed: int | None = None,
         part_size: int | None = None,
     ) -> None:
-        """Open the log. Raises OutputError where `path` cannot be written."""
-        # Rerun is imported here, and only for those who want a log
-        from .log import EventLog
-        from .recording import PART_SIZE
+        """Open the log. Raises OutputError if `path` cannot be written."""
+        # Rerun is imported only if a log is wanted.
+        from .event_log import EventLog
+        from .rrd_writer import PART_SIZE
 
         self.path = path
-        self.thinned = 0  # events that were left out, or lost their points, while the log was busy
-        self.lost = 0  # events lost after the log had stalled
+        self.thinned = 0  # events left out, or logged without points, while the log was busy
+        self.lost = 0  # events lost while the log was stalled
         self.failures = 0  # events that could not be logged
         self.first_failure: str | None = None
         self._queue: SimpleQueue[Event | None] = SimpleQueue()
@@ -79,23 +82,23 @@ class ReviewLog:
         self._worker.start()
 
     def left_out(self) -> dict[str, int]:
-        """How many events are not in the log as they were told, by what became of them."""
+        """Return the numbers of events that are not logged completely, by reason."""
         return {"thinned": self.thinned, "lost": self.lost, "failed": self.failures}
 
     @property
     def waiting(self) -> int:
-        """Events that are not logged yet."""
+        """Number of events that are not logged yet."""
         return self._queue.qsize()
 
     def handle(self, event: Event) -> None:
-        """Take one event: microseconds, whatever the log is doing. Events after `close` are ignored."""
+        """Queue one event; takes microseconds. Events after `close` are ignored."""
         if self._closed:
             return
         waiting = self.waiting
-        if waiting >= OVERRUN and not isinstance(event, SELDOM):
+        if waiting >= STALLED_EVENTS and not isinstance(event, RARE_EVENTS):
             self.lost += 1
             return
-        if waiting >= BUSY:
+        if waiting >= BUSY_EVENTS:
             if isinstance(event, ScanTracked | GroundTruthReceived):
                 self.thinned += 1
                 return
@@ -105,7 +108,7 @@ class ReviewLog:
         self._queue.put(event)
 
     def close(self) -> None:
-        """Log what is waiting, finish the file and report what went wrong. Closing again does nothing."""
+        """Log the queued events, finish the file and report errors. Closing again does nothing."""
         if self._closed:
             return
         self._closed = True
@@ -132,16 +135,16 @@ class ReviewLog:
         while (event := self._queue.get()) is not None:
             with self._failures_counted(type(event).__name__):
                 self._log.write(event)
-        with self._failures_counted("the end"):
+        with self._failures_counted("closing"):
             if self.thinned:
-                self._log.note(f"the log was too slow for the run: {self.thinned} scans were left out")
+                self._log.note(f"logging could not keep up: {self.thinned} scans were left out")
             self._log.close()
 
     @contextmanager
     def _failures_counted(self, what: str) -> Iterator[None]:
         try:
             yield
-        except Exception as error:  # a log that fails must not end the run it reports on
+        except Exception as error:  # an error in the log must not end the run
             self.failures += 1
             if self.first_failure is None:
                 self.first_failure = f"{what}: {type(error).__name__}: {error}"

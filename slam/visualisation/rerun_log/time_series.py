@@ -1,4 +1,4 @@
-"""Plotted series. A group is one plot; names may turn up late."""
+"""Log numbers over time as plotted series; a group is one plot, and a series may begin at any time."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ import numpy as np
 import rerun as rr
 
 from .colours import SERIES, Colour
-from .recording import Recording
+from .rrd_writer import RrdWriter
 
-KEPT = 2000  # values of a group from which its usual size is told
+MAX_VALUES = 2000  # latest values of a group from which its typical range is computed
 
 
-class Metrics:
-    """Logs groups of numbers as `metrics/<group>`, one series per name, colours in the order in which names turn up.
+class TimeSeries:
+    """Groups of numbers, logged as `metrics/<group>`, one series per name, coloured in order of first appearance.
 
-    Names that turn up together are one entity, because an entity's rows must all hold as many numbers.
+    Names that first appear together share one entity, because all rows of an entity must have the same length.
     """
 
-    def __init__(self, recording: Recording) -> None:
-        self._recording = recording
+    def __init__(self, writer: RrdWriter) -> None:
+        self._writer = writer
         self._parts: dict[str, list[list[str]]] = {}
         self._largest: dict[str, deque[float]] = {}
 
     def log(self, group: str, values: Mapping[str, float]) -> None:
-        """Log the values of one group at the present time; a name left out is a gap in its series."""
+        """Log values of one group at the current time; a missing name leaves a gap in its series."""
         parts = self._parts.setdefault(group, [])
         unknown = [name for name in values if not any(name in part for part in parts)]
         if unknown:
@@ -35,23 +35,23 @@ class Metrics:
             parts.append(unknown)
             colours = [SERIES[i % len(SERIES)] for i in range(first, first + len(unknown))]
             series = rr.SeriesLines(names=unknown, colors=colours, widths=[1.5] * len(unknown))
-            self._recording.keep(_entity(group, len(parts) - 1), series)
+            self._writer.log_static(_entity(group, len(parts) - 1), series)
         nan = float("nan")
-        self._largest.setdefault(group, deque(maxlen=KEPT)).append(max(values.values(), default=nan))
+        self._largest.setdefault(group, deque(maxlen=MAX_VALUES)).append(max(values.values(), default=nan))
         for number, names in enumerate(parts):
             if any(name in values for name in names):
                 row = [float(values.get(name, nan)) for name in names]
-                self._recording.gather(_entity(group, number), row, _columns)
+                self._writer.log_batched(_entity(group, number), row, _columns)
 
     def mark(self, group: str, name: str, value: float, colour: Colour, marker: rr.components.MarkerShape) -> None:
-        """Log a point over the lines of a group."""
+        """Log a single point in the plot of a group."""
         entity = f"metrics/{group}/{name.replace(' ', '_')}"
         style = rr.SeriesPoints(colors=colour, markers=marker, names=name, marker_sizes=4.0)
-        self._recording.keep(entity, style)
-        self._recording.log(entity, rr.Scalars(value))
+        self._writer.log_static(entity, style)
+        self._writer.log(entity, rr.Scalars(value))
 
-    def usual_top(self, group: str) -> float | None:
-        """The value below which a plot shows all but a few of a group's last rows; None where nothing is known."""
+    def typical_maximum(self, group: str) -> float | None:
+        """Return the 98th percentile of the largest value per row of a group, None without values."""
         largest = np.array(self._largest.get(group, ()))
         largest = largest[np.isfinite(largest)]
         return float(np.percentile(largest, 98)) if len(largest) else None

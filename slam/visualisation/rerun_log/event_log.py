@@ -1,0 +1,288 @@
+"""Convert the pipeline's events into rows of the review log.
+
+Rows of a keyframe are stamped with all timelines. Rows between keyframes are stamped with `sensor_time` only: on the
+timeline `keyframe` they would show the robot ahead of the keyframe's scan.
+
+On the timelines `candidate` and `closure`, a row has the number of the next decision or the next correction of the map.
+Each step of these timelines therefore shows everything as it was right after that decision or correction.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import assert_never
+
+import numpy as np
+import rerun as rr
+
+from drivers import se2
+
+from ...events import (
+    Event,
+    Finished,
+    GraphInspected,
+    GroundTruthReceived,
+    KeyframeAdded,
+    LoopDecided,
+    MapCorners,
+    MapUpdated,
+    MapWalls,
+    Notice,
+    Relocalised,
+    ScanTracked,
+    StateChanged,
+    WallsMerged,
+    WallsRemoved,
+)
+from ...geometry.segments import Floats
+from ...loop_closure.loop_status import LoopStatus
+from . import documents
+from .blueprint import Extent, layout
+from .factor_graph_layer import FactorGraphLayer
+from .ground_truth_errors import GroundTruthErrors
+from .keyframe_layer import KeyframeLayer
+from .loop_layer import CorrectionLayer, DecisionLayer
+from .map_layer import MapLayer
+from .path_layer import PathLayer
+from .rrd_writer import PART_SIZE, RrdWriter
+from .shapes import bounds
+from .status_layer import StatusLayer
+from .time_series import TimeSeries
+from .viewer import ViewerServer
+
+MIN_LOGGED_SHIFT = 0.1  # metres; larger shifts of the path are reported in the text log
+GROWTH_MARGIN = 0.25  # of the map's size on each side, added when live viewers are shown more of the map
+GROWING_PATH_INTERVAL = 5  # keyframes between updates of the odometry path and the true path
+
+
+class EventLog:
+    """Writes events to a review log. Not thread-safe; the methods raise Rerun's errors."""
+
+    def __init__(
+        self,
+        path: Path,
+        config: str,
+        recording: str,
+        versions: Mapping[str, str],
+        server: ViewerServer | None = None,
+        part_size: int = PART_SIZE,
+        seed: int | None = None,
+    ) -> None:
+        """Open `path`, accept viewers if there is a server, and log the static rows.
+
+        Rerun's first calls take a few tenths of a second: better here than during a scan.
+
+        Raises OutputError if the file cannot be written.
+        """
+        self._extent = self._shown_extent = bounds(np.empty((0, 2)))
+        self._has_live_viewers = server is not None
+        self._writer = RrdWriter(path, layout(Extent(*self._extent)), server, part_size)
+        self._log_run_properties(config, recording, versions, seed)
+        self._decisions = self._corrections = 0  # loop decisions and corrections of the map so far
+        self._decisions_before = self._corrections_before = 0  # the same before the last keyframe
+        self._time_series = TimeSeries(self._writer)
+        self._map_layer = MapLayer(self._writer)
+        self._path_layer = PathLayer(self._writer)
+        self._keyframe_layer = KeyframeLayer(self._writer, self._time_series)
+        self._decision_layer = DecisionLayer(self._writer, self._time_series)
+        self._correction_layer = CorrectionLayer(self._writer)
+        self._factor_graph_layer = FactorGraphLayer(self._writer, self._time_series)
+        self._status_layer = StatusLayer(self._writer)
+        self._ground_truth = GroundTruthErrors()
+        self._unaligned_truth: list[se2.Pose] = []  # true poses received before the alignment was known
+        self._index: int | None = None  # of the last keyframe
+        self._stamp = 0.0
+        self._pose = np.zeros(3)
+        self._overlap_ratio = math.nan  # of the last scan
+        self._chi2 = math.nan
+        self._keyframes = np.zeros((0, 3))  # all keyframes and landmarks as last received
+        self._lines: MapWalls | None = None
+        self._corners: MapCorners | None = None
+
+    def write(self, event: Event) -> None:
+        """Log one event."""
+        match event:
+            case ScanTracked():
+                self._write_scan(event)
+            case KeyframeAdded():
+                self._write_keyframe(event)
+            case MapUpdated():
+                self._write_map(event)
+            case GraphInspected():
+                self._write_inspection(event)
+            case WallsMerged():
+                self._write_merge(event)
+            case WallsRemoved():
+                self._at(event.index, event.stamp)
+                names = ", ".join(f"L{wall}" for wall in event.lines)
+                self._log_text(f"{names}: removed from the map, scans have seen through", "INFO")
+            case LoopDecided():
+                self._write_decision(event)
+            case StateChanged():
+                self._at_last_keyframe(event.stamp)
+                self._status_layer.log_change(event)
+            case Relocalised():
+                self._write_relocalisation(event)
+            case GroundTruthReceived():
+                self._write_true_pose(event)
+            case Notice():
+                self._at_last_keyframe(event.stamp)
+                self._log_text(event.text, event.level)
+            case Finished():
+                self._write_finish(event)
+            case _:
+                assert_never(event)
+
+    def note(self, text: str) -> None:
+        """Log a remark on the log itself, at its end."""
+        self._at_last_keyframe(self._stamp)
+        self._log_text(text, "WARN")
+
+    def close(self) -> None:
+        """Fit the layout to the map and finish the file."""
+        truth, typical = self._ground_truth.alignment is not None, self._time_series.typical_maximum("time")
+        self._writer.set_layout(layout(Extent(*self._extent, truth=truth, typical_time=typical)))
+        self._writer.close()
+
+    def _log_run_properties(self, config: str, recording: str, versions: Mapping[str, str], seed: int | None) -> None:
+        if recording:
+            self._writer.set_name(recording)
+        named = {"recording": recording or None, "seed": seed} | {k.replace("-", "_"): v for k, v in versions.items()}
+        if properties := {name: value for name, value in named.items() if value is not None}:
+            self._writer.set_properties("run", properties)
+        self._writer.log_static("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        self._log_document("legend", documents.legend())
+        self._log_document("config", documents.configuration(config, recording, versions))
+        self._log_document("summary", documents.SUMMARY_PENDING)
+
+    def _log_document(self, entity: str, markdown: str) -> None:
+        self._writer.log_static(entity, rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN))
+
+    def _log_text(self, text: str, level: str) -> None:
+        self._writer.log("log", rr.TextLog(text, level=level))
+
+    def _at(self, index: int, stamp: float) -> None:
+        """Stamp the next rows with all timelines."""
+        self._writer.set_time(
+            stamp, keyframe=index, candidate=self._decisions_before + 1, closure=self._corrections_before + 1
+        )
+
+    def _at_last_keyframe(self, stamp: float) -> None:
+        """Stamp the next rows with all timelines, with the index of the last keyframe."""
+        self._at(self._index or 0, stamp)
+
+    def _between_keyframes(self, stamp: float) -> None:
+        """Stamp the next rows with the sensor time only."""
+        self._writer.set_time(stamp, keyframe=None, candidate=None, closure=None)
+
+    def _write_scan(self, event: ScanTracked) -> None:
+        self._overlap_ratio = event.overlap_ratio
+        self._between_keyframes(event.stamp)
+        self._keyframe_layer.move_robot(event.pose)
+
+    def _write_keyframe(self, event: KeyframeAdded) -> None:
+        self._writer.begin_part_if_full()
+        first = self._index is None
+        self._index, self._stamp, self._pose = event.index, event.stamp, event.pose
+        self._decisions_before, self._corrections_before = self._decisions, self._corrections
+        self._at(event.index, event.stamp)
+        if first:
+            self._decision_layer.log_initial()
+            self._status_layer.log_initial()
+        self._decision_layer.clear()
+        sigma = self._keyframe_layer.log(event, self._overlap_ratio, self._lines, self._corners)
+        self._path_layer.add_keyframe(event.index, event.pose, event.odometry, sigma)
+        if event.index % GROWING_PATH_INTERVAL == 0:
+            self._path_layer.log_growing_paths()
+        self._ground_truth.add_keyframe(event.index, event.stamp, event.pose)
+        self._log_ground_truth_errors()
+
+    def _write_merge(self, event: WallsMerged) -> None:
+        self._at(event.index, event.stamp)
+        self._factor_graph_layer.merge(event.index, event.absorbed, event.kept, loop=False)
+        self._log_text(f"L{event.absorbed} merged into L{event.kept}, d²={event.gate:.1f}", "TRACE")
+
+    def _write_decision(self, event: LoopDecided) -> None:
+        """Log a loop decision at the last keyframe; a retracted loop was accepted at an earlier one."""
+        self._decisions_before = self._decisions  # there may be two decisions at one keyframe
+        self._decisions += 1
+        self._at(max(self._index or 0, event.index), event.stamp)
+        pose = self._pose
+        if event.correction is not None:
+            self._corrections += 1
+            self._chi2 = event.correction.chi2
+            pose = event.correction.keyframes_before[-1]
+        if event.status == LoopStatus.RETRACTED:
+            self._factor_graph_layer.unmerge(event.index)
+        self._decision_layer.log(event, self._decisions, pose, self._chi2)
+        self._correction_layer.log(event)
+        for old, recent in event.merged if event.status == LoopStatus.ACCEPTED else ():
+            self._factor_graph_layer.merge(event.index, recent, old, loop=True)
+
+    def _write_relocalisation(self, event: Relocalised) -> None:
+        index = self._index or 0
+        self._at(index, event.stamp)
+        self._status_layer.log_relocalisation(event)
+        self._keyframe_layer.log_relocalisation(event, index)
+        self._between_keyframes(event.stamp)
+        self._keyframe_layer.move_robot(event.pose)
+
+    def _write_map(self, event: MapUpdated) -> None:
+        self._at(max(self._index or 0, event.index), event.stamp)
+        self._lines, self._corners, self._keyframes = event.lines, event.corners, event.keyframes
+        self._log_map(event.lines, event.corners, event.keyframes, event.keyframes)
+        if self._corrections > self._corrections_before and len(event.keyframes):
+            self._keyframe_layer.place(event.keyframes[-1])
+        self._chi2 = event.chi2
+        self._time_series.log("chi2", {"chi²": event.chi2})
+        if event.shift > MIN_LOGGED_SHIFT:
+            self._log_text(f"the path moved by up to {event.shift:.2f} m", "INFO")
+
+    def _write_inspection(self, event: GraphInspected) -> None:
+        if self._lines is not None and self._corners is not None:
+            self._at(max(self._index or 0, event.index), event.stamp)
+            self._factor_graph_layer.log(event, self._keyframes, self._lines, self._corners)
+
+    def _log_map(self, lines: MapWalls, corners: MapCorners, path: Floats, keyframes: Floats) -> None:
+        self._map_layer.log(lines, corners)
+        self._path_layer.log_estimate(path, keyframes)
+        self._decision_layer.log_loops(keyframes)
+        self._extent = bounds(lines.end_points(), path)
+        self._enlarge_live_view()
+
+    def _enlarge_live_view(self) -> None:
+        """Show live viewers the whole map once it exceeds the view; their changes of the layout are lost."""
+        low, high = self._extent
+        low_shown, high_shown = self._shown_extent
+        if not self._has_live_viewers or (np.all(low >= low_shown) and np.all(high <= high_shown)):
+            return
+        margin = GROWTH_MARGIN * float(np.max(high - low))
+        self._shown_extent = low - margin, high + margin
+        self._writer.set_layout(layout(Extent(*self._shown_extent)))
+
+    def _write_true_pose(self, event: GroundTruthReceived) -> None:
+        self._ground_truth.add_true_pose(event.stamp, event.pose)
+        self._unaligned_truth.append(event.pose)
+        self._log_ground_truth_errors()
+        if self._ground_truth.alignment is not None:
+            for pose in self._unaligned_truth:
+                self._path_layer.add_true_pose(self._ground_truth.to_map(pose))
+            self._unaligned_truth.clear()
+
+    def _log_ground_truth_errors(self) -> None:
+        for error in self._ground_truth.new_errors():
+            self._at(error.index, error.stamp)
+            values = {"position [cm]": 100 * error.position, "heading [°]": math.degrees(error.heading)}
+            self._time_series.log("error", values)
+
+    def _write_finish(self, event: Finished) -> None:
+        self._at_last_keyframe(self._stamp)
+        if event.keyframe_covariance is not None:
+            largest = np.linalg.eigvalsh(event.keyframe_covariance[:, :2, :2])[:, -1]
+            self._path_layer.set_sigmas(np.sqrt(np.maximum(largest, 0.0)))
+        path = event.poses if len(event.poses) else event.keyframes
+        self._log_map(event.lines, event.corners, path, event.keyframes)
+        self._path_layer.log_growing_paths()
+        self._log_document("summary", documents.summary(event.summary))

@@ -1,0 +1,170 @@
+"""Draw one keyframe: the robot, its scan, the extracted features and their associations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from drivers import se2
+
+from ...events import KeyframeAdded, MapCorners, MapWalls, Relocalised
+from . import colours, documents
+from .colours import Colour
+from .feature_matches import FeatureMatches
+from .rrd_writer import RrdWriter
+from .shapes import SCAN_STEPS, Float32s, Height, corner_links, ellipses, segment_ends, to_3d, wall_links
+from .time_series import TimeSeries
+
+# An arrow that points ahead, metres.
+ROBOT_OUTLINE = np.array([[0.3, 0.0], [-0.2, 0.2], [-0.1, 0.0], [-0.2, -0.2], [0.3, 0.0]])
+
+_SCAN_SIZE, _CORNER_SIZE = rr.Radius.ui_points(0.9), rr.Radius.ui_points(3.5)
+_THIN, _THICK = rr.Radius.ui_points(0.7), rr.Radius.ui_points(2.5)
+
+
+class KeyframeLayer:
+    """The robot and the last keyframe, logged at the writer's current time."""
+
+    def __init__(self, writer: RrdWriter, time_series: TimeSeries) -> None:
+        self._writer, self._time_series = writer, time_series
+        self._non_empty: set[str] = set()  # entities whose last row was not empty
+        self._relocalisations: list[se2.Pose] = []
+        outline = to_3d(ROBOT_OUTLINE, Height.ESTIMATE)
+        writer.log_static("world/robot/outline", rr.LineStrips3D([outline], colors=colours.ESTIMATE, radii=_THICK))
+        dot = rr.Points3D(to_3d([[0.0, 0.0]], Height.ESTIMATE), colors=colours.ESTIMATE, radii=_CORNER_SIZE)
+        writer.log_static("world/robot/position", dot)  # visible on a map too large for the outline
+        scan = rr.Points3D.from_fields(colors=colours.SCAN, radii=_SCAN_SIZE)
+        writer.log_static("world/keyframe/scan", scan)
+        ellipse = rr.components.FillMode.MajorWireframe  # a filled ellipse would hide the scan
+        spread = rr.Ellipsoids3D.from_fields(colors=colours.ESTIMATE, line_radii=_THIN, fill_mode=ellipse)
+        writer.log_static("world/keyframe/sigma", spread)
+        segments = rr.LineStrips3D.from_fields(radii=_THICK, show_labels=False)
+        writer.log_static("world/features/segments", segments)
+        writer.log_static("world/features/corners", rr.Points3D.from_fields(radii=_CORNER_SIZE, show_labels=False))
+        for name, colour in (("matched", colours.MATCHED), ("gated_out", colours.REJECTED)):
+            writer.log_static(f"world/features/{name}", rr.LineStrips3D.from_fields(radii=_THIN, colors=colour))
+        relocalised = rr.LineStrips3D.from_fields(radii=_THIN, colors=colours.MATCHED, show_labels=True)
+        writer.log_static("world/relocalisations", relocalised)
+
+    def move_robot(self, pose: se2.Pose) -> None:
+        """Move the robot between keyframes, without the scan of the last one."""
+        self._writer.log_batched("world/robot", pose, _transform_columns)
+
+    def place(self, pose: se2.Pose) -> None:
+        """Move the robot and the last keyframe's scan to a pose in the map."""
+        x, y = (float(value) for value in pose[:2])
+        self._writer.log("world/robot", _transform(pose))
+        self._writer.log("world/here", rr.Transform3D(translation=[x, y, 0.0]))
+        self._writer.log("world/keyframe", _transform(pose))
+
+    def log_relocalisation(self, event: Relocalised, keyframe: int) -> None:
+        """Draw the robot's outline at the pose of a relocalisation after a keyframe.
+
+        The poses are those of the time of relocalisation; later corrections do not move them.
+        """
+        self._relocalisations.append(event.pose)
+        outlines = np.stack([se2.transform(pose, ROBOT_OUTLINE) for pose in self._relocalisations])
+        labels = [*([""] * (len(outlines) - 1)), f"relocalised after x{keyframe}"]
+        strips = rr.LineStrips3D.from_fields(strips=to_3d(outlines, Height.DECISION), labels=labels)
+        self._writer.log("world/relocalisations", strips)
+
+    def log(
+        self, event: KeyframeAdded, overlap_ratio: float, lines: MapWalls | None, corners: MapCorners | None
+    ) -> float:
+        """Log a keyframe and return the largest sigma of its position, metres, NaN if unknown.
+
+        overlap_ratio   from the registration of its scan
+        lines, corners  the map as last received
+        """
+        position_sigma, heading_sigma = self._log_pose(event)
+        self._log_features(event, lines, corners)
+        self._log_time_series(event, overlap_ratio, position_sigma, heading_sigma)
+        report = documents.keyframe(event, position_sigma, heading_sigma)
+        self._writer.log("keyframe", rr.TextDocument(report, media_type=rr.MediaType.MARKDOWN))
+        return position_sigma
+
+    def _log_pose(self, event: KeyframeAdded) -> tuple[float, float]:
+        """Log robot, pose ellipse and scan.
+
+        Returns the largest sigma of the position (metres) and the sigma of the heading (radians); NaN if unknown.
+        """
+        self.place(event.pose)
+        covariance = event.pose_covariance
+        centres, half_sizes, quaternions = ellipses(np.zeros((1, 2)), covariance[None, :2, :2], Height.SIGMA)
+        ellipse = rr.Ellipsoids3D.from_fields(centers=centres, half_sizes=half_sizes, quaternions=quaternions)
+        points = rr.Points3D.from_fields(positions=to_3d(event.points, Height.SCAN, SCAN_STEPS))
+        self._writer.log("world/keyframe/sigma", ellipse)
+        self._writer.log("world/keyframe/scan", points)
+        if not np.isfinite(covariance).all():
+            return math.nan, math.nan
+        variance = float(np.linalg.eigvalsh(covariance[:2, :2])[-1])
+        return math.sqrt(max(variance, 0.0)), math.sqrt(max(float(covariance[2, 2]), 0.0))
+
+    def _log_features(self, event: KeyframeAdded, lines: MapWalls | None, corners: MapCorners | None) -> None:
+        ends = segment_ends(event.segments, event.pose)
+        position = se2.transform(event.pose, event.corners.position.reshape(-1, 2))
+        walls, points = FeatureMatches.of_segments(event), FeatureMatches.of_corners(event)
+        segments = rr.LineStrips3D.from_fields(
+            strips=to_3d(ends, Height.FEATURE), colors=_match_colours(walls), labels=walls.labels()
+        )
+        dots = rr.Points3D.from_fields(
+            positions=to_3d(position, Height.FEATURE), colors=_match_colours(points), labels=points.labels()
+        )
+        self._writer.log("world/features/segments", segments)
+        self._writer.log("world/features/corners", dots)
+        for name, of_walls, of_points in (
+            ("matched", walls.matched, points.matched),
+            ("gated_out", walls.gated_out, points.gated_out),
+        ):
+            found = [np.empty((0, 2, 2))]
+            if lines is not None:
+                found.append(wall_links(ends.mean(axis=1), of_walls, lines))
+            if corners is not None:
+                found.append(corner_links(position, of_points, corners))
+            links = to_3d(np.concatenate(found), Height.LINK)
+            self._log_strips(f"world/features/{name}", links)
+
+    def _log_strips(self, entity: str, strips: Float32s) -> None:
+        """Log strips; an empty row only after one that was not empty."""
+        if len(strips) or entity in self._non_empty:
+            self._writer.log(entity, rr.LineStrips3D.from_fields(strips=strips))
+        (self._non_empty.add if len(strips) else self._non_empty.discard)(entity)
+
+    def _log_time_series(
+        self, event: KeyframeAdded, overlap_ratio: float, position_sigma: float, heading_sigma: float
+    ) -> None:
+        distances = event.line_gate[(event.line_match >= 0) & np.isfinite(event.line_gate)]
+        sigma = {
+            "position [cm]": 100 * position_sigma,
+            "heading [°]": math.degrees(heading_sigma),
+            "range [cm]": 100 * event.sigma_range,
+        }
+        self._time_series.log("overlap_ratio", {"overlap ratio": overlap_ratio})
+        self._time_series.log("sigma", sigma)
+        self._time_series.log("association", {"largest d²": float(distances.max()) if len(distances) else math.nan})
+        self._time_series.log("time", {"total": sum(event.timings.values())} | event.timings)
+        self._time_series.log("counts", event.counts)
+
+
+def _transform(pose: se2.Pose) -> rr.Transform3D:
+    x, y, heading = (float(value) for value in pose)
+    rotation = rr.Quaternion(xyzw=[0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2)])
+    return rr.Transform3D(translation=[x, y, 0.0], quaternion=rotation)
+
+
+def _transform_columns(poses: list[se2.Pose]) -> Iterable[Any]:
+    x, y, heading = np.array(poses).T
+    zeros = np.zeros(len(x))
+    rotations = np.stack([zeros, zeros, np.sin(heading / 2), np.cos(heading / 2)], axis=-1)
+    return rr.Transform3D.columns(translation=np.stack([x, y, zeros], axis=-1), quaternion=rotations)
+
+
+def _match_colours(matches: FeatureMatches) -> list[Colour]:
+    return [
+        colours.REJECTED if landmark_id < 0 else colours.NEW if new else colours.MATCHED
+        for landmark_id, new in zip(matches.landmark_id.tolist(), matches.new.tolist(), strict=True)
+    ]

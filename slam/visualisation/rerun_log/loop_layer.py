@@ -1,0 +1,220 @@
+"""Draw loop decisions: as text, as rows of a table, as lines between keyframes, and as the correction of the map."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from drivers import se2
+
+from ...events import ComparedWalls, Correction, LoopDecided
+from ...geometry.segments import Floats
+from ...loop_closure.loop_status import LoopStatus
+from . import colours
+from .colours import Colour
+from .documents import loop_report
+from .rrd_writer import RrdWriter
+from .shapes import Height, dashed, to_3d
+from .time_series import TimeSeries
+
+DECISIONS = "loops/decisions"
+LEVELS = {
+    LoopStatus.ACCEPTED: "INFO",
+    LoopStatus.PENDING: "INFO",
+    LoopStatus.REJECTED: "DEBUG",
+    LoopStatus.RETRACTED: "ERROR",
+}
+DASHED = (LoopStatus.PENDING, LoopStatus.RETRACTED)
+
+_THIN, _THICK, _THICKER = rr.Radius.ui_points(0.7), rr.Radius.ui_points(1.3), rr.Radius.ui_points(2.2)
+_LOOP_WIDTH = rr.Radius.ui_points(2.0)
+_MARKER = rr.components.MarkerShape
+_MARKERS = {
+    LoopStatus.ACCEPTED: _MARKER.Circle,
+    LoopStatus.PENDING: _MARKER.Diamond,
+    LoopStatus.REJECTED: _MARKER.Cross,
+    LoopStatus.RETRACTED: _MARKER.Square,
+}
+
+
+class DecisionLayer:
+    """The last loop decision, and all accepted and retracted loops, which move with the map."""
+
+    def __init__(self, writer: RrdWriter, time_series: TimeSeries) -> None:
+        self._writer, self._time_series = writer, time_series
+        self._accepted: dict[int, tuple[int, int, str]] = {}  # by keyframe: keyframe, old keyframe, label
+        self._retracted: list[tuple[int, int, str]] = []
+        self._decision_visible = False
+        for name, colour in ((LoopStatus.ACCEPTED, colours.CLOSURE), (LoopStatus.RETRACTED, colours.REJECTED)):
+            style = rr.LineStrips3D.from_fields(colors=colour, radii=_LOOP_WIDTH, show_labels=False)
+            writer.log_static(f"world/loops/{name}", style)
+        writer.log_static("world/loops/candidate", rr.LineStrips3D.from_fields(radii=_LOOP_WIDTH, show_labels=True))
+
+    def log_initial(self) -> None:
+        """Log that there is no decision yet."""
+        self._writer.log("loops/report", _markdown("No loop candidate yet."))
+
+    def log(self, event: LoopDecided, number: int, pose: se2.Pose, chi2: float) -> None:
+        """Log a decision with its running `number`, the keyframe's `pose` and the graph's `chi2`."""
+        level = LEVELS.get(event.status, "INFO")
+        self._writer.log("log", rr.TextLog(_describe(event), level=level))
+        self._writer.log("loops/report", _markdown(loop_report(event)))
+        self._writer.log(DECISIONS, rr.AnyValues(drop_untyped_nones=True, **_row(event, number)))
+        colour = _colour(event.status)
+        self._time_series.mark("chi2", event.status, chi2, colour, _MARKERS[event.status])
+        self._update_loops(event)
+        there = se2.compose(pose, event.motion)
+        ends = np.stack([pose[:2], there[:2]])[None]
+        if event.status in DASHED:
+            ends = dashed(ends)
+        label = f"x{event.index} to x{event.old} {event.status}"
+        label += f": {event.reason}" if event.status in (LoopStatus.REJECTED, LoopStatus.RETRACTED) else ""
+        labels = [label, *([""] * (len(ends) - 1))]
+        strips = rr.LineStrips3D.from_fields(strips=to_3d(ends, Height.DECISION), colors=colour, labels=labels)
+        self._writer.log("world/loops/candidate", strips)
+        self._decision_visible = True
+
+    def clear(self) -> None:
+        """Remove the last decision from the map, at the next keyframe."""
+        if self._decision_visible:
+            self._writer.log("world/loops/candidate", rr.LineStrips3D.from_fields(strips=[], colors=[], labels=[]))
+            self._decision_visible = False
+
+    def log_loops(self, keyframes: Floats) -> None:
+        """Draw the accepted and retracted loops between the current poses of the keyframes (k, 3)."""
+        self._draw(LoopStatus.ACCEPTED, list(self._accepted.values()), keyframes)
+        self._draw(LoopStatus.RETRACTED, self._retracted, keyframes)
+
+    def _update_loops(self, event: LoopDecided) -> None:
+        loop = event.index, event.old, f"loop x{event.index} to x{event.old} {event.status}"
+        if event.status == LoopStatus.ACCEPTED:
+            self._accepted[event.index] = loop
+        elif event.status == LoopStatus.RETRACTED:
+            # Loops accepted after the retracted one depended on it and are undone with it.
+            self._accepted = {index: other for index, other in self._accepted.items() if index < event.index}
+            self._retracted.append(loop)
+
+    def _draw(self, status: LoopStatus, loops: list[tuple[int, int, str]], keyframes: Floats) -> None:
+        shown = [loop for loop in loops if max(loop[:2]) < len(keyframes)]
+        pairs = np.array([loop[:2] for loop in shown], dtype=np.int64).reshape(-1, 2)
+        ends = keyframes[pairs][..., :2]
+        labels = [label for *_, label in shown]
+        if status in DASHED:
+            ends, labels = dashed(ends), labels if len(labels) == 1 else []
+        strips = rr.LineStrips3D.from_fields(strips=to_3d(ends, Height.LOOP), labels=labels)
+        self._writer.log(f"world/loops/{status}", strips)
+
+
+class CorrectionLayer:
+    """The walls compared by the last decision, and the map before the last correction."""
+
+    def __init__(self, writer: RrdWriter) -> None:
+        self._writer = writer
+        styles = {
+            "world/before/walls": rr.LineStrips3D.from_fields(radii=_THICK, colors=colours.BEFORE),
+            "world/before/path": rr.LineStrips3D.from_fields(radii=_THICK, colors=colours.BEFORE),
+            "world/shift": rr.Arrows3D.from_fields(radii=_THIN, colors=colours.CLOSURE, show_labels=False),
+            "compared_walls/reference": rr.LineStrips3D.from_fields(radii=_THICK, colors=colours.WALL),
+            "compared_walls/recent": rr.LineStrips3D.from_fields(radii=_THICK, colors=colours.BEFORE),
+            "compared_walls/aligned": rr.LineStrips3D.from_fields(radii=_THICKER, show_labels=False),
+            "compared_walls/motion": rr.LineStrips3D.from_fields(radii=_THIN, colors=colours.BEFORE),
+        }
+        for entity, style in styles.items():
+            writer.log_static(entity, style)
+        writer.log_static("compared_walls", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+
+    def log(self, event: LoopDecided) -> None:
+        """Log the walls that a decision compared, and its correction of the map if there is one."""
+        if event.sight is not None:
+            self._log_compared_walls(event.sight)
+        if event.correction is not None:
+            self._log_correction(event.correction)
+
+    def _log_compared_walls(self, compared: ComparedWalls) -> None:
+        """Log the recent walls before and after the hypothesis' motion, relative to the centre of the aligned ones."""
+        centre = compared.aligned.reshape(-1, 2).mean(axis=0)
+        matched = compared.match >= 0
+        shades = [colours.MATCHED if one else colours.NEW for one in matched.tolist()]
+        labels = ["matched" if one else "not in the reference map" for one in matched.tolist()]
+        motion = np.stack([compared.recent.mean(axis=1), compared.aligned.mean(axis=1)], axis=1)
+        rows = {
+            "reference": rr.LineStrips3D.from_fields(strips=to_3d(compared.old - centre, Height.WALL)),
+            "recent": rr.LineStrips3D.from_fields(strips=to_3d(compared.recent - centre, Height.ODOMETRY)),
+            "motion": rr.LineStrips3D.from_fields(strips=to_3d(motion - centre, Height.ODOMETRY)),
+            "aligned": rr.LineStrips3D.from_fields(
+                strips=to_3d(compared.aligned - centre, Height.FEATURE), colors=shades, labels=labels
+            ),
+        }
+        for name, row in rows.items():
+            self._writer.log(f"compared_walls/{name}", row)
+
+    def _log_correction(self, correction: Correction) -> None:
+        pieces, _ = correction.lines_before.piece_points()
+        walls = rr.LineStrips3D.from_fields(strips=to_3d(pieces, Height.ODOMETRY))
+        self._writer.log("world/before/walls", walls)
+        path = [to_3d(correction.keyframes_before, Height.ODOMETRY)] if len(correction.keyframes) > 1 else []
+        self._writer.log("world/before/path", rr.LineStrips3D.from_fields(strips=path))
+        self._writer.log("world/shift", _shift_arrows(correction.keyframes_before, correction.keyframes))
+
+
+def _shift_arrows(before: Floats, after: Floats) -> rr.Arrows3D:
+    """Return arrows from each keyframe's old to its new position, labelled with the distance."""
+    origins, tips = to_3d(before, Height.LINK), to_3d(after, Height.LINK)
+    lengths = np.hypot(*(after - before)[:, :2].T)
+    labels = [f"x{index} {length:.2f} m" for index, length in enumerate(lengths.tolist())]
+    return rr.Arrows3D.from_fields(origins=origins, vectors=tips - origins, labels=labels)
+
+
+def _colour(status: LoopStatus) -> Colour:
+    return colours.CLOSURE if status in (LoopStatus.ACCEPTED, LoopStatus.PENDING) else colours.REJECTED
+
+
+def _markdown(text: str) -> rr.TextDocument:
+    return rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+
+
+def _describe(event: LoopDecided) -> str:
+    """Return the decision as a line of the text log."""
+    x, y, heading = event.motion
+    where = f"x{event.index} at x{event.old}, {math.hypot(x, y):.2f} m, {math.degrees(heading):.1f}°"
+    outcome = {
+        LoopStatus.ACCEPTED: f"{len(event.merged)} walls merged, the robot moved by {event.shift:.2f} m",
+        LoopStatus.PENDING: "waits for confirmation",
+    }.get(event.status, event.reason)
+    return f"loop {event.candidate} {event.status}: {outcome} ({where})"
+
+
+def _row(event: LoopDecided, number: int) -> dict[str, Any]:
+    """Return the decision as columns of the table, which can show scalars only."""
+    x, y, heading = (float(value) for value in event.motion)
+    row: dict[str, Any] = {
+        "number": number,
+        "loop": event.candidate,
+        "at_keyframe": event.index,
+        "old_keyframe": event.old,
+        "status": event.status.value,
+        "reason": event.reason,
+        "x": x,
+        "y": y,
+        "heading_deg": math.degrees(heading),
+        "merged": len(event.merged),
+        "shift": float(event.shift),
+    }
+    for test in event.tests:
+        name = test.name.replace("-", "_")
+        row |= {name: float(test.value), f"{name}_gate": float(test.gate)}
+    if failed := next((test.name for test in event.tests if not test.passed), None):
+        row["failed_test"] = failed
+    if event.correction is not None:
+        correction = event.correction
+        shifts = correction.shifts()
+        row |= {
+            "chi2_before": correction.chi2_before,
+            "chi2_strained": correction.chi2_strained,
+            "chi2_after": correction.chi2,
+            "max_shift": float(shifts.max(initial=0.0)),
+        }
+    return row

@@ -1,0 +1,178 @@
+"""Write rows of the log to a sequence of .rrd files and to connected viewers."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeAlias
+from uuid import uuid4
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from ...errors import OutputError
+from .log_files import part_name
+from .viewer import ViewerServer
+
+APPLICATION = "wclm-slam"  # the viewer stores layouts by this name
+SENSOR_TIME = "sensor_time"
+MIN_EPOCH_STAMP = 1e8  # larger stamps are seconds since 1970, smaller ones count from the start of the recording
+SERVER_MEMORY = "25%"  # of the computer's memory: rows kept for viewers that connect late; older ones are in the file
+FLUSH_PERIOD = 0.5  # seconds; shorter periods cost kilobytes per chunk with a live viewer and show nothing sooner
+PART_SIZE = 200_000_000  # bytes after which another file is started: hours of driving
+MAX_BATCH_ROWS = 64  # rows sent together
+MAX_BATCH_AGE = 0.5  # seconds that a row waits for further rows of its entity
+MAX_PARTS = 40  # files; then the oldest but the first is deleted, so that an endless run does not fill the disk
+
+Archetype: TypeAlias = Any  # Rerun has no common type for loggable values
+ToColumns: TypeAlias = Callable[[list[Any]], Iterable[Any]]
+
+
+class RrdWriter:
+    """A Rerun recording in files of about `part_size` bytes each, and at a server if one is given.
+
+    Every file contains the static rows, so that it can be read by itself; opened together the files are one recording.
+    The server has a separate stream, because replacing a stream's file would disconnect the viewers.
+    """
+
+    def __init__(
+        self, path: Path, layout: rrb.Blueprint, server: ViewerServer | None = None, part_size: int = PART_SIZE
+    ) -> None:
+        """Open the file. Raises OutputError if it cannot be written."""
+        identity = str(uuid4())
+        self._path, self._part_size = path, part_size
+        self._part = 1
+        self._layout = layout
+        self._static: dict[tuple[str, str], Archetype] = {}
+        self._now: dict[str, int] = {}
+        self._batches: dict[str, _Batch] = {}
+        self._file = _open_stream(identity)
+        self._streams = [self._file]
+        self._name = ""
+        self._properties: tuple[str, rr.AnyValues] | None = None
+        try:
+            self._file.set_sinks(rr.FileSink(path), default_blueprint=layout)
+            if server is not None:
+                server.release()
+                live = _open_stream(identity)
+                sink = rr.GrpcServerSink(server.address, server.port, server_memory_limit=SERVER_MEMORY)
+                live.set_sinks(sink, default_blueprint=layout)
+                self._streams.append(live)
+        except (OSError, RuntimeError) as error:
+            raise OutputError(f"{path}: cannot write the review log: {error}") from error
+
+    def set_name(self, name: str) -> None:
+        """Set the name under which viewers list the recording."""
+        self._name = name
+        for stream in self._streams:
+            stream.send_recording_name(name)
+
+    def set_properties(self, name: str, values: Mapping[str, Any]) -> None:
+        """Set properties of the whole recording."""
+        self._properties = name, rr.AnyValues(drop_untyped_nones=True, **values)
+        for stream in self._streams:
+            stream.send_property(*self._properties)
+
+    def log(self, entity: str, row: Archetype) -> None:
+        """Log a row at the current time."""
+        for stream in self._streams:
+            stream.log(entity, row)
+
+    def log_batched(self, entity: str, value: object, to_columns: ToColumns) -> None:
+        """Log a row together with later rows of its entity, at a tenth of the cost of single rows.
+
+        `to_columns` converts a list of values to Rerun columns. All rows of an entity must have the same timelines.
+        """
+        batch = self._batches.setdefault(entity, _Batch(to_columns))
+        batch.values.append(value)
+        batch.times.append(self._now.copy())
+        if len(batch.values) == MAX_BATCH_ROWS or time.monotonic() - batch.started > MAX_BATCH_AGE:
+            self._send(entity, self._batches.pop(entity))
+
+    def _send(self, entity: str, batch: _Batch) -> None:
+        indexes = [_time_column(timeline, [row[timeline] for row in batch.times]) for timeline in batch.times[0]]
+        columns = list(batch.to_columns(batch.values))
+        for stream in self._streams:
+            stream.send_columns(entity, indexes=indexes, columns=columns)
+
+    def _send_all(self) -> None:
+        for entity in list(self._batches):
+            self._send(entity, self._batches.pop(entity))
+
+    def log_static(self, entity: str, row: Archetype) -> None:
+        """Log a row that is valid at all times; it is repeated in every file."""
+        self._static[entity, type(row).__name__] = row
+        for stream in self._streams:
+            stream.log(entity, row, static=True)
+
+    def set_time(self, stamp: float, **sequences: int | None) -> None:
+        """Set the time of the next rows: the sensor time (seconds) and sequence timelines; None disables a timeline."""
+        nanoseconds = round(1e9 * stamp)
+        self._now = {SENSOR_TIME: nanoseconds} | {name: value for name, value in sequences.items() if value is not None}
+        for stream in self._streams:
+            if stamp > MIN_EPOCH_STAMP:
+                stream.set_time(SENSOR_TIME, timestamp=np.datetime64(nanoseconds, "ns"))
+            else:
+                stream.set_time(SENSOR_TIME, duration=np.timedelta64(nanoseconds, "ns"))
+            for timeline, number in sequences.items():
+                if number is None:
+                    stream.disable_timeline(timeline)
+                else:
+                    stream.set_time(timeline, sequence=number)
+
+    def set_layout(self, layout: rrb.Blueprint) -> None:
+        """Replace the layout; changes that viewers have made to it are lost."""
+        self._layout = layout
+        for stream in self._streams:
+            stream.send_blueprint(layout)
+
+    def begin_part_if_full(self) -> None:
+        """Continue in another file if the current one has reached the part size."""
+        if part_name(self._path, self._part).stat().st_size < self._part_size:
+            return
+        self._send_all()
+        self._part += 1
+        self._file.set_sinks(rr.FileSink(part_name(self._path, self._part)), default_blueprint=self._layout)
+        if self._name:
+            self._file.send_recording_name(self._name)
+        if self._properties is not None:
+            self._file.send_property(*self._properties)
+        for (entity, _), row in self._static.items():
+            self._file.log(entity, row, static=True)
+        if self._part > MAX_PARTS:
+            part_name(self._path, self._part - MAX_PARTS + 1).unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Write the file's footer. Raises Rerun's error if that fails, for example on a full disk."""
+        self._send_all()
+        for stream in self._streams:
+            stream.flush()  # disconnecting alone raises no error
+            stream.disconnect()
+
+
+@dataclass(slots=True, eq=False)
+class _Batch:
+    """Rows of one entity that are sent together, with their times by timeline."""
+
+    to_columns: ToColumns
+    values: list[Any] = field(default_factory=list)
+    times: list[dict[str, int]] = field(default_factory=list)
+    started: float = field(default_factory=time.monotonic)
+
+
+def _time_column(timeline: str, values: list[int]) -> rr.TimeColumn:
+    if timeline != SENSOR_TIME:
+        return rr.TimeColumn(timeline, sequence=values)
+    if values[0] > 1e9 * MIN_EPOCH_STAMP:
+        return rr.TimeColumn(timeline, timestamp=np.array(values).astype("datetime64[ns]"))
+    return rr.TimeColumn(timeline, duration=np.array(values).astype("timedelta64[ns]"))
+
+
+def _open_stream(identity: str) -> rr.RecordingStream:
+    batching = rr.ChunkBatcherConfig(flush_tick=FLUSH_PERIOD)
+    stream = rr.RecordingStream(APPLICATION, recording_id=identity, batcher_config=batching)
+    stream.set_log_time_enabled(False)
+    return stream

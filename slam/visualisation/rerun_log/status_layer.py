@@ -1,0 +1,49 @@
+"""Show the localisation status as a lane over time and as lines of the text log."""
+
+from __future__ import annotations
+
+import math
+
+import rerun as rr
+
+from ...events import Relocalised, StateChanged
+from .colours import ESTIMATE, MATCHED, REJECTED
+from .rrd_writer import RrdWriter
+
+ENTITY = "localisation_status"
+
+
+class StatusLayer:
+    """The localisation status, OK at the beginning, and relocalisations."""
+
+    def __init__(self, writer: RrdWriter) -> None:
+        self._writer = writer
+        shades = [ESTIMATE, MATCHED, REJECTED]
+        writer.log_static(ENTITY, rr.StateConfiguration(values=["OK", "DEGENERATE", "LOST"], colors=shades))
+
+    def log_initial(self) -> None:
+        """Log the status OK."""
+        self._writer.log(ENTITY, rr.StateChange(state="OK"))
+
+    def log_change(self, event: StateChanged) -> None:
+        """Log a change of the status at the current time."""
+        self._writer.log(ENTITY, rr.StateChange(state=event.state))
+        text, level = _describe(event)
+        self._writer.log("log", rr.TextLog(text, level=level))
+
+    def log_relocalisation(self, event: Relocalised) -> None:
+        """Log the pose at which the robot was relocalised."""
+        x, y, heading = (float(value) for value in event.pose)
+        text = f"relocalised in the map at ({x:.2f}, {y:.2f}) m, {math.degrees(heading):.0f}°"
+        self._writer.log("log", rr.TextLog(text, level="WARN"))
+
+
+def _describe(event: StateChanged) -> tuple[str, str]:
+    """Return text and level of the status for the text log."""
+    match event.state:
+        case "LOST":
+            return "LOST: the pose in the map is unknown; searching for it", "ERROR"
+        case "DEGENERATE":
+            heading = math.degrees(event.direction or 0.0)
+            return f"DEGENERATE: position along {heading:.0f}° in the map from odometry alone", "WARN"
+    return "OK: the pose is determined in every direction", "INFO"

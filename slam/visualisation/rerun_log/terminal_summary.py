@@ -1,0 +1,140 @@
+"""Summarise a session in the terminal: health, loop closures and worst residuals, without a viewer."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rerun.chunk import Chunk
+
+from ...errors import MapError
+from ...io.output_dir import SUMMARY
+from ...loop_closure.loop_status import LoopStatus
+from .log_files import LogFiles, find_log
+from .loop_layer import DECISIONS
+from .rrd_reader import Row, chunks_of, rows
+from .status_layer import ENTITY as STATUS_ENTITY
+
+NOT_APPLIED = (LoopStatus.PENDING, LoopStatus.REJECTED)
+
+
+@dataclass(frozen=True, slots=True)
+class SessionData:
+    """Summary of a session, empty if the run did not end, and chunks of its log, empty without a log."""
+
+    summary: dict[str, Any]
+    chunks: Sequence[Chunk]
+
+
+def summary_lines(session: Path) -> list[str]:
+    """Return the lines for a session or a log. Raises MapError if there is neither."""
+    log: LogFiles | None = None
+    directory = session
+    try:
+        log = find_log(session)
+        directory = log.directory
+    except MapError:
+        if not (session / SUMMARY).is_file():
+            raise
+    data = SessionData(_read_summary(directory / SUMMARY), [] if log is None else list(chunks_of(log.files)))
+    lines = [f"{session}: {_headline(data)}"]
+    if log is not None and not log.ended:
+        lines.append(f"  the run has not ended, or was killed; its log is in {log.directory}")
+    return lines + [f"  {line}" for part in (_health(data), _closures(data), _residuals(data)) for line in part]
+
+
+def _read_summary(path: Path) -> dict[str, Any]:
+    try:
+        read = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError) as error:
+        raise MapError(f"{path}: cannot be read: {error}") from error
+    return read if isinstance(read, dict) else {}
+
+
+def _headline(data: SessionData) -> str:
+    if data.summary:
+        counts = ", ".join(f"{data.summary.get(name, '?')} {name}" for name in ("keyframes", "walls", "corners"))
+        return f"{data.summary.get('recording', '?')}, {counts}"
+    keyframes = {row.keyframe for row in rows(data.chunks, "/world/keyframe")}
+    return f"{len(keyframes)} keyframes"
+
+
+def _health(data: SessionData) -> Iterator[str]:
+    slam = data.summary.get("slam") or {}
+    health = slam.get("health") or {}
+    if health:
+        overlap_ratio = 100 * (health.get("overlap_ratio_median") or 0.0)
+        counts = ", ".join(f"{health.get(name, 0)} {name}" for name in ("tentative", "failed", "no_features", "lost"))
+        yield f"health      overlap ratio {overlap_ratio:.0f} % (median of the scans); scans: {counts}"
+    else:
+        shares = [row.values["Scalars:scalars"][0] for row in rows(data.chunks, "/metrics/overlap_ratio")]
+        known = sorted(share for share in shares if not math.isnan(share))
+        if known:
+            yield f"health      overlap ratio {100 * known[len(known) // 2]:.0f} % (median of the keyframes)"
+    changes = [row.values["StateChange:state"][0] for row in rows(data.chunks, f"/{STATUS_ENTITY}")]
+    counts_by_status = Counter(status for status in changes if status != "OK")
+    states = ", ".join(f"{count} times {status}" for status, count in counts_by_status.items()) or "OK throughout"
+    if changes:
+        yield f"status      {states}"
+    review = data.summary.get("review") or {}
+    if any(review.values()):
+        yield "log         " + ", ".join(f"{count} events {name}" for name, count in review.items() if count)
+    warnings = data.summary.get("warnings") or []
+    for text in warnings[:3]:
+        yield f"warning     {text}"
+    if len(warnings) > 3:
+        yield f"            and {len(warnings) - 3} more"
+
+
+def _closures(data: SessionData) -> Iterator[str]:
+    decisions = list(_decisions(data))
+    counts = Counter(decision["status"] for decision in decisions)
+    if not decisions:
+        yield "loops       no candidate"
+        return
+    yield "loops       " + ", ".join(f"{count} {status}" for status, count in counts.items())
+    for decision in decisions:
+        if decision["status"] not in NOT_APPLIED:
+            effect = f"moved by {decision['shift']:.2f} m, {decision['merged']} walls merged"
+            reason = f": {decision['reason']}" if decision["status"] == LoopStatus.RETRACTED else ""
+            yield f"  {decision['status']:<10}x{decision['keyframe']} at x{decision['old']}, {effect}{reason}"
+    rejected = Counter(decision["failed"] for decision in decisions if decision.get("failed"))
+    if rejected:
+        yield "  failed tests: " + ", ".join(f"{name} ({count})" for name, count in rejected.most_common())
+
+
+def _decisions(data: SessionData) -> Iterator[dict[str, Any]]:
+    """Yield the decisions from the log, which contains the tests; without a log from the summary."""
+    found = rows(data.chunks, f"/{DECISIONS}")
+    if not found:
+        yield from (data.summary.get("slam") or {}).get("loop_decisions") or []
+    for row in found:
+        value = {name: values[0] for name, values in row.values.items() if values}
+        yield {
+            "status": value["status"],
+            "keyframe": value["at_keyframe"],
+            "old": value["old_keyframe"],
+            "reason": value["reason"],
+            "shift": value.get("max_shift", value["shift"]),
+            "merged": value["merged"],
+            "failed": value.get("failed_test", ""),
+        }
+
+
+def _residuals(data: SessionData) -> Iterator[str]:
+    inspected: list[Row] = rows(data.chunks, "/residuals/worst")
+    if not inspected:
+        yield f"residuals   unknown: {'not in this log' if data.chunks else 'there is no log'}"
+        return
+    worst = inspected[-1]
+    yield "residuals   worst factors at keyframe " + str(worst.keyframe)
+    columns = (worst.values[name] for name in ("factor", "kind", "squared", "dof"))
+    for factor, kind, squared, dof in zip(*columns, strict=True):
+        yield f"  {factor:<16}{kind:<11}d² = {squared:.1f}, {dof} dof"
