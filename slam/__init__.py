@@ -1,22 +1,22 @@
-"""2-D SLAM on walls and corners.
+"""2-D SLAM with walls and corners as landmarks.
 
 import drivers
 from slam import Slam, warm_up
 
-warm_up()  # live only: compiles the first time, for half a minute, so that no scan has to wait for it
+warm_up()  # only needed online: compiles for half a minute on the first run, so that no scan is delayed by it
 slam = Slam()
 for message in drivers.open("intel.clf"):
     slam.add(message)
 result = slam.finish()  # path, walls and corners with covariances
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from .config import Config, load_config
-from .errors import SlamError
-from .events import Event, Finished, MapCorners, MapWalls, Sink
-
 if TYPE_CHECKING:
+    from .config import Config, load_config
+    from .errors import SlamError
+    from .events import Event, Finished, MapCorners, MapWalls, Sink
     from .pipeline import Slam
     from .warmup import warm_up
 
@@ -33,15 +33,23 @@ __all__ = [
     "warm_up",
 ]
 
+_MODULES = {
+    "Config": "config",
+    "Event": "events",
+    "Finished": "events",
+    "MapCorners": "events",
+    "MapWalls": "events",
+    "Sink": "events",
+    "Slam": "pipeline",
+    "SlamError": "errors",
+    "load_config": "config",
+    "warm_up": "warmup",
+}
+
 
 def __getattr__(name: str) -> Any:
-    # GTSAM and numba take most of a second to load: only who makes maps pays for them
-    if name == "Slam":
-        from .pipeline import Slam
-
-        return Slam
-    if name == "warm_up":
-        from .warmup import warm_up
-
-        return warm_up
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    # Imported on first use: GTSAM and numba take most of a second to load, and the command line checks for other
+    # packages named `drivers` or `features` before anything imports them.
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f".{_MODULES[name]}", __name__), name)

@@ -1,4 +1,4 @@
-"""What the pipeline tells its listeners. Events are plain data, copied out of the estimate; a sink may keep them."""
+"""Events that the pipeline publishes: plain data, copied out of the estimate, so that a sink may keep them."""
 
 from __future__ import annotations
 
@@ -10,16 +10,22 @@ import numpy as np
 from drivers.se2 import Pose
 
 from .geometry.segments import CornerPoints, Floats, Integers, Segments
-from .graph.factor_residuals import Residuals
+from .graph.residuals import Residuals
+from .loop_closure.loop_status import LoopStatus
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapWalls:
-    """n walls. `frame` (n, 3) in the map: x along the wall, seen from y > 0; known from `low` to `high` along x.
+    """n walls of the map.
 
-    `identity` (n,) never changes for a wall; `observations` (n,) counts keyframes; `covariance` (n, 2, 2) of the offset
-    across the wall and of its heading at its frame's origin, NaN where it was not asked for. `pieces`, one (k, 2) a
-    wall, are the stretches of it that were seen, from and to along x: between them there may be openings.
+    identity      (n,) landmark ids, which never change
+    frame         (n, 3) in the map: x along the wall, which is seen from y > 0
+    low, high     (n,) metres along x: observed extent
+    observations  (n,) number of keyframes
+    covariance    (n, 2, 2) of the offset across the wall (metres) and its heading (radians) at the frame's origin; NaN
+                  if it was not requested
+    pieces        one array (k, 2) per wall: begin and end of its observed stretches along x, metres; there may be
+                  openings between them
     """
 
     identity: Integers
@@ -34,25 +40,31 @@ class MapWalls:
         return len(self.frame)
 
     def end_points(self) -> Floats:
-        """(n, 2, 2): both end points of each wall in the map, metres."""
+        """Return both end points (n, 2, 2) of each wall in the map, metres."""
         return _along(self.frame, np.stack([self.low, self.high], axis=-1))
 
     def piece_points(self) -> tuple[Floats, Integers]:
-        """(m, 2, 2): both end points of each piece in the map, metres; (m,) which wall it is a piece of."""
+        """Return both end points (m, 2, 2) of each piece in the map, metres, and the row (m,) of its wall."""
         wall = np.repeat(np.arange(len(self)), [len(pieces) for pieces in self.pieces])
         return _along(self.frame[wall], np.concatenate([np.zeros((0, 2)), *self.pieces])), wall
 
 
 def _along(frame: Floats, extent: Floats) -> Floats:
-    """(n, 2, 2): the points at two distances (n, 2) along the x of frames (n, 3)."""
+    """Return the points (n, 2, 2) at two distances (n, 2) along the x axes of frames (n, 3)."""
     direction = np.stack([np.cos(frame[:, 2]), np.sin(frame[:, 2])], axis=-1)
     return np.asarray(frame[:, None, :2] + extent[..., None] * direction[:, None, :])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapCorners:
-    """m corners: `position` (m, 2) in the map, `covariance` (m, 2, 2), NaN where not asked for, and
-    `lines` (m, 2), the identities of their walls, -1 where unknown."""
+    """m corners of the map.
+
+    identity      (m,) landmark ids
+    position      (m, 2) in the map, metres
+    covariance    (m, 2, 2); NaN if it was not requested
+    lines         (m, 2) landmark ids of the two walls, -1 if unknown
+    observations  (m,) number of keyframes
+    """
 
     identity: Integers
     position: Floats
@@ -66,8 +78,13 @@ class MapCorners:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanTracked:
-    """A scan was registered: the base's `pose` in the map, what odometry alone says, and the share of the scan's wall
-    length that the map explains."""
+    """A scan was tracked.
+
+    pose           (3,) of the base in the map
+    odometry       (3,) odometry pose at the same time
+    overlap_ratio  share of the scan's wall length on known walls, 0 to 1
+    keyframe       index of the last keyframe
+    """
 
     stamp: float
     pose: Pose
@@ -78,17 +95,22 @@ class ScanTracked:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyframeAdded:
-    """A scan became a keyframe. Everything is as the estimate stands after the update.
+    """A scan became a keyframe. All values are those after the update of the graph.
 
-    pose_covariance (3, 3) in the keyframe's own frame
-    points        (p, 2) valid returns in the base's frame, metres
-    line_match    (n,) identity of the wall each segment was associated with; -1: none yet
-    line_gate     (n,) squared Mahalanobis distance of the nearest candidate, matched or not; NaN where there was none
-    line_nearest  (n,) identity of that candidate; -1: none
-    corner_match, corner_gate, corner_nearest  the same for corners
-    new_lines     identities of walls first seen here
-    timings       milliseconds by stage
-    counts        sizes of the graph and map
+    index            number of the keyframe
+    pose             (3,) of the base in the map
+    pose_covariance  (3, 3) in the keyframe's own frame
+    odometry         (3,) odometry pose
+    points           (p, 2) valid returns in the base's frame, metres
+    segments         n segments, `corners` m corners in the base's frame
+    line_match       (n,) id of the wall that each segment was associated with, -1 if it is ambiguous
+    line_gate        (n,) squared Mahalanobis distance of the nearest wall, matched or not; NaN if there was none
+    line_nearest     (n,) id of that wall, -1 if there was none
+    corner_match     (m,) the same for corners, likewise `corner_gate` and `corner_nearest`
+    new_lines        ids of the walls first seen here
+    sigma_range      estimated standard deviation of a range, metres
+    timings          milliseconds by stage
+    counts           sizes of graph and map
     """
 
     index: int
@@ -113,10 +135,12 @@ class KeyframeAdded:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapUpdated:
-    """The whole map and path after keyframe `index`; sent every few keyframes and whenever much of it moved.
+    """The whole map after keyframe `index`; published every few keyframes and after a loop closure.
 
-    `shift` is the largest distance a keyframe moved since the last MapUpdated, metres. The covariances of walls and
-    corners are as they were when each was last seen.
+    keyframes  (k, 3) poses
+    lines      walls, `corners` corners, with covariances as they were when each was last seen
+    chi2       robust cost of the graph
+    shift      largest distance a keyframe has moved since the last MapUpdated, metres
     """
 
     index: int
@@ -130,7 +154,7 @@ class MapUpdated:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WallsMerged:
-    """Two walls turned out to be one: `absorbed` is from now on `kept`."""
+    """Two walls were found to be the same: `absorbed` is part of `kept` from now on. `gate` is their squared distance."""
 
     index: int
     stamp: float
@@ -141,7 +165,7 @@ class WallsMerged:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WallsRemoved:
-    """Walls that are no longer where they were: they are not in the map any more. Told with the next MapUpdated."""
+    """Walls were removed from the map, as scans have seen through them; published with the next MapUpdated."""
 
     index: int
     stamp: float
@@ -150,8 +174,10 @@ class WallsRemoved:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GraphInspected:
-    """How well every factor fits the estimate after keyframe `index`; sent after closures, at the end, and now and
-    then, the seldomer the larger the graph."""
+    """Residuals of all factors after keyframe `index`.
+
+    Published after loop closures, at the end, and at intervals that grow with the graph.
+    """
 
     index: int
     stamp: float
@@ -160,7 +186,7 @@ class GraphInspected:
 
 @dataclass(frozen=True, slots=True)
 class LoopTest:
-    """A test of a loop: the `value` that had to be `at_least` or at most the `gate`, and whether it `passed`."""
+    """One check of a loop hypothesis: `value` had to be at least (`at_least`) or at most the `gate`."""
 
     name: str
     value: float
@@ -171,11 +197,12 @@ class LoopTest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparedWalls:
-    """What was compared for a loop, all in the map as it was then, metres.
+    """Walls that were compared for a loop hypothesis, in the map as it was then, metres.
 
-    recent  (n, 2, 2) both ends of the walls of the last metres; `aligned` (n, 2, 2): the same, moved as the loop has it
-    old     (m, 2, 2) both ends of the walls known for long
-    match   (n,) row of `old` on which each recent wall would fall; -1: none
+    recent   (n, 2, 2) both ends of the recent walls
+    aligned  (n, 2, 2) the same, moved by the hypothesis
+    old      (m, 2, 2) both ends of the reference map's walls
+    match    (n,) row in `old` of the wall that each recent wall would lie on, -1 for none
     """
 
     recent: Floats
@@ -186,13 +213,14 @@ class ComparedWalls:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction:
-    """What a closure, or taking one back, did to path and map.
+    """Change of trajectory and map by a loop closure or a retraction.
 
-    keyframes_before, keyframes  (k, 3) poses before and after
-    lines_before                 the walls before
-    chi2_before                  robust cost of the graph before
-    chi2_strained                with what the closure adds, nothing moved yet; NaN where one was taken back
-    chi2                         after
+    keyframes_before  (k, 3) poses before
+    keyframes         (k, 3) poses after
+    lines_before      walls before
+    chi2_before       robust cost of the graph before
+    chi2_strained     robust cost with the factors of the closure before anything moved; NaN for a retraction
+    chi2              robust cost after
     """
 
     keyframes_before: Floats
@@ -203,30 +231,29 @@ class Correction:
     chi2: float
 
     def shifts(self) -> Floats:
-        """(k,) metres by which each keyframe moved."""
+        """Return the distance (k,) that each keyframe moved, metres."""
         return np.asarray(np.hypot(*(self.keyframes - self.keyframes_before)[:, :2].T))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopDecided:
-    """What was decided about a place that looked known, after keyframe `index`; of a "retracted" one that is where it
-    had been accepted.
+    """Decision on a loop hypothesis after keyframe `index`; for a retraction, the keyframe of the closure.
 
-    candidate     running number
-    old           a keyframe that saw the place before
-    motion        [x, y, heading] by which the robot would have to move, in its own frame
-    status        "held" (it waits for a second look), "accepted", "rejected", or "retracted": accepted before, and
-                  contradicted by what was seen since; `reason` says why
-    explained     share of the wall length seen lately, where the old map has been, that would fall on old walls
-    matches       walls that would
-    runner_up     how much another motion explains, relative to this one
-    sigma         metres, in the direction in which the motion is known worst
-    contradicted  share of the wall length that old walls would have hidden
-    merged        pairs of identities (old, recent) of walls that were made one
-    shift         metres by which the keyframe moved
-    tests         all that had to hold
-    sight         what was compared
-    correction    what it did, if it is accepted or retracted
+    candidate      running number
+    old            keyframe that saw the place before
+    motion         (3,) [x, y, heading] by which the robot would move, in its own frame
+    status         rejected, pending (waits for confirmation), accepted, or retracted (contradicted by later scans)
+    reason         reason of the status
+    overlap_ratio  share of the recent wall length in the area of the reference map that would lie on its walls
+    matches        number of recent walls that would lie on walls of the reference map
+    runner_up      wall length that the best alternative explains, relative to this hypothesis
+    sigma          standard deviation of the motion in its least certain direction, metres
+    contradicted   share of the recent wall length that older walls would have hidden
+    merged         pairs of wall ids (old, recent) that were merged
+    shift          distance that the keyframe moved, metres
+    tests          all checks
+    sight          compared walls
+    correction     change of trajectory and map, if the status is accepted or retracted
     """
 
     index: int
@@ -234,7 +261,7 @@ class LoopDecided:
     candidate: int
     old: int
     motion: Pose
-    status: str
+    status: LoopStatus
     reason: str
     overlap_ratio: float
     matches: int
@@ -250,7 +277,7 @@ class LoopDecided:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundTruthReceived:
-    """The recording knows the true pose, in the world's frame."""
+    """The recording contains the true pose, in the frame of the world."""
 
     stamp: float
     pose: Pose
@@ -258,7 +285,7 @@ class GroundTruthReceived:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Notice:
-    """Something a person should know: a gap in the data, a jump of the odometry, a scan without features."""
+    """A message for the user, for example about a gap in the data, a jump of the odometry, or a lost pose."""
 
     stamp: float
     text: str
@@ -267,8 +294,10 @@ class Notice:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StateChanged:
-    """How well the robot's place is known from now on: "OK", "DEGENERATE" (along `direction`, radians in the map, by
-    odometry alone) or "LOST"."""
+    """The localisation status changed to OK, DEGENERATE or LOST.
+
+    If DEGENERATE, `direction` (radians in the map, 0 to pi) is the one in which only odometry determines the position.
+    """
 
     stamp: float
     state: str
@@ -277,7 +306,7 @@ class StateChanged:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Relocalised:
-    """The robot was recognised somewhere on the map where odometry has not led it: the base is at `pose` there."""
+    """A lost or kidnapped robot was recognised in the map; the base is at `pose` (3,)."""
 
     stamp: float
     pose: Pose
@@ -285,9 +314,15 @@ class Relocalised:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Finished:
-    """The run is over; the final map with the covariances of its marginals, and the path at every odometry stamp.
+    """The run is over: final map and trajectory.
 
-    keyframe_covariance (k, 3, 3), each in the keyframe's own frame, of the final estimate; None where nobody asked.
+    lines, corners       walls and corners with marginal covariances
+    keyframe_stamps      (k,) seconds
+    keyframes            (k, 3) poses
+    stamps               (m,) seconds of all odometry readings
+    poses                (m, 3) of the base in the map at these stamps
+    summary              counts, timings and learned values, as plain data
+    keyframe_covariance  (k, 3, 3) in each keyframe's own frame; None if they were not requested
     """
 
     lines: MapWalls
@@ -317,8 +352,8 @@ Event: TypeAlias = (
 
 
 class Sink(Protocol):
-    """A listener. It must be quick: it is called in the path of a scan."""
+    """Receiver of events. It must return quickly: it is called while a scan is processed."""
 
     def handle(self, event: Event) -> None:
-        """Take one event."""
+        """Handle one event."""
         ...
