@@ -18,7 +18,7 @@ from typer.cli import get_docs_for_click
 from typer.main import get_command
 
 from drivers.devices.device_spec import COMMON_OPTIONS, DEVICE_KINDS, Option
-from slam.cli import app
+from slam.cli.app import app
 from slam.config import Config, config_to_toml
 
 DOCS = Path(__file__).parents[1]

@@ -1,4 +1,4 @@
-"""The Rerun viewer, started for or named to the user."""
+"""Commands that start the Rerun viewer."""
 
 from __future__ import annotations
 
@@ -11,21 +11,22 @@ from pathlib import Path
 from ..io.output_dir import REVIEW
 from .console import print_message
 
-LOCAL_ONLY = ("--bind", "127.0.0.1")  # viewers listen, too, and everywhere unless told
+LOCAL_ONLY = ("--bind", "127.0.0.1")
+"""Options for the viewer, which otherwise accepts connections on all interfaces."""
 
 
 def viewer_command(out: Path) -> list[str]:
-    """The command that opens the review log in `out`."""
+    """Return the command that opens the review log in the output directory `out`."""
     return [_viewer(), *LOCAL_ONLY, str(out / REVIEW)]
 
 
 def connect_command(url: str) -> list[str]:
-    """The command that looks on at a live run's server."""
+    """Return the command that connects a viewer to the server of a live run."""
     return [_viewer(), *LOCAL_ONLY, "--connect", url]
 
 
 def _viewer() -> str:
-    """The viewer on the path, else this environment's."""
+    """Return the viewer on PATH, else that of this Python environment."""
     program = "rerun"
     if shutil.which(program) is None:
         beside = Path(sys.executable).with_name(program)
@@ -34,12 +35,12 @@ def _viewer() -> str:
 
 
 def has_display() -> bool:
-    """Whether a window could be opened."""
+    """Return True if a window can be opened."""
     return sys.platform == "darwin" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
 
 
 def open_viewer(command: list[str]) -> None:
-    """Start the viewer and let it live on; that it cannot be started is no failure of the demo."""
+    """Start the viewer and do not wait for it; if it cannot be started, print a message."""
     try:
         subprocess.Popen(
             command,

@@ -16,7 +16,7 @@ from typer.testing import CliRunner, Result
 from drivers import se2
 from drivers.messages import GroundTruth, Odometry, Scan, Source
 from drivers.simulation import simulator
-from slam.cli import app
+from slam.cli.app import app
 from slam.io.tum import Trajectory, read_tum, write_tum
 
 SECONDS = 12.0

@@ -15,7 +15,7 @@ import typer
 from typer.main import get_command
 
 from drivers.devices.device_spec import parse_devices
-from slam.cli import app
+from slam.cli.app import app
 
 from .blocks import NEEDS, PAGES, ROOT, Block, blocks, mentions
 from .conftest import Reader, fill, simulations_of

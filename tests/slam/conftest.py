@@ -12,7 +12,7 @@ from ruamel.yaml import YAML
 from typer.testing import CliRunner, Result
 
 from drivers.messages import Message, Odometry, Scan
-from slam.cli import app
+from slam.cli.app import app
 from slam.config import Config
 from slam.estimation.slam_state import SlamState
 from slam.events import Event, Finished, MapCorners, MapWalls, Notice
@@ -74,7 +74,7 @@ def fake_slam(monkeypatch: pytest.MonkeyPatch, finished: Finished) -> type:
             history = OdometryHistory()
             for reading in self.odometry:
                 history.add(reading)
-            return StoredSession(Config(), SlamState(Config().odometry), [], [history], [0], 0.01)
+            return StoredSession(Config(), SlamState(Config()), [], [history], [0], 0.01)
 
         def finish(self) -> Finished:
             for k in range(self.notices):

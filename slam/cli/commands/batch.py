@@ -1,4 +1,4 @@
-"""`wclm batch`: many recordings at once."""
+"""`wclm batch`: many recordings in parallel."""
 
 from __future__ import annotations
 
@@ -9,36 +9,44 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...errors import OutputError
-from ..console import EXIT_INTERRUPTED, print_if_slow, print_message
+from ..compilation import compile_all
+from ..console import EXIT_INTERRUPTED, print_message
 from ..options import ConfigOption, PlotOption, RefineOption, ReviewOption, SetOption
+from ..output_files import make_directory
 
 if TYPE_CHECKING:
     from ...offline.batch.cluster import Client
 
 EXIT_PARTIAL = 1
-"""Exit status where the batch went to its end, but not every recording could be mapped."""
+"""Exit status if the batch is complete but some recordings could not be mapped."""
 TABLE = "batch.parquet"
 RETRIES = 2
 
 
 def batch(
-    recordings: Annotated[
-        list[str], typer.Argument(help="Recordings as for `wclm run`: files, bags, simulations (sim:office?seed=3).")
+    recordings: Annotated[list[str], typer.Argument(help="Recordings: files, bags, simulations (sim:office?seed=3).")],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Directory for the output directories of the recordings.")
     ],
-    out: Annotated[Path, typer.Option("--out", help="Directory for a directory of results for each recording.")],
     scheduler: Annotated[
         str | None,
-        typer.Option("--scheduler", metavar="ADDRESS", help="Of a Dask cluster whose workers see the same files."),
+        typer.Option(
+            "--scheduler",
+            metavar="ADDRESS",
+            help="Address of a Dask cluster whose workers have access to the same files.",
+        ),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option("--workers", min=1, help="Processes on this computer; without it, one for each core.")
+        int | None,
+        typer.Option("--workers", min=1, help="Number of processes on this computer; by default one per core."),
     ] = None,
     retries: Annotated[
-        int, typer.Option("--retries", min=0, help="How often to try again when a worker dies or something breaks.")
+        int,
+        typer.Option("--retries", min=0, help="Number of retries after a crash of a worker or an unexpected error."),
     ] = RETRIES,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Map again what is complete, and replace what is of another recording.")
+        bool,
+        typer.Option("--overwrite", help="Map completed recordings again and replace results of other recordings."),
     ] = False,
     refine: RefineOption = False,
     config: ConfigOption = None,
@@ -46,10 +54,11 @@ def batch(
     review: ReviewOption = True,
     plot: PlotOption = False,
 ) -> None:
-    """Map many recordings in parallel, each as `wclm run` does; the same command again goes on after an interruption.
+    """Map many recordings in parallel, each as `wclm run` does.
 
-    What is complete, of the same recordings and with the same settings, is kept. A recording that fails harms no other;
-    the exit status is 1 then. What came of each is in DIR/batch.parquet, how it went in DIR/logs.
+    Repeating the command continues an interrupted batch: complete results of the same recordings and settings are kept.
+    If a recording fails, the others are still mapped and the exit status is 1. DIR/batch.parquet has one row per
+    recording, DIR/logs one log.
 
     Example: [bold]wclm batch monday/*.mcap --out maps --workers 4[/bold]
     """
@@ -60,33 +69,28 @@ def batch(
     from .batch_worker import map_job
 
     if scheduler is not None and workers is not None:
-        raise typer.BadParameter("a cluster has the workers that it has", param_hint="--workers")
+        raise typer.BadParameter("the number of workers of a cluster cannot be set", param_hint="--workers")
     request = Request(load_config(config, settings or ()), refine=refine, review=review, picture=plot)
     jobs = jobs_for(recordings, out, request, overwrite=overwrite)
-    _make(out)
-    ledger = BatchStatus(jobs, out / TABLE)
-    to_do = ledger.to_do
+    make_directory(out)
+    status = BatchStatus(jobs, out / TABLE)
+    waiting = status.waiting
     try:
-        if to_do:
-            with _cluster(scheduler, min(workers or os.cpu_count() or 1, len(to_do))) as client:
-                ledger.process_messages(dispatch(to_do, map_job, client, retries))
+        if waiting:
+            with _cluster(scheduler, min(workers or os.cpu_count() or 1, len(waiting))) as client:
+                status.follow(dispatch(waiting, map_job, client, retries))
     except KeyboardInterrupt as error:
-        print_message(f"interrupted; {ledger.complete} of {len(ledger)} are complete, the same command again goes on")
+        print_message(
+            f"interrupted; {status.complete} of {len(status)} recordings are complete; repeat the command to continue"
+        )
         raise typer.Exit(EXIT_INTERRUPTED) from error
     finally:
-        if scheduler is None:  # on a cluster, what is under way comes to its end
-            for job in to_do:
+        if scheduler is None:  # on a cluster, running jobs continue to their end
+            for job in waiting:
                 remove_leftovers(job)
-    ledger.show()
-    if ledger.complete < len(ledger):
+    status.show()
+    if status.complete < len(status):
         raise typer.Exit(EXIT_PARTIAL)
-
-
-def _make(out: Path) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{out}: cannot be made: {error.strerror or error}") from error
 
 
 def _cluster(scheduler: str | None, count: int) -> AbstractContextManager[Client]:
@@ -94,9 +98,5 @@ def _cluster(scheduler: str | None, count: int) -> AbstractContextManager[Client
 
     if scheduler is not None:
         return workers_of(scheduler)
-    from ...warmup import warm_up
-    from ..slam_run import COMPILING
-
-    with print_if_slow(COMPILING):
-        warm_up()  # here, once: the workers find on disk what else each of them would compile
+    compile_all()  # once, here: the workers load the compiled functions from disk
     return local_workers(count)

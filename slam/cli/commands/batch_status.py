@@ -1,4 +1,4 @@
-"""What has become of each recording of a batch: on disk at any time, on the screen while it runs, as a table after."""
+"""Status of each recording of a batch: in a file, as a progress bar while it runs, and as a final table."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from ...offline.batch import Job, Row, Status, completed, row_of, write_table
 from ...visualisation.report_page.words import duration
 
 FILE_WIDTH = 200
-"""Columns of what is no terminal: a file, another program."""
+"""Width of the table if the output is not a terminal, columns."""
 
 
 class BatchStatus:
-    """One row for each job, in their order; written to `path` with every change."""
+    """Status table with one row per job, in their order; written to `path` with every change."""
 
     def __init__(self, jobs: Sequence[Job], path: Path) -> None:
         self._rows = {job.name: self._found(job) for job in jobs}
@@ -31,7 +31,7 @@ class BatchStatus:
 
     @staticmethod
     def _found(job: Job) -> Row:
-        """What there is of a job before the batch begins."""
+        """Return the row of a job before the batch begins."""
         if job.overwrite:
             return row_of(job, Status.WAITING)
         try:
@@ -41,23 +41,26 @@ class BatchStatus:
         return row_of(job, Status.WAITING if summary is None else Status.KEPT, summary)
 
     @property
-    def to_do(self) -> list[Job]:
-        """Jobs that wait."""
+    def waiting(self) -> list[Job]:
+        """Jobs that are not mapped yet."""
         return [job for job in self._jobs if self._rows[job.name].status == Status.WAITING]
 
     @property
     def complete(self) -> int:
-        """Recordings that have their results."""
+        """Number of recordings with complete results."""
         return sum(row.status in (Status.DONE, Status.KEPT) for row in self._rows.values())
 
     def __len__(self) -> int:
         return len(self._rows)
 
-    def process_messages(self, rows: Iterator[Row]) -> None:
-        """Take rows as they come, and show how far the batch is. Whatever ends it, what was under way waits again."""
+    def follow(self, rows: Iterator[Row]) -> None:
+        """Update the table with rows as they arrive, and show the progress.
+
+        At the end, also after an exception, running jobs are set to waiting.
+        """
         try:
             with self._bar() as bar:
-                task = bar.add_task("recordings", total=len(self), completed=len(self) - len(self.to_do))
+                task = bar.add_task("recordings", total=len(self), completed=len(self) - len(self.waiting))
                 for row in rows:
                     self._rows[row.name] = row
                     write_table(self._path, self._rows.values())
@@ -78,10 +81,10 @@ class BatchStatus:
             yield bar
 
     def show(self) -> None:
-        """The table, then what went wrong, on stdout."""
+        """Print the table, then the errors, on stdout."""
         table = Table(box=None, pad_edge=False)
         table.add_column("recording", overflow="fold")
-        for heading in ("status", "length", "driven", "scans", "keyframes", "loops", "took", "memory"):
+        for heading in ("status", "duration", "path", "scans", "keyframes", "loops", "time", "memory"):
             table.add_column(heading, justify="left" if heading == "status" else "right", no_wrap=True)
         for row in self._rows.values():
             table.add_row(
@@ -103,7 +106,7 @@ class BatchStatus:
 
 
 def _line(row: Row) -> str:
-    """What a person wants to know at once."""
+    """Return the status of a recording in one line."""
     if row.error is not None:
         return f"{row.name}: {row.status.value}: {row.error}"
     return f"{row.name}: {row.status.value}" + ("" if row.seconds is None else f" in {duration(row.seconds)}")

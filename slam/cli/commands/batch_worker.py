@@ -1,4 +1,4 @@
-"""One recording of a batch, in the process of a worker."""
+"""Mapping one recording of a batch in a worker process."""
 
 from __future__ import annotations
 
@@ -22,52 +22,55 @@ from ..run_summary import format_summary
 from ..slam_run import run_slam
 
 MEMORY_COUNTERS = Path("/proc/self/clear_refs")
-RESET_PEAK = "5"  # what Linux takes for it
+"""Linux: writing RESET_PEAK to this file resets the peak memory of the process."""
+RESET_PEAK = "5"
 
 
 def map_job(job: Job) -> Row:
-    """Map a recording as `wclm run` does, with everything there is to say in the job's log.
+    """Map a recording as `wclm run` does and write all output to the job's log.
 
-    An error that a user can mend is in the row; others are raised.
+    Returns a row with the error if that is a SlamError; raises other exceptions.
     """
     with _log(job.log) as log:
         try:
-            summary = None if job.overwrite else completed(job)  # by a worker that died before it told
+            summary = None if job.overwrite else completed(job)  # by a worker that ended before it returned
             if summary is None:
                 remove_leftovers(job)
                 summary = _map(job, log)
         except SlamError as error:
-            _say(log, f"failed: {error}")
+            _write(log, f"failed: {error}")
             return row_of(job, Status.FAILED, error=" ".join(str(error).split()))
         except Exception:
-            _say(log, f"failed:\n{traceback.format_exc()}")
+            _write(log, f"failed:\n{traceback.format_exc()}")
             raise
-        _say(log, "done")
+        _write(log, "done")
         return row_of(job, Status.DONE, summary)
 
 
-class _Marked(RecordingInput):
-    """A recording whose summary tells what the results were made of."""
+class _FingerprintedInput(RecordingInput):
+    """A recording whose summary contains the fingerprint of the job."""
 
     def __init__(self, job: Job) -> None:
         super().__init__(drivers.open(job.recording), reopen=job.recording)
-        self._facts = {FINGERPRINT: fingerprint(job)}  # before it is read: a change meanwhile shows next time
+        self._facts = {
+            FINGERPRINT: fingerprint(job)
+        }  # before reading, so that a change meanwhile is detected next time
 
     def facts(self) -> dict[str, Any]:
         return self._facts
 
 
 def _map(job: Job, log: TextIO) -> dict[str, Any]:
-    _forget_peak_memory()
-    wanted = job.request
+    _reset_peak_memory()
+    request = job.request
     result = run_slam(
-        _Marked(job),
-        wanted.config,
+        _FingerprintedInput(job),
+        request.config,
         job.directory,
         overwrite=True,
-        review=wanted.review,
-        picture=wanted.picture,
-        refine=wanted.refine,
+        review=request.review,
+        picture=request.picture,
+        refine=request.refine,
     )
     for line in [*format_summary(result, job.directory), *result.summary["warnings"]]:
         log.write(f"{line}\n")
@@ -76,10 +79,10 @@ def _map(job: Job, log: TextIO) -> dict[str, Any]:
 
 @contextmanager
 def _log(path: Path) -> Iterator[TextIO]:
-    """The log, after what earlier tries left in it; what libraries print goes there too, and where a crash happened."""
+    """Append to the job's log; stdout, stderr and the traceback of a crash go there as well."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a", encoding="utf-8", buffering=1) as log, redirect_stdout(log), redirect_stderr(log):
-        _say(log, f"started by process {os.getpid()} of {platform.node()}")
+        _write(log, f"started by process {os.getpid()} of {platform.node()}")
         faulthandler.enable(log)
         try:
             yield log
@@ -87,11 +90,11 @@ def _log(path: Path) -> Iterator[TextIO]:
             faulthandler.disable()
 
 
-def _say(log: TextIO, text: str) -> None:
+def _write(log: TextIO, text: str) -> None:
     log.write(f"{datetime.now():%Y-%m-%d %H:%M:%S} {text}\n")
 
 
-def _forget_peak_memory() -> None:
-    """A worker maps many recordings; the memory that is told of one is not to be an earlier one's. Linux only."""
+def _reset_peak_memory() -> None:
+    """Reset the peak memory, so that it does not include earlier recordings of this worker. Linux only."""
     with suppress(OSError):
         MEMORY_COUNTERS.write_text(RESET_PEAK)

@@ -1,4 +1,4 @@
-"""`wclm calibrate`: where the lidar sits and what the wheels measure wrongly, from a recording."""
+"""`wclm calibrate`: mount and range bias of the lidar and scales of the odometry, from a recording."""
 
 from __future__ import annotations
 
@@ -14,19 +14,22 @@ if TYPE_CHECKING:
 
 
 def calibrate(
-    recording: Annotated[str, typer.Argument(help="A drive with curves both ways, as for `wclm run`.")],
+    recording: Annotated[str, typer.Argument(help="Recording with left and right turns, as for `wclm run`.")],
     wheel_radius: Annotated[
-        float | None, typer.Option("--wheel-radius", min=0.0, help="What it was recorded with, metres.")
+        float | None,
+        typer.Option("--wheel-radius", min=0.0, help="Wheel radius in metres with which the odometry was recorded."),
     ] = None,
-    track: Annotated[float | None, typer.Option("--track", min=0.0, help="What it was recorded with, metres.")] = None,
+    track: Annotated[
+        float | None,
+        typer.Option("--track", min=0.0, help="Distance between the wheels in metres, of the recorded odometry."),
+    ] = None,
     config: ConfigOption = None,
     settings: SetOption = None,
 ) -> None:
-    """Estimate the lidar's mount, what its ranges are too long by, the wheels' radius and the track from a drive.
+    """Estimate the lidar's mount and range bias and the odometry's scales from a recording.
 
-    The mount that the recording or lidar.mount states is where the search begins; its heading should be right to 20
-    degrees. All come with standard errors. With the radius and the track that the odometry was made with, the right
-    ones are told, too.
+    The search starts from the mount in the recording or in lidar.mount, whose heading must be right to 20 degrees. All
+    results have standard errors. With --wheel-radius and --track the corrected values are printed, too.
 
     Example: [bold]wclm calibrate drive.mcap --wheel-radius 0.033 --track 0.2[/bold]
     """
@@ -49,18 +52,18 @@ def _lines(result: Calibration) -> list[str]:
     bias, bias_sigma = result.range_bias
     return [
         f"mount     {x:.4f} ± {sigma[0]:.4f} m, {y:.4f} ± {sigma[1]:.4f} m, {heading:.4f} ± {sigma[2]:.4f} rad",
-        f"distance  {wheels.distance:.4f} ± {sigma[3]:.4f} m for each metre that the odometry tells",
-        f"turn      {wheels.turn:.4f} ± {sigma[4]:.4f} rad for each radian that it tells",
-        f"pull      {wheels.pull:.4f} ± {sigma[5]:.4f} rad to the left in each metre, which it does not tell",
-        f"ranges    {bias:.4f} ± {bias_sigma:.4f} m too long",
-        f"from      {result.pairs} motions between keyframes, {result.turned:.0f} rad turned",
+        f"distance  {wheels.distance:.4f} ± {sigma[3]:.4f} m per metre of odometry",
+        f"turn      {wheels.turn:.4f} ± {sigma[4]:.4f} rad per radian of odometry",
+        f"pull      {wheels.pull:.4f} ± {sigma[5]:.4f} rad to the left per metre, unmeasured by the odometry",
+        f"bias      {bias:.4f} ± {bias_sigma:.4f} m of the ranges",
+        f"data      {result.pairs} motions between keyframes, {result.turned:.0f} rad of rotation",
         f"lidar: mount={x:.4f},{y:.4f},{heading:.4f}",
         f"wclm run: --set lidar.range_bias={bias:.4f}",
     ]
 
 
 def _options(result: Calibration, wheel_radius: float, track: float) -> str:
-    """The base's options as they should be: the wheels by their mean and by what they differ."""
+    """Return the corrected options of the base: the radius of each wheel and the track."""
     wheels = result.wheels
     true_track = track * wheels.distance / wheels.turn
     half = wheels.pull * true_track / 2

@@ -1,4 +1,4 @@
-"""`wclm demo`: everything at once, on a simulated robot."""
+"""`wclm demo`: mapping of a simulated office."""
 
 from __future__ import annotations
 
@@ -13,20 +13,22 @@ WORLD = "office"
 
 
 def demo(
-    out: Annotated[Path, typer.Option("--out", help="Directory for the results.")] = Path("demo"),
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the sensors' noise.")] = 0,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Output directory.")] = Path("demo"),
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the sensor noise.")] = 0,
     overwrite: OverwriteOption = False,
     refine: RefineOption = False,
-    view: Annotated[bool, typer.Option("--view/--no-view", help="Open the log if there is a display.")] = True,
+    view: Annotated[bool, typer.Option("--view/--no-view", help="Open the viewer if there is a display.")] = True,
     pictures: Annotated[
         Path | None,
-        typer.Option("--gallery", metavar="DIR", help="Instead, make the documentation's pictures in this directory."),
+        typer.Option(
+            "--gallery", metavar="DIR", help="Only write the pictures of the documentation into this directory."
+        ),
     ] = None,
 ) -> None:
-    """Drive a simulated robot through an office, map it, and open the log in the viewer.
+    """Map a simulated office and open the review log in the viewer.
 
-    With --gallery all pictures of the documentation are made again, over those that are there: of simulated drives,
-    and of the public recordings where the environment variable WCLM_DATASETS names the folder that has them.
+    With --gallery all pictures of the documentation are written instead, from simulated drives and from the public
+    recordings in the directory that the environment variable WCLM_DATASETS names.
 
     Example: [bold]wclm demo --out demo[/bold]
     """
@@ -36,7 +38,7 @@ def demo(
         for path in write_pictures(pictures):
             typer.echo(path)
         return
-    from drivers.simulation.simulator import Simulation
+    from drivers.simulation import Simulation
 
     from ...config import Config
     from ..run_input import RecordingInput

@@ -1,4 +1,4 @@
-"""`wclm devices`: which serial ports there are, who answers on them, and how devices are doing."""
+"""`wclm devices`: serial ports, connected devices and their counters."""
 
 from __future__ import annotations
 
@@ -15,14 +15,17 @@ if TYPE_CHECKING:
 def devices(
     specs: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[SPEC]...", help="Devices such as rplidar:/dev/ttyUSB0; without, all ports."),
+        typer.Argument(metavar="[SPEC]...", help="Devices, e.g. rplidar:/dev/ttyUSB0; by default all serial ports."),
     ] = None,
-    watch: Annotated[bool, typer.Option("--watch", help="Start them and show all counters live.")] = False,
-    seconds: Annotated[float | None, typer.Option("--for", metavar="SECONDS", help="Watch for so long only.")] = None,
+    watch: Annotated[bool, typer.Option("--watch", help="Start the devices and show their counters.")] = False,
+    seconds: Annotated[
+        float | None,
+        typer.Option("--for", metavar="SECONDS", help="Duration of --watch in seconds; by default until Ctrl-C."),
+    ] = None,
 ) -> None:
-    """List serial ports and the lidars and bases that answer on them. Nothing moves.
+    """List serial ports and the lidars and wheel bases connected to them.
 
-    Bases are asked before lidars: some bytes that lidars are asked with make some bases move.
+    No base moves: each port is probed for a base first, as some queries for lidars are motion commands of some bases.
 
     Example: [bold]wclm devices rplidar:/dev/ttyUSB0 create2:/dev/ttyUSB1 --watch[/bold]
     """
@@ -31,7 +34,7 @@ def devices(
     asked = parse_devices(" + ".join(specs)) if specs else []
     if watch:
         if not asked:
-            raise typer.BadParameter("say which devices to watch", param_hint="SPEC")
+            raise typer.BadParameter("--watch needs at least one device", param_hint="SPEC")
         _watch(asked, seconds)
     elif asked:
         _identify(asked)
@@ -47,8 +50,8 @@ def _list() -> None:
 
     ports = serial_ports()
     if not ports:
-        print_message("no serial port is there; is an adapter plugged in?")
-    with ThreadPoolExecutor() as pool, print_if_slow("asking what is on the ports; this takes up to half a minute"):
+        print_message("no serial port found; is an adapter connected?")
+    with ThreadPoolExecutor() as pool, print_if_slow("probing the serial ports; takes up to half a minute"):
         for port, answer in zip(ports, pool.map(probe, [port.path for port in ports]), strict=True):
             typer.echo(f"{port.path}  {port.description}\n    {answer}")
 

@@ -1,4 +1,4 @@
-"""`wclm emulate`: a robot to try things with where there is none."""
+"""`wclm emulate`: an emulated robot on two serial ports."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..options import DurationOption
+from ..options import DurationOption, WorldArgument
 
 if TYPE_CHECKING:
     from drivers.emulator import Emulator, EmulatorSetup
@@ -22,34 +22,39 @@ def _chance(option: str, text: str) -> Any:
 
 
 def _event(option: str, when: str, text: str) -> Any:
-    return _fault(option, f"{text} Seconds since the start; may be repeated.", metavar=f"DEVICE@{when}")
+    return _fault(option, f"{text} Times in seconds; can be repeated.", metavar=f"DEVICE@{when}")
 
 
-WorldArgument = Annotated[str, typer.Argument(help="The name of a world that comes with the program, or a TOML file.")]
-LidarKindOption = Annotated[str, typer.Option("--lidar", help="Which lidar; a wrong name lists them.")]
-BaseKindOption = Annotated[str, typer.Option("--base", help="Which wheel base; a wrong name lists them.")]
-PortsOption = Annotated[Path | None, typer.Option("--ports", help="Directory for the ports `lidar` and `base`.")]
-LidarPortOption = Annotated[Path | None, typer.Option("--lidar-port", help="Name of the lidar's port.")]
-BasePortOption = Annotated[Path | None, typer.Option("--base-port", help="Name of the base's port.")]
+LidarKindOption = Annotated[str, typer.Option("--lidar", help="Lidar model; an unknown name lists all.")]
+BaseKindOption = Annotated[str, typer.Option("--base", help="Wheel base; an unknown name lists all.")]
+PortsOption = Annotated[Path | None, typer.Option("--ports", help="Directory of the ports `lidar` and `base`.")]
+LidarPortOption = Annotated[Path | None, typer.Option("--lidar-port", help="Path of the lidar's port.")]
+BasePortOption = Annotated[Path | None, typer.Option("--base-port", help="Path of the base's port.")]
 DriveOption = Annotated[
-    str, typer.Option("--drive", help="path: along the world's; base: as the base is told; keyboard: arrow keys.")
+    str,
+    typer.Option(
+        "--drive",
+        help="Source of the motion. path: the world's path; base: commands to the base; keyboard: arrow keys.",
+    ),
 ]
-SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Seed of the sensors' noise and of the faults.")]
-TruthOption = Annotated[
-    Path | None, typer.Option("--truth", metavar="FILE.tum", help="Write the true path, for scoring a live run.")
-]
+SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Seed of the sensor noise and the faults.")]
+TruthOption = Annotated[Path | None, typer.Option("--truth", metavar="FILE.tum", help="File for the true trajectory.")]
 ReportOption = Annotated[
-    Path | None, typer.Option("--report", metavar="FILE.json", help="Write what happened, faults counted, at the end.")
+    Path | None, typer.Option("--report", metavar="FILE.json", help="File for counts of measurements and faults.")
 ]
-DropOption = Annotated[float, _chance("--drop", "Share of bytes that get lost.")]
-InsertOption = Annotated[float, _chance("--insert", "Share of bytes with one too many before.")]
-FlipOption = Annotated[float, _chance("--flip", "Share of bytes with a wrong bit.")]
-UnplugOption = Annotated[list[str] | None, _event("--unplug", "TIME:FOR", "The port disappears.")]
-StallOption = Annotated[list[str] | None, _event("--stall", "TIME:FOR", "It falls silent.")]
-RestartOption = Annotated[list[str] | None, _event("--restart", "TIME", "It starts again.")]
-FailOption = Annotated[list[str] | None, _event("--fail", "TIME", "It needs a reset.")]
-LidarDriftOption = Annotated[float, _fault("--lidar-drift", "How fast its clock is, parts per million.")]
-BaseDriftOption = Annotated[float, _fault("--base-drift", "How fast its clock is, parts per million.")]
+DropOption = Annotated[float, _chance("--drop", "Share of bytes dropped, 0 to 1.")]
+InsertOption = Annotated[float, _chance("--insert", "Share of bytes with a byte inserted before them, 0 to 1.")]
+FlipOption = Annotated[float, _chance("--flip", "Share of bytes with one flipped bit, 0 to 1.")]
+UnplugOption = Annotated[
+    list[str] | None, _event("--unplug", "TIME:FOR", "Time and duration for which the port disappears.")
+]
+StallOption = Annotated[
+    list[str] | None, _event("--stall", "TIME:FOR", "Time and duration for which the device sends nothing.")
+]
+RestartOption = Annotated[list[str] | None, _event("--restart", "TIME", "Time at which the device restarts.")]
+FailOption = Annotated[list[str] | None, _event("--fail", "TIME", "Time at which the device fails until it is reset.")]
+LidarDriftOption = Annotated[float, _fault("--lidar-drift", "Error of the lidar's clock rate, parts per million.")]
+BaseDriftOption = Annotated[float, _fault("--base-drift", "Error of the base's clock rate, parts per million.")]
 
 
 def emulate(
@@ -74,11 +79,13 @@ def emulate(
     lidar_drift: LidarDriftOption = 0.0,
     base_drift: BaseDriftOption = 0.0,
 ) -> None:
-    """Be a robot in a made-up building: a lidar and a wheel base on two serial ports, for other programs to open.
+    """Emulate a robot in a simulated world: a lidar and a wheel base on two serial ports.
+
+    Any program can open the ports as it would those of real devices.
 
     Example: [bold]wclm emulate office --lidar rplidar-s1 --base create2 --truth truth.tum[/bold]
     """
-    from drivers.emulator import FaultEvent, EmulatorSetup
+    from drivers.emulator import EmulatorSetup, FaultEvent
     from drivers.emulator.emulator_setup import default_ports
 
     folder = ports or default_ports()
@@ -104,12 +111,12 @@ def emulate(
 
 
 def _run(setup: EmulatorSetup, duration: float | None) -> None:
-    """Be the robot for a duration (seconds), or until Ctrl-C."""
+    """Run the emulator for a duration (seconds), or until Ctrl-C."""
     from drivers.emulator import Emulator
     from drivers.emulator.keyboard import HELP
 
     with Emulator(setup) as emulator:
-        _greet(emulator)
+        _print_ports(emulator)
         if setup.drive == "keyboard":
             typer.echo(HELP)
         try:
@@ -117,13 +124,13 @@ def _run(setup: EmulatorSetup, duration: float | None) -> None:
         except KeyboardInterrupt:
             typer.echo("", err=True)  # the terminal shows ^C
     for link in (emulator.lidar, emulator.base):
-        told = link.report()
-        typer.echo(f"{told['device']}: {told['sent']} bytes sent, {told['received']} received")
+        report = link.report()
+        typer.echo(f"{report['device']}: {report['sent']} bytes sent, {report['received']} received")
 
 
-def _greet(emulator: Emulator) -> None:
-    """Say where the devices are."""
+def _print_ports(emulator: Emulator) -> None:
+    """Print the port and the speed of each device."""
     for link in (emulator.lidar, emulator.base):
-        told = link.report()
-        speed = f"{told['baud']} baud" if told["baud"] else "USB, any speed"
-        typer.echo(f"{told['port']}: {told['device']}, {speed}")
+        report = link.report()
+        speed = f"{report['baud']} baud" if report["baud"] else "USB, any speed"
+        typer.echo(f"{report['port']}: {report['device']}, {speed}")

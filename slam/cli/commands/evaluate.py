@@ -1,4 +1,4 @@
-"""`wclm eval`: how good a trajectory is."""
+"""`wclm eval`: accuracy of a trajectory."""
 
 from __future__ import annotations
 
@@ -11,26 +11,28 @@ import typer
 from ..console import print_message
 
 EXIT_INCOMPLETE = 1
-"""Exit status where relations lie outside the trajectory: the figures are right, but not of the whole benchmark."""
+"""Exit status if relations lie outside the trajectory's time: the figures are not those of the whole benchmark."""
 
 
 def evaluate(
-    trajectory: Annotated[Path, typer.Argument(help="Poses as `t x y z qx qy qz qw` a line (TUM).")],
+    trajectory: Annotated[Path, typer.Argument(help="Trajectory in TUM format: t x y z qx qy qz qw per line.")],
     relations: Annotated[
-        Path | None, typer.Option("--relations", help="True motions of the SLAM benchmark (Kuemmerle et al. 2009).")
+        Path | None, typer.Option("--relations", help="Relations: true motions between poses (Kuemmerle et al. 2009).")
     ] = None,
     reference: Annotated[
-        Path | None, typer.Option("--reference", help="A trajectory to compare with, in the same format.")
+        Path | None, typer.Option("--reference", help="Reference trajectory in the same format.")
     ] = None,
-    plot: Annotated[Path | None, typer.Option("--plot", metavar="FILE.png", help="Draw the errors.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one line of JSON.")] = False,
+    plot: Annotated[Path | None, typer.Option("--plot", metavar="FILE.png", help="Picture of the errors.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one line of JSON instead of text.")] = False,
 ) -> None:
-    """Score a trajectory against relations (exit status 1 if it does not cover all of them) or a reference.
+    """Score a trajectory against relations or a reference trajectory.
+
+    Exit status 1 if some relations lie outside the trajectory's time.
 
     Example: [bold]wclm eval out/trajectory.tum --relations intel.relations[/bold]
     """
     if (relations is None) == (reference is None):
-        raise typer.BadParameter("give one of the two", param_hint="--relations / --reference")
+        raise typer.BadParameter("exactly one of the two is required", param_hint="--relations / --reference")
     if relations is not None:
         _against_relations(trajectory, relations, plot, as_json)
     elif reference is not None:
@@ -48,9 +50,9 @@ def _against_relations(trajectory: Path, relations: Path, plot: Path | None, as_
     else:
         typer.echo(
             f"translation {figures['trans_mean']:.4f} +- {figures['trans_std']:.4f} m "
-            f"(median {figures['trans_median']:.4f}, largest {figures['trans_max']:.3f})\n"
+            f"(median {figures['trans_median']:.4f}, max {figures['trans_max']:.3f})\n"
             f"rotation    {figures['rot_mean']:.3f} +- {figures['rot_std']:.3f} degrees "
-            f"(largest {figures['rot_max']:.2f})\n"
+            f"(max {figures['rot_max']:.2f})\n"
             f"relations   {figures['relations']}, {100 * figures['interpolated']:.1f} % with an interpolated pose, "
             f"{figures['missing']} outside the trajectory"
         )
@@ -74,7 +76,7 @@ def _against_reference(trajectory: Path, reference: Path, plot: Path | None, as_
     else:
         typer.echo(
             f"absolute  {figures['ate_rmse']:.4f} m RMSE after alignment (mean {figures['ate_mean']:.4f}, "
-            f"median {figures['ate_median']:.4f}, largest {figures['ate_max']:.3f}), "
+            f"median {figures['ate_median']:.4f}, max {figures['ate_max']:.3f}), "
             f"heading {figures['heading_rmse']:.3f} degrees RMSE"
         )
         if len(score.relative):

@@ -1,4 +1,4 @@
-"""`wclm features`: what the extractor sees in one scan."""
+"""`wclm features`: the features extracted from one scan."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class ExtractedScan(NamedTuple):
-    """A scan, of a source with this name, and what the extractor finds in it."""
+    """A scan, its features, and the name of the source that it is from."""
 
     source: str
     scan: Scan
@@ -27,12 +27,14 @@ class ExtractedScan(NamedTuple):
 
 
 def features(
-    recording: Annotated[str, typer.Argument(help="A recording, as for `wclm run`.")],
-    scan: Annotated[int, typer.Option("--scan", min=0, help="Which scan; the first is 0.")],
-    plot: Annotated[Path | None, typer.Option("--plot", metavar="FILE.png", help="Draw the scan.")] = None,
+    recording: Annotated[str, typer.Argument(help="Recording, as for `wclm run`.")],
+    scan: Annotated[int, typer.Option("--scan", min=0, help="Index of the scan, from 0.")],
+    plot: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE.png", help="Picture of the scan and its features.")
+    ] = None,
     settings: SetOption = None,
 ) -> None:
-    """Show the lines and corners of one scan, with their standard deviations.
+    """Print the lines and corners extracted from one scan, with standard deviations.
 
     Example: [bold]wclm features intel.clf --scan 100 --plot scan.png[/bold]
     """
@@ -48,7 +50,7 @@ def features(
 
 
 def extract_scan(recording: str, number: int, config: Config) -> ExtractedScan:
-    """A scan of a recording, counted from 0, and its features. Raises RecordingError where there is no such scan."""
+    """Extract the features of scan `number` of a recording, from 0. Raises RecordingError if there is no such scan."""
     import drivers
     from drivers.errors import RecordingError
     from drivers.messages import Scan
@@ -60,15 +62,15 @@ def extract_scan(recording: str, number: int, config: Config) -> ExtractedScan:
     scans = (message for message in source if isinstance(message, Scan))
     count = 0
     for found in islice(scans, number + 1):
-        extracted = extractor.extract(found.ranges - bias, found.angles)  # every scan: the noise is learnt on the way
+        extracted = extractor.extract(found.ranges - bias, found.angles)  # every scan, as the noise estimate adapts
         count += 1
     if count <= number:
-        raise RecordingError(recording, None, f"has {count} scans, counted from 0; there is no scan {number}")
+        raise RecordingError(recording, None, f"has {count} scans, from 0; there is no scan {number}")
     return ExtractedScan(source.name, replace(found, ranges=found.ranges - bias), extracted)
 
 
 def table(extracted: Features) -> str:
-    """Lines and corners as text; the offset's deviation is at the segment's centre, where it is least."""
+    """Return lines and corners as text; the deviation of the offset is that at the segment's centre."""
     import numpy as np
 
     from ...geometry.segments import segments_from_lines
@@ -81,7 +83,7 @@ def table(extracted: Features) -> str:
             f"{k:4d} {extracted.lines.count[k]:5d} {2 * segments.half_length[k]:9.3f} {1 / np.hypot(*uv):11.3f} "
             f"{np.degrees(np.arctan2(uv[1], uv[0])):12.2f} {1000 * sigma[k, 0]:16.2f} {np.degrees(sigma[k, 1]):18.3f}"
         )
-    rows.append("corner  lines      x m       y m  largest sigma mm")
+    rows.append("corner  lines      x m       y m      max sigma mm")
     for k, position in enumerate(extracted.corners.position):
         before, after = extracted.corners.lines[k]
         largest = 1000 * np.sqrt(np.linalg.eigvalsh(extracted.corners.covariance[k])[-1])

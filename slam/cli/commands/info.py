@@ -1,4 +1,4 @@
-"""`wclm info`: what is in a recording, and what is wrong with it."""
+"""`wclm info`: content of a recording and problems in its data."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ if TYPE_CHECKING:
     from drivers import RecordingInfo
 
 CALENDAR = 1e8
-"""Seconds; stamps from here on (1973) are taken for dates, earlier ones for the time since something started."""
+"""Stamps in seconds from here on (1973) are interpreted as dates, smaller ones as times since a start."""
 
 
 def info(
-    recording: Annotated[str, typer.Argument(help="A recording, as for `wclm run`.")],
+    recording: Annotated[str, typer.Argument(help="Recording, as for `wclm run`.")],
 ) -> None:
-    """Say what a recording holds and what is odd about it: rates, gaps, stamps, beams, odometry.
+    """Describe a recording and report problems in its data: rates, gaps, stamps, beams, odometry.
 
     Example: [bold]wclm info intel.clf[/bold]
     """
@@ -28,7 +28,7 @@ def info(
 
 
 def describe(found: RecordingInfo) -> list[str]:
-    """The lines that a person reads; what the recording does not tell is left out."""
+    """Return the description as lines of text, without entries that the recording does not have."""
     rows = [("time", _time(found))]
     rows.append(("scans", _count(found.scans, found.scan_rate)))
     if found.beams and found.field_of_view:
@@ -39,14 +39,14 @@ def describe(found: RecordingInfo) -> list[str]:
         rows.append(
             (
                 "ranges",
-                f"{found.ranges[0]:.2f} to {found.ranges[1]:.2f} m; the sensor states "
+                f"{found.ranges[0]:.2f} to {found.ranges[1]:.2f} m; stated limits "
                 f"{found.range_limits[0]:g} to {found.range_limits[1]:g} m",
             )
         )
     if found.invalid_share is not None:
-        rows.append(("no return", f"{100 * found.invalid_share:.1f} % of the beams"))
+        rows.append(("no-return", f"{100 * found.invalid_share:.1f} % of the beams"))
     for x, y, heading in found.mounts:
-        rows.append(("lidar", f"at x {x:.3f} m, y {y:.3f} m on the robot, turned {math.degrees(heading):.1f} degrees"))
+        rows.append(("lidar", f"mounted at x {x:.3f} m, y {y:.3f} m, heading {math.degrees(heading):.1f} degrees"))
     rows.append(("odometry", _count(found.odometry, found.odometry_rate) + f", {found.path_length:.1f} m driven"))
     if found.ground_truth:
         rows.append(("true poses", str(found.ground_truth)))
@@ -56,7 +56,7 @@ def describe(found: RecordingInfo) -> list[str]:
 
 def _time(found: RecordingInfo) -> str:
     if found.start is None:
-        return "no measurement"
+        return "no measurements"
     start = f"{found.start:.3f} s"
     if found.start > CALENDAR:
         start = f"{datetime.fromtimestamp(found.start, UTC):%Y-%m-%d %H:%M:%S} UTC ({start})"
@@ -64,4 +64,4 @@ def _time(found: RecordingInfo) -> str:
 
 
 def _count(count: int, rate: float | None) -> str:
-    return f"{count}" if rate is None else f"{count}, {rate:.3g} a second"
+    return f"{count}" if rate is None else f"{count}, {rate:.3g} per second"

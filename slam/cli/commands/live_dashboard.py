@@ -1,4 +1,4 @@
-"""What a person sees of a live run in the terminal: where the robot is, how well that is known, how the devices do."""
+"""State of a live run in the terminal: pose, localisation status, map and devices."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ COLOURS = {"OK": "green", "DEGENERATE": "yellow", "LOST": "red"}
 
 
 class LiveDashboard:
-    """A sink of the pipeline that keeps what there is to show, and tells of what changes in a line."""
+    """Sink that keeps the current state of the run and prints changes of it as messages."""
 
     def __init__(self) -> None:
-        self._begun = time.monotonic()
+        self._start = time.monotonic()
         self._scan: ScanTracked | None = None
         self._state = "OK"
         self._loops: Counter[str] = Counter()
@@ -33,7 +33,7 @@ class LiveDashboard:
         self._notice = ""
 
     def handle(self, event: Event) -> None:
-        """Take one event."""
+        """Process one event."""
         match event:
             case ScanTracked():
                 self._scan = event
@@ -41,53 +41,55 @@ class LiveDashboard:
                 self._counts = event.counts
             case StateChanged():
                 self._state = event.state
-                print_message(f"the robot's place: {event.state}")
+                print_message(f"localisation status: {event.state}")
             case LoopDecided():
                 self._loops[event.status] += 1
                 if event.status in (LoopStatus.ACCEPTED, LoopStatus.RETRACTED):
-                    print_message(f"loop {event.status}: keyframe {event.index} sees the place of keyframe {event.old}")
+                    print_message(f"loop closure {event.status}: keyframe {event.index} to keyframe {event.old}")
             case Notice():
                 self._notice = event.text
 
-    def draw(self, snapshot: Snapshot, rates: Rates) -> RenderableType:
-        """All of it for now: the robot above, the devices below."""
+    def render(self, snapshot: Snapshot, rates: Rates) -> RenderableType:
+        """Return the state of the run above that of the devices."""
         from rich.console import Group
 
-        return Group(self._robot(snapshot), "", _devices(snapshot, rates))
+        return Group(self._run_table(snapshot), "", _device_table(snapshot, rates))
 
-    def _robot(self, snapshot: Snapshot) -> Table:
+    def _run_table(self, snapshot: Snapshot) -> Table:
         from rich.table import Table
 
         table = Table.grid(padding=(0, 2))
-        minutes, seconds = divmod(int(time.monotonic() - self._begun), 60)
-        table.add_row("time", f"{minutes}:{seconds:02d}, {self._lag()}")
-        table.add_row("state", f"[bold {COLOURS[self._state]}]{self._state}")
+        minutes, seconds = divmod(int(time.monotonic() - self._start), 60)
+        table.add_row("time", f"{minutes}:{seconds:02d}{self._delay()}")
+        table.add_row("status", f"[bold {COLOURS[self._state]}]{self._state}")
         if self._scan is not None:
             x, y, heading = self._scan.pose
             table.add_row("pose", f"{x:.2f} m, {y:.2f} m, {math.degrees(heading):.0f}°")
-            table.add_row("overlap_ratio", f"{100 * self._scan.overlap_ratio:.0f} % of the walls seen are in the map")
+            table.add_row(
+                "overlap", f"{100 * self._scan.overlap_ratio:.0f} % of the observed wall length is in the map"
+            )
         table.add_row("map", ", ".join(f"{count} {name}" for name, count in self._counts.items()))
-        table.add_row("loops", ", ".join(f"{count} {name}" for name, count in self._loops.items()) or "none yet")
+        table.add_row("loops", ", ".join(f"{count} {name}" for name, count in self._loops.items()) or "none")
         if self._notice:
             table.add_row("notice", self._notice)
         table.add_row("dropped, late", f"{snapshot.dropped}, {snapshot.late}")
         return table
 
-    def _lag(self) -> str:
-        """How far the map is behind what happens."""
-        return "" if self._scan is None else f"{max(0.0, time.time() - self._scan.stamp):.1f} s behind"
+    def _delay(self) -> str:
+        """Return the delay of the estimate after the measurement."""
+        return "" if self._scan is None else f", delay {max(0.0, time.time() - self._scan.stamp):.1f} s"
 
 
-def _devices(snapshot: Snapshot, rates: Rates) -> Table:
-    """A line for each: state, rate, and what went wrong."""
+def _device_table(snapshot: Snapshot, rates: Rates) -> Table:
+    """Return a table with the state, the message rate and the faults of each device."""
     from rich.table import Table
 
     table = Table("device", "state", box=None, pad_edge=False)
-    for name in ("messages", "a second"):
+    for name in ("messages", "per second"):
         table.add_column(name, justify="right")
-    table.add_column("went wrong")
+    table.add_column("faults")
     for device in snapshot.devices:
-        wrong = ", ".join(format_faults(device.counters))
+        faults = ", ".join(format_faults(device.counters))
         rate = rates.get((device.spec, "messages"), 0.0)
-        table.add_row(device.spec, device.state.value, str(device.counters["messages"]), f"{rate:.1f}", wrong)
+        table.add_row(device.spec, device.state.value, str(device.counters["messages"]), f"{rate:.1f}", faults)
     return table

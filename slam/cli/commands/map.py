@@ -1,4 +1,4 @@
-"""`wclm map`: a session's map for other programs."""
+"""`wclm map`: export of a map to other file formats."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Format(StrEnum):
-    """What can be written; the names' endings."""
+    """File formats; the values are the suffixes."""
 
     PGM = "pgm"
     GEOJSON = "geojson"
@@ -30,29 +30,32 @@ class Format(StrEnum):
 
 
 def export_map(
-    session: Annotated[Path, typer.Argument(help="The directory that `wclm run --out DIR` left.")],
+    session: Annotated[Path, typer.Argument(help="Output directory of `wclm run`.")],
     form: Annotated[
         Format,
-        typer.Option("--format", help="pgm: occupancy for ROS, with its YAML; ply: the scans' points; g2o: the graph."),
+        typer.Option(
+            "--format",
+            help="File format; pgm: ROS occupancy grid, geojson, svg, dxf: walls and corners, ply: points, g2o: graph.",
+        ),
     ],
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="Without it: map.FORMAT or points.ply in SESSION.")
+        Path | None,
+        typer.Option("--out", metavar="FILE", help="Output file; by default map.FORMAT or points.ply in SESSION."),
     ] = None,
     recording: Annotated[
-        str | None, typer.Option("--recording", metavar="FILE", help="For pgm and ply, where the recording has moved.")
+        str | None, typer.Option("--recording", metavar="FILE", help="pgm, ply: recording, if it has been moved.")
     ] = None,
-    resolution: Annotated[
-        float, typer.Option("--resolution", min=0.001, help="pgm: metres that a cell is wide.")
-    ] = 0.05,
+    resolution: Annotated[float, typer.Option("--resolution", min=0.001, help="pgm: cell size in metres.")] = 0.05,
     occupied: Annotated[
-        float, typer.Option("--occupied", min=0, max=1, help="pgm: the least share of beams that end in a wall's cell.")
+        float,
+        typer.Option("--occupied", min=0, max=1, help="pgm: min. share of beams ending in an occupied cell, 0 to 1."),
     ] = 0.25,
     free: Annotated[
-        float, typer.Option("--free", min=0, max=1, help="pgm: the largest share that ends in a free cell.")
+        float, typer.Option("--free", min=0, max=1, help="pgm: max. share of beams ending in a free cell, 0 to 1.")
     ] = 0.1,
     overwrite: OverwriteOption = False,
 ) -> None:
-    """Write a session's map for other programs.
+    """Export the map of a session to another file format.
 
     Example: [bold]wclm map results/intel --format pgm[/bold]
     """
@@ -72,15 +75,15 @@ def export_map(
         return
     with unfinished_file(target, overwrite) as unfinished:
         if form is Format.G2O:
-            told = _write_graph(unfinished, session)
+            size = _write_graph(unfinished, session)
         elif form is Format.PLY:
             points = write_ply(unfinished, _scans(read, recording))
-            _expect(points, read, recording)
-            told = f"{points} points"
+            _check_overlap(points, read, recording)
+            size = f"{points} points"
         else:
             {Format.GEOJSON: write_geojson, Format.SVG: write_svg, Format.DXF: write_dxf}[form](unfinished, read)
-            told = f"{len(read.lines)} walls, {len(read.corners)} corners"
-    typer.echo(f"{target}: {told}")
+            size = f"{len(read.lines)} walls, {len(read.corners)} corners"
+    typer.echo(f"{target}: {size}")
 
 
 def _write_pgm(
@@ -92,7 +95,7 @@ def _write_pgm(
     settings = target.with_suffix(".yaml")
     with unfinished_file(target, overwrite) as picture, unfinished_file(settings, overwrite) as yaml:
         grid = OccupancyGrid(resolution)
-        _expect(grid.add_all(_scans(session, recording)), session, recording)
+        _check_overlap(grid.add_all(_scans(session, recording)), session, recording)
         occupancy = grid.occupancy(thresholds)
         write_pgm(picture, occupancy)
         write_pgm_yaml(yaml, occupancy, image=target.name)
@@ -101,7 +104,7 @@ def _write_pgm(
 
 
 def _write_graph(file: Path, session: Path) -> str:
-    """The session's factor graph; what a person should know of it."""
+    """Write the factor graph of a session; return its size as text."""
     from ...graph.pose_graph import write_g2o
     from ...io.exports.pose_graph import build_pose_graph
     from ...io.sessions import read_session
@@ -123,10 +126,10 @@ def _scans(session: RunResults, recording: str | None) -> Iterator[PlacedScan]:
     return place_scans(messages, session.trajectory, session.config().lidar)
 
 
-def _expect(count: int, session: RunResults, recording: str | None) -> None:
-    """A recording of another drive has nothing at the times of the path."""
+def _check_overlap(count: int, session: RunResults, recording: str | None) -> None:
+    """Raise MapError if no scan of the recording is at a time of the path, as with the recording of another drive."""
     from ...errors import MapError
 
     if not count:
         name = recording or session.summary.get("recording_path")
-        raise MapError(f"{session.path}: {name} has no scan from the time of its path; is it another recording?")
+        raise MapError(f"{session.path}: {name} has no scan at the times of its path; is it another recording?")

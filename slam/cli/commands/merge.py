@@ -1,4 +1,4 @@
-"""`wclm merge`: one map of several sessions."""
+"""`wclm merge`: one map from several sessions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..options import OutOption, OverwriteOption, PlotOption, ReviewOption
 if TYPE_CHECKING:
     from ...events import Finished, Sink
     from ...io.sessions import Recording
-    from ...offline.map_merging import Joined
+    from ...offline.map_merging import MergedSession
     from ..run_summary import RunResult
 
 MIN_SESSIONS = 2
@@ -23,24 +23,24 @@ MIN_SESSIONS = 2
 
 def merge(
     sessions: Annotated[
-        list[Path], typer.Argument(metavar="SESSION SESSION...", help="Directories that runs in one building left.")
+        list[Path], typer.Argument(metavar="SESSION SESSION...", help="Output directories of runs in one building.")
     ],
     out: OutOption,
     overwrite: OverwriteOption = False,
     review: ReviewOption = True,
     plot: PlotOption = False,
 ) -> None:
-    """Make one map of several sessions, in the frame of the first; where they lie in each other is found out.
+    """Merge sessions of one building into one map, in the frame of the first session.
 
-    Places of each session are looked for in the map of those before it. Only where several of them agree is it joined,
-    and everything is looked at again then. Sessions that do not recognise each other are refused.
+    Submaps of each session are relocalised in the map of the sessions before it. A session is merged if several
+    relocalisations agree, then the whole map is refined. An error if a session cannot be relocalised.
 
     Example: [bold]wclm merge maps/monday maps/tuesday --out maps/both[/bold]
     """
     from ..run_summary import format_summary
 
     if len(sessions) < MIN_SESSIONS:
-        raise typer.BadParameter("name two or more", param_hint="SESSION SESSION...")
+        raise typer.BadParameter("at least two sessions are required", param_hint="SESSION SESSION...")
     result = _merge(sessions, out, overwrite=overwrite, review=review, picture=plot)
     head, *rows = format_summary(result, out)
     told = [f"  {'joined':<11}{joined['session']}: {joined['reason']}" for joined in result.summary["joined"]]
@@ -48,14 +48,14 @@ def merge(
 
 
 def _merge(paths: list[Path], out: Path, *, overwrite: bool, review: bool, picture: bool) -> RunResult:
-    """Join the sessions and write another. Raises SlamError; then nothing is left behind."""
+    """Merge the sessions into a new one. Raises SlamError; then nothing is left behind."""
     from ...io.output_dir import PICTURE, OutputDirectory, write_results
     from ..run_summary import RunResult
     from ..slam_run import READING_SESSION, review_log, write_report_page
 
     with OutputDirectory(out, overwrite) as directory, ExitStack() as log:
         from ...io.sessions import read_session, write_session
-        from ...offline.map_merging import join
+        from ...offline.map_merging import merge_sessions
         from ...optimisation import optimise
         from ...warmup import warm_up
 
@@ -63,7 +63,7 @@ def _merge(paths: list[Path], out: Path, *, overwrite: bool, review: bool, pictu
         with print_if_slow(READING_SESSION):
             warm_up()
             sessions = [(str(path), read_session(path)) for path in paths]
-        joined = join(sessions)
+        joined = merge_sessions(sessions)
         config, name = joined.session.config, " + ".join(some.name for some in joined.session.recordings)
         sinks: list[Sink] = [log.enter_context(review_log(directory, config, name))] if review else []
         optimised = optimise(joined.session, sinks)
@@ -80,8 +80,8 @@ def _merge(paths: list[Path], out: Path, *, overwrite: bool, review: bool, pictu
     return RunResult(summary, review)
 
 
-def _summarise(name: str, joined: Joined, finished: Finished, seconds: float) -> dict[str, Any]:
-    """The summary of a run, as far as there was one, and how each session was found."""
+def _summarise(name: str, joined: MergedSession, finished: Finished, seconds: float) -> dict[str, Any]:
+    """Return the summary: entries as of a run, and how each session was relocalised."""
     from ...io.host import peak_memory, versions
 
     session = joined.session
@@ -93,13 +93,13 @@ def _summarise(name: str, joined: Joined, finished: Finished, seconds: float) ->
         "joined": [
             {
                 "session": path,
-                "pieces": found.looked_for,
+                "pieces": found.submaps,
                 "recognised": found.recognised,
                 "agree": len(found.members),
                 "independent": found.independent,
                 "reason": found.reason,
             }
-            for path, found in joined.found
+            for path, found in joined.added
         ],
         "seed": None,
         "scans": len(session.scans),
@@ -108,7 +108,7 @@ def _summarise(name: str, joined: Joined, finished: Finished, seconds: float) ->
         "keyframes": len(finished.keyframes),
         "walls": len(finished.lines),
         "corners": len(finished.corners),
-        "path_length": sum(_driven(finished, recording) for recording in session.recordings),
+        "path_length": sum(_path_length(finished, recording) for recording in session.recordings),
         "slam_seconds": seconds,
         "wall_seconds": seconds,
         "real_time_factor": duration / seconds,
@@ -121,8 +121,8 @@ def _summarise(name: str, joined: Joined, finished: Finished, seconds: float) ->
     }
 
 
-def _driven(finished: Finished, recording: Recording) -> float:
-    """Metres driven in a recording; between two, the robot was carried."""
+def _path_length(finished: Finished, recording: Recording) -> float:
+    """Return the travelled distance of one recording, metres; without the motion between recordings."""
     from ...io.tum import Trajectory
 
     own = (finished.stamps >= recording.first) & (finished.stamps <= recording.last)

@@ -1,4 +1,4 @@
-"""`wclm optimize` of a session, or of a recording, which is made one first."""
+"""`wclm optimize` of a session, or of a recording, which is mapped first."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 from ...config import Config, config_to_toml
 from ...io.host import peak_memory, versions
 from ...io.output_dir import PICTURE, REVIEW, OutputDirectory, write_results
+from ..compilation import compile_all
 from ..console import print_if_slow
 from ..run_input import InputStatistics, RecordingInput, absolute_source
 from ..run_summary import RunResult, format_summary
-from ..slam_run import COMPILING, READING_SESSION, NoticeCollector, process_messages, write_report_page
+from ..slam_run import READING_SESSION, NoticeCollector, process_messages, write_report_page
 
 if TYPE_CHECKING:
     from ...events import Event, Sink
@@ -21,25 +22,28 @@ if TYPE_CHECKING:
     from ...visualisation.rerun_log import ReviewLog
 
 SHOWN_SHIFTS = 3
-MAX_WAITING = 100  # events for the review log
-PAUSE = 0.01  # seconds
+"""Number of largest keyframe shifts that are listed."""
+MAX_WAITING = 100
+"""Number of waiting events of the review log above which the run is delayed."""
+PAUSE = 0.01
+"""Seconds between two checks of the number of waiting events."""
 
 
 class BlockingSink:
-    """A review log that leaves nothing out: no robot waits, so whoever tells it of something does."""
+    """Sink of a review log that blocks instead of dropping events, as offline nothing is in a hurry."""
 
     def __init__(self, log: ReviewLog) -> None:
         self._log = log
 
     def handle(self, event: Event) -> None:
-        """Take one event, when most of those before it are written."""
+        """Process one event, once most of those before it are written."""
         while self._log.waiting > MAX_WAITING:
             time.sleep(PAUSE)
         self._log.handle(event)
 
 
 def optimize_session(path: Path, out: Path, *, overwrite: bool, review: bool, picture: bool) -> list[str]:
-    """Optimise the session in a run's directory and write another; what a person should read of it.
+    """Refine the session in an output directory and write another; return its summary as lines of text.
 
     Raises SlamError; then nothing is left behind.
     """
@@ -59,17 +63,15 @@ def optimize_session(path: Path, out: Path, *, overwrite: bool, review: bool, pi
 def optimize_recording(
     recording: str, config: Config, out: Path, *, overwrite: bool, review: bool, picture: bool
 ) -> list[str]:
-    """Map a recording, then optimise it, likewise."""
+    """Map a recording and refine it; otherwise like `optimize_session`."""
     import drivers
 
     from ..run_summary import summarise_run
 
     with OutputDirectory(out, overwrite) as directory:
         from ...pipeline import Slam
-        from ...warmup import warm_up
 
-        with print_if_slow(COMPILING):
-            warm_up()
+        compile_all()
         run_input = RecordingInput(drivers.open(recording), reopen=absolute_source(recording))
         notices, statistics = NoticeCollector(), InputStatistics()
         started = time.perf_counter()
@@ -91,7 +93,7 @@ def optimize_recording(
 def _optimise(
     directory: Path, session: StoredSession, summary: dict[str, Any], started: float, *, review: bool, picture: bool
 ) -> dict[str, Any]:
-    """Optimise a session into a directory; its summary, from that of the run that left it."""
+    """Refine a session into a directory; return the summary of the original run with the new figures."""
     from ...io.sessions import write_session
     from ...io.tum import Trajectory
     from ...optimisation import optimise
@@ -116,7 +118,7 @@ def _optimise(
         "walls": len(finished.lines),
         "corners": len(finished.corners),
         "path_length": float(Trajectory(finished.stamps, finished.poses).travelled[-1]),
-        "truth": None,  # what was told of the path before
+        "truth": None,  # the error before refinement no longer applies
         "recordings": [recording.model_dump() for recording in session.recordings],
         "slam": summary.get("slam", {})
         | {"refinement": optimised.summary, "factors": optimised.summary["factors_after"]},
@@ -130,14 +132,14 @@ def _optimise(
 
 
 def _lines(summary: dict[str, Any], out: Path, *, review: bool) -> list[str]:
-    """The lines that a run tells, with what was changed in the place of its time."""
+    """Return the lines of a run's summary, with the changes instead of the time."""
     changed = summary["slam"]["refinement"]
     head, first, _, *others = format_summary(RunResult(summary, review), out)
     rows = [
         ("before", f"cost {changed['cost_before']:.6g} of {changed['factors_before']} factors"),
         ("after", f"cost {changed['cost_after']:.6g} of {changed['factors_after']}, {changed['rounds']} rounds"),
-        ("changed", f"{changed['associations_changed']} associations, {changed['walls_merged']} walls made one"),
-        ("closures", f"{changed['closures_added']} added, {changed['closures_removed']} removed"),
+        ("changed", f"{changed['associations_changed']} associations, {changed['walls_merged']} walls merged"),
+        ("loops", f"{changed['closures_added']} added, {changed['closures_removed']} removed"),
         ("moved", _moved(changed)),
         ("time", f"{summary['optimisation_seconds']:.1f} s, {summary['peak_memory_mib']:.0f} MiB"),
     ]
@@ -147,4 +149,4 @@ def _lines(summary: dict[str, Any], out: Path, *, review: bool) -> list[str]:
 def _moved(changed: dict[str, Any]) -> str:
     shifts = changed["largest_shifts"][:SHOWN_SHIFTS]
     named = ", ".join(f"{shift['metres']:.3f} m (keyframe {shift['keyframe']})" for shift in shifts)
-    return f"keyframes by {changed['median_shift']:.3f} m in the median, most of all {named}"
+    return f"keyframes by {changed['median_shift']:.3f} m (median), at most by {named}"

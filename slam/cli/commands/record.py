@@ -1,4 +1,4 @@
-"""`wclm record`: what devices measure, into a file."""
+"""`wclm record`: recording of devices."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from ..options import DurationOption, OverwriteOption
 
 if TYPE_CHECKING:
     from drivers.devices.acquisition import Acquisition, Snapshot
-    from drivers.devices.recorder import Recorder
     from drivers.devices.device_spec import DeviceSpec
+    from drivers.devices.recorder import Recorder
 
 LidarOption = Annotated[
     list[str] | None, typer.Option("--lidar", metavar="SPEC", help="Such as rplidar:/dev/ttyUSB0, ld06:auto.")
@@ -21,13 +21,15 @@ BaseOption = Annotated[list[str] | None, typer.Option("--base", metavar="SPEC", 
 
 
 def record(
-    file: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="The recording to write.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="Recording to write.")],
     lidar: LidarOption = None,
     base: BaseOption = None,
     duration: DurationOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:
-    """Record a lidar and a wheel base until Ctrl-C. Whatever happens, what is older than a second is in the file.
+    """Record a lidar and a wheel base until Ctrl-C.
+
+    If the command is killed, the file is complete up to the last second.
 
     Example: [bold]wclm record --lidar rplidar:/dev/ttyUSB0 --base create2:/dev/ttyUSB1 drive.mcap[/bold]
     """
@@ -69,12 +71,12 @@ def parse_device_options(lidar: list[str] | None, base: list[str] | None) -> lis
 
 
 def summary(file: Path, recorder: Recorder, snapshot: Snapshot) -> str:
-    """What a person wants to know afterwards, in a line."""
+    """Return a summary of the recording in one line."""
     lost = sum(device.counters["losses"] for device in snapshot.devices)
     missed = snapshot.dropped + snapshot.late
     return (
         f"{file}: {recorder.scans} scans and {recorder.odometry} odometry readings in {recorder.duration:.1f} s"
-        f"; connections lost {lost}, messages dropped {missed}"
+        f"; {lost} connections lost, {missed} messages dropped"
     )
 
 
@@ -86,14 +88,14 @@ def _record(acquisition: Acquisition, recorder: Recorder, duration: float | None
 
     with stop_on_signals(acquisition), DeviceMonitor() as monitor:
 
-        def look(snapshot: Snapshot) -> None:
+        def on_snapshot(snapshot: Snapshot) -> None:
             monitor.show(snapshot)
-            recorder.look(snapshot)
+            recorder.write_diagnostics_if_due(snapshot)
 
         try:
-            for message in receive_messages(acquisition, duration, look):
+            for message in receive_messages(acquisition, duration, on_snapshot):
                 recorder.write(message)
-            recorder.tell(acquisition.snapshot)
+            recorder.write_diagnostics(acquisition.snapshot)
         except RecordingError as error:
-            kept = f"{error.reason}; the recording ends here, after {recorder.duration:.1f} s, and can be read"
+            kept = f"{error.reason}; the recording ends after {recorder.duration:.1f} s and is readable"
             raise RecordingError(error.path, None, kept) from error

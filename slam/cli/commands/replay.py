@@ -1,4 +1,4 @@
-"""`wclm replay`: a recording with its timing."""
+"""`wclm replay`: replay of a recording in real time."""
 
 from __future__ import annotations
 
@@ -8,19 +8,20 @@ from typing import Annotated
 
 import typer
 
-EVERY = 0.1
-"""Seconds between two looks of the display."""
+DISPLAY_PERIOD = 0.1
+"""Seconds between two updates of the display."""
 
 
 def replay(
-    recording: Annotated[str, typer.Argument(help="A recording, as for `wclm run`, or a tape of raw bytes (.tape).")],
-    speed: Annotated[float, typer.Option("--speed", min=0.01, max=1000.0, help="Times as fast as it was.")] = 1.0,
+    recording: Annotated[
+        str, typer.Argument(help="Recording, as for `wclm run`, or byte capture of a device (.tape).")
+    ],
+    speed: Annotated[float, typer.Option("--speed", min=0.01, max=1000.0, help="Factor of the original speed.")] = 1.0,
 ) -> None:
-    """Play a recording with its timing and show what was measured when; a tape comes out of a serial port.
+    """Replay a recording in real time and show its progress.
 
-    The messages of a recording are shown here; to have them mapped as if the robot drove now, give replay:FILE to a
-    command that takes recordings. The bytes of a tape come out of a pseudo terminal, which is named: any program can
-    open it as the device's port.
+    A byte capture (.tape) is replayed on a pseudo terminal, whose name is printed and which any program can open as the
+    device's port. To map a recording in real time, give replay:FILE as the recording of another command.
 
     Example: [bold]wclm replay drive.mcap --speed 4[/bold]
     """
@@ -61,7 +62,7 @@ def _play_recording(recording: str, speed: float) -> None:
                 odometry += 1
                 x, y, heading = message.pose
                 pose = f"odometry at {x:.2f} m, {y:.2f} m, {heading:.2f} rad"
-            if console.is_terminal and time.monotonic() > shown + EVERY:
+            if console.is_terminal and time.monotonic() > shown + DISPLAY_PERIOD:
                 shown = time.monotonic()
                 live.update(Text(f"{last - first:8.1f} s  {scans} scans  {odometry} readings  {pose}"), refresh=True)
     length = 0.0 if first is None else last - first

@@ -1,4 +1,4 @@
-"""`wclm report`: a session as one page for the browser."""
+"""`wclm report`: the report page of a session."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from ..options import OverwriteOption
 
 
 def report(
-    session: Annotated[Path, typer.Argument(help="The directory that `wclm run --out DIR` left.")],
+    session: Annotated[Path, typer.Argument(help="Output directory of `wclm run`.")],
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE.html", help="Without it: report.html in SESSION.")
+        Path | None, typer.Option("--out", metavar="FILE.html", help="Output file; by default report.html in SESSION.")
     ] = None,
     overwrite: OverwriteOption = False,
 ) -> None:
-    """Write a session's page, report.html: map, path, loops, times, errors, and what looked wrong.
+    """Write the report page of a session: map, path, loop closures, times, errors and warnings.
 
-    A run writes it already; this is for directories of older versions. The page needs no network.
+    Every run writes it; this command is for output directories of older versions. The page needs no network.
 
     Example: [bold]wclm report results/intel --overwrite[/bold]
     """

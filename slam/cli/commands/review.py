@@ -1,4 +1,4 @@
-"""`wclm review`: the log of a session, in the viewer, in a browser, or in a few lines."""
+"""`wclm review`: the review log of a session in the viewer, in a browser, or as text."""
 
 from __future__ import annotations
 
@@ -21,30 +21,38 @@ if TYPE_CHECKING:
     from ...visualisation.rerun_log.viewer import ViewerServer
 
 WEB_PORT = 9090
-PATIENCE = 30.0  # seconds for a server to come up
-STOPPING = 5.0  # seconds for it to end when told to
+START_TIMEOUT = 30.0
+"""Seconds until a server must be reachable."""
+STOP_TIMEOUT = 5.0
+"""Seconds until a terminated server is killed."""
 
 
 def review(
     sessions: Annotated[
         list[Path],
-        typer.Argument(help="Directories that `wclm run --out DIR` left or was to leave, or log files; side by side."),
+        typer.Argument(help="Output directories of `wclm run`, also unfinished, or log files; shown side by side."),
     ],
-    web: Annotated[bool, typer.Option("--web", help="Serve viewer and log for a browser, until Ctrl-C.")] = False,
+    web: Annotated[bool, typer.Option("--web", help="Serve viewer and log for a browser until Ctrl-C.")] = False,
     address: Annotated[
-        str, typer.Option("--address", help="Where the viewer listens: 0.0.0.0 lets other computers in.")
+        str, typer.Option("--address", help="Address of the viewer; 0.0.0.0 admits other computers.")
     ] = "127.0.0.1",
     port: Annotated[
         int | None,
-        typer.Option("--port", min=1, max=65535, help="Of the page of --web; 9090, or another if that is taken."),
+        typer.Option(
+            "--port",
+            min=1,
+            max=65535,
+            help="Port of --web; by default 9090, or a free one if that is in use.",
+        ),
     ] = None,
     summary: Annotated[
-        bool, typer.Option("--summary", help="Print closures, worst residuals and health; no viewer.")
+        bool, typer.Option("--summary", help="Print loop closures, largest residuals and health as text instead.")
     ] = False,
 ) -> None:
-    """Look at the log of a session: what the robot saw and believed, and why each loop was closed or refused.
+    """Open the review log of a session in the viewer.
 
-    The log of a run that was killed, or still goes on, is found by the directory that the run was to leave.
+    The log shows scans, map and estimate over time, and the tests of each loop closure. The log of a run that was
+    killed or is still running is found by the output directory of the run.
 
     Example: [bold]wclm review results/intel --web[/bold]
     """
@@ -55,32 +63,32 @@ def review(
             typer.echo("\n".join(summary_lines(session)))
         return
     if not (web or has_display()):
-        raise OutputError("there is no display for the viewer; --web serves it for a browser, --summary needs neither")
+        raise OutputError("no display for the viewer; use --web for a browser or --summary for text")
     with TemporaryDirectory(prefix="wclm-review-") as scratch:
         log = Path(scratch) / "review.rrd"
-        _make_ready(sessions, log)
+        _prepare_log(sessions, log)
         if web:
             _serve(log, address, port)
         else:
             _show(log, address)
 
 
-def _make_ready(sessions: list[Path], target: Path) -> None:
+def _prepare_log(sessions: list[Path], target: Path) -> None:
     from ...visualisation.rerun_log.combined_log import write_combined_log
     from ...visualisation.rerun_log.log_files import find_log
 
     found = [find_log(session) for session in sessions]
     for session, log in zip(sessions, found, strict=True):
         if not log.ended:
-            print_message(f"{session}: the run has not ended, or was killed; this is its log in {log.directory}")
+            print_message(f"{session}: the run is not finished or was killed; using its log in {log.directory}")
     write_combined_log(found, [session.resolve().name for session in sessions], target)
 
 
 def _show(log: Path, address: str) -> None:
-    """The native viewer, until it is closed."""
+    """Run the native viewer until it is closed."""
     from ...visualisation.rerun_log.viewer import viewer_executable
 
-    # A port of its own: a viewer that finds another one at its port sends it what it was to show.
+    # A port of its own: a viewer that finds another one at its port sends the log to that one.
     with (
         _running([viewer_executable(), str(log), "--bind", address, "--port", "auto"]) as viewer,
         suppress(KeyboardInterrupt),
@@ -89,24 +97,24 @@ def _show(log: Path, address: str) -> None:
 
 
 def _serve(log: Path, address: str, port: int | None) -> None:
-    """Viewer and log for a browser, until Ctrl-C."""
+    """Serve viewer and log for a browser until Ctrl-C."""
     from ...visualisation.rerun_log.viewer import ViewerServer, viewer_executable
 
-    with ViewerServer(address) as data, ViewerServer(address, port, usual=WEB_PORT) as page:
+    with ViewerServer(address) as data, ViewerServer(address, port, default=WEB_PORT) as page:
         ports = ["--port", str(data.port), "--web-viewer-port", str(page.port)]
         where = f"http://{page.host}:{page.port}/?url={quote(data.url, safe='')}"
     with _running([viewer_executable(), str(log), "--serve-web", "--bind", address, *ports]) as server:
         for served in (data, page):
             _wait_for(served, server)
         typer.echo(where)
-        print_message("Ctrl-C ends it")
+        print_message("serving until Ctrl-C")
         with suppress(KeyboardInterrupt):
             server.wait()
 
 
 @contextmanager
 def _running(command: list[str]) -> Iterator[subprocess.Popen[bytes]]:
-    """A program that ends with the block. Raises OutputError where it cannot be started."""
+    """Run a program until the block ends. Raises OutputError if it cannot be started."""
     try:
         process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
@@ -118,16 +126,16 @@ def _running(command: list[str]) -> Iterator[subprocess.Popen[bytes]]:
     finally:
         process.terminate()
         try:
-            process.wait(STOPPING)
+            process.wait(STOP_TIMEOUT)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
 
 
 def _wait_for(served: ViewerServer, process: subprocess.Popen[bytes]) -> None:
-    """Until somebody answers there. Raises OutputError where that does not happen."""
-    deadline = time.monotonic() + PATIENCE
+    """Wait until the server is reachable. Raises OutputError if it ends or START_TIMEOUT is over."""
+    deadline = time.monotonic() + START_TIMEOUT
     while not served.accepts_connections():
         if process.poll() is not None or time.monotonic() > deadline:
-            raise OutputError(f"{served.address}:{served.port}: the viewer's server does not come up")
+            raise OutputError(f"{served.address}:{served.port}: the viewer's server cannot be reached")
         time.sleep(0.05)

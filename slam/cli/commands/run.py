@@ -1,8 +1,6 @@
-"""`wclm run`: SLAM over a recording."""
+"""`wclm run`: SLAM on a recording."""
 
 from __future__ import annotations
-
-from typing import Annotated
 
 import typer
 
@@ -13,6 +11,7 @@ from ..options import (
     OutOption,
     OverwriteOption,
     PlotOption,
+    RecordingArgument,
     RefineOption,
     ReviewOption,
     SetOption,
@@ -20,7 +19,7 @@ from ..options import (
 
 
 def run(
-    recording: Annotated[str, typer.Argument(help="A CARMEN log, MCAP file, ROS 1 bag or ROS 2 bag directory.")],
+    recording: RecordingArgument,
     out: OutOption,
     overwrite: OverwriteOption = False,
     refine: RefineOption = False,
@@ -31,9 +30,9 @@ def run(
     review: ReviewOption = True,
     plot: PlotOption = False,
 ) -> None:
-    """Map a recording: write the path, the map and a log to look at.
+    """Map a recording: write trajectory, map and review log.
 
-    With --continue the new drive may begin anywhere on the old map, or go on where the old one ended.
+    With --continue the recording can start anywhere on the earlier map, or where the earlier run ended.
 
     Example: [bold]wclm run intel.clf --out results/intel --plot[/bold]
     """

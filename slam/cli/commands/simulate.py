@@ -1,4 +1,4 @@
-"""`wclm simulate`: a recording with the truth in it, out of a made-up building."""
+"""`wclm simulate`: recording of a simulated robot, with ground truth."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from typing import Annotated
 import typer
 
 from ..console import progress
-from ..options import OverwriteOption
+from ..options import OverwriteOption, WorldArgument
 
 
 def simulate(
-    world: Annotated[str, typer.Argument(help="The name of a world that comes with the program, or a TOML file.")],
-    file: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="The recording to write.")],
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the sensors' noise.")] = 0,
+    world: WorldArgument,
+    file: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="Recording to write.")],
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the sensor noise.")] = 0,
     duration: Annotated[
-        float | None, typer.Option("--duration", help="Seconds; without it the world's path is driven once.")
+        float | None, typer.Option("--duration", help="Duration in seconds; by default the world's path once.")
     ] = None,
     overwrite: OverwriteOption = False,
 ) -> None:
-    """Drive a simulated robot through a world and record what it measures, with its true path.
+    """Record a drive of a simulated robot, with ground truth.
 
     Example: [bold]wclm simulate office office.mcap --seed 3[/bold]
     """

@@ -18,7 +18,7 @@ import drivers
 from drivers import se2
 from drivers.messages import GroundTruth, Message
 from slam import Slam
-from slam.cli import app
+from slam.cli.app import app
 from slam.config import config_to_toml
 from slam.errors import MapError
 from slam.evaluation.benchmarks.relocalisation import halves

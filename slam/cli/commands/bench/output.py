@@ -1,51 +1,36 @@
-"""What the results of all benchmarks state, and how they are written."""
+"""Options and result headers that benchmarks share."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
-from ....errors import OutputError
+import typer
+
 from ....io.host import machine, versions
+from ....io.output_dir import plain
+
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one line of JSON instead of text.")]
+JsonFileOption = Annotated[Path | None, typer.Option("--json", metavar="FILE.json", help="JSON file for all figures.")]
+TablesOption = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Output directory for tables and pictures.")
+]
 
 
 def provenance(seed: int) -> dict[str, Any]:
-    """The machine, the versions and the seed, for JSON."""
+    """Return the machine, the versions and the seed, for JSON."""
     return {"machine": machine(), "versions": versions(), "seed": seed}
 
 
 def heading(seed: int) -> list[str]:
-    """The same in lines of text."""
+    """Return the machine, the versions and the seed as lines of text."""
     return [
         "; ".join(f"{name}: {value}" for name, value in machine().items()),
         ", ".join(f"{name} {version}" for name, version in versions().items()) + f"; seed {seed}",
     ]
 
 
-def plain(rows: Iterable[NamedTuple]) -> list[dict[str, Any]]:
-    """Rows for JSON, which knows no NaN: null."""
-    return [
-        {
-            name: None if isinstance(value, float) and math.isnan(value) else value
-            for name, value in row._asdict().items()
-        }
-        for row in rows
-    ]
-
-
-def make_directory(out: Path) -> None:
-    """Make a directory for results. Raises OutputError where that cannot be."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{out}: cannot be made: {error.strerror or error}") from error
-
-
-def write(path: Path, text: str) -> None:
-    """Write a text file. Raises OutputError where that cannot be."""
-    try:
-        path.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from error
+def plain_rows(rows: Iterable[NamedTuple]) -> list[dict[str, Any]]:
+    """Return rows as plain data for JSON, with null for NaN."""
+    return [plain(row._asdict()) for row in rows]

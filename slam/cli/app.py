@@ -1,0 +1,105 @@
+"""The application `wclm`: its commands, in the order of the help, and the handling of their errors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from drivers.errors import SlamError
+
+from .commands.batch import batch
+from .commands.bench import bench
+from .commands.calibrate import calibrate
+from .commands.demo import demo
+from .commands.devices import devices
+from .commands.emulate import emulate
+from .commands.evaluate import evaluate
+from .commands.features import features
+from .commands.info import info
+from .commands.live import live
+from .commands.map import export_map
+from .commands.merge import merge
+from .commands.optimize import optimize
+from .commands.record import record
+from .commands.replay import replay
+from .commands.report import report
+from .commands.review import review
+from .commands.run import run
+from .commands.simulate import simulate
+from .console import EXIT_INTERRUPTED, EXIT_USER_ERROR, print_message
+from .registration import add_command
+
+
+class _Commands(TyperGroup):
+    """Commands that report a SlamError as one line and an exit status; other exceptions are bugs and are raised."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except SlamError as error:
+            print_message(str(error))
+            raise typer.Exit(EXIT_USER_ERROR) from error
+        except KeyboardInterrupt as error:
+            print_message("interrupted; nothing was written")
+            raise typer.Exit(EXIT_INTERRUPTED) from error
+
+
+app = typer.Typer(
+    cls=_Commands,
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _print_versions(requested: bool) -> None:
+    if requested:
+        from ..io.host import versions
+
+        typer.echo(", ".join(f"{name} {version}" for name, version in versions().items()))
+        raise typer.Exit
+
+
+@app.callback()
+def wclm(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version",
+            callback=_print_versions,
+            is_eager=True,
+            help="Print versions and exit.",
+        ),
+    ] = False,
+) -> None:
+    """Map buildings with a 2-D lidar and wheel odometry: walls and corners with covariances.
+
+    To start, [bold]wclm demo[/bold] maps a simulated office.
+    """
+
+
+COMMANDS: dict[str, dict[str, Callable[..., Any]]] = {
+    "Mapping": {"demo": demo, "run": run, "live": live, "batch": batch},
+    "Sessions": {"optimize": optimize, "merge": merge, "map": export_map, "report": report, "review": review},
+    "Recordings and devices": {
+        "info": info,
+        "simulate": simulate,
+        "emulate": emulate,
+        "devices": devices,
+        "record": record,
+        "replay": replay,
+        "calibrate": calibrate,
+    },
+    "Evaluation": {"eval": evaluate, "features": features},
+}
+"""Commands by name, in the panels of the help."""
+
+for panel, commands in COMMANDS.items():
+    for name, function in commands.items():
+        add_command(app, name, function, panel)
+app.add_typer(bench, name="bench", rich_help_panel="Evaluation")
