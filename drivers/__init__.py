@@ -1,6 +1,6 @@
-"""Where measurements come from: recordings, simulations, devices. Knows nothing of features or SLAM.
+"""Sources of measurements: recordings, simulations and devices. Independent of `features` and `slam`.
 
-`open` turns what a user types into a source of messages::
+`open` returns the source that a path or specification refers to::
 
     for message in drivers.open("intel.clf"):
         ...

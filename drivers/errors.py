@@ -1,4 +1,4 @@
-"""The root of the project's one tree of errors, and the branch that recordings and devices raise."""
+"""Base class of all errors of the project, and the errors of recordings and devices."""
 
 from __future__ import annotations
 
@@ -6,14 +6,15 @@ from pathlib import Path
 
 
 class SlamError(Exception):
-    """Anything a user can mend. Its text is one line that names the place; the command line prints it and
-    exits with 2.
-    """
+    """Error that the user can correct. Its text is one line; the command line prints it and exits with status 2."""
 
 
 class RecordingError(SlamError):
-    """A recording cannot be read. Carries the `path`, the `line` or message number (1-based, None for the
-    whole file) and the `reason`.
+    """Recording that cannot be read or written.
+
+    path    of the recording
+    line    line or message number, 1-based; None for the whole file
+    reason  one line of text
     """
 
     def __init__(self, path: str | Path, line: int | None, reason: str) -> None:
@@ -23,11 +24,11 @@ class RecordingError(SlamError):
 
 
 class DriverError(SlamError):
-    """A device does not do what its protocol says."""
+    """Device that violates its protocol."""
 
 
 class PortError(DriverError):
-    """A port cannot be opened. Carries the `port` and the `reason`."""
+    """Port that cannot be opened: `port` is its name, `reason` one line of text."""
 
     def __init__(self, port: str, reason: str) -> None:
         self.port, self.reason = port, reason
@@ -35,12 +36,12 @@ class PortError(DriverError):
 
 
 class ConnectionLostError(PortError):
-    """A port that was open is gone: unplugged, closed by the other side, or no longer taking bytes."""
+    """Open port that was lost: unplugged, closed by the other side, or not accepting bytes any more."""
 
 
 class EndOfCaptureError(ConnectionLostError):
     """A tape of raw bytes was played to its end."""
 
 
-class NoAnswerError(PortError):
-    """A port can be opened, but what was expected there does not answer."""
+class NoResponseError(PortError):
+    """Port that can be opened, but at which the expected device does not respond."""

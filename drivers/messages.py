@@ -1,4 +1,4 @@
-"""What a robot measures, and the one protocol for where measurements come from."""
+"""Measurements of a robot, and the protocol that all sources of measurements implement."""
 
 from __future__ import annotations
 
@@ -18,14 +18,13 @@ Floats = NDArray[np.float64]
 class Scan:
     """One sweep of a 2-D lidar.
 
-    stamp         seconds, when the first beam was measured
-    ranges        (n,) metres; NaN where a beam returned nothing or nothing valid
+    stamp         time of the first measured beam, seconds
+    ranges        (n,) metres; NaN for no-returns and invalid ranges
     angles        (n,) radians in the lidar's frame, counter-clockwise, increasing
-    time_offsets  (n,) seconds from the stamp to each beam; zeros where unknown. They decrease where the lidar
-                  turns clockwise
-    range_min, range_max  metres, what the sensor states (range_max may be inf)
-    mount         [x, y, heading] of the lidar in the base's frame, T_base_lidar; None where the recording
-                  does not say
+    time_offsets  (n,) seconds from the stamp to each beam; zeros if unknown. They decrease if the lidar rotates
+                  clockwise
+    range_min, range_max  limits that the sensor states, metres (range_max may be inf)
+    mount         [x, y, heading] of the lidar in the base's frame, T_base_lidar; None if unknown
     """
 
     stamp: float
@@ -38,13 +37,13 @@ class Scan:
 
     @property
     def duration(self) -> float:
-        """Seconds from the first beam measured to the last, whichever way the lidar turns."""
+        """Seconds from the first measured beam to the last, for either direction of rotation."""
         return float(self.time_offsets.max(initial=0.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Odometry:
-    """The base's pose [x, y, heading] in the odometry's frame (metres, radians) at a stamp (seconds)."""
+    """Pose [x, y, heading] of the base in the odometry's frame (metres, radians) at a stamp (seconds)."""
 
     stamp: float
     pose: Pose
@@ -52,10 +51,9 @@ class Odometry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundTruth:
-    """The base's true pose [x, y, heading] in the world's frame at a stamp (seconds); simulations and motion
-    capture have it.
+    """True pose [x, y, heading] of the base in the world's frame (metres, radians) at a stamp (seconds).
 
-    It is for evaluation and display only: nothing that estimates reads it.
+    Available from simulations and motion capture. It is used for evaluation and display only, never by the estimator.
     """
 
     stamp: float
@@ -65,37 +63,42 @@ class GroundTruth:
 Message: TypeAlias = Scan | Odometry | GroundTruth
 
 
-def end_of(message: Message) -> float:
-    """When the last of a message was measured (seconds)."""
+def end_stamp(message: Message) -> float:
+    """Return the time of a message's last measurement (seconds): of a scan's last beam, else its stamp."""
     return message.stamp + float(message.time_offsets.max()) if isinstance(message, Scan) else message.stamp
 
 
 @dataclass(slots=True)
 class SourceReport:
-    """What a source noticed while it was last read: what was skipped, and why. Complete once iteration has ended."""
+    """Counts of the last iteration over a source: messages, and what was skipped and why. Complete when it has ended.
+
+    messages  number of messages yielded
+    skipped   number of entries skipped
+    reasons   number of times that each reason occurred
+    first     first problem, as `file:line: reason`
+    """
 
     messages: int = 0
     skipped: int = 0
-    reasons: dict[str, int] = field(default_factory=dict)  # reason -> how often
-    first: str | None = None  # the first thing skipped, as `file:line: reason`
+    reasons: dict[str, int] = field(default_factory=dict)
+    first: str | None = None
 
 
 @runtime_checkable
 class Source(Protocol):
-    """Anything that yields messages in time order.
+    """Source of messages in time order.
 
-    A recording or a simulation can be iterated any number of times and gives the same messages each time.
-    Iteration raises RecordingError where nothing sensible can be read; a single bad entry is skipped and
-    counted in `report`.
+    A recording or a simulation can be iterated any number of times and yields the same messages each time. Iteration
+    raises RecordingError if nothing can be read; a single bad entry is skipped and counted in `report`.
     """
 
     name: str
     report: SourceReport
 
     def __iter__(self) -> Iterator[Message]:
-        """The messages, from the beginning, stamps never decreasing."""
+        """Yield the messages from the beginning, with non-decreasing stamps."""
         ...
 
     def __len__(self) -> int:
-        """About how many messages there are, for progress bars; 0 where unknown. Cheap."""
+        """Return the approximate number of messages, for progress bars; 0 if unknown. Fast."""
         ...

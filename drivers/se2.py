@@ -1,7 +1,6 @@
-"""Rigid motions of the plane as arrays [x, y, heading] (metres, radians), alone or stacked as (..., 3).
+"""Rigid transforms in the plane, SE(2), as arrays [x, y, heading] (metres, radians), single or stacked (..., 3).
 
-`a` then `b` reads `compose(a, b)`: b is expressed in the frame that a places. T_map_base =
-compose(T_map_odom, T_odom_base).
+`compose(a, b)` is the product a b: T_map_base = compose(T_map_odom, T_odom_base).
 """
 
 from __future__ import annotations
@@ -15,43 +14,43 @@ Pose = NDArray[np.float64]
 
 
 def wrap(angle: ArrayLike) -> NDArray[np.float64]:
-    """The same angle (radians, any shape) in [-pi, pi)."""
+    """Return the angle (radians, any shape) wrapped to [-pi, pi)."""
     return np.asarray(_wrapped(np.asarray(angle, dtype=np.float64)))
 
 
 def compose(first: ArrayLike, second: ArrayLike) -> Pose:
-    """The motion `first` followed by `second`, (..., 3); stacks broadcast."""
+    """Return the product of two transforms, (..., 3): `second` is given in the frame of `first`. Stacks broadcast."""
     a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
     heading = a[..., 2]
     c, s = _cosine_and_sine(heading)
     bx, by = b[..., 0], b[..., 1]
-    return _together(a[..., 0] + c * bx - s * by, a[..., 1] + s * bx + c * by, _wrapped(heading + b[..., 2]))
+    return _stack_last(a[..., 0] + c * bx - s * by, a[..., 1] + s * bx + c * by, _wrapped(heading + b[..., 2]))
 
 
 def inverse(pose: ArrayLike) -> Pose:
-    """The motion that undoes `pose`, (..., 3)."""
+    """Return the inverse transform, (..., 3)."""
     p = np.asarray(pose, dtype=np.float64)
     x, y, heading = p[..., 0], p[..., 1], p[..., 2]
     c, s = _cosine_and_sine(heading)
-    return _together(-c * x - s * y, s * x - c * y, _wrapped(-heading))
+    return _stack_last(-c * x - s * y, s * x - c * y, _wrapped(-heading))
 
 
 def between(first: ArrayLike, second: ArrayLike) -> Pose:
-    """Where `second` stands as seen from `first`, (..., 3): compose(first, between(first, second)) is `second`."""
+    """Return `second` relative to `first`, (..., 3): compose(first, between(first, second)) is `second`."""
     return compose(inverse(first), second)
 
 
 def transform(pose: ArrayLike, points: ArrayLike) -> NDArray[np.float64]:
-    """Points (..., 2) given in the frame that `pose` places, expressed in the frame that the pose is given in."""
+    """Transform points (..., 2) from the frame of `pose` to the frame in which `pose` is given."""
     p, q = np.asarray(pose, dtype=np.float64), np.asarray(points, dtype=np.float64)
     c, s = _cosine_and_sine(p[..., 2])
     x, y = q[..., 0], q[..., 1]
-    return _together(p[..., 0] + c * x - s * y, p[..., 1] + s * x + c * y)
+    return _stack_last(p[..., 0] + c * x - s * y, p[..., 1] + s * x + c * y)
 
 
 def adjoint(pose: ArrayLike) -> NDArray[np.float64]:
-    """(..., 3, 3): takes a small motion [x, y, heading] from the frame that `pose` places to the frame it is given
-    in."""
+    """Return the adjoint (..., 3, 3): it takes a small motion [x, y, heading] from the frame of `pose` to the frame in
+    which `pose` is given."""
     p = np.asarray(pose, dtype=np.float64)
     result = np.zeros((*p.shape, 3))
     c, s = _cosine_and_sine(p[..., 2])
@@ -62,8 +61,8 @@ def adjoint(pose: ArrayLike) -> NDArray[np.float64]:
     return result
 
 
-# What follows is called a hundred times a scan, mostly on one pose: np.stack, and trigonometry on arrays without
-# dimensions, would take four times as long.
+# The following functions are called a hundred times per scan, mostly with a single pose: np.stack, and trigonometry on
+# zero-dimensional arrays, would take four times as long.
 
 
 def _wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -74,7 +73,7 @@ def _cosine_and_sine(heading: NDArray[np.float64]) -> tuple[NDArray[np.float64] 
     return (np.cos(heading), np.sin(heading)) if heading.ndim else (math.cos(heading), math.sin(heading))
 
 
-def _together(*parts: NDArray[np.float64]) -> NDArray[np.float64]:
+def _stack_last(*parts: NDArray[np.float64]) -> NDArray[np.float64]:
     result = np.empty((*parts[0].shape, len(parts)))
     for k, part in enumerate(parts):
         result[..., k] = part

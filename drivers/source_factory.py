@@ -1,4 +1,4 @@
-"""From what a user types to a source of messages."""
+"""Open a source of messages from a path or a specification string."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from .devices.device_spec import is_device_spec, parse_devices
 from .errors import RecordingError
 from .messages import Source
 
-READABLE = (
+SUPPORTED = (
     "CARMEN logs (.clf, .log, .carmen, .txt, .gz), MCAP files (.mcap), "
-    "bags of ROS 1 (.bag) and ROS 2 (directory or .db3), simulations (sim:WORLD), recordings played with their timing "
+    "ROS 1 bags (.bag), ROS 2 bags (directory or .db3), simulations (sim:WORLD), recordings replayed in real time "
     "(replay:FILE), devices (rplidar:/dev/ttyUSB0 + create2:/dev/ttyUSB1)"
 )
 CARMEN_SUFFIXES = (".clf", ".log", ".carmen", ".gz", ".txt")
 
 
 def open(spec: str | Path) -> Source:
-    """The source that a path, `sim:WORLD?seed=3&duration=60`, `replay:FILE?speed=2` or devices stand for.
+    """Return the source that a path, `sim:WORLD?seed=3&duration=60`, `replay:FILE?speed=2` or a device list specifies.
 
-    Raises RecordingError where the path does not exist, or nothing is known that reads it; its content is
-    looked at when the source is iterated. Libraries for other formats than the one asked for are not loaded.
-    Devices (see `devices.device_spec`) are started when the source is iterated, which can be done once; raises SpecError,
-    a DriverError, where they are asked for wrongly.
+    Raises RecordingError if the path does not exist or its format is not supported; the content is read when the source
+    is iterated. Only the libraries of the format in question are imported. Devices (see `devices.device_spec`) are
+    started when the source is iterated, which is possible once; raises SpecError, a DriverError, if their specification
+    is invalid.
     """
     if str(spec).startswith("sim:"):
         return _simulation(str(spec))
@@ -37,36 +37,36 @@ def open(spec: str | Path) -> Source:
     path = Path(spec)
     suffix = path.suffix.lower()
     if not path.exists():
-        raise RecordingError(path, None, f"no such file or directory; what can be read: {READABLE}")
+        raise RecordingError(path, None, f"no such file or directory; supported: {SUPPORTED}")
     if path.is_dir():
         return _directory(path)
     if suffix in CARMEN_SUFFIXES:
-        from .recordings.carmen import Carmen
+        from .recordings.carmen import CarmenReader
 
-        return Carmen(path)
+        return CarmenReader(path)
     if suffix == ".mcap":
-        from .recordings.mcap import Mcap
+        from .recordings.mcap import McapReader
 
-        return Mcap(path)
+        return McapReader(path)
     if suffix in (".bag", ".db3"):
-        from .recordings.rosbag import Bag
+        from .recordings.rosbag import BagReader
 
-        return Bag(path)
-    kind = f"the extension {path.suffix}" if path.suffix else "a file without an extension"
-    raise RecordingError(path, None, f"nothing reads {kind}; what can be read: {READABLE}")
+        return BagReader(path)
+    kind = f"the extension {path.suffix}" if path.suffix else "a file without extension"
+    raise RecordingError(path, None, f"{kind} is not supported; supported: {SUPPORTED}")
 
 
 def _directory(path: Path) -> Source:
-    """A ROS 2 bag; without metadata, because the recorder was killed, its only file."""
-    from .recordings.rosbag import Bag
+    """Return the reader of a ROS 2 bag; if it has no metadata, because the recorder was killed, of its only file."""
+    from .recordings.rosbag import BagReader
 
     if (path / "metadata.yaml").exists():
-        return Bag(path)
+        return BagReader(path)
     files = sorted(file for file in path.iterdir() if file.suffix in (".mcap", ".db3"))
     if len(files) == 1:
         return open(files[0])
     raise RecordingError(
-        path, None, f"the directory is not a ROS 2 bag, it has no metadata.yaml; what can be read: {READABLE}"
+        path, None, f"the directory is not a ROS 2 bag: it has no metadata.yaml; supported: {SUPPORTED}"
     )
 
 
@@ -80,7 +80,7 @@ def _replay(spec: str) -> Source:
     except ValueError as error:
         raise RecordingError(spec, None, f"not a number: {error}") from error
     if options or not 0.0 < speed < math.inf:
-        raise RecordingError(spec, None, "the one option is speed, a number above 0")
+        raise RecordingError(spec, None, "the only option is speed, a positive number")
     return Replay(open(path), speed)
 
 
@@ -97,10 +97,10 @@ def _simulation(spec: str) -> Source:
         raise RecordingError(spec, None, f"not a number: {error}") from error
     lidar, wheels = options.pop("lidar", "long"), options.pop("odometry", "good")
     if lidar not in LIDAR_MODELS:
-        raise RecordingError(spec, None, f"no lidar {lidar!r}; there are {', '.join(LIDAR_MODELS)}")
+        raise RecordingError(spec, None, f"no lidar {lidar!r}; choose one of {', '.join(LIDAR_MODELS)}")
     if wheels not in WHEEL_MODELS:
-        raise RecordingError(spec, None, f"no odometry {wheels!r}; there are {', '.join(WHEEL_MODELS)}")
+        raise RecordingError(spec, None, f"no odometry {wheels!r}; choose one of {', '.join(WHEEL_MODELS)}")
     if options:
-        there = "seed, duration, lidar, odometry and mount=x,y,heading"
-        raise RecordingError(spec, None, f"unknown option {', '.join(options)}; there are {there}")
+        known = "seed, duration, lidar, odometry and mount=x,y,heading"
+        raise RecordingError(spec, None, f"unknown option {', '.join(options)}; known are {known}")
     return Simulation(world or "office", seed, duration, LIDAR_MODELS[lidar], WHEEL_MODELS[wheels], mount)

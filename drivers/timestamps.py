@@ -1,11 +1,10 @@
-"""Stamps are float64 seconds in memory and integer nanoseconds in recordings; these convert without loss.
+"""Conversion of stamps between float64 seconds (in memory) and integer nanoseconds (in recordings), without loss.
 
-Seconds that were made from nanoseconds, or written with at most nine decimals, survive the way there and
-back bit for bit.
+Seconds that were converted from nanoseconds, or have at most nine decimals, survive the round trip bit for bit.
 
-What happens now is timed by the host's steady clock, `time.monotonic`, and stamped with the time of day as it was
-known when the program started: such stamps never jump, and those of programs on one computer can be compared as long
-as nobody sets its clock.
+Live measurements are timed by the host's monotonic clock, `time.monotonic`, plus `wall_clock_offset` as measured when
+the program started. Such stamps never jump, and those of several programs on one computer are comparable unless the
+wall clock is set in between.
 """
 
 from __future__ import annotations
@@ -14,25 +13,25 @@ import math
 import time
 
 NANOSECONDS = 1_000_000_000
-LOOKS = 5
-"""At the clocks; a process that is put aside between two of them makes one look worthless, not all."""
+CLOCK_READINGS = 5
+"""Number of readings of both clocks; the one with the shortest interruption is used."""
 
 
 def to_nanoseconds(stamp: float) -> int:
-    """The nearest whole nanosecond to a stamp in seconds."""
+    """Return the nearest whole nanosecond to a stamp in seconds."""
     seconds = math.floor(stamp)
     return seconds * NANOSECONDS + round((stamp - seconds) * 1e9)  # the difference is exact, stamp * 1e9 is not
 
 
 def to_seconds(nanoseconds: int) -> float:
-    """The stamp in seconds, correctly rounded."""
+    """Return the stamp in seconds, correctly rounded."""
     return nanoseconds / NANOSECONDS
 
 
-def day_offset() -> float:
-    """Seconds to add to the host's steady clock to have the time of day (since 1970) as it is set now."""
-    looks = []
-    for _ in range(LOOKS):
-        before, day, after = time.monotonic(), time.time(), time.monotonic()
-        looks.append((after - before, day - 0.5 * (before + after)))
-    return min(looks)[1]
+def wall_clock_offset() -> float:
+    """Return the offset (seconds) from the host's monotonic clock to its wall clock (since 1970) as it is set now."""
+    readings = []
+    for _ in range(CLOCK_READINGS):
+        before, wall, after = time.monotonic(), time.time(), time.monotonic()
+        readings.append((after - before, wall - 0.5 * (before + after)))
+    return min(readings)[1]

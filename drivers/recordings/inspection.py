@@ -1,4 +1,4 @@
-"""What is in a recording, and what is wrong with it."""
+"""Summary of a recording: contents, rates and problems, as shown by `wclm info`."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ import numpy as np
 from .. import se2
 from ..messages import Floats, GroundTruth, Odometry, Scan, Source, SourceReport
 
-GAP = 4.0
-"""A gap is longer than so many times what nine in ten periods are within (bursts are no gaps), and than LEAST_GAP."""
-LEAST_GAP = 0.5
+GAP_RATIO = 4.0
+"""A gap is longer than this ratio times the 90th percentile of the periods, and longer than MIN_GAP."""
+MIN_GAP = 0.5
 """Seconds."""
-FASTEST, FASTEST_TURN = 5.0, 10.0
-"""m/s and rad/s that no robot in a building reaches; odometry that says more has jumped."""
-SHORTEST_STEP = 0.02
-"""Seconds. Between stamps that are closer than this their own jitter would look like a jump."""
-JUMP, JUMP_TURN = 0.1, 0.2
-"""Metres and radians; a smaller step is not a jump however short it took."""
-MANY_INVALID = 0.5
-"""Share of the beams."""
+MAX_SPEED, MAX_TURN_RATE = 5.0, 10.0
+"""m/s and rad/s. Faster odometry than any indoor robot is a jump."""
+MIN_INTERVAL = 0.02
+"""Seconds. Shorter intervals are taken as this long, so that jitter of the stamps is not taken for a jump."""
+MIN_JUMP, MIN_JUMP_TURN = 0.1, 0.2
+"""Metres and radians; smaller steps are not jumps at any speed."""
+MAX_INVALID_SHARE = 0.5
+"""Share of the beams; above it there is a warning."""
 
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """A pause without messages of a kind: when it began, and how long it lasted, seconds."""
+    """Pause without messages of one type: start (stamp) and duration, seconds."""
 
     start: float
     duration: float
@@ -33,9 +33,7 @@ class Gap:
 
 @dataclass(slots=True)
 class RecordingInfo:
-    """What a recording holds. Seconds, metres; rates in Hz; (min, max) pairs are None where there is nothing
-    to tell.
-    """
+    """Contents of a recording. Units: seconds, metres, Hz; (min, max) pairs are None if there are no data."""
 
     name: str
     scans: int = 0
@@ -43,16 +41,16 @@ class RecordingInfo:
     ground_truth: int = 0
     start: float | None = None
     duration: float = 0.0
-    scan_rate: float | None = None  # one over the median period
+    scan_rate: float | None = None  # 1 / median period
     odometry_rate: float | None = None
     beams: tuple[int, int] | None = None
     field_of_view: tuple[float, float] | None = None  # first and last angle, radians
-    range_limits: tuple[float, float] | None = None  # what the sensor states
-    ranges: tuple[float, float] | None = None  # the least and the greatest that were measured
+    range_limits: tuple[float, float] | None = None  # as stated by the sensor
+    ranges: tuple[float, float] | None = None  # smallest and largest measured range
     invalid_share: float | None = None  # of all beams
-    time_offsets: tuple[float, float] | None = None  # of beams to their scan's stamp; (0, 0) where unknown
+    time_offsets: tuple[float, float] | None = None  # of beams relative to their scan's stamp; (0, 0) if unknown
     mounts: list[tuple[float, float, float]] = field(default_factory=list)
-    path_length: float = 0.0  # by odometry, its jumps left out
+    path_length: float = 0.0  # by odometry, without its jumps
     scan_gaps: list[Gap] = field(default_factory=list)
     odometry_gaps: list[Gap] = field(default_factory=list)
     odometry_jumps: list[float] = field(default_factory=list)  # stamps
@@ -61,8 +59,8 @@ class RecordingInfo:
 
 
 @dataclass(slots=True)
-class _Tally:
-    """What is gathered about the scans while they pass."""
+class _ScanStatistics:
+    """Statistics of the scans, accumulated scan by scan."""
 
     stamps: list[float] = field(default_factory=list)
     beams: list[int] = field(default_factory=list)
@@ -93,8 +91,8 @@ class _Tally:
 
 
 def inspect(source: Source) -> RecordingInfo:
-    """Read a source to its end and say what is in it; raises RecordingError where it cannot be read."""
-    scans = _Tally()
+    """Read a source to its end and summarise it; raises RecordingError if it cannot be read."""
+    scans = _ScanStatistics()
     truth = 0
     stamps: list[float] = []
     poses: list[Floats] = []
@@ -117,10 +115,10 @@ def inspect(source: Source) -> RecordingInfo:
     return info
 
 
-def _describe_scans(info: RecordingInfo, scans: _Tally) -> None:
+def _describe_scans(info: RecordingInfo, scans: _ScanStatistics) -> None:
     if scans.last is None:
         return
-    info.scan_rate, info.scan_gaps = _rhythm(np.array(scans.stamps))
+    info.scan_rate, info.scan_gaps = _rate_and_gaps(np.array(scans.stamps))
     info.beams = min(scans.beams), max(scans.beams)
     info.field_of_view = float(scans.last.angles[0]), float(scans.last.angles[-1])
     info.range_limits = scans.last.range_min, scans.last.range_max
@@ -131,90 +129,99 @@ def _describe_scans(info: RecordingInfo, scans: _Tally) -> None:
 
 
 def _describe_odometry(info: RecordingInfo, stamps: Floats, poses: Floats) -> None:
-    info.odometry_rate, info.odometry_gaps = _rhythm(stamps)
+    info.odometry_rate, info.odometry_gaps = _rate_and_gaps(stamps)
     if len(stamps) < 2:
         return
     steps = se2.between(poses[:-1], poses[1:])
-    way, turn = np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])
-    elapsed = np.maximum(np.diff(stamps), SHORTEST_STEP)
-    jumped = ((way > JUMP) & (way / elapsed > FASTEST)) | ((turn > JUMP_TURN) & (turn / elapsed > FASTEST_TURN))
+    distance, turn = np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])
+    elapsed = np.maximum(np.diff(stamps), MIN_INTERVAL)
+    jumped = ((distance > MIN_JUMP) & (distance / elapsed > MAX_SPEED)) | (
+        (turn > MIN_JUMP_TURN) & (turn / elapsed > MAX_TURN_RATE)
+    )
     info.odometry_jumps = stamps[1:][jumped].tolist()
-    info.path_length = float(way[~jumped].sum())
+    info.path_length = float(distance[~jumped].sum())
 
 
-def _rhythm(stamps: Floats) -> tuple[float | None, list[Gap]]:
-    """The rate, one over the median period, and the gaps."""
+def _rate_and_gaps(stamps: Floats) -> tuple[float | None, list[Gap]]:
+    """Return the rate, 1 / median period (Hz), and the gaps; (None, []) if there are no two different stamps."""
     periods = np.diff(stamps)
-    going = periods[periods > 0]
-    if not len(going):
+    positive = periods[periods > 0]
+    if not len(positive):
         return None, []
-    usual = float(np.percentile(going, 90, method="lower"))
-    long = np.flatnonzero(periods > max(GAP * usual, LEAST_GAP))
-    return 1.0 / float(np.median(going)), [Gap(float(stamps[i]), float(periods[i])) for i in long]
+    typical = float(np.percentile(positive, 90, method="lower"))
+    long = np.flatnonzero(periods > max(GAP_RATIO * typical, MIN_GAP))
+    return 1.0 / float(np.median(positive)), [Gap(float(stamps[i]), float(periods[i])) for i in long]
 
 
-def _warnings(info: RecordingInfo, scans: _Tally, odometry: Floats) -> list[str]:
-    """What a user should know, in plain words."""
-    said: list[str] = []
+def _warnings(info: RecordingInfo, scans: _ScanStatistics, odometry: Floats) -> list[str]:
+    """Return one line of text for each problem that a user should know of."""
+    warnings: list[str] = []
     if not info.scans:
-        said.append("no scans")
+        warnings.append("no scans")
     if not info.odometry:
-        said.append("no odometry")
+        warnings.append("no odometry")
     if info.scans and not info.mounts:
-        said.append("the recording does not say where the lidar sits on the robot")
+        warnings.append("the mount of the lidar on the robot is not recorded")
     elif scans.without_mount:
-        said.append(f"{scans.without_mount} scans do not say where their lidar sits")
+        warnings.append(f"{_count(scans.without_mount, 'scan')} without a lidar mount")
     if len(info.mounts) > 1:
-        said.append(f"scans come from {len(info.mounts)} places on the robot")
+        warnings.append(f"scans come from {len(info.mounts)} different lidar mounts")
     if info.beams and info.beams[0] != info.beams[1]:
-        said.append(f"the number of beams changes between {info.beams[0]} and {info.beams[1]}")
-    if info.invalid_share is not None and info.invalid_share > MANY_INVALID:
-        said.append(f"{info.invalid_share:.0%} of the beams returned nothing valid")
-    said += _about_offsets(info)
-    said += _about_gaps("scans", info.scan_gaps)
-    said += _about_gaps("odometry", info.odometry_gaps)
+        warnings.append(f"the number of beams varies between {info.beams[0]} and {info.beams[1]}")
+    if info.invalid_share is not None and info.invalid_share > MAX_INVALID_SHARE:
+        warnings.append(f"{info.invalid_share:.0%} of the beams have no valid range")
+    warnings += _offset_warnings(info)
+    warnings += _gap_warnings("scans", info.scan_gaps)
+    warnings += _gap_warnings("odometry", info.odometry_gaps)
     if info.scans and info.odometry:
-        said += _about_overlap(np.array(scans.stamps), odometry)
+        warnings += _overlap_warnings(np.array(scans.stamps), odometry)
     if info.odometry_jumps:
         count, first = len(info.odometry_jumps), info.odometry_jumps[0]
-        said.append(f"odometry jumps {count} times faster than any robot, first at {first:.3f}")
+        limits = f"{MAX_SPEED:g} m/s or {MAX_TURN_RATE:g} rad/s"
+        warnings.append(f"{_count(count, 'jump')} of the odometry, faster than {limits}, first at {first:.3f} s")
     if info.report.skipped:
-        said.append(f"{info.report.skipped} entries were skipped, first {info.report.first}")
-    said += [f"{reason} ({count} times)" for reason, count in info.report.reasons.items()]
-    return said
+        warnings.append(f"{_count(info.report.skipped, 'entry', 'entries')} skipped, first {info.report.first}")
+    warnings += [f"{reason} ({_count(count, 'time')})" for reason, count in info.report.reasons.items()]
+    return warnings
 
 
-def _about_offsets(info: RecordingInfo) -> list[str]:
+def _offset_warnings(info: RecordingInfo) -> list[str]:
     if info.time_offsets is None or info.scan_rate is None:
         return []
     low, high = info.time_offsets
-    said = []
+    warnings = []
     if low < 0:
-        said.append(f"beams are up to {-low:.3f} s older than their scan's stamp")
+        warnings.append(f"beams are measured up to {-low:.3f} s before their scan's stamp")
     if high > 1.5 / info.scan_rate:
-        said.append(f"beams are up to {high:.3f} s after their scan's stamp, longer than a revolution")
-    return said
+        warnings.append(
+            f"beams are measured up to {high:.3f} s after their scan's stamp, which is longer than a revolution"
+        )
+    return warnings
 
 
-def _about_gaps(what: str, gaps: list[Gap]) -> list[str]:
+def _gap_warnings(name: str, gaps: list[Gap]) -> list[str]:
     if not gaps:
         return []
     longest = max(gaps, key=lambda gap: gap.duration)
-    count = "a gap" if len(gaps) == 1 else f"{len(gaps)} gaps"
-    return [f"{count} in the {what}, the longest {longest.duration:.1f} s at {longest.start:.3f}"]
+    return [f"{_count(len(gaps), 'gap')} in the {name}, the longest {longest.duration:.1f} s at {longest.start:.3f} s"]
 
 
-def _about_overlap(scans: Floats, odometry: Floats) -> list[str]:
-    """Stretches of scans before, after and between the odometry."""
-    said = []
-    if (lead := float(odometry[0] - scans[0])) > LEAST_GAP:
-        said.append(f"scans without odometry for {lead:.1f} s at {scans[0]:.3f}")
-    if (tail := float(scans[-1] - odometry[-1])) > LEAST_GAP:
-        said.append(f"scans without odometry for {tail:.1f} s at {odometry[-1]:.3f}")
+def _overlap_warnings(scans: Floats, odometry: Floats) -> list[str]:
+    """Return warnings for scans before, after and in gaps of the odometry."""
+    warnings = []
+    if (lead := float(odometry[0] - scans[0])) > MIN_GAP:
+        warnings.append(f"scans without odometry for {lead:.1f} s at {scans[0]:.3f} s")
+    if (tail := float(scans[-1] - odometry[-1])) > MIN_GAP:
+        warnings.append(f"scans without odometry for {tail:.1f} s at {odometry[-1]:.3f} s")
     after = np.searchsorted(odometry, scans)
     inside = (after > 0) & (after < len(odometry))
     wide = odometry[after[inside]] - odometry[after[inside] - 1]
-    for start in np.unique(odometry[after[inside] - 1][wide > 10 * LEAST_GAP])[:3]:
+    for start in np.unique(odometry[after[inside] - 1][wide > 10 * MIN_GAP])[:3]:
         following = odometry[np.searchsorted(odometry, start, side="right")]
-        said.append(f"scans without odometry for {following - start:.1f} s at {start:.3f}")
-    return said
+        warnings.append(f"scans without odometry for {following - start:.1f} s at {start:.3f} s")
+    return warnings
+
+
+def _count(number: int, singular: str, plural: str | None = None) -> str:
+    """Return a number with its noun, `1 gap` or `3 gaps`."""
+    return f"{number} {singular if number == 1 else plural or singular + 's'}"

@@ -1,4 +1,7 @@
-"""MCAP files with ROS 2 messages: what this project records, and what Foxglove and ROS 2 open."""
+"""Reader and writer for MCAP files with ROS 2 messages: the format of this project's recordings.
+
+Foxglove and ROS 2 open them too.
+"""
 
 from __future__ import annotations
 
@@ -14,14 +17,14 @@ from typing import Self
 import numpy as np
 from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, McapRecord, Schema
-from mcap.records import Message as Stored
+from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import Writer
 
 from ..errors import RecordingError
 from ..messages import GroundTruth, Message, Odometry, Scan
 from ..timestamps import to_nanoseconds
-from .reader import is_stamp
+from .reader import is_valid_stamp
 from .ros_messages import (
     BEAMS,
     DIAGNOSTICS,
@@ -30,38 +33,38 @@ from .ros_messages import (
     POSE,
     TRANSFORMS,
     Diagnostic,
-    Encoder,
-    Placing,
+    LidarMount,
+    RosEncoder,
     decode,
     scan_of,
 )
-from .ros_reader import BEAMS_TOPIC, KINDS, TRUTH_TOPIC, Entry, RosRecording
+from .ros_reader import BEAMS_TOPIC, GROUND_TRUTH_TOPIC, MESSAGE_TYPES, RosReader, StoredMessage
 
 FLUSH_PERIOD = 0.5
-"""Seconds of wall time; what was written earlier survives the end of the process and of the power."""
+"""Seconds of wall time between flushes; flushed messages survive a killed process or a power failure."""
 ENCODINGS = ("cdr", "ros1")
 MAGIC = b"\x89MCAP0\r\n"
 
 
-class Mcap(RosRecording):
-    """An MCAP file as a `Source`. One that ends early, because its writer was killed, is read up to its last
-    whole chunk; that and damaged chunks are counted in the report.
+class McapReader(RosReader):
+    """MCAP file as a `Source`. A truncated file, whose writer was killed, is read up to its last complete chunk;
+    truncation and damaged chunks are counted in the report.
     """
 
     def __len__(self) -> int:
-        """The number of messages of the types that are read; 0 where the file has no summary."""
+        """Return the number of messages of the supported types; 0 if the file has no summary."""
         try:
             with self.path.open("rb") as file:
                 summary = make_reader(file).get_summary()
-        except Exception:  # mcap raises whatever its parser trips over in a damaged file; the length is a mere hint
+        except Exception:  # mcap raises exceptions of any type for damaged files; the length is only approximate
             return 0
         if summary is None or summary.statistics is None:
             return 0
         counts = summary.statistics.channel_message_counts
-        kinds = {id: _kind(summary.schemas.get(channel.schema_id)) for id, channel in summary.channels.items()}
-        return sum(count for id, count in counts.items() if kinds.get(id) in (LASER_SCAN, ODOMETRY, POSE))
+        types = {id: _type_name(summary.schemas.get(channel.schema_id)) for id, channel in summary.channels.items()}
+        return sum(count for id, count in counts.items() if types.get(id) in (LASER_SCAN, ODOMETRY, POSE))
 
-    def _entries(self, final: bool) -> Iterator[Entry]:
+    def _stored_messages(self, final: bool) -> Iterator[StoredMessage]:
         schemas: dict[int, Schema] = {}
         channels: dict[int, Channel] = {}
         number = 0
@@ -70,56 +73,57 @@ class Mcap(RosRecording):
                 schemas[record.id] = record
             elif isinstance(record, Channel):
                 channels[record.id] = record
-            elif isinstance(record, Stored):
+            elif isinstance(record, McapMessage):
                 number += 1
                 channel = channels.get(record.channel_id)
-                kind = _kind(schemas.get(channel.schema_id)) if channel else None
-                if channel and kind in KINDS and channel.message_encoding in ENCODINGS:
-                    yield Entry(number, channel.topic, kind, channel.message_encoding, record.log_time, record.data)
+                msgtype = _type_name(schemas.get(channel.schema_id)) if channel else None
+                if channel and msgtype in MESSAGE_TYPES and channel.message_encoding in ENCODINGS:
+                    yield StoredMessage(
+                        number, channel.topic, msgtype, channel.message_encoding, record.log_time, record.data
+                    )
 
     def _records(self, final: bool) -> Iterator[McapRecord]:
-        """All records, those within chunks included, as far as the file is whole."""
+        """Yield all records, including those within chunks, up to the first damage outside of a chunk."""
         with self.path.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
                 raise RecordingError(self.path, None, "is not an MCAP file")
-            # Reads from the map end where the file ends, however long a damaged record says that it is.
+            # Memory-mapped, since a damaged record may state any length: reads end at the end of the file.
             with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
                 reader = StreamReader(content, emit_chunks=True, record_size_limit=len(content))  # type: ignore[arg-type]
                 records = iter(reader.records)
                 while True:
                     try:
                         record = next(records, None)
-                    except Exception:  # mcap raises whatever its parser trips over
+                    except Exception:  # see __len__
                         if final:
-                            self.skip(None, "file ends early or is damaged; it was read up to there")
+                            self.skip(None, "file is truncated or damaged; it was read up to this point")
                         return
                     if record is None:
                         return
-                    yield from self._within(record, final) if isinstance(record, Chunk) else [record]
+                    yield from self._records_of(record, final) if isinstance(record, Chunk) else [record]
 
-    def _within(self, chunk: Chunk, final: bool) -> list[McapRecord]:
+    def _records_of(self, chunk: Chunk, final: bool) -> list[McapRecord]:
         try:
             return breakup_chunk(chunk, validate_crc=True)
-        except Exception:  # as above, and the decompressors' own
+        except Exception:  # see __len__; decompressors raise their own
             if final:
                 self.skip(None, "chunk is damaged")
             return []
 
 
-def _kind(schema: Schema | None) -> str | None:
-    """A schema's type name as ROS 2 writes it: ROS 1 leaves out the `msg`."""
+def _type_name(schema: Schema | None) -> str | None:
+    """Return a schema's type name in the notation of ROS 2; ROS 1 omits the `msg`."""
     if schema is None:
         return None
     return schema.name if "/msg/" in schema.name else schema.name.replace("/", "/msg/")
 
 
 class McapWriter:
-    """Writes messages into an MCAP file, to be used in a `with` statement.
+    """Writer of messages into an MCAP file, to be used in a `with` statement.
 
-    What is read back is what was written, bit for bit, given that stamps are whole nanoseconds and headings
-    are in [-pi, pi). A process that is killed loses the last second at most. Raises RecordingError where the
-    file exists and is not to be overwritten, or cannot be written. Where the disk is full the file ends with what
-    was flushed before, and can be read; nothing more can be written then.
+    Messages are read back bit for bit if their stamps are whole nanoseconds and their headings in [-pi, pi). A killed
+    process loses at most the last second. Raises RecordingError if the file exists and `overwrite` is not set, or if it
+    cannot be written. If the disk is full, the file is closed and ends with the last flushed message; it can be read.
     """
 
     def __init__(self, path: str | Path, overwrite: bool = False) -> None:
@@ -130,13 +134,13 @@ class McapWriter:
             raise RecordingError(self.path, None, "exists already") from error
         except OSError as error:
             raise RecordingError(self.path, None, f"cannot be written: {error.strerror}") from error
-        self._encoder = Encoder()
+        self._encoder = RosEncoder()
         self._writer = Writer(self._file)
         self._writer.start(profile="ros2", library="wclm-slam")
         self._channels: dict[str, int] = {}
-        self._frames: dict[bytes | None, str] = {}
-        self._flushed = time.monotonic()
-        self._whole = 0  # bytes of the file after the last flush
+        self._frames: dict[bytes | None, str] = {}  # mount -> name of the lidar's frame
+        self._flush_time = time.monotonic()
+        self._flushed_size = 0  # bytes of the file after the last flush
 
     def __enter__(self) -> Self:
         return self
@@ -147,66 +151,66 @@ class McapWriter:
         self.close()
 
     def write(self, message: Message) -> None:
-        """Append a message; stamps should not decrease. Raises RecordingError where the stamp or the disk
-        does not allow it.
+        """Append a message; stamps should not decrease. Raises RecordingError if the stamp is invalid, a scan has no
+        beams, or the file cannot be written.
         """
-        if not is_stamp(message.stamp):
+        if not is_valid_stamp(message.stamp):
             raise RecordingError(self.path, None, f"stamp {message.stamp} cannot be recorded")
         if isinstance(message, Scan) and not len(message.ranges):
             raise RecordingError(self.path, None, "a scan without beams cannot be recorded")
-        with self._keeping_what_is_whole():
+        with self._truncating_on_error():
             self._write(message, to_nanoseconds(message.stamp))
-            self._flush_now_and_then()
+            self._flush_periodically()
 
     def write_diagnostics(self, stamp: float, diagnostics: Sequence[Diagnostic]) -> None:
-        """Append how the parts of the robot are doing; readers of scans and odometry pass over it."""
-        with self._keeping_what_is_whole():
+        """Append the state of the robot's parts; readers of scans and odometry ignore it."""
+        with self._truncating_on_error():
             data = self._encoder.diagnostics(stamp, diagnostics)
             self._add("/diagnostics", DIAGNOSTICS, to_nanoseconds(stamp), data)
-            self._flush_now_and_then()
+            self._flush_periodically()
 
     def close(self) -> None:
-        """Finish the file; further calls do nothing."""
+        """Finish the file; further calls have no effect."""
         if self._file.closed:
             return
-        with self._keeping_what_is_whole():
+        with self._truncating_on_error():
             self._writer.finish()  # type: ignore[no-untyped-call]
             self._file.close()
 
-    def _flush_now_and_then(self) -> None:
-        if time.monotonic() - self._flushed >= FLUSH_PERIOD:
+    def _flush_periodically(self) -> None:
+        if time.monotonic() - self._flush_time >= FLUSH_PERIOD:
             self._writer.flush()  # type: ignore[no-untyped-call]
             os.fsync(self._file.fileno())
-            self._whole = self._file.tell()
-            self._flushed = time.monotonic()
+            self._flushed_size = self._file.tell()
+            self._flush_time = time.monotonic()
 
     @contextmanager
-    def _keeping_what_is_whole(self) -> Iterator[None]:
-        """After a failure the file is closed and ends where it was whole; raises RecordingError."""
+    def _truncating_on_error(self) -> Iterator[None]:
+        """Close the file and truncate it to its flushed part if writing fails; raises RecordingError."""
         if self._file.closed:
             raise RecordingError(self.path, None, "is closed")
         try:
             yield
         except OSError as error:
             with suppress(OSError):
-                self._file.close()  # which tries once more to write what it holds
+                self._file.close()  # tries to write its buffer again
             with suppress(OSError):
-                os.truncate(self.path, self._whole)
+                os.truncate(self.path, self._flushed_size)
             raise RecordingError(self.path, None, f"cannot be written: {error.strerror}") from error
 
     def _write(self, message: Message, stamp: int) -> None:
         if isinstance(message, Odometry):
             self._add("/odom", ODOMETRY, stamp, self._encoder.odometry(message))
         elif isinstance(message, GroundTruth):
-            self._add(TRUTH_TOPIC, POSE, stamp, self._encoder.truth(message))
+            self._add(GROUND_TRUTH_TOPIC, POSE, stamp, self._encoder.ground_truth(message))
         else:
             data = self._encoder.scan(message, self._frame(message, stamp))
-            if not _holds(data, message):
+            if not _is_exact(data, message):
                 self._add(BEAMS_TOPIC, BEAMS, stamp, self._encoder.beams(message))
             self._add("/scan", LASER_SCAN, stamp, data)
 
     def _frame(self, scan: Scan, stamp: int) -> str:
-        """The frame of a scan's lidar; a new one is placed on the robot, where the scan says how."""
+        """Return the frame name of a scan's lidar; write the transform of a new frame if the mount is known."""
         key = None if scan.mount is None else scan.mount.tobytes()
         if key not in self._frames:
             count = len(self._frames)
@@ -216,26 +220,26 @@ class McapWriter:
                 self._add("/tf_static", TRANSFORMS, stamp, data)
         return self._frames[key]
 
-    def _add(self, topic: str, kind: str, stamp: int, data: bytes) -> None:
+    def _add(self, topic: str, msgtype: str, stamp: int, data: bytes) -> None:
         if topic not in self._channels:
-            definition = self._encoder.definition(kind).encode()
-            schema = self._writer.register_schema(kind, "ros2msg", definition)
+            definition = self._encoder.definition(msgtype).encode()
+            schema = self._writer.register_schema(msgtype, "ros2msg", definition)
             self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
         self._writer.add_message(self._channels[topic], log_time=stamp, publish_time=stamp, data=data)
 
 
-def _holds(data: bytes, scan: Scan) -> bool:
-    """Whether a LaserScan decodes to the scan bit for bit."""
+def _is_exact(data: bytes, scan: Scan) -> bool:
+    """Return true if a serialised LaserScan decodes to the scan bit for bit."""
     try:
-        same = scan_of(decode(data, LASER_SCAN, "cdr"), to_nanoseconds(scan.stamp), Placing())
+        decoded = scan_of(decode(data, LASER_SCAN, "cdr"), to_nanoseconds(scan.stamp), LidarMount())
     except ValueError:
         return False
-    limits = (same.range_min, same.range_max) == (scan.range_min, scan.range_max)
+    limits = (decoded.range_min, decoded.range_max) == (scan.range_min, scan.range_max)
     return limits and all(
         np.array_equal(a, b, equal_nan=True)
         for a, b in (
-            (same.angles, scan.angles),
-            (same.ranges, scan.ranges),
-            (same.time_offsets, scan.time_offsets),
+            (decoded.angles, scan.angles),
+            (decoded.ranges, scan.ranges),
+            (decoded.time_offsets, scan.time_offsets),
         )
     )

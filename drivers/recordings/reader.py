@@ -1,6 +1,4 @@
-"""What every reader of recordings shares: a path that exists, a report of what was skipped, messages in the
-order of time.
-"""
+"""Base class of all readers of recordings: checks the path, reports skipped entries, orders messages by time."""
 
 from __future__ import annotations
 
@@ -10,23 +8,22 @@ from pathlib import Path
 
 from ..errors import RecordingError
 from ..messages import GroundTruth, Message, SourceReport
-from .time_ordering import in_order
+from .time_ordering import order_by_time
 
-LATEST_STAMP = 2.0**31
-"""Seconds; a later stamp (past January 2038) does not fit into the 32 bits that ROS has for it."""
-
-
-def is_stamp(stamp: float) -> bool:
-    """Whether a stamp (seconds) can be one: finite, not negative, before LATEST_STAMP."""
-    return 0.0 <= stamp < LATEST_STAMP
+MAX_STAMP = 2.0**31
+"""Seconds. Later stamps (after January 2038) do not fit into the 32 bits of a ROS stamp."""
 
 
-class Recording(ABC):
-    """A recording in a file or directory: a `Source` that can be read any number of times.
+def is_valid_stamp(stamp: float) -> bool:
+    """Return true if a stamp (seconds) is finite, not negative, and less than MAX_STAMP."""
+    return 0.0 <= stamp < MAX_STAMP
 
-    A subclass yields the messages in the file's order from `_read` and calls `skip` for what it leaves out.
-    Raises RecordingError when constructed with a path where nothing is, and when iteration finds not one
-    scan or odometry.
+
+class RecordingReader(ABC):
+    """Recording in a file or directory: a `Source` that can be read any number of times.
+
+    A subclass yields the messages in the file's order from `_read` and calls `skip` for entries that it omits. Raises
+    RecordingError on construction if the path does not exist, and on iteration if there is no scan and no odometry.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -37,27 +34,27 @@ class Recording(ABC):
             raise RecordingError(self.path, None, "no such file or directory")
 
     def __iter__(self) -> Iterator[Message]:
-        """The messages, from the beginning, stamps never decreasing."""
+        """Yield the messages from the beginning, with non-decreasing stamps."""
         self.report = report = SourceReport()
         found = False
         try:
-            for message in in_order(self._read(), self):
+            for message in order_by_time(self._read(), self):
                 report.messages += 1
                 found = found or not isinstance(message, GroundTruth)
                 yield message
         except OSError as error:
             raise RecordingError(self.path, None, f"cannot be read: {error.strerror or error}") from error
         if not found:
-            why = f" ({report.first})" if report.first else ""
-            raise RecordingError(self.path, None, f"{self._nothing_found()}{why}")
+            first = f" ({report.first})" if report.first else ""
+            raise RecordingError(self.path, None, f"{self._empty_reason()}{first}")
 
     def skip(self, line: int | None, reason: str) -> None:
-        """Count an entry that is left out, and remember the first one's place (line or message number)."""
+        """Count an omitted entry; `line` is its line or message number."""
         self.report.skipped += 1
         self.note(line, reason)
 
     def note(self, line: int | None, reason: str) -> None:
-        """Count an oddity that costs no message, such as messages that had to be sorted."""
+        """Count an anomaly without loss of a message, such as messages that had to be sorted."""
         report = self.report
         report.reasons[reason] = report.reasons.get(reason, 0) + 1
         if report.first is None:
@@ -65,12 +62,12 @@ class Recording(ABC):
 
     @abstractmethod
     def __len__(self) -> int:
-        """About how many messages there are; 0 where unknown."""
+        """Return the approximate number of messages; 0 if unknown."""
 
     @abstractmethod
     def _read(self) -> Iterator[tuple[int, Message]]:
-        """The line or message number (1-based) and the message, in the recording's own order."""
+        """Yield (line or message number, 1-based; message) in the recording's order."""
 
-    def _nothing_found(self) -> str:
-        """The reason that is given when there is not one usable message."""
-        return "holds no laser scan and no odometry"
+    def _empty_reason(self) -> str:
+        """Return the error text for a recording without a usable message."""
+        return "contains no laser scan and no odometry"

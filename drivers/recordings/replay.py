@@ -1,20 +1,20 @@
-"""A recording that takes as long as it took."""
+"""Replay of a recording in real time."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterator
 
-from ..messages import Message, Source, end_of
+from ..messages import Message, Source, end_stamp
 
 
 class Replay:
-    """Plays a source with its timing, as a `Source`: a message comes when its last beam was measured.
+    """Replay of a source in real time, as a `Source`: a message is yielded when its last beam was measured.
 
-    source  whose messages are played, stamps as they are
-    speed   times as fast
+    source  source of the messages; their stamps are not changed
+    speed   factor on real time
 
-    A consumer that is slow gets what is overdue at once, and nothing is dropped.
+    A slow consumer gets overdue messages without delay; no message is dropped.
     """
 
     def __init__(self, source: Source, speed: float = 1.0) -> None:
@@ -23,18 +23,18 @@ class Replay:
         self._source = source
 
     def __iter__(self) -> Iterator[Message]:
-        """The messages, from the beginning."""
-        begun: float | None = None
+        """Yield the messages from the beginning."""
+        first_stamp: float | None = None
         started = time.monotonic()
         for message in self._source:
             self.report = self._source.report
-            if begun is None:
-                begun = message.stamp
-            due = started + (end_of(message) - begun) / self.speed
+            if first_stamp is None:
+                first_stamp = message.stamp
+            due = started + (end_stamp(message) - first_stamp) / self.speed
             time.sleep(max(0.0, due - time.monotonic()))
             yield message
         self.report = self._source.report
 
     def __len__(self) -> int:
-        """About how many messages there are."""
+        """Return the approximate number of messages."""
         return len(self._source)

@@ -1,8 +1,8 @@
-"""Our messages as ROS messages and back: one translation for bags of ROS 1, bags of ROS 2 and MCAP files.
+"""Conversion between this project's messages and ROS messages, for ROS 1 bags, ROS 2 bags and MCAP files.
 
-`Encoder` writes ROS 2 messages in CDR. Reading them back gives the same numbers bit for bit: headings because
-their quaternion is chosen so that it decodes to them, scans because what a LaserScan's 32 bits cannot hold
-goes into a second message beside it (BEAMS), stamps where they are whole nanoseconds.
+`RosEncoder` writes ROS 2 messages in CDR. They are read back bit for bit: headings, because the quaternion is chosen so
+that it decodes to the same heading; scans, because values that do not fit into a LaserScan's 32-bit floats are written
+to a second message (BEAMS); stamps, if they are whole nanoseconds.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from ..timestamps import NANOSECONDS, to_nanoseconds, to_seconds
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
-OLD_TRANSFORMS = "tf/msg/tfMessage"
+TRANSFORMS_ROS1 = "tf/msg/tfMessage"
 POSE = "geometry_msgs/msg/PoseStamped"
 BEAMS = "std_msgs/msg/Float64MultiArray"
 """Exact beams: range_min, range_max, then all angles, all ranges, all time offsets (seconds), as float64."""
 
-LEAST_STEP = 1e-6
-"""Radians between beams; no lidar has less."""
-MOST_MOVES = 32
-"""Steps of the last bit; a few are enough."""
+MIN_ANGLE_STEP = 1e-6
+"""Radians between beams; smaller steps are invalid."""
+MAX_ROUNDING_STEPS = 32
+"""Limit of the search for a quaternion, units in the last place; a few are sufficient."""
 
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
@@ -42,35 +42,35 @@ BASE_FRAME, ODOMETRY_FRAME, WORLD_FRAME = "base_link", "odom", "world"
 
 @cache
 def type_store(encoding: str) -> Typestore:
-    """The standard message definitions for an encoding, `cdr` (ROS 2) or `ros1`.
+    """Return the standard message definitions for an encoding, `cdr` (ROS 2) or `ros1`.
 
-    They are the same in all distributions; a bag's own definitions need not be read, nor be sound.
+    They are the same in all distributions, so a bag's own definitions are not needed.
     """
     if encoding == "cdr":
         return get_typestore(Stores.ROS2_HUMBLE)
     store = get_typestore(Stores.ROS1_NOETIC)
-    for name in (TRANSFORMS, OLD_TRANSFORMS):
+    for name in (TRANSFORMS, TRANSFORMS_ROS1):
         store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", name))
     return store
 
 
-def decode(data: bytes, kind: str, encoding: str) -> Any:
-    """The ROS message of a type name in bytes; raises ValueError where they are not one."""
+def decode(data: bytes, msgtype: str, encoding: str) -> Any:
+    """Deserialise a ROS message of a type; raises ValueError if the bytes are invalid."""
     store = type_store(encoding)
     try:
-        return store.deserialize_cdr(data, kind) if encoding == "cdr" else store.deserialize_ros1(data, kind)
+        return store.deserialize_cdr(data, msgtype) if encoding == "cdr" else store.deserialize_ros1(data, msgtype)
     except (SerdeError, ValueError, IndexError, MemoryError, OverflowError) as error:
-        raise ValueError(f"{kind} cannot be decoded") from error
+        raise ValueError(f"{msgtype} cannot be decoded") from error
 
 
 def stamp_of(header: Any, received: int) -> float:
-    """The header's stamp in seconds; the time of reception (nanoseconds) where it was left at zero."""
+    """Return the header's stamp in seconds; if it is zero, the time of reception (given in nanoseconds)."""
     nanoseconds = header.stamp.sec * NANOSECONDS + header.stamp.nanosec
     return to_seconds(nanoseconds or received)
 
 
 def heading_of(quaternion: Any) -> float:
-    """The heading in [-pi, pi) of a quaternion with members x y z w; raises ValueError where it is not one."""
+    """Return the heading in [-pi, pi) of a quaternion with members x y z w; raises ValueError if its norm is not 1."""
     x, y, z, w = quaternion.x, quaternion.y, quaternion.z, quaternion.w
     norm = math.sqrt(x * x + y * y + z * z + w * w)
     if not 0.9 < norm < 1.1:
@@ -83,7 +83,7 @@ def heading_of(quaternion: Any) -> float:
 
 
 def planar_pose(pose: Any) -> Pose:
-    """[x, y, heading] of a geometry_msgs/Pose; raises ValueError where it has none."""
+    """Return [x, y, heading] of a geometry_msgs/Pose; raises ValueError if it is invalid."""
     planar = np.array([pose.position.x, pose.position.y, heading_of(pose.orientation)])
     if not np.all(np.abs(planar) < 1e9):
         raise ValueError("pose is not finite")
@@ -91,14 +91,14 @@ def planar_pose(pose: Any) -> Pose:
 
 
 def quaternion_of(heading: float) -> tuple[float, float]:
-    """z and w of the quaternion that `heading_of` decodes to this very heading in [-pi, pi).
+    """Return z and w of a quaternion that `heading_of` decodes to exactly this heading in [-pi, pi).
 
-    The sine and the cosine of the half angle are rounded; where this shows in the last bit of the heading, the
-    smaller of the two, which has bits to spare, is moved until it does not. Only headings around 1e-308, whose
-    halves have no bits to spare, come back one bit off.
+    Sine and cosine of the half angle are rounded. If this changes the last bit of the heading, the smaller of the two,
+    whose resolution is finer, is moved in units in the last place until it does not. Only headings around 1e-308 may
+    differ by one bit.
     """
     z, w = math.sin(heading / 2), math.cos(heading / 2)
-    for _ in range(MOST_MOVES):
+    for _ in range(MAX_ROUNDING_STEPS):
         error = heading - 2.0 * math.atan2(z, w)
         if error == 0.0:
             break
@@ -117,26 +117,32 @@ def _steps(start: float, step: float, count: int) -> Floats:
 
 
 @dataclass(frozen=True, slots=True)
-class Placing:
-    """Where a scan's frame is on the robot: the mount, None where unknown, and whether the lidar hangs upside down."""
+class LidarMount:
+    """Mount of a lidar on the robot.
 
-    mount: Pose | None = None
+    pose         [x, y, heading] in the base's frame; None if unknown
+    upside_down  true if the lidar's z axis points down
+    """
+
+    pose: Pose | None = None
     upside_down: bool = False
 
 
-def scan_of(message: Any, received: int, placing: Placing) -> Scan:
-    """A LaserScan as a Scan; raises ValueError where it is none.
+def scan_of(message: Any, received: int, mount: LidarMount) -> Scan:
+    """Convert a LaserScan to a Scan; raises ValueError if it is invalid.
 
-    Ranges outside of the stated limits are NaN. Angles increase: a scan that is measured clockwise, or by a
-    lidar that hangs upside down, is turned round, its time offsets with it.
+    Ranges outside of the stated limits become NaN. Angles increase: a scan that is measured clockwise, or by a lidar
+    that is mounted upside down, is reversed together with its time offsets.
+
+    received  time of reception, nanoseconds; the stamp if the header has none
     """
-    with np.errstate(invalid="ignore"):  # damaged bytes may be NaNs that warn when they are touched
+    with np.errstate(invalid="ignore"):  # damaged bytes may be signalling NaNs
         ranges = np.asarray(message.ranges, dtype=np.float64)
     count, start, step = len(ranges), message.angle_min, message.angle_increment
     if count == 0:
         raise ValueError("no beams")
-    if not (abs(start) < 100.0 and abs(step) * count < 100.0) or (abs(step) < LEAST_STEP and count > 1):
-        raise ValueError("angles are impossible")
+    if not (abs(start) < 100.0 and abs(step) * count < 100.0) or (abs(step) < MIN_ANGLE_STEP and count > 1):
+        raise ValueError("angles are invalid")
     low = message.range_min if message.range_min > 0.0 else 0.0
     high = message.range_max if message.range_max > low else math.inf
     valid = (ranges > 0.0) & (ranges >= low) & (ranges < high)  # false for nan
@@ -144,18 +150,18 @@ def scan_of(message: Any, received: int, placing: Placing) -> Scan:
     delay = message.time_increment
     offsets = _steps(0.0, delay if 0.0 < delay * count < 2.0 else 0.0, count)
     angles = _steps(start, step, count)
-    if placing.upside_down:
+    if mount.upside_down:
         angles = -angles
     if count > 1 and angles[1] < angles[0]:
         angles, ranges, offsets = angles[::-1].copy(), ranges[::-1].copy(), offsets[::-1].copy()
-    return Scan(stamp_of(message.header, received), ranges, angles, offsets, low, high, placing.mount)
+    return Scan(stamp_of(message.header, received), ranges, angles, offsets, low, high, mount.pose)
 
 
 def exact_scan_of(message: Any, stamp: float, mount: Pose | None) -> Scan:
-    """The Scan that BEAMS holds; raises ValueError where it does not."""
+    """Convert a BEAMS message to a Scan; raises ValueError if it is invalid."""
     data = np.array(message.data, dtype=np.float64)
     if len(data) < 5 or (len(data) - 2) % 3:
-        raise ValueError("exact beams are not whole")
+        raise ValueError("exact beams are incomplete")
     angles, ranges, offsets = data[2:].reshape(3, -1)
     if not (np.all(np.diff(angles) > 0) and np.all(np.isfinite(angles)) and np.all(np.isfinite(offsets))):
         raise ValueError("exact beams are not in order")
@@ -164,7 +170,12 @@ def exact_scan_of(message: Any, stamp: float, mount: Pose | None) -> Scan:
 
 @dataclass(frozen=True, slots=True)
 class Diagnostic:
-    """How a part is doing, as ROS has it: its name, whether something is wrong, a word on that, and numbers by name."""
+    """State of a part of the robot, as in a ROS DiagnosticStatus.
+
+    wrong    true if there is a problem
+    message  short description of the state
+    values   numbers by name
+    """
 
     name: str
     wrong: bool
@@ -172,19 +183,19 @@ class Diagnostic:
     values: dict[str, int]
 
 
-class Encoder:
-    """Our messages in CDR."""
+class RosEncoder:
+    """Serialiser of this project's messages to ROS 2 messages in CDR."""
 
     def __init__(self) -> None:
         self.store = type_store("cdr")
         self.types: dict[str, Any] = dict(self.store.types)
 
-    def definition(self, kind: str) -> str:
-        """The text that defines a message type and all that it consists of."""
-        return str(self.store.generate_msgdef(kind, ros_version=2)[0])
+    def definition(self, msgtype: str) -> str:
+        """Return the definition of a message type, including all types that it contains."""
+        return str(self.store.generate_msgdef(msgtype, ros_version=2)[0])
 
     def scan(self, scan: Scan, frame: str) -> bytes:
-        """A LaserScan. Where it cannot hold the scan exactly, it is the nearest with even steps."""
+        """Encode a LaserScan; if it cannot represent the scan exactly, the nearest one with equal steps."""
         count = len(scan.ranges)
         step = (scan.angles[-1] - scan.angles[0]) / max(1, count - 1)
         delay = scan.time_offsets[-1] / max(1, count - 1)
@@ -203,7 +214,7 @@ class Encoder:
         return bytes(self.store.serialize_cdr(message, LASER_SCAN))
 
     def beams(self, scan: Scan) -> bytes:
-        """What a LaserScan may not hold exactly, see BEAMS."""
+        """Encode the exact beams of a scan, see BEAMS."""
         dimension = self.types["std_msgs/msg/MultiArrayDimension"]
         count = len(scan.ranges)
         layout = self.types["std_msgs/msg/MultiArrayLayout"](
@@ -214,7 +225,7 @@ class Encoder:
         return bytes(self.store.serialize_cdr(self.types[BEAMS](layout=layout, data=data), BEAMS))
 
     def odometry(self, odometry: Odometry) -> bytes:
-        """An Odometry of BASE_FRAME in ODOMETRY_FRAME."""
+        """Encode an Odometry of BASE_FRAME in ODOMETRY_FRAME."""
         vector, types = self.types["geometry_msgs/msg/Vector3"], self.types
         still = types["geometry_msgs/msg/Twist"](vector(0.0, 0.0, 0.0), vector(0.0, 0.0, 0.0))
         unknown = np.zeros(36)
@@ -226,13 +237,13 @@ class Encoder:
         )
         return bytes(self.store.serialize_cdr(message, ODOMETRY))
 
-    def truth(self, truth: GroundTruth) -> bytes:
-        """A PoseStamped in WORLD_FRAME."""
+    def ground_truth(self, truth: GroundTruth) -> bytes:
+        """Encode a PoseStamped in WORLD_FRAME."""
         message = self.types[POSE](self._header(truth.stamp, WORLD_FRAME), self._pose(truth.pose))
         return bytes(self.store.serialize_cdr(message, POSE))
 
     def diagnostics(self, stamp: float, diagnostics: Sequence[Diagnostic]) -> bytes:
-        """A DiagnosticArray; what is wrong has the level WARN."""
+        """Encode a DiagnosticArray; parts with a problem have the level WARN."""
         pair, status = self.types["diagnostic_msgs/msg/KeyValue"], self.types["diagnostic_msgs/msg/DiagnosticStatus"]
         statuses = [
             status(int(part.wrong), part.name, part.message, "", [pair(k, str(v)) for k, v in part.values.items()])
@@ -242,7 +253,7 @@ class Encoder:
         return bytes(self.store.serialize_cdr(message, DIAGNOSTICS))
 
     def mount(self, stamp: float, mount: Pose, frame: str) -> bytes:
-        """A TFMessage that places a lidar's frame in BASE_FRAME."""
+        """Encode a TFMessage with the transform of a lidar's frame in BASE_FRAME."""
         x, y, heading = mount.tolist()
         transform = self.types["geometry_msgs/msg/Transform"](
             self.types["geometry_msgs/msg/Vector3"](x, y, 0.0), self._quaternion(heading)
@@ -261,11 +272,11 @@ class Encoder:
         return self.types["geometry_msgs/msg/Pose"](point, self._quaternion(heading))
 
     def _quaternion(self, heading: float) -> Any:
-        inside = heading if -math.pi <= heading < math.pi else float(wrap(heading))
-        z, w = quaternion_of(inside)
+        wrapped = heading if -math.pi <= heading < math.pi else float(wrap(heading))
+        z, w = quaternion_of(wrapped)
         return self.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, z, w)
 
 
 def _float32(value: float) -> float:
-    with np.errstate(over="ignore"):  # beyond 32 bits is infinite
+    with np.errstate(over="ignore"):  # values beyond 32 bits become infinite
         return float(np.float32(value))

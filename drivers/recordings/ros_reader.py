@@ -1,4 +1,4 @@
-"""What bags and MCAP files share: which topics are read, and how their messages become ours."""
+"""Base class for readers of ROS bags and MCAP files: selects topics, finds the lidar's mount, converts messages."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from typing import Any
 
 from ..errors import RecordingError
 from ..messages import GroundTruth, Message, Odometry
-from .reader import Recording, is_stamp
+from .reader import RecordingReader, is_valid_stamp
 from .ros_messages import (
     BEAMS,
     LASER_SCAN,
     ODOMETRY,
-    OLD_TRANSFORMS,
     POSE,
     TRANSFORMS,
-    Placing,
+    TRANSFORMS_ROS1,
+    LidarMount,
     decode,
     exact_scan_of,
     planar_pose,
@@ -28,51 +28,60 @@ from .ros_messages import (
 )
 from .transforms import TransformTree
 
-TRUTH_TOPIC = "/ground_truth"
+GROUND_TRUTH_TOPIC = "/ground_truth"
 BEAMS_TOPIC = "/scan_beams"
-KINDS = frozenset({LASER_SCAN, ODOMETRY, POSE, BEAMS, TRANSFORMS, OLD_TRANSFORMS})
-REPEATED_TRANSFORMS = 1000
-"""Messages on /tf that are searched for the lidar's mount, which older robots publish there over and over."""
+MESSAGE_TYPES = frozenset({LASER_SCAN, ODOMETRY, POSE, BEAMS, TRANSFORMS, TRANSFORMS_ROS1})
+MAX_TF_MESSAGES = 1000
+"""Messages on /tf that are searched for the lidar's mount, which older robots publish there repeatedly."""
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
-    """A message as it is stored: its number (1-based), topic, type, encoding, time of reception (ns) and bytes."""
+class StoredMessage:
+    """Serialised ROS message of a recording.
+
+    number    1-based
+    msgtype   ROS type name, as ROS 2 writes it
+    encoding  cdr or ros1
+    received  time of reception, nanoseconds
+    """
 
     number: int
     topic: str
-    kind: str
+    msgtype: str
     encoding: str
     received: int
     data: bytes
 
 
 @dataclass(slots=True)
-class _Survey:
-    """What a first look at a recording tells."""
+class _Contents:
+    """Topics and transforms of a recording, found in a first pass.
 
-    counts: dict[str, Counter[str]] = field(default_factory=dict)  # type -> topic -> messages
+    counts     type name -> topic -> number of messages
+    fixed      static transforms
+    all        static transforms and those on /tf
+    base       frame that the odometry moves
+    """
+
+    counts: dict[str, Counter[str]] = field(default_factory=dict)
     fixed: TransformTree = field(default_factory=TransformTree)
-    repeated: TransformTree = field(default_factory=TransformTree)  # with the fixed ones
-    base: str | None = None  # the frame that the odometry moves
+    all: TransformTree = field(default_factory=TransformTree)
+    base: str | None = None
 
-    def placing(self, frame: str) -> Placing:
-        for tree in (self.fixed, self.repeated):
-            exact = tree.planar(frame, self.base)
-            if exact is not None:
-                return Placing(exact)
-            placing = tree.placing(frame, self.base)
-            if placing.mount is not None:
-                return placing
-        return Placing()
+    def find_mount(self, frame: str) -> LidarMount:
+        """Return the mount of a lidar's frame, preferably from static transforms only."""
+        for tree in (self.fixed, self.all):
+            mount = tree.find_mount(frame, self.base)
+            if mount.pose is not None:
+                return mount
+        return LidarMount()
 
 
-class RosRecording(Recording):
-    """A recording of ROS messages: LaserScan, Odometry, the lidar's mount from static transforms, ground
-    truth.
+class RosReader(RecordingReader):
+    """Recording of ROS messages: LaserScan, Odometry, the lidar's mount from static transforms, and ground truth.
 
-    Of several topics of a type the one with the most messages is read unless one is named. Raises
-    RecordingError where a named topic is not there.
+    If there are several topics of a type and none is named, the one with the most messages is read. Raises
+    RecordingError if a named topic does not exist.
     """
 
     def __init__(self, path: str | Path, scan_topic: str | None = None, odometry_topic: str | None = None) -> None:
@@ -80,83 +89,86 @@ class RosRecording(Recording):
         self.scan_topic, self.odometry_topic = scan_topic, odometry_topic
 
     @abstractmethod
-    def _entries(self, final: bool) -> Iterator[Entry]:
-        """The stored messages of KINDS in order. What is damaged is counted in the report on the `final` pass only."""
+    def _stored_messages(self, final: bool) -> Iterator[StoredMessage]:
+        """Yield the messages of MESSAGE_TYPES in order. Damage is counted in the report on the `final` pass only."""
 
     def _read(self) -> Iterator[tuple[int, Message]]:
-        survey = self._survey()
-        scans = self._choose(survey, LASER_SCAN, self.scan_topic)
-        odometry = self._choose(survey, ODOMETRY, self.odometry_topic)
-        placings: dict[str, Placing] = {}
-        beams: Entry | None = None
-        for entry in self._entries(final=True):
+        contents = self._survey()
+        scans = self._choose_topic(contents, LASER_SCAN, self.scan_topic)
+        odometry = self._choose_topic(contents, ODOMETRY, self.odometry_topic)
+        mounts: dict[str, LidarMount] = {}
+        beams: StoredMessage | None = None
+        for stored in self._stored_messages(final=True):
             try:
-                if entry.kind == BEAMS and entry.topic == BEAMS_TOPIC:
-                    beams = entry
-                elif entry.kind == LASER_SCAN and entry.topic == scans:
-                    message = self._scan(entry, beams, survey, placings)
+                if stored.msgtype == BEAMS and stored.topic == BEAMS_TOPIC:
+                    beams = stored
+                elif stored.msgtype == LASER_SCAN and stored.topic == scans:
+                    message = self._scan(stored, beams, contents, mounts)
                     beams = None
-                    yield entry.number, message
-                elif entry.kind == ODOMETRY and entry.topic == odometry:
-                    yield entry.number, _odometry(entry)
-                elif entry.kind == POSE and entry.topic == TRUTH_TOPIC:
-                    pose = decode(entry.data, POSE, entry.encoding)
-                    yield entry.number, GroundTruth(_stamp(pose.header, entry), planar_pose(pose.pose))
+                    yield stored.number, message
+                elif stored.msgtype == ODOMETRY and stored.topic == odometry:
+                    yield stored.number, _odometry(stored)
+                elif stored.msgtype == POSE and stored.topic == GROUND_TRUTH_TOPIC:
+                    pose = decode(stored.data, POSE, stored.encoding)
+                    yield stored.number, GroundTruth(_stamp(pose.header, stored), planar_pose(pose.pose))
             except ValueError as error:
-                self.skip(entry.number, str(error))
+                self.skip(stored.number, str(error))
 
-    def _scan(self, entry: Entry, beams: Entry | None, survey: _Survey, placings: dict[str, Placing]) -> Message:
-        message = decode(entry.data, LASER_SCAN, entry.encoding)
-        stamp = _stamp(message.header, entry)
+    def _scan(
+        self, stored: StoredMessage, beams: StoredMessage | None, contents: _Contents, mounts: dict[str, LidarMount]
+    ) -> Message:
+        message = decode(stored.data, LASER_SCAN, stored.encoding)
+        stamp = _stamp(message.header, stored)
         frame = message.header.frame_id
-        if frame not in placings:
-            placings[frame] = survey.placing(frame)
-        if beams is not None and beams.received == entry.received:
+        if frame not in mounts:
+            mounts[frame] = contents.find_mount(frame)
+        if beams is not None and beams.received == stored.received:
             exact = decode(beams.data, BEAMS, beams.encoding)
-            return exact_scan_of(exact, stamp, placings[frame].mount)
-        return scan_of(message, entry.received, placings[frame])
+            return exact_scan_of(exact, stamp, mounts[frame].pose)
+        return scan_of(message, stored.received, mounts[frame])
 
-    def _survey(self) -> _Survey:
-        survey = _Survey()
-        searched = 0
-        for entry in self._entries(final=False):
-            counts = survey.counts.setdefault(entry.kind, Counter())
-            counts[entry.topic] += 1
+    def _survey(self) -> _Contents:
+        """Find topics, transforms and the base's frame in a first pass."""
+        contents = _Contents()
+        tf_messages = 0
+        for stored in self._stored_messages(final=False):
+            counts = contents.counts.setdefault(stored.msgtype, Counter())
+            counts[stored.topic] += 1
             try:
-                if entry.kind in (TRANSFORMS, OLD_TRANSFORMS):
-                    fixed = entry.topic.endswith("tf_static")
-                    searched += not fixed
-                    if fixed or searched <= REPEATED_TRANSFORMS:
-                        message = decode(entry.data, entry.kind, entry.encoding)
-                        survey.repeated.add(message)
+                if stored.msgtype in (TRANSFORMS, TRANSFORMS_ROS1):
+                    fixed = stored.topic.endswith("tf_static")
+                    tf_messages += not fixed
+                    if fixed or tf_messages <= MAX_TF_MESSAGES:
+                        message = decode(stored.data, stored.msgtype, stored.encoding)
+                        contents.all.add(message)
                         if fixed:
-                            survey.fixed.add(message)
-                elif entry.kind == ODOMETRY and survey.base is None:
-                    survey.base = decode(entry.data, ODOMETRY, entry.encoding).child_frame_id or None
+                            contents.fixed.add(message)
+                elif stored.msgtype == ODOMETRY and contents.base is None:
+                    contents.base = decode(stored.data, ODOMETRY, stored.encoding).child_frame_id or None
             except ValueError:
-                continue  # counted when it is read; transforms that cannot be decoded leave the mount unknown
-        return survey
+                continue  # counted on the final pass; a transform that cannot be decoded leaves the mount unknown
+        return contents
 
-    def _choose(self, survey: _Survey, kind: str, named: str | None) -> str | None:
-        topics = survey.counts.get(kind, Counter())
+    def _choose_topic(self, contents: _Contents, msgtype: str, named: str | None) -> str | None:
+        topics = contents.counts.get(msgtype, Counter())
         if named is None:
             return topics.most_common(1)[0][0] if topics else None
         if named not in topics:
-            there = ", ".join(sorted(topics)) or "none"
-            raise RecordingError(self.path, None, f"no topic {named} of type {kind}; there are: {there}")
+            available = ", ".join(sorted(topics)) or "none"
+            raise RecordingError(self.path, None, f"no topic {named} of type {msgtype}; available: {available}")
         return named
 
-    def _nothing_found(self) -> str:
-        return f"holds no readable {LASER_SCAN} and no {ODOMETRY}"
+    def _empty_reason(self) -> str:
+        return f"contains no readable {LASER_SCAN} and no {ODOMETRY}"
 
 
-def _odometry(entry: Entry) -> Odometry:
-    message = decode(entry.data, ODOMETRY, entry.encoding)
-    return Odometry(_stamp(message.header, entry), planar_pose(message.pose.pose))
+def _odometry(stored: StoredMessage) -> Odometry:
+    message = decode(stored.data, ODOMETRY, stored.encoding)
+    return Odometry(_stamp(message.header, stored), planar_pose(message.pose.pose))
 
 
-def _stamp(header: Any, entry: Entry) -> float:
-    stamp = stamp_of(header, entry.received)
-    if not is_stamp(stamp):
-        raise ValueError("stamp is impossible")
+def _stamp(header: Any, stored: StoredMessage) -> float:
+    stamp = stamp_of(header, stored.received)
+    if not is_valid_stamp(stamp):
+        raise ValueError("stamp is invalid")
     return stamp

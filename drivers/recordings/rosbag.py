@@ -1,4 +1,4 @@
-"""Bags of ROS 1 (.bag) and of ROS 2 (a directory, or its .db3 file)."""
+"""Reader for ROS 1 bags (.bag) and ROS 2 bags (a directory, or its .db3 file)."""
 
 from __future__ import annotations
 
@@ -10,47 +10,47 @@ from rosbags.rosbag2 import Reader as Reader2
 
 from ..errors import RecordingError
 from .ros_messages import LASER_SCAN, ODOMETRY, POSE
-from .ros_reader import KINDS, Entry, RosRecording
+from .ros_reader import MESSAGE_TYPES, RosReader, StoredMessage
 
 
-class Bag(RosRecording):
-    """A bag of ROS 1 or 2 as a `Source`. A bag that is damaged is read as far as it goes, which is counted
-    in the report; one that cannot be opened raises RecordingError.
+class BagReader(RosReader):
+    """ROS 1 or ROS 2 bag as a `Source`. A damaged bag is read up to the damage, which is counted in the report; a bag
+    that cannot be opened raises RecordingError.
     """
 
     def __len__(self) -> int:
-        """The number of messages of the types that are read, as the bag's index says."""
+        """Return the number of messages of the supported types, from the bag's index."""
         try:
             reader = self._reader()
             with reader:
                 return sum(c.msgcount for c in reader.connections if c.msgtype in (LASER_SCAN, ODOMETRY, POSE))
-        except Exception:  # as in _entries; the length is a mere hint
+        except Exception:  # see _stored_messages; the length is only approximate
             return 0
 
     def _reader(self) -> Reader1 | Reader2:
         return Reader1(self.path) if self.path.suffix == ".bag" else Reader2(self.path)
 
-    def _entries(self, final: bool) -> Iterator[Entry]:
+    def _stored_messages(self, final: bool) -> Iterator[StoredMessage]:
         encoding = "ros1" if self.path.suffix == ".bag" else "cdr"
         number = 0
         with ExitStack() as stack:
             try:
                 reader = self._reader()
                 stack.enter_context(reader)
-                connections = [c for c in reader.connections if c.msgtype in KINDS]
+                connections = [c for c in reader.connections if c.msgtype in MESSAGE_TYPES]
                 stored = reader.messages(connections) if connections else iter(())
-            except Exception as error:  # rosbags raises whatever its parsers trip over in a damaged bag
+            except Exception as error:  # rosbags raises exceptions of any type for damaged bags
                 reason = " ".join(str(error).split()) or type(error).__name__
-                raise RecordingError(self.path, None, f"is damaged or no bag: {reason}") from error
+                raise RecordingError(self.path, None, f"is damaged or not a bag: {reason}") from error
             while True:
                 try:
                     following = next(stored, None)
                 except Exception:  # as above
                     if final:
-                        self.skip(number + 1, "bag ends early or is damaged; it was read up to there")
+                        self.skip(number + 1, "bag is truncated or damaged; it was read up to this point")
                     return
                 if following is None:
                     return
                 number += 1
                 connection, received, data = following
-                yield Entry(number, connection.topic, connection.msgtype, encoding, received, bytes(data))
+                yield StoredMessage(number, connection.topic, connection.msgtype, encoding, received, bytes(data))

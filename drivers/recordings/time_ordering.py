@@ -1,18 +1,17 @@
-"""Putting a recording's messages into the order of their stamps, whatever its clocks did.
+"""Order the messages of a recording by time, and correct stamps after steps of its clock.
 
-Real recordings have stamps that run backwards, in three ways that are told apart here:
+In real recordings stamps run backwards for three reasons, which are distinguished here:
 
-- *small disorder*: messages are written in the order of arrival, and some took longer to arrive. Within
-  WINDOW they are sorted.
-- *a wrong stamp*: one or a few messages far from their neighbours (zero before the clock was set, a damaged
-  digit). They are skipped, because nothing says when they were measured.
-- *a clock that was set*: from some message on, all stamps are elsewhere. Forwards this is a pause, and the
-  stamps are kept. Backwards the stamps after it are moved on so that time goes on where it stopped: order
-  and durations are right again, and nothing measured is lost; only the offset to the recorded stamps is.
+- *Small disorder*: messages are written in the order of arrival, with different delays. They are sorted within WINDOW.
+- *Wrong stamps*: one or a few messages are far from their neighbours (zero before the clock was set, a damaged digit).
+  They are skipped, because the time of their measurement is unknown.
+- *Clock steps*: from some message on, all stamps are offset. A step forwards is taken as a pause, and the stamps are
+  kept. After a step backwards the stamps are shifted so that time continues where it stopped: order and durations are
+  correct, no message is lost, but the stamps differ from the recorded ones by an offset.
 
-Far means more than WINDOW back or PAUSE ahead. Far messages are held until CONFIRM of them agree with each
-other, which makes it the clock, or until the stream goes on as before, which makes them wrong. Each case is
-counted in the source's report.
+Far means more than WINDOW back or MAX_PAUSE ahead. Far messages are held until CONFIRMATIONS of them agree with each
+other, which is a clock step, or until the stream continues as before, which makes them wrong. Each case is counted in
+the source's report.
 """
 
 from __future__ import annotations
@@ -25,36 +24,36 @@ from typing import Protocol
 from ..messages import Message
 
 WINDOW = 1.0
-"""Seconds. Queues between a sensor and a logger hold tenths of a second; a clock that is set moves by more."""
-PAUSE = 60.0
-"""Seconds ahead that are taken without a second look; a longer step needs messages that agree."""
-CONFIRM = 5
-"""Messages in a row that agree before the clock is taken to have been set."""
+"""Seconds. Queues between a sensor and a logger hold tenths of a second; clock steps are larger."""
+MAX_PAUSE = 60.0
+"""Seconds. Steps ahead up to this are accepted at once; larger ones need CONFIRMATIONS."""
+CONFIRMATIONS = 5
+"""Consecutive messages that must agree before a clock step is accepted."""
 
 
-class Notebook(Protocol):
-    """Where oddities are counted."""
+class AnomalyCounter(Protocol):
+    """Counter of skipped messages and anomalies; `line` is a line or message number."""
 
     def skip(self, line: int | None, reason: str) -> None:
-        """Count a message that is left out."""
+        """Count an omitted message."""
 
     def note(self, line: int | None, reason: str) -> None:
-        """Count an oddity that costs no message."""
+        """Count an anomaly without loss of a message."""
 
 
 Numbered = tuple[int, Message]
 
 
-def in_order(numbered: Iterable[Numbered], notebook: Notebook) -> Iterator[Message]:
-    """The messages with stamps that never decrease; messages with equal stamps keep their order.
+def order_by_time(numbered: Iterable[Numbered], anomalies: AnomalyCounter) -> Iterator[Message]:
+    """Yield the messages with non-decreasing stamps; messages with equal stamps keep their order.
 
-    Takes (line or message number, message) pairs in the recording's order; holds back one WINDOW of time.
+    Takes (line or message number, message) pairs in the recording's order; delays them by WINDOW seconds of stamps.
     """
     heap: list[tuple[float, int, Message]] = []
     latest = -float("inf")
-    for arrived, (line, message) in enumerate(_on_one_clock(numbered, notebook)):
+    for arrived, (line, message) in enumerate(_correct_clock_steps(numbered, anomalies)):
         if message.stamp < latest:
-            notebook.note(line, "stamp runs back by less than a second; sorted")
+            anomalies.note(line, "stamp less than a second out of order; sorted")
         latest = max(latest, message.stamp)
         heapq.heappush(heap, (message.stamp, arrived, message))
         while heap[0][0] <= latest - WINDOW:
@@ -63,52 +62,52 @@ def in_order(numbered: Iterable[Numbered], notebook: Notebook) -> Iterator[Messa
         yield heapq.heappop(heap)[2]
 
 
-def _on_one_clock(numbered: Iterable[Numbered], notebook: Notebook) -> Iterator[Numbered]:
-    """The messages without those whose stamps are wrong, on a clock that never steps back by more than WINDOW."""
+def _correct_clock_steps(numbered: Iterable[Numbered], anomalies: AnomalyCounter) -> Iterator[Numbered]:
+    """Yield the messages without wrong stamps, on a clock that never steps back by more than WINDOW."""
     latest: float | None = None  # the latest stamp that was accepted, on the output's clock
     offset = 0.0  # output's clock minus the recording's clock
-    held: list[Numbered] = []  # far from what was accepted, near each other
+    held: list[Numbered] = []  # far from the accepted stamps, near each other
     for line, message in numbered:
         if latest is not None and _near(message.stamp + offset, latest):
-            _drop(held, notebook)
+            _drop(held, anomalies)
             latest = max(latest, message.stamp + offset)
             yield line, _shifted(message, offset)
             continue
         if held and not _near(message.stamp, max(m.stamp for _, m in held)):
-            _drop(held, notebook)
+            _drop(held, anomalies)
         held.append((line, message))
-        if len(held) < CONFIRM:
+        if len(held) < CONFIRMATIONS:
             continue
         if latest is not None:
-            offset += _set_back(held, latest - offset, notebook)
+            offset += _backward_step(held, latest - offset, anomalies)
         for held_line, held_message in held:
             latest = max(held_message.stamp + offset, latest if latest is not None else -float("inf"))
             yield held_line, _shifted(held_message, offset)
         held = []
-    if latest is None:  # fewer messages than it takes to confirm anything
+    if latest is None:  # fewer messages than CONFIRMATIONS
         yield from held
     else:
-        _drop(held, notebook)
+        _drop(held, anomalies)
 
 
 def _near(stamp: float, latest: float) -> bool:
-    return latest - WINDOW <= stamp <= latest + PAUSE
+    return latest - WINDOW <= stamp <= latest + MAX_PAUSE
 
 
 def _shifted(message: Message, offset: float) -> Message:
     return replace(message, stamp=message.stamp + offset) if offset else message
 
 
-def _drop(held: list[Numbered], notebook: Notebook) -> None:
+def _drop(held: list[Numbered], anomalies: AnomalyCounter) -> None:
     for line, _ in held:
-        notebook.skip(line, "stamp far from its neighbours'")
+        anomalies.skip(line, "stamp far from those of its neighbours; skipped")
     held.clear()
 
 
-def _set_back(held: list[Numbered], latest: float, notebook: Notebook) -> float:
-    """What to add to the stamps from the held messages on (seconds): zero unless they are earlier than `latest`."""
+def _backward_step(held: list[Numbered], latest: float, anomalies: AnomalyCounter) -> float:
+    """Return the shift (seconds) of the stamps from the held messages on: zero unless they precede `latest`."""
     earliest = min(message.stamp for _, message in held)
     if earliest >= latest:
         return 0.0
-    notebook.note(held[0][0], "clock set back; the stamps after it are moved on")
+    anomalies.note(held[0][0], "clock was set back; later stamps are shifted")
     return latest - earliest

@@ -1,4 +1,4 @@
-"""Where lidars sit on a robot, from the transforms in a ROS recording."""
+"""Mounts of lidars on the robot, from the transforms (tf) of a ROS recording."""
 
 from __future__ import annotations
 
@@ -10,67 +10,70 @@ import numpy as np
 
 from ..messages import Floats
 from ..se2 import Pose
-from .ros_messages import Placing, heading_of
+from .ros_messages import LidarMount, heading_of
 
 BASE_FRAMES = ("base_link", "base_footprint", "base")
-"""Names of the robot's own frame, tried in this order when the odometry does not name one that is known."""
-FARTHEST = 1e6
-"""Metres; no transform on a robot is longer."""
+"""Names of the base's frame, tried in this order if the odometry's child frame is unknown."""
+MAX_TRANSLATION = 1e6
+"""Metres; longer transforms are invalid."""
 
 
-def plain(frame: str) -> str:
-    """A frame's name as ROS 2 writes it, without the leading slash that ROS 1 allowed."""
+def normalize_frame(frame: str) -> str:
+    """Return a frame's name without the leading slash that ROS 1 allowed."""
     return frame.lstrip("/")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Link:
+    """Transform from a frame to its parent: as stored in the message, and as a (4, 4) matrix."""
+
     parent: str
-    transform: Any  # as it was stored
-    matrix: Floats  # the same, (4, 4)
+    transform: Any
+    matrix: Floats
 
 
 class TransformTree:
-    """Static transforms between frames."""
+    """Tree of static transforms between frames."""
 
     def __init__(self) -> None:
         self._parents: dict[str, _Link] = {}
 
     def add(self, message: Any) -> None:
-        """Take up a TFMessage; of transforms to one frame the first counts. Raises ValueError where one is none."""
+        """Add the transforms of a TFMessage; the first of each frame counts. Raises ValueError if one is not rigid."""
         for stamped in message.transforms:
-            child, parent = plain(stamped.child_frame_id), plain(stamped.header.frame_id)
+            child, parent = normalize_frame(stamped.child_frame_id), normalize_frame(stamped.header.frame_id)
             link = _Link(parent, stamped.transform, _matrix(stamped.transform))
             self._parents.setdefault(child, link)
 
-    def placing(self, frame: str, odometry_child: str | None) -> Placing:
-        """Where a lidar's frame is on the base; unknown where no chain of transforms connects the two.
+    def find_mount(self, frame: str, odometry_child: str | None) -> LidarMount:
+        """Return the mount of a lidar's frame; unknown if no chain of transforms connects it to the base.
 
-        The base is the frame that the odometry moves (`odometry_child`), else one of BASE_FRAMES. A lidar
-        hangs upside down where its z axis points down; its mount's heading is where its x axis points, seen
-        from above.
+        The base is the child frame of the odometry (`odometry_child`), else one of BASE_FRAMES. The mount's heading is
+        the direction of the lidar's x axis, seen from above.
         """
-        root, lidar = self._from_root(plain(frame))
-        for base in (plain(odometry_child or ""), *BASE_FRAMES):
-            base_root, placed = self._from_root(base)
-            known = base in self._parents or base in {link.parent for link in self._parents.values()}
-            if base_root != root or not known:
+        stored = self._stored_mount(frame, odometry_child)
+        if stored is not None:
+            return LidarMount(stored)
+        root, lidar = self._from_root(normalize_frame(frame))
+        for base in (normalize_frame(odometry_child or ""), *BASE_FRAMES):
+            base_root, base_pose = self._from_root(base)
+            is_known = base in self._parents or base in {link.parent for link in self._parents.values()}
+            if base_root != root or not is_known:
                 continue
-            relative = np.linalg.inv(placed) @ lidar
+            relative = np.linalg.inv(base_pose) @ lidar
             heading = float(np.arctan2(relative[1, 0], relative[0, 0]))
-            mount = np.array([relative[0, 3], relative[1, 3], _tidy(heading)])
+            mount = np.array([relative[0, 3], relative[1, 3], _without_pi(heading)])
             mount.flags.writeable = False
-            return Placing(mount, upside_down=bool(relative[2, 2] < 0.0))
-        return Placing()
+            return LidarMount(mount, upside_down=bool(relative[2, 2] < 0.0))
+        return LidarMount()
 
-    def planar(self, frame: str, odometry_child: str | None) -> Pose | None:
-        """The mount as it was written, where a single planar transform connects lidar and base; None
-        elsewhere.
+    def _stored_mount(self, frame: str, odometry_child: str | None) -> Pose | None:
+        """Return the mount bit for bit as stored if a single planar transform connects lidar and base, else None.
 
-        It saves the rounding of products of matrices: what a recording says is then read back bit for bit.
+        Products of matrices would round it.
         """
-        link = self._parents.get(plain(frame))
-        bases = {plain(odometry_child)} if odometry_child else set(BASE_FRAMES)
+        link = self._parents.get(normalize_frame(frame))
+        bases = {normalize_frame(odometry_child)} if odometry_child else set(BASE_FRAMES)
         if link is None or link.parent not in bases:
             return None
         transform = link.transform
@@ -81,9 +84,9 @@ class TransformTree:
         return mount
 
     def _from_root(self, frame: str) -> tuple[str, Floats]:
-        """The root above a frame, and the frame's pose in it, a (4, 4) matrix."""
+        """Return the root of a frame's tree, and the frame's pose in the root, a (4, 4) matrix."""
         pose = np.eye(4)
-        for _ in range(len(self._parents)):  # damaged data may go in circles
+        for _ in range(len(self._parents)):  # damaged data may contain cycles
             if frame not in self._parents:
                 break
             link = self._parents[frame]
@@ -92,10 +95,10 @@ class TransformTree:
 
 
 def _matrix(transform: Any) -> Floats:
-    """A geometry_msgs/Transform as a (4, 4) matrix; raises ValueError where its rotation is none."""
+    """Return a geometry_msgs/Transform as a (4, 4) matrix; raises ValueError if it is not rigid."""
     r, t = transform.rotation, transform.translation
     norm = math.sqrt(r.x * r.x + r.y * r.y + r.z * r.z + r.w * r.w)
-    if not 0.9 < norm < 1.1 or not all(abs(way) < FARTHEST for way in (t.x, t.y, t.z)):
+    if not 0.9 < norm < 1.1 or not all(abs(distance) < MAX_TRANSLATION for distance in (t.x, t.y, t.z)):
         raise ValueError("transform is not rigid")
     x, y, z, w = (part / norm for part in (r.x, r.y, r.z, r.w))
     return np.array(
@@ -108,5 +111,6 @@ def _matrix(transform: Any) -> Floats:
     )
 
 
-def _tidy(heading: float) -> float:
+def _without_pi(heading: float) -> float:
+    """Return a heading in [-pi, pi] as one in [-pi, pi)."""
     return -np.pi if heading >= np.pi else heading

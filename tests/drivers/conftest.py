@@ -14,7 +14,7 @@ from rosbags.rosbag2 import Writer as Writer2
 
 from drivers.messages import GroundTruth, Message, Odometry, Scan
 from drivers.recordings.mcap import McapWriter
-from drivers.recordings.ros_messages import LASER_SCAN, ODOMETRY, POSE, TRANSFORMS, Encoder, type_store
+from drivers.recordings.ros_messages import LASER_SCAN, ODOMETRY, POSE, TRANSFORMS, RosEncoder, type_store
 from drivers.simulation import LidarModel, Simulation
 from drivers.timestamps import to_nanoseconds
 
@@ -50,7 +50,7 @@ def carmen_text(drive: list[Message]) -> str:
 Stored = tuple[str, str, int, bytes]
 
 
-def ros_entries(messages: list[Message], encoder: Encoder) -> list[Stored]:
+def ros_entries(messages: list[Message], encoder: RosEncoder) -> list[Stored]:
     """Topic, type, receive time and CDR of a robot's usual topics."""
     entries: list[Stored] = []
     for message in messages:
@@ -64,7 +64,7 @@ def ros_entries(messages: list[Message], encoder: Encoder) -> list[Stored]:
         elif isinstance(message, Odometry):
             entries.append(("/odom", ODOMETRY, received, encoder.odometry(message)))
         else:
-            entries.append(("/ground_truth", POSE, received, encoder.truth(message)))
+            entries.append(("/ground_truth", POSE, received, encoder.ground_truth(message)))
     return entries
 
 
@@ -106,7 +106,7 @@ def write_bag() -> Callable[[Path, list[Stored]], Path]:
 def recordings(drive: list[Message], carmen_text: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """What to give `drivers.open`, by the kind of source."""
     folder = tmp_path_factory.mktemp("recordings")
-    entries = ros_entries(drive, Encoder())
+    entries = ros_entries(drive, RosEncoder())
     (folder / "drive.clf").write_text(carmen_text)
     (folder / "drive.clf.gz").write_bytes(gzip.compress(carmen_text.encode()))
     with McapWriter(folder / "drive.mcap") as writer:

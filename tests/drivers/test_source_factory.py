@@ -37,14 +37,14 @@ def test_directory_whose_recorder_was_killed(tmp_path: Path, recordings: dict[st
     [
         ("nothing.clf", "no such file"),
         ("a.xyz", r"extension \.xyz"),
-        ("plain", "without an extension"),
+        ("plain", "without extension"),
         ("folder", "not a ROS 2 bag"),
         ("sim:nowhere", "no such world"),
         ("sim:room?seed=many", "not a number"),
         ("sim:room?speed=3", "unknown option speed"),
         ("sim:room?duration=-3", "duration"),
-        ("sim:room?lidar=best", "no lidar 'best'; there are long, short"),
-        ("sim:room?odometry=", "no odometry ''; there are good, bad"),
+        ("sim:room?lidar=best", "no lidar 'best'; choose one of long, short"),
+        ("sim:room?odometry=", "no odometry ''; choose one of good, bad"),
     ],
 )
 def test_what_cannot_be_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, spec: str, reason: str) -> None:

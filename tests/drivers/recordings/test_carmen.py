@@ -1,4 +1,4 @@
-"""CARMEN logs: every kind of line, and what is wrong with real ones."""
+"""CARMEN logs: all supported lines, and the defects of real logs."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers import Message, Odometry, RecordingError, Scan
-from drivers.recordings.carmen import Carmen, half_turn
+from drivers.recordings.carmen import CarmenReader, half_turn_angles
 
 
-def read(folder: Path, text: str | bytes) -> tuple[list[Message], Carmen]:
+def read(folder: Path, text: str | bytes) -> tuple[list[Message], CarmenReader]:
     path = folder / "log.clf"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    source = Carmen(path)
+    source = CarmenReader(path)
     return list(source), source
 
 
@@ -33,32 +33,32 @@ def flaser(stamp: float, ranges: str = "1.0 2.0 3.0", pose: str = "0 0 0", laser
     ("count", "first", "last", "step"),
     [(180, -90, 89, 1), (181, -90, 90, 1), (360, -90, 89.5, 0.5), (361, -90, 90, 0.5), (5, -90, 90, 45)],
 )
-def test_angles_that_are_not_stated(count: int, first: float, last: float, step: float) -> None:
-    angles = np.degrees(half_turn(count))
+def test_angles_that_the_line_does_not_state(count: int, first: float, last: float, step: float) -> None:
+    angles = np.degrees(half_turn_angles(count))
     assert len(angles) == count
     assert angles[[0, -1]] == pytest.approx([first, last])
     assert np.diff(angles) == pytest.approx(step)
 
 
-def test_odom_and_flaser(tmp_path: Path) -> None:
+def test_odom_and_flaser_lines_are_read(tmp_path: Path) -> None:
     messages, _ = read(tmp_path, odom(1.0, x=0.5) + flaser(2.0, "1.5 81.91 2.5", pose="0.7 0 0", laser="0.7 0 0"))
-    first, told, scan = messages
+    first, repeated, scan = messages
     assert isinstance(first, Odometry)
     assert first.pose.tolist() == [0.5, 0, 0]
-    assert isinstance(told, Odometry)
-    assert (told.stamp, told.pose.tolist()) == (2.0, [0.7, 0, 0])
+    assert isinstance(repeated, Odometry)
+    assert (repeated.stamp, repeated.pose.tolist()) == (2.0, [0.7, 0, 0])
     assert isinstance(scan, Scan)
     assert scan.ranges == pytest.approx([1.5, np.nan, 2.5], nan_ok=True)
     assert scan.range_max == 81.83
 
 
-def test_odometry_in_a_laser_line_is_not_told_twice(tmp_path: Path) -> None:
+def test_repeated_odometry_is_yielded_once(tmp_path: Path) -> None:
     text = odom(1.0, x=0.5) + flaser(1.0, pose="0.5 0 0") + flaser(2.0, pose="0.6 0 0") + odom(2.0, x=0.6)
     messages, _ = read(tmp_path, text)
     assert [type(message).__name__ for message in messages] == ["Odometry", "Scan", "Odometry", "Scan"]
 
 
-def test_robotlaser(tmp_path: Path) -> None:
+def test_robotlaser_line_is_read(tmp_path: Path) -> None:
     line = (
         "ROBOTLASER1 0 -1.0 2.0 0.5 20.0 0.01 0 5 1.0 2.0 20.0 25.0 3.0 2 100 200 "
         "1.2 0 0 1.0 0 0 0.1 0.2 0.3 0.4 0.5 12.5 host 0.0\n"
@@ -84,7 +84,7 @@ def test_rear_laser_has_its_own_mount(tmp_path: Path) -> None:
     assert abs(mounts[1][2]) == pytest.approx(np.pi)
 
 
-def test_mount_is_one_constant_in_spite_of_rounding(tmp_path: Path) -> None:
+def test_mount_is_constant_despite_rounding(tmp_path: Path) -> None:
     random = np.random.default_rng(1)
     lines = []
     for i in range(50):
@@ -96,19 +96,19 @@ def test_mount_is_one_constant_in_spite_of_rounding(tmp_path: Path) -> None:
     assert all(scan.mount is not None and scan.mount.tolist() == [-0.04, 0.0, 0.0] for scan in scans)
 
 
-def test_mount_is_unknown_where_poses_do_not_belong_together(tmp_path: Path) -> None:
+def test_mount_is_unknown_if_laser_and_robot_poses_are_not_rigidly_connected(tmp_path: Path) -> None:
     text = "".join(flaser(i, pose=f"{i} 0 0", laser=f"{i * i} 0 0") for i in range(1, 20))
     scan = read(tmp_path, text)[0][-1]
     assert isinstance(scan, Scan)
     assert scan.mount is None
 
 
-def test_scans_of_a_laser_without_a_robot(tmp_path: Path) -> None:
+def test_log_without_a_robot_has_no_odometry(tmp_path: Path) -> None:
     messages, _ = read(tmp_path, flaser(1.0) + flaser(2.0))
     assert [type(message) for message in messages] == [Scan, Scan]
 
 
-def test_no_return_of_an_unknown_laser_is_learnt(tmp_path: Path) -> None:
+def test_no_return_value_of_an_unknown_laser_is_determined(tmp_path: Path) -> None:
     text = "".join(flaser(i, f"1.{i:02d} 29.99 29.99 2.0") for i in range(1, 30))
     scan = read(tmp_path, text)[0][-1]
     assert isinstance(scan, Scan)
@@ -116,13 +116,13 @@ def test_no_return_of_an_unknown_laser_is_learnt(tmp_path: Path) -> None:
     assert scan.range_max == 29.99
 
 
-def test_readings_that_are_no_ranges(tmp_path: Path) -> None:
+def test_invalid_readings_become_nan(tmp_path: Path) -> None:
     scan = read(tmp_path, flaser(1.0, "1.0 nan inf -inf -1.0 0.0 1e300"))[0][-1]
     assert isinstance(scan, Scan)
     assert np.isnan(scan.ranges).tolist() == [False] + [True] * 6
 
 
-def test_number_of_beams_may_change(tmp_path: Path) -> None:
+def test_number_of_beams_may_vary(tmp_path: Path) -> None:
     scans = read(tmp_path, flaser(1.0, "1 2 3") + flaser(2.0, "1 2 3 4"))[0]
     assert [len(scan.angles) for scan in scans if isinstance(scan, Scan)] == [3, 4]
 
@@ -145,7 +145,7 @@ BAD_LINES = {
 
 
 @pytest.mark.parametrize("line", BAD_LINES.values(), ids=BAD_LINES.keys())
-def test_bad_line_is_counted_and_named(tmp_path: Path, line: str) -> None:
+def test_bad_line_is_counted_and_located(tmp_path: Path, line: str) -> None:
     messages, source = read(tmp_path, odom(1.0) + line.rstrip("\n") + "\n" + odom(2.0))
     assert [message.stamp for message in messages] == [1.0, 2.0]
     assert source.report.skipped == 1
@@ -167,29 +167,29 @@ def test_bad_line_is_counted_and_named(tmp_path: Path, line: str) -> None:
         (gzip.compress(b"", mtime=0), "is empty"),
     ],
 )
-def test_nothing_usable_is_an_error(tmp_path: Path, content: bytes, reason: str) -> None:
+def test_log_without_a_valid_line_is_an_error(tmp_path: Path, content: bytes, reason: str) -> None:
     with pytest.raises(RecordingError, match=reason) as caught:
         read(tmp_path, content)
     assert "\n" not in str(caught.value)
     assert str(tmp_path) in str(caught.value)
 
 
-def test_gzip_that_ends_early_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
+def test_truncated_gzip_is_read_up_to_the_truncation(tmp_path: Path) -> None:
     lines = "".join(odom(1.0 + i, x=np.sin(i)) for i in range(2000))
     messages, source = read(tmp_path, gzip.compress(lines.encode())[:-2000])
     assert 100 < len(messages) < 2000
     assert any("gzip" in reason for reason in source.report.reasons)
 
 
-def test_missing_and_unreadable_files(tmp_path: Path) -> None:
+def test_missing_files_and_directories_are_errors(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="no such file"):
-        Carmen(tmp_path / "nothing.clf")
+        CarmenReader(tmp_path / "nothing.clf")
     with pytest.raises(RecordingError, match="cannot be read: Is a directory"):
-        list(Carmen(tmp_path))
-    assert len(Carmen(tmp_path)) == 0
+        list(CarmenReader(tmp_path))
+    assert len(CarmenReader(tmp_path)) == 0
 
 
-def test_file_that_may_not_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_file_without_read_permission_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "log.clf").write_text(odom(1.0))
 
     def refuse(*_: object) -> None:
@@ -197,7 +197,7 @@ def test_file_that_may_not_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(Path, "open", refuse)
     with pytest.raises(RecordingError, match="cannot be read: Permission denied"):
-        list(Carmen(tmp_path / "log.clf"))
+        list(CarmenReader(tmp_path / "log.clf"))
 
 
 LINES = odom(1.0) + flaser(1.1, "1.0 2.0 3.0 4.0") + odom(1.2) + flaser(1.3, "1.0 2.0 3.0 4.0")
@@ -205,7 +205,7 @@ LINES = odom(1.0) + flaser(1.1, "1.0 2.0 3.0 4.0") + odom(1.2) + flaser(1.3, "1.
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
-def test_damaged_logs_raise_nothing_else(tmp_path: Path, data: st.DataObject) -> None:
+def test_damaged_logs_raise_only_recording_errors(tmp_path: Path, data: st.DataObject) -> None:
     content = bytearray(LINES.encode())
     for _ in range(data.draw(st.integers(1, 8))):
         at = data.draw(st.integers(0, len(content) - 1))

@@ -1,4 +1,4 @@
-"""What is said about a recording, and about what is wrong with it."""
+"""Summary of a recording and the warnings about its problems."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import drivers
 from drivers import Message, Odometry, RecordingInfo, Scan, SourceReport, inspect
 
 
-class Listed:
-    """Messages from a list, as a source."""
+class ListSource:
+    """Source of messages from a list."""
 
     name = "listed"
 
@@ -42,12 +42,12 @@ def drive(until: float = 10.0) -> list[Message]:
     return sorted(messages, key=lambda message: message.stamp)
 
 
-def look(messages: list[Message]) -> RecordingInfo:
-    return inspect(Listed(messages))
+def inspect_list(messages: list[Message]) -> RecordingInfo:
+    return inspect(ListSource(messages))
 
 
-def test_good_recording() -> None:
-    info = look(drive())
+def test_good_recording_is_described_without_warnings() -> None:
+    info = inspect_list(drive())
     assert (info.scans, info.odometry, info.ground_truth) == (100, 101, 0)
     assert info.duration == pytest.approx(10.0)
     assert info.scan_rate == pytest.approx(10.0)
@@ -65,36 +65,36 @@ def test_good_recording() -> None:
     [
         ([odometry(0.1 * i) for i in range(9)], "no scans"),
         ([scan(0.1 * i) for i in range(9)], "no odometry"),
-        ([*drive(), scan(10.1, mounted=False)], "1 scans do not say where"),
-        ([scan(0.0, mounted=False), odometry(0.0)], "does not say where the lidar sits"),
-        ([*drive(), scan(10.1, beams=6)], "number of beams changes between 4 and 6"),
+        ([*drive(), scan(10.1, mounted=False)], "1 scan without a lidar mount"),
+        ([scan(0.0, mounted=False), odometry(0.0)], "the mount of the lidar on the robot is not recorded"),
+        ([*drive(), scan(10.1, beams=6)], "number of beams varies between 4 and 6"),
         ([scan(0.1 * i, valid=1) for i in range(9)], "75% of the beams"),
-        ([*drive(), *[scan(30.0 + 0.1 * i) for i in range(9)]], "a gap in the scans, the longest 20.0 s"),
+        ([*drive(), *[scan(30.0 + 0.1 * i) for i in range(9)]], "1 gap in the scans, the longest 20.0 s"),
         ([*drive(), *[scan(10.1 + 0.1 * i) for i in range(50)]], "scans without odometry for 5.0 s at 10.000"),
         ([*[scan(-3.0 + 0.1 * i) for i in range(29)], *drive()], "scans without odometry for 3.0 s at -3.000"),
-        ([*drive(), odometry(10.1, x=50.0)], "odometry jumps 1 times"),
+        ([*drive(), odometry(10.1, x=50.0)], "1 jump of the odometry"),
         ([scan(0.1 * i, offset=0.5) for i in range(9)], "longer than a revolution"),
-        ([scan(0.1 * i, offset=-0.5) for i in range(9)], "older than their scan's stamp"),
+        ([scan(0.1 * i, offset=-0.5) for i in range(9)], "before their scan's stamp"),
     ],
 )
-def test_what_is_wrong_is_said(messages: list[Message], warning: str) -> None:
-    assert any(warning in said for said in look(messages).warnings), look(messages).warnings
+def test_problems_are_warned_of(messages: list[Message], warning: str) -> None:
+    assert any(warning in line for line in inspect_list(messages).warnings), inspect_list(messages).warnings
 
 
-def test_scans_through_a_hole_in_the_odometry() -> None:
+def test_scans_in_a_gap_of_the_odometry_are_warned_of() -> None:
     messages = [m for m in drive(20.0) if isinstance(m, Scan) or not 5.0 < m.stamp < 14.9]
-    said = look(messages).warnings
-    assert any("scans without odometry for" in warning and "at 5.000" in warning for warning in said)
+    warnings = inspect_list(messages).warnings
+    assert any("scans without odometry for" in warning and "at 5.000" in warning for warning in warnings)
 
 
-def test_jumps_do_not_count_as_way() -> None:
-    info = look([*drive(), odometry(10.1, x=50.0)])
+def test_jumps_are_not_part_of_the_path_length() -> None:
+    info = inspect_list([*drive(), odometry(10.1, x=50.0)])
     assert info.path_length == pytest.approx(5.0)
     assert info.odometry_jumps == [10.1]
 
 
 @pytest.mark.parametrize("kind", ["carmen", "mcap", "ros1-bag", "simulation"])
-def test_every_kind_of_source(recordings: dict[str, str], kind: str) -> None:
+def test_every_source_can_be_inspected(recordings: dict[str, str], kind: str) -> None:
     info = inspect(drivers.open(recordings[kind]))
     assert info.scans == 29
     assert info.report.messages == info.scans + info.odometry + info.ground_truth

@@ -1,4 +1,4 @@
-"""MCAP: what is written is read back, by us and by others, also after the writer was killed."""
+"""MCAP files: messages are read back as written, by this project and by ROS tools, even if the writer was killed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 
 from drivers import GroundTruth, Message, Odometry, RecordingError, Scan
-from drivers.recordings.mcap import Mcap, McapWriter
+from drivers.recordings.mcap import McapReader, McapWriter
 from drivers.recordings.ros_messages import quaternion_of
 from drivers.timestamps import to_nanoseconds, to_seconds
 
@@ -38,7 +38,7 @@ def scan(stamp: float, ranges: list[float], angles: list[float], offsets: list[f
 
 
 def test_simulation_is_read_back_bit_for_bit(tmp_path: Path, drive: list[Message], assert_same: Same) -> None:
-    assert_same(list(Mcap(record(tmp_path / "a.mcap", drive))), drive)
+    assert_same(list(McapReader(record(tmp_path / "a.mcap", drive))), drive)
 
 
 def test_uneven_beams_are_read_back_bit_for_bit(tmp_path: Path, assert_same: Same) -> None:
@@ -48,30 +48,38 @@ def test_uneven_beams_are_read_back_bit_for_bit(tmp_path: Path, assert_same: Sam
         scan(1.2, [7.7], [0.123456789]),
         scan(1.2, [7.7, np.nan], [0.0, 1.0]),
     ]
-    assert_same(list(Mcap(record(tmp_path / "a.mcap", messages))), messages)
+    assert_same(list(McapReader(record(tmp_path / "a.mcap", messages))), messages)
 
 
-def test_each_mount_is_kept(tmp_path: Path, assert_same: Same) -> None:
+def test_each_mount_is_read_back(tmp_path: Path, assert_same: Same) -> None:
     mounts = [np.array([0.1, 0.2, -3.0]), None, np.array([-0.1, 0.0, 1e-9])]
     messages: list[Message] = []
     for i in range(9):
-        plain = scan(float(i), [1.0, 2.0], [0.0, 1.0])
-        ends = (plain.range_min, plain.range_max, mounts[i % 3])
-        messages.append(Scan(plain.stamp, plain.ranges, plain.angles, plain.time_offsets, *ends))
+        normalize_frame = scan(float(i), [1.0, 2.0], [0.0, 1.0])
+        ends = (normalize_frame.range_min, normalize_frame.range_max, mounts[i % 3])
+        messages.append(
+            Scan(
+                normalize_frame.stamp,
+                normalize_frame.ranges,
+                normalize_frame.angles,
+                normalize_frame.time_offsets,
+                *ends,
+            )
+        )
     messages.append(Odometry(9.0, np.zeros(3)))
-    assert_same(list(Mcap(record(tmp_path / "a.mcap", messages))), messages)
+    assert_same(list(McapReader(record(tmp_path / "a.mcap", messages))), messages)
 
 
 @settings(max_examples=1000)
 @given(st.floats(-math.pi, math.pi, exclude_max=True))
-def test_quaternions_decode_to_the_very_heading(heading: float) -> None:
+def test_quaternions_decode_to_exactly_the_heading(heading: float) -> None:
     z, w = quaternion_of(heading)
     assert 2 * math.atan2(z, w) == pytest.approx(heading, rel=0, abs=1e-300 if abs(heading) < 1e-300 else 0)
     assert math.hypot(z, w) == pytest.approx(1.0, abs=1e-12)
 
 
 @given(st.integers(0, 2**31 * 10**9))
-def test_nanoseconds_survive_as_seconds(nanoseconds: int) -> None:
+def test_nanoseconds_are_converted_to_seconds_without_loss(nanoseconds: int) -> None:
     stamp = to_seconds(nanoseconds)
     assert to_seconds(to_nanoseconds(stamp)) == stamp
 
@@ -82,7 +90,7 @@ def test_nanoseconds_survive_as_seconds(nanoseconds: int) -> None:
         st.tuples(*[st.floats(-1e6, 1e6)] * 2, st.floats(-3.14, 3.14, allow_subnormal=False)), min_size=1, max_size=20
     )
 )
-def test_any_poses_are_read_back(tmp_path: Path, assert_same: Same, poses: list[tuple[float, ...]]) -> None:
+def test_any_poses_are_read_back_bit_for_bit(tmp_path: Path, assert_same: Same, poses: list[tuple[float, ...]]) -> None:
     file = tmp_path / "poses.mcap"
     file.unlink(missing_ok=True)
     messages: list[Message] = []
@@ -91,10 +99,10 @@ def test_any_poses_are_read_back(tmp_path: Path, assert_same: Same, poses: list[
             GroundTruth(to_seconds(i * 12345678), np.array(pose)),
             Odometry(to_seconds(i * 12345678), np.array(pose)),
         ]
-    assert_same(list(Mcap(record(file, messages))), messages)
+    assert_same(list(McapReader(record(file, messages))), messages)
 
 
-def test_ros_reads_it(tmp_path: Path, drive: list[Message]) -> None:
+def test_ros_tools_read_the_recording(tmp_path: Path, drive: list[Message]) -> None:
     path = record(tmp_path / "a.mcap", drive)
     with AnyReader([path]) as reader:
         kinds = {connection.topic: connection.msgtype for connection in reader.connections}
@@ -113,13 +121,13 @@ def test_ros_reads_it(tmp_path: Path, drive: list[Message]) -> None:
                 break
 
 
-def test_existing_files_are_kept_unless_told(tmp_path: Path, drive: list[Message]) -> None:
+def test_existing_files_are_overwritten_only_on_request(tmp_path: Path, drive: list[Message]) -> None:
     path = record(tmp_path / "a.mcap", drive)
     with pytest.raises(RecordingError, match="exists already"):
         McapWriter(path)
     McapWriter(path, overwrite=True).close()
-    with pytest.raises(RecordingError, match="holds no readable"):
-        list(Mcap(path))
+    with pytest.raises(RecordingError, match="contains no readable"):
+        list(McapReader(path))
     with pytest.raises(RecordingError, match="cannot be written"):
         McapWriter(tmp_path / "no" / "folder.mcap")
 
@@ -131,7 +139,7 @@ def test_stamps_that_cannot_be_recorded_are_refused(tmp_path: Path) -> None:
                 writer.write(Odometry(stamp, np.zeros(3)))
 
 
-WRITE_FOR_EVER = """
+ENDLESS_WRITER = """
 import sys, time
 import numpy as np
 from drivers import Odometry
@@ -144,9 +152,9 @@ with McapWriter(sys.argv[1]) as writer:
 """
 
 
-def test_killed_process_loses_a_second_at_most(tmp_path: Path) -> None:
+def test_killed_process_loses_at_most_a_second(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    process = subprocess.Popen([sys.executable, "-c", WRITE_FOR_EVER, str(path)], stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen([sys.executable, "-c", ENDLESS_WRITER, str(path)], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     first = float(process.stdout.readline())
     last = first
@@ -156,21 +164,21 @@ def test_killed_process_loses_a_second_at_most(tmp_path: Path) -> None:
     last = max([last, *(float(line) for line in process.stdout.read().split())])
     process.wait()
     process.stdout.close()
-    source = Mcap(path)
+    source = McapReader(path)
     messages = list(source)
     assert messages[-1].stamp > last - 1.2
     assert source.report.skipped == 1
-    assert "ends early" in str(source.report.first)
+    assert "is truncated" in str(source.report.first)
     assert len(source) == 0
 
 
-def test_truncated_file_is_read_up_to_the_last_whole_chunk(
+def test_truncated_file_is_read_up_to_the_last_complete_chunk(
     tmp_path: Path, drive: list[Message], assert_same: Same
 ) -> None:
-    path = record(tmp_path / "a.mcap", drive * 1 + [Odometry(4 + i / 100, np.zeros(3)) for i in range(4000)])
+    path = record(tmp_path / "a.mcap", drive + [Odometry(4 + i / 100, np.zeros(3)) for i in range(4000)])
     content = path.read_bytes()
     path.write_bytes(content[: len(content) * 2 // 3])
-    source = Mcap(path)
+    source = McapReader(path)
     messages = list(source)
     assert_same(messages[: len(drive)], drive)
     assert len(messages) < len(drive) + 4000
@@ -180,13 +188,13 @@ def test_truncated_file_is_read_up_to_the_last_whole_chunk(
 @pytest.mark.parametrize(
     "content", [b"", b"\x89MCAP", b"\x00" * 100, b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" + b"\xff" * 50]
 )
-def test_no_mcap_is_an_error(tmp_path: Path, content: bytes) -> None:
+def test_other_files_are_errors(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
     with pytest.raises(RecordingError) as caught:
-        list(Mcap(path))
+        list(McapReader(path))
     assert "\n" not in str(caught.value)
-    assert len(Mcap(path)) == 0
+    assert len(McapReader(path)) == 0
 
 
 @pytest.fixture(scope="module")
@@ -196,7 +204,7 @@ def short_file(tmp_path_factory: pytest.TempPathFactory, drive: list[Message]) -
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_damaged_files_raise_nothing_else(tmp_path: Path, short_file: bytes, data: st.DataObject) -> None:
+def test_damaged_files_raise_only_recording_errors(tmp_path: Path, short_file: bytes, data: st.DataObject) -> None:
     content = bytearray(short_file)
     for _ in range(data.draw(st.integers(1, 6))):
         at = data.draw(st.integers(0, len(content) - 1))
@@ -204,7 +212,7 @@ def test_damaged_files_raise_nothing_else(tmp_path: Path, short_file: bytes, dat
     content = content[: data.draw(st.integers(1, len(content)))]
     path = tmp_path / "damaged.mcap"
     path.write_bytes(content)
-    source = Mcap(path)
+    source = McapReader(path)
     assert len(source) >= 0
     start = time.monotonic()
     try:

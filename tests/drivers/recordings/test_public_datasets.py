@@ -1,4 +1,4 @@
-"""The public benchmark recordings, where they are at hand."""
+"""Public benchmark recordings, if they are available."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ CATALOGUE = tomllib.loads((ROOT / "datasets" / "catalogue.toml").read_text())["r
 
 
 @pytest.mark.parametrize(
-    ("name", "beams", "mount", "way"),
+    ("name", "beams", "mount", "length"),
     [("intel", 180, [0, 0, 0], 508), ("fr079", 360, [-0.04, 0, 0], 393), ("csail", 361, [0, 0, 0], 374)],
 )
-def test_benchmark_recording(name: str, beams: int, mount: list[float], way: float) -> None:
+def test_benchmark_recording_is_read_completely(name: str, beams: int, mount: list[float], length: float) -> None:
     path = recording_file(name)
     source = drivers.open(path)
     start = time.perf_counter()
@@ -39,4 +39,4 @@ def test_benchmark_recording(name: str, beams: int, mount: list[float], way: flo
         assert len(scan.ranges) == beams
         assert np.array_equal(scan.mount, mount) if scan.mount is not None else False
     info = drivers.inspect(source)
-    assert info.path_length == pytest.approx(way, abs=1.0)
+    assert info.path_length == pytest.approx(length, abs=1.0)

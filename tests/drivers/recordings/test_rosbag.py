@@ -1,4 +1,4 @@
-"""ROS recordings of other robots: which topics, where the lidar sits, which way it turns."""
+"""Reading ROS recordings of other robots: choice of topics, lidar mounts, direction of rotation."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from drivers.recordings.ros_messages import (
     LASER_SCAN,
     ODOMETRY,
     TRANSFORMS,
-    Encoder,
-    Placing,
+    LidarMount,
+    RosEncoder,
     decode,
     planar_pose,
     scan_of,
     type_store,
 )
-from drivers.recordings.rosbag import Bag
+from drivers.recordings.rosbag import BagReader
 from drivers.recordings.transforms import TransformTree
 
 Stored = tuple[str, str, int, bytes]
@@ -79,7 +79,7 @@ def only_scan(messages: list[Message]) -> Scan:
     return scan
 
 
-def test_scan(read: Read) -> None:
+def test_scan_is_converted(read: Read) -> None:
     scan = only_scan(read([laser_scan(2_500_000_000, [1.0, 0.05, np.nan, np.inf, 10.0])]))
     assert scan.stamp == 2.5
     assert np.isnan(scan.ranges).tolist() == [False, True, True, True, True]
@@ -88,24 +88,24 @@ def test_scan(read: Read) -> None:
     assert scan.mount is None
 
 
-def test_clockwise_scan_is_turned_round(read: Read) -> None:
+def test_clockwise_scan_is_reversed(read: Read) -> None:
     scan = only_scan(read([laser_scan(1, [1, 2, 3, 4, 5], angle_min=1.0, angle_max=-1.0, angle_increment=-0.5)]))
     assert scan.angles == pytest.approx([-1, -0.5, 0, 0.5, 1])
     assert scan.ranges.tolist() == [5, 4, 3, 2, 1]
     assert scan.time_offsets[0] == pytest.approx(0.004)
 
 
-def test_zero_stamp_is_the_time_of_reception(read: Read) -> None:
+def test_zero_stamp_is_replaced_by_the_time_of_reception(read: Read) -> None:
     assert only_scan(read([laser_scan(0, [1.0, 2.0], received=3 * 10**9)])).stamp == 3.0
 
 
-def test_limits_that_are_not_stated(read: Read) -> None:
+def test_missing_range_limits_mean_no_limits(read: Read) -> None:
     scan = only_scan(read([laser_scan(1, [1.0, 50.0, 0.0], range_min=0.0, range_max=0.0)]))
     assert scan.range_max == math.inf
     assert np.isnan(scan.ranges).tolist() == [False, False, True]
 
 
-def test_mount_through_a_chain(read: Read) -> None:
+def test_mount_from_a_chain_of_transforms(read: Read) -> None:
     entries = [
         transform("base_footprint", "base_link", (0, 0, 0.1), UPRIGHT),
         transform("base_link", "mast", (0.2, 0.1, 0.5), QUARTER_LEFT),
@@ -116,7 +116,7 @@ def test_mount_through_a_chain(read: Read) -> None:
     assert mount == pytest.approx([0.2, 0.2, -math.pi])
 
 
-def test_lidar_upside_down(read: Read) -> None:
+def test_scan_of_an_upside_down_lidar_is_reversed(read: Read) -> None:
     entries = [
         transform("base_link", "laser", (0.2, 0.1, 0), ROLLED_OVER),
         laser_scan(1, [1, 2, 3, 4, 5], angle_min=-0.5),
@@ -127,12 +127,12 @@ def test_lidar_upside_down(read: Read) -> None:
     assert scan.ranges.tolist() == [5, 4, 3, 2, 1]
 
 
-def test_mount_from_transforms_that_are_repeated(read: Read) -> None:
+def test_mount_from_repeated_transforms(read: Read) -> None:
     entries = [transform("/base_link", "/laser", (0.3, 0, 0), UPRIGHT, topic="/tf"), laser_scan(1, [1.0, 2.0])]
     assert only_scan(read(entries)).mount == pytest.approx([0.3, 0, 0])
 
 
-def test_mount_through_fixed_and_repeated_transforms(read: Read) -> None:
+def test_mount_from_fixed_and_repeated_transforms(read: Read) -> None:
     entries = [
         transform("base_link", "mast", (0.3, 0, 0), UPRIGHT),
         transform("mast", "laser", (0.1, 0, 0), UPRIGHT, topic="/tf"),
@@ -151,14 +151,14 @@ def test_topic_with_the_most_messages_is_read(tmp_path: Path, write_bag: WriteBa
     entries = [laser_scan(i, [1.0, 2.0], topic="/front") for i in range(1, 4)]
     entries += [laser_scan(4, [1.0, 2.0, 3.0], topic="/rear")]
     path = write_bag(tmp_path / "bag", entries)
-    assert len(list(Bag(path))) == 3
-    assert len(list(Bag(path, scan_topic="/rear"))) == 1
+    assert len(list(BagReader(path))) == 3
+    assert len(list(BagReader(path, scan_topic="/rear"))) == 1
     with pytest.raises(RecordingError, match=r"no topic /side .* /front, /rear"):
-        list(Bag(path, scan_topic="/side"))
+        list(BagReader(path, scan_topic="/side"))
 
 
 def test_bad_messages_are_skipped_and_numbered(tmp_path: Path, write_bag: WriteBag) -> None:
-    encoder = Encoder()
+    encoder = RosEncoder()
     odometry = encoder.odometry(Odometry(1.0, np.zeros(3)))
     entries: list[Stored] = [
         ("/odom", ODOMETRY, 1, odometry),
@@ -168,17 +168,17 @@ def test_bad_messages_are_skipped_and_numbered(tmp_path: Path, write_bag: WriteB
         laser_scan(10**9, [1.0, 2.0], received=5, angle_increment=math.nan),
         laser_scan(10**9, [1.0, 2.0], received=6, angle_increment=0.0),
     ]
-    source = Bag(write_bag(tmp_path / "bag", entries))
+    source = BagReader(write_bag(tmp_path / "bag", entries))
     assert len(list(source)) == 1
     assert source.report.skipped == 5
     assert source.report.first == f"{source.path}:2: {ODOMETRY} cannot be decoded"
-    assert set(source.report.reasons) >= {"no beams", "angles are impossible", "pose is not finite"}
+    assert set(source.report.reasons) >= {"no beams", "angles are invalid", "pose is not finite"}
 
 
-def test_bags_without_laser_or_odometry(tmp_path: Path, write_bag: WriteBag) -> None:
+def test_bag_without_scans_and_odometry_is_an_error(tmp_path: Path, write_bag: WriteBag) -> None:
     path = write_bag(tmp_path / "bag", [transform("base_link", "laser", (0, 0, 0), UPRIGHT)])
-    with pytest.raises(RecordingError, match="holds no readable"):
-        list(Bag(path))
+    with pytest.raises(RecordingError, match="contains no readable"):
+        list(BagReader(path))
 
 
 @pytest.mark.parametrize("content", [b"", b"#ROSBAG V2.0\n", b"#ROSBAG V2.0\n" + b"\xff" * 5000, b"\x00" * 5000])
@@ -187,14 +187,16 @@ def test_damaged_bags_are_errors(tmp_path: Path, name: str, content: bytes) -> N
     path = tmp_path / name
     path.write_bytes(content)
     with pytest.raises(RecordingError) as caught:
-        list(Bag(path))
+        list(BagReader(path))
     assert "\n" not in str(caught.value)
-    assert len(Bag(path)) == 0
+    assert len(BagReader(path)) == 0
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9, 0.99])
 @pytest.mark.parametrize("kind", ["ros1-bag", "ros2-sqlite3", "ros2-mcap"])
-def test_truncated_bags_raise_nothing_else(tmp_path: Path, recordings: dict[str, str], kind: str, share: float) -> None:
+def test_truncated_bags_raise_only_recording_errors(
+    tmp_path: Path, recordings: dict[str, str], kind: str, share: float
+) -> None:
     whole = Path(recordings[kind])
     files = [whole] if whole.is_file() else sorted(whole.iterdir())
     folder = tmp_path / "bag"
@@ -215,10 +217,10 @@ def test_truncated_bags_raise_nothing_else(tmp_path: Path, recordings: dict[str,
 
 @settings(max_examples=300, deadline=None)
 @given(data=st.data(), kind=st.sampled_from([LASER_SCAN, ODOMETRY, TRANSFORMS]))
-def test_damaged_messages_are_value_errors(data: st.DataObject, kind: str) -> None:
+def test_damaged_messages_raise_only_value_errors(data: st.DataObject, kind: str) -> None:
     whole = {
         LASER_SCAN: laser_scan(1, [1.0, 2.0, 3.0])[3],
-        ODOMETRY: Encoder().odometry(Odometry(1.0, np.zeros(3))),
+        ODOMETRY: RosEncoder().odometry(Odometry(1.0, np.zeros(3))),
         TRANSFORMS: transform("base_link", "laser", (0, 0, 0), UPRIGHT)[3],
     }
     content = bytearray(whole[kind])
@@ -229,12 +231,11 @@ def test_damaged_messages_are_value_errors(data: st.DataObject, kind: str) -> No
     try:
         message = decode(bytes(content), kind, "cdr")
         if kind == LASER_SCAN:
-            assert np.all(np.diff(scan_of(message, 1, Placing()).angles) > 0)
+            assert np.all(np.diff(scan_of(message, 1, LidarMount()).angles) > 0)
         elif kind == ODOMETRY:
             assert np.all(np.isfinite(planar_pose(message.pose.pose)))
         else:
             tree.add(message)
-            tree.placing("laser", "base_link")
-            tree.planar("laser", "base_link")
+            tree.find_mount("laser", "base_link")
     except ValueError:
         return

@@ -1,4 +1,4 @@
-"""What every source promises, whatever it reads."""
+"""Contract of all sources, whatever their format."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ def source(request: pytest.FixtureRequest, recordings: dict[str, str]) -> Source
     return drivers.open(recordings[request.param])
 
 
-def test_is_a_source_with_a_name(source: Source) -> None:
+def test_source_has_a_name_and_a_report(source: Source) -> None:
     assert isinstance(source, Source)
     assert source.name
     assert isinstance(source.report, SourceReport)
 
 
-def test_gives_the_same_messages_each_time(
+def test_every_iteration_yields_the_same_messages(
     source: Source, assert_same: Callable[[list[Message], list[Message]], None]
 ) -> None:
     assert_same(list(source), list(source))
 
 
-def test_can_be_read_twice_at_once(source: Source) -> None:
+def test_two_iterations_can_run_at_the_same_time(source: Source) -> None:
     for one, other in zip(source, source, strict=True):
         assert one.stamp == other.stamp
 
@@ -41,7 +41,7 @@ def test_stamps_never_decrease(source: Source) -> None:
     assert stamps == sorted(stamps)
 
 
-def test_holds_the_drive(source: Source) -> None:
+def test_all_messages_of_the_drive_are_read(source: Source) -> None:
     messages = list(source)
     assert sum(isinstance(message, Scan) for message in messages) == 29
     assert sum(isinstance(message, Odometry) for message in messages) >= 76
@@ -77,7 +77,7 @@ def test_poses_are_well_formed(source: Source) -> None:
             assert -np.pi <= message.pose[2] <= np.pi
 
 
-def test_report_is_complete_afterwards(source: Source) -> None:
+def test_report_is_complete_after_the_iteration(source: Source) -> None:
     messages = list(source)
     assert source.report.messages == len(messages)
     assert source.report.skipped == 0
@@ -86,10 +86,10 @@ def test_report_is_complete_afterwards(source: Source) -> None:
     assert source.report.messages == len(messages)
 
 
-def test_messages_cannot_change_each_other(
+def test_writing_to_a_message_does_not_change_others(
     source: Source, assert_same: Callable[[list[Message], list[Message]], None]
 ) -> None:
-    """Arrays that messages share are read-only; the others are their own."""
+    """Shared arrays are read-only; all others belong to one message."""
     first = list(source)
     for message in first:
         arrays = (

@@ -1,4 +1,4 @@
-"""Stamps that run backwards, as those of real recordings do."""
+"""Ordering messages whose stamps run backwards, as in real recordings."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers import Odometry
-from drivers.recordings.time_ordering import in_order
+from drivers.recordings.time_ordering import order_by_time
 
 
-class Notes:
+class Anomalies:
+    """Recorder of the reasons of skipped messages and anomalies."""
+
     def __init__(self) -> None:
         self.skipped: list[str] = []
         self.noted: list[str] = []
@@ -23,35 +25,35 @@ class Notes:
         self.noted.append(reason)
 
 
-def order(stamps: list[float]) -> tuple[list[float], Notes]:
-    notes = Notes()
+def order(stamps: list[float]) -> tuple[list[float], Anomalies]:
+    anomalies = Anomalies()
     numbered = [(i + 1, Odometry(stamp, np.array([float(i), 0.0, 0.0]))) for i, stamp in enumerate(stamps)]
-    return [message.stamp for message in in_order(numbered, notes)], notes
+    return [message.stamp for message in order_by_time(numbered, anomalies)], anomalies
 
 
 STEADY = [100 + 0.1 * i for i in range(100)]
 
 
-def test_steady_stamps_pass() -> None:
-    out, notes = order(STEADY)
+def test_increasing_stamps_are_unchanged() -> None:
+    out, anomalies = order(STEADY)
     assert out == STEADY
-    assert not notes.skipped
-    assert not notes.noted
+    assert not anomalies.skipped
+    assert not anomalies.noted
 
 
 def test_equal_stamps_keep_their_order() -> None:
-    notes = Notes()
+    anomalies = Anomalies()
     messages = [Odometry(1.0, np.array([float(i), 0, 0])) for i in range(20)]
-    assert list(in_order(enumerate(messages), notes)) == messages
+    assert list(order_by_time(enumerate(messages), anomalies)) == messages
 
 
 def test_small_disorder_is_sorted_and_counted() -> None:
     stamps = list(STEADY)
     stamps[50], stamps[51] = stamps[51], stamps[50]
-    out, notes = order(stamps)
+    out, anomalies = order(stamps)
     assert out == STEADY
-    assert len(notes.noted) == 1
-    assert not notes.skipped
+    assert len(anomalies.noted) == 1
+    assert not anomalies.skipped
 
 
 @pytest.mark.parametrize("wrong", [0.0, 1e9, 50.0, 1000.0])
@@ -59,36 +61,36 @@ def test_small_disorder_is_sorted_and_counted() -> None:
 def test_wrong_stamp_is_skipped(wrong: float, at: int) -> None:
     stamps = list(STEADY)
     stamps[at] = wrong
-    out, notes = order(stamps)
+    out, anomalies = order(stamps)
     assert out == STEADY[:at] + STEADY[at + 1 :]
-    assert len(notes.skipped) == 1
+    assert len(anomalies.skipped) == 1
 
 
 @pytest.mark.parametrize("wrong", [0.0, 1e9])
 @pytest.mark.parametrize("at", [0, 1, 2, 3, 4])
-def test_wrong_stamp_among_the_first_takes_only_those_before_it_along(wrong: float, at: int) -> None:
+def test_wrong_stamp_among_the_first_loses_only_the_messages_before_it(wrong: float, at: int) -> None:
     stamps = list(STEADY)
     stamps[at] = wrong
-    out, notes = order(stamps)
+    out, anomalies = order(stamps)
     assert out == STEADY[at + 1 :]
-    assert len(notes.skipped) == at + 1
+    assert len(anomalies.skipped) == at + 1
 
 
 def test_pause_is_kept() -> None:
     stamps = STEADY + [stamp + 3600 for stamp in STEADY]
-    out, notes = order(stamps)
+    out, anomalies = order(stamps)
     assert out == stamps
-    assert not notes.skipped
+    assert not anomalies.skipped
 
 
-def test_clock_that_is_set_back_loses_nothing() -> None:
+def test_no_message_is_lost_if_the_clock_is_set_back() -> None:
     stamps = STEADY + [stamp - 3600 for stamp in STEADY]
-    out, notes = order(stamps)
+    out, anomalies = order(stamps)
     assert len(out) == 200
     assert out == sorted(out)
     assert np.diff(out) == pytest.approx([0.1] * 99 + [0.0] + [0.1] * 99, abs=1e-6)
-    assert len(notes.noted) == 1
-    assert "set back" in notes.noted[0]
+    assert len(anomalies.noted) == 1
+    assert "set back" in anomalies.noted[0]
 
 
 def test_few_messages_need_no_confirmation() -> None:
@@ -97,7 +99,7 @@ def test_few_messages_need_no_confirmation() -> None:
 
 
 @given(st.lists(st.floats(0, 1e9), max_size=60))
-def test_output_never_decreases_and_everything_is_accounted_for(stamps: list[float]) -> None:
-    out, notes = order(stamps)
+def test_output_never_decreases_and_every_message_is_counted(stamps: list[float]) -> None:
+    out, anomalies = order(stamps)
     assert out == sorted(out)
-    assert len(out) + len(notes.skipped) == len(stamps)
+    assert len(out) + len(anomalies.skipped) == len(stamps)

@@ -63,8 +63,8 @@ def test_wrong_files_are_refused_in_one_line(tmp_path: Path, text: str, reason: 
     assert "\n" not in str(caught.value)
 
 
-def test_worlds_are_found_by_name_only_if_they_are_there() -> None:
-    with pytest.raises(RecordingError, match=r"there are .*office"):
+def test_an_unknown_world_name_is_an_error() -> None:
+    with pytest.raises(RecordingError, match=r"choose one of .*office"):
         load_world("atlantis")
 
 

@@ -23,7 +23,7 @@ from rich.console import Console
 from drivers.devices.acquisition import Snapshot
 from drivers.devices.supervisor import DeviceState, DeviceStatus
 from drivers.messages import Odometry, Scan
-from drivers.recordings.mcap import Mcap
+from drivers.recordings.mcap import McapReader
 from slam.cli.console import EXIT_USER_ERROR
 from slam.cli.commands.live_dashboard import LiveDashboard
 from slam.errors import OutputError
@@ -156,7 +156,7 @@ def test_nothing_was_lost(driven: Driven) -> None:
 
 def test_the_recording_gives_the_same_path_every_time(driven: Driven, wclm: Any) -> None:
     live = (driven.run.out / TRAJECTORY).read_bytes()
-    assert {type(message) for message in Mcap(driven.recording)} == {Scan, Odometry}
+    assert {type(message) for message in McapReader(driven.recording)} == {Scan, Odometry}
     for out in ("first", "second"):
         result = wclm("run", driven.recording, "--out", out, "--no-review")
         assert result.exit_code == 0, result.output
@@ -199,7 +199,7 @@ def test_devices_that_break_down_cost_nothing_that_was_measured(tmp_path: Path) 
     assert "Traceback" not in err
     assert "results " in out
     assert run.summary["walls"] > 3
-    assert len(list(Mcap(tmp_path / "drive.mcap"))) == run.summary["scans"] + run.summary["odometry"]
+    assert len(list(McapReader(tmp_path / "drive.mcap"))) == run.summary["scans"] + run.summary["odometry"]
 
 
 def test_a_full_disk_ends_the_recording_and_not_the_map(tmp_path: Path) -> None:
@@ -217,7 +217,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_map(tmp_path: Path) -> None:
     assert said == "; the recording ends here and can be read, mapping goes on"
     assert (status, "Traceback" in err) == (0, False)
     assert run.summary["recorded"]["problem"] == "cannot be written: File too large"
-    recorded = list(Mcap(tmp_path / "drive.mcap"))
+    recorded = list(McapReader(tmp_path / "drive.mcap"))
     assert 0 < len(recorded) < run.summary["scans"] + run.summary["odometry"]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.messages import Scan
-from drivers.recordings.mcap import Mcap
+from drivers.recordings.mcap import McapReader
 from slam.evaluation.metrics import score_reference
 from slam.io.output_dir import TRAJECTORY
 from slam.io.tum import read_tum
@@ -42,7 +42,7 @@ def test_five_minutes_in_the_office(tmp_path: Path) -> None:
     assert error < 0.05
     assert run.processor < 0.6 * FIVE_MINUTES
     lidar, base = run.counters(0), run.counters(1)
-    beginnings = np.array([message.stamp for message in Mcap(tmp_path / "drive.mcap") if isinstance(message, Scan)])
+    beginnings = np.array([message.stamp for message in McapReader(tmp_path / "drive.mcap") if isinstance(message, Scan)])
     assert np.diff(beginnings).max() < 0.15  # of revolutions of 0.1 s none is missing
     assert len(beginnings) == lidar["revolutions"] == run.summary["scans"]
     assert report["lidar"]["samples"] - lidar["samples"] < lidar["samples"] / lidar["revolutions"]
