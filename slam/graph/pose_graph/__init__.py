@@ -1,14 +1,14 @@
-"""2-D pose graphs, with landmarks or without: read, optimise, write. Knows nothing of scans, walls or recordings."""
+"""2-D pose graphs, with or without landmarks: read, optimise, write. Independent of the rest of the package."""
 
 from .files import G2O_EDGES, PoseGraphFile, read_pose_graph, write_g2o, write_toro
 from .model import Edges, PoseGraph
-from .optimise import Optimised, optimise
-from .support import odometry_edges
+from .optimise import OptimisedGraph, optimise
+from .pairwise_consistency import odometry_edges
 
 __all__ = [
     "G2O_EDGES",
     "Edges",
-    "Optimised",
+    "OptimisedGraph",
     "PoseGraph",
     "PoseGraphFile",
     "odometry_edges",

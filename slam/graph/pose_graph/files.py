@@ -1,4 +1,4 @@
-"""Pose graphs on disk, in the formats of g2o and TORO.
+"""Read and write pose graphs in the formats of g2o and TORO.
 
 g2o                                             information matrix, row by row of its upper triangle
     VERTEX_SE2 id x y heading
@@ -12,9 +12,9 @@ TORO
     VERTEX2 id x y heading
     EDGE2 from to x y heading  I                 xx xy yy hh xh yh
 
-One reader takes both, by the tags. What would change the optimum and is not known (other EDGE, VERTEX and PARAMS tags)
-is refused; what cannot change it (scans that were stored along, for example) is left out, with a notice for each such
-tag. A file without vertices is complete: they are placed along its edges.
+One reader handles both, by the tags. Unknown tags that would change the optimum (other EDGE, VERTEX and PARAMS tags)
+are an error; unknown tags that cannot change it (e.g. stored scans) are skipped, with one notice per tag. Vertices may
+be missing: they are initialised along the edges.
 """
 
 from __future__ import annotations
@@ -26,41 +26,49 @@ import numpy as np
 
 from ...errors import PoseGraphError
 from .model import Edges, Floats, Integers, PoseGraph
-from .placing import place_along_edges
+from .spanning_tree import place_along_edges
 
+# Number of components of a vertex: three of a pose, two of a landmark. Origin: definition.
 VERTEX_TAGS = {"VERTEX_SE2": 3, "VERTEX2": 3, "VERTEX_XY": 2}
-"""How many numbers a vertex has: three make a pose, two a landmark."""
+# Number of components of a measurement: three of a pose, two or one of a landmark. Origin: definition.
 EDGE_TAGS = {"EDGE_SE2": 3, "EDGE2": 3, "EDGE_SE2_XY": 2, "EDGE_BEARING_SE2_XY": 1}
-"""How many numbers are measured: three of a pose, two or one of a landmark."""
+# Kind of vertex that an edge measures, by the number of components. Origin: definition.
 G2O_TARGETS = {3: "pose", 2: "landmark", 1: "landmark"}
+# Tag of an edge by the number of components. Origin: definition.
 G2O_EDGES = {3: "EDGE_SE2", 2: "EDGE_SE2_XY", 1: "EDGE_BEARING_SE2_XY"}
-ESSENTIAL = ("EDGE", "VERTEX", "PARAMS", "FIX")
-"""Beginnings of tags that say what is to be optimised."""
+# Prefixes of tags that change the optimum.
+ESSENTIAL_PREFIXES = ("EDGE", "VERTEX", "PARAMS", "FIX")
+# Index in the upper triangle, row by row, of each number of TORO's information matrix. Origin: definition.
 TORO_ORDER = (0, 1, 3, 5, 2, 4)
-"""Where the numbers of TORO's information matrix stand in the upper triangle, row by row."""
-INDEFINITE = 1e-6
-"""An eigenvalue below minus this share of the largest is more than rounding in the file's text."""
+# Negative eigenvalues down to minus this share of the largest are accepted as rounding in the file's text.
+# Origin: numerical.
+MAX_NEGATIVE_SHARE = 1e-6
+# Ids that fit an int64. Origin: definition.
 IDS = range(-(2**63), 2**63)
-SHOWN = 40
-"""Characters of a bad word that are worth repeating."""
+# Maximum number of characters of an invalid word that are quoted in an error. Origin: chosen, one line; not measured.
+MAX_QUOTED = 40
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseGraphFile:
-    """What a file holds; whether it says where its vertices are; and what of it was left out, for a person to read."""
+    """A graph read from a file.
+
+    has_vertices  False if the file has edges only; the vertices are initialised along them then
+    notices       messages about skipped lines
+    """
 
     graph: PoseGraph
-    placed: bool
+    has_vertices: bool
     notices: list[str]
 
 
 def read_pose_graph(path: Path) -> PoseGraphFile:
-    """Read a graph in g2o's or TORO's format. Raises PoseGraphError, which names the file and the line."""
+    """Read a graph in the format of g2o or TORO. Raises PoseGraphError, which names the file and the line."""
     reader = _Reader(path)
     try:
         with path.open(encoding="utf-8") as file:
             for number, line in enumerate(file, start=1):
-                reader.take(number, line.split())
+                reader.add_line(number, line.split())
     except OSError as error:
         raise PoseGraphError(path, None, error.strerror or str(error)) from error
     except UnicodeDecodeError as error:
@@ -78,62 +86,62 @@ class _Edge:
 
 @dataclass(slots=True)
 class _Reader:
-    """What has been read of a file so far."""
+    """State of reading one file."""
 
     path: Path
     vertices: dict[int, list[float]] = field(default_factory=dict)
     edges: dict[int, list[_Edge]] = field(default_factory=lambda: {3: [], 2: [], 1: []})
     fixed: dict[int, int] = field(default_factory=dict)
-    """Ids of vertices and the line that fixes each."""
+    """Line that fixes each fixed vertex, by vertex id."""
     skipped: dict[str, list[int]] = field(default_factory=dict)
 
-    def take(self, line: int, words: list[str]) -> None:
-        """Take the words of one line."""
+    def add_line(self, line: int, words: list[str]) -> None:
+        """Parse the words of one line."""
         if not words or words[0].startswith("#"):
             return
         tag = words.pop(0)
         if tag in VERTEX_TAGS:
-            self._take_vertex(line, tag, words)
+            self._add_vertex(line, tag, words)
         elif tag in EDGE_TAGS:
-            self._take_edge(line, tag, words)
+            self._add_edge(line, tag, words)
         elif tag == "FIX":
-            self.fixed |= {self._identity(line, word): line for word in words}
-        elif tag.startswith(ESSENTIAL):
-            raise self._wrong(line, f"{tag[:SHOWN]} is no part of a 2-D graph of poses and landmarks")
+            self.fixed |= {self._vertex_id(line, word): line for word in words}
+        elif tag.startswith(ESSENTIAL_PREFIXES):
+            raise self._error(line, f"{tag[:MAX_QUOTED]} is not supported in a 2-D graph of poses and landmarks")
         else:
             self.skipped.setdefault(tag, []).append(line)
 
-    def _take_vertex(self, line: int, tag: str, words: list[str]) -> None:
+    def _add_vertex(self, line: int, tag: str, words: list[str]) -> None:
         self._count(line, tag, words, 1 + VERTEX_TAGS[tag])
-        identity = self._identity(line, words[0])
-        if identity in self.vertices:
-            raise self._wrong(line, f"vertex {identity} is there already")
-        self.vertices[identity] = self._numbers(line, words[1:])
+        vertex_id = self._vertex_id(line, words[0])
+        if vertex_id in self.vertices:
+            raise self._error(line, f"vertex {vertex_id} is defined twice")
+        self.vertices[vertex_id] = self._numbers(line, words[1:])
 
-    def _take_edge(self, line: int, tag: str, words: list[str]) -> None:
+    def _add_edge(self, line: int, tag: str, words: list[str]) -> None:
         size = EDGE_TAGS[tag]
         self._count(line, tag, words, 2 + size + size * (size + 1) // 2)
-        source, target = self._identity(line, words[0]), self._identity(line, words[1])
+        source, target = self._vertex_id(line, words[0]), self._vertex_id(line, words[1])
         if source == target:
-            raise self._wrong(line, f"{tag} connects vertex {source} with itself")
+            raise self._error(line, f"{tag} connects vertex {source} with itself")
         numbers = self._numbers(line, words[2:])
         if tag == "EDGE2":
-            for place, number in zip(TORO_ORDER, numbers[size:], strict=True):
-                numbers[size + place] = number
+            for index, number in zip(TORO_ORDER, numbers[size:], strict=True):
+                numbers[size + index] = number
         self.edges[size].append(_Edge(source, target, numbers, line))
 
     def _count(self, line: int, tag: str, words: list[str], expected: int) -> None:
         if len(words) != expected:
-            raise self._wrong(line, f"{tag} is followed by {expected} numbers, not by {len(words)}")
+            raise self._error(line, f"{tag} needs {expected} numbers, has {len(words)}")
 
-    def _identity(self, line: int, word: str) -> int:
+    def _vertex_id(self, line: int, word: str) -> int:
         try:
-            identity = int(word)
+            vertex_id = int(word)
         except ValueError:
-            raise self._wrong(line, f"{word[:SHOWN]} is not the id of a vertex") from None
-        if identity not in IDS:
-            raise self._wrong(line, f"{word[:SHOWN]} is too large for the id of a vertex")
-        return identity
+            raise self._error(line, f"{word[:MAX_QUOTED]} is not a vertex id") from None
+        if vertex_id not in IDS:
+            raise self._error(line, f"{word[:MAX_QUOTED]} is too large for a vertex id")
+        return vertex_id
 
     def _numbers(self, line: int, words: list[str]) -> list[float]:
         numbers = []
@@ -141,26 +149,26 @@ class _Reader:
             try:
                 numbers.append(float(word))
             except ValueError:
-                raise self._wrong(line, f"{word[:SHOWN]} is not a number") from None
+                raise self._error(line, f"{word[:MAX_QUOTED]} is not a number") from None
         if not np.isfinite(numbers).all():
-            raise self._wrong(line, "a number is not finite")
+            raise self._error(line, "a number is not finite")
         return numbers
 
-    def _wrong(self, line: int | None, reason: str) -> PoseGraphError:
+    def _error(self, line: int | None, reason: str) -> PoseGraphError:
         return PoseGraphError(self.path, line, reason)
 
     def finish(self) -> PoseGraphFile:
-        """The graph, when all lines have been taken."""
+        """Build the graph after the last line."""
         if not any(self.edges.values()):
-            raise self._wrong(None, "has no edges")
-        placed = bool(self.vertices)
-        if not placed:
-            self._invent_vertices()
-        poses = {identity: k for k, identity in enumerate(i for i, v in self.vertices.items() if len(v) == 3)}
-        landmarks = {identity: k for k, identity in enumerate(i for i, v in self.vertices.items() if len(v) == 2)}
-        for identity, line in self.fixed.items():
-            if identity not in self.vertices:
-                raise self._wrong(line, f"there is no vertex {identity} to fix")
+            raise self._error(None, "has no edges")
+        has_vertices = bool(self.vertices)
+        if not has_vertices:
+            self._add_missing_vertices()
+        poses = {vertex_id: k for k, vertex_id in enumerate(i for i, v in self.vertices.items() if len(v) == 3)}
+        landmarks = {vertex_id: k for k, vertex_id in enumerate(i for i, v in self.vertices.items() if len(v) == 2)}
+        for vertex_id, line in self.fixed.items():
+            if vertex_id not in self.vertices:
+                raise self._error(line, f"vertex {vertex_id}, which is to be fixed, does not exist")
         graph = PoseGraph(
             pose_ids=np.array(list(poses), dtype=np.int64),
             poses=np.array([self.vertices[i] for i in poses], dtype=np.float64).reshape(-1, 3),
@@ -173,33 +181,33 @@ class _Reader:
             fixed_landmarks=np.array([i in self.fixed for i in landmarks], dtype=bool),
         )
         notices = [
-            f"{self.path}:{lines[0]}: {tag[:SHOWN]} is not used ({len(lines)} such line{'s' * (len(lines) > 1)})"
+            f"{self.path}:{lines[0]}: {tag[:MAX_QUOTED]} is skipped ({len(lines)} line{'s' * (len(lines) > 1)})"
             for tag, lines in self.skipped.items()
         ]
-        return PoseGraphFile(graph if placed else place_along_edges(graph), placed, notices)
+        return PoseGraphFile(graph if has_vertices else place_along_edges(graph), has_vertices, notices)
 
-    def _invent_vertices(self) -> None:
-        """Vertices of the kinds that the edges need, ordered by their ids, for a file that has none."""
+    def _add_missing_vertices(self) -> None:
+        """Add the vertices that the edges need, ordered by their ids, for a file that has none."""
         ends = {edge.source: 3 for edges in self.edges.values() for edge in edges}
         ends |= {edge.target: 3 for edge in self.edges[3]}
         ends = {edge.target: 2 for size in (1, 2) for edge in self.edges[size]} | ends
-        self.vertices = {identity: [0.0] * ends[identity] for identity in sorted(ends)}
+        self.vertices = {vertex_id: [0.0] * ends[vertex_id] for vertex_id in sorted(ends)}
 
     def _edges(self, size: int, sources: dict[int, int], targets: dict[int, int]) -> Edges:
         edges = self.edges[size]
         for edge in edges:
-            for end, known, kind in ((edge.source, sources, "pose"), (edge.target, targets, G2O_TARGETS[size])):
-                if end not in known:
-                    there = f"vertex {end} is no {kind}" if end in self.vertices else f"there is no vertex {end}"
-                    raise self._wrong(edge.line, f"{there}, as {G2O_EDGES[size]} needs it")
+            for end, vertices, kind in ((edge.source, sources, "pose"), (edge.target, targets, G2O_TARGETS[size])):
+                if end not in vertices:
+                    problem = f"vertex {end} is not a {kind}" if end in self.vertices else f"there is no vertex {end}"
+                    raise self._error(edge.line, f"{problem}, but {G2O_EDGES[size]} needs one")
         numbers = np.array([edge.numbers for edge in edges], dtype=np.float64).reshape(
             -1, size + size * (size + 1) // 2
         )
         information = _symmetric(numbers[:, size:], size)
         eigenvalues = np.linalg.eigvalsh(information)
-        indefinite = np.flatnonzero(eigenvalues[:, 0] < -INDEFINITE * np.abs(eigenvalues).max(axis=1))
+        indefinite = np.flatnonzero(eigenvalues[:, 0] < -MAX_NEGATIVE_SHARE * np.abs(eigenvalues).max(axis=1))
         if len(indefinite):
-            raise self._wrong(edges[indefinite[0]].line, "the information matrix is not positive semidefinite")
+            raise self._error(edges[indefinite[0]].line, "the information matrix is not positive semidefinite")
         return Edges(
             source=np.array([sources[edge.source] for edge in edges], dtype=np.int64),
             target=np.array([targets[edge.target] for edge in edges], dtype=np.int64),
@@ -210,7 +218,7 @@ class _Reader:
 
 
 def _symmetric(triangle: Floats, size: int) -> Floats:
-    """(k, size, size) from the upper triangles, row by row."""
+    """Return symmetric matrices (k, size, size) from their upper triangles, row by row."""
     rows, columns = np.triu_indices(size)
     matrix = np.zeros((len(triangle), size, size))
     matrix[:, rows, columns] = matrix[:, columns, rows] = triangle
@@ -218,12 +226,12 @@ def _symmetric(triangle: Floats, size: int) -> Floats:
 
 
 def write_g2o(path: Path, graph: PoseGraph) -> None:
-    """Write a graph so that reading it gives the same numbers to the last bit. Raises OSError."""
+    """Write a graph in g2o's format; reading it returns the same numbers to the last bit. Raises OSError."""
     fixed = [*graph.pose_ids[graph.fixed_poses].tolist(), *graph.landmark_ids[graph.fixed_landmarks].tolist()]
     lines = _vertex_lines("VERTEX_SE2", graph.pose_ids, graph.poses)
     lines += _vertex_lines("VERTEX_XY", graph.landmark_ids, graph.landmarks)
-    lines += [f"FIX {identity}\n" for identity in fixed]
-    for edges, (size, tag) in zip(graph.kinds, G2O_EDGES.items(), strict=True):
+    lines += [f"FIX {vertex_id}\n" for vertex_id in fixed]
+    for edges, (size, tag) in zip(graph.edges_by_kind, G2O_EDGES.items(), strict=True):
         targets = graph.pose_ids if size == 3 else graph.landmark_ids
         rows, columns = np.triu_indices(size)
         lines += _edge_lines(tag, edges, graph.pose_ids, targets, edges.information[:, rows, columns])
@@ -231,12 +239,12 @@ def write_g2o(path: Path, graph: PoseGraph) -> None:
 
 
 def write_toro(path: Path, graph: PoseGraph) -> None:
-    """Write a graph of poses in TORO's format, which knows neither landmarks nor fixed vertices.
+    """Write a graph of poses in TORO's format, which has neither landmarks nor fixed vertices.
 
-    Raises PoseGraphError where the graph has some, OSError.
+    Raises PoseGraphError if the graph has some, OSError.
     """
     if len(graph.landmarks) or graph.fixed_poses.any():
-        raise PoseGraphError(path, None, "TORO's format knows neither landmarks nor fixed vertices")
+        raise PoseGraphError(path, None, "TORO's format has neither landmarks nor fixed vertices")
     rows, columns = np.triu_indices(3)
     triangle = graph.motions.information[:, rows, columns][:, TORO_ORDER]
     lines = _vertex_lines("VERTEX2", graph.pose_ids, graph.poses)
@@ -246,8 +254,8 @@ def write_toro(path: Path, graph: PoseGraph) -> None:
 
 def _vertex_lines(tag: str, ids: Integers, values: Floats) -> list[str]:
     return [
-        f"{tag} {identity} {' '.join(map(repr, value))}\n"
-        for identity, value in zip(ids.tolist(), values.tolist(), strict=True)
+        f"{tag} {vertex_id} {' '.join(map(repr, value))}\n"
+        for vertex_id, value in zip(ids.tolist(), values.tolist(), strict=True)
     ]
 
 

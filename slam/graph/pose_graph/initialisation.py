@@ -1,13 +1,13 @@
-"""A start for the optimiser that needs no estimate: headings first, then positions.
+"""Initial estimate for the optimiser that needs no prior estimate: headings first, then positions.
 
 Headings by chordal relaxation (Martinec and Pajdla 2007; Carlone et al. 2015): with the headings as complex numbers u,
 
     minimise  sum of w |u_j - u_i exp(i theta_z)|^2
 
-is linear where the u need not have length one; their angles are the headings. The weight w is what the measurement
-says of the heading alone: the information left when the translation is unknown, a Schur complement. With the headings
-known, the errors of motions and positions are linear in what is left, so one step of least squares finds it, under the
-full information matrices.
+is linear if the u need not have length one; their angles are the headings. The weight w is the measurement's
+information on the heading with the translation marginalised out, a Schur complement. With the headings fixed, the
+errors of motions and positions are linear in the positions, so one least-squares step with the full information
+matrices solves them.
 """
 
 from __future__ import annotations
@@ -19,36 +19,39 @@ from scipy.sparse import coo_array, csc_array, diags_array
 from scipy.sparse.linalg import splu
 
 from .least_squares import CHOLESKY_LIKE, NormalEquations, variables_of, with_variables
+from .levenberg_marquardt import minimise
 from .model import Flags, Floats, PoseGraph
-from .placing import intersect_bearings
-from .solver import minimise
+from .spanning_tree import intersect_bearings
 
-HELD = 1e-9
-"""Weight, as a share of the largest, that ties each heading to the one it has, lest no measurement tells it."""
+# Weight of each pose's present heading relative to the largest weight, so that unmeasured headings are determined.
+# Origin: numerical.
+PRIOR_WEIGHT = 1e-9
 
 
 def initialise(graph: PoseGraph, free: Flags) -> Floats:
-    """Variables (3 n + 2 m,) near the optimum, of which only the `free` ones differ from the graph's estimate."""
+    """Return variables (3 n + 2 m,) near the optimum; only the `free` ones differ from the graph's estimate."""
     size = graph.poses.size
-    turning = free[:size].reshape(-1, 3)[:, 2]
-    turned = graph.poses.copy()
-    turned[turning, 2] = chordal_headings(graph, ~turning)[turning]
-    straight = graph.with_estimate(turned, graph.landmarks)
-    moving = free.copy()
-    moving[:size].reshape(-1, 3)[:, 2] = False
-    if len(graph.bearings):  # not linear: landmarks that have nothing else are put where their bearings meet
-        blind = np.ones(len(graph.landmarks), dtype=bool)
-        blind[graph.positions.target] = False
-        blind &= free[size::2]
-        linear = straight.select_edges(np.arange(graph.edge_count) < graph.edge_count - len(graph.bearings))
-        linear = with_variables(linear, minimise(linear, NormalEquations(linear, moving), variables_of(linear))[0])
-        met = intersect_bearings(replace(linear, bearings=graph.bearings))
-        straight = straight.with_estimate(linear.poses, np.where(blind[:, None], met, linear.landmarks))
-    return minimise(straight, NormalEquations(straight, moving), variables_of(straight))[0]
+    free_heading = free[:size].reshape(-1, 3)[:, 2]
+    poses = graph.poses.copy()
+    poses[free_heading, 2] = chordal_headings(graph, ~free_heading)[free_heading]
+    with_headings = graph.with_estimate(poses, graph.landmarks)
+    free_position = free.copy()
+    free_position[:size].reshape(-1, 3)[:, 2] = False
+    if len(graph.bearings):  # not linear: landmarks without positions are placed at the intersection of their bearings
+        bearing_only = np.ones(len(graph.landmarks), dtype=bool)
+        bearing_only[graph.positions.target] = False
+        bearing_only &= free[size::2]
+        linear = with_headings.select_edges(np.arange(graph.edge_count) < graph.edge_count - len(graph.bearings))
+        optimum, _ = minimise(linear, NormalEquations(linear, free_position), variables_of(linear))
+        linear = with_variables(linear, optimum)
+        intersections = intersect_bearings(replace(linear, bearings=graph.bearings))
+        landmarks = np.where(bearing_only[:, None], intersections, linear.landmarks)
+        with_headings = with_headings.with_estimate(linear.poses, landmarks)
+    return minimise(with_headings, NormalEquations(with_headings, free_position), variables_of(with_headings))[0]
 
 
 def chordal_headings(graph: PoseGraph, known: Flags) -> Floats:
-    """(n,): headings that agree with the motions, given those that are `known` (n,)."""
+    """Return headings (n,) by chordal relaxation of the motions, given those that are `known` (n,)."""
     motions, count = graph.motions, len(graph.poses)
     weight = _heading_information(motions.information)
     turn = np.exp(1j * motions.measured[:, 2])
@@ -61,18 +64,18 @@ def chordal_headings(graph: PoseGraph, known: Flags) -> Floats:
         ),
         shape=(count, count),
     ).tocsc()
-    held = HELD * weight.max(initial=1e-300)
+    prior = PRIOR_WEIGHT * weight.max(initial=1e-300)
     present = np.exp(1j * graph.poses[:, 2])
     unknown = ~known
-    right = held * present - matrix[:, known] @ present[known]
-    matrix = (matrix + held * diags_array(np.ones(count))).tocsc()[unknown][:, unknown]
-    found = present.copy()
-    found[unknown] = splu(csc_array(matrix), permc_spec="MMD_AT_PLUS_A", **CHOLESKY_LIKE).solve(right[unknown])
-    return np.asarray(np.angle(found))
+    right = prior * present - matrix[:, known] @ present[known]
+    matrix = (matrix + prior * diags_array(np.ones(count))).tocsc()[unknown][:, unknown]
+    solved = present.copy()
+    solved[unknown] = splu(csc_array(matrix), permc_spec="MMD_AT_PLUS_A", **CHOLESKY_LIKE).solve(right[unknown])
+    return np.asarray(np.angle(solved))
 
 
 def _heading_information(information: Floats) -> Floats:
-    """(k,): what the matrices (k, 3, 3) say of the heading when nothing is known of the translation."""
-    across = information[:, :2, 2]
-    explained = (np.linalg.pinv(information[:, :2, :2], hermitian=True) @ across[:, :, None])[:, :, 0]
-    return np.asarray(np.maximum(information[:, 2, 2] - (across * explained).sum(axis=1), 0.0))
+    """Return the information (k,) on the heading with the translation marginalised out of (k, 3, 3)."""
+    cross = information[:, :2, 2]
+    gain = (np.linalg.pinv(information[:, :2, :2], hermitian=True) @ cross[:, :, None])[:, :, 0]
+    return np.asarray(np.maximum(information[:, 2, 2] - (cross * gain).sum(axis=1), 0.0))

@@ -1,6 +1,6 @@
-"""chi2 of a pose graph, sum of e' Omega e, and the normal equations of a Gauss-Newton step.
+"""chi2 of a pose graph, the sum of e' Omega e, and the normal equations of a Gauss-Newton step.
 
-The variables are x, y, heading of each pose and x, y of each landmark, changed by addition.
+The variables are x, y, heading of each pose and x, y of each landmark; steps are added to them.
 """
 
 from __future__ import annotations
@@ -14,20 +14,21 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from drivers.se2 import wrap
 
-from .errors import bearing_errors, motion_errors, position_errors
+from .edge_errors import bearing_errors, motion_errors, position_errors
 from .model import Flags, Floats, Integers, PoseGraph
 
-# the matrices are symmetric and positive definite: elimination needs no pivoting
+# Options of SuperLU: the matrices are symmetric and positive definite, so elimination needs no pivoting.
+# Origin: definition.
 CHOLESKY_LIKE = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 
 
 def variables_of(graph: PoseGraph) -> Floats:
-    """(3 n + 2 m,): the estimate as one vector, poses first."""
+    """Return the estimate as one vector (3 n + 2 m,), poses first."""
     return np.concatenate([graph.poses.ravel(), graph.landmarks.ravel()])
 
 
 def with_variables(graph: PoseGraph, x: Floats) -> PoseGraph:
-    """The graph with its estimate from a vector as `variables_of` makes it; headings in [-pi, pi)."""
+    """Return the graph with the estimate of a vector like that of `variables_of`; headings are in [-pi, pi)."""
     poses = x[: graph.poses.size].reshape(-1, 3).copy()
     poses[:, 2] = wrap(poses[:, 2])
     return graph.with_estimate(poses, x[graph.poses.size :].reshape(-1, 2).copy())
@@ -35,17 +36,17 @@ def with_variables(graph: PoseGraph, x: Floats) -> PoseGraph:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Term:
-    """The edges of one kind: how their errors are found, and the indices (k, v) of the variables they touch."""
+    """Edges of one kind: their error function, and the indices (k, v) of their variables."""
 
     errors: Callable[[Floats, Floats], tuple[Floats, Floats]]
     measured: Floats
     information: Floats
-    touched: Integers
+    variables: Integers
 
 
 def _terms(graph: PoseGraph) -> tuple[_Term, _Term, _Term]:
     pose, point, first = np.arange(3), np.arange(2), graph.poses.size
-    motions, positions, bearings = graph.kinds
+    motions, positions, bearings = graph.edges_by_kind
     to_poses = np.hstack([3 * motions.source[:, None] + pose, 3 * motions.target[:, None] + pose])
     to_landmarks = [
         np.hstack([3 * edges.source[:, None] + pose, first + 2 * edges.target[:, None] + point])
@@ -59,101 +60,105 @@ def _terms(graph: PoseGraph) -> tuple[_Term, _Term, _Term]:
 
 
 def edge_errors(graph: PoseGraph, x: Floats) -> list[Floats]:
-    """The errors of the edges at the variables `x`, (k, d) for each kind."""
-    return [term.errors(x[term.touched], term.measured)[0] for term in _terms(graph)]
+    """Return the errors (k, d) of the edges of each kind at the variables `x`."""
+    return [term.errors(x[term.variables], term.measured)[0] for term in _terms(graph)]
 
 
 def edge_chi2(graph: PoseGraph, x: Floats) -> Floats:
-    """(edge_count,): the chi2 of each edge at the variables `x`."""
+    """Return the chi2 (edge_count,) of each edge at the variables `x`."""
     return np.concatenate(
         [
             np.einsum("ki,kij,kj->k", error, edges.information, error)
-            for error, edges in zip(edge_errors(graph, x), graph.kinds, strict=True)
+            for error, edges in zip(edge_errors(graph, x), graph.edges_by_kind, strict=True)
         ]
     )
 
 
 class NormalEquations:
-    """J' W Omega J and J' W Omega e of a graph over the variables that are `free` (3 n + 2 m,) to move.
+    """Normal equations J' W Omega J and J' W Omega e of a graph over its `free` (3 n + 2 m,) variables.
 
-    The pattern of the matrix and the order of elimination are found once, for all steps.
+    The sparsity pattern and the elimination order are computed once, for all steps.
     """
 
     def __init__(self, graph: PoseGraph, free: Flags) -> None:
         self._terms = _terms(graph)
         self._order = _elimination_order(graph, free)
         self.size = len(self._order)
-        self._place = np.full(len(free), -1, dtype=np.int64)
-        self._place[self._order] = np.arange(self.size)
-        self._places = [self._place[term.touched] for term in self._terms]
-        self._lay_out()
+        self._column = np.full(len(free), -1, dtype=np.int64)
+        self._column[self._order] = np.arange(self.size)
+        self._columns = [self._column[term.variables] for term in self._terms]
+        self._build_pattern()
 
-    def _lay_out(self) -> None:
-        """Find where, in the matrix's compressed columns, each number of each edge's block is to be added."""
+    def _build_pattern(self) -> None:
+        """Find the slot, in the matrix's compressed columns, to which each entry of each edge's block is added."""
         keys = [
             np.where((p[:, :, None] < 0) | (p[:, None, :] < 0), -1, p[:, :, None] * self.size + p[:, None, :]).ravel()
-            for p in self._places
+            for p in self._columns
         ]
         diagonal = np.arange(self.size) * (self.size + 1)
         entries, slots = np.unique(np.concatenate([[-1], diagonal, *keys]), return_inverse=True)
-        self._diagonal = slots[1 : self.size + 1] - 1  # entry 0 takes what concerns fixed variables
+        self._diagonal = slots[1 : self.size + 1] - 1  # entry 0 collects the entries of fixed variables
         self._slots = slots[self.size + 1 :]
         columns, self._rows = np.divmod(entries[1:], max(self.size, 1))
         self._starts = np.searchsorted(columns, np.arange(self.size + 1))
 
-    def at(self, x: Floats, weights: Floats) -> tuple[csc_array, Floats]:
-        """The matrix and the gradient at `x`; `weights` (edge_count,) multiply the information of each edge."""
+    def linearise(self, x: Floats, weights: Floats) -> tuple[csc_array, Floats]:
+        """Return the matrix and the gradient at `x`; `weights` (edge_count,) multiply the information of each edge."""
         gradient, blocks, first = np.zeros(self.size + 1), [], 0
-        for term, places in zip(self._terms, self._places, strict=True):
-            error, jacobian = term.errors(x[term.touched], term.measured)
+        for term, columns in zip(self._terms, self._columns, strict=True):
+            error, jacobian = term.errors(x[term.variables], term.measured)
             last = first + len(error)
             weighted = weights[first:last, None, None] * (term.information @ jacobian)
             blocks.append((jacobian.transpose(0, 2, 1) @ weighted).ravel())
-            pull = np.einsum("kiv,ki->kv", weighted, error)
-            gradient += np.bincount(places.ravel() + 1, weights=pull.ravel(), minlength=self.size + 1)
+            edge_gradient = np.einsum("kiv,ki->kv", weighted, error)
+            gradient += np.bincount(columns.ravel() + 1, weights=edge_gradient.ravel(), minlength=self.size + 1)
             first = last
         data = np.bincount(self._slots, weights=np.concatenate(blocks), minlength=len(self._rows) + 1)[1:]
         return csc_array((data, self._rows, self._starts), shape=(self.size, self.size)), gradient[1:]
 
     def factor(self, matrix: csc_array, damping: Floats) -> SuperLU | None:
-        """The factors of (matrix + diag(damping)); None where that is singular."""
+        """Factorise (matrix + diag(damping)); return None if it is singular."""
         damped = matrix.copy()
         damped.data[self._diagonal] += damping
         try:
             return splu(damped, permc_spec="NATURAL", **CHOLESKY_LIKE)
-        except RuntimeError:  # so SuperLU says that it is singular
+        except RuntimeError:  # raised by SuperLU if the matrix is singular
             return None
 
-    def spreads(self, graph: PoseGraph, x: Floats, factor: SuperLU) -> list[Floats]:
-        """J P J', (k, d, d), for each kind of edges of a graph with the same variables; P inverts what is factored."""
+    def edge_covariances(self, graph: PoseGraph, x: Floats, factor: SuperLU) -> list[Floats]:
+        """Return J P J', (k, d, d), for each kind of edges of a graph with the same variables.
+
+        P is the inverse of the factorised matrix.
+        """
         result = []
         for term in _terms(graph):
-            _, jacobian = term.errors(x[term.touched], term.measured)
-            spread = np.empty((*term.measured.shape, term.measured.shape[1]))
-            places = self._place[term.touched]
-            for k in range(len(spread)):  # one by one: SuperLU is slow with many right-hand sides
-                free = places[k] >= 0
-                column = np.zeros((self.size, spread.shape[1]))
-                column[places[k][free]] = jacobian[k][:, free].T
-                spread[k] = jacobian[k][:, free] @ factor.solve(column)[places[k][free]]
-            result.append(spread)
+            _, jacobian = term.errors(x[term.variables], term.measured)
+            covariance = np.empty((*term.measured.shape, term.measured.shape[1]))
+            columns = self._column[term.variables]
+            for k in range(len(covariance)):  # one by one: SuperLU is slow with many right-hand sides
+                free = columns[k] >= 0
+                right = np.zeros((self.size, covariance.shape[1]))
+                right[columns[k][free]] = jacobian[k][:, free].T
+                covariance[k] = jacobian[k][:, free] @ factor.solve(right)[columns[k][free]]
+            result.append(covariance)
         return result
 
-    def moved(self, x: Floats, change: Floats) -> Floats:
-        """`x` with its free variables changed."""
+    def apply_step(self, x: Floats, step: Floats) -> Floats:
+        """Return `x` with `step` (size,) added to its free variables."""
         result = x.copy()
-        result[self._order] += change
+        result[self._order] += step
         return result
 
 
 def _elimination_order(graph: PoseGraph, free: Flags) -> Integers:
-    """The indices of the free variables, so ordered that elimination fills little; found pose by pose, not number by
-    number: that is a tenth of the work.
+    """Return the indices of the free variables in an order with little fill-in.
+
+    The order is computed for poses and landmarks, not for single variables, which takes a tenth of the time.
     """
     poses = len(graph.poses)
     count = poses + len(graph.landmarks)
-    source = np.concatenate([edges.source for edges in graph.kinds])
-    target = np.concatenate([graph.motions.target, *(poses + edges.target for edges in graph.kinds[1:])])
+    source = np.concatenate([edges.source for edges in graph.edges_by_kind])
+    target = np.concatenate([graph.motions.target, *(poses + edges.target for edges in graph.edges_by_kind[1:])])
     links = coo_array((np.full(len(source), -1.0), (source, target)), shape=(count, count)).tocsr()
     pattern = (links + links.T).tocsc()
     dominant = pattern + (1.0 - pattern.sum(axis=0).min(initial=0.0)) * eye_array(count)

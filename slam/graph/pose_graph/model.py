@@ -1,4 +1,4 @@
-"""A 2-D pose graph as arrays: poses and landmarks, and what was measured between them.
+"""Data model: a 2-D pose graph as arrays of poses, landmarks and measurements between them (edges).
 
 Measurements are of three kinds, all made from a pose:
 
@@ -6,8 +6,8 @@ Measurements are of three kinds, all made from a pose:
     positions  a landmark's [x, y] in the pose's frame                  (EDGE_SE2_XY)
     bearings   a landmark's direction in the pose's frame               (EDGE_BEARING_SE2_XY)
 
-Where all edges are counted together they come in this order. Metres and radians; an information matrix is the inverse
-of the measurement's covariance.
+Arrays over all edges (edge_count,) have them in this order. Units are metres and radians; an information matrix is the
+inverse of the measurement's covariance.
 """
 
 from __future__ import annotations
@@ -24,33 +24,33 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Edges:
-    """k measurements of one kind, each of d numbers."""
+    """k measurements of one kind, with d components each."""
 
     source: Integers
-    """(k,): index of the pose that each is made from."""
+    """(k,): index of the pose from which each is made."""
     target: Integers
     """(k,): index of the pose or landmark that is measured."""
     measured: Floats
     """(k, d)."""
     information: Floats
-    """(k, d, d), symmetric and positive semidefinite; a direction that was not measured has none."""
+    """(k, d, d), symmetric and positive semidefinite; singular if a direction was not measured."""
     line: Integers
-    """(k,): the line of the file that tells of it, from 1; 0 if it is from no file."""
+    """(k,): number of its line in the file, from 1; 0 if it is not from a file."""
 
     def __len__(self) -> int:
         return len(self.source)
 
-    def select(self, kept: Flags) -> Edges:
-        """Those for which `kept` (k,) holds."""
-        return Edges(self.source[kept], self.target[kept], self.measured[kept], self.information[kept], self.line[kept])
+    def select(self, mask: Flags) -> Edges:
+        """Return the edges for which `mask` (k,) is true."""
+        return Edges(self.source[mask], self.target[mask], self.measured[mask], self.information[mask], self.line[mask])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseGraph:
-    """Poses, landmarks and the measurements between them."""
+    """Poses, landmarks and edges."""
 
     pose_ids: Integers
-    """(n,), distinct from each other and from the landmarks'."""
+    """(n,), distinct from each other and from the landmark ids."""
     poses: Floats
     """(n, 3): the estimate, in the graph's frame."""
     landmark_ids: Integers
@@ -61,30 +61,30 @@ class PoseGraph:
     positions: Edges
     bearings: Edges
     fixed_poses: Flags
-    """(n,): those that the optimiser must not move."""
+    """(n,): true for poses that the optimiser must not move."""
     fixed_landmarks: Flags
     """(m,)."""
 
     @property
-    def kinds(self) -> tuple[Edges, Edges, Edges]:
-        """All edges, in the order in which they are counted."""
+    def edges_by_kind(self) -> tuple[Edges, Edges, Edges]:
+        """Motions, positions and bearings."""
         return self.motions, self.positions, self.bearings
 
     @property
     def edge_count(self) -> int:
-        """How many edges there are, of all kinds."""
-        return sum(len(edges) for edges in self.kinds)
+        """Number of edges of all kinds."""
+        return sum(len(edges) for edges in self.edges_by_kind)
 
-    def select_edges(self, kept: Flags) -> PoseGraph:
-        """The same graph with only those edges for which `kept` (edge_count,) holds."""
+    def select_edges(self, mask: Flags) -> PoseGraph:
+        """Return the graph with only the edges for which `mask` (edge_count,) is true."""
         first, second = len(self.motions), len(self.motions) + len(self.positions)
         return replace(
             self,
-            motions=self.motions.select(kept[:first]),
-            positions=self.positions.select(kept[first:second]),
-            bearings=self.bearings.select(kept[second:]),
+            motions=self.motions.select(mask[:first]),
+            positions=self.positions.select(mask[first:second]),
+            bearings=self.bearings.select(mask[second:]),
         )
 
     def with_estimate(self, poses: Floats, landmarks: Floats) -> PoseGraph:
-        """The same graph with its poses (n, 3) and landmarks (m, 2) elsewhere."""
+        """Return the graph with other poses (n, 3) and landmarks (m, 2)."""
         return replace(self, poses=poses, landmarks=landmarks)

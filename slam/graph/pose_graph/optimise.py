@@ -1,4 +1,4 @@
-"""Optimise a pose graph: from its own estimate and from a rotation-first start, the better optimum wins."""
+"""Optimise a pose graph from two initial estimates, its own and a chordal one, and take the better optimum."""
 
 from __future__ import annotations
 
@@ -8,54 +8,54 @@ import numpy as np
 
 from .initialisation import initialise
 from .least_squares import NormalEquations, edge_chi2, variables_of, with_variables
+from .levenberg_marquardt import minimise
 from .model import Flags, PoseGraph
-from .placing import components
 from .robust import solve_robustly
-from .solver import minimise
+from .spanning_tree import components
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Optimised:
+class OptimisedGraph:
     """An optimised graph."""
 
     graph: PoseGraph
-    """At the optimum, with the edges that are believed."""
-    kept: Flags
-    """(edge_count of the graph that was given,): which these are."""
+    """At the optimum, with its inlier edges only."""
+    inliers: Flags
+    """(edge_count of the input graph,): true for its inlier edges."""
     chi2_before: float
-    """Of all edges, at the estimate that was given."""
+    """Of all edges, at the input estimate."""
     chi2: float
-    """Of the edges that are believed, at the optimum."""
+    """Of the inlier edges, at the optimum."""
 
 
-def optimise(graph: PoseGraph, robust: bool = False) -> Optimised:
-    """Find the estimate with the least chi2; with `robust` leave out edges that contradict the others.
+def optimise(graph: PoseGraph, robust: bool = False) -> OptimisedGraph:
+    """Find the estimate with the least chi2; if `robust`, without edges that contradict the others.
 
-    A connected part of the graph with no fixed vertex is held where its first pose is.
+    In each connected component without a fixed vertex the first pose is fixed.
     """
     free = free_variables(graph)
-    given = variables_of(graph)
-    before = float(edge_chi2(graph, given).sum())
+    initial = variables_of(graph)
+    before = float(edge_chi2(graph, initial).sum())
     if robust:
-        x, kept = solve_robustly(graph, free)
-        found = with_variables(graph.select_edges(kept), x)
+        x, inliers = solve_robustly(graph, free)
+        optimum = with_variables(graph.select_edges(inliers), x)
     else:
         equations = NormalEquations(graph, free)
-        solutions = [minimise(graph, equations, start) for start in (given, initialise(graph, free))]
+        solutions = [minimise(graph, equations, start) for start in (initial, initialise(graph, free))]
         x, _ = min(solutions, key=lambda solution: solution[1])
-        kept, found = np.ones(graph.edge_count, dtype=bool), with_variables(graph, x)
-    return Optimised(found, kept, before, float(edge_chi2(found, variables_of(found)).sum()))
+        inliers, optimum = np.ones(graph.edge_count, dtype=bool), with_variables(graph, x)
+    return OptimisedGraph(optimum, inliers, before, float(edge_chi2(optimum, variables_of(optimum)).sum()))
 
 
 def free_variables(graph: PoseGraph) -> Flags:
-    """(3 n + 2 m,): which variables may move.
+    """Return a mask (3 n + 2 m,) of the variables that may change.
 
-    Not those of fixed vertices, nor, in each connected part without any, those of its first pose.
+    Fixed are those of fixed vertices and, in each connected component without any, those of its first pose.
     """
-    part = components(graph)
+    component = components(graph)
     fixed = np.concatenate([graph.fixed_poses, graph.fixed_landmarks])
     poses = len(graph.poses)
-    of_part, first = np.unique(part[:poses], return_index=True)
-    loose = ~np.isin(of_part, part[fixed])
-    fixed[first[loose]] = True
+    index, first = np.unique(component[:poses], return_index=True)
+    unconstrained = ~np.isin(index, component[fixed])
+    fixed[first[unconstrained]] = True
     return ~np.concatenate([np.repeat(fixed[:poses], 3), np.repeat(fixed[poses:], 2)])
