@@ -1,28 +1,29 @@
-# Everything needed stands in .venv, made from requirements.lock; every target makes it first where it is missing or old.
+# All targets work in .venv, which is created from requirements.lock if it is missing or older.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: help env demo test test-slow gate lint format docs reference gallery lock clean
+.PHONY: help env demo test test-slow coverage gate lint format docs reference gallery lock clean
 
 help:
-	@echo "make demo        simulate a robot in an office, map it, write demo/ (opens the viewer on a desktop)"
+	@echo "make demo        simulate a robot in an office, map it, write demo/, open the viewer on a desktop"
 	@echo "make test        run the tests"
-	@echo "make test-slow   run the long tests too"
-	@echo "make gate        fail where accuracy or time has fallen back"
+	@echo "make test-slow   run all tests, also the long ones"
+	@echo "make coverage    run the tests and report which lines they cover"
+	@echo "make gate        fail if accuracy or speed is worse than the stored limits"
 	@echo "make lint        ruff and mypy"
-	@echo "make format      let ruff format the code"
+	@echo "make format      format the code with ruff"
 	@echo "make docs        build the documentation into site/; open site/index.html"
-	@echo "make reference   write its pages of commands and settings again, from the code"
-	@echo "make gallery     make its pictures again, from simulated drives (and recordings in \$$WCLM_DATASETS)"
-	@echo "make env         set up .venv only; then .venv/bin/wclm --help"
-	@echo "make lock        compile requirements.lock again (needs uv)"
+	@echo "make reference   write the documentation of commands and settings from the code"
+	@echo "make gallery     draw the pictures of the documentation (simulated drives, recordings in \$$WCLM_DATASETS)"
+	@echo "make env         create .venv only; then run .venv/bin/wclm --help"
+	@echo "make lock        update requirements.lock (needs uv)"
 
 env: $(READY)
 
 $(READY): requirements.lock pyproject.toml
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python >= 3.11 is needed; say which with: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 2; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python >= 3.11 is needed; choose one with: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 2; }
 	$(PYTHON) -m venv --clear $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --requirement requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
@@ -36,6 +37,9 @@ test: $(READY)
 
 test-slow: $(READY)
 	$(BIN)/python -m pytest
+
+coverage: $(READY)
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow" --cov=slam --cov=features --cov=drivers --cov-report=term:skip-covered
 
 gate: $(READY)
 	$(BIN)/wclm bench gate
@@ -62,4 +66,4 @@ lock:
 	uv pip compile pyproject.toml --all-extras --group dev --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --output-file requirements.lock
 
 clean:
-	rm -rf $(VENV) demo dist build site .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) demo dist build site .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage

@@ -154,7 +154,7 @@ class MapUpdated:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WallsMerged:
-    """Two walls were found to be the same: `absorbed` is part of `kept` from now on. `gate` is their squared distance."""
+    """Two walls were found to be the same, at a squared distance `gate`: `absorbed` is part of `kept` from now on."""
 
     index: int
     stamp: float
