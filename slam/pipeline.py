@@ -16,15 +16,16 @@ from .estimation.map_view import final_result, map_features
 from .estimation.refinement import match_trajectory, refine
 from .estimation.relocalisation_session import KidnappingMonitor, RelocalisationSession
 from .estimation.slam_state import SlamState
+from .estimation.stage_timer import StageTimer
 from .events import Finished, GroundTruthReceived, MapCorners, MapWalls, Notice, Relocalised, Sink
 from .geometry.segments import Floats
 from .io.sessions import StoredSession
 from .localisation.state import LocalisationEvent, LocalisationState, LocalisationStateMachine
 from .localisation.tracker import PoseFix
-from .loop_closure.closer import LoopCloser
+from .loop_closure.loop_search import LoopSearch
 from .preprocessing.preprocessor import Preprocessor, ProcessedScan
 from .publisher import Publisher
-from .run_statistics import RunStatistics, StageTimer, run_summary
+from .run_statistics import RunStatistics, run_summary
 
 
 class Slam:
@@ -43,7 +44,7 @@ class Slam:
         *,
         refine: bool = False,
         keep_views: bool = False,
-        loops: LoopCloser | None = None,
+        loops: LoopSearch | None = None,
         resumed: StoredSession | None = None,
         frozen: bool = False,
     ) -> None:

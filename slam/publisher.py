@@ -12,6 +12,7 @@ from drivers import se2
 
 from .estimation.map_view import covariances_when_last_seen, map_features
 from .estimation.scan_update import KeyframeUpdate
+from .estimation.stage_timer import StageTimer
 from .events import (
     ComparedWalls,
     Correction,
@@ -30,11 +31,10 @@ from .events import (
 )
 from .localisation.state import LocalisationState
 from .localisation.tracker import TrackingResult, TrackingStatus
-from .loop_closure.closer import LoopDecision
+from .loop_closure.decision import LoopDecision
 from .loop_closure.loop_status import LoopStatus
 from .mapping.mapper import Mapper
 from .preprocessing.preprocessor import ProcessedScan
-from .run_statistics import StageTimer
 
 # Keyframes between two events with the whole map.
 MAP_INTERVAL = 20
@@ -218,16 +218,16 @@ def _loop_event(decision: LoopDecision, stamp: float, mapper: Mapper, superseded
         contradicted=verdict.contradicted,
         merged=decision.merged,
         shift=decision.shift,
-        tests=tuple(LoopTest(t.name, float(t.value), t.gate, t.at_least, t.passed) for t in verdict.tests),
+        tests=tuple(LoopTest(t.name, float(t.value), t.gate, t.at_least, t.passed) for t in verdict.checks),
         sight=_compared_walls(decision),
         correction=None if superseded is None else _correction(decision, mapper, superseded),
     )
 
 
 def _compared_walls(decision: LoopDecision) -> ComparedWalls | None:
-    if decision.sight is None:
+    if decision.compared is None:
         return None
-    recent, old = (constellation.end_points() for constellation in decision.sight)
+    recent, old = (constellation.end_points() for constellation in decision.compared)
     aligned = se2.transform(decision.hypothesis.motion, recent)
     return ComparedWalls(recent, aligned, old, decision.hypothesis.matches.copy())
 

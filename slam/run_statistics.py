@@ -3,40 +3,18 @@
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .estimation.scan_update import KeyframeUpdate
+from .estimation.slam_state import SlamState
+from .estimation.stage_timer import StageTimer
 from .localisation.state import LocalisationState
 from .localisation.tracker import TrackingResult, TrackingStatus
-from .loop_closure.closer import LoopDecision
+from .loop_closure.decision import LoopDecision
 from .loop_closure.loop_status import LoopStatus
-
-if TYPE_CHECKING:
-    from .estimation.scan_update import KeyframeUpdate
-    from .estimation.slam_state import SlamState
-    from .preprocessing.preprocessor import Preprocessor
-
-
-class StageTimer:
-    """Milliseconds by stage of processing one scan."""
-
-    def __init__(self) -> None:
-        self._last = time.perf_counter()
-        self.laps: dict[str, float] = {}
-
-    def lap(self, stage: str) -> None:
-        """End a stage: it took the time since the previous stage ended."""
-        now = time.perf_counter()
-        self.laps[stage] = 1e3 * (now - self._last)
-        self._last = now
-
-    @property
-    def total(self) -> float:
-        """Milliseconds of all stages."""
-        return sum(self.laps.values())
+from .preprocessing.preprocessor import Preprocessor
 
 
 @dataclass(slots=True)

@@ -1,4 +1,4 @@
-"""The directions in which imports may go, read from the source: nothing needs to be installed or run for it."""
+"""Imports go one way only. They are read from the source: nothing needs to be installed or run."""
 
 import ast
 from collections.abc import Iterator
@@ -17,6 +17,13 @@ CONFINED = {
     "distributed": "slam/offline/batch",
 }
 """Libraries and the one folder that may import them."""
+
+LAYERS = (
+    "errors", "extras", "config", "compiled", "geometry", "graph", "odometry", "mapping", "matching", "preprocessing",
+    "localisation", "loop_closure", "events", "estimation", "run_statistics", "io", "publisher", "pipeline",
+    "optimisation", "warmup", "offline", "evaluation", "visualisation", "cli",
+)  # fmt: skip
+"""Packages and modules of `slam`, from bottom to top: each may import those before it."""
 
 
 def imported(file: Path) -> Iterator[str]:
@@ -40,6 +47,20 @@ def test_imports_go_one_way(file: Path) -> None:
     others = set(PACKAGES) - {package} if package != "slam" else set()
     roots = {name.split(".")[0] for name in imported(file)}
     assert not roots & others, f"{package} knows nothing of {roots & others}"
+
+
+def layer_of(name: str) -> int | None:
+    """Return the layer of a dotted name or of a file, None if it is not below `slam`."""
+    parts = name.removesuffix(".py").replace("/", ".").split(".")
+    return LAYERS.index(parts[1]) if parts[0] == "slam" and len(parts) > 1 and parts[1] != "__init__" else None
+
+
+@pytest.mark.parametrize("file", [f for f in FILES if layer_of(name_of(f)) is not None], ids=name_of)
+def test_imports_within_slam_go_downwards(file: Path) -> None:
+    own = layer_of(name_of(file))
+    assert own is not None
+    above = {name for name in imported(file) if (layer := layer_of(name)) is not None and layer > own}
+    assert not above
 
 
 @pytest.mark.parametrize("file", FILES, ids=name_of)

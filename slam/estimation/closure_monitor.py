@@ -8,10 +8,10 @@ import numpy as np
 
 from drivers import se2
 
-from ..loop_closure.closer import LoopDecision
+from ..loop_closure.decision import LoopDecision
 from ..loop_closure.loop_status import LoopStatus
+from ..loop_closure.occlusion import occluded_share
 from ..loop_closure.recent_walls import REFERENCE_DISTANCE, select_recent_and_reference
-from ..loop_closure.verification import contradiction
 from ..mapping.mapper import Mapper
 from ..preprocessing.preprocessor import ProcessedScan
 from .slam_state import SlamState
@@ -101,9 +101,9 @@ def _reason_to_retract(closure: MonitoredClosure, mapper: Mapper) -> str:
         for k, segments in mapper.recent_segments
         if k > closure.decision.keyframe
     ]
-    share = contradiction(np.zeros(3), reference, mapper.landmarks, views)
+    share = occluded_share(np.zeros(3), reference, mapper.landmarks, views)
     undone = se2.inverse(closure.decision.hypothesis.motion)
-    without = contradiction(undone, reference, mapper.landmarks, views)
+    without = occluded_share(undone, reference, mapper.landmarks, views)
     contradicts = share > without + MAX_ADDED_CONTRADICTION
     closure.contradictions = closure.contradictions + 1 if contradicts else 0
     if closure.contradictions < CONFIRMING_CHECKS:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from ..localisation.tracker import TrackingResult
-from ..loop_closure.closer import LoopDecision
+from ..loop_closure.decision import LoopDecision
 from ..loop_closure.loop_status import LoopStatus
 from ..mapping.mapper import Mapper
 from ..preprocessing.preprocessor import ProcessedScan
-from ..run_statistics import StageTimer
 from .closure_monitor import ClosureMonitor
 from .scan_update import KeyframeUpdate, close_loop, track, update_map
 from .slam_state import SlamState
+from .stage_timer import StageTimer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +69,7 @@ class Estimator:
         if closure is None:
             return None
         self.state = closure.checkpoint
-        self.state.loops.refuse(closure.decision)
+        self.state.loops.exclude(closure.decision)
         for scan in closure.scans:
             update_map(self.state, scan, track(self.state, scan, StageTimer()), StageTimer())
         return closure.decision

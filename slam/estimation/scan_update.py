@@ -16,7 +16,8 @@ from drivers import se2
 from ..geometry.degeneracy import weakest_direction
 from ..localisation.match_target import MatchTarget
 from ..localisation.tracker import TrackingResult, TrackingStatus
-from ..loop_closure.closer import LoopDecision, close
+from ..loop_closure import closing
+from ..loop_closure.decision import LoopDecision
 from ..loop_closure.loop_status import LoopStatus
 from ..mapping.data_association import associate
 from ..mapping.keyframes import KeyframeMotion, KeyframeObservations, WallMerge
@@ -24,8 +25,8 @@ from ..mapping.mapper import LOCAL_MAP_MARGIN, Mapper
 from ..matching.line_matcher import Registration
 from ..odometry.error_model import fuse_motion
 from ..preprocessing.preprocessor import ProcessedScan
-from ..run_statistics import StageTimer
 from .slam_state import RELOCALISED_RADIUS, Anchor, SlamState, TrajectoryEntry, covariance_after
+from .stage_timer import StageTimer
 
 # A place is familiar after this many visits with keyframes near the robot (metres, radians) if the overlap ratio is at
 # least this. Origin: chosen so that the graph does not grow while a robot patrols a known building; not measured.
@@ -97,9 +98,9 @@ def close_loop(state: SlamState, observations: KeyframeObservations, decision: L
 
     If that is a rejection, the map does not fit together and the state must be discarded: try it on a copy.
     """
-    decision = close(state.mapper, decision)
+    decision = closing.close_loop(state.mapper, decision)
     if decision.status is LoopStatus.ACCEPTED:
-        state.loops.forget()
+        state.loops.clear_pending()
         state.mapper.free_space_evidence.clear()
         state.local_map = state.mapper.local_map(observations)
         _move_to_last_keyframe(state)
@@ -195,7 +196,7 @@ def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
     _move_to_last_keyframe(state)
     timer.lap("local map")
     decision = state.loops.search(mapper) if state.config.loop_closure.enabled else None
-    if decision is not None and decision.verdict.casts_doubt:
+    if decision is not None and decision.verdict.beats_null_hypothesis:
         mapper.free_space_evidence.suspend(mapper.travelled[-1])
     timer.lap("loops")
     return KeyframeUpdate(observations, merge, decision)

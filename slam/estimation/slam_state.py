@@ -17,7 +17,7 @@ from drivers import se2
 from ..config import Config
 from ..geometry.segments import Floats
 from ..localisation.tracker import PoseFix, Tracker
-from ..loop_closure.closer import LoopCloser, LoopSearchState
+from ..loop_closure.loop_search import LoopSearch, LoopSearchState
 from ..mapping.local_map import empty_local_map
 from ..mapping.mapper import LOCAL_MAP_MARGIN, Mapper
 from ..mapping.trajectory_builder import TrajectoryBuilder
@@ -95,13 +95,13 @@ class SlamState:
     tentative            trajectory entry that the next scan has to confirm
     """
 
-    def __init__(self, config: Config, loops: LoopCloser | None = None) -> None:
+    def __init__(self, config: Config, loops: LoopSearch | None = None) -> None:
         self.config = config
         self.mapper = Mapper()
         self.odometry_model = OdometryModel(config.odometry)
         self.trajectory = TrajectoryBuilder()
         self.tracker = Tracker(self.odometry_model)
-        self.loops = loops or LoopCloser()
+        self.loops = loops or LoopSearch()
         self.keyframe_stamps: list[float] = []
         self.pose = np.zeros(3)
         self.local_map = empty_local_map()
@@ -134,7 +134,7 @@ class SlamState:
         state = cls(config)
         state.odometry_model.add_samples(odometry_samples)
         state.mapper, state.trajectory, state.keyframe_stamps = mapper, trajectory, list(stamps)
-        state.loops.recall(loop_search)
+        state.loops.restore(loop_search)
         state.anchor, state.kidnapped = checkpoint.anchor, checkpoint.kidnapped
         state.kidnapped_keyframes = list(checkpoint.kidnapped_keyframes)
         if checkpoint.fix is not None:
