@@ -1,4 +1,4 @@
-"""Fitting a device's clock, on simulated delays."""
+"""Mapping a device's clock to the host's with simulated delays."""
 
 from __future__ import annotations
 
@@ -9,17 +9,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.devices.device_clock import SPAN, WINDOW, DeviceClock
+from drivers.devices.device_clock import BIN, WINDOW, DeviceClock
 from drivers.messages import Floats
 
 START = 1.7e9
-"""Seconds; stamps may be as large as those of the day."""
+"""Seconds; as large as stamps of the time of day."""
 MICROSECONDS = 1 << 32
 
 
 def arrivals(times: Floats, mean: float, pause: float, random: np.random.Generator) -> Floats:
-    """When messages sent at times (n,) are read: exponential delays of a mean (seconds), and a process that is busy for
-    50 ms at a time and free for a pause between (exponential, mean in seconds; zero: never busy).
+    """Return the times (n,) at which messages sent at `times` are read.
+
+    mean   of the exponential delays, seconds
+    pause  mean of the exponential pauses between 50 ms in which the host is busy, seconds; zero if it is never busy
     """
     arrived = times + random.exponential(mean, len(times))
     busy = times[0]
@@ -43,7 +45,9 @@ def stamps(clock: DeviceClock, device: Floats, arrived: Floats) -> Floats:
     begins=st.integers(0, MICROSECONDS - 1),
     seed=st.integers(0, 1000),
 )
-def test_stamps_are_right_to_2_ms(rate: float, drift: float, mean: float, pause: float, begins: int, seed: int) -> None:
+def test_stamps_are_accurate_to_2_ms(
+    rate: float, drift: float, mean: float, pause: float, begins: int, seed: int
+) -> None:
     random = np.random.default_rng(seed)
     times = START + np.arange(0.0, 30.0, 1 / rate)
     arrived = arrivals(times, mean, pause, random)
@@ -60,7 +64,7 @@ def test_stamps_are_right_to_2_ms(rate: float, drift: float, mean: float, pause:
 @pytest.mark.parametrize(
     ("tick", "wraps_at", "rate"), [(1e-3, 65536, 50.0), (1e-3, 30000, 375.0), (0.015, None, 1 / 0.015)]
 )
-def test_coarse_clocks_and_soon_wrapping_ones(tick: float, wraps_at: int | None, rate: float) -> None:
+def test_coarse_and_quickly_wrapping_clocks_are_fitted(tick: float, wraps_at: int | None, rate: float) -> None:
     random = np.random.default_rng(3)
     device = np.floor(np.arange(0.0, 150.0, 1 / rate) / tick + 1e-6)
     times = START + device * tick / (1 + 5e-5)
@@ -70,7 +74,7 @@ def test_coarse_clocks_and_soon_wrapping_ones(tick: float, wraps_at: int | None,
     assert clock.jumps == 0
 
 
-def test_a_resonator_half_a_percent_off_is_followed() -> None:
+def test_a_drift_of_half_a_percent_is_estimated() -> None:
     times = START + np.arange(0.0, 40.0, 0.02)
     clock = DeviceClock(1e-6, MICROSECONDS)
     found = stamps(clock, np.floor((times - START) / 1.005 * 1e6), arrivals(times, 1e-3, 0.1, np.random.default_rng(1)))
@@ -93,11 +97,11 @@ def test_a_restart_of_the_device_is_recognised(at: float, silence: float) -> Non
     assert np.all(after[50:] < 2e-3)
 
 
-def test_a_clock_that_counts_samples_and_lost_some_is_corrected() -> None:
+def test_a_small_step_back_by_lost_samples_is_corrected() -> None:
     random = np.random.default_rng(2)
     numbers = np.arange(3000)
-    kept = (numbers < 1500) | (numbers >= 1504)
-    times = START + 0.015 * numbers[kept]
+    received = (numbers < 1500) | (numbers >= 1504)
+    times = START + 0.015 * numbers[received]
     clock = DeviceClock(0.015)
     found = stamps(clock, np.arange(len(times), dtype=float), arrivals(times, 1e-3, 0.0, random))
     error = np.abs(found - times)
@@ -107,16 +111,16 @@ def test_a_clock_that_counts_samples_and_lost_some_is_corrected() -> None:
     assert np.max(error) <= 0.06 + 0.002
 
 
-def test_a_backlog_at_the_beginning_is_forgotten() -> None:
+def test_a_backlog_at_the_start_is_discarded() -> None:
     times = START + np.arange(0.0, 20.0, 0.02)
-    arrived = np.maximum(times + 1e-3, START + 0.7)  # the port was opened so late
+    arrived = np.maximum(times + 1e-3, START + 0.7)  # the port was opened late
     clock = DeviceClock(1e-6, MICROSECONDS)
     found = stamps(clock, (times - START) * 1e6, arrived)
     assert np.max(np.abs(found - times)[times > START + 0.7]) < 2e-3
     assert clock.jumps == 0
 
 
-def test_a_stall_of_the_host_moves_nothing() -> None:
+def test_a_stall_of_the_host_does_not_change_the_stamps() -> None:
     times = START + np.arange(0.0, 30.0, 0.02)
     arrived = times + 1e-3
     held = (times > START + 15) & (times < START + 16.5)
@@ -129,7 +133,7 @@ def test_a_stall_of_the_host_moves_nothing() -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(at=st.integers(300, 600), wrong=st.integers(0, MICROSECONDS - 1))
-def test_a_single_wrong_time_moves_nothing_else(at: int, wrong: int) -> None:
+def test_a_single_wrong_time_does_not_change_other_stamps(at: int, wrong: int) -> None:
     times = START + np.arange(0.0, 15.0, 0.02)
     device = (times - START) * 1e6
     device[at] = wrong
@@ -148,7 +152,9 @@ def test_a_single_wrong_time_moves_nothing_else(at: int, wrong: int) -> None:
     ),
     wraps_at=st.sampled_from([None, 30000, 65536, MICROSECONDS]),
 )
-def test_nothing_is_impossible(pairs: list[tuple[float, float]], wraps_at: int | None) -> None:
+def test_stamps_are_finite_and_not_later_than_the_arrival(
+    pairs: list[tuple[float, float]], wraps_at: int | None
+) -> None:
     clock = DeviceClock(1e-3, wraps_at)
     for device, arrived in pairs:
         stamp = clock.stamp(device, arrived)
@@ -160,5 +166,4 @@ def test_memory_is_bounded() -> None:
     clock = DeviceClock(1e-3)
     for i in range(60_000):
         clock.stamp(float(10 * i), 0.01 * i + 1e-3)
-    assert len(clock._pairs) <= WINDOW / SPAN
-    assert not clock._held
+    assert clock.stored_pairs <= WINDOW / BIN
