@@ -1,6 +1,6 @@
-"""What can be configured: what the sensors state and which methods are used.
+"""Settings: properties of the sensors and choice of methods.
 
-What an algorithm tunes is a named constant beside the algorithm, with its reason.
+Tuning parameters of the algorithms are no settings but constants beside the algorithm, with their origin.
 """
 
 from __future__ import annotations
@@ -24,29 +24,31 @@ class _Group(BaseModel):
 
 
 class LidarConfig(_Group):
-    """The lidar, as its data sheet states it."""
+    """Properties of the lidar, as in its data sheet."""
 
     sigma_range: float = Field(
         0.01,
         gt=0,
         lt=1,
-        description="standard deviation of a range, metres; the start of the estimate where it adapts",
+        description="standard deviation of a range, metres; initial value if adapt_noise is true",
     )
     sigma_bearing: float = Field(
         math.radians(0.05), gt=0, lt=0.1, description="standard deviation of a beam's bearing, radians"
     )
     range_bias: Finite = Field(
-        0.0, gt=-1, lt=1, description="metres by which all ranges come out long; `wclm calibrate` estimates it"
+        0.0, gt=-1, lt=1, description="range bias, metres: all ranges are too long by it; see `wclm calibrate`"
     )
     adapt_noise: bool = Field(True, description="estimate sigma_range from the residuals of the walls while running")
-    range_min: Finite = Field(0.05, ge=0, description="shorter ranges are ignored, metres")
+    range_min: Finite = Field(0.05, ge=0, description="minimum range, metres; shorter ranges are ignored")
     range_max: float = Field(
-        60.0, gt=0, description="longer ranges are ignored, metres; the recording's own limit holds too"
+        60.0,
+        gt=0,
+        description="maximum range, metres; longer ranges are ignored; the recording's own limit also applies",
     )
     mount: tuple[Finite, Finite, Finite] | None = Field(
         None,
-        description="pose of the lidar on the base: x, y in metres, heading in radians; "
-        "left out: as the recording states, else zero",
+        description="pose of the lidar on the base: x and y in metres, heading in radians; "
+        "by default that of the recording, else zero",
     )
 
     @model_validator(mode="after")
@@ -57,23 +59,29 @@ class LidarConfig(_Group):
 
 
 class OdometryConfig(_Group):
-    """How far wheel odometry strays over the way driven, and what a single reading is worth (standard deviations)."""
+    """Standard deviations of wheel odometry: drift over the travelled distance, and noise of a single reading."""
 
-    translation_error: Finite = Field(0.1, ge=0, description="metres of translation per metre of way")
+    translation_error: Finite = Field(0.1, ge=0, description="drift of the position, metres per metre")
     rotation_walk: Finite = Field(
-        0.06, ge=0, description="radians of heading after one metre of way; grows with its root"
+        0.06,
+        ge=0,
+        description="drift of the heading after one metre, radians; grows with the square root of the distance",
     )
-    translation_floor: Finite = Field(0.01, gt=0, description="metres, of a reading")
-    rotation_floor: Finite = Field(math.radians(0.3), gt=0, description="radians, of a reading")
-    learn: bool = Field(True, description="only start from the values above, and learn from registration while driving")
+    translation_floor: Finite = Field(0.01, gt=0, description="noise of a position reading, metres")
+    rotation_floor: Finite = Field(math.radians(0.3), gt=0, description="noise of a heading reading, radians")
+    learn: bool = Field(
+        True, description="estimate the drift from registration while driving, starting from the values above"
+    )
 
 
 class FeatureConfig(_Group):
-    """How a scan becomes lines."""
+    """Methods of line extraction."""
 
-    segmentation: Literal["split", "tracking"] = Field("split", description="'tracking' is the paper's line tracking")
+    segmentation: Literal["split", "tracking"] = Field(
+        "split", description="segmentation of a scan; 'tracking' is the line tracking of the WCLM paper"
+    )
     estimator: Literal["wclm-ml", "wclm", "arras-siegwart", "siadat"] = Field(
-        "wclm-ml", description="'wclm' is the paper's estimator"
+        "wclm-ml", description="line estimator; 'wclm' is that of the WCLM paper"
     )
 
 
@@ -91,7 +99,7 @@ class LoopClosureConfig(_Group):
 
 
 class Config(_Group):
-    """All settings. Defaults suit indoor lidars on a wheeled base."""
+    """All settings. The defaults suit indoor lidars on a wheel base."""
 
     lidar: LidarConfig = LidarConfig()
     odometry: OdometryConfig = OdometryConfig()
@@ -101,9 +109,10 @@ class Config(_Group):
 
 
 def load_config(path: Path | None = None, overrides: Iterable[str] = ()) -> Config:
-    """Settings from a TOML file, then from `group.key=value` overrides (values as in TOML; bare words are strings).
+    """Load settings from a TOML file, then apply overrides `group.key=value` in their order.
 
-    Raises ConfigurationError naming the file or override and the setting.
+    Values of overrides are in TOML syntax; bare words are strings. Raises ConfigurationError, which names the file or
+    override and the setting.
     """
     data: dict[str, Any] = {}
     if path is not None:
@@ -112,13 +121,15 @@ def load_config(path: Path | None = None, overrides: Iterable[str] = ()) -> Conf
         except OSError as error:
             raise ConfigurationError(f"{path}: {error.strerror or error}") from error
         except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise ConfigurationError(f"{path}: is not TOML: {error}") from error
+            raise ConfigurationError(f"{path}: invalid TOML: {error}") from error
     config = _validated(data, str(path))
     for override in overrides:
         name, equals, text = override.partition("=")
         group, dot, key = name.strip().partition(".")
         if not (equals and dot and group and key):
-            raise ConfigurationError(f"--set {override}: write it as group.key=value, e.g. lidar.sigma_range=0.02")
+            raise ConfigurationError(
+                f"--set {override}: must have the form group.key=value, e.g. lidar.sigma_range=0.02"
+            )
         data.setdefault(group, {})[key] = _value(text)
         config = _validated(data, f"--set {override}")
     return config
@@ -142,7 +153,7 @@ def _validated(data: dict[str, Any], place: str) -> Config:
         if first["type"] == "model_type":
             reason = "must be a group of settings"
         elif first["type"] == "extra_forbidden":
-            reason = f"there is no such setting; known are {', '.join(_names(first['loc'][:-1]))}"
+            reason = f"no such setting; known are {', '.join(_names(first['loc'][:-1]))}"
         raise ConfigurationError(f"{place}: {name}: {reason}") from error
 
 
@@ -154,7 +165,7 @@ def _names(location: tuple[int | str, ...]) -> list[str]:
 
 
 def config_to_toml(config: Config) -> str:
-    """The settings as TOML that `load_config` reads back; settings that are None are left out, with a comment."""
+    """Return the settings as TOML, as `load_config` reads it; a setting that is None becomes a comment."""
     lines: list[str] = []
     for group, values in config.model_dump().items():
         lines.append(f"[{group}]")
@@ -162,7 +173,7 @@ def config_to_toml(config: Config) -> str:
             if value is None:
                 lines.append(f"# {key}: not set")
             elif isinstance(value, bool | str | tuple):
-                lines.append(f"{key} = {json.dumps(value)}")  # of these, JSON and TOML have the same form
+                lines.append(f"{key} = {json.dumps(value)}")  # JSON and TOML have the same syntax here
             else:
                 lines.append(f"{key} = {value!r}")
         lines.append("")

@@ -1,4 +1,4 @@
-"""The errors a user of `slam` can meet; all are SlamError, all are one clear line."""
+"""Errors that users of `slam` can encounter; all are SlamError with a message of one line."""
 
 from __future__ import annotations
 
@@ -8,24 +8,26 @@ from drivers.errors import DriverError, RecordingError, SlamError
 
 
 class ConfigurationError(SlamError):
-    """A setting is unknown or has no sensible value."""
+    """A setting is unknown or its value is invalid."""
 
 
 class OutputError(SlamError):
-    """Results cannot be written where they were asked for."""
+    """Results cannot be written to the requested place."""
 
 
 class MapError(SlamError):
-    """A map or trajectory file cannot be read, or the map cannot be estimated."""
+    """A map or trajectory cannot be read, or a map cannot be estimated."""
 
 
 class ClusterError(SlamError):
-    """There is no cluster of workers where one was asked for."""
+    """The cluster of workers cannot be reached."""
 
 
 class PoseGraphError(SlamError):
-    """A pose graph cannot be read or written. Carries the `path`, the `line` (from 1; None for the whole file) and the
-    `reason`.
+    """A pose graph cannot be read or written.
+
+    path, line  file and line, from 1; None for the whole file
+    reason      text of the error without the place
     """
 
     def __init__(self, path: Path, line: int | None, reason: str) -> None:

@@ -1,7 +1,7 @@
-"""Compile everything before it is needed: a live scan must not wait for a compiler.
+"""Compilation of all numba functions before a run, so that no scan is delayed by it.
 
-Compiled functions are kept on disk, so that only the first run after an installation or a change compiles; later ones
-load them. Nothing breaks without a warm-up, the first scans just take longer.
+Compiled functions are cached on disk: only the first run after an installation or a change compiles, later runs load
+them. Without a warm-up only the first scans take longer.
 """
 
 from __future__ import annotations
@@ -14,36 +14,41 @@ from drivers import se2
 from drivers.messages import Floats, Message, Odometry, Scan
 
 from .geometry.segments import Segments
+from .loop_closure.occlusion import occluded_share
 from .loop_closure.proposal import propose
-from .loop_closure.recent_walls import OLD_WAY, recent_and_reference
+from .loop_closure.recent_walls import REFERENCE_DISTANCE, select_recent_and_reference
 from .loop_closure.relocalisation import index_map, relocalise, submap_of
-from .loop_closure.verification import contradiction
 from .mapping.landmarks import Landmarks
+from .mapping.unconfirmed_observations import CONFIRMING_KEYFRAMES
 from .mapping.wall_removal import FreeSpaceEvidence
 from .pipeline import Slam
 
-ROOM = 4.0, 3.0  # metres
+ROOM = 4.0, 3.0
+"""Length and width of the simulated room, metres."""
 BEAMS = 180
 SCANS = 20
-STEP = 0.1  # metres between scans
-INTERVAL = 0.1  # seconds between scans
+STEP = 0.1
+"""Distance between scans, metres."""
+INTERVAL = 0.1
+"""Time between scans, seconds."""
 
 
 def warm_up() -> None:
-    """Compile, or load from disk, all that a run with the default settings calls."""
+    """Compile, or load from disk, everything that a run with default settings calls."""
     slam = Slam()
     for message in _drive():
         slam.add(message)
     mapper = slam.slam_state.mapper
     relocalise(submap_of(mapper), index_map(mapper))
-    _find_loop([(mapper.graph.keyframe_pose(keyframe), seen) for keyframe, seen in mapper.views])
-    _see_through()
+    _search_loop([(mapper.graph.keyframe_pose(keyframe), segments) for keyframe, segments in mapper.recent_segments])
+    _update_free_space()
     slam.finish()
 
 
 def _drive() -> Iterator[Message]:
-    """A robot that drives through a small room and sees a box on its way."""
-    angles = 2 * np.pi * ((np.arange(BEAMS) + 0.5) / BEAMS - 0.5)  # along no axis, where a distance would be infinite
+    """Yield the messages of a robot that drives through a small room with an object in it."""
+    # no beam is parallel to a wall, where a distance would be infinite
+    angles = 2 * np.pi * ((np.arange(BEAMS) + 0.5) / BEAMS - 0.5)
     offsets = np.linspace(0.0, 0.5 * INTERVAL, BEAMS)
     random = np.random.default_rng(0)
     for k in range(SCANS):
@@ -54,31 +59,32 @@ def _drive() -> Iterator[Message]:
 
 
 def _ranges(pose: se2.Pose, angles: Floats) -> Floats:
-    """Distances (n,) to the walls of the room around the map's origin, and to a little of something in its middle."""
+    """Return the ranges (n,) to the walls of a room around the map's origin, with some shorter returns between them."""
     c, s = np.cos(angles + pose[2]), np.sin(angles + pose[2])
     to_sides = (np.sign(c) * ROOM[0] / 2 - pose[0]) / c
     to_ends = (np.sign(s) * ROOM[1] / 2 - pose[1]) / s
     ranges = np.minimum(to_sides, to_ends)
-    ranges[::9] *= 0.7  # points on no wall
+    ranges[::9] *= 0.7
     return np.asarray(ranges, dtype=np.float64)
 
 
-def _find_loop(views: Sequence[tuple[se2.Pose, Segments]]) -> None:
-    """A room that was seen long ago and is seen again."""
+def _search_loop(views: Sequence[tuple[se2.Pose, Segments]]) -> None:
+    """Search and verify a loop closure in a room that was mapped long ago and is observed again."""
     landmarks = Landmarks()
     sides = np.array([[0.0, -1.5, 0.0], [2.0, 0.0, np.pi / 2], [0.0, 1.5, np.pi], [-2.0, 0.0, -np.pi / 2]])
-    for keyframe in (0, 1):
+    for keyframe in (0, 2):
         for side in sides:
             wall = landmarks.add_wall(side, 1.4, keyframe)
-            landmarks.walls.rows["in_graph"][wall] = True
-            landmarks.walls.rows["observations"][wall] = 2
-    recent, old = recent_and_reference(landmarks, np.zeros(3), np.array([0.0, 2 * OLD_WAY]))
+            landmarks.observe_wall(wall, side, 1.4, keyframe + 1)
+    landmarks.confirm_observed(CONFIRMING_KEYFRAMES)
+    travelled = np.array([0.0, 0.0, 2 * REFERENCE_DISTANCE, 2 * REFERENCE_DISTANCE])
+    recent, old = select_recent_and_reference(landmarks, np.zeros(3), travelled)
     propose(recent, old, np.zeros(3))
-    contradiction(np.zeros(3), old, landmarks, views)
+    occluded_share(np.zeros(3), old, landmarks, views)
 
 
-def _see_through() -> None:
-    """A wall with a point behind it."""
+def _update_free_space() -> None:
+    """Update free-space evidence with a point behind a wall."""
     landmarks = Landmarks()
     landmarks.add_wall(np.zeros(3), 1.0, 0)
     FreeSpaceEvidence().update(landmarks, np.array([0.0, -1.0, 0.0]), np.array([[0.0, 2.0]]), [0.0], [np.zeros((3, 3))])

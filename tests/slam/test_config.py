@@ -26,8 +26,8 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("lidar.sigma=1", "--set lidar.sigma=1: lidar.sigma: there is no such setting; known are sigma_range,"),
-        ("laser.sigma_range=1", "laser: there is no such setting; known are lidar, odometry, features"),
+        ("lidar.sigma=1", "--set lidar.sigma=1: lidar.sigma: no such setting; known are sigma_range,"),
+        ("laser.sigma_range=1", "laser: no such setting; known are lidar, odometry, features"),
         ("lidar.sigma_range=wide", "lidar.sigma_range: input should be a valid number"),
         ("lidar.sigma_range=-1", "lidar.sigma_range: input should be greater than 0"),
         ("lidar.sigma_range=nan", "lidar.sigma_range: "),
@@ -35,9 +35,9 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         ("lidar.range_max=0.01", "lidar: range_min (0.05) must be less than range_max (0.01)"),
         ("lidar.mount=[1, 2]", "lidar.mount.2: field required"),
         ("features.estimator=best", "features.estimator: input should be 'wclm-ml'"),
-        ("lidar=3", "--set lidar=3: write it as group.key=value"),
-        ("sigma_range=3", "write it as group.key=value"),
-        ("lidar.sigma_range", "write it as group.key=value"),
+        ("lidar=3", "--set lidar=3: must have the form group.key=value"),
+        ("sigma_range=3", "must have the form group.key=value"),
+        ("lidar.sigma_range", "must have the form group.key=value"),
     ],
 )
 def test_a_wrong_override_is_named(override: str, message: str) -> None:
@@ -49,10 +49,10 @@ def test_a_wrong_override_is_named(override: str, message: str) -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"[lidar]\nsigma_rang = 0.02\n", "a.toml: lidar.sigma_rang: there is no such setting"),
+        (b"[lidar]\nsigma_rang = 0.02\n", "a.toml: lidar.sigma_rang: no such setting"),
         (b"lidar = 3\n", "a.toml: lidar: must be a group of settings"),
-        (b"[lidar\n", "a.toml: is not TOML: "),
-        (b"\xff\xfe", "a.toml: is not TOML: "),
+        (b"[lidar\n", "a.toml: invalid TOML: "),
+        (b"\xff\xfe", "a.toml: invalid TOML: "),
     ],
 )
 def test_a_wrong_file_is_named(tmp_path: Path, content: bytes, message: str) -> None:

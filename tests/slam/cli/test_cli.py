@@ -186,8 +186,8 @@ def test_a_bug_shows_itself(wclm: Any, fake_slam: Any, tmp_path: Path) -> None:
         ("empty.bag", b"", "empty.bag: "),
         ("garbage.clf", bytes(range(256)) * 8, "garbage.clf: "),
         ("garbage.mcap", bytes(range(256)) * 8, "garbage.mcap: "),
-        ("photo.jpg", b"x", "photo.jpg: nothing reads the extension .jpg"),
-        ("noextension", b"x", "noextension: nothing reads a file without an extension"),
+        ("photo.jpg", b"x", "photo.jpg: the extension .jpg is not supported"),
+        ("noextension", b"x", "noextension: a file without extension is not supported"),
     ],
 )
 def test_bad_recordings_are_one_line(
@@ -215,10 +215,10 @@ def test_an_empty_directory_is_no_recording(wclm: Any, tmp_path: Path) -> None:
 def test_wrong_settings_are_one_line(wclm: Any, tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text("[lidar]\nsigma_rang = 1\n")
     run = ("run", SHORT, "--out", "out")
-    wclm.refuses(*run, "--config", "a.toml", because=["a.toml: lidar.sigma_rang: there is no such setting"])
+    wclm.refuses(*run, "--config", "a.toml", because=["a.toml: lidar.sigma_rang: no such setting"])
     wclm.refuses(*run, "--config", "b.toml", because=["b.toml: No such file"])
     wclm.refuses(*run, "--set", "lidar.sigma_range=wide", because=["--set lidar.sigma_range=wide: ", "valid number"])
-    wclm.refuses(*run, "--set", "sigma", because=["--set sigma: write it as group.key=value"])
+    wclm.refuses(*run, "--set", "sigma", because=["--set sigma: must have the form group.key=value"])
     assert not (tmp_path / "out").exists()
 
 
@@ -275,10 +275,10 @@ def test_the_demo_opens_the_viewer_where_there_is_a_display(
 
 @pytest.fixture
 def short_demo(monkeypatch: pytest.MonkeyPatch) -> None:
-    from drivers.simulation import simulator
+    from drivers import simulation
 
-    whole = simulator.Simulation
-    monkeypatch.setattr(simulator, "Simulation", lambda world, seed: whole(world, seed=seed, duration=3.0))
+    whole = simulation.Simulation
+    monkeypatch.setattr(simulation, "Simulation", lambda world, seed: whole(world, seed=seed, duration=3.0))
 
 
 def test_a_viewer_that_cannot_be_started_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:

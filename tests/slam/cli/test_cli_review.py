@@ -25,11 +25,11 @@ from rerun.chunk import RrdReader
 from slam.events import Event
 from slam.io.output_dir import REVIEW, SUMMARY
 from slam.visualisation.rerun_log import rrd_writer
-from slam.visualisation.rerun_log.log_files import find_log
 from slam.visualisation.rerun_log.combined_log import write_combined_log
+from slam.visualisation.rerun_log.log_files import find_log
 
 from ..corridor import keyframes_in
-from ..visualisation.test_rerun_viewer import with_a_closure, write
+from ..visualisation.test_rerun_viewer import with_closure, write
 
 WCLM = "from slam.cli import main; main()"
 
@@ -80,12 +80,12 @@ def test_a_session_without_a_log_is_summed_up_from_what_there_is(wclm: Any, sess
     (tmp_path / "bare" / REVIEW).unlink()
     text = wclm("review", "bare", "--summary").stdout
     assert "residuals   not known: there is no log" in text
-    wclm.refuses("review", "bare", "--web", because=["holds no review.rrd", "--no-review"])
+    wclm.refuses("review", "bare", "--web", because=["contains no review.rrd", "--no-review"])
 
 
 @pytest.fixture
 def logged_loop(corridor: tuple[Path, list[Event]], tmp_path: Path) -> Path:
-    return write(tmp_path / "loop.rrd", with_a_closure(corridor[1]))
+    return write(tmp_path / "loop.rrd", with_closure(corridor[1]))
 
 
 # --- what is refused
@@ -94,7 +94,7 @@ def logged_loop(corridor: tuple[Path, list[Event]], tmp_path: Path) -> Path:
 def test_what_is_no_log_is_refused_in_a_line(wclm: Any, tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("nothing")
     (tmp_path / "broken.rrd").write_bytes(b"RRF2" + bytes(200))
-    wclm.refuses("review", "nowhere", "--web", because=["nowhere", "is not there"])
+    wclm.refuses("review", "nowhere", "--web", because=["nowhere", "no such session"])
     wclm.refuses("review", "notes.txt", "--web", because=["notes.txt", "not a review log"])
     wclm.refuses("review", "broken.rrd", "--summary", because=["broken.rrd", "not a review log"])
 
@@ -114,7 +114,7 @@ def test_the_native_viewer_listens_to_this_computer_alone(
     fake.write_text(f'#!/bin/sh\necho "$@" > {kept}\ntest -s "$1"\n')
     fake.chmod(0o755)
     monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr("slam.visualisation.rerun_log.binary.viewer_binary", lambda: str(fake))
+    monkeypatch.setattr("slam.visualisation.rerun_log.viewer.viewer_executable", lambda: str(fake))
     result = wclm("review", session)
     assert result.exit_code == 0, result.output
     log, *options = kept.read_text().split()

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from slam.io.recordings import open_recording
 
 from drivers import se2
 from drivers.recordings.mcap import McapWriter
-from drivers.simulation.simulator import Simulation
+from drivers.simulation import Simulation
 from slam.graph.pose_graph import optimise, read_pose_graph
-from slam.io.recordings import open_recording
-from slam.io.run_results import read_run_results
 from slam.io.map_json import read_map
 from slam.io.output_dir import MAP, RESULTS, SESSION, SUMMARY, TRAJECTORY
+from slam.io.run_results import read_run_results
 from slam.io.sessions import read_session
 from slam.io.tum import read_tum
 

@@ -35,7 +35,7 @@ def test_info_tells_what_is_wrong(wclm: Any, tmp_path: Path) -> None:
     text = wclm("info", "a.clf").stdout
     assert "2001-09-09 01:46:40 UTC" in text
     assert "warning     no scans" in text
-    assert "a gap in the odometry" in text
+    assert "1 gap in the odometry" in text
 
 
 def test_features_of_a_scan(wclm: Any, tmp_path: Path) -> None:
