@@ -13,10 +13,10 @@ from .style import BLUE, INK, ORANGE, SKY, VERMILLION, Floats, legend, metric_fi
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from ...graph.pose_graph import Optimised
+    from ...graph.pose_graph import OptimisedGraph
 
 
-def plot_pose_graph(path: Path, before: PoseGraph, optimised: Optimised, *, title: str) -> None:
+def plot_pose_graph(path: Path, before: PoseGraph, optimised: OptimisedGraph, *, title: str) -> None:
     """Draw the path before and after, loop edges, landmarks, and edges that were left out. Raises OutputError.
 
     The picture is as large as the optimised graph; what it was before may leave it.
@@ -30,11 +30,12 @@ def plot_pose_graph(path: Path, before: PoseGraph, optimised: Optimised, *, titl
     )
     figure, axes = metric_figure(np.array([drawn.min(axis=0), drawn.max(axis=0)]), title, subtitle)
     odometry = odometry_edges(before)[: len(before.motions)]
-    kept = optimised.kept[: len(before.motions)]
+    kept = optimised.inliers[: len(before.motions)]
     steps, loops = before.motions.select(odometry), before.motions.select(~odometry & kept)
     _draw(axes, _between(steps, before.poses), color=ORANGE, linewidth=0.8, alpha=0.7, label="path before", zorder=2)
-    out = before.select_edges(~optimised.kept)
-    wrong = [_between(out.motions, after.poses), *(_between(e, after.poses, after.landmarks) for e in out.kinds[1:])]
+    out = before.select_edges(~optimised.inliers)
+    to_landmarks = (_between(edges, after.poses, after.landmarks) for edges in out.edges_by_kind[1:])
+    wrong = [_between(out.motions, after.poses), *to_landmarks]
     _draw(axes, np.concatenate(wrong), color=VERMILLION, linewidth=0.5, alpha=0.45, label="edge left out", zorder=3)
     _draw(axes, _between(loops, after.poses), color=SKY, linewidth=0.8, label="loop edge", zorder=4)
     _draw(axes, _between(steps, after.poses), color=BLUE, linewidth=1.2, label="path", zorder=5)

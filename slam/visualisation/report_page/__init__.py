@@ -1,4 +1,4 @@
-"""A session as one page for the browser: everything in one file, no network, readable on a phone."""
+"""Write the HTML page of a session: a single file without network access, readable on a phone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What looked wrong in a run, in words: from its warnings, its states, its counts."""
+"""List possible problems of a run, from its warnings, its localisation status and its counts."""
 
 from __future__ import annotations
 
@@ -8,36 +8,36 @@ from dataclasses import dataclass
 from typing import Any
 
 from ...io.tum import Trajectory
-from .words import clock, counted, percent
+from ...loop_closure.loop_status import LoopStatus
+from .formatting import clock, counted, percent
 
-LITTLE_EXPLAINED = 0.75
-"""Share of a scan's wall that the map explains, at the median. Recordings of offices with people in them have 0.92 to
-0.99."""
-STRAYING_ODOMETRY = 0.3
-"""Metres per metre of way that odometry errs, as it was learned. The wheels of robots in public recordings have 0.06 to
-0.12; a lidar that looks backwards without anybody having said so makes it 1.6."""
-SHOWN_TIMES = 4
+LOW_OVERLAP_RATIO = 0.75
+"""Median overlap ratio below which the map is suspicious. Recordings of offices with people have 0.92 to 0.99."""
+HIGH_ODOMETRY_ERROR = 0.3
+"""Estimated odometry error, metres per metre travelled, above which something is wrong. Robots in public recordings
+have 0.06 to 0.12; a lidar mounted backwards without a matching `lidar.mount` causes 1.6."""
+MAX_SHOWN_TIMES = 4
 STAMPED = re.compile(r"(?P<text>.*) \(at (?P<stamp>-?\d+(\.\d+)?) s\)", re.DOTALL)
-STATES = {
+STATUS_FINDINGS = {
     "LOST": (
         "the robot was lost",
-        "It was not where the map had it, and was looked for. What it saw meanwhile was added when it was found.",
+        "Its pose in the map was unknown. Scans of that time were added to the map after relocalisation.",
     ),
     "DEGENERATE": (
-        "the place was open in one direction",
-        "As in a bare corridor: along it the path rests on odometry alone, and may be longer or shorter than it was.",
+        "one direction was degenerate",
+        "As in a bare corridor: along it the pose is from odometry alone, and distances may be wrong.",
     ),
 }
-COUNTS = {
-    "blind": ("showed too little to place it", "Nothing or little within reach; the path rests on odometry there."),
+COUNT_FINDINGS = {
+    "no_features": ("had no features", "Nothing or little within range; the path there is from odometry."),
     "empty_scans": ("had no return at all", "The lidar was covered, or everything was out of its range."),
-    "scans_without_odometry": ("came before any odometry and were left out", "The base began to tell later."),
+    "scans_without_odometry": ("came before any odometry and were left out", "The base started later."),
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing a person should look at: what it was, in a line, and what it means. `grave` ones may spoil the map."""
+    """A possible problem: what happened, in a line, and its meaning. `grave` ones may have spoilt the map."""
 
     text: str
     detail: str
@@ -45,32 +45,32 @@ class Finding:
 
 
 def findings(summary: dict[str, Any], trajectory: Trajectory) -> list[Finding]:
-    """All that looked wrong, the grave first."""
+    """Return the findings of a run, grave ones first."""
     slam = summary.get("slam") or {}
     found = [
-        *_states(slam.get("states") or [], trajectory),
-        *_warnings(summary.get("warnings") or [], trajectory),
-        *_loops(slam.get("loops") or {}),
-        *_health(slam.get("health") or {}),
-        *_odometry(slam.get("odometry_deviation_per_metre")),
-        *_source(summary),
+        *_status_findings(slam.get("states") or [], trajectory),
+        *_warning_findings(summary.get("warnings") or [], trajectory),
+        *_loop_findings(slam.get("loops") or {}),
+        *_health_findings(slam.get("health") or {}),
+        *_odometry_findings(slam.get("odometry_deviation_per_metre")),
+        *_source_findings(summary),
     ]
     return sorted(found, key=lambda finding: not finding.grave)
 
 
-def _states(rows: list[dict[str, Any]], trajectory: Trajectory) -> Iterator[Finding]:
-    """For how long the robot was in a state that is not OK, and when."""
+def _status_findings(rows: list[dict[str, Any]], trajectory: Trajectory) -> Iterator[Finding]:
+    """Yield how long and when the localisation status was not OK."""
     ends = [*(row["stamp"] for row in rows), float(trajectory.stamps[-1])][1:]
-    for state, (text, detail) in STATES.items():
+    for state, (text, detail) in STATUS_FINDINGS.items():
         spans = [(row["stamp"], end) for row, end in zip(rows, ends, strict=True) if row["state"] == state]
         if spans:
             seconds = sum(end - start for start, end in spans)
             times = _times([start for start, _ in spans], trajectory)
-            yield Finding(f"For {seconds:.0f} s in all {text}, {times}.", detail, grave=state == "LOST")
+            yield Finding(f"For {seconds:.0f} s in total, {text}, {times}.", detail, grave=state == "LOST")
 
 
-def _warnings(texts: list[str], trajectory: Trajectory) -> Iterator[Finding]:
-    """Equal warnings once, with the times at which they came."""
+def _warning_findings(texts: list[str], trajectory: Trajectory) -> Iterator[Finding]:
+    """Yield equal warnings once, with their times."""
     stamps: dict[str, list[float]] = {}
     for warning in texts:
         stamped = STAMPED.fullmatch(warning)
@@ -82,48 +82,48 @@ def _warnings(texts: list[str], trajectory: Trajectory) -> Iterator[Finding]:
         yield Finding(f"{head}." if not at else f"{head}, {_times(at, trajectory)}.", "")
 
 
-def _loops(loops: dict[str, int]) -> Iterator[Finding]:
-    if retracted := loops.get("retracted", 0):
+def _loop_findings(loops: dict[str, int]) -> Iterator[Finding]:
+    if retracted := loops.get(LoopStatus.RETRACTED, 0):
         yield Finding(
-            f"{counted(retracted, 'loop closure')} had to be taken back.",
-            "What was seen later contradicted it, so the map was made again without it. Look-alike places cause it.",
+            f"{counted(retracted, 'loop closure')} had to be retracted.",
+            "Later scans contradicted it, and the map was estimated again without it. Look-alike places cause this.",
         )
 
 
-def _health(health: dict[str, Any]) -> Iterator[Finding]:
+def _health_findings(health: dict[str, Any]) -> Iterator[Finding]:
     overlap_ratio = health.get("overlap_ratio_median")
-    if overlap_ratio is not None and overlap_ratio < LITTLE_EXPLAINED:
+    if overlap_ratio is not None and overlap_ratio < LOW_OVERLAP_RATIO:
         yield Finding(
-            f"The map explains only {percent(overlap_ratio)} of what the scans see.",
-            "Too much that moves, a floor or a window in the lidar's plane, or a map that came apart.",
+            f"The overlap ratio of scans with the map is only {percent(overlap_ratio)}.",
+            "Many moving objects, floor or windows in the lidar's plane, or an inconsistent map.",
             grave=True,
         )
-    for name, (text, detail) in COUNTS.items():
+    for name, (text, detail) in COUNT_FINDINGS.items():
         if count := health.get(name, 0):
             yield Finding(f"{counted(count, 'scan')} {text}.", detail)
 
 
-def _odometry(deviations: list[float] | None) -> Iterator[Finding]:
-    """How far odometry strays from what the scans say; a wrong mount of the lidar looks like that, too."""
-    if deviations and deviations[0] > STRAYING_ODOMETRY:
+def _odometry_findings(deviations: list[float] | None) -> Iterator[Finding]:
+    """Yield a finding if odometry deviates much from the scans; a wrong lidar mount has the same effect."""
+    if deviations and deviations[0] > HIGH_ODOMETRY_ERROR:
         yield Finding(
-            f"Odometry strays by {percent(deviations[0])} of the way.",
-            "Wheels that slip, a wrong size of the wheels, or a lidar that is not mounted as `lidar.mount` says.",
+            f"Odometry deviates by {percent(deviations[0])} of the travelled distance.",
+            "Slipping wheels, a wrong wheel size, or a lidar that is not mounted as `lidar.mount` says.",
             grave=True,
         )
 
 
-def _source(summary: dict[str, Any]) -> Iterator[Finding]:
+def _source_findings(summary: dict[str, Any]) -> Iterator[Finding]:
     skipped = summary.get("skipped") or {}
     if count := skipped.get("messages", 0):
         reasons = "; ".join(f"{reason}: {times}" for reason, times in (skipped.get("reasons") or {}).items())
         yield Finding(f"{counted(count, 'message')} of the recording could not be used.", reasons)
     factor = summary.get("real_time_factor")
     if factor is not None and factor < 1.0:
-        yield Finding(f"SLAM took {1 / factor:.1f} times as long as the drive.", "Live it would not have kept up.")
+        yield Finding(f"SLAM took {1 / factor:.1f} times as long as the recording.", "Live, it could not have kept up.")
 
 
 def _times(stamps: list[float], trajectory: Trajectory) -> str:
-    """When, on the clock of the drive; how often, where it was too often to tell all."""
-    shown = ", ".join(clock(stamp - trajectory.stamps[0]) for stamp in stamps[:SHOWN_TIMES])
-    return f"at {shown}" if len(stamps) <= SHOWN_TIMES else f"{len(stamps)} times, first at {shown}"
+    """Return the times since the start; if there are many, their number and the first ones."""
+    shown = ", ".join(clock(stamp - trajectory.stamps[0]) for stamp in stamps[:MAX_SHOWN_TIMES])
+    return f"at {shown}" if len(stamps) <= MAX_SHOWN_TIMES else f"{len(stamps)} times, first at {shown}"

@@ -5,14 +5,14 @@
   const scale = document.querySelector(".scale");
   const [left, top, width, height] = svg.getAttribute("viewBox").split(" ").map(Number);
   const all = { x: left, y: top, width, height };
-  const MOST = 200, LEAST = 1; // times larger than when all is shown
+  const MAX_ZOOM = 200, MIN_ZOOM = 1; // relative to the whole map
   let view = { ...all };
 
   const show = () => {
     svg.setAttribute("viewBox", [view.x, view.y, view.width, view.height].map((v) => v.toFixed(4)).join(" "));
-    // When all is shown there is nothing to drag, so a finger scrolls the page.
+    // The whole map cannot be dragged, so a finger scrolls the page.
     svg.style.touchAction = view.width < 0.99 * all.width ? "none" : "pan-y";
-    const pixels = svg.getScreenCTM().a; // of a metre
+    const pixels = svg.getScreenCTM().a; // per metre
     const longest = 120 / pixels;
     const power = 10 ** Math.floor(Math.log10(longest));
     const metres = [5, 2, 1].map((digit) => digit * power).find((length) => length <= longest);
@@ -27,9 +27,9 @@
     return [box.left + box.width / 2, box.top + box.height / 2];
   };
 
-  /** Make everything 1 / factor times as large and keep the point under (x, y) where it is. */
+  /** Scale by 1 / factor about the point under (x, y). */
   const zoom = (factor, x, y) => {
-    const wanted = Math.min(all.width / LEAST, Math.max(all.width / MOST, view.width * factor));
+    const wanted = Math.min(all.width / MIN_ZOOM, Math.max(all.width / MAX_ZOOM, view.width * factor));
     const real = wanted / view.width;
     const at = inMap(x, y);
     view = {
@@ -38,18 +38,18 @@
       width: view.width * real,
       height: view.height * real,
     };
-    if (real > 1) hold();
+    if (real > 1) clampView();
     show();
   };
   const move = (dx, dy) => {
     const pixels = svg.getScreenCTM().a;
     view.x -= dx / pixels;
     view.y -= dy / pixels;
-    hold();
+    clampView();
     show();
   };
-  /** The map does not leave the frame. */
-  const hold = () => {
+  /** Keep the map within the frame. */
+  const clampView = () => {
     view.x = Math.min(all.x + all.width - view.width, Math.max(all.x, view.x));
     view.y = Math.min(all.y + all.height - view.height, Math.max(all.y, view.y));
   };
@@ -64,7 +64,7 @@
     });
   }
   svg.addEventListener("wheel", (event) => {
-    if (!event.ctrlKey && document.activeElement !== svg) return; // the page scrolls until the map was clicked
+    if (!event.ctrlKey && document.activeElement !== svg) return; // the page scrolls unless the map has the focus
     event.preventDefault();
     zoom(Math.exp(0.0015 * Math.max(-200, Math.min(200, event.deltaY))), event.clientX, event.clientY);
   }, { passive: false });
@@ -110,7 +110,7 @@
   svg.addEventListener("pointercancel", up);
   svg.addEventListener("lostpointercapture", up);
 
-  // What is near a touch tells about itself
+  // Describe the element nearest to a click or touch
   const choose = (element) => {
     for (const old of svg.querySelectorAll(".chosen")) old.classList.remove("chosen");
     element.classList.add("chosen");
@@ -128,7 +128,7 @@
     }
   });
 
-  // A decision in the table shows itself on the map
+  // Clicking a loop decision in the table shows it on the map
   for (const row of document.querySelectorAll("tr[data-loop]")) {
     row.addEventListener("click", () => {
       const mark = svg.querySelector(`.loops [data-loop="${row.dataset.loop}"]`);
@@ -139,7 +139,7 @@
       view = { x: 0, y: 0, width: all.width * share, height: all.height * share };
       view.x = box.x + box.width / 2 - view.width / 2;
       view.y = box.y + box.height / 2 - view.height / 2;
-      hold();
+      clampView();
       show();
       svg.scrollIntoView({ block: "center", behavior: "smooth" });
     });

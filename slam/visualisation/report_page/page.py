@@ -1,4 +1,4 @@
-"""The page put together."""
+"""Assemble the report page from its template and sections."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ from pathlib import Path
 from string import Template
 
 from ...errors import MapError
-from ...io.exports.drawing import PATH_CLASSES, SIGMAS, UNKNOWN_CLASS, Drawing, draw
-from ...io.exports.session import Session
+from ...io.exports.svg_drawing import PATH_CLASSES, SIGMAS, UNKNOWN_CLASS, Drawing, draw_map
 from ...io.output_dir import CONFIG
+from ...io.run_results import RunResults
 from . import sections
 from .findings import findings
 
 
-def write_page(path: Path, session: Session) -> None:
-    """Write a session's page. Raises MapError where its summary lacks what every run writes."""
+def write_page(path: Path, session: RunResults) -> None:
+    """Write the page of a run. Raises MapError if its summary lacks entries that every run writes."""
     try:
         text = _page(session)
     except (KeyError, TypeError, AttributeError) as error:
-        raise MapError(f"{session.path}: its summary is not that of a run: {error}") from error
+        raise MapError(f"{session.path}: not the summary of a run: {error}") from error
     path.write_text(text, encoding="utf-8", newline="\n")
 
 
-def _page(session: Session) -> str:
-    summary, drawing = session.summary, draw(session)
-    found = findings(summary, session.trajectory)
+def _page(session: RunResults) -> str:
+    summary, drawing = session.summary, draw_map(session)
+    run_findings = findings(summary, session.trajectory)
     settings = session.path / CONFIG
     colours = "".join(
         f".{c.name} {{ stroke: {c.colour}; background: {c.colour} }}\n" for c in (*PATH_CLASSES, UNKNOWN_CLASS)
@@ -40,7 +40,7 @@ def _page(session: Session) -> str:
         aspect=f"{drawing.width:.3f} / {drawing.height:.3f}",
         map=drawing.elements,
         legend=_legend(drawing),
-        wrong=sections.wrong(found),
+        findings=sections.findings_list(run_findings),
         loops=sections.loops(summary.get("slam") or {}, float(session.trajectory.stamps[0])),
         accuracy=sections.accuracy(summary.get("truth")),
         timings=sections.timings(summary),
@@ -53,25 +53,26 @@ def _part(name: str) -> str:
 
 
 def _legend(drawing: Drawing) -> str:
-    """What the colours of the path mean; those that occur."""
-    told = []
+    """Return the legend of the map symbols and of the path colours that occur."""
+    path_entries = []
     for k, path_class in enumerate(PATH_CLASSES):
         if path_class in drawing.classes:
             last = k == len(PATH_CLASSES) - 1
-            limit = f"over {_round(PATH_CLASSES[k - 1].below)}" if last else f"under {_round(path_class.below)}"
-            told.append((path_class.name, limit))
+            limit = (
+                f"over {_centimetres(PATH_CLASSES[k - 1].below)}" if last else f"under {_centimetres(path_class.below)}"
+            )
+            path_entries.append((path_class.name, limit))
     if UNKNOWN_CLASS in drawing.classes:
-        told.append((UNKNOWN_CLASS.name, "path"))
-    entries = "".join(f'<span><i class="{name}"></i>{text}</span>' for name, text in told)
+        path_entries.append((UNKNOWN_CLASS.name, "path"))
+    entries = "".join(f'<span><i class="{name}"></i>{text}</span>' for name, text in path_entries)
     if drawing.classes != (UNKNOWN_CLASS,):
-        entries = f'</div><div class="legend"><span>path, known to (σ):</span>{entries}'
-    marks = '<span><i class="wall"></i>wall</span><span><i class="band"></i>side seen</span>'
+        entries = f'</div><div class="legend"><span>path, position σ:</span>{entries}'
+    marks = '<span><i class="wall"></i>wall</span><span><i class="band"></i>seen side</span>'
     marks += f'<span><i class="corner"></i>corner, {SIGMAS:.0f}σ</span>'
     if "data-loop" in drawing.elements:
         marks += '<span><i class="loop"></i>loop closure</span>'
     return f'{marks}<span class="start">○ start</span><span class="end">▲ end</span>{entries}'
 
 
-def _round(metres: float) -> str:
-    """A limit of the classes, which are round numbers."""
+def _centimetres(metres: float) -> str:
     return f"{100 * metres:g} cm"

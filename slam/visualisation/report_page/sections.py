@@ -1,25 +1,25 @@
-"""The page's parts below the map, each a piece of HTML; an empty one where a session has nothing to tell."""
+"""Write the sections below the map as HTML."""
 
 from __future__ import annotations
 
 from html import escape
 from typing import Any
 
+from ...loop_closure.loop_status import LoopStatus
 from .findings import Finding
-from .words import clock, counted, duration, length, percent
+from .formatting import clock, counted, duration, length, percent
 
-STATUS = {"accepted": "closed", "retracted": "taken back", "held": "waited", "rejected": "refused"}
-SHOWN = ("accepted", "retracted")
-"""Decisions that changed the map; the others are folded away."""
-TERMS = {
-    "what": "one that waited had passed, but needed a second look that agreed, and none came",
-    "keyframes": "where it was decided, and one that saw the place before",
-    "overlap_ratio": "of the wall seen lately, the share that would fall on old walls; the more the better",
-    "walls": "how many walls would",
-    "runner-up": "how much another place explains, relative to this one: near 100 % the two cannot be told apart",
-    "σ": "how well the motion is known where it is known worst",
-    "contradicted": "share of the wall seen lately that old walls would have hidden; the less the better",
-    "moved by": "how far the robot's place was corrected",
+APPLIED = (LoopStatus.ACCEPTED, LoopStatus.RETRACTED)
+"""Decisions that changed the map; the others are in a collapsed table."""
+COLUMN_MEANINGS = {
+    "status": "a pending loop passed all tests but was not confirmed by a second candidate",
+    "keyframes": "keyframe of the decision, and one that observed the place before",
+    "overlap": "share of the recent wall length that would lie on old walls; higher is better",
+    "walls": "number of matched walls",
+    "alternative": "overlap of the best alternative relative to this one; near 100 % the two are indistinguishable",
+    "σ": "standard deviation of the motion in its least certain direction",
+    "contradicted": "share of the recent wall length that old walls would have occluded; lower is better",
+    "moved by": "correction of the robot's position",
 }
 ACCURACY = (
     ("ate_rmse", "position, RMS", "m"),
@@ -32,23 +32,23 @@ ACCURACY = (
 
 
 def facts(summary: dict[str, Any]) -> str:
-    """The run in a few numbers."""
-    told = [
+    """Return the run in a few numbers."""
+    entries = [
         ("driven", length(summary["path_length"])),
-        ("in", duration(summary["duration"])),
+        ("duration", duration(summary["duration"])),
         ("walls", str(summary["walls"])),
         ("corners", str(summary["corners"])),
         ("keyframes", str(summary["keyframes"])),
         ("scans", str(summary["scans"])),
     ]
-    return "".join(f"<div><dt>{name}</dt><dd>{value}</dd></div>" for name, value in told)
+    return "".join(f"<div><dt>{name}</dt><dd>{value}</dd></div>" for name, value in entries)
 
 
-def wrong(found: list[Finding]) -> str:
-    """What looked wrong, or that nothing did."""
-    if not found:
-        return '<p class="good">Nothing looked wrong.</p>'
-    return f"<ul>{''.join(map(_item, found))}</ul>"
+def findings_list(findings: list[Finding]) -> str:
+    """Return the findings, or the statement that there are none."""
+    if not findings:
+        return '<p class="good">No problems found.</p>'
+    return f"<ul>{''.join(map(_item, findings))}</ul>"
 
 
 def _item(finding: Finding) -> str:
@@ -57,60 +57,60 @@ def _item(finding: Finding) -> str:
 
 
 def loops(slam: dict[str, Any], start: float) -> str:
-    """How many places looked known and what became of them; each decision where the summary has them."""
+    """Return the number of loop candidates by status, and each decision if the summary contains them."""
     counts = slam.get("loops") or {}
     if not counts.get("proposed"):
-        return "<p>No place looked like one seen before.</p>"
-    told = ", ".join(f"{counts.get(name, 0)} {word}" for name, word in STATUS.items() if counts.get(name, 0))
-    head = f"<p>{counted(counts['proposed'], 'time')} a place looked known: {told}.</p>"
+        return "<p>There were no loop candidates.</p>"
+    by_status = ", ".join(f"{counts[status]} {status}" for status in LoopStatus if counts.get(status, 0))
+    head = f"<p>{counted(counts['proposed'], 'loop candidate')}: {by_status}.</p>"
     rows = slam.get("loop_decisions") or []
-    shown = [row for row in rows if row["status"] in SHOWN]
-    folded = [row for row in rows if row["status"] not in SHOWN]
-    body = _decisions(shown, start) if shown else ""
-    if folded:
-        title = f"{len(folded)} that were not closed, and why"
-        body += f"<details><summary>{title}</summary>{_decisions(folded, start)}</details>"
-    return head + body + (_terms() if rows else "")
+    applied = [row for row in rows if row["status"] in APPLIED]
+    others = [row for row in rows if row["status"] not in APPLIED]
+    body = _decisions(applied, start) if applied else ""
+    if others:
+        title = f"{len(others)} not accepted, with reasons"
+        body += f"<details><summary>{title}</summary>{_decisions(others, start)}</details>"
+    return head + body + (_column_meanings() if rows else "")
 
 
-def _terms() -> str:
-    told = "".join(f"<dt>{name}</dt><dd>{meaning}</dd>" for name, meaning in TERMS.items())
-    return f'<details><summary>What the columns mean</summary><dl class="terms">{told}</dl></details>'
+def _column_meanings() -> str:
+    entries = "".join(f"<dt>{name}</dt><dd>{meaning}</dd>" for name, meaning in COLUMN_MEANINGS.items())
+    return f'<details><summary>Meaning of the columns</summary><dl class="terms">{entries}</dl></details>'
 
 
 def _decisions(rows: list[dict[str, Any]], start: float) -> str:
     columns = (
-        ("at", lambda row: clock(row["stamp"] - start)),
-        ("what", lambda row: STATUS.get(row["status"], row["status"])),
+        ("time", lambda row: clock(row["stamp"] - start)),
+        ("status", lambda row: row["status"]),
         ("keyframes", lambda row: f"{row['keyframe']} → {row['old']}"),
-        ("why", lambda row: row["reason"] or "–"),
-        ("overlap_ratio", lambda row: percent(row["overlap_ratio"])),
+        ("reason", lambda row: row["reason"] or "–"),
+        ("overlap", lambda row: percent(row["overlap_ratio"])),
         ("walls", lambda row: str(row["matches"])),
-        ("runner-up", lambda row: percent(row["runner_up"])),
+        ("alternative", lambda row: percent(row["runner_up"])),
         ("σ", lambda row: length(row["sigma"])),
         ("contradicted", lambda row: percent(row["contradicted"])),
         ("moved by", lambda row: length(row["shift"]) if row["shift"] else "–"),
     )
     lines = []
     for row in rows:
-        cells = "".join(f'<td data-label="{name}">{escape(_told(tell, row))}</td>' for name, tell in columns)
+        cells = "".join(f'<td data-label="{name}">{escape(_cell(value_of, row))}</td>' for name, value_of in columns)
         lines.append(f'<tr class="{escape(str(row["status"]))}" data-loop="{row["candidate"]}">{cells}</tr>')
     heads = "".join(f"<th>{name}</th>" for name, _ in columns)
     return f"<table><thead><tr>{heads}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
 
 
-def _told(tell: Any, row: dict[str, Any]) -> str:
-    """A cell; a value that was not finite is null in the summary."""
+def _cell(value_of: Any, row: dict[str, Any]) -> str:
+    """Return a table cell; values that are not finite are null in the summary."""
     try:
-        return str(tell(row))
+        return str(value_of(row))
     except TypeError:
         return "–"
 
 
 def accuracy(truth: dict[str, Any] | None) -> str:
-    """How far the path is from the true one, where the recording knows it."""
+    """Return the errors of the path against ground truth if there is any."""
     if not truth:
-        return "<p>The recording does not know the true path.</p>"
+        return "<p>The recording contains no ground truth.</p>"
     rows = "".join(
         f"<tr><td>{name}</td><td>{length(truth[key]) if unit == 'm' else f'{truth[key]:.2f}°'}</td></tr>"
         for key, name, unit in ACCURACY
@@ -120,11 +120,11 @@ def accuracy(truth: dict[str, Any] | None) -> str:
 
 
 def timings(summary: dict[str, Any]) -> str:
-    """How long it took, and where the time of a keyframe goes."""
+    """Return run time and memory, and the mean time of each stage of a keyframe."""
     slam_timings = (summary.get("slam") or {}).get("timings") or {}
     factor = summary["real_time_factor"]
     head = (
-        f"<p>{duration(summary['slam_seconds'])} for SLAM, {factor:.3g} times as fast as the drive, and at most "
+        f"<p>{duration(summary['slam_seconds'])} for SLAM, {factor:.3g} times as fast as the recording, with at most "
         f"{summary['peak_memory_mib']:.0f} MiB of memory."
     )
     if "keyframe_median_ms" in slam_timings:
@@ -141,25 +141,25 @@ def timings(summary: dict[str, Any]) -> str:
         f"<td>{value:.2f} ms</td></tr>"
         for name, value in stages.items()
     )
-    caption = "<caption>of a keyframe, mean of each stage</caption>"
+    caption = "<caption>mean time of each stage of a keyframe</caption>"
     return f'{head}</p><table class="plain">{caption}<tbody>{bars}</tbody></table>' if bars else f"{head}</p>"
 
 
 def details(summary: dict[str, Any], settings: str) -> str:
-    """What it was made with: seed, noise that was learned, versions, settings."""
+    """Return recording, seed, estimated parameters, versions and settings."""
     slam = summary.get("slam") or {}
-    learned = (
+    entries = (
         ("recording", summary.get("recording_path") or summary.get("recording")),
         ("seed of the simulation", summary.get("seed")),
         ("factors in the graph", slam.get("factors")),
-        ("noise of a range, learned, metres", slam.get("sigma_range")),
-        ("unevenness of the walls, learned, metres", slam.get("wall_unevenness")),
-        ("odometry's error per metre, learned: metres, radians", slam.get("odometry_deviation_per_metre")),
+        ("estimated range noise, metres", slam.get("sigma_range")),
+        ("estimated wall roughness, metres", slam.get("wall_roughness")),
+        ("estimated odometry error per metre: metres, radians", slam.get("odometry_deviation_per_metre")),
         *(summary.get("versions") or {}).items(),
     )
     rows = "".join(
         f"<tr><td>{escape(str(name))}</td><td>{escape(str(value))}</td></tr>"
-        for name, value in learned
+        for name, value in entries
         if value is not None
     )
     return f'<table class="plain"><tbody>{rows}</tbody></table><pre>{escape(settings)}</pre>'

@@ -74,16 +74,16 @@ def loop_report(event: LoopDecided) -> str:
 
 _TESTS = {
     "drift": "motion / expected drift",
-    "overlap_ratio": "overlap ratio with the reference map",
-    "weakest": "lowest overlap ratio of the walls that determine one direction",
+    "overlap-ratio": "overlap ratio with the reference map",
+    "directional-ratio": "lowest overlap ratio of the walls that determine one direction",
     "length": "overlapping wall length, metres",
     "gain": "overlapping length above the null hypothesis, metres",
     "walls": "matched walls",
     "sigma": "largest position sigma, metres",
-    "runner-up": "best alternative / this hypothesis",
-    "likelier-rival": "best alternative closer to odometry / this hypothesis",
+    "alternative": "best alternative / this hypothesis",
+    "likelier-alternative": "best alternative closer to odometry / this hypothesis",
     "contradicted": "share of wall length seen through old walls",
-    "unexpected": "deviation from the estimate, sigmas",
+    "mahalanobis": "deviation from the estimate, sigmas",
 }
 
 

@@ -1,4 +1,4 @@
-"""`report.html`: what it tells, that it needs nothing but itself, and that a real browser takes it."""
+"""`report.html`: its content, its independence of other files, and its behaviour in a real browser."""
 
 import html
 import json
@@ -61,7 +61,7 @@ SUMMARY: dict[str, Any] = {
 
 
 def make(folder: Path, finished: Finished, summary: dict[str, Any] = SUMMARY) -> RunResults:
-    """A session whose path is known ever worse."""
+    """Write and read a session whose path becomes ever less certain."""
     sigma = np.linspace(0.01, 0.15, len(finished.keyframes))
     covariance = np.eye(3) * np.square(sigma)[:, None, None]
     folder.mkdir(exist_ok=True)
@@ -76,34 +76,34 @@ def page(folder: Path, finished: Finished, summary: dict[str, Any] = SUMMARY) ->
 
 
 def words(text: str) -> str:
-    """What a person reads: no markup, no scripts."""
+    """Return the visible text, without markup and scripts."""
     text = re.sub(r"<(style|script|svg).*?</\1>", " ", text, flags=re.DOTALL)
     return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", text)).split())
 
 
-def test_the_page_tells_the_run(tmp_path: Path, finished: Finished) -> None:
+def test_the_page_shows_the_run(tmp_path: Path, finished: Finished) -> None:
     text = page(tmp_path / "out", finished)
-    told = words(text)
+    visible = words(text)
     for expected in (
         "room.mcap",
         "4.40 m",
-        "Nothing looked wrong.",
-        "2 times a place looked known: 1 closed, 1 refused.",
+        "No problems found.",
+        "2 loop candidates: 1 rejected, 1 accepted.",
         "all tests passed 81 % 6 40 % 2.0 cm 0 % 0.13 m",
-        "1 that were not closed, and why",
+        "1 not accepted, with reasons",
         "position, RMS 2.1 cm",
         "heading, RMS 0.42°",
-        "20 times as fast as the drive",
+        "20 times as fast as the recording",
         "graph 0.70 ms",
         "sigma_range = 0.01",
         "under 2 cm under 5 cm under 10 cm under 20 cm",
     ):
-        assert expected in told, expected
+        assert expected in visible, expected
     assert set(re.findall(r'<polyline class="(\w+)"', text)) == {"p0", "p1", "p2", "p3"}
     assert 'class="accepted" data-loop="5"' in text
 
 
-def test_the_page_needs_nothing_but_itself(tmp_path: Path, finished: Finished) -> None:
+def test_the_page_references_no_other_file(tmp_path: Path, finished: Finished) -> None:
     class Links(HTMLParser):
         found: list[str] = []  # noqa: RUF012
 
@@ -117,7 +117,7 @@ def test_the_page_needs_nothing_but_itself(tmp_path: Path, finished: Finished) -
     assert not re.search(r"https?:|//[a-z]|@import|url\(", text.replace("data:,", ""))
 
 
-def test_names_and_reasons_are_text_whatever_they_are(tmp_path: Path, finished: Finished) -> None:
+def test_names_and_reasons_are_escaped(tmp_path: Path, finished: Finished) -> None:
     nasty = '<script>alert("1")</script>&$title.mcap'
     summary = SUMMARY | {"recording": nasty, "warnings": [f"{nasty} (at 3.00 s)"]}
     text = page(tmp_path / "out", finished, summary)
@@ -133,9 +133,9 @@ def test_a_session_of_an_older_version_has_a_page(tmp_path: Path, finished: Fini
     (tmp_path / "out" / "keyframes.csv").unlink()
     session = read_run_results(tmp_path / "out")
     write_page(tmp_path / "a.html", session)
-    told = words((tmp_path / "a.html").read_text(encoding="utf-8"))
-    assert "The recording does not know the true path." in told
-    assert "No place looked like one seen before." in told
+    text = words((tmp_path / "a.html").read_text(encoding="utf-8"))
+    assert "The recording contains no ground truth." in text
+    assert "There were no loop candidates." in text
 
 
 def test_a_map_without_walls_has_a_page(tmp_path: Path, finished: Finished) -> None:
@@ -154,7 +154,7 @@ def test_a_map_without_walls_has_a_page(tmp_path: Path, finished: Finished) -> N
     assert "<svg" in page(tmp_path / "out", empty, without)
 
 
-def test_what_looked_wrong_is_told_in_words(tmp_path: Path, finished: Finished) -> None:
+def test_findings_describe_problems_grave_ones_first(tmp_path: Path, finished: Finished) -> None:
     slam = {
         "loops": {"proposed": 3, "retracted": 2},
         "health": {"overlap_ratio_median": 0.6, "no_features": 1, "empty_scans": 4},
@@ -174,17 +174,17 @@ def test_what_looked_wrong_is_told_in_words(tmp_path: Path, finished: Finished) 
     found = findings(summary, make(tmp_path / "out", finished, summary).trajectory)
     texts = [finding.text for finding in found]
     assert texts == [
-        "For 3 s in all the robot was lost, at 0:02.",
-        "The map explains only 60 % of what the scans see.",
-        "Odometry strays by 158 % of the way.",
-        "For 8 s in all the place was open in one direction, at 0:12.",
+        "For 3 s in total, the robot was lost, at 0:02.",
+        "The overlap ratio of scans with the map is only 60 %.",
+        "Odometry deviates by 158 % of the travelled distance.",
+        "For 8 s in total, one direction was degenerate, at 0:12.",
         "No odometry for a while.",
         "The scan fits nowhere near, 6 times, first at 1:10, 1:11, 1:12, 1:13.",
-        "2 loop closures had to be taken back.",
-        "1 scan showed too little to place it.",
+        "2 loop closures had to be retracted.",
+        "1 scan had no features.",
         "4 scans had no return at all.",
         "3 messages of the recording could not be used.",
-        "SLAM took 2.0 times as long as the drive.",
+        "SLAM took 2.0 times as long as the recording.",
     ]
     assert [finding.grave for finding in found] == [True] * 3 + [False] * 8
     assert findings(SUMMARY, make(tmp_path / "out", finished).trajectory) == []
@@ -193,7 +193,7 @@ def test_what_looked_wrong_is_told_in_words(tmp_path: Path, finished: Finished) 
 # The command
 
 
-def test_the_page_is_made_again_for_an_older_session(wclm: Any, fake_slam: type) -> None:
+def test_the_report_command_writes_the_page_of_an_older_session(wclm: Any, fake_slam: type) -> None:
     assert wclm("run", "sim:room?duration=3", "--out", "out", "--no-review").exit_code == 0
     written = Path("out/report.html").read_text()
     Path("out/report.html").unlink()
@@ -205,11 +205,11 @@ def test_the_page_is_made_again_for_an_older_session(wclm: Any, fake_slam: type)
     assert wclm("report", "out", "--out", "a.html").exit_code == 0
     assert Path("a.html").read_text() == written
     write_json(Path("out/summary.json"), {"recording": "a"})
-    wclm.refuses("report", "out", "--overwrite", because=["out: its summary is not that of a run: 'path_length'"])
+    wclm.refuses("report", "out", "--overwrite", because=["out: not the summary of a run: 'path_length'"])
     assert Path("out/report.html").read_text() == written
 
 
-def test_results_are_kept_where_the_page_fails(
+def test_results_are_kept_if_the_page_fails(
     wclm: Any, fake_slam: type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fails(*_: object) -> None:
@@ -242,7 +242,7 @@ in_a_browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is insta
 
 
 def render(file: Path, size: str = "1280,900") -> tuple[str, list[str]]:
-    """The document after its scripts have run, and what the browser's console says."""
+    """Return the document after its scripts have run, and the lines of the browser's console."""
     assert CHROMIUM is not None
     profile = file.parent / f"profile-{file.stem}"
     command = [CHROMIUM, *FLAGS, f"--window-size={size}", f"--user-data-dir={profile}", file.as_uri()]
@@ -251,13 +251,13 @@ def render(file: Path, size: str = "1280,900") -> tuple[str, list[str]]:
 
 
 @in_a_browser
-def test_a_browser_shows_the_page_without_a_word_in_its_console(tmp_path: Path, finished: Finished) -> None:
+def test_a_browser_shows_the_page_without_console_messages(tmp_path: Path, finished: Finished) -> None:
     text = page(tmp_path, finished)
     document, console = render(tmp_path / "report.html", "390,800")
     assert console == []
     assert re.search(r'<div class="scale"><i style="width: [\d.]+px;"></i><span>[125]0* (m|cm)</span>', document)
     (tmp_path / "broken.html").write_text(text.replace('"use strict";', "nothing.there();"), encoding="utf-8")
-    assert "nothing is not defined" in render(tmp_path / "broken.html")[1][0]  # so silence means something
+    assert "nothing is not defined" in render(tmp_path / "broken.html")[1][0]  # an error would be reported
 
 
 PROBE = """
@@ -297,22 +297,22 @@ document.documentElement.dataset.told = JSON.stringify(told);
 
 @in_a_browser
 @pytest.mark.parametrize("size", ["1280,900", "500,800"])
-def test_the_map_is_zoomed_dragged_and_asked(tmp_path: Path, finished: Finished, size: str) -> None:
+def test_the_map_can_be_zoomed_dragged_and_queried(tmp_path: Path, finished: Finished, size: str) -> None:
     text = page(tmp_path, finished)
     (tmp_path / "probe.html").write_text(text.replace("</body>", PROBE + "</body>"), encoding="utf-8")
     document, console = render(tmp_path / "probe.html", size)
     assert console == []
     told = json.loads(html.unescape(re.search(r'data-told="(.*?)"', document).group(1)))
-    assert told["about"].startswith("wall 0: 6.00 m, seen in 5 keyframes")
+    assert told["about"].startswith("wall 0: 6.00 m, observed in 5 keyframes")
     assert told["larger"][2] == pytest.approx(0.6 * told["all"][2], rel=1e-3)
     middle = [told["all"][k] + told["all"][k + 2] / 2 for k in (0, 1)]
     assert [told["larger"][k] + told["larger"][k + 2] / 2 for k in (0, 1)] == pytest.approx(middle, abs=1e-3)
-    assert told["dragged"][0] < told["larger"][0]  # what is dragged to the right shows more of the left
+    assert told["dragged"][0] < told["larger"][0]  # dragging to the right shows more of the left
     assert told["dragged"][2] == told["larger"][2]
     assert told["pinched"][2] < 0.7 * told["dragged"][2]
     assert told["least"] == pytest.approx(told["all"], abs=1e-3)
     assert told["scrolled"] == told["least"]  # the page scrolls
     assert told["wheel"][2] < told["least"][2]
-    assert told["loop"] == "loop 5, accepted: keyframe 4 sees the place of 1"
+    assert told["loop"] == "loop 5, accepted: keyframe 4 at the place of 1"
     assert told["again"] == told["all"]
-    assert told["wide"]  # nothing sticks out at the side
+    assert told["wide"]  # no horizontal overflow

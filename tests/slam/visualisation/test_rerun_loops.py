@@ -75,7 +75,7 @@ def test_every_decision_is_a_row_with_its_scores_and_gates(logged: Logged) -> No
         if event.status in (LoopStatus.ACCEPTED, LoopStatus.PENDING):
             assert all(test.passed for test in event.tests)
             assert "failed_test" not in value
-        if event.status == LoopStatus.REJECTED and event.reason != "has proved wrong before":
+        if event.status == LoopStatus.REJECTED and event.reason != "was retracted before":
             assert not next(test for test in event.tests if test.name == value["failed_test"]).passed
 
 
