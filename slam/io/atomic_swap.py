@@ -1,4 +1,4 @@
-"""Putting one directory in the place of another, at a stroke where the system can do that."""
+"""Exchange two directories atomically, if the system supports that."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import sys
 from pathlib import Path
 
 AT_FDCWD, RENAME_EXCHANGE = -100, 2
-"""Of Linux's renameat2(2)."""
+"""Constants of Linux's renameat2(2)."""
 UNSUPPORTED = (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP)
-"""What it says on systems and file systems that do not know the exchange."""
+"""Errors of renameat2 if the system or file system does not support the exchange."""
 
 
-def exchange(first: Path, second: Path) -> bool:
-    """Let two directories of one file system change their names, at a stroke; False where the system cannot.
+def swap_directories(first: Path, second: Path) -> bool:
+    """Exchange the names of two directories of one file system atomically.
 
-    Raises OSError where it can, and fails.
+    Returns False if the system does not support it. Raises OSError if it does, but the exchange fails.
     """
     rename = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None) if sys.platform == "linux" else None
     if rename is None:

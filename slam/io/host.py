@@ -1,4 +1,4 @@
-"""What a result was had on: versions, the machine, and the memory that the process took."""
+"""Describe what a result was computed with: package versions, the machine, and the memory used."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from importlib import metadata
 from pathlib import Path
 
 PACKAGES = ("wclm-slam", "numpy", "numba", "gtsam", "rerun-sdk")
-CPU_LIST = Path("/proc/cpuinfo")
-"""Where Linux tells the processor's name, which Python does not ask for."""
+CPU_INFO = Path("/proc/cpuinfo")
+"""Contains the processor's name on Linux, which Python does not provide."""
 MEMORY_STATUS = Path("/proc/self/status")
-"""Where Linux tells the memory of this program alone; what getrusage tells includes the one that started it."""
+"""Contains the memory of this process alone on Linux; getrusage includes the peak of the parent before exec."""
 
 
 def versions() -> dict[str, str]:
-    """Versions of this program and of what its results depend on."""
+    """Return the versions of this program, of the packages its results depend on, and of Python."""
     return {name: metadata.version(name) for name in PACKAGES} | {"python": platform.python_version()}
 
 
-def machine() -> dict[str, str | int]:
-    """What the times were taken on."""
+def describe_machine() -> dict[str, str | int]:
+    """Return the processor's name, the number of cores and the operating system."""
     model = platform.processor() or platform.machine()
     with suppress(OSError):
-        lines = CPU_LIST.read_text(encoding="utf-8").splitlines()
+        lines = CPU_INFO.read_text(encoding="utf-8").splitlines()
         model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), model)
     return {"processor": model, "cores": os.cpu_count() or 1, "system": platform.system()}
 
 
 def peak_memory() -> float:
-    """The most memory this process has had, MiB."""
+    """Return the largest memory of this process so far, MiB."""
     with suppress(OSError, StopIteration):
         lines = MEMORY_STATUS.read_text(encoding="utf-8").splitlines()
         return int(next(line for line in lines if line.startswith("VmHWM:")).split()[1]) / (1 << 10)

@@ -1,4 +1,4 @@
-"""The keyframes on disk: where they are and how well that is known, `keyframes.csv`, one a line below a heading."""
+"""Write and read `keyframes.csv`: the keyframes' poses and covariances, one keyframe per line below a header."""
 
 from __future__ import annotations
 
@@ -6,20 +6,22 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import MapError
-
-Floats = NDArray[np.float64]
+from ..geometry.segments import Floats
 
 COLUMNS = ("stamp", "x", "y", "heading", "xx", "xy", "xh", "yy", "yh", "hh")
-UPPER = np.triu_indices(3)
+UPPER_TRIANGLE = np.triu_indices(3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Keyframes:
-    """k keyframes: `stamps` (k,) seconds, `poses` (k, 3) in the map, and `covariance` (k, 3, 3), each in the keyframe's
-    own frame; NaN where it is not known."""
+    """Poses of k keyframes.
+
+    stamps      (k,) seconds
+    poses       (k, 3) in the map
+    covariance  (k, 3, 3) of each pose in the keyframe's own frame; NaN if unknown
+    """
 
     stamps: Floats
     poses: Floats
@@ -28,8 +30,8 @@ class Keyframes:
     def __len__(self) -> int:
         return len(self.stamps)
 
-    def sigma(self) -> Floats:
-        """(k,) metres: the standard deviation of each position in the direction in which it is known worst."""
+    def position_sigma(self) -> Floats:
+        """Return (k,) the standard deviation of each position in its most uncertain direction, metres."""
         result = np.full(len(self), np.nan)
         known = np.isfinite(self.covariance).all(axis=(1, 2))
         result[known] = np.sqrt(np.linalg.eigvalsh(self.covariance[known, :2, :2])[:, -1].clip(min=0.0))
@@ -37,9 +39,9 @@ class Keyframes:
 
 
 def write_keyframes(path: Path, keyframes: Keyframes) -> None:
-    """Write the keyframes; microseconds, micrometres, nine digits of the covariances' upper triangles."""
+    """Write the keyframes: microseconds, micrometres, and nine digits of the covariances' upper triangles."""
     lines = [",".join(COLUMNS)]
-    upper = keyframes.covariance[:, UPPER[0], UPPER[1]]
+    upper = keyframes.covariance[:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]]
     for stamp, pose, values in zip(keyframes.stamps.tolist(), keyframes.poses.tolist(), upper.tolist(), strict=True):
         numbers = [f"{stamp:.6f}", *(f"{value:z.6f}" for value in pose[:2]), f"{pose[2]:z.9f}"]
         lines.append(",".join([*numbers, *(f"{value:.9g}" for value in values)]))
@@ -49,13 +51,13 @@ def write_keyframes(path: Path, keyframes: Keyframes) -> None:
 def read_keyframes(path: Path) -> Keyframes:
     """Read keyframes. Raises MapError naming the file and the line."""
     try:
-        heading, *lines = path.read_text(encoding="ascii").splitlines() or [""]
+        header, *lines = path.read_text(encoding="ascii").splitlines() or [""]
     except OSError as error:
         raise MapError(f"{path}: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
         raise MapError(f"{path}: is not a text file") from error
-    if tuple(heading.split(",")) != COLUMNS:
-        raise MapError(f"{path}:1: the heading is not {','.join(COLUMNS)}")
+    if tuple(header.split(",")) != COLUMNS:
+        raise MapError(f"{path}:1: the header is not {','.join(COLUMNS)}")
     rows = np.empty((len(lines), len(COLUMNS)))
     for number, line in enumerate(lines, start=2):
         try:
@@ -65,5 +67,6 @@ def read_keyframes(path: Path) -> Keyframes:
         if not np.isfinite(rows[number - 2, :4]).all():
             raise MapError(f"{path}:{number}: not all values are finite")
     covariance = np.empty((len(rows), 3, 3))
-    covariance[:, UPPER[0], UPPER[1]] = covariance[:, UPPER[1], UPPER[0]] = rows[:, 4:]
+    covariance[:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]] = rows[:, 4:]
+    covariance[:, UPPER_TRIANGLE[1], UPPER_TRIANGLE[0]] = rows[:, 4:]
     return Keyframes(rows[:, 0], rows[:, 1:4], covariance)

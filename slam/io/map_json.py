@@ -1,16 +1,16 @@
-"""The map on disk: `map.json`, one wall or corner a line, complete enough to be used without this program.
+"""Write and read `map.json`: walls and corners, one per line, for use without this program.
 
-The format carries its name and version. A reader takes the versions it knows and refuses others. A wall is a frame
-standing on it, so the numbers below need no second convention:
+The file states its format and version; a reader refuses versions that it does not support. A wall has a frame of its
+own, to which the other values refer:
 
     frame         [x, y, heading] in the map: x runs along the wall; the wall is seen from the frame's left (y > 0)
-    low, high     how far along the frame's x the wall is known
+    low, high     ends of the wall along the frame's x (m)
     start, end    the same as points in the map
     covariance    2 x 2, of the offset across the wall (m) and its heading (rad) at the frame's origin; null if unknown
-    pieces        the stretches of it that were seen, [from, to] along x: between them there may be doors
-    observations  in how many keyframes it was seen
+    pieces        observed parts of the wall, [from, to] along x (m): between them there may be doors
+    observations  number of keyframes that observed it
 
-Version 1 had no pieces; such a wall reads as one.
+Version 1 had no pieces: the wall is read as a single piece.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from ..events import MapCorners, MapWalls
 
 FORMAT = "wclm-slam map"
 VERSION = 2
-KNOWN_VERSIONS = (1, 2)
+SUPPORTED_VERSIONS = (1, 2)
 
-_UNKNOWN = np.full((2, 2), np.nan)
+_UNKNOWN_COVARIANCE = np.full((2, 2), np.nan)
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Matrix = tuple[tuple[Finite, Finite], tuple[Finite, Finite]]
@@ -78,14 +78,14 @@ class _Map(_Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapFile:
-    """What a map file holds."""
+    """Contents of a map file."""
 
     lines: MapWalls
     corners: MapCorners
 
 
 def write_map(path: Path, lines: MapWalls, corners: MapCorners) -> None:
-    """Write the map. Raises MapError where a position is not finite; covariances that are not become null."""
+    """Write the map; covariances that are not finite become null. Raises MapError if another value is not finite."""
     ends = lines.end_points()
     try:
         document = _Map(
@@ -115,12 +115,12 @@ def write_map(path: Path, lines: MapWalls, corners: MapCorners) -> None:
             ],
         )
     except ValidationError as error:
-        raise MapError(f"{path}: the map cannot be written: {_first(error)}") from error
-    path.write_text(_one_record_a_line(document), encoding="utf-8", newline="\n")
+        raise MapError(f"{path}: the map cannot be written: {_first_error(error)}") from error
+    path.write_text(_to_json(document), encoding="utf-8", newline="\n")
 
 
 def read_map(path: Path) -> MapFile:
-    """Read a map. Raises MapError naming the file and what is wrong: no JSON, another version, a bad value."""
+    """Read a map. Raises MapError naming the file and the problem: not JSON, another version, an invalid value."""
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -129,13 +129,13 @@ def read_map(path: Path) -> MapFile:
         raise MapError(f"{path}: is not JSON: {error}") from error
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise MapError(f'{path}: is not a map: its format is not "{FORMAT}"')
-    if data.get("version") not in KNOWN_VERSIONS:
-        known = " and ".join(str(version) for version in KNOWN_VERSIONS)
-        raise MapError(f"{path}: has format version {data.get('version')}; this program reads versions {known}")
+    if data.get("version") not in SUPPORTED_VERSIONS:
+        supported = " and ".join(str(version) for version in SUPPORTED_VERSIONS)
+        raise MapError(f"{path}: has format version {data.get('version')}; this program reads versions {supported}")
     try:
         document = _Map.model_validate(data)
     except ValidationError as error:
-        raise MapError(f"{path}: {_first(error)}") from error
+        raise MapError(f"{path}: {_first_error(error)}") from error
     return MapFile(_lines(document.lines), _corners(document.corners))
 
 
@@ -166,27 +166,28 @@ def _integers(values: Sequence[Any]) -> NDArray[np.int64]:
 
 
 def _covariances(matrices: Sequence[Matrix | None]) -> NDArray[np.float64]:
-    return np.array([_UNKNOWN if m is None else m for m in matrices], float).reshape(-1, 2, 2)
+    return np.array([_UNKNOWN_COVARIANCE if m is None else m for m in matrices], float).reshape(-1, 2, 2)
 
 
 def _rounded(values: NDArray[np.float64]) -> Any:
-    """To the nanometre: enough to be exact for every purpose, and short to read. Adding zero turns -0.0 into 0.0."""
+    """Return values rounded to nanometres, which keeps the file short; adding zero turns -0.0 into 0.0."""
     return (np.round(values, 9) + 0.0).tolist()
 
 
 def _matrix(covariance: NDArray[np.float64]) -> Any:
+    """Return a covariance with nine significant digits; None if it is not finite."""
     if not np.isfinite(covariance).all():
         return None
     return [[float(f"{value:.9g}") for value in row] for row in covariance.tolist()]
 
 
-def _first(error: ValidationError) -> str:
+def _first_error(error: ValidationError) -> str:
     detail = error.errors()[0]
     return f"{'.'.join(str(part) for part in detail['loc'])}: {detail['msg'].lower()}"
 
 
-def _one_record_a_line(document: _Map) -> str:
-    """JSON that a person can scan and `diff` can compare."""
+def _to_json(document: _Map) -> str:
+    """Return JSON with one wall or corner per line, for reading and comparing with `diff`."""
     data = document.model_dump(mode="json")
     parts = []
     for name, value in data.items():

@@ -1,4 +1,4 @@
-"""The directory that a run leaves behind: complete, or not there at all."""
+"""Output directories of runs: complete, or not written at all."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import numpy as np
 from ..config import Config, config_to_toml
 from ..errors import OutputError
 from ..events import Finished
-from .atomic_swap import exchange
+from .atomic_swap import swap_directories
 from .keyframes_csv import Keyframes, write_keyframes
 from .map_json import write_map
 from .tum import Trajectory, write_tum
@@ -40,21 +40,19 @@ SESSION = "session"
 RESULTS = frozenset({TRAJECTORY, KEYFRAMES, MAP, CONFIG, SUMMARY, REVIEW, PICTURE, REPORT, SESSION})
 GRAPH_RESULTS = frozenset({GRAPH, GRAPH_PICTURE, SUMMARY})
 EXPORTS = frozenset({f"{EXPORTED}.{suffix}" for suffix in ("pgm", "yaml", "geojson", "svg", "dxf", "g2o")} | {POINTS})
-"""What `wclm map` adds to a run's directory; it can be made again, so it does not keep the directory from being
-replaced."""
+"""Files that `wclm map` adds to the directory of a run. They can be made again, so --overwrite removes them, too."""
 
 
 class OutputDirectory:
-    """A directory of results that appears, or replaces an older one, only when the block ends without an error.
+    """Context of a temporary directory that is renamed to the output directory if the block ends without an error.
 
     with OutputDirectory(Path("out"), overwrite=False) as directory:
-        write_results(directory, ...)            # a temporary sibling of out; now it is renamed to out
+        write_results(directory, ...)            # a temporary directory beside out, renamed to out at the end
 
-    On an error or Ctrl-C the temporary directory is removed and `out` is as it was; that of a process that is killed
-    stays, with what was written of the log. An existing directory is refused
-    unless it is empty or `overwrite` is set, and even then if it holds anything that is not a result of a run: a slip
-    in a path must not cost somebody's files.
-    Raises OutputError on entering, and on leaving where the results cannot be moved into place; they are kept then.
+    On an error or Ctrl-C the temporary directory is removed, and `out` does not change. If the process is killed, the
+    temporary directory stays. An existing directory is refused unless it is empty or `overwrite` is set, and even then
+    if it contains anything that is not a result of a run: a mistyped path must not delete other files.
+    Raises OutputError on entering; and on leaving if the results cannot be moved into place, but keeps them then.
     """
 
     def __init__(self, path: Path, overwrite: bool = False) -> None:
@@ -64,7 +62,7 @@ class OutputDirectory:
         self._work: Path | None = None
 
     def __enter__(self) -> Path:
-        self._refuse_what_must_stay()
+        self._check_target()
         try:
             self._target.parent.mkdir(parents=True, exist_ok=True)
             self._work = Path(tempfile.mkdtemp(prefix=f".{self._target.name}-", dir=self._target.parent))
@@ -84,7 +82,8 @@ class OutputDirectory:
         if isinstance(error, OSError):
             raise OutputError(f"{self._shown}: cannot be written: {error.strerror or error}") from error
 
-    def _refuse_what_must_stay(self) -> None:
+    def _check_target(self) -> None:
+        """Raise OutputError if the target exists and must not be replaced."""
         if not self._target.exists():
             return
         if not self._target.is_dir():
@@ -95,19 +94,23 @@ class OutputDirectory:
             raise OutputError(f"{self._shown}: cannot be read: {error.strerror or error}") from error
         if present and not self._overwrite:
             raise OutputError(f"{self._shown}: exists already; choose another directory or add --overwrite")
-        foreign = [name for name in present if name not in RESULTS | GRAPH_RESULTS | EXPORTS and not _is_part(name)]
+        foreign = [name for name in present if name not in RESULTS | GRAPH_RESULTS | EXPORTS and not _is_log_part(name)]
         if foreign:
-            raise OutputError(f"{self._shown}: holds {foreign[0]}, which is not a result of a run; not overwritten")
+            raise OutputError(f"{self._shown}: contains {foreign[0]}, which is not a result of a run; not overwritten")
 
     def _move_into_place(self, work: Path) -> None:
-        """Rename. Older results change places with the new ones at a stroke: whenever the process is killed, one of the
-        two is there, whole. Where the system cannot do that they step aside, and come back should the renaming fail."""
+        """Rename the temporary directory to the target.
+
+        Older results are exchanged with the new ones atomically: whenever the process is killed, one of the two is in
+        place, complete. If the system does not support that, the older ones are renamed first, and back if the new
+        ones cannot be renamed.
+        """
         try:
-            self._refuse_what_must_stay()
+            self._check_target()
             if not self._target.exists():
                 work.rename(self._target)
                 return
-            if exchange(work, self._target):
+            if swap_directories(work, self._target):
                 shutil.rmtree(work, ignore_errors=True)
                 return
             aside = self._target.rename(work.with_name(f"{work.name}-old"))
@@ -119,14 +122,16 @@ class OutputDirectory:
             shutil.rmtree(aside, ignore_errors=True)
         except (OSError, OutputError) as error:
             reason = error.strerror if isinstance(error, OSError) else error
-            raise OutputError(f"the results stay in {work}, they cannot be moved to {self._shown}: {reason}") from error
+            raise OutputError(
+                f"the results are kept in {work}; they cannot be moved to {self._shown}: {reason}"
+            ) from error
 
 
 @contextmanager
 def unfinished_file(path: Path, overwrite: bool = False) -> Iterator[Path]:
-    """A path to write to, a sibling of `path` that is renamed to it when the block ends without an error, else removed.
+    """Yield a temporary file beside `path`, renamed to it if the block ends without an error, else removed.
 
-    Raises OutputError where `path` exists and is not to be overwritten, or cannot be written.
+    Raises OutputError if `path` exists and `overwrite` is not set, or if it cannot be written.
     """
     if path.is_dir():
         raise OutputError(f"{path}: is a directory")
@@ -145,9 +150,9 @@ def unfinished_file(path: Path, overwrite: bool = False) -> Iterator[Path]:
 
 
 def write_results(directory: Path, finished: Finished, config: Config, summary: dict[str, Any]) -> None:
-    """Write everything that follows from the estimate: trajectory, keyframes, map, settings and summary.
+    """Write the files that are made from the estimate: trajectory, keyframes, map, settings and summary.
 
-    Raises MapError where the estimate has no pose or is not finite.
+    Raises MapError if the estimate has no pose or is not finite.
     """
     write_tum(directory / TRAJECTORY, Trajectory(finished.stamps, finished.poses))
     covariance = finished.keyframe_covariance
@@ -160,25 +165,25 @@ def write_results(directory: Path, finished: Finished, config: Config, summary: 
 
 
 def write_json(path: Path, data: dict[str, Any]) -> None:
-    """Write `data` as JSON that every reader takes: numpy's numbers as plain ones, NaN and infinity as null."""
-    path.write_text(json.dumps(plain(data), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    """Write `data` as standard JSON: NumPy numbers as plain ones, NaN and infinity as null."""
+    path.write_text(json.dumps(to_json_types(data), indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def plain(value: Any) -> Any:
-    """`value` with nothing in it that JSON does not know."""
+def to_json_types(value: Any) -> Any:
+    """Return `value` made of JSON's types only; other objects become strings."""
     if isinstance(value, dict):
-        return {str(name): plain(item) for name, item in value.items()}
+        return {str(name): to_json_types(item) for name, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
+        return to_json_types(value.tolist())
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [to_json_types(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value if isinstance(value, str | int | float | None) else str(value)
 
 
-def _is_part(name: str) -> bool:
-    """Whether this is a later file of a long log."""
+def _is_log_part(name: str) -> bool:
+    """Return True for a later file of a long review log."""
     return re.fullmatch(r"review-\d+\.rrd", name) is not None
 
 

@@ -1,4 +1,4 @@
-"""Poses over time, in memory and in the TUM format that evo and others read: `t x y z qx qy qz qw` a line."""
+"""Trajectories in memory, and in the TUM format that evo and other tools read: `t x y z qx qy qz qw` per line."""
 
 from __future__ import annotations
 
@@ -11,23 +11,22 @@ from numpy.typing import ArrayLike, NDArray
 from drivers import se2
 
 from ..errors import MapError
+from ..geometry.segments import Floats
 
-Floats = NDArray[np.float64]
-
-SAME_STAMP = 1e-3
-"""Seconds. A pose this close to a stamp is the pose at that stamp: recordings round their stamps to milliseconds."""
+STAMP_TOLERANCE = 1e-3
+"""Seconds between a pose and a stamp that count as equal: recordings round their stamps to milliseconds."""
 COLUMNS = 8
-UNIT = 0.01
-"""How far the length of a quaternion may be from one; files are often written with three decimals."""
+QUATERNION_TOLERANCE = 0.01
+"""Largest difference of a quaternion's length from one: files are often written with three decimals."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lookup:
-    """Poses looked up at n stamps.
+    """Poses of a trajectory at n stamps.
 
     poses    (n, 3) metres, radians; headings are continuous along the trajectory, not wrapped
-    exact    (n,) there is a pose at the stamp; where there is none the pose is interpolated between its neighbours
-    covered  (n,) the stamp lies within the trajectory's time; poses elsewhere are those of the nearer end
+    exact    (n,) True if the trajectory has a pose at the stamp; else the pose is interpolated between its neighbours
+    covered  (n,) True if the stamp lies within the trajectory's time; else the pose is that of the nearer end
     """
 
     poses: Floats
@@ -37,9 +36,12 @@ class Lookup:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
-    """At least one pose: `stamps` (n,) seconds, never decreasing, `poses` (n, 3) [x, y, heading] in metres and radians.
+    """At least one pose over time.
 
-    Raises MapError where shapes disagree, a value is not finite, or stamps decrease.
+    stamps  (n,) seconds, never decreasing
+    poses   (n, 3) [x, y, heading] in metres and radians
+
+    Raises MapError if shapes disagree, a value is not finite, or stamps decrease.
     """
 
     stamps: Floats
@@ -60,26 +62,26 @@ class Trajectory:
 
     @property
     def duration(self) -> float:
-        """Seconds from the first pose to the last."""
+        """Seconds from the first to the last pose."""
         return float(self.stamps[-1] - self.stamps[0])
 
     @property
     def travelled(self) -> Floats:
-        """(n,) metres driven up to each pose."""
+        """(n,) travelled distance up to each pose, metres."""
         return distance_along(self.poses[:, :2])
 
     def at(self, stamps: ArrayLike) -> Lookup:
-        """The poses at `stamps` (n,): the nearest within SAME_STAMP, else interpolated, turning the shorter way."""
+        """Return the poses at `stamps` (n,): the nearest within STAMP_TOLERANCE, else interpolated."""
         wanted = np.atleast_1d(np.asarray(stamps, dtype=np.float64))
         poses = np.column_stack([self.poses[:, :2], np.unwrap(self.poses[:, 2])])
         nearest = self.nearest(wanted)
-        exact = np.abs(self.stamps[nearest] - wanted) < SAME_STAMP
+        exact = np.abs(self.stamps[nearest] - wanted) < STAMP_TOLERANCE
         interpolated = np.column_stack([np.interp(wanted, self.stamps, column) for column in poses.T])
-        covered = (wanted >= self.stamps[0] - SAME_STAMP) & (wanted <= self.stamps[-1] + SAME_STAMP)
+        covered = (wanted >= self.stamps[0] - STAMP_TOLERANCE) & (wanted <= self.stamps[-1] + STAMP_TOLERANCE)
         return Lookup(np.where(exact[:, None], poses[nearest], interpolated), exact, covered)
 
     def nearest(self, stamps: ArrayLike) -> NDArray[np.intp]:
-        """(n,) index of the pose whose stamp is nearest to each of `stamps` (n,); the later one of two as near."""
+        """Return for each of `stamps` (n,) the index of the pose with the nearest stamp, the later one of a tie."""
         wanted = np.asarray(stamps, dtype=np.float64)
         later = np.searchsorted(self.stamps, wanted).clip(0, len(self) - 1)
         earlier = (later - 1).clip(0)
@@ -88,12 +90,12 @@ class Trajectory:
 
 
 def distance_along(positions: Floats) -> Floats:
-    """(n,) metres along the path through `positions` (n, 2), from the first to each."""
+    """Return (n,) the length of the path through `positions` (n, 2) from the first to each, metres."""
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(positions, axis=0).T))])
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
-    """Write a trajectory: microseconds, micrometres, nine decimals of the quaternion; equal runs give equal bytes."""
+    """Write a trajectory with microseconds, micrometres and nine decimals of the quaternion."""
     half = 0.5 * se2.wrap(trajectory.poses[:, 2])
     columns = np.column_stack([trajectory.poses[:, :2], np.sin(half), np.cos(half)])
     columns = np.round(columns, 9) + 0.0  # turns -0.0 into 0.0
@@ -105,13 +107,13 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
 
 
 def read_tum(path: Path) -> Trajectory:
-    """Read a trajectory; height and tilt are dropped, poses are sorted by their stamps, `#` starts a comment.
+    """Read a trajectory; height and tilt are ignored, poses are sorted by stamp, `#` starts a comment.
 
-    Raises MapError naming the file and, where there is one, the line.
+    Raises MapError naming the file and, if possible, the line.
     """
     rows = read_table(path, COLUMNS, "t x y z qx qy qz qw")
     length = np.linalg.norm(rows.values[:, 4:], axis=1)
-    if np.any(wrong := np.abs(length - 1) > UNIT):
+    if np.any(wrong := np.abs(length - 1) > QUATERNION_TOLERANCE):
         row = int(np.argmax(wrong))
         raise MapError(f"{path}:{rows.lines[row]}: the quaternion's length is {length[row]:.3g}, not 1")
     values = rows.values[np.argsort(rows.values[:, 0], kind="stable")]
@@ -120,17 +122,17 @@ def read_tum(path: Path) -> Trajectory:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Table:
-    """Numbers from a text file: `values` (n, columns) and the line (1-based) that each row stands in."""
+class NumberTable:
+    """Numbers from a text file: `values` (n, columns), and the line of each row, from 1."""
 
     values: Floats
     lines: list[int]
 
 
-def read_table(path: Path, columns: int, meaning: str) -> Table:
-    """Rows of `columns` finite numbers separated by white space; empty lines and `#` comments are passed over.
+def read_table(path: Path, columns: int, meaning: str) -> NumberTable:
+    """Read rows of `columns` finite numbers separated by white space; empty lines and `#` comments are skipped.
 
-    Raises MapError naming the file and line, and saying what the columns should be (`meaning`).
+    Raises MapError naming the file, the line, and the expected columns (`meaning`).
     """
     rows: list[list[float]] = []
     lines: list[int] = []
@@ -155,5 +157,5 @@ def read_table(path: Path, columns: int, meaning: str) -> Table:
         rows.append(row)
         lines.append(number)
     if not rows:
-        raise MapError(f"{path}: holds no line of {columns} numbers ({meaning})")
-    return Table(np.array(rows), lines)
+        raise MapError(f"{path}: has no line of {columns} numbers ({meaning})")
+    return NumberTable(np.array(rows), lines)

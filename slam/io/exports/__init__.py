@@ -1,7 +1,7 @@
-"""Maps for other programs, made of what a run left behind; one file a format.
+"""Export maps to other programs' formats, one module per format.
 
-Formats of the map as it is (`write_geojson`, `write_svg`, `write_dxf`) need the session only. Those made of the scans
-(`write_pgm`, `write_ply`) place them where the finished path says they were taken, so they need the recording as well.
+GeoJSON, SVG and DXF are made from the results of a run alone. PGM and PLY are made from its scans, placed on the final
+trajectory, and need the recording as well.
 """
 
 from __future__ import annotations
@@ -10,20 +10,16 @@ from .dxf import write_dxf
 from .geojson import write_geojson
 from .occupancy import Occupancy, OccupancyGrid, Thresholds
 from .pgm import write_pgm, write_pgm_yaml
-from .placed import PlacedScan, placed_scans
 from .ply import write_ply
-from .session import Session, open_recording, read_session
+from .scan_placement import PlacedScan, place_scans
 from .svg import write_svg
 
 __all__ = [
     "Occupancy",
     "OccupancyGrid",
     "PlacedScan",
-    "Session",
     "Thresholds",
-    "open_recording",
-    "placed_scans",
-    "read_session",
+    "place_scans",
     "write_dxf",
     "write_geojson",
     "write_pgm",

@@ -1,7 +1,7 @@
-"""The map as a drawing for CAD programs: DXF of AutoCAD Release 12, which all of them read.
+"""Write the map as a DXF drawing of AutoCAD Release 12, which all CAD programs read.
 
-One drawing unit is a metre. On the layer WALLS each piece of a wall that was seen is a LINE, on CORNERS each corner is
-a POINT, on PATH the way that was driven is a POLYLINE.
+One drawing unit is a metre. Each observed piece of a wall is a LINE on the layer WALLS, each corner a POINT on the
+layer CORNERS, and the driven path a POLYLINE on the layer PATH.
 """
 
 from __future__ import annotations
@@ -12,26 +12,26 @@ from typing import TypeAlias
 
 import numpy as np
 
-from ..tum import Floats
-from .session import Session
-from .thinning import thinned
+from ...geometry.segments import Floats
+from ..run_results import RunResults
+from .path_thinning import thin_path
 
 Group: TypeAlias = tuple[int, object]
-"""A line with a code, which says what the value on the next line is."""
+"""Group code and value, on two consecutive lines of the file."""
 
 LAYERS = {"WALLS": 7, "CORNERS": 1, "PATH": 5}
-"""And their colours: black or white, red, blue."""
+"""Layers and their colour numbers: black or white, red, blue."""
 
 
-def write_dxf(path: Path, session: Session) -> None:
+def write_dxf(path: Path, results: RunResults) -> None:
     """Write walls, corners and path."""
-    groups = [*_header(session), *_tables(), *_entities(session), (0, "EOF")]
+    groups = [*_header(results), *_tables(), *_entities(results), (0, "EOF")]
     text = "".join(f"{code:>3}\n{value}\n" for code, value in groups)
     path.write_text(text, encoding="ascii", newline="\r\n")
 
 
-def _header(session: Session) -> Iterator[Group]:
-    drawn = np.concatenate([session.lines.end_points().reshape(-1, 2), session.trajectory.poses[:, :2]])
+def _header(results: RunResults) -> Iterator[Group]:
+    drawn = np.concatenate([results.lines.end_points().reshape(-1, 2), results.trajectory.poses[:, :2]])
     yield from [(999, "1 unit = 1 m"), (0, "SECTION"), (2, "HEADER"), (9, "$ACADVER"), (1, "AC1009")]
     for name, corner in (("$EXTMIN", drawn.min(axis=0)), ("$EXTMAX", drawn.max(axis=0))):
         yield 9, name
@@ -49,20 +49,20 @@ def _tables() -> Iterator[Group]:
     yield from [(0, "ENDTAB"), (0, "ENDSEC")]
 
 
-def _entities(session: Session) -> Iterator[Group]:
+def _entities(results: RunResults) -> Iterator[Group]:
     yield from [(0, "SECTION"), (2, "ENTITIES")]
-    for start, end in session.lines.piece_points()[0]:
+    for start, end in results.lines.piece_points()[0]:
         yield from [(0, "LINE"), (8, "WALLS"), *_point(start), *_point(end, 1)]
-    for position in session.corners.position:
+    for position in results.corners.position:
         yield from [(0, "POINT"), (8, "CORNERS"), *_point(position)]
-    poses = session.trajectory.poses
+    poses = results.trajectory.poses
     yield from [(0, "POLYLINE"), (8, "PATH"), (66, 1), *_point(np.zeros(2)), (70, 0)]
-    for position in poses[thinned(poses), :2]:
+    for position in poses[thin_path(poses), :2]:
         yield from [(0, "VERTEX"), (8, "PATH"), *_point(position)]
     yield from [(0, "SEQEND"), (8, "PATH"), (0, "ENDSEC")]
 
 
 def _point(position: Floats, number: int = 0) -> list[Group]:
-    """The entity's first point, or another; micrometres."""
+    """Return the groups of an entity's point `number`, rounded to micrometres."""
     x, y = position.tolist()
     return [(10 + number, f"{x:z.6f}"), (20 + number, f"{y:z.6f}"), (30 + number, "0.0")]

@@ -1,7 +1,7 @@
-"""The map as GeoJSON: walls and corners with their uncertainties, and the path.
+"""Write the map as GeoJSON: walls and corners with their standard deviations, and the driven path.
 
-Coordinates are metres in the map, x before y, and not the degrees of RFC 7946: a building that was driven through does
-not know where on Earth it stands. The collection says so in its members `frame` and `units`.
+Coordinates are metres in the map's frame, x before y, not the degrees of RFC 7946: the map's position on Earth is
+unknown. The collection's members `frame` and `units` state this.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...events import MapCorners, MapWalls
-from ..tum import Floats
-from .session import Session
-from .thinning import thinned
+from ...geometry.segments import Floats
+from ..run_results import RunResults
+from .path_thinning import thin_path
 
 
-def write_geojson(path: Path, session: Session) -> None:
-    """Write the map; a feature a line, so that a person can scan it."""
-    features = [*_walls(session.lines), *_corners(session.corners), _path(session.trajectory.poses)]
+def write_geojson(path: Path, results: RunResults) -> None:
+    """Write the map with one feature per line, for readability."""
+    features = [*_walls(results.lines), *_corners(results.corners), _path(results.trajectory.poses)]
     rows = ",\n".join(json.dumps(feature, allow_nan=False) for feature in features)
     head = '"type": "FeatureCollection", "frame": "map", "units": "m"'
     path.write_text(f'{{{head}, "features": [\n{rows}\n]}}\n', encoding="utf-8", newline="\n")
 
 
 def _walls(lines: MapWalls) -> list[dict[str, Any]]:
-    """Each wall as the pieces of it that were seen; `heading` runs along it, and it is seen from the left of that."""
+    """Return a feature for each wall with its observed pieces; `heading` is along it, seen from its left."""
     points, wall = lines.piece_points()
     return [
         _feature(
@@ -63,20 +63,20 @@ def _corners(corners: MapCorners) -> list[dict[str, Any]]:
 
 
 def _path(poses: Floats) -> dict[str, Any]:
-    kept = _rounded(poses[thinned(poses), :2])
-    return _feature("LineString", kept if len(kept) > 1 else kept * 2, kind="path")
+    points = _rounded(poses[thin_path(poses), :2])
+    return _feature("LineString", points if len(points) > 1 else points * 2, kind="path")
 
 
-def _feature(shape: str, coordinates: Any, **properties: Any) -> dict[str, Any]:
-    geometry = {"type": shape, "coordinates": coordinates}
+def _feature(geometry_type: str, coordinates: Any, **properties: Any) -> dict[str, Any]:
+    geometry = {"type": geometry_type, "coordinates": coordinates}
     return {"type": "Feature", "geometry": geometry, "properties": properties}
 
 
 def _rounded(points: Floats) -> Any:
-    """Micrometres; adding zero turns -0.0 into 0.0."""
+    """Return points rounded to micrometres; adding zero turns -0.0 into 0.0."""
     return (np.round(points, 6) + 0.0).tolist()
 
 
 def _sigma(variance: NDArray[np.float64]) -> float | None:
-    """A standard deviation of three digits; None where the variance is not known."""
+    """Return the standard deviation with three significant digits; None if the variance is unknown."""
     return float(f"{math.sqrt(variance):.3g}") if np.isfinite(variance) else None

@@ -1,4 +1,4 @@
-"""An occupancy grid: how often beams ended in a square cell, and how often they passed through it."""
+"""Build an occupancy grid: count for each square cell the beams that ended in it and those that passed through it."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ...errors import MapError
-from ..tum import Floats
-from .placed import PlacedScan
+from ...geometry.segments import Floats
+from .scan_placement import PlacedScan
 
 Counts = NDArray[np.int32]
 Cells = NDArray[np.int64]
 
 FREE, UNKNOWN, OCCUPIED = 0, -1, 100
-"""As in a ROS OccupancyGrid."""
-MARGIN = 200
-"""Cells by which the grid outgrows what does not fit, so that it does not grow with every scan."""
-MOST_CELLS = 400_000_000
-"""Of the grid; a building of one kilometre by one at 0.05 m. More is a slip in the resolution, or takes all memory."""
+"""Values of a ROS OccupancyGrid."""
+GROWTH = 200
+"""Extra cells on a side on which the grid grows, so that it does not grow with every scan."""
+MAX_CELLS = 400_000_000
+"""Largest size of the grid: 1 km by 1 km at 0.05 m. More is a mistake in the resolution, or needs too much memory."""
 
 
 @dataclass(frozen=True, slots=True)
 class Thresholds:
-    """Of the beams that reached a cell, the share that ended in it.
+    """Thresholds on the share of the beams reaching a cell that end in it.
 
-    occupied  at least so many and the cell is occupied. A wall that crosses a cell at its edge lets about three
-              quarters of the beams pass that go on to its neighbours
-    free      at most so many and the cell is free; in between it is unknown
+    occupied  the cell is occupied from this share on. Of a wall that crosses a cell near its edge, about three quarters
+              of the beams that reach the cell pass on to its neighbours
+    free      the cell is free up to this share; in between it is unknown
     """
 
     occupied: float = 0.25
@@ -39,10 +39,11 @@ class Thresholds:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Occupancy:
-    """What is where: `cells` (rows, columns) are FREE, OCCUPIED or UNKNOWN, the first row is the lowest y.
+    """Occupancy of square cells.
 
-    `origin` (2,) is the corner of the first cell with the least x and y, metres in the map; `resolution` is the side of
-    a cell, metres.
+    cells       (rows, columns) of FREE, OCCUPIED or UNKNOWN; the first row has the lowest y
+    origin      (2,) corner of the first cell with the lowest x and y, metres in the map
+    resolution  side of a cell, metres
     """
 
     cells: NDArray[np.int8]
@@ -50,13 +51,13 @@ class Occupancy:
     resolution: float
 
     def centres(self, state: int) -> Floats:
-        """(n, 2): the middles of the cells in a state, metres in the map."""
+        """Return the centres (n, 2) of the cells in a state, metres in the map."""
         rows, columns = np.nonzero(self.cells == state)
         return np.asarray(self.origin + self.resolution * (np.column_stack([columns, rows]) + 0.5))
 
 
 class OccupancyGrid:
-    """Counts beams in square cells of `resolution` metres, whose edges lie on multiples of it; grows as it has to."""
+    """Growing grid of beam counts, with cells of `resolution` metres whose edges lie on multiples of it."""
 
     def __init__(self, resolution: float) -> None:
         if not 0.0 < resolution < np.inf:
@@ -67,25 +68,25 @@ class OccupancyGrid:
         self._passed: Counts = np.zeros((0, 0), dtype=np.int32)
 
     def add(self, scan: PlacedScan) -> None:
-        """Count the beams of a scan. Raises MapError where the grid would become larger than MOST_CELLS."""
+        """Count the beams of a scan. Raises MapError if the grid would become larger than MAX_CELLS."""
         if not len(scan.points):
             return
         start = scan.origin / self._resolution
         ends = scan.points / self._resolution
         corners = np.vstack([start, ends])
-        self._make_room(np.floor(corners.min(axis=0)), np.floor(corners.max(axis=0)))
-        trace(self._ended, self._passed, self._low, start, ends)
+        self._grow(np.floor(corners.min(axis=0)), np.floor(corners.max(axis=0)))
+        trace_beams(self._ended, self._passed, self._low, start, ends)
 
     def add_all(self, scans: Iterable[PlacedScan]) -> int:
-        """Count the beams of several scans; how many scans there were."""
+        """Count the beams of several scans and return the number of scans."""
         count = 0
         for scan in scans:
             self.add(scan)
             count += 1
         return count
 
-    def _make_room(self, low: Floats, high: Floats) -> None:
-        """Let the grid hold the cells from `low` to `high` (2,)."""
+    def _grow(self, low: Floats, high: Floats) -> None:
+        """Extend the grid to contain the cells from `low` to `high` (2,)."""
         size = np.array(self._ended.shape[::-1])
         below = (self._low - low).astype(np.int64)
         above = (high + 1 - self._low - size).astype(np.int64)
@@ -93,18 +94,18 @@ class OccupancyGrid:
             self._low, below, above = low.astype(np.int64), np.zeros(2, np.int64), (high + 1 - low).astype(np.int64)
         if (below <= 0).all() and (above <= 0).all():
             return
-        before = np.where(below > 0, below + MARGIN, 0)
-        after = np.where(above > 0, above + MARGIN, 0)
+        before = np.where(below > 0, below + GROWTH, 0)
+        after = np.where(above > 0, above + GROWTH, 0)
         cells = int(np.prod((size + before + after).astype(float)))
-        if cells > MOST_CELLS:
-            most = f"{MOST_CELLS / 1e6:.0f} million"
-            raise MapError(f"cells of {self._resolution:g} m make a grid of more than {most}; make them larger")
+        if cells > MAX_CELLS:
+            limit = f"{MAX_CELLS / 1e6:.0f} million"
+            raise MapError(f"cells of {self._resolution:g} m make a grid of more than {limit}; make them larger")
         padding = list(zip(before.tolist()[::-1], after.tolist()[::-1], strict=True))
         self._ended, self._passed = np.pad(self._ended, padding), np.pad(self._passed, padding)
         self._low = self._low - before
 
     def occupancy(self, thresholds: Thresholds | None = None) -> Occupancy:
-        """What the beams say, cut to the cells that any beam reached. Raises MapError where none did."""
+        """Return the occupancy, cropped to the cells that a beam reached. Raises MapError if there is none."""
         thresholds = thresholds or Thresholds()
         reached = self._ended + self._passed
         rows, columns = np.nonzero(reached.any(axis=1))[0], np.nonzero(reached.any(axis=0))[0]
@@ -120,12 +121,13 @@ class OccupancyGrid:
 
 
 @njit(cache=True)
-def trace(ended: Counts, passed: Counts, low: Cells, start: Floats, ends: Floats) -> None:
-    """Count each beam from `start` (2,) to `ends` (n, 2), in cells: the cell it ends in, and those it passes before.
+def trace_beams(ended: Counts, passed: Counts, low: Cells, start: Floats, ends: Floats) -> None:
+    """Count the beams from `start` (2,) to `ends` (n, 2), in cells, by the algorithm of Amanatides and Woo (1987).
 
-    `low` (2,) is the first cell of the counts; where they begin must not decide which cell a beam ends in.
-
-    A beam goes from cell to cell across the edge that it meets next (Amanatides and Woo 1987).
+    ended   (rows, columns) count of the cell that a beam ends in
+    passed  (rows, columns) counts of the cells that it crosses before
+    low     (2,) x, y of the first cell of the counts. It is subtracted from cell indices only: which cell a beam ends
+            in must not depend on the extent of the grid
     """
     first_x, first_y = int(np.floor(start[0])), int(np.floor(start[1]))
     for k in range(ends.shape[0]):
@@ -134,10 +136,10 @@ def trace(ended: Counts, passed: Counts, low: Cells, start: Floats, ends: Floats
         step_x = 1 if last_x > x else -1
         step_y = 1 if last_y > y else -1
         left_x, left_y = abs(last_x - x), abs(last_y - y)  # edges still to be crossed
-        way_x, way_y = abs(ends[k, 0] - start[0]), abs(ends[k, 1] - start[1])
-        # Parts of the beam up to the next edge in x and y, and from edge to edge.
-        each_x = 1.0 / way_x if way_x > 0.0 else np.inf
-        each_y = 1.0 / way_y if way_y > 0.0 else np.inf
+        length_x, length_y = abs(ends[k, 0] - start[0]), abs(ends[k, 1] - start[1])
+        # Shares of the beam from one edge to the next in x and y, and from the start to the next edge.
+        each_x = 1.0 / length_x if length_x > 0.0 else np.inf
+        each_y = 1.0 / length_y if length_y > 0.0 else np.inf
         next_x = abs((x + (step_x > 0)) - start[0]) * each_x if left_x else np.inf
         next_y = abs((y + (step_y > 0)) - start[1]) * each_y if left_y else np.inf
         while left_x or left_y:

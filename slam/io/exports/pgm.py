@@ -1,8 +1,8 @@
-"""A picture that map_server of ROS 1 and of Nav2 loads: a binary PGM and its YAML.
+"""Write an occupancy grid as a binary PGM picture with a YAML file, as map_server of ROS 1 and of Nav2 loads them.
 
-The picture's first row is the map's largest y, and `origin` is where its lower left corner lies, as map_server has it.
-In its mode "trinary" a pixel p stands for the occupancy (255 - p) / 255: above `occupied_thresh` it is occupied, below
-`free_thresh` free, else unknown.
+The first row of the picture is the largest y of the map, and `origin` is the position of its lower left corner. In
+map_server's mode "trinary" a pixel p has the occupancy (255 - p) / 255: above `occupied_thresh` it is occupied, below
+`free_thresh` free, in between unknown.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from .occupancy import FREE, OCCUPIED, Occupancy
 
 PIXEL_OCCUPIED, PIXEL_UNKNOWN, PIXEL_FREE = 0, 205, 254
 OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
-"""map_saver's. Unknown pixels stand for 0.19608, so with the 0.25 of some Nav2 releases they would read as free."""
+"""Defaults of map_saver. Unknown pixels have the occupancy 0.19608: with 0.25, the default of some Nav2 releases, they
+would be read as free."""
 
 
 def write_pgm(path: Path, occupancy: Occupancy) -> None:
@@ -30,7 +31,7 @@ def write_pgm(path: Path, occupancy: Occupancy) -> None:
 
 
 def write_pgm_yaml(path: Path, occupancy: Occupancy, image: str) -> None:
-    """Write what map_server reads first; `image` is the picture's name, as seen from this file."""
+    """Write the YAML file; `image` is the path of the picture relative to it."""
     x, y = occupancy.origin.tolist()
     path.write_text(
         f"image: {json.dumps(image)}\n"

@@ -1,4 +1,4 @@
-"""A point cloud in the Stanford polygon format, binary, as CloudCompare, MeshLab and Open3D read it."""
+"""Write a point cloud as binary PLY (Stanford polygon format), as CloudCompare, MeshLab and Open3D read it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .placed import PlacedScan
+from .scan_placement import PlacedScan
 
 HEADER = (
     "ply\n"
@@ -19,11 +19,11 @@ HEADER = (
     "property float z\n"
     "end_header\n"
 )
-"""The count has a fixed width: it is known when all points are written."""
+"""The number of points has a fixed width, since it is filled in after all points are written."""
 
 
 def write_ply(path: Path, scans: Iterable[PlacedScan]) -> int:
-    """Write every return of every scan, z = 0; how many points there were. Memory does not grow with their number."""
+    """Write all points of all scans with z = 0, in constant memory, and return their number."""
     count = 0
     with path.open("wb") as file:
         file.write(HEADER.format(count=0).encode("ascii"))

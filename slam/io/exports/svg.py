@@ -1,15 +1,15 @@
-"""The map as a picture of lines, true to scale: one metre is ten millimetres on paper, the scale of 1 : 100."""
+"""Write the map as an SVG drawing to the scale 1 : 100."""
 
 from __future__ import annotations
 
 from html import escape
 from pathlib import Path
 
-from .drawing import PATH_CLASSES, UNKNOWN_CLASS, draw
-from .session import Session
+from ..run_results import RunResults
+from .svg_drawing import PATH_CLASSES, UNKNOWN_CLASS, draw_map
 
-MILLIMETRES = 10
-"""Of paper for each metre."""
+MILLIMETRES_PER_METRE = 10
+"""Millimetres of paper per metre of the map."""
 STYLE = """
 .walls path { fill: none; stroke: #1f2933; stroke-width: .05; stroke-linecap: round }
 .seen path { fill: #56b4e9; fill-opacity: .35 }
@@ -23,14 +23,15 @@ STYLE = """
 """
 
 
-def write_svg(path: Path, session: Session) -> None:
-    """Write the picture."""
-    drawing = draw(session)
+def write_svg(path: Path, results: RunResults) -> None:
+    """Write the drawing."""
+    drawing = draw_map(results)
     colours = "".join(f".{c.name} {{ stroke: {c.colour} }}\n" for c in (*PATH_CLASSES, UNKNOWN_CLASS))
-    size = f'width="{MILLIMETRES * drawing.width:.1f}mm" height="{MILLIMETRES * drawing.height:.1f}mm"'
+    width, height = MILLIMETRES_PER_METRE * drawing.width, MILLIMETRES_PER_METRE * drawing.height
     path.write_text(
-        f'<svg xmlns="http://www.w3.org/2000/svg" {size} viewBox="{drawing.view_box}">\n'
-        f"<title>{escape(str(session.summary.get('recording', 'map')))}</title>\n"
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.1f}mm" height="{height:.1f}mm" '
+        f'viewBox="{drawing.view_box}">\n'
+        f"<title>{escape(str(results.summary.get('recording', 'map')))}</title>\n"
         f"<style>{STYLE}{colours}</style>\n{drawing.elements}\n</svg>\n",
         encoding="utf-8",
         newline="\n",

@@ -1,6 +1,6 @@
-"""Sessions on disk, complete enough to be gone on from."""
+"""Write and read sessions: everything needed to continue or refine a run."""
 
-from .head import Recording
-from .store import StoredSession, is_stored, read_stored, write_stored
+from .header import Recording
+from .session import StoredSession, is_session, read_session, write_session
 
-__all__ = ["Recording", "StoredSession", "is_stored", "read_stored", "write_stored"]
+__all__ = ["Recording", "StoredSession", "is_session", "read_session", "write_session"]

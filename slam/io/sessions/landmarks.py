@@ -1,7 +1,7 @@
-"""Walls and corners, a row for each: also those that nobody has seen twice, that turned out to be another, or that are
-no longer there.
+"""Write and read the tables of walls and corners, with a row for each landmark in the order of their ids.
 
-Of what no keyframe sees any more, walls have no extent (it is infinite) and corners no position (it is NaN).
+They include landmarks that are not confirmed, merged or removed. Walls that no keyframe observes any more have infinite
+ends, such corners a position of NaN.
 """
 
 from __future__ import annotations
@@ -10,46 +10,48 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...errors import MapError
 from ...geometry.segments import Floats
-from ...mapping.landmarks import CORNER, NEVER_REMOVED, WALL, Landmarks
+from ...mapping.landmark_table import CORNER_DTYPE, WALL_DTYPE
+from ...mapping.landmarks import Landmarks
 from ...mapping.wall_removal import FreeSpaceEvidence
-from .tables import Columns, Ragged, ragged, write_table
+from .tables import Ragged, TableReader, to_ragged, write_table
 
-COUNTS = ("observations", "first_seen", "last_seen", "merged_into")
-CORNER_COUNTS = ("observations", "last_seen")
-UPPER = (0, 0, 1), (0, 1, 1)
+WALL_INTEGERS = ("observations", "first_seen", "last_seen", "merged_into", "removed_at")
+CORNER_INTEGERS = ("observations", "last_seen")
+UPPER_TRIANGLE = (0, 0, 1), (0, 1, 1)
 
 COVARIANCES = ("covariance", "covariance_in_map")
+MAP_PREFIX = "map_"
+"""Prefix of the columns of `covariance_in_map`."""
 WALL_COVARIANCE = ("offset_offset", "offset_heading", "heading_heading")
 CORNER_COVARIANCE = ("xx", "xy", "yy")
-IN_MAP = "map_"
-"""Before the names of what is not relative to the last keyframe that saw the landmark."""
 
-
-OPENED = ("opened", "opened_at")
-DOUBTED = ("doubted", "doubts")
-"""Cells of a wall, and the number that goes with each. Not in tables of version 1, nor is `retired_at`."""
+COVERED_CELLS = "covered_cells"
+OPENED_CELLS = ("opened_cells", "opened_at")
+FREE_SPACE_EVIDENCE = ("free_space_cells", "free_space_counts")
+"""Cells of a wall, and a number for each of them."""
 
 
 def write_walls(file: Path, landmarks: Landmarks, free_space_evidence: FreeSpaceEvidence) -> None:
     """Write the table of walls. Raises OSError."""
     rows = landmarks.walls.rows
     covered = [np.sort(np.array(list(cells), dtype=np.int64)) for cells in landmarks.covered]
-    covariance, in_map = (rows[name][:, UPPER[0], UPPER[1]] for name in COVARIANCES)
+    covariance, in_map = (rows[name][:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]] for name in COVARIANCES)
     write_table(
         file,
         {
             **{name: rows["frame"][:, k] for k, name in enumerate(("x", "y", "heading"))},
             **{name: rows[name] for name in ("low", "high")},
-            **{name: rows[name].astype(np.int32) for name in (*COUNTS, "removed_at")},
+            **{name: rows[name].astype(np.int32) for name in WALL_INTEGERS},
             **{name: covariance[:, k] for k, name in enumerate(WALL_COVARIANCE)},
-            **{f"{IN_MAP}{name}": in_map[:, k] for k, name in enumerate(WALL_COVARIANCE)},
+            **{f"{MAP_PREFIX}{name}": in_map[:, k] for k, name in enumerate(WALL_COVARIANCE)},
             "in_graph": rows["in_graph"],
-            "covered": ragged(covered, np.int32),
-            **_by_cell(OPENED, landmarks.opened, len(rows)),
-            **_by_cell(DOUBTED, free_space_evidence.counts, len(rows)),
+            COVERED_CELLS: to_ragged(covered, np.int32),
+            **_cell_columns(OPENED_CELLS, landmarks.opened, len(rows)),
+            **_cell_columns(FREE_SPACE_EVIDENCE, free_space_evidence.counts, len(rows)),
         },
     )
 
@@ -57,79 +59,82 @@ def write_walls(file: Path, landmarks: Landmarks, free_space_evidence: FreeSpace
 def write_corners(file: Path, landmarks: Landmarks) -> None:
     """Write the table of corners. Raises OSError."""
     rows = landmarks.corners.rows
-    covariance, in_map = (rows[name][:, UPPER[0], UPPER[1]] for name in COVARIANCES)
+    covariance, in_map = (rows[name][:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]] for name in COVARIANCES)
     write_table(
         file,
         {
             **{name: rows["position"][:, k] for k, name in enumerate(("x", "y"))},
             **{name: rows["headings"][:, k] for k, name in enumerate(("heading_before", "heading_after"))},
             **{name: rows["walls"][:, k].astype(np.int32) for k, name in enumerate(("wall_before", "wall_after"))},
-            **{name: rows[name].astype(np.int32) for name in CORNER_COUNTS},
+            **{name: rows[name].astype(np.int32) for name in CORNER_INTEGERS},
             **{name: covariance[:, k] for k, name in enumerate(CORNER_COVARIANCE)},
-            **{f"{IN_MAP}{name}": in_map[:, k] for k, name in enumerate(CORNER_COVARIANCE)},
+            **{f"{MAP_PREFIX}{name}": in_map[:, k] for k, name in enumerate(CORNER_COVARIANCE)},
             "in_graph": rows["in_graph"],
         },
     )
 
 
-def _by_cell(names: tuple[str, str], table: Mapping[int, Mapping[int, int]], walls: int) -> dict[str, Ragged]:
-    """Two columns of what some cells of some walls have."""
-    cells = [sorted(table.get(wall, {}).items()) for wall in range(walls)]
+def _cell_columns(names: tuple[str, str], by_wall: Mapping[int, Mapping[int, int]], walls: int) -> dict[str, Ragged]:
+    """Return two ragged columns: the cells of each of n walls, and their numbers."""
+    cells = [sorted(by_wall.get(wall, {}).items()) for wall in range(walls)]
     return {
-        name: ragged([np.array(some).reshape(-1, 2)[:, k] for some in cells], np.int32) for k, name in enumerate(names)
+        name: to_ragged([np.array(items).reshape(-1, 2)[:, k] for items in cells], np.int32)
+        for k, name in enumerate(names)
     }
 
 
-def _read_by_cell(table: Columns, names: tuple[str, str]) -> dict[int, dict[int, int]]:
+def _read_cells(table: TableReader, names: tuple[str, str]) -> dict[int, dict[int, int]]:
+    """Return the numbers by wall and cell."""
     values, lengths = table.ragged_integers(*names)
     ends = np.concatenate([[0], np.cumsum(lengths)])
     return {wall: dict(values[ends[wall] : ends[wall + 1]].tolist()) for wall in np.flatnonzero(lengths).tolist()}
 
 
-def read_doubts(walls: Path, version: int) -> FreeSpaceEvidence:
-    """Read what was counted of walls that may no longer be there. Raises MapError naming the file."""
-    free_space_evidence = FreeSpaceEvidence()
-    if version > 1:
-        free_space_evidence.counts = _read_by_cell(Columns(walls), DOUBTED)
-    return free_space_evidence
+def read_free_space_evidence(walls: Path) -> FreeSpaceEvidence:
+    """Read the free-space evidence from the table of walls. Raises MapError naming the file."""
+    return FreeSpaceEvidence(_read_cells(TableReader(walls), FREE_SPACE_EVIDENCE))
 
 
-def read_landmarks(walls: Path, corners: Path, version: int) -> Landmarks:
-    """Read both tables of a session of a version. Raises MapError naming the file."""
-    landmarks = Landmarks()
-    table = Columns(walls)
-    rows = np.zeros(len(table), WALL)
-    rows["frame"] = table.floats("x", "y", "heading")
-    rows["low"], rows["high"] = table.floats("low", finite=False), table.floats("high", finite=False)
-    for name in COUNTS:
-        rows[name] = table.integers(name)
-    rows["removed_at"] = table.integers("removed_at") if version > 1 else NEVER_REMOVED
-    for name, prefix in zip(COVARIANCES, ("", IN_MAP), strict=True):
-        rows[name] = _both_halves(table.floats(*(f"{prefix}{entry}" for entry in WALL_COVARIANCE)))
-    rows["in_graph"] = table.flags("in_graph")
-    if (rows["merged_into"] >= len(rows)).any():
-        raise MapError(f"{walls}: a wall is said to be one that is not there")
-    landmarks.walls.fill(rows)
-    cells, lengths = table.ragged_integers("covered")
+def read_landmarks(walls: Path, corners: Path) -> Landmarks:
+    """Read both tables. Raises MapError naming the file."""
+    table = TableReader(walls)
+    cells, lengths = table.ragged_integers(COVERED_CELLS)
     ends = np.concatenate([[0], np.cumsum(lengths)])
     flat = cells[:, 0].tolist()
-    landmarks.covered = [frozenset(flat[ends[k] : ends[k + 1]]) for k in range(len(rows))]
-    landmarks.opened = _read_by_cell(table, OPENED) if version > 1 else {}
+    covered = [frozenset(flat[ends[k] : ends[k + 1]]) for k in range(len(table))]
+    return Landmarks.from_tables(
+        _read_walls(table, walls), _read_corners(corners), covered, _read_cells(table, OPENED_CELLS)
+    )
 
-    table = Columns(corners)
-    rows = np.zeros(len(table), CORNER)
+
+def _read_walls(table: TableReader, file: Path) -> NDArray[np.void]:
+    rows = np.zeros(len(table), WALL_DTYPE)
+    rows["frame"] = table.floats("x", "y", "heading")
+    rows["low"], rows["high"] = table.floats("low", finite=False), table.floats("high", finite=False)
+    for name in WALL_INTEGERS:
+        rows[name] = table.integers(name)
+    for name, prefix in zip(COVARIANCES, ("", MAP_PREFIX), strict=True):
+        rows[name] = _to_symmetric(table.floats(*(f"{prefix}{entry}" for entry in WALL_COVARIANCE)))
+    rows["in_graph"] = table.booleans("in_graph")
+    if (rows["merged_into"] >= len(rows)).any():
+        raise MapError(f"{file}: a wall is merged into a wall that does not exist")
+    return rows
+
+
+def _read_corners(file: Path) -> NDArray[np.void]:
+    table = TableReader(file)
+    rows = np.zeros(len(table), CORNER_DTYPE)
     rows["position"] = table.floats("x", "y", finite=False)
     rows["headings"] = table.floats("heading_before", "heading_after")
     rows["walls"] = table.integers("wall_before", "wall_after")
-    for name in CORNER_COUNTS:
+    for name in CORNER_INTEGERS:
         rows[name] = table.integers(name)
-    for name, prefix in zip(COVARIANCES, ("", IN_MAP), strict=True):
-        rows[name] = _both_halves(table.floats(*(f"{prefix}{entry}" for entry in CORNER_COVARIANCE)))
-    rows["in_graph"] = table.flags("in_graph")
-    landmarks.corners.fill(rows)
-    return landmarks
+    for name, prefix in zip(COVARIANCES, ("", MAP_PREFIX), strict=True):
+        rows[name] = _to_symmetric(table.floats(*(f"{prefix}{entry}" for entry in CORNER_COVARIANCE)))
+    rows["in_graph"] = table.booleans("in_graph")
+    return rows
 
 
-def _both_halves(upper: Floats) -> Floats:
-    """(n, 2, 2) from the upper halves (n, 3)."""
+def _to_symmetric(upper: Floats) -> Floats:
+    """Return symmetric matrices (n, 2, 2) from their upper triangles (n, 3)."""
     return upper[:, [0, 1, 1, 2]].reshape(-1, 2, 2)

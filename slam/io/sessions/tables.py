@@ -1,7 +1,8 @@
-"""Arrays as columns of Parquet files, and back.
+"""Write NumPy arrays as columns of Parquet files, and read them back with checks.
 
-A column is an array (n,), or `Ragged` where a row has several values. The bytes of numbers are written apart, the first
-of all, then the second: so what numbers have in common is next to each other, and compresses well.
+A column is an array (n,), or `Ragged` if a row has several values. Numbers are encoded as BYTE_STREAM_SPLIT: the first
+bytes of all values, then the second bytes, and so on. Bytes that values have in common are adjacent then and compress
+well.
 """
 
 from __future__ import annotations
@@ -21,119 +22,131 @@ from ...geometry.segments import Floats
 
 Array = NDArray[Any]
 
-TABLE = b"wclm-slam table"
-"""Under this name the file's metadata say which table it is."""
+TABLE_NAME = b"wclm-slam table"
+"""Key of the file's metadata that holds the table's name."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ragged:
-    """Values (m,) of n rows, one row's after the other's, and how many each has (n,)."""
+    """Column with any number of values in each of its n rows.
+
+    values   (m,) of all rows, concatenated
+    lengths  (n,) number of values of each row
+    """
 
     values: Array
     lengths: NDArray[np.int64]
 
     @property
     def ends(self) -> NDArray[np.int64]:
-        """(n + 1,): row k has the values from ends[k] to ends[k + 1]."""
+        """(n + 1,): the values of row k are values[ends[k] : ends[k + 1]]."""
         return np.concatenate([[0], np.cumsum(self.lengths)])
 
 
-def ragged(rows: Sequence[Array], dtype: type) -> Ragged:
-    """The arrays (m_k,) of n rows as one column."""
+def to_ragged(rows: Sequence[Array], dtype: type) -> Ragged:
+    """Concatenate the arrays (m_k,) of n rows into one column."""
     lengths = np.array([len(row) for row in rows], dtype=np.int64)
     return Ragged(np.concatenate([np.zeros(0), *rows]).astype(dtype), lengths)
 
 
 def write_table(path: Path, columns: Mapping[str, Array | Ragged | Sequence[str]]) -> None:
     """Write columns of equal length as one table, named after the file. Raises OSError."""
-    arrays = {name: _arrow(column) for name, column in columns.items()}
-    table = pa.table(arrays).replace_schema_metadata({TABLE: path.stem.encode()})
+    arrays = {name: _to_arrow(column) for name, column in columns.items()}
+    table = pa.table(arrays).replace_schema_metadata({TABLE_NAME: path.stem.encode()})
     encodings, dictionaries = {}, []
     for field in table.schema:
-        place = f"{field.name}.list.element" if pa.types.is_list(field.type) else field.name
+        leaf = f"{field.name}.list.element" if pa.types.is_list(field.type) else field.name
         kind = field.type.value_type if pa.types.is_list(field.type) else field.type
         if pa.types.is_integer(kind) or pa.types.is_floating(kind):
-            encodings[place] = "BYTE_STREAM_SPLIT"
+            encodings[leaf] = "BYTE_STREAM_SPLIT"
         else:
-            dictionaries.append(place)
+            dictionaries.append(leaf)
     pq.write_table(table, path, compression="zstd", column_encoding=encodings, use_dictionary=dictionaries)
 
 
-def _arrow(column: Array | Ragged | Sequence[str]) -> pa.Array:
+def _to_arrow(column: Array | Ragged | Sequence[str]) -> pa.Array:
     if isinstance(column, Ragged):
         return pa.ListArray.from_arrays(pa.array(column.ends, pa.int32()), pa.array(column.values))
     return pa.array(column) if isinstance(column, np.ndarray) else pa.array(list(column), pa.string())
 
 
-class Columns:
-    """A table that was read: asks for columns by name and type."""
+class TableReader:
+    """Table of a Parquet file; returns columns by name and checks their type.
+
+    All methods raise MapError naming the file and the column if it is missing or has another type.
+    """
 
     def __init__(self, path: Path) -> None:
-        """Raises MapError naming the file where it cannot be read or is another table."""
+        """Read the file. Raises MapError naming it if it cannot be read or is another table."""
         self._path = path
         try:
             self._table = pq.read_table(path)
         except FileNotFoundError as error:
-            raise MapError(f"{path}: is not there; the session is not complete") from error
+            raise MapError(f"{path}: file is missing; the session is incomplete") from error
         except (OSError, pa.ArrowException) as error:
             raise MapError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from error
-        named = (self._table.schema.metadata or {}).get(TABLE, b"")
-        if named != path.stem.encode():
+        name = (self._table.schema.metadata or {}).get(TABLE_NAME, b"")
+        if name != path.stem.encode():
             raise MapError(f"{path}: is not the table {path.stem} of a session")
 
     def __len__(self) -> int:
         return int(self._table.num_rows)
 
     def floats(self, *names: str, finite: bool = True) -> Floats:
-        """(n,) for one name, (n, d) for several. Raises MapError where one is not there, or should be `finite` and is
-        not."""
+        """Return columns of floats: (n,) for one name, (n, d) for several.
+
+        Raises MapError if a value is not finite, unless `finite` is False.
+        """
         columns = [np.asarray(self._column(name, pa.types.is_floating), dtype=np.float64) for name in names]
         for name, column in zip(names, columns, strict=True):
             self._check(name, not finite or bool(np.isfinite(column).all()), "has values that are not finite")
         return columns[0] if len(names) == 1 else np.column_stack(columns)
 
     def integers(self, *names: str) -> NDArray[np.int64]:
-        """(n,) for one name, (n, d) for several."""
+        """Return columns of integers: (n,) for one name, (n, d) for several."""
         columns = [np.asarray(self._column(name, pa.types.is_integer), dtype=np.int64) for name in names]
         return columns[0] if len(names) == 1 else np.column_stack(columns)
 
-    def flags(self, name: str) -> NDArray[np.bool_]:
-        """(n,)."""
+    def booleans(self, name: str) -> NDArray[np.bool_]:
+        """Return a column of booleans (n,)."""
         return np.asarray(self._column(name, pa.types.is_boolean), dtype=bool)
 
-    def words(self, name: str) -> list[str]:
-        """n words."""
+    def strings(self, name: str) -> list[str]:
+        """Return a column of n strings."""
         return [str(word) for word in self._column(name, pa.types.is_string).tolist()]
 
     def ragged_floats(self, *names: str, finite: bool = True) -> tuple[Floats, NDArray[np.int64]]:
-        """Values (m, d) of the rows, one row's after the other's, and how many each has (n,)."""
-        columns = [self._list(name, pa.types.is_floating) for name in names]
-        return self._stacked(names, columns, np.float64, finite=finite)
+        """Return ragged columns of equal lengths: the concatenated values (m, d) and the length of each row (n,).
+
+        Raises MapError if lengths differ, or if a value is not finite, unless `finite` is False.
+        """
+        columns = [self._ragged(name, pa.types.is_floating) for name in names]
+        return self._stack(names, columns, np.float64, finite=finite)
 
     def ragged_integers(self, *names: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """The same of whole numbers."""
-        columns = [self._list(name, pa.types.is_integer) for name in names]
-        return self._stacked(names, columns, np.int64, finite=True)
+        """Return ragged columns of integers, like `ragged_floats`."""
+        columns = [self._ragged(name, pa.types.is_integer) for name in names]
+        return self._stack(names, columns, np.int64, finite=True)
 
-    def _stacked(
+    def _stack(
         self, names: Sequence[str], columns: Sequence[Ragged], dtype: type, *, finite: bool
     ) -> tuple[Array, Array]:
         lengths = columns[0].lengths
         for name, column in zip(names, columns, strict=True):
             self._check(name, np.array_equal(column.lengths, lengths), f"has other lengths than {names[0]}")
-            whole = not finite or bool(np.isfinite(column.values).all())
-            self._check(name, whole, "has values that are not finite")
+            valid = not finite or bool(np.isfinite(column.values).all())
+            self._check(name, valid, "has values that are not finite")
         return np.column_stack([column.values for column in columns]).astype(dtype), lengths
 
-    def _column(self, name: str, fits: Any) -> Array:
+    def _column(self, name: str, has_type: Any) -> Array:
         array = self._array(name)
-        self._check(name, fits(array.type) and not array.null_count, f"has values of another kind: {array.type}")
+        self._check(name, has_type(array.type) and not array.null_count, f"has values of another type: {array.type}")
         return np.asarray(array.to_numpy(zero_copy_only=False))
 
-    def _list(self, name: str, fits: Any) -> Ragged:
+    def _ragged(self, name: str, has_type: Any) -> Ragged:
         array = self._array(name)
-        whole = pa.types.is_list(array.type) and fits(array.type.value_type) and not array.null_count
-        self._check(name, whole and not array.values.null_count, f"has values of another kind: {array.type}")
+        valid = pa.types.is_list(array.type) and has_type(array.type.value_type) and not array.null_count
+        self._check(name, valid and not array.values.null_count, f"has values of another type: {array.type}")
         lengths = np.diff(np.asarray(array.offsets)).astype(np.int64)
         return Ragged(np.asarray(array.flatten().to_numpy(zero_copy_only=False)), lengths)
 
@@ -144,6 +157,6 @@ class Columns:
             return pa.array([], column.type)
         return column
 
-    def _check(self, name: str, holds: bool, wrong: str) -> None:
-        if not holds:
-            raise MapError(f"{self._path}: the column {name} {wrong}")
+    def _check(self, name: str, valid: bool, problem: str) -> None:
+        if not valid:
+            raise MapError(f"{self._path}: the column {name} {problem}")

@@ -42,7 +42,7 @@ def local_workers(count: int) -> Iterator[Client]:
             silence_logs=logging.CRITICAL,  # what matters is in the recordings' logs and in the table
             memory_limit=0,  # of its own a worker near its limit would pause, and nothing it holds could be given back
             local_directory=scratch,
-            preload=["slam.offline.batch.interruptions"],
+            preload=["slam.offline.batch.worker_setup"],
         )
         try:
             with Client(cluster) as client:

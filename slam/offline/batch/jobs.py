@@ -13,8 +13,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from drivers.devices.specs import is_device
-from drivers.opening import CARMEN_SUFFIXES
+from drivers.devices.device_spec import is_device_spec
+from drivers.source_factory import CARMEN_SUFFIXES
 
 from ...config import Config
 from ...errors import OutputError, RecordingError
@@ -74,7 +74,7 @@ def jobs_for(recordings: Sequence[str], out: Path, request: Request, *, overwrit
 
 def _lasting(recording: str) -> str:
     """What opens the same recording from another directory, too."""
-    if recording.startswith(PLAYED) or is_device(recording):
+    if recording.startswith(PLAYED) or is_device_spec(recording):
         raise RecordingError(recording, None, "is no recording; a batch takes files, bags and simulations")
     return recording if recording.startswith(SIMULATION) else str(Path(recording).resolve())
 

@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ...io.output_dir import unfinished_file
+from ...loop_closure.loop_status import LoopStatus
 from .jobs import Job
 
 
@@ -74,7 +75,7 @@ def row_of(job: Job, status: Status, summary: dict[str, Any] | None = None, erro
         path_length=summary.get("path_length"),
         scans=summary.get("scans"),
         keyframes=summary.get("keyframes"),
-        loops=loops.get("accepted", 0) - loops.get("retracted", 0) if loops else None,
+        loops=loops.get(LoopStatus.ACCEPTED, 0) - loops.get(LoopStatus.RETRACTED, 0) if loops else None,
         seconds=summary.get("wall_seconds"),
         memory=summary.get("peak_memory_mib"),
         error_rmse=(summary.get("truth") or {}).get("ate_rmse"),

@@ -23,7 +23,7 @@ from ...config import Config
 from ...errors import MapError
 from ...geometry.segments import Floats
 from ...odometry.history import OdometryHistory
-from ...preprocessing.deskew import deskew, mount_of
+from ...preprocessing.deskew import deskew, lidar_mount
 from ...preprocessing.extraction import build_extractor
 
 FEWEST_RAYS = 15
@@ -102,7 +102,7 @@ def estimate_range_bias(drive: Sequence[Message], config: Config) -> tuple[float
         gathered, extractor = RangeBias(), build_extractor(config)
         for message in drive:
             if isinstance(message, Scan):
-                sweep = deskew(message, history, mount_of(message, config.lidar), bias)
+                sweep = deskew(message, history, lidar_mount(message, config.lidar), bias)
                 gathered.add(sweep.ranges, sweep.bearings, extractor.extract(sweep.ranges, sweep.bearings))
         found, sigma = gathered.estimate()
         bias += found

@@ -1,6 +1,6 @@
-"""Sessions of one building made one map, without knowing where they lie in each other."""
+"""Merge sessions of one building into one map, without prior knowledge of their relative pose."""
 
-from .agreement import Agreement
-from .join import Joined, join
+from .consensus import Consensus
+from .merge import MergedSession, merge_sessions
 
-__all__ = ["Agreement", "Joined", "join"]
+__all__ = ["Consensus", "MergedSession", "merge_sessions"]

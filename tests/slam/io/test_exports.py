@@ -14,7 +14,8 @@ import pytest
 
 from slam.config import Config
 from slam.events import Finished
-from slam.io.exports import Session, read_session, write_dxf, write_geojson, write_svg
+from slam.io.exports import write_dxf, write_geojson, write_svg
+from slam.io.run_results import RunResults, read_run_results
 from slam.io.keyframes_csv import read_keyframes
 from slam.io.output_dir import write_json, write_results
 
@@ -22,12 +23,12 @@ FORMATS = ("pgm", "geojson", "svg", "dxf", "ply")
 
 
 @pytest.fixture
-def session(tmp_path: Path, finished: Finished) -> Session:
+def session(tmp_path: Path, finished: Finished) -> RunResults:
     """The room with one wall in two pieces, as a run leaves it."""
     folder = tmp_path / "room"
     folder.mkdir()
     write_results(folder, finished, Config(), {"recording": "room.mcap"})
-    return read_session(folder)
+    return read_run_results(folder)
 
 
 # The formats of the map
@@ -74,7 +75,7 @@ def point(entity: dict[int, list[str]], number: int = 0) -> list[float]:
     return [float(entity[code + number][0]) for code in (10, 20)]
 
 
-def test_dxf_has_walls_as_lines_on_layers(session: Session, tmp_path: Path) -> None:
+def test_dxf_has_walls_as_lines_on_layers(session: RunResults, tmp_path: Path) -> None:
     write_dxf(tmp_path / "a.dxf", session)
     layers, entities = read_dxf(tmp_path / "a.dxf")
     assert layers == {"WALLS", "CORNERS", "PATH"}
@@ -90,7 +91,7 @@ def test_dxf_has_walls_as_lines_on_layers(session: Session, tmp_path: Path) -> N
     assert len(entities["POLYLINE"]) == len(entities["SEQEND"]) == 1
 
 
-def test_geojson_has_pieces_of_walls_and_what_is_known_of_them(session: Session, tmp_path: Path) -> None:
+def test_geojson_has_pieces_of_walls_and_what_is_known_of_them(session: RunResults, tmp_path: Path) -> None:
     write_geojson(tmp_path / "a.geojson", session)
     told = json.loads((tmp_path / "a.geojson").read_text())
     assert (told["type"], told["frame"], told["units"]) == ("FeatureCollection", "map", "m")
@@ -109,7 +110,7 @@ def test_geojson_has_pieces_of_walls_and_what_is_known_of_them(session: Session,
     assert len(kinds["path"][0]["geometry"]["coordinates"]) > 10
 
 
-def test_svg_is_true_to_scale_with_y_up(session: Session, tmp_path: Path) -> None:
+def test_svg_is_true_to_scale_with_y_up(session: RunResults, tmp_path: Path) -> None:
     write_svg(tmp_path / "a.svg", session)
     root = ElementTree.parse(tmp_path / "a.svg").getroot()
     space = {"s": "http://www.w3.org/2000/svg"}
@@ -228,7 +229,7 @@ def test_what_is_no_session_is_one_line(wclm: Any, ran: Path, command: str) -> N
         ("summary.json", "{", "summary.json: is not JSON"),
         ("summary.json", "[]", "summary.json: is not the summary of a run"),
         ("map.json", "{}", "map.json: is not a map"),
-        ("keyframes.csv", "a,b\n", "keyframes.csv:1: the heading is not stamp,x,y"),
+        ("keyframes.csv", "a,b\n", "keyframes.csv:1: the header is not stamp,x,y"),
         ("trajectory.tum", "1 2 3\n", "trajectory.tum:1: expected 8 numbers"),
     ):
         kept = (ran / name).read_bytes()
@@ -257,7 +258,7 @@ def test_keyframes_are_read_back_with_their_covariances(tmp_path: Path, finished
     np.testing.assert_allclose(read.stamps, finished.keyframe_stamps, atol=1e-6)
     np.testing.assert_allclose(read.poses, finished.keyframes, atol=1e-6)
     np.testing.assert_allclose(read.covariance, covariance, rtol=1e-8)
-    sigma = read.sigma()
+    sigma = read.position_sigma()
     assert np.isnan(sigma[2])
     for k in (0, 1, 3, 4, 5):
         assert sigma[k] == pytest.approx(np.sqrt(np.linalg.eigvalsh(covariance[k, :2, :2]).max()))

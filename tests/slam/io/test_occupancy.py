@@ -13,7 +13,7 @@ import drivers
 from drivers.messages import GroundTruth
 from slam.config import LidarConfig
 from slam.errors import MapError
-from slam.io.exports import Occupancy, OccupancyGrid, PlacedScan, Thresholds, placed_scans, write_pgm, write_pgm_yaml
+from slam.io.exports import Occupancy, OccupancyGrid, PlacedScan, Thresholds, place_scans, write_pgm, write_pgm_yaml
 from slam.io.exports.occupancy import FREE, OCCUPIED, UNKNOWN, trace
 from slam.io.tum import Trajectory
 
@@ -118,7 +118,7 @@ def test_scans_lie_on_the_walls_wherever_the_lidar_is_mounted(mount: str) -> Non
     messages = list(source)
     truth = [message for message in messages if isinstance(message, GroundTruth)]
     path = Trajectory(np.array([t.stamp for t in truth]), np.array([t.pose for t in truth]))
-    scans = list(placed_scans(messages, path, LidarConfig(range_max=20.0)))
+    scans = list(place_scans(messages, path, LidarConfig(range_max=20.0)))
     assert 50 < len(scans) <= 60
     walls = np.array(source.world.segments)  # type: ignore[attr-defined]
     starts, ends = walls[:, :2], walls[:, 2:]
@@ -129,7 +129,7 @@ def test_scans_lie_on_the_walls_wherever_the_lidar_is_mounted(mount: str) -> Non
     distance = np.linalg.norm(points[:, None] - nearest, axis=2).min(axis=1)
     assert np.median(distance) < 0.01
     assert np.mean(distance < 0.04) > 0.97  # some beams end between two surfaces
-    short = list(placed_scans(messages, path, LidarConfig(range_max=1.5)))
+    short = list(place_scans(messages, path, LidarConfig(range_max=1.5)))
     reach = np.concatenate([np.linalg.norm(scan.points - scan.origin, axis=1) for scan in short])
     assert reach.max() < 1.55
-    assert not list(placed_scans(messages, Trajectory(path.stamps + 100, path.poses), LidarConfig()))
+    assert not list(place_scans(messages, Trajectory(path.stamps + 100, path.poses), LidarConfig()))

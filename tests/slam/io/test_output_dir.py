@@ -18,7 +18,7 @@ from slam.io.output_dir import (
     SUMMARY,
     TRAJECTORY,
     OutputDirectory,
-    plain,
+    to_json_types,
     unfinished_file,
     write_results,
 )
@@ -117,7 +117,7 @@ def test_killed_at_any_moment_the_results_are_there_and_whole(tmp_path: Path) ->
 def test_where_directories_cannot_be_exchanged_the_older_steps_aside(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("slam.io.output_dir.exchange", lambda *_: False)
+    monkeypatch.setattr("slam.io.output_dir.swap_directories", lambda *_: False)
     for text in ("old", "new"):
         with OutputDirectory(tmp_path / "out", overwrite=True) as directory:
             (directory / SUMMARY).write_text(text)
@@ -134,7 +134,7 @@ def test_an_empty_directory_is_taken(tmp_path: Path) -> None:
 
 def test_a_directory_with_anything_else_in_it_is_never_overwritten(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(OutputError, match=r"holds thesis\.tex, which is not a result of a run; not overwritten"):
+    with pytest.raises(OutputError, match=r"contains thesis\.tex, which is not a result of a run; not overwritten"):
         OutputDirectory(tmp_path, overwrite=True).__enter__()
 
 
@@ -153,7 +153,7 @@ def test_results_are_kept_when_somebody_took_the_place_meanwhile(tmp_path: Path)
     (work / SUMMARY).write_text("mine")
     out.mkdir()
     (out / SUMMARY).write_text("theirs")
-    with pytest.raises(OutputError, match="the results stay in") as caught:
+    with pytest.raises(OutputError, match="the results are kept in") as caught:
         directory.__exit__(None, None, None)
     assert contents(out) == {SUMMARY: "theirs"}
     assert contents(work) == {SUMMARY: "mine"}
@@ -186,5 +186,5 @@ def test_an_unfinished_file_appears_at_the_end_or_not_at_all(tmp_path: Path) -> 
 def test_plain_data_is_what_json_knows() -> None:
     data = {"a": np.float64(1.5), "b": np.arange(2), "c": float("nan"), 3: (np.bool_(True), None), "p": Path("x")}
     expected = {"a": 1.5, "b": [0, 1], "c": None, "3": [True, None], "p": "x"}
-    assert plain(data) == expected
-    json.dumps(plain(data), allow_nan=False)
+    assert to_json_types(data) == expected
+    json.dumps(to_json_types(data), allow_nan=False)

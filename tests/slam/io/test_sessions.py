@@ -11,14 +11,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers import se2
-from drivers.simulation.simulator import Simulation
+from drivers.simulation import Simulation
 from slam import Slam
 from slam.config import Config, config_to_toml
 from slam.errors import MapError, SlamError
 from slam.io.output_dir import CONFIG, SESSION
-from slam.io.sessions import Recording, StoredSession, is_stored, read_stored, write_stored
-from slam.io.sessions.store import ADRIFT, FACTORS, HEAD, KEYFRAMES, SIGHTINGS, WALLS
-from slam.mapping.landmarks import NEVER_REMOVED
+from slam.io.sessions import Recording, StoredSession, is_session, read_session, write_session
+from slam.io.sessions.session import ADRIFT, FACTORS, HEAD, KEYFRAMES, SIGHTINGS, WALLS
+from slam.mapping.landmark_table import NEVER_REMOVED
 from slam.mapping.mapper import Mapper
 from slam.preprocessing.preprocessor import NO_FEATURES
 
@@ -28,7 +28,7 @@ ROOM = Recording(name="room", path="sim:room", first=0.0, last=8.0)
 def leave(directory: Path, session: StoredSession) -> None:
     directory.mkdir(exist_ok=True)
     (directory / CONFIG).write_text(config_to_toml(session.config))
-    write_stored(directory, session)
+    write_session(directory, session)
 
 
 @pytest.fixture(scope="module", params=[False, True], ids=["online", "refined"])
@@ -52,22 +52,22 @@ def estimate(mapper: Mapper) -> tuple[np.ndarray, np.ndarray, float]:
 
 def test_the_estimate_is_read_back(left: tuple[StoredSession, Path]) -> None:
     session, path = left
-    assert is_stored(path)
-    again = read_stored(path)
+    assert is_session(path)
+    again = read_session(path)
     assert again.recordings == [ROOM]
     assert again.config == session.config
     one, other = (some.slam_state.copy().mapper for some in (session, again))
     for before, after in zip(estimate(one), estimate(other), strict=True):
         np.testing.assert_allclose(after, before, rtol=1e-3, atol=1e-4)  # iSAM2 substitutes back to a threshold
-    one.settle()
-    other.settle()
+    one.converge()
+    other.converge()
     for before, after in zip(estimate(one), estimate(other), strict=True):
         np.testing.assert_allclose(after, before, rtol=1e-6, atol=1e-6)  # both are a micrometre from rest
 
 
 def test_all_that_the_estimate_rests_on_is_read_back(left: tuple[StoredSession, Path]) -> None:
     session, path = left
-    again = read_stored(path)
+    again = read_session(path)
     one, other = session.slam_state, again.slam_state
     for name in ("walls", "corners"):
         before, after = (getattr(some.mapper.landmarks, name).rows for some in (one, other))
@@ -84,7 +84,7 @@ def test_all_that_the_estimate_rests_on_is_read_back(left: tuple[StoredSession, 
         np.testing.assert_array_equal(after.corners, before.corners)
     covariances = one.mapper.pose_covariances
     np.testing.assert_allclose(other.mapper.pose_covariances, covariances, rtol=1e-9, atol=1e-15)
-    assert len(other.mapper.waiting) == len(one.mapper.waiting)
+    assert len(other.mapper.unconfirmed_observations) == len(one.mapper.unconfirmed_observations)
     np.testing.assert_array_equal(other.mapper.travelled, one.mapper.travelled)
     np.testing.assert_allclose(other.pose, one.pose, atol=1e-12)
     np.testing.assert_array_equal(again.odometry[0].stamps, session.odometry[0].stamps)
@@ -93,7 +93,7 @@ def test_all_that_the_estimate_rests_on_is_read_back(left: tuple[StoredSession, 
 
 def test_what_was_sighted_is_read_back(left: tuple[StoredSession, Path]) -> None:
     session, path = left
-    drive, again = session.drive(), read_stored(path).drive()
+    drive, again = session.scan_history(), read_session(path).scan_history()
     np.testing.assert_array_equal(again.stamps, drive.stamps)
     np.testing.assert_array_equal(again.odometry, drive.odometry)
     np.testing.assert_array_equal(again.keyframes, drive.keyframes)
@@ -110,11 +110,11 @@ def test_what_was_sighted_is_read_back(left: tuple[StoredSession, Path]) -> None
         np.testing.assert_array_equal(after.features.corners.segments, before.features.corners.segments)
         np.testing.assert_allclose(se2.wrap(after.features.corners.headings - before.features.corners.headings), 0, atol=1e-6)
         np.testing.assert_allclose(after.features.points.all, before.features.points.all, atol=6e-4)
-        np.testing.assert_allclose(after.features.points.loose, before.features.points.loose, atol=6e-4)
+        np.testing.assert_allclose(after.features.points.clutter, before.features.points.clutter, atol=6e-4)
     for row in drive.keyframes[-5:]:  # which the next scans will be laid over
         before, after = drive.scans[row].features, again.scans[row].features
         np.testing.assert_array_equal(after.segments.frame, before.segments.frame)
-        np.testing.assert_array_equal(after.points.loose, before.points.loose)
+        np.testing.assert_array_equal(after.points.clutter, before.points.clutter)
 
 
 def test_a_session_is_small(left: tuple[StoredSession, Path]) -> None:
@@ -132,17 +132,17 @@ def test_what_was_not_kept_of_a_sighting_is_not_there_afterwards(tmp_path: Path)
     last = len(session.scans) - 1
     session.scans = [*session.scans[:last], session.scans[last].without_view()]
     leave(tmp_path, session)
-    again = read_stored(tmp_path)
+    again = read_session(tmp_path)
     assert again.scans[last].features is NO_FEATURES
-    assert again.drive().kept.sum() == last
+    assert again.scan_history().kept.sum() == last
 
 
 def test_a_directory_of_an_older_version_says_so(tmp_path: Path) -> None:
-    assert not is_stored(tmp_path)
+    assert not is_session(tmp_path)
     with pytest.raises(MapError, match=r"holds no session/session.json, so it cannot be gone on from"):
-        read_stored(tmp_path)
+        read_session(tmp_path)
     with pytest.raises(MapError, match="is not a directory"):
-        read_stored(tmp_path / "nowhere")
+        read_session(tmp_path / "nowhere")
 
 
 def test_a_session_that_knows_of_no_retired_walls_is_read(left: tuple[StoredSession, Path], tmp_path: Path) -> None:
@@ -152,7 +152,7 @@ def test_a_session_that_knows_of_no_retired_walls_is_read(left: tuple[StoredSess
     head.write_text(json.dumps(json.loads(head.read_text()) | {"version": 1}))
     new = ["removed_at", "opened", "opened_at", "doubted", "doubts"]
     pq.write_table(pq.read_table(walls).drop_columns(new), walls)
-    mapper = read_stored(path).slam_state.mapper
+    mapper = read_session(path).slam_state.mapper
     assert (mapper.landmarks.walls.rows["removed_at"] == NEVER_REMOVED).all()
     assert len(mapper.landmarks.walls) == len(left[0].slam_state.mapper.landmarks.walls)
     assert not mapper.landmarks.opened
@@ -167,7 +167,7 @@ def test_a_session_that_does_not_know_where_it_was_adrift_is_read(
     head, keyframes = path / SESSION / HEAD, path / SESSION / KEYFRAMES
     head.write_text(json.dumps(json.loads(head.read_text()) | {"version": 2}))
     pq.write_table(pq.read_table(keyframes).drop_columns(list(ADRIFT)), keyframes)
-    mapper = read_stored(path).slam_state.mapper
+    mapper = read_session(path).slam_state.mapper
     assert mapper.correlated_drift.shape == (mapper.keyframe_count, 2, 2)
     assert not mapper.correlated_drift.any()
 
@@ -177,7 +177,7 @@ def test_a_session_of_another_version_says_so(left: tuple[StoredSession, Path], 
     head = path / SESSION / HEAD
     head.write_text(json.dumps(json.loads(head.read_text()) | {"version": 99}))
     with pytest.raises(MapError, match=r"session.json: is a session of version 99; this program reads version 1"):
-        read_stored(path)
+        read_session(path)
 
 
 @pytest.mark.parametrize(
@@ -196,7 +196,7 @@ def test_a_head_that_cannot_be_is_refused(
     head = path / SESSION / HEAD
     head.write_text(json.dumps(json.loads(head.read_text()) | instead))
     with pytest.raises(MapError, match=f"session.json: {told}"):
-        read_stored(path)
+        read_session(path)
 
 
 @pytest.mark.parametrize("name", [SIGHTINGS, FACTORS, WALLS])
@@ -207,10 +207,10 @@ def test_a_table_that_is_missing_or_another_is_named(
     table = path / SESSION / name
     table.unlink()
     with pytest.raises(MapError, match=f"{name}: is not there; the session is not complete"):
-        read_stored(path)
+        read_session(path)
     shutil.copy(left[1] / SESSION / "odometry.parquet", table)
     with pytest.raises(MapError, match=f"{name}: is not the table"):
-        read_stored(path)
+        read_session(path)
 
 
 @settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -238,7 +238,7 @@ def test_damage_is_an_error_of_one_line(
     file.write_bytes(content)
     told = ""
     try:
-        read_stored(path)
+        read_session(path)
     except SlamError as error:
         told = str(error)
     assert "\n" not in told

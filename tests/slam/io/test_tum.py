@@ -49,7 +49,7 @@ def test_comments_and_empty_lines_are_passed_over_and_poses_sorted(tmp_path: Pat
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "a.tum: holds no line of 8 numbers"),
+        ("", "a.tum: has no line of 8 numbers"),
         ("1 0 0 0 0 0 0 1\n2 0 0 0\n", "a.tum:2: expected 8 numbers (t x y z qx qy qz qw), found 4"),
         ("1 0 0 zero 0 0 0 1\n", "a.tum:1: expected 8 numbers (t x y z qx qy qz qw): could not convert"),
         ("# c\n1 0 nan 0 0 0 0 1\n", "a.tum:2: not all values are finite"),

@@ -1,8 +1,8 @@
-"""A session's factor graph for programs that optimise pose graphs.
+"""Convert a session's factor graph to a pose graph, for programs that optimise those.
 
-Nothing is left out or summarised: keyframes and walls are poses, corners are landmarks, each factor is an edge. An edge
-to a wall has no information along it. What the kernels take from the weight of an edge, at the estimate, is taken from
-its information: so plain least squares has its optimum where the session has it.
+Nothing is left out: keyframes and walls become poses, corners become landmarks, and each factor becomes an edge. An
+edge to a wall has no information along the wall. The information of an edge is multiplied by its robust weight at the
+estimate, so plain least squares has its optimum at the session's estimate.
 """
 
 from __future__ import annotations
@@ -20,42 +20,46 @@ from ...graph.factors import CAUCHY_SCALES, Factor, FactorKind, root_information
 from ...graph.pose_graph import Edges, PoseGraph
 from ...mapping.mapper import Mapper
 
-FIRST_WALL = 1_000_000
-"""What is added to a wall's identity to have its id: keyframes come from 0 on."""
-FIRST_CORNER = 2_000_000
-BETWEEN_KEYFRAMES = (FactorKind.MOTION, FactorKind.LOOP)
-OF_WALLS = (FactorKind.GAUGE_PRIOR, FactorKind.HEADING, FactorKind.OFFSET, FactorKind.WALL_EQUALITY)
+FIRST_WALL_ID = 1_000_000
+"""Vertex id of wall 0; keyframes start at 0."""
+FIRST_CORNER_ID = 2_000_000
+"""Vertex id of corner 0."""
+KEYFRAME_KINDS = (FactorKind.ODOMETRY, FactorKind.LOOP)
+"""Factors between two keyframes."""
+WALL_KINDS = (FactorKind.GAUGE_PRIOR, FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET, FactorKind.WALL_EQUALITY)
+"""Factors on a wall, whose information is singular."""
 
 
-def pose_graph_of(mapper: Mapper) -> PoseGraph:
-    """The graph of a mapper that has settled, with its estimate. The first keyframe stays where it is."""
+def build_pose_graph(mapper: Mapper) -> PoseGraph:
+    """Return the pose graph of a mapper that has converged, at its estimate; the first keyframe is fixed."""
     state, count = mapper.graph.state(), mapper.keyframe_count
     poses = np.concatenate([mapper.graph.keyframe_poses(count), mapper.graph.wall_frames(state.walls.tolist())])
     landmarks = mapper.graph.corner_positions(state.corners.tolist())
     walls = {int(wall): count + row for row, wall in enumerate(state.walls)}
     corners = {int(corner): row for row, corner in enumerate(state.corners)}
-    motions = [factor for factor in state.factors if factor.kind not in (FactorKind.START, FactorKind.CORNER)]
+    motions = [factor for factor in state.factors if factor.kind not in (FactorKind.POSE_PRIOR, FactorKind.CORNER)]
     first = [walls[factor.first] if factor.kind is FactorKind.WALL_EQUALITY else factor.first for factor in motions]
-    second = [factor.second if factor.kind in BETWEEN_KEYFRAMES else walls[factor.second] for factor in motions]
-    seen = [factor for factor in state.factors if factor.kind is FactorKind.CORNER]
-    seen_ends = [(factor.first, corners[factor.second]) for factor in seen]
-    nothing = Edges(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 1)), np.zeros((0, 1, 1)), np.zeros(0, int))
+    second = [factor.second if factor.kind in KEYFRAME_KINDS else walls[factor.second] for factor in motions]
+    positions = [factor for factor in state.factors if factor.kind is FactorKind.CORNER]
+    position_ends = [(factor.first, corners[factor.second]) for factor in positions]
+    no_edges = Edges(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 1)), np.zeros((0, 1, 1)), np.zeros(0, int))
     return PoseGraph(
-        pose_ids=np.concatenate([np.arange(count), FIRST_WALL + state.walls]),
+        pose_ids=np.concatenate([np.arange(count), FIRST_WALL_ID + state.walls]),
         poses=poses,
-        landmark_ids=FIRST_CORNER + state.corners,
+        landmark_ids=FIRST_CORNER_ID + state.corners,
         landmarks=landmarks,
-        motions=_edges(motions, list(zip(first, second, strict=True)), poses, poses, 3),
-        positions=_edges(seen, seen_ends, poses, landmarks, 2),
-        bearings=nothing,
+        motions=_build_edges(motions, list(zip(first, second, strict=True)), poses, poses, 3),
+        positions=_build_edges(positions, position_ends, poses, landmarks, 2),
+        bearings=no_edges,
         fixed_poses=np.arange(len(poses)) == 0,
         fixed_landmarks=np.zeros(len(landmarks), dtype=bool),
     )
 
 
-def _edges(
+def _build_edges(
     factors: Sequence[Factor], ends: Sequence[tuple[int, int]], sources: Floats, targets: Floats, size: Literal[2, 3]
 ) -> Edges:
+    """Return an edge for each factor, with its robust weight at the estimates (n, 3) and (m, `size`) of its ends."""
     rows = np.array(ends, dtype=np.int64).reshape(-1, 2)
     measured = np.array([factor.measured[:size] for factor in factors]).reshape(-1, size)
     information = np.zeros((len(factors), size, size))
@@ -70,15 +74,15 @@ def _edges(
 
 
 def _information(factor: Factor) -> Floats:
-    """Of what a factor measures; on a wall it has none of some directions."""
-    if factor.kind not in OF_WALLS:
+    """Return the information of a factor's measurement; that of a factor on a wall is singular."""
+    if factor.kind not in WALL_KINDS:
         return np.asarray(np.linalg.inv(factor.covariance))
     root = root_information(factor)
     return np.asarray(root.T @ root)
 
 
 def _errors(sources: Floats, targets: Floats, measured: Floats) -> NDArray[np.float64]:
-    """(k, d): how far what is measured is from the estimate, as g2o has it."""
+    """Return the errors (k, d) of k measurements at the estimate, as g2o defines them."""
     if measured.shape[1] == 2:
         return np.asarray(se2.transform(se2.inverse(sources), targets) - measured).reshape(-1, 2)
     return se2.between(measured, se2.between(sources, targets)).reshape(-1, 3)

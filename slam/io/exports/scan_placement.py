@@ -1,0 +1,54 @@
+"""Place the scans of a recording on a finished trajectory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers import se2
+from drivers.messages import Message, Odometry, Scan
+
+from ...config import LidarConfig
+from ...geometry.segments import Floats
+from ...odometry.history import OdometryHistory
+from ...preprocessing.deskew import deskew, lidar_mount, sweep_middle
+from ..tum import STAMP_TOLERANCE, Trajectory
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedScan:
+    """Scan in the map.
+
+    stamp   seconds
+    origin  (2,) position of the lidar, metres
+    points  (n, 2) end points of the beams without no-returns, metres
+    """
+
+    stamp: float
+    origin: Floats
+    points: Floats
+
+
+def place_scans(messages: Iterable[Message], trajectory: Trajectory, lidar: LidarConfig) -> Iterator[PlacedScan]:
+    """Yield the scans among `messages` within the time of `trajectory`, de-skewed along it, in the map.
+
+    Ranges outside the limits of `lidar` and of the scan are left out, as during SLAM.
+    """
+    path = OdometryHistory()  # the final trajectory takes the place of odometry
+    for stamp, pose in zip(trajectory.stamps.tolist(), trajectory.poses, strict=True):
+        path.add(Odometry(stamp, pose))
+    first, last = trajectory.stamps[[0, -1]] + np.array([-STAMP_TOLERANCE, STAMP_TOLERANCE])
+    for scan in messages:
+        if not isinstance(scan, Scan) or not first <= sweep_middle(scan) <= last:
+            continue
+        mount = lidar_mount(scan, lidar)
+        sweep = deskew(scan, path, mount, lidar.range_bias)
+        usable = (scan.ranges >= max(lidar.range_min, scan.range_min)) & (
+            scan.ranges <= min(lidar.range_max, scan.range_max)
+        )  # False for NaN
+        ranges, bearings = sweep.ranges[usable], sweep.bearings[usable]
+        pose = se2.compose(path.at(sweep.stamp), mount)
+        points = np.column_stack([ranges * np.cos(bearings), ranges * np.sin(bearings)])
+        yield PlacedScan(sweep.stamp, pose[:2], se2.transform(pose, points))

@@ -1,0 +1,183 @@
+"""Draw the map as SVG elements, for the SVG export and the report page.
+
+One unit is a metre. SVG's y axis points down, so y is negated. Elements have CSS classes; the document that contains
+them sets their style.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+
+from ...events import MapCorners, MapWalls
+from ...geometry.segments import Floats
+from ...loop_closure.loop_status import LoopStatus
+from ..keyframes_csv import Keyframes
+from ..run_results import RunResults
+from ..tum import Trajectory
+from .path_thinning import thin_path
+
+MARGIN = 0.04
+"""Width of the margin, as a share of the drawing's larger extent."""
+SIGMAS = 3.0
+"""Standard deviations of the ellipses' half axes."""
+BAND_WIDTH = 0.005
+"""Width of the band on the side that a wall is seen from, as a share of the drawing's larger extent."""
+MARKER_SIZE = 0.008
+"""Radius of the marker at the start of the path, as a share of the drawing's larger extent."""
+
+
+@dataclass(frozen=True, slots=True)
+class PathClass:
+    """Class of the path's uncertainty: standard deviations below `below` metres, drawn in `colour`."""
+
+    name: str
+    below: float
+    colour: str
+
+
+PATH_CLASSES = (
+    PathClass("p0", 0.02, "#0d0887"),
+    PathClass("p1", 0.05, "#6a00a8"),
+    PathClass("p2", 0.1, "#b12a90"),
+    PathClass("p3", 0.2, "#e16462"),
+    PathClass("p4", np.inf, "#f89540"),
+)
+"""Brighter for larger uncertainty, after matplotlib's plasma: distinguishable by lightness and if colour-blind."""
+UNKNOWN_CLASS = PathClass("p", np.nan, "#0072b2")
+
+
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """SVG elements and their view box in SVG's axes, metres.
+
+    classes  classes of the path's uncertainty that occur
+    """
+
+    elements: str
+    left: float
+    top: float
+    width: float
+    height: float
+    classes: tuple[PathClass, ...]
+
+    @property
+    def view_box(self) -> str:
+        """Value of the attribute viewBox."""
+        return f"{self.left:.3f} {self.top:.3f} {self.width:.3f} {self.height:.3f}"
+
+
+def draw_map(results: RunResults) -> Drawing:
+    """Draw walls with the side they are seen from, corners with ellipses, loop closures, and the path with its ends."""
+    points = np.concatenate([results.lines.end_points().reshape(-1, 2), results.trajectory.poses[:, :2]])
+    low, high = points.min(axis=0), points.max(axis=0)
+    extent = float(max(*(high - low), 1.0))
+    middle, size = (low + high) / 2, np.maximum(high - low, extent / 4) + 2 * MARGIN * extent
+    runs = list(_path_runs(results.trajectory, results.keyframes))
+    used = {run_class.name for run_class, _ in runs}
+    groups = [
+        ("seen", _bands(results.lines, BAND_WIDTH * extent)),
+        ("path", (_polyline(run_class.name, run) for run_class, run in runs)),
+        ("walls", _walls(results.lines)),
+        ("loops", _loop_closures(results)),
+        ("corners", _corners(results.corners)),
+        ("ends", _end_markers(results.trajectory.poses, MARKER_SIZE * extent)),
+    ]
+    elements = "\n".join(f'<g class="{name}">\n' + "\n".join(group) + "\n</g>" for name, group in groups)
+    left, top = middle[0] - size[0] / 2, -middle[1] - size[1] / 2
+    classes = tuple(c for c in (*PATH_CLASSES, UNKNOWN_CLASS) if c.name in used)
+    return Drawing(elements, float(left), float(top), float(size[0]), float(size[1]), classes)
+
+
+def _walls(lines: MapWalls) -> Iterator[str]:
+    """Yield a path for each wall, made of its observed pieces, with a tooltip."""
+    points, wall = lines.piece_points()
+    for k in range(len(lines)):
+        pieces = " ".join(f"M{_xy(start)}L{_xy(end)}" for start, end in points[wall == k])
+        length = lines.high[k] - lines.low[k]
+        text = f"wall {lines.identity[k]}: {length:.2f} m, observed in {lines.observations[k]} keyframes"
+        variances = np.diagonal(lines.covariance[k])
+        if np.isfinite(variances).all():
+            offset, heading = 1e3 * np.sqrt(variances[0]), np.degrees(np.sqrt(variances[1]))
+            text += f", standard deviation {offset:.1f} mm across and {heading:.2f}°"
+        yield f'<path d="{pieces}"><title>{escape(text)}</title></path>'
+
+
+def _bands(lines: MapWalls, width: float) -> Iterator[str]:
+    """Yield a band along each piece of a wall, on the side that it is seen from."""
+    ends, wall = lines.piece_points()
+    heading = lines.frame[wall, 2]
+    left = width * np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
+    for (start, end), offset in zip(ends, left, strict=True):
+        yield f'<path d="M{_xy(start)}L{_xy(end)}L{_xy(end + offset)}L{_xy(start + offset)}Z"/>'
+
+
+def _corners(corners: MapCorners) -> Iterator[str]:
+    """Yield a dot for each corner, and an ellipse of SIGMAS standard deviations if its covariance is known."""
+    for k in range(len(corners)):
+        x, y = corners.position[k]
+        text = f"corner {corners.identity[k]}: observed in {corners.observations[k]} keyframes"
+        if np.isfinite(corners.covariance[k]).all():
+            variances, directions = np.linalg.eigh(corners.covariance[k])
+            sigma = np.sqrt(variances.clip(min=0.0))
+            text += f", standard deviation {1e3 * sigma[1]:.1f} mm"
+            turn = -np.degrees(np.arctan2(directions[1, 1], directions[0, 1]))
+            yield (
+                f'<ellipse rx="{SIGMAS * sigma[1]:.4f}" ry="{SIGMAS * sigma[0]:.4f}" '
+                f'transform="translate({_xy([x, y])})rotate({turn:.1f})"/>'
+            )
+        yield f'<path class="dot" d="M{_xy([x, y])}h0"><title>{escape(text)}</title></path>'
+
+
+def _path_runs(trajectory: Trajectory, keyframes: Keyframes | None) -> Iterator[tuple[PathClass, Floats]]:
+    """Yield runs of the path (n, 2) with one class of uncertainty; a run starts at the last point of the one before."""
+    rows = thin_path(trajectory.poses)
+    points = trajectory.poses[rows, :2]
+    classes = [UNKNOWN_CLASS] * len(points)
+    if keyframes is not None and np.isfinite(sigma := keyframes.position_sigma()).any():
+        known = np.isfinite(sigma)
+        interpolated = np.interp(trajectory.stamps[rows], keyframes.stamps[known], sigma[known])
+        classes = [next(c for c in PATH_CLASSES if value < c.below) for value in interpolated]
+    start = 0
+    for run_class, members in itertools.groupby(classes):
+        count = len(list(members))
+        yield run_class, points[max(start - 1, 0) : start + count]
+        start += count
+
+
+def _polyline(name: str, points: Floats) -> str:
+    return f'<polyline class="{name}" points="{" ".join(_xy(point) for point in points)}"/>'
+
+
+def _loop_closures(results: RunResults) -> Iterator[str]:
+    """Yield a line for each loop closure that was accepted or retracted, from its keyframe to the old keyframe."""
+    if results.keyframes is None:
+        return
+    for row in (results.summary.get("slam") or {}).get("loop_decisions") or []:
+        if row["status"] not in (LoopStatus.ACCEPTED, LoopStatus.RETRACTED):
+            continue
+        start, end = results.keyframes.poses[[row["keyframe"], row["old"]], :2]
+        text = f"loop {row['candidate']}, {row['status']}: keyframe {row['keyframe']} at the place of {row['old']}"
+        yield (
+            f'<path class="{row["status"]}" data-loop="{row["candidate"]}" d="M{_xy(start)}L{_xy(end)}">'
+            f"<title>{escape(text)}</title></path>"
+        )
+
+
+def _end_markers(poses: Floats, size: float) -> Iterator[str]:
+    """Yield a ring at the start of the path and an arrow at its end, in the direction of the robot's heading."""
+    start, end = poses[0], poses[-1]
+    x, y = _xy(start).split(",")
+    yield f'<circle class="start" cx="{x}" cy="{y}" r="{size:.3f}"><title>start</title></circle>'
+    angles = end[2] + np.array([0.0, 2.5, -2.5])
+    vertices = end[:2] + 1.5 * size * np.column_stack([np.cos(angles), np.sin(angles)])
+    yield f'<polygon class="end" points="{" ".join(_xy(vertex) for vertex in vertices)}"><title>end</title></polygon>'
+
+
+def _xy(point: Floats | list[float]) -> str:
+    """Return a point in SVG's axes, rounded to millimetres."""
+    return f"{point[0]:z.3f},{-point[1]:z.3f}"

@@ -1,0 +1,71 @@
+"""Open the recordings that a run was made from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import drivers
+from drivers.messages import Message, Source, SourceReport
+
+from ..errors import MapError
+from .run_results import RunResults
+
+SIMULATION = "sim:"
+"""Prefix of a recording that is simulated when it is opened."""
+
+
+def absolute_recording(recording: str) -> str:
+    """Return the argument of `drivers.open` that opens the same recording from any working directory."""
+    return recording if recording.startswith(SIMULATION) else str(Path(recording).resolve())
+
+
+def open_recording(results: RunResults, override: str | None = None) -> Source:
+    """Open the recording of a run, or `override`, an argument of `drivers.open`.
+
+    The recordings of a continued or merged session are opened as one source. Raises MapError if the summary does not
+    name the recording or the recording does not exist any more, RecordingError if `override` cannot be opened.
+    """
+    if override is not None:
+        return drivers.open(override)
+    summary = results.summary
+    single = {"name": summary.get("recording", ""), "path": summary.get("recording_path")}
+    recordings = summary.get("recordings") or [single]
+    sources = [_open(results, recording.get("name", ""), recording.get("path")) for recording in recordings]
+    shifts = [float(recording.get("shift", 0.0)) for recording in recordings]
+    return sources[0] if len(sources) == 1 and not shifts[0] else ConcatenatedSource(sources, shifts)
+
+
+def _open(results: RunResults, name: str, path: object) -> Source:
+    if not isinstance(path, str):
+        raise MapError(f"{results.path}: does not say where its recording {name} is; name it with --recording FILE")
+    if not path.startswith(SIMULATION) and not Path(path).exists():
+        raise MapError(f"{results.path}: its recording {path} does not exist any more; name it with --recording FILE")
+    return drivers.open(path)
+
+
+class ConcatenatedSource:
+    """Several sources one after the other as one source; `shifts` (seconds) are added to the stamps of each."""
+
+    def __init__(self, sources: Sequence[Source], shifts: Sequence[float]) -> None:
+        self.name = ", ".join(source.name for source in sources)
+        self.report = SourceReport()
+        self._sources, self._shifts = sources, shifts
+
+    def __len__(self) -> int:
+        return sum(len(source) for source in self._sources)
+
+    def __iter__(self) -> Iterator[Message]:
+        self.report = SourceReport()
+        for source, shift in zip(self._sources, self._shifts, strict=True):
+            for message in source:
+                yield replace(message, stamp=message.stamp + shift) if shift else message
+            self._add_to_report(source.report)
+
+    def _add_to_report(self, part: SourceReport) -> None:
+        report = self.report
+        report.messages, report.skipped = report.messages + part.messages, report.skipped + part.skipped
+        report.first = report.first or part.first
+        for reason, count in part.reasons.items():
+            report.reasons[reason] = report.reasons.get(reason, 0) + count

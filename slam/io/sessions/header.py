@@ -1,0 +1,231 @@
+"""Write and read `session.json`: format and version, recordings, and the state of tracking and loop search."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from ...errors import MapError
+from ...estimation.slam_state import Anchor, TrackingCheckpoint
+from ...geometry.segments import Floats
+from ...localisation.tracker import PoseFix
+from ...loop_closure.loop_search import LoopSearchState, PendingCandidate
+
+FORMAT = "wclm-slam session"
+VERSION = 4
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Pose = tuple[Finite, Finite, Finite]
+Matrix = tuple[Pose, Pose, Pose]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Recording(_Record):
+    """Recording that is part of a session.
+
+    path         argument of `drivers.open` that opens it again; None if it cannot be opened again
+    shift        seconds added to its stamps so that they follow those of the recording before it
+    first, last  first and last stamp after the shift, seconds
+    """
+
+    name: str
+    path: str | None
+    shift: Finite = 0.0
+    first: Finite
+    last: Finite
+
+
+class _PoseFix(_Record):
+    pose: Pose
+    odometry: Pose
+
+
+class _Anchor(_Record):
+    keyframe: int = Field(ge=0)
+    relative: Pose
+    covariance: Matrix
+    odometry: Pose
+
+
+class _Checkpoint(_Record):
+    fix: _PoseFix | None
+    step: Pose
+    last_score: Finite
+    anchor: _Anchor | None
+    kidnapped: bool
+    kidnapped_keyframes: list[int]
+
+
+class _PendingCandidate(_Record):
+    motion: Pose
+    walls: list[int]
+    travelled: Finite
+
+
+class _LoopSearch(_Record):
+    last_search: Finite
+    pending: list[_PendingCandidate]
+    candidates: int
+    retracted_motions: list[Pose]
+    last_disagreement: Finite
+
+
+class _Graph(_Record):
+    updates: int = Field(ge=0)
+    qr: bool
+
+
+class _SensorModels(_Record):
+    sigma_range: Finite
+    odometry_samples: list[list[Finite]]
+    roughness_samples: list[Finite]
+
+
+class SessionHeader(_Record):
+    """Contents of `session.json`.
+
+    segment_starts  rows of the scans at which an odometry segment starts
+    checkpoint      state of tracking, see `TrackingCheckpoint`
+    loop_search     state of the loop search: travelled distances (metres) at the last search and at the last pair of
+                    pending candidates that disagreed, pending candidates, number of candidates so far, and motions of
+                    retracted loop closures
+    graph           see `GraphState`
+    sensor_models   what was learned online
+    """
+
+    format: str = FORMAT
+    version: int = VERSION
+    recordings: list[Recording]
+    segment_starts: list[int]
+    checkpoint: _Checkpoint
+    loop_search: _LoopSearch
+    graph: _Graph
+    sensor_models: _SensorModels
+
+    @classmethod
+    def from_parts(
+        cls,
+        recordings: list[Recording],
+        segment_starts: list[int],
+        checkpoint: TrackingCheckpoint,
+        loop_search: LoopSearchState,
+        graph: tuple[int, bool],
+        sensor_models: tuple[float, Floats, Floats],
+    ) -> SessionHeader:
+        """Make the header of a session.
+
+        graph          updates, and True if QR is used; see `GraphState`
+        sensor_models  standard deviation of a range (metres), samples of the odometry model (n, 6), and samples of the
+                       wall roughness (m,)
+        """
+        return cls(
+            recordings=recordings,
+            segment_starts=segment_starts,
+            checkpoint=_checkpoint_record(checkpoint),
+            loop_search=_loop_search_record(loop_search),
+            graph=_Graph(updates=graph[0], qr=graph[1]),
+            sensor_models=_SensorModels(
+                sigma_range=sensor_models[0],
+                odometry_samples=sensor_models[1].tolist(),
+                roughness_samples=sensor_models[2].tolist(),
+            ),
+        )
+
+    @property
+    def tracking_checkpoint(self) -> TrackingCheckpoint:
+        """State of tracking."""
+        fix, anchor = self.checkpoint.fix, self.checkpoint.anchor
+        return TrackingCheckpoint(
+            None if fix is None else PoseFix(np.array(fix.pose), np.array(fix.odometry)),
+            np.array(self.checkpoint.step),
+            self.checkpoint.last_score,
+            None
+            if anchor is None
+            else Anchor(
+                anchor.keyframe, np.array(anchor.relative), np.array(anchor.covariance), np.array(anchor.odometry)
+            ),
+            self.checkpoint.kidnapped,
+            self.checkpoint.kidnapped_keyframes,
+        )
+
+    @property
+    def loop_search_state(self) -> LoopSearchState:
+        """State of the loop search."""
+        record = self.loop_search
+        pending = tuple(
+            PendingCandidate(np.array(candidate.motion), frozenset(candidate.walls), candidate.travelled)
+            for candidate in record.pending
+        )
+        retracted = tuple(np.array(motion) for motion in record.retracted_motions)
+        return LoopSearchState(record.last_search, pending, record.candidates, retracted, record.last_disagreement)
+
+
+def _pose(pose: Floats) -> Pose:
+    x, y, heading = pose.tolist()
+    return x, y, heading
+
+
+def _checkpoint_record(checkpoint: TrackingCheckpoint) -> _Checkpoint:
+    fix, anchor = checkpoint.fix, checkpoint.anchor
+    return _Checkpoint(
+        fix=None if fix is None else _PoseFix(pose=_pose(fix.pose), odometry=_pose(fix.odometry)),
+        step=_pose(checkpoint.step),
+        last_score=checkpoint.last_score,
+        anchor=None
+        if anchor is None
+        else _Anchor(
+            keyframe=anchor.keyframe,
+            relative=_pose(anchor.relative),
+            covariance=(_pose(anchor.covariance[0]), _pose(anchor.covariance[1]), _pose(anchor.covariance[2])),
+            odometry=_pose(anchor.odometry),
+        ),
+        kidnapped=checkpoint.kidnapped,
+        kidnapped_keyframes=list(checkpoint.kidnapped_keyframes),
+    )
+
+
+def _loop_search_record(state: LoopSearchState) -> _LoopSearch:
+    return _LoopSearch(
+        last_search=state.last_search,
+        pending=[
+            _PendingCandidate(
+                motion=_pose(candidate.motion), walls=sorted(candidate.walls), travelled=candidate.travelled
+            )
+            for candidate in state.pending
+        ],
+        candidates=state.candidates,
+        retracted_motions=[_pose(motion) for motion in state.retracted],
+        last_disagreement=state.last_disagreement,
+    )
+
+
+def write_header(file: Path, header: SessionHeader) -> None:
+    """Write `session.json`. Raises OSError."""
+    file.write_text(json.dumps(header.model_dump(mode="json"), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def read_header(file: Path) -> SessionHeader:
+    """Read `session.json`. Raises MapError naming the file and the problem, for example another version."""
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise MapError(f"{file}: {error.strerror or error}") from error
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise MapError(f"{file}: is not JSON: {error}") from error
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        raise MapError(f'{file}: is not a session: its format is not "{FORMAT}"')
+    if data.get("version") != VERSION:
+        raise MapError(f"{file}: has format version {data.get('version')}; this program reads version {VERSION} only")
+    try:
+        return SessionHeader.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise MapError(f"{file}: {key}: {first['msg']}") from error

@@ -1,0 +1,109 @@
+"""Convert the features and points of scans to table columns and back.
+
+In the table of all scans, walls and corners are stored in single precision (1e-6 m at a range of 10 m) and points as
+integer millimetres: they are measured less accurately than that. With `exact`, all are stored in double precision.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import MapError
+from ...geometry.segments import CornerPoints, Floats, Integers, Segments
+from ...matching.likelihood_field import ScanPoints
+from ...matching.line_matcher import ScanFeatures
+from .tables import Ragged, TableReader, to_ragged
+
+Number = TypeVar("Number", bound=np.generic)
+
+POINT_UNIT = 1e-3
+"""Metres: resolution of points that are stored as integers."""
+MAX_POINT_UNITS = 2e6
+"""POINT_UNITs: 2 km, beyond the range of any lidar; larger coordinates are clipped."""
+SEGMENT_COLUMNS = ("x", "y", "heading", "half_length", "offset_offset", "offset_heading", "heading_heading")
+CORNER_COLUMNS = ("x", "y", "xx", "xy", "yy")
+ALL_POINTS, CLUTTER = "point", "clutter"
+"""Prefixes of the columns of all points of a scan, and of those on no line."""
+
+
+def feature_columns(scans: Sequence[ScanFeatures], *, exact: bool) -> dict[str, Ragged]:
+    """Return the columns of features and points, with a row for each of the n scans."""
+    dtype = np.float64 if exact else np.float32
+    columns: dict[str, Ragged] = {}
+    segments = [
+        np.column_stack([s.frame, s.half_length, s.covariance[:, [0, 0, 1], [0, 1, 1]]])
+        for s in (scan.segments for scan in scans)
+    ]
+    for k, name in enumerate(SEGMENT_COLUMNS):
+        columns[f"segment_{name}"] = to_ragged([values[:, k] for values in segments], dtype)
+    corners = [
+        np.column_stack([c.position, c.covariance[:, [0, 0, 1], [0, 1, 1]]]) for c in (scan.corners for scan in scans)
+    ]
+    for k, name in enumerate(CORNER_COLUMNS):
+        columns[f"corner_{name}"] = to_ragged([values[:, k] for values in corners], dtype)
+    for k, name in enumerate(("before", "after")):
+        columns[f"corner_{name}"] = to_ragged([scan.corners.segments[:, k] for scan in scans], np.int32)
+    columns |= _point_columns(ALL_POINTS, [scan.points.all for scan in scans], exact=exact)
+    return columns | _point_columns(CLUTTER, [scan.points.clutter for scan in scans], exact=exact)
+
+
+def _point_columns(prefix: str, points: Sequence[Floats], *, exact: bool) -> dict[str, Ragged]:
+    columns = {}
+    for k, name in enumerate(("x", "y")):
+        column = to_ragged([values[:, k] for values in points], np.float64)
+        columns[f"{prefix}_{name}"] = column if exact else _to_point_units(column)
+    return columns
+
+
+def _to_point_units(column: Ragged) -> Ragged:
+    counts = np.rint(column.values / POINT_UNIT).clip(-MAX_POINT_UNITS, MAX_POINT_UNITS)
+    return Ragged(counts.astype(np.int32), column.lengths)
+
+
+def read_features(table: TableReader, file: Path, *, exact: bool) -> list[ScanFeatures]:
+    """Read the columns of features and points of all rows. Raises MapError naming the file."""
+    segments = split_rows(*table.ragged_floats(*(f"segment_{name}" for name in SEGMENT_COLUMNS)))
+    corners = split_rows(*table.ragged_floats(*(f"corner_{name}" for name in CORNER_COLUMNS)))
+    pairs = split_rows(*table.ragged_integers("corner_before", "corner_after"))
+    all_points, clutter = (_read_points(table, prefix, exact=exact) for prefix in (ALL_POINTS, CLUTTER))
+    contiguous = np.ascontiguousarray  # as in a run: compiled functions need not be compiled for another layout
+    scans = []
+    for row in range(len(table)):
+        frame = contiguous(segments[row][:, :3])
+        if len(pairs[row]) != len(corners[row]) or not ((pairs[row] >= 0) & (pairs[row] < len(frame))).all():
+            raise MapError(f"{file}: a corner refers to segments that do not exist")
+        scans.append(
+            ScanFeatures(
+                Segments(
+                    frame,
+                    contiguous(segments[row][:, 3]),
+                    contiguous(segments[row][:, [4, 5, 5, 6]]).reshape(-1, 2, 2),
+                ),
+                CornerPoints(
+                    contiguous(corners[row][:, :2]),
+                    contiguous(corners[row][:, [2, 3, 3, 4]]).reshape(-1, 2, 2),
+                    pairs[row],
+                    frame[pairs[row], 2].reshape(-1, 2),
+                ),
+                ScanPoints(all_points[row], clutter[row]),
+            )
+        )
+    return scans
+
+
+def _read_points(table: TableReader, prefix: str, *, exact: bool) -> list[Floats]:
+    names = f"{prefix}_x", f"{prefix}_y"
+    if exact:
+        return split_rows(*table.ragged_floats(*names))
+    counts, lengths = table.ragged_integers(*names)
+    return split_rows(POINT_UNIT * counts.astype(np.float64), lengths)
+
+
+def split_rows(values: NDArray[Number], lengths: Integers) -> list[NDArray[Number]]:
+    """Return the values of each row of a ragged column."""
+    return np.split(values, np.cumsum(lengths)[:-1]) if len(lengths) else []

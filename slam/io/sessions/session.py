@@ -1,0 +1,191 @@
+"""Write a complete session into the directory of a run, and read it back.
+
+A session holds everything the estimate consists of, not only its results. A run continued from it gives the same
+estimate as an uninterrupted one, and the whole session can be refined.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.messages import Scan
+
+from ...config import Config, load_config
+from ...errors import MapError
+from ...estimation.refinement import ScanHistory, build_scan_history
+from ...estimation.slam_state import SlamState
+from ...mapping.landmarks import Landmarks
+from ...mapping.mapper import Mapper
+from ...mapping.wall_roughness import WallRoughness
+from ...odometry.history import OdometryHistory
+from ...preprocessing.preprocessor import ProcessedScan
+from ..output_dir import CONFIG, SESSION
+from .graph import read_factors, read_graph, write_factors, write_variables
+from .header import Recording, SessionHeader, read_header, write_header
+from .keyframes import read_keyframes, write_keyframes
+from .landmarks import read_free_space_evidence, read_landmarks, write_corners, write_walls
+from .loop_decisions import read_loop_decisions, write_loop_decisions
+from .odometry import read_odometry, write_odometry
+from .queued_scans import read_queued_scans, write_queued_scans
+from .scans import ScanRecords, read_scans, write_recent_keyframes, write_scans
+
+HEADER = "session.json"
+SCANS = "scans.parquet"
+RECENT_KEYFRAMES = "recent_keyframes.parquet"
+QUEUED_SCANS = "queued_scans.parquet"
+ODOMETRY = "odometry.parquet"
+KEYFRAMES = "keyframes.parquet"
+WALLS = "walls.parquet"
+CORNERS = "corners.parquet"
+VARIABLES = "variables.parquet"
+FACTORS = "factors.parquet"
+LOOP_DECISIONS = "loop_decisions.parquet"
+
+
+@dataclass(slots=True, eq=False)
+class StoredSession:
+    """Contents of a session.
+
+    config          settings in effect
+    slam_state      map, graph, trajectory and learned models
+    scans           all processed scans, in time order
+    odometry        all readings of each odometry segment
+    starts          rows of the scans at which an odometry segment starts
+    sigma_range     last estimate of a range's standard deviation, metres
+    recordings      recordings that the session was made from
+    loop_decisions  all decisions on loop closure candidates, with the values of `summary.json`
+    queued_scans    last scans, whose sweep odometry did not cover yet: part of the trajectory in the results, but not
+                    of `slam_state`, since more odometry may follow
+    """
+
+    config: Config
+    slam_state: SlamState
+    scans: Sequence[ProcessedScan]
+    odometry: Sequence[OdometryHistory]
+    starts: Sequence[int]
+    sigma_range: float
+    recordings: list[Recording] = field(default_factory=list)
+    loop_decisions: Sequence[Mapping[str, Any]] = ()
+    queued_scans: Sequence[Scan] = ()
+
+    @property
+    def latest(self) -> float:
+        """Stamp of the last measurement, seconds; -inf if there is none."""
+        stamps = [history.latest for history in self.odometry]
+        stamps += [scan.stamp for scan in self.scans[-1:]] + [scan.stamp for scan in self.queued_scans]
+        return max(stamps, default=-np.inf)
+
+    def scan_history(self) -> ScanHistory:
+        """Return all processed scans with their poses relative to keyframes."""
+        slam_state = self.slam_state
+        return build_scan_history(
+            self.scans, slam_state.trajectory, slam_state.keyframe_stamps, slam_state.kidnapped_keyframes, self.starts
+        )
+
+
+def write_session(directory: Path, session: StoredSession) -> None:
+    """Write a session into the directory of a run, which holds the settings already. Raises OSError."""
+    folder = directory / SESSION
+    folder.mkdir()
+    slam_state, mapper = session.slam_state, session.slam_state.mapper
+    graph = mapper.graph.state()
+    scans = ScanRecords(list(session.scans), slam_state.trajectory, slam_state.keyframe_stamps, mapper.landmark_ids)
+    write_scans(folder / SCANS, scans)
+    write_recent_keyframes(folder / RECENT_KEYFRAMES, scans)
+    write_queued_scans(folder / QUEUED_SCANS, session.queued_scans)
+    write_odometry(folder / ODOMETRY, session.odometry)
+    write_keyframes(folder / KEYFRAMES, slam_state.keyframe_stamps, mapper.keyframe_records)
+    write_walls(folder / WALLS, mapper.landmarks, mapper.free_space_evidence)
+    write_corners(folder / CORNERS, mapper.landmarks)
+    write_variables(folder / VARIABLES, graph)
+    write_factors(folder / FACTORS, graph.factors, mapper.unconfirmed_observations)
+    write_loop_decisions(folder / LOOP_DECISIONS, session.loop_decisions)
+    header = SessionHeader.from_parts(
+        session.recordings,
+        list(session.starts),
+        slam_state.checkpoint,
+        slam_state.loops.state,
+        (graph.updates, graph.qr),
+        (session.sigma_range, slam_state.odometry_model.samples, mapper.roughness.samples),
+    )
+    write_header(folder / HEADER, header)
+
+
+def is_session(path: Path) -> bool:
+    """Return True if the directory of a run holds a session. Pose graph results and frozen runs have none."""
+    return (path / SESSION / HEADER).is_file()
+
+
+def read_session(path: Path) -> StoredSession:
+    """Read the session in the directory of a run. Raises MapError naming the file and the problem."""
+    if not path.is_dir():
+        raise MapError(f"{path}: is not a directory; expected the output directory of `wclm run`")
+    folder = path / SESSION
+    if not is_session(path):
+        raise MapError(f"{path}: has no {SESSION}/{HEADER}, so it cannot be continued or refined; run `wclm run` again")
+    header = read_header(folder / HEADER)
+    config = load_config(path / CONFIG)
+    scans = read_scans(folder / SCANS, folder / RECENT_KEYFRAMES)
+    landmarks = read_landmarks(folder / WALLS, folder / CORNERS)
+    _check_references(folder / HEADER, header, scans, landmarks)
+    return StoredSession(
+        config=config,
+        slam_state=_read_slam_state(path, config, header, scans, landmarks),
+        scans=scans.scans,
+        odometry=read_odometry(folder / ODOMETRY),
+        starts=list(header.segment_starts),
+        sigma_range=header.sensor_models.sigma_range,
+        recordings=list(header.recordings),
+        loop_decisions=read_loop_decisions(folder / LOOP_DECISIONS),
+        queued_scans=read_queued_scans(folder / QUEUED_SCANS),
+    )
+
+
+def _read_slam_state(
+    path: Path, config: Config, header: SessionHeader, scans: ScanRecords, landmarks: Landmarks
+) -> SlamState:
+    """Read the remaining tables and restore the state. Raises MapError."""
+    folder = path / SESSION
+    records = read_keyframes(folder / KEYFRAMES, scans)
+    rows = build_scan_history(scans.scans, scans.trajectory, scans.keyframe_stamps, ()).keyframes
+    keyframes = {k: scans.scans[row] for k, row in enumerate(rows.tolist())}
+    factors, unconfirmed = read_factors(folder / FACTORS)
+    graph = read_graph(folder / VARIABLES, factors, updates=header.graph.updates, qr=header.graph.qr)
+    roughness = WallRoughness()
+    roughness.add_samples(np.array(header.sensor_models.roughness_samples))
+    free_space_evidence = read_free_space_evidence(folder / WALLS)
+    try:
+        segments = [keyframes[k].features.segments for k in range(len(rows))]
+        mapper = Mapper.from_saved(graph, landmarks, roughness, free_space_evidence, records, segments, unconfirmed)
+        return SlamState.restored(
+            config,
+            np.array(header.sensor_models.odometry_samples).reshape(-1, 6),
+            mapper,
+            scans.trajectory,
+            scans.keyframe_stamps,
+            header.tracking_checkpoint,
+            header.loop_search_state,
+            keyframes,
+        )
+    except (MapError, IndexError, RuntimeError, ValueError) as error:  # the tables do not fit together
+        raise MapError(f"{path}: the session cannot be restored: {str(error).splitlines()[0]}") from error
+
+
+def _check_references(file: Path, header: SessionHeader, scans: ScanRecords, landmarks: Landmarks) -> None:
+    """Raise MapError if a keyframe, scan or landmark that is referred to does not exist."""
+    count, anchor = len(scans.keyframe_stamps), header.checkpoint.anchor
+    if anchor is not None and anchor.keyframe >= count:
+        raise MapError(f"{file}: checkpoint.anchor: keyframe {anchor.keyframe} of {count} does not exist")
+    if any(not 0 <= keyframe < count for keyframe in header.checkpoint.kidnapped_keyframes):
+        raise MapError(f"{file}: checkpoint.kidnapped_keyframes: there are {count} keyframes")
+    if any(not 0 <= row <= len(scans.scans) for row in header.segment_starts):
+        raise MapError(f"{file}: segment_starts: there are {len(scans.scans)} scans")
+    walls = max((int(ids.walls.max(initial=-1)) for ids in scans.landmark_ids), default=-1)
+    corners = max((int(ids.corners.max(initial=-1)) for ids in scans.landmark_ids), default=-1)
+    if walls >= len(landmarks.walls) or corners >= len(landmarks.corners):
+        raise MapError(f"{file.with_name(SCANS)}: a keyframe observes a landmark that does not exist")

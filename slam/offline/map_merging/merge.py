@@ -1,0 +1,70 @@
+"""Merge several sessions: locate each in the map of those before it and merge it with them, or refuse it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ...errors import MapError
+from ...io.sessions import StoredSession
+from ...loop_closure.relocalisation import MapIndex, index_map
+from .consensus import Consensus, locate_session
+from .pairwise_merge import merge_pair
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MergedSession:
+    """Session merged from several, before refinement.
+
+    session  in the map frame of the first
+    added    name and consensus of the other sessions, in the order in which they were merged
+    """
+
+    session: StoredSession
+    added: Sequence[tuple[str, Consensus]]
+
+
+def merge_sessions(sessions: Sequence[tuple[str, StoredSession]]) -> MergedSession:
+    """Merge named sessions into the map of the first; the order of the others does not matter.
+
+    A session that overlaps the first only by way of another is merged after that one. The sessions are changed and
+    cannot be used afterwards. Raises MapError naming the session that has no keyframe, is not recognised, or contains a
+    recording that another contains too.
+    """
+    _check_recordings(sessions)
+    for name, session in sessions:
+        if not session.slam_state.mapper.keyframe_count:
+            raise MapError(f"{name}: has no keyframe, so it cannot be merged")
+        session.slam_state.mapper.converge()
+    (_, merged), *remaining = sessions
+    added: list[tuple[str, Consensus]] = []
+    while remaining:
+        index = index_map(merged.slam_state.mapper)
+        consensuses = [_locate(session, index) for _, session in remaining]
+        best = max(range(len(remaining)), key=lambda k: (consensuses[k].accepted, consensuses[k].independent))
+        (name, session), consensus = remaining.pop(best), consensuses[best]
+        if not consensus.accepted:
+            merged_names = ", ".join([sessions[0][0], *(added_name for added_name, _ in added)])
+            raise MapError(f"{name}: is not recognised in {merged_names}: {consensus.reason}")
+        try:
+            merged = merge_pair(merged, session, consensus)
+        except MapError as error:
+            raise MapError(f"{name}: {error}") from error
+        added.append((name, consensus))
+    return MergedSession(merged, added)
+
+
+def _check_recordings(sessions: Sequence[tuple[str, StoredSession]]) -> None:
+    """Raise MapError if two sessions contain the same recording: its observations would count twice."""
+    names: dict[tuple[object, ...], str] = {}
+    for name, session in sessions:
+        for recording in session.recordings:
+            first, last = (round(stamp - recording.shift, 3) for stamp in (recording.first, recording.last))
+            key = recording.name, recording.path, first, last
+            if key in names:
+                raise MapError(f"{name}: contains the recording {recording.name}, and so does {names[key]}")
+            names[key] = name
+
+
+def _locate(session: StoredSession, index: MapIndex) -> Consensus:
+    return locate_session(session.slam_state.mapper, session.scan_history(), index)

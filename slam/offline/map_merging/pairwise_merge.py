@@ -1,0 +1,139 @@
+"""Merge two sessions: all keyframes of both in one factor graph, connected where submaps were recognised."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from drivers import se2
+
+from ...errors import MapError
+from ...estimation.refinement import build_scan_history
+from ...estimation.refinement.iteration import motion_to
+from ...estimation.refinement.scan_history import ScanHistory
+from ...estimation.slam_state import SlamState, TrackingCheckpoint
+from ...geometry.segments import Floats
+from ...io.sessions import StoredSession
+from ...loop_closure.closing import LOOP_FACTOR_SIGMAS, MIN_COINCIDING_SHARE, walls_coincide
+from ...loop_closure.loop_search import LoopSearchState
+from ...mapping.mapper import Mapper
+from ...odometry.error_model import OdometryModel
+from .consensus import Consensus
+from .transfer import (
+    IndexOffsets,
+    clock_shift,
+    merge_landmark_ids,
+    merge_landmarks,
+    merge_trajectories,
+    shift_clock,
+)
+
+
+def merge_pair(first: StoredSession, second: StoredSession, consensus: Consensus) -> StoredSession:
+    """Return the session with the contents of both, in the map frame of the first.
+
+    `consensus` is that of the second's submaps in the first's map. Its members are loop closures, along which the
+    second map is deformed onto the first; walls that were matched are merged then. Other walls that both observed are
+    left to refinement. The second's clock is shifted if it does not start later than the first ends. Raises MapError if
+    too few of the matched walls coincide.
+    """
+    offsets, shift = IndexOffsets.after(first), clock_shift(second, first.latest)
+    state, other = first.slam_state, second.slam_state
+    second = shift_clock(second, shift)
+    model = OdometryModel(first.config.odometry)
+    samples = np.concatenate([state.odometry_model.samples, other.odometry_model.samples])
+    model.add_samples(samples)
+    trajectory = merge_trajectories(state.trajectory, other.trajectory, offsets.keyframes, shift)
+    stamps = [*state.keyframe_stamps, *(stamp + shift for stamp in other.keyframe_stamps)]
+    scans = [*first.scans, *second.scans]
+    kidnapped = [*state.kidnapped_keyframes, *(k + offsets.keyframes for k in other.kidnapped_keyframes)]
+    starts = [*first.starts, *(row + offsets.scans for row in second.starts)]
+    history = build_scan_history(scans, trajectory, stamps, kidnapped, starts)
+    mapper = _merge_maps(state.mapper, other.mapper, history, model, consensus)
+    slam_state = SlamState.restored(
+        first.config,
+        samples,
+        mapper,
+        trajectory,
+        stamps,
+        _transfer_checkpoint(other, mapper, offsets.keyframes, kidnapped),
+        LoopSearchState(last_search=mapper.travelled[-1]),
+        {k: scans[row] for k, row in enumerate(history.keyframes.tolist())},
+    )
+    return StoredSession(
+        config=first.config,
+        slam_state=slam_state,
+        scans=scans,
+        odometry=[*first.odometry, *second.odometry],
+        starts=starts,
+        sigma_range=second.sigma_range,
+        recordings=[*first.recordings, *second.recordings],
+        queued_scans=second.queued_scans,
+        loop_decisions=[*first.loop_decisions, *_offset_loop_decisions(second, offsets.keyframes)],
+    )
+
+
+def _merge_maps(
+    first: Mapper, second: Mapper, history: ScanHistory, model: OdometryModel, consensus: Consensus
+) -> Mapper:
+    """Return the solved map of both. Raises MapError if too few of the matched walls coincide."""
+    motion = consensus.members[0].relocalisation.motion
+    mapper = Mapper(merge_landmarks(first, second, motion))
+    mapper.roughness.add_samples(np.concatenate([first.roughness.samples, second.roughness.samples]))
+    poses = np.concatenate([first.keyframe_poses, se2.compose(motion, second.keyframe_poses)])
+    odometry_wrong = np.zeros(len(history), dtype=bool)
+    for k, (row, landmark_ids) in enumerate(zip(history.keyframes, merge_landmark_ids(first, second), strict=True)):
+        features = history.scans[row].features
+        odometry = None if k == 0 else motion_to(k, history, model, poses, np.zeros((3, 3)), odometry_wrong)
+        mapper.add_keyframe_with_ids(poses[k], odometry, features.segments, features.corners, landmark_ids)
+    for member in consensus.members:
+        nearest = _nearest_keyframe(first.keyframe_poses, member.relocalisation.pose)
+        relative = se2.between(first.keyframe_poses[nearest], member.relocalisation.pose)
+        mapper.graph.add_loop(nearest, member.keyframes[-1] + first.keyframe_count, relative, LOOP_FACTOR_SIGMAS)
+    mapper.solve()
+    mapper.recompute_pose_covariances()
+    _merge_matched_walls(mapper, consensus, len(first.landmarks.walls))
+    return mapper
+
+
+def _nearest_keyframe(keyframe_poses: Floats, pose: se2.Pose) -> int:
+    return int(np.hypot(*(keyframe_poses[:, :2] - pose[:2]).T).argmin())
+
+
+def _merge_matched_walls(mapper: Mapper, consensus: Consensus, offset: int) -> None:
+    """Merge the walls that submaps were matched to; `offset` is that of the second map's walls. Raises MapError."""
+    rows = mapper.landmarks.walls.rows
+    matched = np.concatenate([member.relocalisation.pairs + np.array([0, offset]) for member in consensus.members])
+    pairs = list(dict.fromkeys((int(rows["merged_into"][old]), int(rows["merged_into"][new])) for old, new in matched))
+    coinciding = [(old, new) for old, new in pairs if walls_coincide(rows[old], rows[new])]
+    if len(coinciding) < MIN_COINCIDING_SHARE * len(pairs):
+        raise MapError(f"only {len(coinciding)} of {len(pairs)} matched walls coincide")
+    for old, new in coinciding:
+        if old != new and rows["merged_into"][old] == old and rows["merged_into"][new] == new:
+            mapper.merge_walls(old, new)
+    mapper.graph.update()
+    mapper.converge()
+
+
+def _transfer_checkpoint(
+    state: SlamState, mapper: Mapper, keyframes: int, kidnapped: Sequence[int]
+) -> TrackingCheckpoint:
+    """Return a state's checkpoint in the merged map, in which its keyframes are offset by `keyframes`."""
+    checkpoint = state.checkpoint
+    if checkpoint.anchor is None or checkpoint.fix is None:
+        return replace(checkpoint, kidnapped_keyframes=kidnapped)
+    anchor = replace(checkpoint.anchor, keyframe=checkpoint.anchor.keyframe + keyframes)
+    before = state.mapper.keyframe_poses[checkpoint.anchor.keyframe]
+    pose = se2.compose(mapper.keyframe_poses[anchor.keyframe], se2.between(before, checkpoint.fix.pose))
+    return replace(checkpoint, fix=replace(checkpoint.fix, pose=pose), anchor=anchor, kidnapped_keyframes=kidnapped)
+
+
+def _offset_loop_decisions(session: StoredSession, keyframes: int) -> list[dict[str, Any]]:
+    """Return the loop decisions with their keyframes offset."""
+    return [
+        {**decision, **{name: decision[name] + keyframes for name in ("keyframe", "old")}}
+        for decision in session.loop_decisions
+    ]

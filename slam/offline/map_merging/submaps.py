@@ -1,0 +1,53 @@
+"""Split a session into submaps of some metres of driving, each of which can be relocalised in another map."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from ...estimation.refinement.landmark_recount import measure, recount
+from ...estimation.refinement.scan_history import ScanHistory
+from ...loop_closure.map_descriptor import describe_map
+from ...loop_closure.relocalisation import Submap
+from ...mapping.keyframes import LandmarkIds
+from ...mapping.mapper import MAX_RECENT_SEGMENTS, Mapper
+from ...mapping.unconfirmed_observations import CONFIRMING_KEYFRAMES
+
+SUBMAP_DISTANCE = 6.0
+"""Travelled distance of a submap, metres."""
+
+
+def split_into_submaps(mapper: Mapper, history: ScanHistory) -> Iterator[tuple[range, Submap]]:
+    """Yield submaps of SUBMAP_DISTANCE each, with their keyframes; consecutive, without overlap.
+
+    The frame of a submap is that of the session's map.
+    """
+    index = np.floor(np.array(mapper.travelled) / SUBMAP_DISTANCE).astype(int)
+    starts = np.flatnonzero(np.diff(index, prepend=-1))
+    for first, end in zip(starts, [*starts[1:], len(index)], strict=True):
+        keyframes = range(int(first), int(end))
+        yield keyframes, _build_submap(mapper, history, keyframes)
+
+
+def _build_submap(mapper: Mapper, history: ScanHistory, keyframes: range) -> Submap:
+    """Build a submap from the observations of consecutive keyframes only."""
+    rows, poses = (
+        history.keyframes[keyframes.start : keyframes.stop],
+        mapper.keyframe_poses[keyframes.start : keyframes.stop],
+    )
+    landmarks = copy.deepcopy(mapper.landmarks)
+    landmarks.forget_openings()  # what these keyframes observed existed then
+    merged_into = landmarks.walls.rows["merged_into"]
+    landmark_ids = [
+        LandmarkIds(np.where(ids.walls >= 0, merged_into[ids.walls], -1), ids.corners)
+        for ids in mapper.landmark_ids[keyframes.start : keyframes.stop]
+    ]
+    part = replace(history, keyframes=rows)
+    recount(landmarks, part, landmark_ids, poses)
+    measure(landmarks, part, landmark_ids, poses, mapper.roughness.variance)
+    landmarks.confirm_observed(CONFIRMING_KEYFRAMES)
+    views = [(pose, history.scans[row].features.segments) for pose, row in zip(poses, rows, strict=True)]
+    return Submap(describe_map(landmarks, mapper.roughness.variance), poses[-1], views[-MAX_RECENT_SEGMENTS:])
