@@ -1,1 +1,1 @@
-"""Build and maintain the landmark map: data association, keyframes, wall merging and removal."""
+"""The landmark map: data association, keyframes, merging and removal of walls. Other packages only read it."""

@@ -1,8 +1,8 @@
-"""Which landmark each feature of a keyframe belongs to: likeliest by Mahalanobis distance with propagated covariances,
-and by how often the landmark was seen.
+"""Data association: decide which landmark each feature of a keyframe belongs to.
 
-A landmark takes one feature of a scan, except that pieces of one wall seen past an obstacle, which do not overlap
-along it, all belong to it.
+Features are assigned greedily to the landmark with the smallest Mahalanobis distance, with propagated covariances, less
+a bonus for landmarks with many observations. A landmark gets one feature of a scan; a wall also gets several segments
+that do not overlap along it, as when it is partly hidden by an obstacle.
 """
 
 from __future__ import annotations
@@ -19,16 +19,28 @@ from ..geometry.angles import wrap_angle
 from ..geometry.segments import CornerPoints, Floats, Integers, Segments
 from .local_map import LocalMap
 
-GATE = 13.8  # squared Mahalanobis distance, chi-square with 2 degrees of freedom at 99.9 %
-WIDEST_OFFSET = 0.30  # metres: two faces of furniture this far apart are not one, however uncertain the pose
-WIDEST_HEADING = math.radians(8.0)
-LARGEST_GAP = 1.0  # metres between what is known of a wall and a segment that continues it
-OVERLAP_IN_SCAN = 0.10  # metres by which two pieces of one wall may seem to overlap in one scan
-# Metres: a segment this close to a known wall, yet outside the gate, is neither it nor a new one.
+# Squared Mahalanobis distance between a feature and its landmark. Origin: chi-square, 2 dof, 99.9 %.
+ASSOCIATION_GATE = 13.8
+# Metres between a feature and its landmark, however uncertain the pose: two faces of furniture are this far apart.
+# Origin: chosen; not measured.
+MAX_OFFSET = 0.30
+# Radians between a segment and its wall. Origin: chosen; not measured.
+MAX_HEADING_DIFFERENCE = math.radians(8.0)
+# Metres between the known extent of a wall and a segment that continues it. Origin: chosen, a door; not measured.
+MAX_GAP = 1.0
+# Metres by which two segments of one wall may overlap in one scan, by errors of their ends.
+# Origin: chosen, one cell of coverage; not measured.
+MAX_OVERLAP_IN_SCAN = 0.10
+# Metres: a segment this close to a wall, but outside the gate, is ambiguous: neither this wall nor a new
+# one. Origin: chosen; not measured.
 AMBIGUOUS_OFFSET = 0.12
+# Radians, likewise. Origin: chosen; not measured.
 AMBIGUOUS_HEADING = math.radians(6.0)
-CORNER_HEADING_GATE = math.radians(20.0)
-AMBIGUOUS_CORNER = 0.15  # metres, as above
+# Radians between the walls at an observed corner and those of its landmark. Origin: chosen; not measured.
+MAX_CORNER_HEADING_DIFFERENCE = math.radians(20.0)
+# Metres: a corner this close to a known one, but outside the gate, is ambiguous. Origin: chosen; not measured.
+AMBIGUOUS_CORNER = 0.15
+# Values in place of a row of the local map. Origin: definition.
 UNMATCHED, AMBIGUOUS = -1, -2
 
 
@@ -66,31 +78,35 @@ class Association:
 def associate(
     pose: se2.Pose, covariance: Floats, segments: Segments, corners: CornerPoints, local_map: LocalMap, roughness: float
 ) -> Association:
-    """Match features seen from `pose` (its covariance (3, 3) in the base's frame) to the landmarks of the local map."""
+    """Associate the features of a scan with the landmarks of the local map.
+
+    pose        of the base in the map, with its `covariance` (3, 3) in the base's frame
+    roughness   variance of the wall roughness, square metres
+    """
     distance, low, high = _wall_distances(
         pose, covariance, segments.frame, segments.half_length, segments.covariance,
         local_map.frame, local_map.low, local_map.high, local_map.wall_covariance, roughness,
     )  # fmt: skip
-    # A wall that was seen more often is the likelier one, by as much. Without that, two landmarks on one wall divide
-    # what is seen of it between them by the sign of its error, and the more they see the surer they are of being two.
-    odds = 2.0 * np.log(np.maximum(local_map.observations, 1))
-    walls = _take_likeliest(distance, distance - odds, low, high)
+    # The prior probability of a wall is proportional to its observations. With equal priors, two landmarks on one wall
+    # would share its observations by the sign of their error, and each share would confirm that they are two.
+    bonus = 2.0 * np.log(np.maximum(local_map.observations, 1))
+    walls = _assign_greedily(distance, distance - bonus, low, high)
     corner_distance = _corner_distances(
         pose, covariance, corners.position, corners.headings, corners.covariance,
         local_map.position, local_map.headings, local_map.corner_covariance, roughness,
     )  # fmt: skip
-    nowhere = np.zeros_like(corner_distance)
-    corner_rows = _take_likeliest(corner_distance, corner_distance, nowhere, nowhere)
+    no_extent = np.zeros_like(corner_distance)
+    corner_rows = _assign_greedily(corner_distance, corner_distance, no_extent, no_extent)
     return Association(walls, *_nearest(distance), corner_rows, *_nearest(corner_distance))
 
 
 def _nearest(distance: Floats) -> tuple[Floats, Integers]:
-    """The smallest finite distance of each row and where it is; NaN and -1 without one."""
+    """Return the smallest finite distance of each row and its column; NaN and -1 without one."""
     if not distance.shape[1]:
         return np.full(len(distance), np.nan), np.full(len(distance), -1)
     nearest, row = distance.min(axis=1), distance.argmin(axis=1)
-    known = np.isfinite(nearest)
-    return np.where(known, nearest, np.nan), np.where(known, row, -1)
+    finite = np.isfinite(nearest)
+    return np.where(finite, nearest, np.nan), np.where(finite, row, -1)
 
 
 def _ids_of(rows: Integers, landmarks: Integers) -> Integers:
@@ -98,21 +114,25 @@ def _ids_of(rows: Integers, landmarks: Integers) -> Integers:
     return np.where(rows >= 0, landmarks[rows], -1) if len(landmarks) else np.full(len(rows), -1)
 
 
-def _take_likeliest(distance: Floats, surprise: Floats, low: Floats, high: Floats) -> Integers:
-    """Give features to landmarks, the least surprising pair within the gate first.
+def _assign_greedily(distance: Floats, cost: Floats, low: Floats, high: Floats) -> Integers:
+    """Assign n features to m landmarks, the pair with the smallest cost first, and return their columns (n,).
 
-    A feature with a finite distance but none within the gate is ambiguous.
+    distance   (n, m) squared Mahalanobis distances; only pairs within the gate are assigned
+    cost       (n, m) by which the pairs are ordered
+    low, high  (n, m) extent of the feature along the landmark: further features must not overlap with it
+
+    An unassigned feature with a finite distance is AMBIGUOUS, one without is UNMATCHED.
     """
     rows = np.where((np.isfinite(distance)).any(axis=1), AMBIGUOUS, UNMATCHED)
-    taken: dict[int, list[tuple[float, float]]] = {}
-    within = np.flatnonzero(distance < GATE)
-    for flat in within[np.argsort(surprise.ravel()[within], kind="stable")]:
+    assigned: dict[int, list[tuple[float, float]]] = {}
+    within = np.flatnonzero(distance < ASSOCIATION_GATE)
+    for flat in within[np.argsort(cost.ravel()[within], kind="stable")]:
         feature, landmark = divmod(int(flat), distance.shape[1])
         if rows[feature] >= 0:
             continue
         span = (low[feature, landmark], high[feature, landmark])
-        others = taken.setdefault(landmark, [])
-        if all(min(span[1], b) - max(span[0], a) < OVERLAP_IN_SCAN for a, b in others) and (
+        others = assigned.setdefault(landmark, [])
+        if all(min(span[1], b) - max(span[0], a) < MAX_OVERLAP_IN_SCAN for a, b in others) and (
             not others or span[1] > span[0]
         ):
             rows[feature] = landmark
@@ -124,7 +144,7 @@ def _take_likeliest(distance: Floats, surprise: Floats, low: Floats, high: Float
 def _wall_distances(  # type: ignore[no-untyped-def]
     pose, pose_covariance, frames, halves, covariances, walls, lows, highs, wall_covariances, roughness
 ):
-    """(n, m) squared Mahalanobis distances, infinite where a pair is out of the question, and where along the wall."""
+    """Return (n, m) squared Mahalanobis distances, infinite for excluded pairs, and both ends along the wall."""
     shape = (len(frames), len(walls))
     distance, low, high = np.full(shape, np.inf), np.zeros(shape), np.zeros(shape)
     c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -135,13 +155,13 @@ def _wall_distances(  # type: ignore[no-untyped-def]
         lever_y = s * frames[i, 0] + c * frames[i, 1]
         for j in range(len(walls)):
             turn = wrap_angle(pose[2] + frames[i, 2] - walls[j, 2])
-            if abs(turn) > WIDEST_HEADING:
+            if abs(turn) > MAX_HEADING_DIFFERENCE:
                 continue
             wc, ws = math.cos(walls[j, 2]), math.sin(walls[j, 2])
             dx, dy = pose[0] + lever_x - walls[j, 0], pose[1] + lever_y - walls[j, 1]
             along, offset = wc * dx + ws * dy, -ws * dx + wc * dy
             gap = max(along - halves[i] - highs[j], lows[j] - along - halves[i])
-            if abs(offset) > WIDEST_OFFSET or gap > LARGEST_GAP:
+            if abs(offset) > MAX_OFFSET or gap > MAX_GAP:
                 continue
             jacobian[0, 0], jacobian[0, 1] = -ws * c + wc * s, ws * s + wc * c
             jacobian[0, 2] = ws * lever_y + wc * lever_x
@@ -157,7 +177,7 @@ def _wall_distances(  # type: ignore[no-untyped-def]
                 + innovation[0, 0] * turn * turn
             ) / determinant
             close = abs(offset) < AMBIGUOUS_OFFSET and abs(turn) < AMBIGUOUS_HEADING and gap < 0.0
-            if chi2 < GATE or close:
+            if chi2 < ASSOCIATION_GATE or close:
                 distance[i, j], low[i, j], high[i, j] = chi2, along - halves[i], along + halves[i]
     return distance, low, high
 
@@ -166,7 +186,7 @@ def _wall_distances(  # type: ignore[no-untyped-def]
 def _corner_distances(  # type: ignore[no-untyped-def]
     pose, pose_covariance, points, headings, covariances, corners, corner_headings, corner_covariances, roughness
 ):
-    """(n, m) squared Mahalanobis distances, infinite where a pair is out of the question."""
+    """Return (n, m) squared Mahalanobis distances, infinite for excluded pairs."""
     distance = np.full((len(points), len(corners)), np.inf)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     rotation = np.array([[c, -s], [s, c]])
@@ -176,16 +196,16 @@ def _corner_distances(  # type: ignore[no-untyped-def]
         own = rotation @ covariances[i] @ rotation.T + jacobian @ pose_covariance @ jacobian.T
         for j in range(len(corners)):
             residual = np.array([pose[0] + lever[0] - corners[j, 0], pose[1] + lever[1] - corners[j, 1]])
-            if max(abs(residual[0]), abs(residual[1])) > WIDEST_OFFSET:
+            if max(abs(residual[0]), abs(residual[1])) > MAX_OFFSET:
                 continue
-            if abs(wrap_angle(pose[2] + headings[i, 0] - corner_headings[j, 0])) > CORNER_HEADING_GATE:
+            if abs(wrap_angle(pose[2] + headings[i, 0] - corner_headings[j, 0])) > MAX_CORNER_HEADING_DIFFERENCE:
                 continue
-            if abs(wrap_angle(pose[2] + headings[i, 1] - corner_headings[j, 1])) > CORNER_HEADING_GATE:
+            if abs(wrap_angle(pose[2] + headings[i, 1] - corner_headings[j, 1])) > MAX_CORNER_HEADING_DIFFERENCE:
                 continue
             innovation = own + corner_covariances[j]
             innovation[0, 0] += roughness
             innovation[1, 1] += roughness
             chi2 = residual @ np.linalg.solve(innovation, residual)
-            if chi2 < GATE or math.hypot(residual[0], residual[1]) < AMBIGUOUS_CORNER:
+            if chi2 < ASSOCIATION_GATE or math.hypot(residual[0], residual[1]) < AMBIGUOUS_CORNER:
                 distance[i, j] = chi2
     return distance

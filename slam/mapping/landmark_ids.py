@@ -1,4 +1,4 @@
-"""Which landmarks a keyframe saw, by identity: what an association means for the map."""
+"""Assignment of landmark ids to the features of a keyframe, given their association with the local map."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from .keyframes import LandmarkIds
 from .landmarks import Landmarks
 from .local_map import LocalMap
 
-SMALLEST_REACH = 0.2  # metres: a corner nearer to the base's origin has no bearing to speak of
+# Metres from the base's origin below which a corner does not become a landmark: its bearing is undefined.
+# Origin: chosen, within the outline of the robot; not measured.
+MIN_CORNER_RANGE = 0.2
 
 
 def assign_landmark_ids(
@@ -24,12 +26,15 @@ def assign_landmark_ids(
     association: Association,
     local_map: LocalMap,
 ) -> LandmarkIds:
-    """What a keyframe at `pose` saw; landmarks are seen again, or for the first time and made."""
-    walls = _name_walls(landmarks, keyframe, pose, segments, association, local_map)
-    return LandmarkIds(walls, _name_corners(landmarks, keyframe, pose, corners, walls, association, local_map))
+    """Record the observations of a keyframe at `pose` and return the landmark ids of its features.
+
+    Matched features observe their landmark, unmatched ones become new landmarks, ambiguous ones get the id -1.
+    """
+    walls = _assign_walls(landmarks, keyframe, pose, segments, association, local_map)
+    return LandmarkIds(walls, _assign_corners(landmarks, keyframe, pose, corners, walls, association, local_map))
 
 
-def _name_walls(
+def _assign_walls(
     landmarks: Landmarks,
     keyframe: int,
     pose: se2.Pose,
@@ -37,19 +42,18 @@ def _name_walls(
     association: Association,
     local_map: LocalMap,
 ) -> Integers:
-    """The identity of the wall each segment shows (-1: ambiguous), walls seen for the first time made."""
     frames = se2.compose(pose, segments.frame).reshape(-1, 3)
-    named = np.full(len(segments), -1)
+    ids = np.full(len(segments), -1)
     for i, row in enumerate(association.walls):
         if row >= 0:
-            named[i] = local_map.walls[row]
-            landmarks.observe_wall(int(named[i]), frames[i], segments.half_length[i], keyframe)
+            ids[i] = local_map.walls[row]
+            landmarks.observe_wall(int(ids[i]), frames[i], segments.half_length[i], keyframe)
         elif row == UNMATCHED:
-            named[i] = landmarks.add_wall(frames[i], segments.half_length[i], keyframe)
-    return named
+            ids[i] = landmarks.add_wall(frames[i], segments.half_length[i], keyframe)
+    return ids
 
 
-def _name_corners(
+def _assign_corners(
     landmarks: Landmarks,
     keyframe: int,
     pose: se2.Pose,
@@ -58,14 +62,14 @@ def _name_corners(
     association: Association,
     local_map: LocalMap,
 ) -> Integers:
-    """The identity of each corner (-1: ambiguous), corners seen for the first time made."""
+    """Return the ids of the corners; `walls` (n,) are those of the segments."""
     positions = se2.transform(pose, corners.position).reshape(-1, 2)
     headings = se2.wrap(corners.headings + pose[2])
-    named = np.full(len(corners), -1)
+    ids = np.full(len(corners), -1)
     for i, row in enumerate(association.corners):
         if row >= 0:
-            named[i] = local_map.corners[row]
-            landmarks.observe_corner(int(named[i]), headings[i], keyframe)
-        elif row == UNMATCHED and np.hypot(*corners.position[i]) > SMALLEST_REACH:
-            named[i] = landmarks.add_corner(positions[i], headings[i], walls[corners.segments[i]], keyframe)
-    return named
+            ids[i] = local_map.corners[row]
+            landmarks.observe_corner(int(ids[i]), headings[i], keyframe)
+        elif row == UNMATCHED and np.hypot(*corners.position[i]) > MIN_CORNER_RANGE:
+            ids[i] = landmarks.add_corner(positions[i], headings[i], walls[corners.segments[i]], keyframe)
+    return ids

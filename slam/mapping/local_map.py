@@ -1,4 +1,4 @@
-"""The part of the map around the robot that the next scans are compared with."""
+"""The local map: landmarks around the robot with covariances relative to it, to which the next scans are matched."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from .landmarks import Landmarks
 class LocalMap:
     """n walls and m corners near a keyframe.
 
-    walls            (n,) identities
-    frame            (n, 3) in the map: x along the wall, which is seen from y > 0
-    low, high        (n,) metres along x, how far the wall is known
-    wall_covariance  (n, 2, 2) of the offset across and the heading at the frame, as seen from the keyframe
-    observations     (n,) keyframes that saw the wall
-    corners          (m,) identities
-    position         (m, 2) in the map
-    headings         (m, 2) of the walls before and after the corner, in the map
-    corner_covariance (m, 2, 2) as seen from the keyframe, in the map's axes
+    walls              (n,) landmark ids
+    frame              (n, 3) in the map: x along the wall, which is seen from y > 0
+    low, high          (n,) metres along x, both ends of the observed extent
+    wall_covariance    (n, 2, 2) of offset and heading at the frame, relative to the keyframe
+    observations       (n,) keyframes that observed the wall
+    corners            (m,) landmark ids
+    position           (m, 2) in the map
+    headings           (m, 2) of the walls before and after the corner, in the map
+    corner_covariance  (m, 2, 2) relative to the keyframe, in the map's axes
     """
 
     walls: Integers
@@ -40,13 +40,15 @@ class LocalMap:
 
 
 def empty_local_map() -> LocalMap:
-    """What is known before the first scan."""
+    """Return a local map without landmarks, as before the first scan."""
     return landmarks_around(Landmarks(), np.zeros(3), 0.0)
 
 
 def landmarks_around(landmarks: Landmarks, pose: se2.Pose, radius: float, *, keyframe: int | None = None) -> LocalMap:
-    """The landmarks within `radius` (metres) of a pose, as certain as they were when they were last observed; those
-    that are still there, or were after a `keyframe`."""
+    """Return the active landmarks within `radius` metres of a pose, with the covariances of their last observation.
+
+    With `keyframe`, landmarks removed at that keyframe or later are included.
+    """
     near_walls = landmarks.walls_near(pose, radius, keyframe=keyframe)
     near_corners = landmarks.corners_near(pose, radius, keyframe=keyframe)
     walls, corners = landmarks.walls.rows[near_walls], landmarks.corners.rows[near_corners]
@@ -65,10 +67,10 @@ def landmarks_around(landmarks: Landmarks, pose: se2.Pose, radius: float, *, key
 
 
 def local_map_around(landmarks: Landmarks, pose: se2.Pose, radius: float, pose_covariances: list[Floats]) -> LocalMap:
-    """The landmarks within `radius` (metres) of the pose of the last keyframe, as certain as they are from there.
+    """Return the active landmarks within `radius` metres of a pose, with covariances relative to the last keyframe.
 
-    `pose_covariances` are those of all keyframes (3, 3), in the map's axes. A landmark's covariance is the one seen
-    when it was last observed, and what the robot's own pose has lost in certainty since then.
+    A landmark's covariance is the sum of that at its last observation and of the drift of the robot's pose since then.
+    `pose_covariances` are those of all keyframes (3, 3), in the map's axes.
     """
     around = landmarks_around(landmarks, pose, radius)
     last_seen = (landmarks.walls.rows["last_seen"][around.walls], landmarks.corners.rows["last_seen"][around.corners])
@@ -87,12 +89,13 @@ def local_map_around(landmarks: Landmarks, pose: se2.Pose, radius: float, pose_c
 
 
 def _drift_since(keyframes: Integers, pose_covariances: list[Floats]) -> Floats:
-    """(n, 3, 3): by how much the robot's own pose has become less certain since each of `keyframes`, in the map's axes.
+    """Return (n, 3, 3) the growth of the pose covariance since each of `keyframes`, in the map's axes.
 
-    The error of a later pose is that of the earlier one and what was added on the way, so the covariance of the
-    difference is about the difference of the covariances; where a closed loop made it smaller, that part is zero.
+    The error of a later pose is that of an earlier one plus what was added in between, so the covariance of the
+    difference is about the difference of the covariances. Negative eigenvalues, after a loop closure, are clamped to
+    zero.
     """
-    different, places = np.unique(keyframes, return_inverse=True)  # many were last seen from the same keyframe
-    then = np.array([pose_covariances[k] for k in different]).reshape(-1, 3, 3)
-    values, vectors = np.linalg.eigh(pose_covariances[-1] - then)
-    return np.asarray((vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1))[places]
+    distinct, inverse = np.unique(keyframes, return_inverse=True)  # many landmarks share their last keyframe
+    covariances = np.array([pose_covariances[k] for k in distinct]).reshape(-1, 3, 3)
+    values, vectors = np.linalg.eigh(pose_covariances[-1] - covariances)
+    return np.asarray((vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1))[inverse]

@@ -76,7 +76,8 @@ class Mapper:
     @classmethod
     def with_landmarks_of(cls, other: Mapper) -> Mapper:
         """Return a mapper without keyframes, with copies of the landmarks and of what was learned about them."""
-        return cls(*(copy.deepcopy(part) for part in (other.landmarks, other.roughness, other.free_space_evidence)))
+        landmarks, roughness = copy.deepcopy(other.landmarks), copy.deepcopy(other.roughness)
+        return cls(landmarks, roughness, copy.deepcopy(other.free_space_evidence))
 
     @classmethod
     def from_saved(

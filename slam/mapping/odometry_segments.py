@@ -1,4 +1,4 @@
-"""The drives of a session: within one odometry continues, from one to the next it does not."""
+"""Odometry segments of a session: parts in which odometry is continuous."""
 
 from __future__ import annotations
 
@@ -12,15 +12,22 @@ from ..geometry.segments import Floats
 from ..odometry.history import OdometryHistory
 from .trajectory_builder import TrajectoryBuilder
 
-# What comes so soon after the last reading, from where the robot can have come to in the meantime, is the same drive: a
-# program that was stopped and started again, while the base went on counting.
-LONGEST_BREAK = 60.0  # seconds
-FASTEST = 1.0  # metres a second
-JITTER = 0.2  # metres
+# A reading continues a segment if it follows the last one so soon, and so near to it, that the robot can have driven
+# there: a program was stopped and started again while the base went on counting.
+# Seconds since the last reading. Origin: chosen, time to restart a program; not measured.
+MAX_BREAK = 60.0
+# Metres per second. Origin: chosen, faster than indoor robots usually drive; not measured.
+MAX_SPEED = 1.0
+# Metres by which the position may differ besides. Origin: chosen, more than the noise of a reading; not measured.
+POSITION_TOLERANCE = 0.2
 
 
 class OdometrySegments:
-    """All odometry of a session, drive by drive; `starts` are the rows of the sightings that they begin with."""
+    """All odometry of a session, one history per segment.
+
+    histories  odometry readings of each segment
+    starts     for each segment, the index of its first scan among all scans of the session
+    """
 
     def __init__(self, histories: Sequence[OdometryHistory] = (), starts: Sequence[int] = ()) -> None:
         self.histories, self.starts = list(histories), list(starts)
@@ -31,28 +38,28 @@ class OdometrySegments:
         return max((history.latest for history in self.histories), default=-np.inf)
 
     def is_continued_by(self, reading: Odometry) -> bool:
-        """Whether a reading continues the last drive."""
+        """True if a reading continues the last segment."""
         if not self.histories or not len(self.histories[-1]):
             return False
         gap = reading.stamp - self.latest
         moved = float(np.hypot(*(reading.pose - self.histories[-1].poses[-1])[:2]))
-        return 0.0 <= gap <= LONGEST_BREAK and moved <= JITTER + FASTEST * gap
+        return 0.0 <= gap <= MAX_BREAK and moved <= POSITION_TOLERANCE + MAX_SPEED * gap
 
-    def begin(self, row: int) -> OdometryHistory:
-        """A new drive, whose first sighting will be in this row."""
+    def begin(self, start: int) -> OdometryHistory:
+        """Begin a segment whose first scan has the index `start`, and return its empty history."""
         self.histories.append(OdometryHistory())
-        self.starts.append(row)
+        self.starts.append(start)
         return self.histories[-1]
 
     def keep_last(self) -> None:
-        """Forget all but the last drive."""
+        """Drop all but the last segment; its scans are numbered from zero then."""
         self.histories, self.starts = self.histories[-1:], [0]
 
-    def trajectory(self, path: TrajectoryBuilder, keyframe_poses: Floats) -> tuple[Floats, Floats]:
-        """Stamps (m,) and poses (m, 3) at every reading of the drives of which any scan was placed."""
+    def trajectory(self, trajectory: TrajectoryBuilder, keyframe_poses: Floats) -> tuple[Floats, Floats]:
+        """Return stamps (m,) and poses (m, 3) at every odometry reading of the segments with a registered scan."""
         begin = [-np.inf, *(float(history.stamps[0]) for history in self.histories[1:]), np.inf]
         parts = [
-            path.between(begin[k], begin[k + 1]).at_odometry(keyframe_poses, history)
+            trajectory.clip(begin[k], begin[k + 1]).at_odometry(keyframe_poses, history)
             for k, history in enumerate(self.histories)
         ]
         return np.concatenate([stamps for stamps, _ in parts]), np.concatenate([poses for _, poses in parts])

@@ -1,7 +1,7 @@
-"""Walls that were mapped twice: two frames on what is one wall, found when both have been seen well enough to tell.
+"""Detection of walls that were mapped twice: two landmarks on one real wall.
 
-While the robot drives, what is around it is compared as it is known from there; once it has come to rest, all of the
-map with the joint covariances of the graph.
+While the robot drives, the walls of the local map are compared, with covariances relative to the robot. When the
+estimate converges at the end, all walls of the map are compared with their joint covariances in the graph.
 """
 
 from __future__ import annotations
@@ -20,17 +20,28 @@ from ..graph.factor_graph import FactorGraph
 from .landmarks import Landmarks
 from .local_map import LocalMap
 
-GATE = 5.99  # squared Mahalanobis distance, chi-square with 2 degrees of freedom at 95 %: they must agree
-WIDEST_OFFSET = 0.10  # metres between two walls that may be one, where they overlap
-WIDEST_HEADING = math.radians(4.0)
-LEAST_OVERLAP = 0.2  # metres along the wall
-MIN_OBSERVATIONS_TO_MERGE = 3  # keyframes, where only what is known from the robot's place tells two walls apart
+# Squared Mahalanobis distance between two walls that may be one. Stricter than the association gate, as a merge is
+# final. Origin: chi-square, 2 dof, 95 %.
+MERGE_GATE = 5.99
+# Metres between two walls that may be one, in the middle of their overlap, however large their covariances.
+# Origin: chosen, less than the thickness of walls and furniture; not measured.
+MAX_MERGE_OFFSET = 0.10
+# Radians between two walls that may be one. Origin: chosen; not measured.
+MAX_MERGE_HEADING = math.radians(4.0)
+# Metres by which two walls that may be one must overlap. Origin: chosen, two cells of coverage; not measured.
+MIN_OVERLAP = 0.2
+# Keyframes that must have observed a wall before it is merged by its covariance relative to the robot alone.
+# Origin: chosen, one more than for confirmation; not measured.
+MIN_OBSERVATIONS_TO_MERGE = 3
 
 
 @dataclass(frozen=True, slots=True)
 class Duplicate:
-    """Rows of the local map that show one wall; the second's frame lies `along` the first (metres); squared Mahalanobis
-    distance between them."""
+    """Two rows of the local map that are one wall.
+
+    along     metres along the first wall at which the second's frame is
+    distance  squared Mahalanobis distance between the two
+    """
 
     first: int
     second: int
@@ -40,10 +51,13 @@ class Duplicate:
 
 @dataclass(frozen=True, slots=True)
 class Overlap:
-    """Two walls, `first` and `second`, that run along one another for `length` metres.
+    """Two walls, given by their rows `first` and `second`, that run alongside each other.
 
-    The second's frame lies `along` the first (metres); in the `middle` of what they share, also measured along the
-    first, the second is `offset` (metres) across and turned by `turn` (radians).
+    along   metres along the first wall at which the second's frame is
+    middle  metres along the first wall of the middle of the overlap
+    length  metres of overlap
+    offset  metres from the first wall to the second, in the middle
+    turn    radians from the first wall to the second
     """
 
     first: int
@@ -55,35 +69,40 @@ class Overlap:
     turn: float
 
     def distance(self, covariance: Floats, roughness: float) -> float:
-        """Squared Mahalanobis distance between the two, given the `covariance` (2, 2) of offset and turn, to which
-        the variance of their unevenness is added."""
+        """Return the squared Mahalanobis distance between the two walls.
+
+        `covariance` (2, 2) is that of offset and turn; the variance of the wall roughness (m^2) is added to it.
+        """
         difference = np.array([self.offset, self.turn])
-        uneven = np.diag([roughness, 12 * roughness / self.length**2])
-        return float(difference @ np.linalg.solve(covariance + uneven, difference))
+        of_roughness = np.diag([roughness, 12 * roughness / self.length**2])
+        return float(difference @ np.linalg.solve(covariance + of_roughness, difference))
 
 
 def find_duplicate_wall(
-    local_map: LocalMap, mature: NDArray[np.bool_], seen: NDArray[np.bool_], roughness: float
+    local_map: LocalMap, mature: NDArray[np.bool_], observed: NDArray[np.bool_], roughness: float
 ) -> Duplicate | None:
-    """The most certain pair of walls of the local map that are one, None where there is none.
+    """Return the pair of walls of the local map that are one with the smallest distance; None if there is none.
 
-    `mature` (n,) says which walls have been observed often enough, `seen` (n,) which were seen just now: a pair must
-    have one of those. Walls are compared in the middle of their overlap, with the covariances as seen from the robot,
-    so what is uncertain about the robot's own place does not count; `flatness` is the variance of their unevenness.
+    mature     (n,) which walls have been observed often enough; both walls of a pair must be mature
+    observed   (n,) which walls were observed just now; at least one wall of a pair must be
+    roughness  variance of the wall roughness, square metres
+
+    Walls are compared in the middle of their overlap, with covariances relative to the robot, so the uncertainty of the
+    robot's own pose has no influence.
     """
     rows = np.flatnonzero(mature)
     if len(rows) < 2:
         return None
-    pairs = overlaps(local_map.frame[rows], local_map.low[rows], local_map.high[rows])
+    pairs = find_overlaps(local_map.frame[rows], local_map.low[rows], local_map.high[rows])
     best: Duplicate | None = None
     for pair in pairs:
         first, second = int(rows[pair.first]), int(rows[pair.second])
-        if not (seen[first] or seen[second]):
+        if not (observed[first] or observed[second]):
             continue
-        at_first = _carried(local_map.wall_covariance[first], pair.middle)
-        at_second = _carried(local_map.wall_covariance[second], pair.middle - pair.along)
+        at_first = _covariance_along(local_map.wall_covariance[first], pair.middle)
+        at_second = _covariance_along(local_map.wall_covariance[second], pair.middle - pair.along)
         distance = pair.distance(at_first + at_second, roughness)
-        if distance < GATE and (best is None or distance < best.distance):
+        if distance < MERGE_GATE and (best is None or distance < best.distance):
             best = Duplicate(first, second, pair.along, distance)
     return best
 
@@ -91,20 +110,19 @@ def find_duplicate_wall(
 def merge_duplicate_walls(
     landmarks: Landmarks, graph: FactorGraph, roughness: float, merge: Callable[[int, int], None]
 ) -> int:
-    """Have `merge` make one of each pair of walls (kept, absorbed) that are one, the most certain first; returns how
-    many there were.
+    """Call `merge(kept, absorbed)` for each pair of duplicate walls, smallest distance first; return their number.
 
-    All confirmed walls are compared with their joint covariances in the graph; `flatness` is the variance of their
-    unevenness.
+    All confirmed walls are compared, with their joint covariances in `graph`. `roughness` is the variance of the wall
+    roughness (m^2).
     """
     walls = landmarks.walls.rows
     rows = np.flatnonzero(walls["in_graph"] & landmarks.active())
-    alike = overlaps(walls["frame"][rows], walls["low"][rows], walls["high"][rows])
-    pairs = np.array([rows[[pair.first, pair.second]] for pair in alike], dtype=np.int64).reshape(-1, 2)
+    overlaps = find_overlaps(walls["frame"][rows], walls["low"][rows], walls["high"][rows])
+    pairs = np.array([rows[[pair.first, pair.second]] for pair in overlaps], dtype=np.int64).reshape(-1, 2)
     found = []
-    for pair, (first, second), joint in zip(alike, pairs.tolist(), graph.wall_pair_covariances(pairs), strict=True):
-        distance = pair.distance(_relative(joint, pair), roughness)
-        if distance < GATE:
+    for pair, (first, second), joint in zip(overlaps, pairs.tolist(), graph.wall_pair_covariances(pairs), strict=True):
+        distance = pair.distance(_relative_covariance(joint, pair), roughness)
+        if distance < MERGE_GATE:
             found.append((distance, first, second))
     merged = 0
     for _, first, second in sorted(found):
@@ -114,8 +132,11 @@ def merge_duplicate_walls(
     return merged
 
 
-def overlaps(frame: Floats, low: Floats, high: Floats) -> list[Overlap]:
-    """All pairs of walls, of frames (n, 3) and known from `low` to `high` (n,), that run alike along one another."""
+def find_overlaps(frame: Floats, low: Floats, high: Floats) -> list[Overlap]:
+    """Return all pairs of walls that run alongside each other, close, facing the same side and nearly parallel.
+
+    The walls have frames (n, 3) and extend from `low` to `high` (n,) metres along them.
+    """
     other = se2.between(frame[:, None], frame[None, :])  # (n, n, 3): the second wall's frame in the first's
     turn = other[..., 2]
     along = other[..., 0]
@@ -123,20 +144,23 @@ def overlaps(frame: Floats, low: Floats, high: Floats) -> list[Overlap]:
     end = np.minimum(high[:, None], along + high[None, :])
     middle = 0.5 * (start + end)
     offset = other[..., 1] + (middle - along) * np.tan(turn)
-    alike = (np.abs(turn) < WIDEST_HEADING) & (np.abs(offset) < WIDEST_OFFSET) & (end - start > LEAST_OVERLAP)
+    close = (np.abs(turn) < MAX_MERGE_HEADING) & (np.abs(offset) < MAX_MERGE_OFFSET) & (end - start > MIN_OVERLAP)
     return [
         Overlap(int(i), int(j), along[i, j], middle[i, j], end[i, j] - start[i, j], offset[i, j], turn[i, j])
-        for i, j in np.argwhere(np.triu(alike, 1))
+        for i, j in np.argwhere(np.triu(close, 1))
     ]
 
 
-def _carried(covariance: Floats, along: float) -> Floats:
-    carry = np.array([[1.0, along], [0.0, 1.0]])
-    return np.asarray(carry @ covariance @ carry.T)
+def _covariance_along(covariance: Floats, along: float) -> Floats:
+    """Return the covariance (2, 2) of offset and heading `along` metres from the frame, given that at the frame."""
+    jacobian = np.array([[1.0, along], [0.0, 1.0]])
+    return np.asarray(jacobian @ covariance @ jacobian.T)
 
 
-def _relative(joint: Floats, pair: Overlap) -> Floats:
-    """(2, 2): covariance of offset and turn between two walls in the middle of what they share, from their joint
-    covariance (4, 4), each at its own frame."""
+def _relative_covariance(joint: Floats, pair: Overlap) -> Floats:
+    """Return the covariance (2, 2) of offset and turn between two walls in the middle of their overlap.
+
+    `joint` (4, 4) is the joint covariance of offset and heading of the first and the second wall, at their frames.
+    """
     jacobian = np.array([[-1.0, -pair.middle, 1.0, pair.middle - pair.along], [0.0, -1.0, 0.0, 1.0]])
     return np.asarray(jacobian @ joint @ jacobian.T)

@@ -1,93 +1,82 @@
-"""Walls that are no longer where they were: what is seen through often enough is retired from the map.
+"""Removal of walls that are no longer there: free-space evidence of the scans that see through them.
 
-A sight line from the robot to a point that it sees shows that nothing stands in between. For each decimetre of a wall
-the looks are counted that saw through it; a look that sees something there takes back three of them. That is how
-glass stays, which some looks see and some do not. Where a look may be mistaken about where it is, it does not count.
+For each cell of a wall, the scans that see through it are counted; a scan that sees something there takes back three of
+them. So glass stays, which some scans see and some do not. A scan that may be wrong about its own pose does not count.
 """
 
 from __future__ import annotations
 
-import math
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
 from drivers import se2
 
 from ..geometry.segments import Floats, Integers
 from .landmarks import WALL_CELL, Landmarks
+from .sight_lines import END_MARGIN_CELLS, WallsInView, cells_seen_through, walls_in_view
 
-STEP = 0.2  # metres between two looks that count: what is mistaken once is mistaken again from the same place
-BEHIND = 0.3  # metres from a wall's line on either side, and as many standard deviations of it besides, where
-BEHIND_SIGMAS = 3.0  # the robot and what it sees must be: what is nearer may be the wall itself, or something on it
-STEEPEST = 0.7  # least sine of the angle between a sight line and a wall: glass is seen only from opposite
-SAME = 0.15  # metres across a wall within which what is seen is the wall
-TAKEN_BACK = 3  # looks that saw through a place, by one that sees something there
-MOST_ASKED = 6  # looks that must have seen through a place; fewer where the wall itself was not seen that often
-MARGIN = 2  # cells from a wall's end or from a gap in it, where sight lines may have passed it by
-GAP = 2  # cells not looked at between two that were seen through
-LEAST_OPENING = 0.5  # metres of wall that are opened: a door, not a hole between two beams
-LEAST_LEFT, LEAST_LEFT_SHARE, MOST_LEFT = 0.3, 1 / 3, 1.0  # metres, share, metres: of a wall; less than that is none
-RECENT_WAY = 15.0  # metres of driving, in which the map does not bend
-# Metres of wall, known no later than the doubted one, that a look must see in every direction; and how many times as
-# many as it sees through. A robot that has drifted, or is elsewhere, sees through a lot.
-LEAST_TIE, MORE_SEEN = 1.0, 3.0
-SUSPENDED_WAY = 3.0  # metres of driving for which nothing counts where the robot may be elsewhere: two looks for a loop
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Look:
-    """What one look saw of the n walls around: their identities, and their `rows` in the table of walls.
-
-    `first` (n,) is the first of a wall's cells; in the flat arrays its cells are from ends[k] to ends[k + 1]: whether
-    each was `seen`, and its `depth`, see `sight`. `length` (n,) are the metres seen of each.
-    """
-
-    walls: Integers
-    rows: NDArray[np.void]
-    first: Integers
-    ends: Integers
-    seen: NDArray[np.bool_]
-    depth: Floats
-    length: Floats
-
-    def cells(self, row: int, chosen: NDArray[np.bool_]) -> Integers:
-        """The cells of a wall that are chosen in the flat arrays."""
-        return np.asarray(self.first[row] + chosen[self.ends[row] : self.ends[row + 1]].nonzero()[0])
+# Metres of driving between two scans that count: an error of one scan is repeated at the same place.
+# Origin: chosen, less than the distance between keyframes; not measured.
+MIN_STEP = 0.2
+# Scans seeing through a cell that one scan seeing something there takes back: glass that more than a quarter of the
+# scans see stays. Origin: chosen; not measured.
+SEEN_WEIGHT = 3
+# Scans that must have seen through a cell of a well-observed wall; fewer if the wall has fewer observations than that.
+# Origin: chosen; not measured.
+MAX_REQUIRED_SCANS = 6
+# Cells without evidence between two that were seen through. Origin: chosen, 0.2 m; not measured.
+MAX_GAP_CELLS = 2
+# Metres of the narrowest opening: a door, rather than a hole between two beams. Origin: chosen; not measured.
+MIN_OPENING = 0.5
+# A wall is removed entirely if less remains of it than REMAINDER_SHARE of its length, but at least MIN_REMAINDER and at
+# most MAX_REMAINDER metres. Origin: chosen; not measured.
+MIN_REMAINDER, REMAINDER_SHARE, MAX_REMAINDER = 0.3, 1 / 3, 1.0
+# Metres of driving within which the map does not bend. Origin: chosen, as OLD_WAY of loop closure; not measured.
+RIGID_DISTANCE = 15.0
+# A robot that has drifted, or is elsewhere, sees through many walls. So a scan must also see other walls, first
+# observed no later than the wall in question was last observed (see `_supported`).
+# Metres of them in every direction. Origin: chosen; not measured.
+MIN_SUPPORT = 1.0
+# Ratio of their length to the length that the scan sees through. Origin: chosen; not measured.
+MIN_SUPPORT_RATIO = 3.0
+# Metres of driving for which no scan counts after `suspend`: two searches for loops.
+# Origin: chosen, twice the interval of the loop search; not measured.
+SUSPENSION_DISTANCE = 3.0
 
 
 class FreeSpaceEvidence:
-    """How many looks have seen through each place of each wall, on balance.
+    """Evidence against walls: for each cell, how many scans have seen through it, less those that saw it.
 
-    counts  of a wall, by cell
+    counts  by wall id and cell, all positive
     """
 
     def __init__(self, counts: Mapping[int, Mapping[int, int]] | None = None) -> None:
         self.counts: dict[int, dict[int, int]] = {wall: dict(cells) for wall, cells in (counts or {}).items()}
-        self._stood: Floats | None = None
-        self._suspended = -np.inf
+        self._last_position: Floats | None = None
+        self._suspended_at = -np.inf
 
     def __deepcopy__(self, memo: dict[int, object]) -> FreeSpaceEvidence:
         other = FreeSpaceEvidence(self.counts)
-        other._stood, other._suspended = self._stood, self._suspended
+        other._last_position, other._suspended_at = self._last_position, self._suspended_at
         return other
 
     def clear(self) -> None:
-        """The map has moved: what was counted was counted against another one."""
-        self.counts, self._stood = {}, None
+        """Discard all counts, as after a loop closure: they were made with another map."""
+        self.counts, self._last_position = {}, None
 
-    def suspend(self, travel: float) -> None:
-        """After so many metres of driving, another place explains more of what is seen than where the robot is believed
-        to be: what was counted may be wrong, and what is seen next, too."""
+    def suspend(self, travelled: float) -> None:
+        """Discard all counts, and count nothing for SUSPENSION_DISTANCE metres of driving from `travelled` metres on.
+
+        For use if another place in the map explains the observations better than the present pose: earlier and coming
+        scans may be wrong about their pose.
+        """
         self.clear()
-        self._suspended = travel
+        self._suspended_at = travelled
 
     def discard(self, walls: Sequence[int]) -> None:
-        """Something is known of some walls that makes what was counted pointless."""
+        """Discard the counts of some walls."""
         for wall in walls:
             self.counts.pop(wall, None)
 
@@ -99,55 +88,57 @@ class FreeSpaceEvidence:
         travelled: Sequence[float],
         pose_covariances: Sequence[Floats],
     ) -> bool:
-        """Look from `pose` at points (p, 2), in its own frame; retire what has been seen through often enough.
+        """Add the evidence of a scan, and remove or open the walls with sufficient evidence. Return True if any.
 
-        `ways` and `pose_covariances` are the metres driven up to each keyframe and how well its pose was known, in the
-        map's axes. Returns whether anything was retired.
+        points            (p, 2) of the scan, in the frame of its pose
+        travelled         metres driven up to each keyframe
+        pose_covariances  (3, 3) of each keyframe, in the map's axes
         """
-        if travelled[-1] - self._suspended < SUSPENDED_WAY:
+        if travelled[-1] - self._suspended_at < SUSPENSION_DISTANCE:
             return False
-        if self._stood is not None and np.hypot(*(pose[:2] - self._stood)) < STEP:
+        if self._last_position is not None and np.hypot(*(pose[:2] - self._last_position)) < MIN_STEP:
             return False
-        self._stood = pose[:2].copy()
-        look = _looked(landmarks, pose, np.ascontiguousarray(points))
-        for row, wall in enumerate(look.walls.tolist()):
-            if wall in self.counts and look.length[row]:
-                self._take_back(wall, look.cells(row, look.seen))
-        through = _seen_through(look, landmarks, pose, pose_covariances)
-        removed_walls = False
-        for row in _believed(look, through, travelled):
-            wall = int(look.walls[row])
+        self._last_position = pose[:2].copy()
+        view = walls_in_view(landmarks, pose, np.ascontiguousarray(points))
+        for row, wall in enumerate(view.walls.tolist()):
+            if wall in self.counts and view.length[row]:
+                self._count_seen(wall, view.cells(row, view.seen))
+        through = cells_seen_through(view, landmarks, pose, pose_covariances)
+        changed = False
+        for row in _supported(view, through, travelled):
+            wall = int(view.walls[row])
             counts = self.counts.setdefault(wall, {})
             for cell in through[row]:
                 counts[cell] = counts.get(cell, 0) + 1
-            removed_walls |= self._judge(landmarks, wall, len(travelled) - 1)
-        return removed_walls
+            changed |= self._remove_or_open(landmarks, wall, len(travelled) - 1)
+        return changed
 
-    def _take_back(self, wall: int, cells: Integers) -> None:
-        """Some cells of a wall have been seen."""
+    def _count_seen(self, wall: int, cells: Integers) -> None:
+        """Reduce the counts of cells on which points were seen."""
         counts = self.counts[wall]
         for cell in counts.keys() & set(cells.tolist()):
-            counts[cell] -= TAKEN_BACK
+            counts[cell] -= SEEN_WEIGHT
             if counts[cell] <= 0:
                 del counts[cell]
         if not counts:
             del self.counts[wall]
 
-    def _judge(self, landmarks: Landmarks, wall: int, keyframe: int) -> bool:
-        """Retire a wall, or a stretch of it, if it has been seen through often enough."""
+    def _remove_or_open(self, landmarks: Landmarks, wall: int, keyframe: int) -> bool:
+        """Remove a wall, or open a stretch of it, if there is enough evidence. Return True if so."""
         observations = int(landmarks.walls.rows["observations"][wall])
-        asked = min(MOST_ASKED, observations + 1)
+        required = min(MAX_REQUIRED_SCANS, observations + 1)
         counts, covered = self.counts[wall], landmarks.covered[wall]
-        gone = {cell for cell, count in counts.items() if count >= asked}
+        gone = {cell for cell, count in counts.items() if count >= required}
         if not gone:
             return False
-        opened = landmarks.opened_cells(wall)  # which may go on
+        opened = landmarks.opened_cells(wall)  # an opening may become wider
         stretches = _stretches(gone | opened, covered | opened)
-        left = WALL_CELL * len(covered - frozenset(cell for stretch in stretches for cell in stretch))
-        nothing_left = left < min(MOST_LEFT, max(LEAST_LEFT, LEAST_LEFT_SHARE * WALL_CELL * len(covered)))
-        wide = [stretch for stretch in stretches if WALL_CELL * len(stretch) >= LEAST_OPENING]
+        remaining = WALL_CELL * len(covered - frozenset(cell for stretch in stretches for cell in stretch))
+        limit = min(MAX_REMAINDER, max(MIN_REMAINDER, REMAINDER_SHARE * WALL_CELL * len(covered)))
+        wide = [stretch for stretch in stretches if WALL_CELL * len(stretch) >= MIN_OPENING]
         opening = covered.intersection(cell for stretch in wide for cell in stretch)
-        if nothing_left or (opening and observations == 1):  # what was seen but once, and in part wrongly, was no wall
+        nothing_left = remaining < limit
+        if nothing_left or (opening and observations == 1):  # a single observation, partly wrong, was no wall
             landmarks.remove_wall(wall, keyframe)
             self.discard([wall])
         elif opening:
@@ -156,149 +147,43 @@ class FreeSpaceEvidence:
         return bool(nothing_left or opening)
 
 
-def _looked(landmarks: Landmarks, pose: se2.Pose, points: Floats) -> _Look:
-    """What is seen from a pose of the walls around, from whichever side."""
-    every = landmarks.walls.rows
-    reach = float(np.hypot(points[:, 0], points[:, 1]).max(initial=0.0))
-    walls = _within(every["frame"], every["low"], every["high"], pose, reach).nonzero()[0]
-    rows = every[walls]
-    active = landmarks.active(walls)
-    walls, rows = walls[active], rows[active]
-    first = np.floor(rows["low"] / WALL_CELL).astype(np.int64)
-    sizes = np.ceil(rows["high"] / WALL_CELL).astype(np.int64) - first
-    ends = np.concatenate([[0], np.cumsum(sizes)])
-    return _Look(walls, rows, first, ends, *sight(pose, points, rows["frame"].copy(), first, ends))
+def _supported(view: WallsInView, through: dict[int, list[int]], travelled: Sequence[float]) -> list[int]:
+    """Return the rows of the walls seen through for which other walls confirm the robot's pose.
 
-
-@njit(cache=True)
-def _within(frames, lows, highs, pose, reach):  # type: ignore[no-untyped-def]
-    """(n,) which walls have a part within reach of a pose."""
-    within = np.zeros(len(frames), dtype=np.bool_)
-    for wall in range(len(frames)):
-        c, s = math.cos(frames[wall, 2]), math.sin(frames[wall, 2])
-        dx, dy = pose[0] - frames[wall, 0], pose[1] - frames[wall, 1]
-        along, across = c * dx + s * dy, c * dy - s * dx
-        beyond = max(0.0, lows[wall] - along, along - highs[wall])
-        within[wall] = beyond * beyond + across * across < reach * reach
-    return within
-
-
-@njit(cache=True)
-def sight(pose, points, frames, first, ends):  # type: ignore[no-untyped-def]
-    """What sight lines from a pose to points (p, 2), in its frame, show of walls: of n frames (n, 3), the first of the
-    cells (n,) of each, and where they begin and end (n + 1,) in what is returned.
-
-    Whether a point lies on a cell; for each cell the most, over the sight lines that go through it steeply enough, of
-    the distance of their nearer end from the wall's line, 0 without one; and the metres (n,) of each wall that points
-    lie on. A cell that is seen is not seen through.
-    """
-    seen, depth, length = np.zeros(ends[-1], dtype=np.bool_), np.zeros(ends[-1]), np.zeros(len(frames))
-    for wall in range(len(frames)):
-        c, s = math.cos(frames[wall, 2]), math.sin(frames[wall, 2])
-        dx, dy = pose[0] - frames[wall, 0], pose[1] - frames[wall, 1]
-        ex, ey = c * dx + s * dy, c * dy - s * dx  # the eye in the wall's frame
-        c, s = math.cos(pose[2] - frames[wall, 2]), math.sin(pose[2] - frames[wall, 2])
-        start, size = ends[wall], ends[wall + 1] - ends[wall]
-        for p in range(len(points)):
-            rise = s * points[p, 0] + c * points[p, 1]
-            across = ey + rise
-            near = abs(across) < SAME
-            if not near and (ey * across > 0.0 or min(abs(across), abs(ey)) < BEHIND):
-                continue
-            run = c * points[p, 0] - s * points[p, 1]
-            if not near:
-                if abs(rise) < STEEPEST * math.hypot(run, rise):
-                    continue
-                run *= -ey / rise
-            cell = math.floor((ex + run) / WALL_CELL) - first[wall]
-            if 0 <= cell < size:
-                if near:
-                    seen[start + cell] = True
-                else:
-                    depth[start + cell] = max(depth[start + cell], min(abs(across), abs(ey)))
-        for cell in range(start, start + size):
-            if seen[cell]:
-                depth[cell] = 0.0
-                length[wall] += WALL_CELL
-    return seen, depth, length
-
-
-def _seen_through(
-    look: _Look, landmarks: Landmarks, pose: se2.Pose, pose_covariances: Sequence[Floats]
-) -> dict[int, list[int]]:
-    """The cells that were seen through, by row: well within what is known of a wall, and far enough on either side.
-
-    What is behind, and the eye before, must be farther from the wall's line than that is uncertain, as the wall was
-    seen last, and by what the robot's own pose has lost in certainty since then; see `local_map_around`.
-    """
-    through: dict[int, list[int]] = {}
-    rows = np.searchsorted(look.ends, look.depth.nonzero()[0], side="right") - 1
-    for row in dict.fromkeys(rows.tolist()):
-        wall, covered = look.rows[row], landmarks.covered[look.walls[row]]
-        known = covered | landmarks.opened_cells(int(look.walls[row]))
-        margin = min(MARGIN, (len(covered) - 1) // 4)
-        depth = look.depth[look.ends[row] : look.ends[row + 1]]
-        lost = pose_covariances[-1] - pose_covariances[wall["last_seen"]]
-        deep = _deep(depth, look.first[row], wall["frame"].copy(), wall["covariance"].copy(), pose, lost)
-        cells = (look.first[row] + deep.nonzero()[0]).tolist()
-        around = range(-margin, margin + 1)
-        cells = [cell for cell in cells if cell in covered and known.issuperset(cell + by for by in around)]
-        if cells:
-            through[row] = cells
-    return through
-
-
-@njit(cache=True)
-def _deep(depth, first, frame, covariance, pose, lost):  # type: ignore[no-untyped-def]
-    """(k,) of a wall's cells, which of them are seen through with enough `depth` for how uncertain the wall is there.
-
-    `covariance` (2, 2) is the wall's, as it was seen last; `lost` (3, 3) what the pose has lost in certainty since.
-    """
-    c, s = math.cos(frame[2]), math.sin(frame[2])
-    deep = np.zeros(len(depth), dtype=np.bool_)
-    for cell in range(len(depth)):
-        if depth[cell] > 0.0:
-            along = WALL_CELL * (first + cell + 0.5)
-            lever = c * (frame[0] - pose[0]) + s * (frame[1] - pose[1]) + along
-            jacobian = np.array([-s, c, lever])
-            variance = covariance[0, 0] + 2 * along * covariance[0, 1] + along * along * covariance[1, 1]
-            variance += max(0.0, jacobian @ (lost @ jacobian))
-            deep[cell] = depth[cell] > BEHIND + BEHIND_SIGMAS * math.sqrt(variance)
-    return deep
-
-
-def _believed(look: _Look, through: dict[int, list[int]], travelled: Sequence[float]) -> list[int]:
-    """The rows of the walls of which it is believed that they were seen through.
-
-    The look must see other walls, known no later than the doubted one was seen last, as far as the map may have bent
-    since: in every direction, and more of them than it sees through.
+    These are walls first observed before the wall in question was last observed, and either before it was first
+    observed or more than RIGID_DISTANCE metres of driving ago. With their seen lengths l and normals n, the smaller
+    eigenvalue of the sum of l n n' must reach MIN_SUPPORT, and the sum of l MIN_SUPPORT_RATIO times the length that the
+    scan sees through.
     """
     if not through:
         return []
-    against = np.zeros(len(look.walls))
+    against = np.zeros(len(view.walls))
     against[list(through)] = [WALL_CELL * len(cells) for cells in through.values()]
-    lately = bisect_left(travelled, travelled[-1] - RECENT_WAY)
-    rows = look.rows
-    doubled = look.length * np.exp(2j * rows["frame"][:, 2])
-    believed = []
+    recent = bisect_left(travelled, travelled[-1] - RIGID_DISTANCE)
+    rows = view.rows
+    doubled = view.length * np.exp(2j * rows["frame"][:, 2])
+    supported = []
     for row in through:
-        known = rows["first_seen"] <= min(rows["last_seen"][row], max(rows["first_seen"][row], lately))
-        seen = look.length[known].sum()
-        tie = 0.5 * (seen - abs(doubled[known].sum()))  # the smaller eigenvalue of the sum of length n n'
-        if tie >= LEAST_TIE and seen >= MORE_SEEN * against[known].sum():
-            believed.append(row)
-    return believed
+        older = rows["first_seen"] <= min(rows["last_seen"][row], max(rows["first_seen"][row], recent))
+        seen = view.length[older].sum()
+        smaller_eigenvalue = 0.5 * (seen - abs(doubled[older].sum()))
+        if smaller_eigenvalue >= MIN_SUPPORT and seen >= MIN_SUPPORT_RATIO * against[older].sum():
+            supported.append(row)
+    return supported
 
 
 def _stretches(gone: Set[int], known: Set[int]) -> list[list[int]]:
-    """The known cells in stretches of some that are gone: with what lies between, and up to an end that is near."""
+    """Return the known cells in stretches of cells that are gone, with gaps closed and near ends of the wall included.
+
+    A gap has at most MAX_GAP_CELLS cells; an end of the wall is near if at most END_MARGIN_CELLS cells remain there.
+    """
     ordered = np.sort(np.fromiter(gone, dtype=np.int64, count=len(gone)))
     stretches = []
-    for part in np.split(ordered, np.flatnonzero(np.diff(ordered) > GAP + 1) + 1):
+    for part in np.split(ordered, np.flatnonzero(np.diff(ordered) > MAX_GAP_CELLS + 1) + 1):
         low, high = int(part[0]), int(part[-1])
-        before = [cell for cell in range(low - MARGIN - 1, low) if cell in known]
-        after = [cell for cell in range(high + 1, high + MARGIN + 2) if cell in known]
-        begin = low - MARGIN if len(before) <= MARGIN else low
-        end = high + MARGIN if len(after) <= MARGIN else high
+        before = [cell for cell in range(low - END_MARGIN_CELLS - 1, low) if cell in known]
+        after = [cell for cell in range(high + 1, high + END_MARGIN_CELLS + 2) if cell in known]
+        begin = low - END_MARGIN_CELLS if len(before) <= END_MARGIN_CELLS else low
+        end = high + END_MARGIN_CELLS if len(after) <= END_MARGIN_CELLS else high
         stretches.append([cell for cell in range(begin, end + 1) if cell in known])
     return stretches

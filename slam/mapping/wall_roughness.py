@@ -1,9 +1,9 @@
-"""How flat the building's walls are: what real walls add to the noise that was propagated from the rays.
+"""Wall roughness: deviation of real walls from a straight line, beyond the propagated noise of the rays.
 
-A fit to a hundred rays claims a millimetre; plaster, skirting boards and the lidar's own systematic errors are worse
-than that, in some buildings more than in others. So the scatter of observations about their walls is watched while
-driving, and what the propagated covariance does not explain is added to it: unevenness of variance f at either end
-of a segment of length l moves it by f across and turns it by 12 f / l^2 (both variances).
+A line fitted to a hundred rays has a computed accuracy of a millimetre; plaster, skirting boards and systematic errors
+of the lidar are worse, in some buildings more than in others. So the scatter of observations about their walls is
+measured while driving, and what the propagated covariance does not explain is added to it. Roughness of variance f at
+either end of a segment of length l adds the variance f to its offset and 12 f / l^2 to its heading.
 """
 
 from __future__ import annotations
@@ -12,35 +12,46 @@ import numpy as np
 
 from ..geometry.segments import Floats
 
-WINDOW = 1000  # numbers, two an observation: some fifty keyframes
-# Metres squared; assumed at first. Little, for what is assumed stays with the first keyframes, on which the map hangs.
-START = 0.0003**2
-ENOUGH = 200  # numbers after which only what was seen counts
-NORMAL_MEDIAN = 0.4549  # median of a squared standard normal variable
+# Latest samples used, two per observation: some fifty keyframes. Origin: chosen, follows a change of building; not
+# measured.
+MAX_SAMPLES = 1000
+# Square metres, assumed before observations. Small, as it stays in the factors of the first keyframes, which fix the
+# map's frame. Origin: tuned on simulated drives: with larger values the covariances were too pessimistic.
+INITIAL_VARIANCE = 0.0003**2
+# Samples from which on the initial variance has no weight. Origin: tuned on simulated drives: with more, the roughness
+# was learned too late for consistent covariances.
+FULL_WEIGHT_SAMPLES = 200
+# Median of a squared standard normal variable. Origin: definition, chi-square, 1 dof.
+NORMAL_MEDIAN = 0.4549
 
 
 class WallRoughness:
-    """Variance of the walls' unevenness (metres squared), estimated from the residuals of associated segments."""
+    """Variance of the wall roughness (square metres), estimated from the residuals of associated segments."""
 
     def __init__(self) -> None:
         self._samples: Floats = np.zeros(0)
-        self.variance = START
+        self.variance = INITIAL_VARIANCE
 
     @property
     def samples(self) -> Floats:
-        """(n,) what the estimate rests on; `add_samples` has them again."""
+        """(n,) samples of the variance, from which it is estimated."""
         return self._samples
 
     def add_samples(self, samples: Floats) -> None:
-        """Go on from what another estimate rested on."""
-        self._samples = np.concatenate([self._samples, samples])[-WINDOW:]
+        """Add `samples` (n,), e.g. of a saved estimate, and estimate the variance again."""
+        self._samples = np.concatenate([self._samples, samples])[-MAX_SAMPLES:]
         self._estimate()
 
     def add_residuals(self, residuals: Floats, covariances: Floats, half_lengths: Floats) -> None:
-        """Take residuals (n, 2) of offset and heading, the covariances (n, 2, 2) expected of them without unevenness.
+        """Update the estimate with residuals of segments about their walls.
 
-        The variance that brings the median of the squared residuals to its expectation is found from the excess of each
-        sample; the median is deaf to wrong associations.
+        residuals     (n, 2) of offset and heading
+        covariances   (n, 2, 2) expected of them without roughness
+        half_lengths  (n,) metres
+
+        Each residual gives a sample: the variance in excess of its covariance, converted to a variance of the wall's
+        points. The estimate is their median, which wrong associations do not affect; dividing by NORMAL_MEDIAN makes
+        it consistent.
         """
         excess = residuals**2 / NORMAL_MEDIAN - np.diagonal(covariances, axis1=1, axis2=2)
         excess[:, 1] *= half_lengths**2 / 3
@@ -50,12 +61,12 @@ class WallRoughness:
         if not len(self._samples):
             return
         observed = max(0.0, float(np.median(self._samples)))
-        trust = min(1.0, len(self._samples) / ENOUGH)
-        self.variance = trust * observed + (1 - trust) * START
+        weight = min(1.0, len(self._samples) / FULL_WEIGHT_SAMPLES)
+        self.variance = weight * observed + (1 - weight) * INITIAL_VARIANCE
 
 
 def add_roughness(covariances: Floats, half_lengths: Floats, variance: float) -> Floats:
-    """Covariances (n, 2, 2) of offset and heading with the walls' unevenness added."""
+    """Return the covariances (n, 2, 2) of offset and heading with the variance (m^2) of the wall roughness added."""
     result = covariances.copy()
     result[:, 0, 0] += variance
     result[:, 1, 1] += 3 * variance / half_lengths**2

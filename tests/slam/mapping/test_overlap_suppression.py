@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from slam.geometry.segments import Floats
 from slam.mapping.landmarks import WALL_CELL, Landmarks
-from slam.mapping.overlap_suppression import DEPTH, LEAST_CELLS, suppress_overlapping_walls
+from slam.mapping.overlap_suppression import MAX_DEPTH, MIN_RUN_CELLS, suppress_overlapping_walls
 
 
 def landmarks_of(*walls: tuple[list[float], float, int]) -> Landmarks:
@@ -47,7 +47,7 @@ def test_what_one_line_shows_beyond_another_stays() -> None:
     "other",
     [
         [0.0, 0.04, np.pi],  # the other side of a thin wall
-        [0.0, DEPTH + 0.02, 0.0],  # a bay
+        [0.0, MAX_DEPTH + 0.02, 0.0],  # a bay
         [0.0, 0.0, np.pi / 2],  # across
         [4.5, 0.02, 0.0],  # farther along
     ],
@@ -101,9 +101,9 @@ def test_no_stretch_is_shown_twice_and_none_is_lost(walls: list[tuple[float, flo
     shown = suppress_overlapping_walls(landmarks)
     before, after = heights(landmarks), heights(shown)
     nothing = np.isnan(after).all(axis=0) & ~np.isnan(before).all(axis=0)
-    assert longest(nothing) <= LEAST_CELLS + 1
+    assert longest(nothing) <= MIN_RUN_CELLS + 1
     for wall, other in combinations(after, 2):
-        assert longest(np.abs(wall - other) < 0.9 * DEPTH) <= LEAST_CELLS + 1
+        assert longest(np.abs(wall - other) < 0.9 * MAX_DEPTH) <= MIN_RUN_CELLS + 1
 
 
 def heights(landmarks: Landmarks) -> Floats:

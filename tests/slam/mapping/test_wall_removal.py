@@ -18,10 +18,12 @@ from slam.config import Config, config_to_toml
 from slam.events import Finished, MapWalls, WallsRemoved
 from slam.io.output_dir import CONFIG
 from slam.io.sessions import StoredSession, read_session, write_session
-from slam.mapping.landmark_table import NEVER_REMOVED, WALL_CELL, Landmarks
+from slam.mapping.landmark_table import NEVER_REMOVED
+from slam.mapping.landmarks import WALL_CELL, Landmarks
 from slam.mapping.mapper import Mapper
-from slam.mapping.wall_removal import BEHIND, SAME, STEEPEST, FreeSpaceEvidence, sight
-from slam.offline.map_merging.transfer import joined_landmarks
+from slam.mapping.sight_lines import MIN_CROSSING_SINE, MIN_DEPTH, ON_WALL_DISTANCE, trace_sight_lines
+from slam.mapping.wall_removal import FreeSpaceEvidence
+from slam.offline.map_merging.transfer import merge_landmarks
 
 from ..listeners import EventCollector
 
@@ -93,10 +95,10 @@ def length_on(lines: MapWalls, segments: np.ndarray, within: float = 0.1) -> flo
     frame=st.tuples(st.floats(-50, 50), st.floats(-50, 50), st.floats(-np.pi, np.pi)),
     heading=st.floats(-np.pi, np.pi),
     cell=st.integers(-9, 9),
-    sine=st.floats(STEEPEST + 0.01, 1.0),
+    sine=st.floats(MIN_CROSSING_SINE + 0.01, 1.0),
     backwards=st.booleans(),
-    before=st.floats(BEHIND + 0.01, 8.0),
-    behind=st.floats(BEHIND + 0.01, 8.0),
+    before=st.floats(MIN_DEPTH + 0.01, 8.0),
+    behind=st.floats(MIN_DEPTH + 0.01, 8.0),
     side=st.sampled_from([-1.0, 1.0]),
 )
 def test_a_sight_line_opens_the_cell_it_goes_through(
@@ -118,7 +120,7 @@ def test_a_sight_line_opens_the_cell_it_goes_through(
     assert length == 0.0
     assert np.flatnonzero(depth).tolist() == [cell + 10]
     assert depth[cell + 10] == pytest.approx(min(before, behind))
-    on_it = [along, 0.9 * SAME]
+    on_it = [along, 0.9 * ON_WALL_DISTANCE]
     seen, depth, length = look_at(frame, heading, eye, [point, on_it])  # what is seen is not seen through
     assert np.flatnonzero(seen).tolist() == [cell + 10]
     assert not depth.any()
@@ -129,8 +131,8 @@ def test_a_sight_line_opens_the_cell_it_goes_through(
     ("eye", "point"),
     [
         ([0.05, 2.0], [0.05, 0.5]),  # ends before the wall
-        ([0.05, 2.0], [0.05, -0.9 * BEHIND]),  # too close behind it
-        ([0.05, 0.9 * BEHIND], [0.05, -2.0]),  # the robot stands in it
+        ([0.05, 2.0], [0.05, -0.9 * MIN_DEPTH]),  # too close behind it
+        ([0.05, 0.9 * MIN_DEPTH], [0.05, -2.0]),  # the robot stands in it
         ([-4.0, 2.0], [4.1, -2.0]),  # at a grazing angle
         ([1.15, 2.0], [1.15, -2.0]),  # passes it by
     ],
@@ -147,7 +149,7 @@ def look_at(
     """A look at a wall from -1 m to 1 m, given the robot and points in the wall's frame."""
     pose = se2.compose(np.array(frame), np.array([*eye, heading]))
     seen_as = se2.transform(se2.inverse(np.array([*eye, heading])), np.array(points)).reshape(-1, 2)
-    seen, depth, length = sight(pose, seen_as, np.array([frame]), np.array([-10]), np.array([0, 20]))
+    seen, depth, length = trace_sight_lines(pose, seen_as, np.array([frame]), np.array([-10]), np.array([0, 20]))
     return seen, depth, float(length[0])
 
 
@@ -361,7 +363,7 @@ def test_of_two_sessions_each_keeps_what_was_gone_in_it() -> None:
             mapper.landmarks.add_wall(MIDDLE, 1.0, 0)
         mapper.landmarks.remove_wall(retired, 7)
         mapper.landmarks.open_wall(1 - retired, [2, 3], 9)
-    joined = joined_landmarks(first, second, np.array([1.0, 2.0, 0.3]))
+    joined = merge_landmarks(first, second, np.array([1.0, 2.0, 0.3]))
     assert joined.walls.rows["removed_at"].tolist() == [7, NEVER_REMOVED, NEVER_REMOVED, 57]
     assert joined.opened == {1: {2: 9, 3: 9}, 2: {2: 59, 3: 59}}
     assert joined.active().tolist() == [False, True, True, False]

@@ -1,0 +1,179 @@
+"""Sight lines from the robot to the points of a scan: which cells of the walls they hit, and which they cross.
+
+A sight line to a point shows that nothing stands in between. A cell that it crosses is seen through, if both ends are
+far enough from the wall, and the crossing is steep enough.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from drivers import se2
+
+from ..geometry.segments import Floats, Integers
+from .landmarks import WALL_CELL, Landmarks
+
+# Metres from a wall's line, on either side, that both ends of a sight line must be away for the wall to be seen
+# through: anything nearer may be the wall itself, or something on it. Origin: chosen; not measured.
+MIN_DEPTH = 0.3
+# Standard deviations of the distance from the wall by which both ends must be farther away still.
+# Origin: chosen, 3 sigma; not measured.
+MIN_DEPTH_SIGMAS = 3.0
+# Least sine of the angle between a sight line and a wall that it crosses: about 45 degrees. Glass reflects a beam only
+# at steep angles, so others would see through it. Origin: chosen; not measured.
+MIN_CROSSING_SINE = 0.7
+# Metres across a wall within which a point lies on it. Origin: chosen, half of MIN_DEPTH; not measured.
+ON_WALL_DISTANCE = 0.15
+# Cells from an end of a wall, or from a gap in it, that are never seen through: sight lines may have passed by.
+# Origin: chosen, 0.2 m; not measured.
+END_MARGIN_CELLS = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WallsInView:
+    """The n active walls within reach of a scan, and what its sight lines show of their cells.
+
+    walls   (n,) landmark ids
+    rows    (n,) their rows in the table of walls
+    first   (n,) index of the first cell of each wall
+    ends    (n + 1,) the cells of wall k are ends[k] to ends[k + 1] in the flat arrays
+    seen    flat, True if a point lies on the cell
+    depth   flat, metres, see `trace_sight_lines`
+    length  (n,) metres of each wall on which points lie
+    """
+
+    walls: Integers
+    rows: NDArray[np.void]
+    first: Integers
+    ends: Integers
+    seen: NDArray[np.bool_]
+    depth: Floats
+    length: Floats
+
+    def cells(self, row: int, chosen: NDArray[np.bool_]) -> Integers:
+        """Return the cells of a wall that are True in a flat array."""
+        return np.asarray(self.first[row] + chosen[self.ends[row] : self.ends[row + 1]].nonzero()[0])
+
+
+def walls_in_view(landmarks: Landmarks, pose: se2.Pose, points: Floats) -> WallsInView:
+    """Trace the sight lines of a scan with points (p, 2), in the frame of its pose, through the walls around it.
+
+    Walls count from either side.
+    """
+    all_rows = landmarks.walls.rows
+    reach = float(np.hypot(points[:, 0], points[:, 1]).max(initial=0.0))
+    walls = _within_reach(all_rows["frame"], all_rows["low"], all_rows["high"], pose, reach).nonzero()[0]
+    rows = all_rows[walls]
+    active = landmarks.active(walls)
+    walls, rows = walls[active], rows[active]
+    first = np.floor(rows["low"] / WALL_CELL).astype(np.int64)
+    sizes = np.ceil(rows["high"] / WALL_CELL).astype(np.int64) - first
+    ends = np.concatenate([[0], np.cumsum(sizes)])
+    return WallsInView(walls, rows, first, ends, *trace_sight_lines(pose, points, rows["frame"].copy(), first, ends))
+
+
+@njit(cache=True)
+def _within_reach(frames, lows, highs, pose, reach):  # type: ignore[no-untyped-def]
+    """Return (n,) which walls have a part within `reach` metres of a pose."""
+    within = np.zeros(len(frames), dtype=np.bool_)
+    for wall in range(len(frames)):
+        c, s = math.cos(frames[wall, 2]), math.sin(frames[wall, 2])
+        dx, dy = pose[0] - frames[wall, 0], pose[1] - frames[wall, 1]
+        along, across = c * dx + s * dy, c * dy - s * dx
+        beyond = max(0.0, lows[wall] - along, along - highs[wall])
+        within[wall] = beyond * beyond + across * across < reach * reach
+    return within
+
+
+@njit(cache=True)
+def trace_sight_lines(pose, points, frames, first, ends):  # type: ignore[no-untyped-def]
+    """Trace sight lines from a pose to points (p, 2), in its frame, through walls with frames (n, 3).
+
+    `first` (n,) and `ends` (n + 1,) as in `WallsInView`. Returned are the arrays
+
+    seen    flat, True if a point lies on the cell
+    depth   flat, metres: of all steep sight lines that cross the cell, the largest distance of the nearer of their two
+            ends from the wall's line; 0 without one, and for seen cells
+    length  (n,) metres of each wall on which points lie
+    """
+    seen, depth, length = np.zeros(ends[-1], dtype=np.bool_), np.zeros(ends[-1]), np.zeros(len(frames))
+    for wall in range(len(frames)):
+        c, s = math.cos(frames[wall, 2]), math.sin(frames[wall, 2])
+        dx, dy = pose[0] - frames[wall, 0], pose[1] - frames[wall, 1]
+        ex, ey = c * dx + s * dy, c * dy - s * dx  # viewpoint in the wall's frame
+        c, s = math.cos(pose[2] - frames[wall, 2]), math.sin(pose[2] - frames[wall, 2])
+        start, size = ends[wall], ends[wall + 1] - ends[wall]
+        for p in range(len(points)):
+            rise = s * points[p, 0] + c * points[p, 1]
+            across = ey + rise
+            on_wall = abs(across) < ON_WALL_DISTANCE
+            if not on_wall and (ey * across > 0.0 or min(abs(across), abs(ey)) < MIN_DEPTH):
+                continue
+            run = c * points[p, 0] - s * points[p, 1]
+            if not on_wall:
+                if abs(rise) < MIN_CROSSING_SINE * math.hypot(run, rise):
+                    continue
+                run *= -ey / rise
+            cell = math.floor((ex + run) / WALL_CELL) - first[wall]
+            if 0 <= cell < size:
+                if on_wall:
+                    seen[start + cell] = True
+                else:
+                    depth[start + cell] = max(depth[start + cell], min(abs(across), abs(ey)))
+        for cell in range(start, start + size):
+            if seen[cell]:
+                depth[cell] = 0.0
+                length[wall] += WALL_CELL
+    return seen, depth, length
+
+
+def cells_seen_through(
+    view: WallsInView, landmarks: Landmarks, pose: se2.Pose, pose_covariances: Sequence[Floats]
+) -> dict[int, list[int]]:
+    """Return for each row of `view` the covered cells that are seen through with certainty.
+
+    They are at least END_MARGIN_CELLS from an end, and the depth exceeds MIN_DEPTH plus MIN_DEPTH_SIGMAS standard
+    deviations. The variance is that of the wall at its last observation, plus the growth of the pose covariance since
+    then; see `local_map_around`.
+    """
+    through: dict[int, list[int]] = {}
+    rows = np.searchsorted(view.ends, view.depth.nonzero()[0], side="right") - 1
+    for row in dict.fromkeys(rows.tolist()):
+        wall, covered = view.rows[row], landmarks.covered[view.walls[row]]
+        known = covered | landmarks.opened_cells(int(view.walls[row]))
+        margin = min(END_MARGIN_CELLS, (len(covered) - 1) // 4)
+        depth = view.depth[view.ends[row] : view.ends[row + 1]]
+        drift = pose_covariances[-1] - pose_covariances[wall["last_seen"]]
+        deep = _deep_enough(depth, view.first[row], wall["frame"].copy(), wall["covariance"].copy(), pose, drift)
+        cells = (view.first[row] + deep.nonzero()[0]).tolist()
+        around = range(-margin, margin + 1)
+        cells = [cell for cell in cells if cell in covered and known.issuperset(cell + by for by in around)]
+        if cells:
+            through[row] = cells
+    return through
+
+
+@njit(cache=True)
+def _deep_enough(depth, first, frame, covariance, pose, drift):  # type: ignore[no-untyped-def]
+    """Return (k,) which cells of a wall have a sufficient `depth` (k,) for the uncertainty of the wall at that cell.
+
+    covariance  (2, 2) of the wall's offset and heading at its last observation
+    drift       (3, 3) growth of the pose covariance since then, in the map's axes
+    """
+    c, s = math.cos(frame[2]), math.sin(frame[2])
+    deep = np.zeros(len(depth), dtype=np.bool_)
+    for cell in range(len(depth)):
+        if depth[cell] > 0.0:
+            along = WALL_CELL * (first + cell + 0.5)
+            lever = c * (frame[0] - pose[0]) + s * (frame[1] - pose[1]) + along
+            jacobian = np.array([-s, c, lever])
+            variance = covariance[0, 0] + 2 * along * covariance[0, 1] + along * along * covariance[1, 1]
+            variance += max(0.0, jacobian @ (drift @ jacobian))
+            deep[cell] = depth[cell] > MIN_DEPTH + MIN_DEPTH_SIGMAS * math.sqrt(variance)
+    return deep
