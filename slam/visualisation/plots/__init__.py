@@ -1,8 +1,8 @@
-"""Pictures as PNG files. matplotlib is imported when one is drawn, not before."""
+"""Draw results as PNG files. matplotlib is imported only when a plot is drawn."""
 
-from .evaluation import plot_reference, plot_relations
 from .map import plot_map
-from .posegraph import plot_pose_graph
+from .pose_graph import plot_pose_graph
 from .scan import plot_scan
+from .trajectory_errors import plot_reference, plot_relations
 
 __all__ = ["plot_map", "plot_pose_graph", "plot_reference", "plot_relations", "plot_scan"]

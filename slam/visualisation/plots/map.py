@@ -1,4 +1,4 @@
-"""The map and the path that was driven, seen from above."""
+"""Plot the map and the path, seen from above."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from .style import BLUE, GREEN, INK, ORANGE, SKY, VERMILLION, Floats, ellipses, 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SIDE = 0.0055
-"""Width of the band on the side that a wall is seen from, as a share of the picture's larger extent."""
+BAND_WIDTH = 0.0055
+"""Width of the band on the seen side of a wall, relative to the plot's larger extent."""
 
 
 def plot_map(
@@ -27,13 +27,13 @@ def plot_map(
     odometry: Floats | None = None,
     truth: Floats | None = None,
 ) -> None:
-    """Draw walls, corners and the path `poses` (n, 3); odometry and truth (m, 3) where given; all in the map's frame.
+    """Plot walls, corners and the path `poses` (n, 3), and odometry and truth (m, 3) if given, all in the map frame.
 
-    The picture is as large as map and path; odometry may leave it. Raises OutputError.
+    The plot's extent is that of map and path; odometry may leave it. Raises OutputError.
     """
     drawn = np.concatenate([lines.end_points().reshape(-1, 2), poses[:, :2]])
-    driven = float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
-    subtitle = f"{len(lines)} walls, {len(corners)} corners, {driven:.1f} m driven"
+    travelled = float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
+    subtitle = f"{len(lines)} walls, {len(corners)} corners, {travelled:.1f} m travelled"
     figure, axes = metric_figure(np.array([drawn.min(axis=0), drawn.max(axis=0)]), title, subtitle)
     if odometry is not None:
         dashes: dict[str, Any] = {"linestyle": (0, (4, 2)), "linewidth": 1.0}
@@ -49,7 +49,7 @@ def plot_map(
 
 
 def _ends(axes: Axes, poses: Floats) -> None:
-    """Where the path starts, and where and how the robot stands at its end."""
+    """Mark the start of the path, and the pose at its end."""
     start, end = poses[0], poses[-1]
     ring: dict[str, Any] = {"marker": "o", "markersize": 6, "color": "white", "markeredgecolor": BLUE}
     axes.plot(start[0], start[1], **ring, linestyle="", label="start", zorder=8)
@@ -58,16 +58,16 @@ def _ends(axes: Axes, poses: Floats) -> None:
 
 
 def _walls(axes: Axes, lines: MapWalls) -> None:
-    """Each wall as a line, with a light band on the side it is seen from."""
+    """Draw each wall as a line with a light band on its seen side."""
     from matplotlib.collections import LineCollection, PolyCollection
 
     ends, wall = lines.piece_points()
-    width = SIDE * max(np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim()))
+    width = BAND_WIDTH * max(np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim()))
     heading = lines.frame[wall, 2]
     left = width * np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
     bands = np.stack([ends[:, 0], ends[:, 1], ends[:, 1] + left, ends[:, 0] + left], axis=1)
     axes.add_collection(
-        PolyCollection(list(bands), facecolor=SKY, alpha=0.35, linewidth=0, label="side seen", zorder=1)
+        PolyCollection(list(bands), facecolor=SKY, alpha=0.35, linewidth=0, label="seen side", zorder=1)
     )
     axes.add_collection(LineCollection(list(ends), color=INK, linewidth=1.5, capstyle="round", label="wall", zorder=5))
 

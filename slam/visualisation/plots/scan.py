@@ -1,4 +1,4 @@
-"""What the extractor makes of one scan."""
+"""Plot one scan and its extracted features."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from .style import BLUE, FAINT, INK, MUTED, VERMILLION, Floats, ellipses, legend
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-REVOLUTION = 0.95
-"""Share of a full turn from which on the scan has no edge at which the free space ends."""
-BESIDE = 0.018
-"""Distance of a line's number from the line, as a share of the picture's larger extent."""
+FULL_TURN_SHARE = 0.95
+"""Share of a full turn above which the free space is drawn without the sensor as a vertex."""
+NUMBER_OFFSET = 0.018
+"""Distance of a line's number from the line, relative to the plot's larger extent."""
 
 
 def plot_scan(path: Path, ranges: Floats, angles: Floats, features: Features, *, title: str) -> None:
-    """Draw the returns of a scan (ranges (n,) metres, NaN where none; angles (n,) radians), its lines and corners.
+    """Plot the returns of a scan (ranges (n,) metres, NaN for no-returns; angles (n,) radians), its lines and corners.
 
-    Lines are numbered as they stand in `features`. Raises OutputError.
+    Lines are numbered by their index in `features`. Raises OutputError.
     """
     valid = np.isfinite(ranges)
     points = ranges[valid, None] * np.stack([np.cos(angles[valid]), np.sin(angles[valid])], axis=-1)
@@ -33,26 +33,26 @@ def plot_scan(path: Path, ranges: Floats, angles: Floats, features: Features, *,
         f"range noise {1000 * features.noise.sigma_range:.1f} mm; frame of the lidar"
     )
     figure, axes = metric_figure(np.array([drawn.min(axis=0), drawn.max(axis=0)]), title, subtitle)
-    full_turn = np.ptp(angles) > REVOLUTION * 2 * np.pi
+    full_turn = np.ptp(angles) > FULL_TURN_SHARE * 2 * np.pi
     axes.fill(*(points if full_turn else drawn).T, facecolor=FAINT, zorder=0)
     axes.plot(*points.T, ".", color=MUTED, markersize=3.0, markeredgewidth=0, label="return", zorder=2)
     _lines(axes, features.lines)
     if len(features.corners):
         name = ellipses(axes, features.corners.position, features.corners.covariance, VERMILLION)
         axes.plot(*features.corners.position.T, ".", color=VERMILLION, markersize=4, label=f"corner, {name}", zorder=7)
-    axes.plot(0, 0, marker=(3, 0, -90), color=INK, markersize=9, linestyle="", label="lidar, looking along x", zorder=8)
+    axes.plot(0, 0, marker=(3, 0, -90), color=INK, markersize=9, linestyle="", label="lidar, x ahead", zorder=8)
     legend(axes)
     save(figure, path)
 
 
 def _lines(axes: Axes, lines: Lines) -> None:
-    """Lines with rings at their ends, so that neighbours can be told apart, and numbers on the lidar's side."""
-    beside = BESIDE * max(np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim()))
+    """Draw lines with rings at their ends, which separate neighbours, and numbers on the lidar's side."""
+    offset = NUMBER_OFFSET * max(np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim()))
     for number, (start, end) in enumerate(zip(lines.start, lines.end, strict=True)):
         label = "line" if number == 0 else None
         ends = np.stack([start, end])
         axes.plot(*ends.T, color=BLUE, linewidth=1.5, solid_capstyle="butt", label=label, zorder=4)
         axes.plot(*ends.T, "o", color="white", markeredgecolor=BLUE, markersize=3.2, markeredgewidth=0.9, zorder=5)
         along = (end - start) / np.hypot(*(end - start))
-        place = 0.5 * (start + end) + beside * np.array([-along[1], along[0]])
+        place = 0.5 * (start + end) + offset * np.array([-along[1], along[0]])
         axes.text(place[0], place[1], str(number), fontsize=7, color=BLUE, ha="center", va="center", zorder=9)

@@ -1,4 +1,4 @@
-"""What all pictures share: colours, metric axes, a scale bar, ellipses."""
+"""Shared style of all plots: colours, metric axes, scale bar, ellipses."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-# After Okabe and Ito: told apart by colour-blind eyes, and by their lightness in print.
+# After Okabe and Ito: distinguishable with colour-vision deficiency, and by lightness in print.
 INK = "#1f2933"
 MUTED = "#6b7785"
 GRID = "#e4e8ec"
@@ -28,27 +28,27 @@ VERMILLION = "#d55e00"
 GREEN = "#009e73"
 
 DOTS_PER_INCH = 160
-LONGEST_SIDE = 10.5
-SHORTEST_SIDE = 4.2
-"""Inches of the axes: what is long and narrow still gets room for its title and legend."""
+MAX_SIDE = 10.5
+MIN_SIDE = 4.2
+"""Inches of the axes; the minimum leaves room for title and legend of a long and narrow map."""
 MARGIN = 0.04
-"""Free room around what is drawn, as a share of its larger extent."""
-LINES_OF_GRID = 14
-"""At most about this many grid lines along the longer side."""
-STEPS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+"""Free space around the content, relative to its larger extent."""
+MAX_GRID_LINES = 14
+"""Along the longer side, approximately."""
+GRID_STEPS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 POINTS_PER_INCH = 72
 SCALE_BAR_BELOW = 30
 LEGEND_BELOW = 38
-"""Points (of print) under the axes."""
+"""Distances below the axes, points (1/72 inch)."""
 LEGEND_COLUMN = 2.6
-"""Inches of width for each column of the legend."""
-VISIBLE = 0.004
-"""The least half axis of an ellipse that can be seen, as a share of the picture's larger extent."""
+"""Width of a legend column, inches."""
+MIN_VISIBLE = 0.004
+"""Smallest visible half axis of an ellipse, relative to the plot's larger extent."""
 SIGMAS = 3.0
 
 
 def metric_figure(bounds: Floats, title: str, subtitle: str) -> tuple[Figure, Axes]:
-    """A figure whose axes show `bounds` ((2, 2): lowest and highest x, y in metres) true to scale."""
+    """Return a figure and axes that show `bounds` ((2, 2): lowest and highest x, y in metres) true to scale."""
     from matplotlib.figure import Figure
     from matplotlib.ticker import MultipleLocator
 
@@ -57,24 +57,24 @@ def metric_figure(bounds: Floats, title: str, subtitle: str) -> tuple[Figure, Ax
     low, high = (low + high - extent) / 2, (low + high + extent) / 2
     margin = MARGIN * extent.max()
     width, height = extent + 2 * margin
-    inches = LONGEST_SIDE / max(width, height)
-    size = max(width * inches, SHORTEST_SIDE), max(height * inches, SHORTEST_SIDE)
+    inches = MAX_SIDE / max(width, height)
+    size = max(width * inches, MIN_SIDE), max(height * inches, MIN_SIDE)
     figure = Figure(figsize=(size[0] + 0.8, size[1] + 1.6), dpi=DOTS_PER_INCH, layout="constrained")
     axes = figure.add_subplot()
     axes.set_xlim(low[0] - margin, high[0] + margin)
     axes.set_ylim(low[1] - margin, high[1] + margin)
     axes.set_aspect("equal", adjustable="box")
-    step = next((s for s in STEPS if max(width, height) / s <= LINES_OF_GRID), STEPS[-1])
+    step = next((s for s in GRID_STEPS if max(width, height) / s <= MAX_GRID_LINES), GRID_STEPS[-1])
     axes.xaxis.set_major_locator(MultipleLocator(step))
     axes.yaxis.set_major_locator(MultipleLocator(step))
-    calm(axes)
-    headline(axes, title, subtitle)
+    style_axes(axes)
+    add_titles(axes, title, subtitle)
     _scale_bar(axes, step)
     return figure, axes
 
 
-def calm(axes: Axes) -> None:
-    """A quiet grid behind what is drawn, no box, small labels."""
+def style_axes(axes: Axes) -> None:
+    """Set a light grid behind the content, no box, and small labels."""
     axes.set_axisbelow(True)
     axes.grid(True, color=GRID, linewidth=0.7)
     axes.tick_params(which="both", length=0, labelsize=8, labelcolor=MUTED)
@@ -82,8 +82,8 @@ def calm(axes: Axes) -> None:
         spine.set_visible(False)
 
 
-def headline(axes: Axes, title: str, subtitle: str) -> None:
-    """A title at the upper left and under it what was drawn, smaller."""
+def add_titles(axes: Axes, title: str, subtitle: str) -> None:
+    """Set a title at the upper left, with a smaller subtitle below."""
     axes.set_title(subtitle, loc="left", fontsize=9, color=MUTED, pad=8)
     axes.annotate(
         title,
@@ -98,7 +98,7 @@ def headline(axes: Axes, title: str, subtitle: str) -> None:
 
 
 def _scale_bar(axes: Axes, length: float) -> None:
-    """One grid step as a bar under the picture, at the right."""
+    """Draw one grid step as a bar below the plot, at the right."""
     from matplotlib.transforms import ScaledTranslation
 
     right = axes.get_xlim()[1]
@@ -109,7 +109,7 @@ def _scale_bar(axes: Axes, length: float) -> None:
 
 
 def legend(axes: Axes) -> None:
-    """All that carries a label, in rows under the picture."""
+    """Draw the legend in rows below the plot."""
     from matplotlib.transforms import ScaledTranslation
 
     width = axes.figure.bbox.width / DOTS_PER_INCH
@@ -129,10 +129,10 @@ def legend(axes: Axes) -> None:
 
 
 def ellipses(axes: Axes, centres: Floats, covariances: Floats, colour: str) -> str:
-    """Draw 3-sigma ellipses at `centres` (n, 2) and return what to call them.
+    """Draw 3-sigma ellipses at `centres` (n, 2) and return their name for the legend.
 
-    Millimetres cannot be seen in a picture of a building, so all are enlarged by one round factor where needed, and the
-    name says so. Covariances (n, 2, 2) that are not finite are passed over.
+    Ellipses of millimetres would be invisible in a plot of a building, so all are enlarged by one round factor if
+    necessary, which the name states. Covariances (n, 2, 2) that are not finite are skipped.
     """
     from matplotlib.collections import PolyCollection
 
@@ -141,7 +141,7 @@ def ellipses(axes: Axes, centres: Floats, covariances: Floats, colour: str) -> s
     half_axes = SIGMAS * np.sqrt(np.maximum(variances, 0.0))
     extent = max(np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim()))
     typical = float(np.median(half_axes[:, 1])) if known.any() else 0.0
-    factor = next((f for f in (1, 2, 5, 10, 20, 50) if f * typical >= VISIBLE * extent), 100)
+    factor = next((f for f in (1, 2, 5, 10, 20, 50) if f * typical >= MIN_VISIBLE * extent), 100)
     angle = np.linspace(0, 2 * np.pi, 49)
     circle = np.stack([np.cos(angle), np.sin(angle)])
     outlines = directions @ (factor * half_axes[..., None] * circle)
@@ -153,7 +153,7 @@ def ellipses(axes: Axes, centres: Floats, covariances: Floats, colour: str) -> s
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write the picture. Raises OutputError where it cannot be written."""
+    """Write the plot. Raises OutputError if it cannot be written."""
     try:
         figure.savefig(path, format="png", bbox_inches="tight", pad_inches=0.2, facecolor="white")
     except OSError as error:

@@ -1,4 +1,4 @@
-"""A picture of how well walls and corners are found over levels of noise, by every segmentation and estimator."""
+"""Plot the accuracy of walls and corners over noise levels, for every segmentation and estimator."""
 
 from __future__ import annotations
 
@@ -10,40 +10,42 @@ import numpy as np
 
 from features.benchmark.accuracy import Row
 
-from .style import BLUE, DOTS_PER_INCH, GREEN, INK, MUTED, ORANGE, SKY, VERMILLION, calm, headline, save
+from .style import BLUE, DOTS_PER_INCH, GREEN, INK, MUTED, ORANGE, SKY, VERMILLION, add_titles, save, style_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 COLOURS = (VERMILLION, BLUE, ORANGE, GREEN, SKY, MUTED)
-"""Of the ways, in their order."""
-IDEAL, LARGEST = 2.0, 6.0
-"""NEES of two dimensions, and the largest shown."""
+"""Of the methods, in their order."""
+EXPECTED_NEES = 2.0
+"""Of two dimensions."""
+MAX_NEES = 6.0
+"""Largest value shown."""
 
 
 def plot_features(path: Path, rooms: Sequence[Row], curved: Sequence[Row]) -> None:
-    """Draw three panels: corners found, corners' NEES, corners made of curves. Raises OutputError."""
+    """Plot three panels: recall of corners, NEES of corners, false corners on curves. Raises OutputError."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12.5, 4.6), dpi=DOTS_PER_INCH, layout="constrained")
-    found, honest, curves = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 0.7))
-    headline(found, "Corners found", "share of those seen")
-    _by_level(found, rooms, lambda row: row.corner_recall)
-    found.set_ylim(0.0, 1.02)
-    headline(honest, "Errors against covariances", "mean NEES of corners; 2 is ideal; higher than 6 is not shown")
-    _by_level(honest, rooms, lambda row: row.corner_nees if row.corner_nees <= LARGEST else np.nan)
-    honest.axhline(IDEAL, color=INK, linewidth=0.8, zorder=1)
-    honest.set_ylim(0.0, LARGEST)
-    headline(curves, "Round things", "false corners and lines on each")
+    recall, nees, curves = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 0.7))
+    add_titles(recall, "Recall of corners", "share of the visible corners")
+    _by_level(recall, rooms, lambda row: row.corner_recall)
+    recall.set_ylim(0.0, 1.02)
+    add_titles(nees, "Consistency", "mean NEES of corners; expected 2; above 6 not shown")
+    _by_level(nees, rooms, lambda row: row.corner_nees if row.corner_nees <= MAX_NEES else np.nan)
+    nees.axhline(EXPECTED_NEES, color=INK, linewidth=0.8, zorder=1)
+    nees.set_ylim(0.0, MAX_NEES)
+    add_titles(curves, "Curves", "false corners and lines on each")
     places = np.arange(len(curved))
     curves.bar(places - 0.2, [row.curved_lines for row in curved], 0.38, color=SKY, label="lines")
     curves.bar(places + 0.2, [row.curved_corners for row in curved], 0.38, color=VERMILLION, label="corners")
     curves.set_ylim(0.0, 1.15 * curves.get_ylim()[1])
     _name_levels(curves, [_level(row) for row in curved])
     curves.legend(frameon=False, fontsize=8.5, labelcolor=INK, loc="upper left", ncols=2)
-    for axes in (found, honest, curves):
-        calm(axes)
-    handles, labels = found.get_legend_handles_labels()
+    for axes in (recall, nees, curves):
+        style_axes(axes)
+    handles, labels = recall.get_legend_handles_labels()
     figure.legend(
         handles, labels, loc="outside lower left", ncols=len(labels), frameon=False, fontsize=8.5, labelcolor=INK
     )
@@ -51,7 +53,7 @@ def plot_features(path: Path, rooms: Sequence[Row], curved: Sequence[Row]) -> No
 
 
 def _by_level(axes: Axes, rows: Sequence[Row], value: Callable[[Row], float]) -> None:
-    """A point for every way at every level, side by side."""
+    """Plot a point for every method at every level, side by side."""
     levels = list(dict.fromkeys(_level(row) for row in rows))
     ways = list(dict.fromkeys(row.way for row in rows))
     for k, way in enumerate(ways):

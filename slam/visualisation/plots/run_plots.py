@@ -1,4 +1,4 @@
-"""Pictures of what a drive went through: errors against what was claimed, a loop closed, a corridor without hold."""
+"""Plot single runs: errors against sigmas, a loop closure, and degenerate corridors."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from .style import (
     SKY,
     VERMILLION,
     Floats,
-    calm,
     legend,
     metric_figure,
     save,
+    style_axes,
 )
 
 if TYPE_CHECKING:
@@ -36,10 +36,10 @@ LEGEND: dict[str, Any] = {"frameon": False, "fontsize": 8.5, "labelcolor": INK}
 AXES = (("ahead, mm", 1e3), ("to the left, mm", 1e3), ("heading, degrees", float(np.degrees(1.0))))
 
 
-def plot_honesty(path: Path, keyframes: Keyframes, truth: Trajectory, *, title: str) -> None:
-    """The errors of the keyframes in their own frames, and three standard deviations either side. Raises OutputError.
+def plot_consistency(path: Path, keyframes: Keyframes, truth: Trajectory, *, title: str) -> None:
+    """Plot the keyframes' errors in their own frames with 3-sigma bands. Raises OutputError.
 
-    The map's frame is where the first keyframe stood, so poses are compared relative to that.
+    Poses are compared relative to the first keyframe, which defines the map frame.
     """
     from matplotlib.figure import Figure
 
@@ -51,10 +51,10 @@ def plot_honesty(path: Path, keyframes: Keyframes, truth: Trajectory, *, title: 
     panels: Sequence[Axes] = figure.subplots(3, 1, sharex=True)
     for k, (axes, (name, scale)) in enumerate(zip(panels, AXES, strict=True)):
         band, error = SIGMAS * scale * sigma[:, k], scale * errors[:, k]
-        axes.fill_between(seconds, -band, band, color=SKY, alpha=0.3, linewidth=0, label="3σ that the map claims")
-        axes.plot(seconds, error, color=BLUE, linewidth=1.0, label="error against the true path")
+        axes.fill_between(seconds, -band, band, color=SKY, alpha=0.3, linewidth=0, label="3σ of the estimate")
+        axes.plot(seconds, error, color=BLUE, linewidth=1.0, label="error against ground truth")
         axes.set_ylabel(name, fontsize=9, color=INK)
-        calm(axes)
+        style_axes(axes)
         outside = 100 * float(np.mean(np.abs(error) > band))
         axes.set_title(f"{outside:.1f} % of the keyframes outside", loc="right", fontsize=8.5, color=MUTED)
     panels[-1].set_xlabel("seconds", fontsize=9, color=INK)
@@ -63,17 +63,17 @@ def plot_honesty(path: Path, keyframes: Keyframes, truth: Trajectory, *, title: 
 
 
 def plot_closure(path: Path, before: MapUpdated, path_before: Floats, decided: LoopDecided, after: MapUpdated) -> None:
-    """Map and path before and after a loop was closed; `path_before` (k, 3) are the keyframes. Raises OutputError."""
+    """Plot map and path before and after a loop closure; `path_before` (k, 3) are the keyframes. Raises OutputError."""
     from matplotlib.collections import LineCollection
 
     walls_before, _ = before.lines.piece_points()
     walls_after, _ = after.lines.piece_points()
     drawn = np.concatenate([walls_before, walls_after]).reshape(-1, 2)
-    title = f"A loop of {_driven(path_before):.0f} m is closed: the robot moves by {decided.shift:.2f} m"
+    title = f"Closure of a loop of {_path_length(path_before):.0f} m: the robot moves by {decided.shift:.2f} m"
     subtitle = (
-        f"explains {100 * decided.overlap_ratio:.0f} % of the wall seen lately, {decided.matches} walls, known to "
-        f"{1000 * decided.sigma:.0f} mm; the next best place {100 * decided.runner_up:.0f} % as much; "
-        f"{len(decided.merged)} pairs of walls made one"
+        f"overlap ratio {100 * decided.overlap_ratio:.0f} %, {decided.matches} matched walls, "
+        f"sigma {1000 * decided.sigma:.0f} mm; best alternative {100 * decided.runner_up:.0f} % of that; "
+        f"{len(decided.merged)} pairs of walls merged"
     )
     figure, axes = metric_figure(np.array([drawn.min(axis=0), drawn.max(axis=0)]), title, subtitle)
     old: dict[str, Any] = {"color": ORANGE, "linewidth": 1.3, "alpha": 0.8}
@@ -83,13 +83,13 @@ def plot_closure(path: Path, before: MapUpdated, path_before: Floats, decided: L
     axes.plot(*after.keyframes[:, :2].T, color=BLUE, linewidth=1.3, label="path after", zorder=4)
     ends = np.array([path_before[-1, :2], after.keyframes[len(path_before) - 1, :2]])
     axes.annotate("", ends[1], ends[0], arrowprops={"arrowstyle": "-|>", "color": VERMILLION, "linewidth": 2}, zorder=8)
-    axes.plot([], [], color=VERMILLION, linewidth=2, label="how the robot moves")
+    axes.plot([], [], color=VERMILLION, linewidth=2, label="motion of the robot")
     legend(axes)
     save(figure, path)
 
 
-class Corridor(NamedTuple):
-    """A drive along x: what it is called, its keyframes, the true path, and the changes of the state."""
+class CorridorRun(NamedTuple):
+    """Run along a corridor in x: name, keyframes, true path, and changes of the localisation status."""
 
     name: str
     keyframes: Keyframes
@@ -97,8 +97,8 @@ class Corridor(NamedTuple):
     states: Sequence[StateChanged]
 
 
-def plot_corridors(path: Path, corridors: Sequence[Corridor], *, title: str) -> None:
-    """Errors along and across corridors, what is claimed along them, and when the state was DEGENERATE.
+def plot_corridors(path: Path, corridors: Sequence[CorridorRun], *, title: str) -> None:
+    """Plot errors along and across corridors, the sigma along them, and the time in status DEGENERATE.
 
     Raises OutputError.
     """
@@ -110,11 +110,11 @@ def plot_corridors(path: Path, corridors: Sequence[Corridor], *, title: str) -> 
     for axes, (name, keyframes, truth, states) in zip(panels, corridors, strict=True):
         seconds = keyframes.stamps - keyframes.stamps[0]
         ends = [*(later.stamp for later in states[1:]), keyframes.stamps[-1]]
-        for change, end in zip(states, ends, strict=False):  # one more than there are where nothing changed
+        for change, end in zip(states, ends, strict=False):  # one end too many if the status never changed
             if change.state == "DEGENERATE":
                 since, until = np.array([change.stamp, end]) - keyframes.stamps[0]
                 axes.axvspan(since, until, color=ORANGE, alpha=0.15, linewidth=0)
-        axes.fill_between([], [], [], color=ORANGE, alpha=0.15, linewidth=0, label="state DEGENERATE")
+        axes.fill_between([], [], [], color=ORANGE, alpha=0.15, linewidth=0, label="status DEGENERATE")
         relative, errors = _errors(keyframes, truth)
         c, s = np.cos(relative[:, 2]), np.sin(relative[:, 2])
         ahead, left = 1e3 * errors[:, 0], 1e3 * errors[:, 1]
@@ -123,13 +123,13 @@ def plot_corridors(path: Path, corridors: Sequence[Corridor], *, title: str) -> 
         along = np.stack([c, -s], axis=1)
         sigma = np.sqrt(np.einsum("ki,kij,kj->k", along, keyframes.covariance[:, :2, :2], along))
         dashes: dict[str, Any] = {"color": INK, "linewidth": 1.2, "linestyle": (0, (3, 2))}
-        axes.plot(seconds, 1e3 * SIGMAS * sigma, label="3σ along that the map claims", **dashes)
+        axes.plot(seconds, 1e3 * SIGMAS * sigma, label="3σ along, of the estimate", **dashes)
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter("{x:g}")
         axes.set_title(name, loc="left", fontsize=9, color=MUTED, pad=8)
         axes.set_xlabel("seconds", fontsize=9, color=INK)
-        calm(axes)
-    panels[0].set_ylim(bottom=0.1)  # both panels share it, so only when all is drawn
+        style_axes(axes)
+    panels[0].set_ylim(bottom=0.1)  # shared by both panels, so set after all is drawn
     panels[0].set_ylabel("mm", fontsize=9, color=INK)
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower left", ncols=len(labels), **LEGEND)
@@ -137,11 +137,11 @@ def plot_corridors(path: Path, corridors: Sequence[Corridor], *, title: str) -> 
 
 
 def _errors(keyframes: Keyframes, truth: Trajectory) -> tuple[Floats, Floats]:
-    """(k, 3) true poses and (k, 3) errors in the keyframes' own frames, both relative to where the first one stood."""
+    """Return true poses (k, 3) relative to the first one, and errors (k, 3) in the keyframes' own frames."""
     actual = truth.at(keyframes.stamps).poses
     relative = se2.between(actual[0], actual)
     return relative, se2.between(relative, se2.between(keyframes.poses[0], keyframes.poses))
 
 
-def _driven(path: Floats) -> float:
+def _path_length(path: Floats) -> float:
     return float(np.hypot(*np.diff(path[:, :2], axis=0).T).sum())

@@ -1,4 +1,4 @@
-"""Pictures of the paper's claims: its environments, Figure 5, Siadat's columns, the threshold of tracking."""
+"""Plots of the paper benchmark: environments, Figure 5, Siadat's columns, the threshold of tracking."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from .style import (
     SKY,
     VERMILLION,
     Floats,
-    calm,
-    headline,
+    add_titles,
     legend,
     metric_figure,
     save,
+    style_axes,
 )
 
 if TYPE_CHECKING:
@@ -38,18 +38,18 @@ if TYPE_CHECKING:
 COLOURS = {"wclm": BLUE, "arras-siegwart": ORANGE, "siadat": GREEN, "wclm-ml": VERMILLION}
 NAMES = {"wclm": "WCLM", "arras-siegwart": "Arras-Siegwart", "siadat": "Siadat", "wclm-ml": "WCLM-ML"}
 WIDTHS = {"arras-siegwart": 5.0, "siadat": 3.0, "wclm": 1.2, "wclm-ml": 1.2}
-"""Points of print of curves that lie on each other, in the order of drawing."""
-BESIDE = 0.022
-"""Distance of a corner's number from the corner, as a share of the room's length."""
+"""Line widths, points (1/72 inch), of curves that coincide, in the order of drawing."""
+NUMBER_OFFSET = 0.022
+"""Distance of a corner's number from the corner, relative to the room's length."""
 LEGEND: dict[str, Any] = {"frameon": False, "fontsize": 8.5, "labelcolor": INK}
 LEGEND_ROW = 0.04
-"""Height of a legend's row as a share of Figure 5's."""
+"""Height of a legend row relative to Figure 5."""
 PANEL = 3.1
-"""Inches of a panel's side."""
+"""Side of a panel, inches."""
 
 
 def plot_paper(folder: Path, measured: dict[str, Any], times: dict[str, Any]) -> list[Path]:
-    """Draw all pictures into a directory that exists; their paths. Raises OutputError."""
+    """Draw all plots into an existing directory and return their paths. Raises OutputError."""
     worlds = environments()
     paths = [folder / f"{name}.png" for name in ("environment-a", "environment-b", "figure-5", "siadat", "tracking")]
     plot_environment(paths[0], worlds["A"], measured["seed"])
@@ -61,7 +61,7 @@ def plot_paper(folder: Path, measured: dict[str, Any], times: dict[str, Any]) ->
 
 
 def plot_environment(path: Path, environment: Environment, seed: int) -> None:
-    """Figures 3 and 4: one sweep with the paper's noise, its walls, and the corners by their numbers."""
+    """Plot Figure 3 or 4: one sweep with the paper's noise, its walls, and the numbered corners."""
     heading = environment.sensor[2]
     turn = np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]])
 
@@ -70,7 +70,7 @@ def plot_environment(path: Path, environment: Environment, seed: int) -> None:
         return np.asarray(points @ turn + environment.sensor[:2])
 
     walls = environment.world.segments.reshape(-1, 2)
-    title = f"Environment {environment.name}, rebuilt"
+    title = f"Environment {environment.name}, reconstructed"
     subtitle = (
         f"{len(environment.angles)} points, {len(environment.segments)} segments, {len(environment.corners)} corners; "
         f"range noise {1e3 * PAPER_NOISE.sigma_range:.0f} mm, bearing noise "
@@ -81,13 +81,13 @@ def plot_environment(path: Path, environment: Environment, seed: int) -> None:
     axes.plot(*placed(measured, environment.angles).T, ".", color=MUTED, markersize=3, label="return", zorder=2)
     for number, segment in enumerate(environment.segments):
         ends = placed(environment.ranges[segment.rays], environment.angles[segment.rays])
-        label = "segment, true" if number == 0 else None
+        label = "true segment" if number == 0 else None
         axes.plot(*ends.T, color=SKY, linewidth=2.0, solid_capstyle="butt", label=label, zorder=3)
     corners = environment.positions @ turn + environment.sensor[:2]
     axes.plot(*corners.T, "^", color=INK, markersize=5, linestyle="", label="corner", zorder=5)
     axes.plot(*environment.sensor[:2], "x", color=VERMILLION, markersize=9, linestyle="", label="sensor", zorder=5)
     inwards = environment.sensor[:2] - corners
-    inwards *= BESIDE * np.ptp(walls[:, 0]) / np.linalg.norm(inwards, axis=1)[:, None]
+    inwards *= NUMBER_OFFSET * np.ptp(walls[:, 0]) / np.linalg.norm(inwards, axis=1)[:, None]
     for number, (x, y) in enumerate(corners + inwards, start=1):
         axes.text(x, y, str(number), fontsize=8, color=INK, ha="center", va="center", zorder=6)
     legend(axes)
@@ -95,7 +95,7 @@ def plot_environment(path: Path, environment: Environment, seed: int) -> None:
 
 
 def plot_points(path: Path, curves: dict[str, Any], times: dict[str, Any]) -> None:
-    """Figure 5: uncertainty of four corners by the number of points, and under it the times over WCLM's."""
+    """Plot Figure 5: uncertainty of four corners by the number of points, and below the times relative to WCLM."""
     figure, panels = _panels(2, len(curves), sharey="row")
     for column, (name, curve) in enumerate(curves.items()):
         upper, lower = panels[0][column], panels[1][column]
@@ -122,7 +122,7 @@ def plot_points(path: Path, curves: dict[str, Any], times: dict[str, Any]) -> No
         lower.set_xlabel("points used", fontsize=8, color=MUTED)
         upper.set_title(f"corner {name[1:]} of {name[0]}", fontsize=10, color=INK, loc="left")
     panels[0][0].set_ylabel("standard deviation, mm", fontsize=8, color=MUTED)
-    panels[1][0].set_ylabel("time over WCLM's, NumPy", fontsize=8, color=MUTED)
+    panels[1][0].set_ylabel("time / WCLM's time, NumPy", fontsize=8, color=MUTED)
     _title(figure, "Figure 5: uncertainty and time by the number of points")
     for row, below in ((panels[0], 0.0), (panels[1], LEGEND_ROW)):
         handles, labels = row[0].get_legend_handles_labels()
@@ -131,7 +131,7 @@ def plot_points(path: Path, curves: dict[str, Any], times: dict[str, Any]) -> No
 
 
 def plot_siadat(path: Path, worlds: dict[str, Any]) -> None:
-    """What the paper's Siadat columns have more than its Arras-Siegwart columns, beside one reading's noise."""
+    """Plot the excess of the paper's Siadat columns over Arras-Siegwart's, and the noise of one range."""
     figure, panels = _panels(1, 1, width=7.5, height=3.8)
     axes = panels[0][0]
     for table, name, colour in ((TABLE_1, "A", BLUE), (TABLE_2, "B", VERMILLION)):
@@ -147,7 +147,7 @@ def plot_siadat(path: Path, worlds: dict[str, Any]) -> None:
             label=f"environment {name}",
         )
     noise = 1e3 * PAPER_NOISE.sigma_range
-    axes.axhline(noise, color=INK, linewidth=1.2, label="range noise of one reading")
+    axes.axhline(noise, color=INK, linewidth=1.2, label="noise of one range")
     axes.set_xscale("log")
     axes.set_yscale("log")
     for side in (axes.set_xticks, axes.set_yticks):
@@ -156,28 +156,30 @@ def plot_siadat(path: Path, worlds: dict[str, Any]) -> None:
     axes.set_xlabel(
         "Arras-Siegwart's standard deviation in the paper's tables, x and y together, mm", fontsize=8, color=MUTED
     )
-    axes.set_ylabel("what Siadat's has more, in quadrature, mm", fontsize=8, color=MUTED)
-    left = sum(int((np.diff(np.sum(t[:, 3:].reshape(-1, 2, 2) ** 2, axis=2)) <= 0).sum()) for t in (TABLE_1, TABLE_2))
+    axes.set_ylabel("Siadat's excess, in quadrature, mm", fontsize=8, color=MUTED)
+    negative = sum(
+        int((np.diff(np.sum(t[:, 3:].reshape(-1, 2, 2) ** 2, axis=2)) <= 0).sum()) for t in (TABLE_1, TABLE_2)
+    )
     clear = sum(world["siadat's excess in the paper"]["corners"] for world in worlds.values())
-    headline(
+    add_titles(
         axes,
-        "What the paper's Siadat columns have more",
-        f"Tables I and II; clear below {CLEAR:.0f} mm ({clear} corners); without {left} corners where Siadat has less",
+        "Excess of the paper's Siadat columns",
+        f"Tables I and II; clear below {CLEAR:.0f} mm ({clear} corners); without {negative} corners of negative excess",
     )
     legend(axes)
     save(figure, path)
 
 
 def plot_tracking(path: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """Walls and corners that the paper's tracking and the product's segmentation find, by range noise."""
+    """Plot the walls and corners found by the paper's tracking and by this project's segmentation, by range noise."""
     figure, panels = _panels(1, 2, sharey="row", width=3.8, height=3.4)
     bearings = sorted({row["sigma_bearing"] for row in rows})
     for axes, bearing in zip(panels[0], bearings, strict=True):
-        some = [row for row in rows if row["sigma_bearing"] == bearing]
-        sigma = 1e3 * np.array([row["sigma_range"] for row in some])
+        selected = [row for row in rows if row["sigma_bearing"] == bearing]
+        sigma = 1e3 * np.array([row["sigma_range"] for row in selected])
         for method, name, colour in (("tracking", "tracking", VERMILLION), ("split", "splitting", BLUE)):
             for what, dashes in (("walls", "-"), ("corners", "--")):
-                share = 100 * np.array([row[method][what] for row in some])
+                share = 100 * np.array([row[method][what] for row in selected])
                 axes.plot(sigma, share, f"{dashes}o", color=colour, markersize=3.5, label=f"{what}, {name}")
         axes.axvline(1e3 * PAPER_NOISE.sigma_range, color=INK, linewidth=1.0, label="the paper's range noise")
         axes.set_xscale("log")
@@ -187,7 +189,7 @@ def plot_tracking(path: Path, rows: Sequence[dict[str, Any]]) -> None:
         axes.set_xlabel("standard deviation of range, mm", fontsize=8, color=MUTED)
         axes.set_title(f"bearing noise {np.degrees(bearing):.4g}°", fontsize=10, color=INK, loc="left")
     panels[0][0].set_ylabel("found, %", fontsize=8, color=MUTED)
-    _title(figure, f"What tracking with a threshold of {1e3 * THRESHOLD:.0f} mm finds")
+    _title(figure, f"Walls and corners found by tracking with a threshold of {1e3 * THRESHOLD:.0f} mm")
     handles, labels = panels[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.02, 0.0), ncols=3, **LEGEND)
     save(figure, path)
@@ -196,13 +198,13 @@ def plot_tracking(path: Path, rows: Sequence[dict[str, Any]]) -> None:
 def _panels(
     rows: int, columns: int, *, sharey: Literal["none", "row"] = "none", width: float = PANEL, height: float = PANEL
 ) -> tuple[Figure, list[list[Axes]]]:
-    """A figure of calm panels, with its axes by row and column."""
+    """Return a figure and its styled axes by row and column."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width * columns, height * rows), dpi=DOTS_PER_INCH, layout="constrained")
     grid = figure.subplots(rows, columns, sharey=sharey, squeeze=False)
     for axes in grid.flat:
-        calm(axes)
+        style_axes(axes)
         axes.set_facecolor(FAINT)
     return figure, grid.tolist()
 

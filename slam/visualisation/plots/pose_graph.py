@@ -1,4 +1,4 @@
-"""A pose graph before and after its optimisation."""
+"""Plot a pose graph before and after optimisation."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 
 def plot_pose_graph(path: Path, before: PoseGraph, optimised: OptimisedGraph, *, title: str) -> None:
-    """Draw the path before and after, loop edges, landmarks, and edges that were left out. Raises OutputError.
+    """Plot the path before and after, loop edges, landmarks and outlier edges. Raises OutputError.
 
-    The picture is as large as the optimised graph; what it was before may leave it.
+    The plot's extent is that of the optimised graph; the path before may leave it.
     """
     after = optimised.graph
     drawn = np.concatenate([after.poses[:, :2], after.landmarks])
@@ -30,13 +30,15 @@ def plot_pose_graph(path: Path, before: PoseGraph, optimised: OptimisedGraph, *,
     )
     figure, axes = metric_figure(np.array([drawn.min(axis=0), drawn.max(axis=0)]), title, subtitle)
     odometry = odometry_edges(before)[: len(before.motions)]
-    kept = optimised.inliers[: len(before.motions)]
-    steps, loops = before.motions.select(odometry), before.motions.select(~odometry & kept)
+    inliers = optimised.inliers[: len(before.motions)]
+    steps, loops = before.motions.select(odometry), before.motions.select(~odometry & inliers)
     _draw(axes, _between(steps, before.poses), color=ORANGE, linewidth=0.8, alpha=0.7, label="path before", zorder=2)
-    out = before.select_edges(~optimised.inliers)
-    to_landmarks = (_between(edges, after.poses, after.landmarks) for edges in out.edges_by_kind[1:])
-    wrong = [_between(out.motions, after.poses), *to_landmarks]
-    _draw(axes, np.concatenate(wrong), color=VERMILLION, linewidth=0.5, alpha=0.45, label="edge left out", zorder=3)
+    outliers = before.select_edges(~optimised.inliers)
+    to_landmarks = (_between(edges, after.poses, after.landmarks) for edges in outliers.edges_by_kind[1:])
+    outlier_ends = [_between(outliers.motions, after.poses), *to_landmarks]
+    _draw(
+        axes, np.concatenate(outlier_ends), color=VERMILLION, linewidth=0.5, alpha=0.45, label="outlier edge", zorder=3
+    )
     _draw(axes, _between(loops, after.poses), color=SKY, linewidth=0.8, label="loop edge", zorder=4)
     _draw(axes, _between(steps, after.poses), color=BLUE, linewidth=1.2, label="path", zorder=5)
     if len(after.landmarks):
@@ -46,7 +48,7 @@ def plot_pose_graph(path: Path, before: PoseGraph, optimised: OptimisedGraph, *,
 
 
 def _between(edges: Edges, poses: Floats, targets: Floats | None = None) -> Floats:
-    """(k, 2, 2): from where each edge is measured to what it measures, a pose where no other `targets` are given."""
+    """Return both ends (k, 2, 2) of each edge; the second is a pose unless other `targets` are given."""
     measured = poses if targets is None else targets
     return np.stack([poses[edges.source, :2], measured[edges.target, :2]], axis=1)
 

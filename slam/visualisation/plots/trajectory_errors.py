@@ -1,4 +1,4 @@
-"""Errors of a trajectory, over time and all together."""
+"""Plot the errors of a trajectory, over time and as a distribution."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from .style import (
     MUTED,
     VERMILLION,
     Floats,
-    calm,
-    headline,
+    add_titles,
     legend,
     metric_figure,
     save,
+    style_axes,
 )
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-LONG_TAIL = 30
-"""Where the largest error is this many times the median, only a logarithmic scale shows both."""
+LOG_SCALE_RATIO = 30
+"""Largest error / median above which the scale is logarithmic, to show both."""
 
 
 def plot_relations(path: Path, score: RelationsScore, *, title: str) -> None:
-    """Draw the errors of relations over the time of their first pose, and their distribution. Raises OutputError."""
+    """Plot the errors of relations over the time of their first pose, and their distribution. Raises OutputError."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 6.2), dpi=DOTS_PER_INCH, layout="constrained")
@@ -51,7 +51,7 @@ def plot_relations(path: Path, score: RelationsScore, *, title: str) -> None:
         over_time.set_ylabel(name, fontsize=9, color=INK)
         _distribution(shares, errors)
         for axes in (over_time, shares):
-            if errors.max() > LONG_TAIL * np.median(errors) > 0:
+            if errors.max() > LOG_SCALE_RATIO * np.median(errors) > 0:
                 axes.set_yscale("log")
                 axes.yaxis.set_major_formatter("{x:g}")
             else:
@@ -65,16 +65,16 @@ def plot_relations(path: Path, score: RelationsScore, *, title: str) -> None:
             fontsize=8,
             color=VERMILLION,
         )
-        calm(over_time)
-        calm(shares)
+        style_axes(over_time)
+        style_axes(shares)
     time_degrees.set_xlabel("time of the first pose, seconds", fontsize=9, color=INK)
-    share_degrees.set_xlabel("% of the relations with less", fontsize=9, color=INK)
-    headline(time_metres, title, f"{figures['relations']} relations, {figures['missing']} outside the trajectory")
+    share_degrees.set_xlabel("% of the relations below", fontsize=9, color=INK)
+    add_titles(time_metres, title, f"{figures['relations']} relations, {figures['missing']} outside the trajectory")
     save(figure, path)
 
 
 def plot_reference(path: Path, score: ReferenceScore, *, title: str) -> None:
-    """Draw the aligned trajectory over its reference, coloured by its distance from it. Raises OutputError."""
+    """Plot the aligned trajectory over its reference, coloured by its distance to it. Raises OutputError."""
     from matplotlib.collections import LineCollection
 
     positions = score.aligned[:, :2]
@@ -93,7 +93,7 @@ def plot_reference(path: Path, score: ReferenceScore, *, title: str) -> None:
     pieces.set_clim(0, None)
     axes.add_collection(pieces)
     bar = figure.colorbar(pieces, ax=axes, shrink=0.6, aspect=30, pad=0.02)
-    bar.set_label("distance from the reference, m", fontsize=8, color=MUTED)
+    bar.set_label("distance to the reference, m", fontsize=8, color=MUTED)
     bar.ax.tick_params(length=0, labelsize=8, labelcolor=MUTED)
     bar.outline.set_visible(False)
     legend(axes)
@@ -101,6 +101,6 @@ def plot_reference(path: Path, score: ReferenceScore, *, title: str) -> None:
 
 
 def _distribution(axes: Axes, errors: Floats) -> None:
-    """The errors in order: at p on the x axis, p per cent are smaller."""
+    """Plot the sorted errors: at p on the x axis, p per cent are smaller."""
     axes.plot(np.linspace(0, 100, len(errors)), np.sort(errors), color=BLUE, linewidth=1.4)
     axes.set_xlim(0, 100)
