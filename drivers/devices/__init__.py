@@ -1,13 +1,16 @@
 """Devices on ports: found, started, read in a process of their own, and halted.
 
-specs        what a user types: `rplidar:/dev/ttyUSB0?mode=Standard + create2:/dev/ttyUSB1`
-device       what all devices do: identify, start, step, halt
-lidar, rplidar, ld06, scip, wheels   the devices
-stamping     from the arrival of bytes to stamps
-ports        connections, and the serial ports there are
-session      the life of one device, with its recoveries
-outlet       the messages of all devices in the order of time, bounded
-acquisition  the process that reads, and the consumer's side of it
-live         devices as a `Source`
-probing      who answers on which port
+device_spec     the user's text: `rplidar:/dev/ttyUSB0?mode=Standard + create2:/dev/ttyUSB1`
+device          interface of all devices: identify, start, step, halt
+lidar, rplidar, ld06, scip, wheel_base   the devices
+registry        from a device spec to its device
+device_clock    a device's clock fitted to the host's
+packet_stamper  from the arrival of bytes to stamps
+ports           connections, and the list of serial ports
+supervisor      runs one device, with its reconnections
+reorder_buffer  the messages of all devices in time order, bounded
+acquisition     the reading process and the consumer's side of it
+device_source   devices as a `Source`
+recorder        writes the messages and the devices' status to a file
+probing         identifies the device on a port
 """

@@ -1,12 +1,12 @@
-"""Devices read in a process of their own, so that a host that is busy neither delays nor loses a measurement.
+"""Devices read in a process of their own, so that a busy host neither delays nor loses a measurement.
 
     with Acquisition(parse_devices("rplidar:/dev/ttyUSB0 + create2:/dev/ttyUSB1")) as acquisition:
         for message in acquisition:
             ...
 
-The processes are joined by a pipe. The reading one sends messages and, a few times a second, how its devices are doing;
-it ends, halting all devices, when it is told to or when the pipe breaks because the other process is no more.
-Programs that use it must be importable without doing anything, as always with multiprocessing: `if __name__ ==
+The processes are joined by a pipe. The reading process sends messages and, a few times a second, the status of its
+devices. It halts all devices and ends on request, or when the pipe breaks because the other process has ended.
+As always with multiprocessing, a program that uses this must be importable without side effects: `if __name__ ==
 "__main__":`.
 """
 
@@ -36,18 +36,18 @@ from .supervisor import DeviceStatus, Supervisor
 STATUS_PERIOD = 0.2
 """Seconds between two snapshots."""
 POLL_PERIOD = 0.05
-"""Seconds after which the processes look up, whatever happens."""
+"""Seconds after which the processes check their state, whether or not anything has arrived."""
 HALT_TIMEOUT = 5.0
-"""Seconds that halting may take before the process is ended by force; a device is given what its handshake takes."""
+"""Seconds that halting may take before the process is killed; it covers the handshake of every device."""
 
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """How the acquisition is doing.
+    """Status of the acquisition.
 
-    devices  each one's status, in the order of the specs
-    dropped  messages for which there was no room because the consumer was slow
-    late     messages left out because later ones had been given out before they came
+    devices  status of each device, in the order of the specs
+    dropped  messages dropped for lack of room because the consumer was slow
+    late     messages discarded because later ones had been delivered before they arrived
     """
 
     devices: tuple[DeviceStatus, ...] = ()
@@ -57,22 +57,24 @@ class Snapshot:
 
 @dataclass(frozen=True, slots=True)
 class _Failed:
-    """The acquisition cannot go on, or never could."""
+    """Item of the pipe: the acquisition cannot start or continue."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class _Ended:
-    """Nothing more will come: all tapes are at their ends, or the acquisition was told to stop."""
+    """Item of the pipe: nothing more will arrive; all byte captures have ended, or the acquisition was stopped."""
 
 
 @dataclass(slots=True)
 class Acquisition:
-    """The consumer's side, a context. Entering waits until every device runs; raises DriverError where one does not.
+    """The consumer's side of the reading process; a context manager.
+
+    Entering it waits until every device runs; raises DriverError if one does not.
 
     specs     of the devices
-    snapshot  how they were doing when it was last told; up to date while messages are received
+    snapshot  latest status received; it is updated while messages are received
     """
 
     specs: Sequence[DeviceSpec]
@@ -80,7 +82,7 @@ class Acquisition:
     _process: multiprocessing.process.BaseProcess | None = None
     _pipe: Connection | None = None
     _ended: bool = False
-    _startup_messages: deque[Message] = field(default_factory=deque)  # came before all devices ran
+    _startup_messages: deque[Message] = field(default_factory=deque)  # received before all devices ran
 
     def __enter__(self) -> Self:
         context = multiprocessing.get_context("spawn")
@@ -91,7 +93,7 @@ class Acquisition:
             name="wclm-acquisition",
             daemon=True,
         )
-        # Ctrl-C goes to all processes of a terminal; the reading one shall hear of it from this one.
+        # Ctrl-C interrupts all processes of a terminal; this process forwards it to the reading one.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             self._process.start()
@@ -112,14 +114,14 @@ class Acquisition:
         self.close()
 
     def __iter__(self) -> Iterator[Message]:
-        """Messages in the order of their stamps, as they come, until the devices end or `stop` is called."""
+        """Yield messages in the order of their stamps, as they arrive, until the devices end or `stop` is called."""
         while not self.ended:
             message = self.receive(1.0)
             if message is not None:
                 yield message
 
     def receive(self, timeout: float) -> Message | None:
-        """The next message; None where none comes within a timeout (seconds), or any more."""
+        """Return the next message; None if none arrives within `timeout` seconds or the acquisition has ended."""
         if self._startup_messages:
             return self._startup_messages.popleft()
         end = time.monotonic() + timeout
@@ -131,17 +133,17 @@ class Acquisition:
 
     @property
     def ended(self) -> bool:
-        """Whether no message is left and none will come."""
+        """True if no message is left and none will arrive."""
         return self._ended and not self._startup_messages
 
     def stop(self) -> None:
-        """Have all devices halted; what they have measured can still be received."""
+        """Halt all devices; messages measured so far can still be received."""
         if self._pipe is not None:
             with suppress(OSError):
                 self._pipe.send(None)
 
     def close(self) -> None:
-        """Halt all devices and wait until they are; messages not yet received are lost."""
+        """Halt all devices and wait for the process to end; messages not yet received are lost."""
         if self._process is None or self._pipe is None:
             return
         if not self._ended:
@@ -162,7 +164,7 @@ class Acquisition:
 
     def _receive_status(self) -> None:
         if self._ended:
-            raise DriverError("the devices were stopped before they began")
+            raise DriverError("the devices were stopped before they started")
         if self._poll_pipe(1.0):
             before = self.snapshot
             while self.snapshot is before and not self._ended:
@@ -175,14 +177,14 @@ class Acquisition:
         return self._pipe.poll(timeout)
 
     def _receive_item(self) -> Message | None:
-        """Take one thing from the pipe; the message, if it is one."""
+        """Receive one item from the pipe; return it if it is a message."""
         assert self._pipe is not None
         try:
             item = self._pipe.recv()
         except (EOFError, OSError):
             self._ended = True
             raise DriverError("the process that reads the devices ended unexpectedly") from None
-        except BaseException:  # Ctrl-C amid a message: what follows in the pipe cannot be understood
+        except BaseException:  # Ctrl-C within a message: the rest of the pipe cannot be decoded
             self._ended = True
             raise
         if isinstance(item, Snapshot):
@@ -199,7 +201,7 @@ class Acquisition:
 
 
 class _DeviceReader:
-    """The reading side: a session and a thread for each device; this thread sends."""
+    """The reading side: a supervisor and a thread for each device; this thread sends."""
 
     def __init__(self, pipe: Connection, specs: Sequence[DeviceSpec], offset: float) -> None:
         self.stop = Event()
@@ -212,7 +214,7 @@ class _DeviceReader:
         self._crash: BaseException | None = None
 
     def run(self) -> None:
-        """Until told to stop, all sessions ended, or one failed."""
+        """Run until stopped, all supervisors have ended, or one has failed."""
         threads = [Thread(target=self._run_supervisor, args=(supervisor,)) for supervisor in self._supervisors]
         for thread in threads:
             thread.start()
@@ -245,7 +247,7 @@ class _DeviceReader:
     def _run_supervisor(self, supervisor: Supervisor) -> None:
         try:
             supervisor.run(self.stop)
-        except Exception as error:  # a bug; it shall end everything and be seen, not a thread silently
+        except Exception as error:  # a bug: end the acquisition with an error instead of one thread silently
             place = traceback.extract_tb(error.__traceback__)[-1]
             what = f"{type(error).__name__} in {place.name}, line {place.lineno}: {error}"
             self._crash = DriverError(f"{supervisor.spec.text}: internal error: {what}")
@@ -256,10 +258,10 @@ class _DeviceReader:
 
 
 def _acquire(pipe: Connection, specs: Sequence[DeviceSpec], offset: float) -> None:
-    """What the reading process does."""
+    """Run the reading process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     reader = _DeviceReader(pipe, specs, offset)
     signal.signal(signal.SIGTERM, lambda *_: reader.stop.set())
-    with suppress(EOFError, OSError):  # the other process is no more
+    with suppress(EOFError, OSError):  # the other process has ended
         reader.run()
     pipe.close()

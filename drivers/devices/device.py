@@ -1,4 +1,4 @@
-"""What a session needs of a device, and what most devices do alike."""
+"""Interface of a device, and what most devices do alike."""
 
 from __future__ import annotations
 
@@ -12,26 +12,28 @@ from ..messages import Message
 from ..transport import Received, Transport
 
 READ_TIMEOUT = 0.05
-"""Seconds; always the same, because a change configures a serial port anew."""
+"""Seconds. It is always the same because a change reconfigures the serial port."""
 READ_PAUSE = 0.01
-"""Seconds between reads. What costs is the number of reads; the buffers of the system hold far more than this."""
+"""Seconds between reads. The cost is in the number of reads; the buffers of the system hold far more than arrives
+meanwhile.
+"""
 MAX_DRAIN_DURATION = 1.0
-"""Seconds after which a device is taken to send without end."""
+"""Seconds after which a device is assumed to send continuously."""
 
-AnswerT = TypeVar("AnswerT")
+ResponseT = TypeVar("ResponseT")
 
 
 class Device(ABC):
     """A device over any number of connections: it is started on each, then stepped, then halted.
 
-    bauds     bits a second to try, in this order
-    dtr       how the line is set while the port is opened
-    patience  seconds from the start to the first measurement
-    identity  what it says that it is; empty until it was identified
-    serial    its serial number; empty where it has none, or until it was identified
-    units     undamaged packets or readings so far; a device that lives counts on
+    bauds          bits per second to try, in this order
+    dtr            state of the modem line DTR while the port is opened
+    start_timeout  seconds from the start to the first measurement
+    identity       description by the device itself; empty until it was identified
+    serial         serial number; empty if it has none or until it was identified
+    required_serial  serial number that the device must have; empty for any
 
-    What it raises are DriverErrors.
+    All errors raised are DriverErrors.
     """
 
     bauds: tuple[int, ...]
@@ -45,30 +47,30 @@ class Device(ABC):
     @property
     @abstractmethod
     def measurement_count(self) -> int:
-        """See above."""
+        """Undamaged packets or readings received so far; it keeps growing while the device works."""
 
     @abstractmethod
     def identify(self, transport: Transport, baud: int) -> None:
-        """Find out who is there, without anything moving; raises NoResponseError where it is not such a device."""
+        """Identify the device without moving anything; raises NoResponseError if it is no device of this kind."""
 
     @abstractmethod
     def start(self, transport: Transport, baud: int) -> None:
-        """Identify it and make it measure."""
+        """Identify the device and make it measure."""
 
     @abstractmethod
     def feed(self, received: Received) -> list[Message]:
-        """The messages that bytes complete, stamped on the host's steady clock."""
+        """Return the messages that the bytes complete, stamped on the host's steady clock."""
 
     @abstractmethod
     def halt(self, transport: Transport) -> None:
-        """Make everything stand still that moves."""
+        """Stop all moving parts."""
 
     @abstractmethod
     def counters(self) -> dict[str, int]:
-        """What was counted since the device was made, over all connections."""
+        """Return all counts since the device was created, over all connections."""
 
     def step(self, transport: Transport) -> tuple[Received, list[Message]]:
-        """Read once, and pause as long as is good for the host."""
+        """Read once, and pause to limit the load of the host."""
         received = transport.read(READ_TIMEOUT)
         messages = self.feed(received)
         if received.data:
@@ -76,7 +78,7 @@ class Device(ABC):
         return received, messages
 
     def check_serial(self, transport: Transport) -> None:
-        """Raises NoResponseError where another one of the kind answers than the one that is wanted."""
+        """Check the serial number; raises NoResponseError if it is not the required one."""
         if self.required_serial and self.serial.lower() != self.required_serial.lower():
             raise NoResponseError(
                 transport.name,
@@ -85,24 +87,25 @@ class Device(ABC):
 
 
 def drain(transport: Transport) -> None:
-    """Take what comes until nothing does, so that an answer is not looked for among old bytes."""
+    """Discard incoming bytes until none arrive, so that old bytes are not mistaken for a response."""
     received = transport.read(READ_TIMEOUT)
     end = received.time + MAX_DRAIN_DURATION
     while received.data and received.time < end:
         received = transport.read(READ_TIMEOUT)
 
 
-def await_answer(
-    transport: Transport, parse: Callable[[bytes], AnswerT | None], timeout: float
-) -> tuple[AnswerT, float] | None:
-    """Read until `take`, given the bytes as they come, returns something: that and its time. None after the timeout
-    (seconds).
+def await_response(
+    transport: Transport, parse: Callable[[bytes], ResponseT | None], timeout: float
+) -> tuple[ResponseT, float] | None:
+    """Read until `parse`, called with the bytes as they arrive, returns a value; return it and its time.
+
+    Return None after `timeout` seconds.
     """
     received = transport.read(READ_TIMEOUT)
     end = received.time + timeout
     while True:
-        if received.data and (answer := parse(received.data)) is not None:
-            return answer, received.time
+        if received.data and (response := parse(received.data)) is not None:
+            return response, received.time
         if received.time >= end:
             return None
         received = transport.read(READ_TIMEOUT)

@@ -1,4 +1,4 @@
-"""Devices as a `Source`, which can be read once: time does not come back."""
+"""Devices as a `Source`, which can be iterated only once."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from .device_spec import DeviceSpec
 class DeviceSource:
     """Devices as a `Source`. Iterating starts them; leaving the iteration in any way halts them.
 
-    snapshot  how they are doing
+    snapshot  status of the devices
 
-    Messages that were lost on the way are counted in the report as skipped. Raises DriverError where a device cannot be
-    started, and when iterated again.
+    Lost messages are counted in the report as skipped. Raises DriverError if a device cannot be started, or on a second
+    iteration.
     """
 
     def __init__(self, specs: Sequence[DeviceSpec]) -> None:
@@ -27,11 +27,11 @@ class DeviceSource:
 
     @property
     def snapshot(self) -> Snapshot:
-        """See `Snapshot`."""
+        """Status of the devices, see `Snapshot`."""
         return self._acquisition.snapshot
 
     def __iter__(self) -> Iterator[Message]:
-        """The messages as they come."""
+        """Yield the messages as they arrive."""
         if self._read:
             raise DriverError(f"{self.name}: can be read only once; record it to read it again")
         self._read = True
@@ -43,19 +43,19 @@ class DeviceSource:
         count_losses(self.report, self.snapshot)
 
     def __len__(self) -> int:
-        """Nobody knows."""
+        """Return 0: the number of messages is unknown."""
         return 0
 
     def stop(self) -> None:
-        """End the iteration after the last message that was measured."""
+        """Stop measuring; the iteration ends after the last measured message."""
         self._acquisition.stop()
 
 
 def count_losses(report: SourceReport, snapshot: Snapshot) -> None:
-    """Enter into the report what the acquisition lost."""
+    """Write the acquisition's losses to the report."""
     reasons = {
-        "dropped, the messages were not taken fast enough": snapshot.dropped,
-        "came after later ones had been given out": snapshot.late,
+        "dropped, the messages were not processed fast enough": snapshot.dropped,
+        "arrived after later messages had been delivered": snapshot.late,
     }
     report.reasons = {reason: count for reason, count in reasons.items() if count}
     report.skipped = snapshot.dropped + snapshot.late

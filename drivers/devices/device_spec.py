@@ -1,11 +1,11 @@
-"""What a user types for a device: `rplidar:/dev/ttyUSB0?mode=Standard&mount=0.1,0,0`.
+"""Device specs, the text a user types for a device: `rplidar:/dev/ttyUSB0?mode=Standard&mount=0.1,0,0`.
 
-A spec is a kind, where the device is, and options:
+A spec consists of a kind, an address and options. Addresses:
 
-    /dev/ttyUSB0    a serial port
+    /dev/ttyUSB0         a serial port
     192.168.0.10:10940   host:port, raw bytes over TCP
-    auto            whichever serial port such a device answers on
-    tape:FILE       raw bytes recorded earlier, played with their times
+    auto                 any serial port on which such a device responds
+    tape:FILE            a byte capture, played at its original speed
 
 Several devices are joined by a plus sign between spaces.
 """
@@ -29,12 +29,12 @@ TCP_PATTERN = re.compile(r"(?P<host>[^/:\[\]]+|\[[0-9a-fA-F:]+\]):(?P<port>[0-9]
 
 
 class SpecError(DriverError):
-    """A device's spec is wrong; says what would be right."""
+    """A device spec is wrong; the message states what is allowed."""
 
 
 @dataclass(frozen=True, slots=True)
 class DeviceSpec:
-    """A device as a user asked for it: its kind, its address, its options in their types, and the text typed."""
+    """A parsed device spec: kind, address, converted options, and the text typed."""
 
     kind: str
     address: str
@@ -43,19 +43,19 @@ class DeviceSpec:
 
     @property
     def is_lidar(self) -> bool:
-        """Whether it is a lidar; else it is a base."""
+        """True for a lidar, False for a wheel base."""
         return DEVICE_KINDS[self.kind].is_lidar
 
     @property
     def tcp(self) -> tuple[str, int] | None:
-        """Host and port, where the device is behind a network."""
+        """Host and port if the device is behind a network, otherwise None."""
         match = TCP_PATTERN.fullmatch(self.address)
         return (match["host"].strip("[]"), int(match["port"])) if match else None
 
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """What a device can be told in its spec: from the text typed to its value, and what it means."""
+    """An option of a device spec: conversion from its text to its value, and its description."""
 
     convert: Callable[[str], Any]
     description: str
@@ -63,7 +63,7 @@ class Option:
 
 @dataclass(frozen=True, slots=True)
 class DeviceKind:
-    """Of devices: whether it is a lidar, what options it takes, which of them it needs, and which devices these are."""
+    """A kind of device: whether it is a lidar, its options, the required ones, and a description of the devices."""
 
     is_lidar: bool
     options: Mapping[str, Option]
@@ -82,7 +82,7 @@ def _parse_numbers(count: int) -> Callable[[str], Any]:
 
 
 def _parse_pair(text: str) -> tuple[float, float]:
-    """The left and the right wheel's; one number is for both."""
+    """Parse the values of the left and the right wheel; one number applies to both."""
     values = [float(part) for part in text.split(",")]
     if len(values) not in (1, 2) or not all(math.isfinite(value) and value != 0.0 for value in values):
         raise ValueError("one number, or the left and the right wheel's with a comma, is needed")
@@ -116,33 +116,31 @@ def _parse_text(text: str) -> str:
 
 
 COMMON_OPTIONS = {
-    "baud": Option(_parse_positive_int, "bits a second, where it is not the usual"),
-    "tape": Option(_parse_text, "a file that receives all raw bytes with their times"),
+    "baud": Option(_parse_positive_int, "bits per second, if not the usual"),
+    "tape": Option(_parse_text, "a file for the byte capture: all raw bytes with their times"),
 }
 LIDAR_OPTIONS = COMMON_OPTIONS | {
     "mount": Option(
         _parse_numbers(3),
-        "x,y,heading on the base, metres and radians, of the lidar's frame: x points where the device's angle is 0, "
+        "x,y,heading of the lidar's frame on the base, metres and radians: x points to the device's angle 0, "
         "y to its left",
     ),
-    "upside_down": Option(_parse_flag, "1 if it hangs"),
+    "upside_down": Option(_parse_flag, "1 if the lidar is mounted upside down"),
     "range_min": Option(_parse_positive, "metres; nearer measurements count as no return"),
     "range_max": Option(_parse_positive, "metres; farther measurements count as no return"),
 }
-MODE_OPTION = Option(_parse_text, "the name of a scan mode; a wrong one is answered with those there are")
-SERIAL_OPTION = Option(_parse_text, "only the device with this serial number will do")
+MODE_OPTION = Option(_parse_text, "the name of a scan mode; the error for a wrong name lists the modes")
+SERIAL_OPTION = Option(_parse_text, "accept only the device with this serial number")
 WHEEL_OPTIONS = COMMON_OPTIONS | {
-    "wheel_radius": Option(_parse_pair, "metres; `0.0331,0.0329` where left and right differ"),
+    "wheel_radius": Option(_parse_pair, "metres; `0.0331,0.0329` if left and right differ"),
     "ticks": Option(
         _parse_pair,
-        "encoder counts in a turn of a wheel; negative where they count backwards; left and right may differ",
+        "encoder counts per turn of a wheel; negative if they count backwards; left and right may differ",
     ),
     "track": Option(_parse_positive, "metres between the wheels"),
-    "top_speed": Option(_parse_positive, "m/s of a wheel; what is beyond is taken for an error of transmission"),
-    "bits": Option(_parse_positive_int, "of the encoders' counters"),
-    "dtr": Option(
-        _parse_flag, "1 or 0: how the line DTR is held. Boards that are USB devices themselves send nothing without it"
-    ),
+    "top_speed": Option(_parse_positive, "m/s of a wheel; higher speeds count as transmission errors"),
+    "bits": Option(_parse_positive_int, "number of bits of the encoder counters"),
+    "dtr": Option(_parse_flag, "1 or 0: state of the modem line DTR. Boards with native USB send nothing without it"),
 }
 GEOMETRY_OPTIONS = ("wheel_radius", "ticks", "track")
 
@@ -150,43 +148,45 @@ DEVICE_KINDS: dict[str, DeviceKind] = {
     "rplidar": DeviceKind(
         True,
         LIDAR_OPTIONS | {"mode": MODE_OPTION, "serial": SERIAL_OPTION},
-        description="all RPLIDARs: A1 to A3, S1 to S3, C1. The speed of the port is found out; "
-        "the scan mode is the one the device calls typical",
+        description="all RPLIDARs: A1 to A3, S1 to S3, C1. The baud rate is detected; "
+        "the scan mode is the device's typical one",
     ),
     "ld06": DeviceKind(True, LIDAR_OPTIONS, description="LDROBOT LD06 and LD19"),
     "scip": DeviceKind(True, LIDAR_OPTIONS | {"serial": SERIAL_OPTION}, description="Hokuyo's lidars with SCIP 2.0"),
     "create2": DeviceKind(False, WHEEL_OPTIONS, description="iRobot Create 2, Roomba from the 500 series on"),
     "kobuki": DeviceKind(False, WHEEL_OPTIONS, description="Kobuki; its gyro's heading is used"),
     "arduino": DeviceKind(False, WHEEL_OPTIONS, GEOMETRY_OPTIONS, description="ros_arduino_bridge"),
-    "wheels": DeviceKind(False, WHEEL_OPTIONS, GEOMETRY_OPTIONS, description="bases of your own making"),
+    "wheels": DeviceKind(
+        False, WHEEL_OPTIONS, GEOMETRY_OPTIONS, description="self-made bases with the project's line protocol"
+    ),
 }
-"""All kinds of devices."""
+"""Kinds of devices by the name that a user types."""
 
 
 def is_device_spec(text: str) -> bool:
-    """Whether a text names devices rather than a recording."""
+    """Return True if a text names devices rather than a recording."""
     return text.partition(":")[0].strip() in DEVICE_KINDS and ":" in text
 
 
 def parse_devices(text: str) -> list[DeviceSpec]:
-    """The devices in a text such as `rplidar:/dev/ttyUSB0 + create2:/dev/ttyUSB1`; raises SpecError."""
+    """Parse the devices in a text such as `rplidar:/dev/ttyUSB0 + create2:/dev/ttyUSB1`; raises SpecError."""
     specs = [parse_device(part) for part in re.split(r"\s+\+\s+", text.strip())]
     addresses = [spec.address for spec in specs if spec.address != AUTO]
     for address in addresses:
         if addresses.count(address) > 1:
-            raise SpecError(f"{text}: {address} is asked for twice")
+            raise SpecError(f"{text}: {address} is used twice")
     return specs
 
 
 def parse_device(text: str) -> DeviceSpec:
-    """One device; raises SpecError where it is none."""
+    """Parse the spec of one device; raises SpecError if it is wrong."""
     text = text.strip()
     name, colon, rest = text.partition(":")
     if not colon or name not in DEVICE_KINDS:
         raise SpecError(f"{text}: not a device; there are {', '.join(f'{kind}:PORT' for kind in DEVICE_KINDS)}")
     address, _, query = rest.partition("?")
     if not address:
-        raise SpecError(f"{text}: says no port; for example {name}:/dev/ttyUSB0, {name}:{AUTO}")
+        raise SpecError(f"{text}: the port is missing; for example {name}:/dev/ttyUSB0, {name}:{AUTO}")
     kind = DEVICE_KINDS[name]
     options: dict[str, Any] = {}
     for part in filter(None, query.split("&")):

@@ -1,4 +1,4 @@
-"""What all lidars have in common: bytes to measurements, to stamps, to scans, and the counts of all that."""
+"""Common part of all lidars: from bytes to measurements, stamps and scans, with all counts."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from .packet_stamper import MonotonicStamps, PacketStamper
 
 
 class LidarStream(NamedTuple):
-    """How a lidar that was started is understood.
+    """The data stream of a started lidar.
 
-    decoder  of its format
-    period, size  of its packets: seconds and bytes
-    limits   metres: the nearest and the farthest range it states
-    whole_packets  whether a packet is a scan
-    rest     bytes of the stream that came with the answer that began it
+    decoder        of its format
+    period, size   of its packets: seconds and bytes
+    limits         metres: minimum and maximum range stated by the device
+    whole_packets  True if each packet is a scan
+    remainder      bytes of the stream that arrived with the response that began it
     """
 
     decoder: Decoder
@@ -34,13 +34,13 @@ class LidarStream(NamedTuple):
 
 
 class LidarDevice(Device):
-    """A lidar with the options of a spec (see `specs`)."""
+    """A lidar with the options of a device spec (see `device_spec`)."""
 
     def __init__(self, options: Mapping[str, Any]) -> None:
         super().__init__()
         self.required_serial = options.get("serial", "")
         self._options = options
-        self._previous_counts: Counter[str] = Counter()  # of earlier connections
+        self._previous_counts: Counter[str] = Counter()  # counts of earlier connections
         self._monotonic = MonotonicStamps()
         self._stream: LidarStream | None = None
         self._remainder: Received | None = None
@@ -51,7 +51,7 @@ class LidarDevice(Device):
         return self._previous_counts["samples"] + (self._stream.decoder.counters.samples if self._stream else 0)
 
     def start(self, transport: Transport, baud: int) -> None:
-        """Identify it, make it measure, and begin a new stream."""
+        """Identify the lidar, make it measure, and begin a new stream."""
         self._previous_counts = Counter(self.counters())
         self._stream = None
         self.identify(transport, baud)
@@ -68,7 +68,7 @@ class LidarDevice(Device):
         self._stream, self._remainder = stream, stream.remainder
 
     def feed(self, received: Received) -> list[Message]:
-        """The scans that bytes complete."""
+        """Return the scans that the bytes complete."""
         assert self._stream is not None
         remainder, self._remainder = self._remainder, None
         messages = self.feed(remainder) if remainder is not None and remainder.data else []
@@ -80,11 +80,11 @@ class LidarDevice(Device):
         return messages
 
     def counters(self) -> dict[str, int]:
-        """Of the decoders, the revolutions and the clocks."""
+        """Return the counts of the decoders, the revolutions and the clocks."""
         counts = Counter(self._previous_counts)
         if self._stream is not None:
             counts.update(self._stream.decoder.counters.as_dict())
-            del counts["bytes"]  # the session counts them
+            del counts["bytes"]  # counted by the supervisor
             counts.update(
                 revolutions=self._assembler.counters.complete,
                 incomplete_revolutions=self._assembler.counters.incomplete,

@@ -1,4 +1,4 @@
-"""When measurements were taken: from the arrival of chunks of bytes to a stamp for every packet."""
+"""Stamps of measurements: from the arrival of chunks of bytes to a stamp for every packet."""
 
 from __future__ import annotations
 
@@ -13,29 +13,33 @@ from ..transport import Received
 from .device_clock import DeviceClock
 
 MAX_CHUNKS = 1024
-"""Chunks whose arrival is remembered; a packet is known one packet after its last byte at most."""
+"""Chunks whose arrival time is kept; a packet is decoded at most one packet after its last byte."""
 LOSS_DELAY = 0.025
-"""Seconds. Adapters hold back bytes for 16 ms at most; reads take all that is there, however late they are."""
+"""Seconds. Adapters delay bytes by 16 ms at most; a read returns all available bytes, however late it is."""
 MIN_LATE_READS = 2
-"""Reads in a row that are late before packets are taken to be lost; one may be late because the host was busy between
-the read and the look at its clock. The odometry forgives one wrong stamp, not two."""
+"""Late reads in a row before packets are considered lost. A single read may be late because the host was busy between
+reading the bytes and reading its clock. Odometry tolerates one wrong stamp, not two.
+"""
 MIN_SPACING = 1e-6
-"""Seconds between two measurements of a device at least; those of the fastest lidar are 30 times as far apart."""
+"""Seconds between two stamps of a device at least; the measurements of the fastest lidar are 30 times as far apart."""
 
 
 class MonotonicStamps:
-    """Keeps the stamps of a device from ever running back, over all its connections.
+    """Keeps the stamps of a device strictly increasing over all its connections.
 
-    A clock that is fitted anew may find that its last stamps were late, as they are where the host was busy. They have
-    been given out. What was measured next then follows them as closely as it can, until the clock has caught up: its
-    stamps are late as well, by less and less, and by no more than those before.
+    A newly fitted clock may show that the last stamps were late, as they are when the host was busy. They have already
+    been delivered. The stamps of the next measurements then follow as closely as possible until the clock has caught
+    up: they are late as well, by less and less, and never by more than those before.
     """
 
     def __init__(self) -> None:
         self._last = -math.inf
 
     def stamps(self, fitted: Floats) -> Floats:
-        """The stamps (n,) of the next measurements, in the order measured; seconds, CLOSEST apart at least."""
+        """Return stamps (n,) of the next measurements, in measuring order, in seconds, at least MIN_SPACING apart.
+
+        fitted  (n,) seconds by the fitted clock
+        """
         steps = MIN_SPACING * np.arange(1, len(fitted) + 1)
         earliest = np.maximum.accumulate(np.append(self._last, fitted - steps))[1:] + steps
         stamps: Floats = np.maximum(fitted, earliest)
@@ -45,34 +49,34 @@ class MonotonicStamps:
 
 
 class PacketCountClock:
-    """The clock of a device that tells no time: its packets come at a constant rate, and their number is the time.
+    """Clock of a device that sends no time: its packets come at a constant rate, so their number serves as the time.
 
     period  seconds from packet to packet
-    clock   fitted to the host's
-    lost    about how many packets never came
+    clock   device clock fitted to the host's
+    lost    estimated number of packets that never arrived
 
-    Packets that are lost whole do not show in the bytes. They show in that all later ones are late and stay so, which a
-    host that was busy does not make them: what had to wait is read at once.
+    Packets lost as a whole do not show in the bytes. They show in that all later packets stay late. A busy host does
+    not cause this, because all waiting bytes are read at once.
     """
 
     def __init__(self, period: float) -> None:
         self.clock = DeviceClock(period)
         self.lost = 0
-        self._late: dict[float, float] = {}  # arrivals of the last reads, all of them late: by how much
+        self._late: dict[float, float] = {}  # delay of the last reads by arrival time; all of them late
 
     def stamp(self, count: int, arrived: float) -> float:
-        """The host's time (seconds) at packet number `count`, known at `arrived`, the last one of those known then."""
+        """Return the host's time (seconds) at packet number `count`, the last of the packets decoded at `arrived`."""
         stamp = self.clock.stamp(count, arrived)
         if arrived - stamp < LOSS_DELAY:
             self._late.clear()
             return stamp
-        # A read is as late as its last packet, which may be known only when the next read has completed it.
+        # The delay of a read is that of its last packet, which may be decoded only after the next read.
         self._late[arrived] = arrived - stamp
         if len(self._late) < MIN_LATE_READS:
             return stamp
         self.lost += round(min(self._late.values()) / self.clock.tick)
         self._late.clear()
-        self.clock.jumped()
+        self.clock.register_jump()
         return self.clock.stamp(count, arrived)
 
 
@@ -82,22 +86,22 @@ class PacketStamper:
     period  seconds from packet to packet
     size    bytes of a packet
 
-    Packets that tell the device's time are stamped by it. The others are counted: the bytes between two tell how many
-    were damaged there.
+    Packets with a device time are stamped by it. Other packets are counted: the bytes between two packets give the
+    number of damaged ones.
     """
 
     def __init__(self, period: float, size: int) -> None:
         self._size = size
-        self._device_clock = DeviceClock(1.0)  # for packets that tell the time in seconds
+        self._device_clock = DeviceClock(1.0)  # for packets with a device time in seconds
         self._count_clock = PacketCountClock(period)
         self._fed = 0
         self._chunks: deque[tuple[int, float]] = deque(maxlen=MAX_CHUNKS)  # bytes fed up to its end, arrival
         self._last_end: int | None = None
-        self._number = 0  # of the last packet
+        self._number = 0  # number of the last packet
         self._damaged = 0
 
     def counters(self) -> dict[str, int]:
-        """Packets that were damaged on the way or never came, and what the clocks met."""
+        """Return the numbers of damaged or missing packets and the events of the clocks."""
         clocks = (self._device_clock, self._count_clock.clock)
         return {
             "packets_lost": self._damaged + self._count_clock.lost,
@@ -106,12 +110,12 @@ class PacketStamper:
         }
 
     def add_chunk(self, received: Received) -> None:
-        """Remember a chunk that is about to be decoded."""
+        """Store the size and arrival time of a chunk before it is decoded."""
         self._fed += len(received.data)
         self._chunks.append((self._fed, received.time))
 
     def stamps(self, measurements: Measurements) -> Floats:
-        """When the samples (n,) were measured, in seconds on the host's steady clock."""
+        """Return the stamps (n,) of the samples, in seconds on the host's steady clock."""
         packets = measurements.packets
         if not len(packets):
             return np.empty(0)
@@ -120,7 +124,7 @@ class PacketStamper:
         times = packets["device_time"] if has_device_time else self._packet_numbers(packets["end"])
         clock = self._device_clock if has_device_time else self._count_clock.clock
         undelayed = np.empty(len(packets))
-        # Of the packets that arrived together the last one was held up least; the others follow from it.
+        # Of packets that arrived together the last one was delayed least; the others are computed from it.
         group_ends = np.flatnonzero(np.append(arrivals[1:] != arrivals[:-1], True))
         first = 0
         for last in group_ends.tolist():
@@ -136,7 +140,7 @@ class PacketStamper:
         return measurements.stamps(undelayed)
 
     def _arrivals(self, ends: Integers) -> Floats:
-        """When the chunks arrived that hold the packets' last bytes."""
+        """Return the arrival times of the chunks that contain the packets' last bytes."""
         chunk_ends = np.array([end for end, _ in self._chunks])
         times = np.array([time for _, time in self._chunks])
         rows = np.minimum(np.searchsorted(chunk_ends, ends), len(times) - 1)
@@ -145,7 +149,7 @@ class PacketStamper:
         return np.asarray(times[rows])
 
     def _packet_numbers(self, ends: Integers) -> Integers:
-        """The packets' numbers, the damaged ones in between counted."""
+        """Return the packets' numbers, counting the damaged ones in between."""
         before = np.empty_like(ends)
         before[0] = ends[0] - self._size if self._last_end is None else self._last_end
         before[1:] = ends[:-1]

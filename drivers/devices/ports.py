@@ -1,4 +1,4 @@
-"""Where devices are: connections opened from specs, and the serial ports there are."""
+"""Connections opened from device specs, and the list of serial ports."""
 
 from __future__ import annotations
 
@@ -15,25 +15,27 @@ from .device_spec import AUTO, CAPTURE_PREFIX, DeviceSpec
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """A serial port: its path, and what the adapter behind it says that it is."""
+    """A serial port: its path, and the description that its adapter reports."""
 
     path: str
     description: str
 
 
 def serial_ports() -> list[Port]:
-    """The serial ports of adapters and boards; without those that are soldered to the host and lead nowhere."""
+    """Return the serial ports of adapters and boards, without the host's built-in ports, which lead nowhere."""
     found = [Port(port.device, port.description or "") for port in list_ports.comports() if port.vid is not None]
     return sorted(found, key=lambda port: port.path)
 
 
 def searches_ports(spec: DeviceSpec, moved: bool) -> bool:
-    """Whether a device is to be looked for on ports that nobody named; `moved` says that it may be elsewhere now."""
+    """Return whether a device is searched on ports that the user did not name; `moved` if it may be at another port
+    now.
+    """
     return spec.address == AUTO or (moved and spec.tcp is None and not spec.address.startswith(CAPTURE_PREFIX))
 
 
 def candidate_addresses(spec: DeviceSpec, moved: bool, other_addresses: Collection[str]) -> Iterator[str]:
-    """Where to look for a device: at its address, and where it is searched on all ports but those of other devices."""
+    """Yield the addresses to try: the device's own, and if it is searched, all ports except those of other devices."""
     if spec.address != AUTO:
         yield spec.address
     if searches_ports(spec, moved):
@@ -42,8 +44,10 @@ def candidate_addresses(spec: DeviceSpec, moved: bool, other_addresses: Collecti
 
 
 def connect(spec: DeviceSpec, address: str, baud: int, dtr: bool, append: bool = False) -> Transport:
-    """Open a connection; raises PortError. Tapes play in their own time. A tape that is recorded is gone on with if
-    the device is connected `again`.
+    """Open a connection; raises PortError.
+
+    A byte capture is played at its original speed. If the device's bytes are captured and `append` is set, they are
+    appended to the capture of an earlier connection.
     """
     if address.startswith(CAPTURE_PREFIX):
         return ReplayTransport(address.removeprefix(CAPTURE_PREFIX), paced=True)

@@ -1,8 +1,8 @@
-"""Who answers on a port, found out without harm.
+"""Identification of the device on a port, without harm.
 
-The order matters. Listening comes first, then bases, lidars last: A5, with which RPLIDARs are asked, presses the
-buttons of a Roomba that is awake, one of which is "clean". A Create that answered is put to sleep again and asked
-nothing more. What the others are asked with means nothing to those that come later.
+The order matters: listening first, then wheel bases, lidars last. The byte A5, with which requests to RPLIDARs begin,
+presses the buttons of a Roomba that is awake, one of which is "clean". A Create that has responded is put to sleep
+again and receives nothing more. The requests to the other devices have no meaning for those probed later.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from .scip import ScipDevice
 from .wheel_base import PROBE_ORDER, WheelBaseDevice
 
 WHEEL_BASE_TIMEOUT = 2.5
-"""Seconds for bases; boards that restart when their port is opened take about two."""
+"""Seconds for wheel bases; boards that restart when their port is opened take about two."""
 
 
 def probe_candidates() -> list[tuple[str, Device]]:
-    """All kinds of devices, those first that must be asked first."""
+    """Return all kinds of devices in the order in which they must be probed."""
     return [
         ("ld06", Ld06Device({})),
         *((kind, WheelBaseDevice(kind, {})) for kind in PROBE_ORDER),
@@ -34,7 +34,7 @@ def probe_candidates() -> list[tuple[str, Device]]:
 
 
 def probe(path: str) -> str:
-    """Who answers on a serial port, in a line for people; why nobody does, where the port cannot be opened."""
+    """Return one line of text on the device at a serial port, or the reason why the port cannot be opened."""
     for kind, device in probe_candidates():
         device.start_timeout = WHEEL_BASE_TIMEOUT
         spec = DeviceSpec(kind, path, {}, f"{kind}:{path}")
@@ -44,11 +44,13 @@ def probe(path: str) -> str:
             continue
         except DriverError as error:
             return str(error)
-    return "nothing that is known answers"
+    return "no known device responds"
 
 
 def identify(spec: DeviceSpec) -> str:
-    """What a device says that it is; raises NoResponseError where it is not there, PortError where its port is not."""
+    """Return the identity of a device; raises NoResponseError if it does not respond, PortError if its port cannot be
+    opened.
+    """
     return _identify(spec, make_device(spec))
 
 

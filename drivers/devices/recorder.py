@@ -1,4 +1,4 @@
-"""What devices measure into a file, with how they were doing."""
+"""Recording of measurements to a file, with the status of the devices."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ DIAGNOSTICS_PERIOD = 1.0
 
 
 class Recorder:
-    """Writes the messages of an acquisition, and once a second how its devices are doing.
+    """Writes the messages of an acquisition, and once a second the status of its devices.
 
-    scans, odometry  how many were written
+    scans, odometry  numbers of written messages
 
-    Methods raise RecordingError where the disk is full.
+    Methods raise RecordingError if the disk is full.
     """
 
     def __init__(self, writer: McapWriter) -> None:
@@ -31,7 +31,7 @@ class Recorder:
 
     @property
     def duration(self) -> float:
-        """Seconds from the first to the last that was measured."""
+        """Seconds from the first to the last measurement."""
         return 0.0 if self._first is None else self._last - self._first
 
     def write(self, message: Message) -> None:
@@ -43,19 +43,19 @@ class Recorder:
         self._last = max(end_stamp(message), self._last)
 
     def write_diagnostics_if_due(self, snapshot: Snapshot) -> None:
-        """Append how the devices are doing, if it is time to; cheap otherwise."""
+        """Append the status of the devices if DIAGNOSTICS_PERIOD has passed; cheap otherwise."""
         if time.monotonic() >= self._diagnostics_written + DIAGNOSTICS_PERIOD:
             self.write_diagnostics(snapshot)
 
     def write_diagnostics(self, snapshot: Snapshot) -> None:
-        """Append how the devices are doing, once anything was measured."""
+        """Append the status of the devices, unless nothing has been measured yet."""
         if self._first is not None:
             self._diagnostics_written = time.monotonic()
             self._writer.write_diagnostics(self._last, make_diagnostics(snapshot))
 
 
 def make_diagnostics(snapshot: Snapshot) -> list[Diagnostic]:
-    """How the devices and the acquisition are doing, as it is recorded."""
+    """Convert the status of the devices and the acquisition to diagnostics messages."""
     devices = [
         Diagnostic(device.spec, device.state is DeviceState.LOST, device.problem or device.state.value, device.counters)
         for device in snapshot.devices

@@ -1,4 +1,4 @@
-"""From a spec to the device that it asks for."""
+"""From a device spec to its device."""
 
 from __future__ import annotations
 
@@ -20,5 +20,5 @@ LIDAR_DEVICES: Mapping[str, Callable[[Mapping[str, Any]], Device]] = {
 
 
 def make_device(spec: DeviceSpec) -> Device:
-    """The device, not yet connected."""
+    """Create the device of a spec, not yet connected."""
     return LIDAR_DEVICES[spec.kind](spec.options) if spec.is_lidar else WheelBaseDevice(spec.kind, spec.options)

@@ -1,4 +1,4 @@
-"""The messages of several devices in the order of their stamps, in a queue that never grows too long."""
+"""Reorder buffer: the messages of several devices in the order of their stamps, in a queue of bounded length."""
 
 from __future__ import annotations
 
@@ -10,30 +10,31 @@ from threading import Condition
 from ..messages import Message, end_stamp
 
 CAPACITY = 4096
-"""Messages that wait for a consumer that is busy: of a lidar and a base more than half a minute's."""
+"""Messages that wait for a busy consumer: more than half a minute of a lidar and a wheel base."""
 MAX_BATCH = 16
-"""Messages taken at once: what is taken can no longer be dropped."""
+"""Messages per `pop`; popped messages can no longer be dropped."""
 MAX_HOLD = 1.5
-"""Seconds that a message waits for another device's earlier ones while that is read and sends none; the slowest lidar
-turns in a second."""
+"""Seconds that a message waits for earlier messages of another device that is read but sends none; the slowest lidar
+turns once in a second.
+"""
 
 
 class ReorderBuffer:
-    """Where sessions put messages, and one thread takes them.
+    """Buffer into which the supervisors put messages and from which one thread pops them.
 
-    devices   how many put
+    devices   number of devices that put messages
     offset    seconds to add to stamps on the steady clock
-    capacity  messages that wait at most; the oldest are dropped for newer ones
+    capacity  maximum number of waiting messages; the oldest are dropped for newer ones
 
-    dropped   messages for which there was no room
-    late      messages left out because later ones had been given out already: those of a device from which nothing had
-              come for so long that it was no longer waited for
+    dropped   messages dropped for lack of room
+    late      messages discarded because later ones had been delivered already: from a device that had sent nothing for
+              so long that the others no longer waited for it
     """
 
     def __init__(self, devices: int, offset: float, capacity: int = CAPACITY) -> None:
         self.dropped = self.late = 0
         self._offset, self._capacity = offset, capacity
-        self._ends = [float("-inf")] * devices  # of what each device sent
+        self._ends = [float("-inf")] * devices  # end of each device's last message
         self._heap: list[tuple[float, int, Message]] = []
         self._sequence = 0
         self._last = float("-inf")
@@ -41,7 +42,7 @@ class ReorderBuffer:
         self._changed = Condition()
 
     def put(self, device: int, messages: list[Message]) -> None:
-        """Messages of one device, stamped on the steady clock; none begins before the end of one put earlier."""
+        """Add messages of one device, stamped on the steady clock; none may begin before the end of an earlier one."""
         with self._changed:
             for message in messages:
                 heapq.heappush(self._heap, (message.stamp, self._sequence, message))
@@ -51,8 +52,9 @@ class ReorderBuffer:
             self._changed.notify()
 
     def pop(self, read_until: float, timeout: float) -> list[Message]:
-        """A few messages, the next ones that are due when all devices have been read up to a time (seconds on the
-        steady clock) and what they sent was put; waits at most a timeout for one where there is none.
+        """Return up to MAX_BATCH messages that are due; wait at most `timeout` seconds if there are none.
+
+        read_until  time (seconds on the steady clock) up to which all devices have been read and their messages put
         """
         with self._changed:
             self._release(read_until - MAX_HOLD)
@@ -61,7 +63,7 @@ class ReorderBuffer:
             return [self._ready.popleft() for _ in range(min(MAX_BATCH, len(self._ready)))]
 
     def flush(self) -> list[Message]:
-        """All that is left: nothing will be put any more."""
+        """Return all remaining messages; nothing may be put afterwards."""
         with self._changed:
             self._release(float("inf"))
             messages = list(self._ready)

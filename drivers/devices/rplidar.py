@@ -1,4 +1,4 @@
-"""RPLIDARs of all models: identified at whatever speed they talk, started in the mode they think best, and stopped."""
+"""RPLIDARs of all models: identified at any baud rate, started in their typical mode, and stopped."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from ..lidars.rplidar.responses import (
     has_motor_pwm,
 )
 from ..transport import Received, Transport
-from .device import await_answer, drain
+from .device import await_response, drain
 from .lidar import LidarDevice, LidarStream
 
-ANSWER_TIMEOUT = 0.3
-"""Seconds; a device that listens answers within some milliseconds."""
+RESPONSE_TIMEOUT = 0.3
+"""Seconds; a device that listens responds within some milliseconds."""
 MAX_TRIES = 3
 SCAN_TIMEOUT = 3.0
-"""Seconds; some models answer a request to scan only when the head turns steadily."""
+"""Seconds; some models respond to a scan request only when the head turns steadily."""
 REBOOT_TIMEOUT = 15.0
-"""Seconds that a device may take to come back after a reset; most take one."""
+"""Seconds that a device may take to restart after a reset; most take one."""
 STOP_PAUSE = 0.1
-"""Seconds between STOP and what follows; the documented millisecond is too short for many devices."""
+"""Seconds between STOP and the next request; the documented millisecond is too short for many devices."""
 FIRMWARE_WITH_SAMPLE_RATE = (1, 17)
 PACKET_SAMPLES = {
     ResponseType.STANDARD: 1,
@@ -50,7 +50,7 @@ Result = TypeVar("Result")
 
 
 class RplidarDevice(LidarDevice):
-    """An RPLIDAR. Options: see `specs`; `mode` is the name of a scan mode, or typical."""
+    """An RPLIDAR. Options: see `device_spec`; `mode` is the name of a scan mode, or "typical"."""
 
     start_timeout = 10.0
 
@@ -62,7 +62,7 @@ class RplidarDevice(LidarDevice):
         self._has_pwm = False
 
     def identify(self, transport: Transport, baud: int) -> None:
-        """Silence it, whatever it was doing, and ask who it is."""
+        """Stop any scan and query the device's identity."""
         transport.set_dtr(False)
         transport.write(requests.STOP.packet())
         drain(transport)
@@ -92,7 +92,7 @@ class RplidarDevice(LidarDevice):
         modes = self._query_modes(transport, model.range_max)
         mode = modes.choose(self._options.get("mode", "typical"))
         self._start_motor(transport)
-        # A pseudo terminal and a network carry bytes at any speed: then it was the device's own port that took time.
+        # A pseudo terminal or a network accepts any baud rate; then the device's own port determines the delay.
         baud_is_physical = model is UNKNOWN or baud in model.bauds
         decoder = decoder_for(
             mode.response_type, mode.sample_period, baud if baud_is_physical else model.bauds[0], model.triangulates
@@ -106,7 +106,7 @@ class RplidarDevice(LidarDevice):
         )
 
     def _reset_if_failed(self, transport: Transport) -> None:
-        """Reset a device that says that it failed; raises DriverError where it still does."""
+        """Reset a device that reports an error; raises DriverError if the error persists."""
         health = _health(transport)
         if health.status is not HealthStatus.ERROR:
             return
@@ -114,7 +114,7 @@ class RplidarDevice(LidarDevice):
         end = time.monotonic() + REBOOT_TIMEOUT
         while True:
             time.sleep(0.5)
-            drain(transport)  # it greets with lines of text
+            drain(transport)  # it sends lines of text after a restart
             try:
                 _info(transport, 1)
                 break
@@ -136,11 +136,11 @@ class RplidarDevice(LidarDevice):
         return scan_modes.legacy_modes(rate, max_distance)
 
     def _start_motor(self, transport: Transport) -> None:
-        """Start the motor, where that is not the scan's part; as fast as the device wants."""
+        """Start the motor if a scan does not start it, at the speed that the device requests."""
         assert self._info is not None
         speed, duty = DEFAULT_SPEED, DEFAULT_PWM
         if self._motor in (Motor.SPEED, Motor.PWM) and scan_modes.reports_modes(self._info):
-            with suppress(NoResponseError):  # firmware that knows its modes, but not this entry
+            with suppress(NoResponseError):  # firmware with scan modes, but without this entry
                 speed, duty = _run_query(transport, scan_modes.query_rotation())
         if self._motor is Motor.SPEED:
             transport.write(requests.set_motor_speed(speed).packet())
@@ -152,12 +152,12 @@ class RplidarDevice(LidarDevice):
 
 
 def _request(transport: Transport, request: Request, reader: ResponseReader, tries: int = MAX_TRIES) -> bytes:
-    """The payload of the answer to a request; raises NoResponseError."""
+    """Send a request and return the payload of its response; raises NoResponseError."""
     for _ in range(tries):
         transport.write(request.packet())
-        if found := await_answer(transport, reader.feed, ANSWER_TIMEOUT):
+        if found := await_response(transport, reader.feed, RESPONSE_TIMEOUT):
             return found[0]
-    raise NoResponseError(transport.name, "no RPLIDAR answers here; is it powered, and the speed of the port right?")
+    raise NoResponseError(transport.name, "no RPLIDAR responds here; is it powered, and the baud rate right?")
 
 
 def _info(transport: Transport, tries: int) -> Info:
@@ -168,23 +168,23 @@ def _health(transport: Transport) -> Health:
     return Health.parse(_request(transport, requests.GET_HEALTH, ResponseReader(ResponseType.HEALTH, Health.SIZE)))
 
 
-def _run_query(transport: Transport, questions: Generator[Request, bytes, Result]) -> Result:
-    """Ask what a generator wants to know."""
+def _run_query(transport: Transport, query: Generator[Request, bytes, Result]) -> Result:
+    """Send the requests that a generator yields, and return its result."""
     try:
-        request = next(questions)
+        request = next(query)
         while True:
             reader = ResponseReader(ResponseType.CONFIGURATION, prefix=scan_modes.echo(request))
-            request = questions.send(_request(transport, request, reader))
+            request = query.send(_request(transport, request, reader))
     except StopIteration as end:
         result: Result = end.value
         return result
 
 
 def _start_scan(transport: Transport, request: Request, response_type: int) -> Received:
-    """Start scanning; the first bytes of the stream."""
+    """Start scanning; return the first bytes of the stream."""
     transport.write(request.packet())
     reader = ResponseReader(response_type, multiple=True)
-    found = await_answer(transport, reader.feed, SCAN_TIMEOUT)
+    found = await_response(transport, reader.feed, SCAN_TIMEOUT)
     if found is None:
-        raise NoResponseError(transport.name, "the RPLIDAR answers, but does not begin to scan")
+        raise NoResponseError(transport.name, "the RPLIDAR responds but does not start to scan")
     return Received(reader.remainder, found[1])

@@ -1,4 +1,4 @@
-"""Hokuyo's lidars with SCIP 2.0, on USB, RS-232 or Ethernet."""
+"""Hokuyo lidars with SCIP 2.0, on USB, RS-232 or Ethernet."""
 
 from __future__ import annotations
 
@@ -12,18 +12,20 @@ from ..errors import NoResponseError
 from ..lidars import scip, scip_scan
 from ..lidars.scip import Parameters, Reply, ReplyParser
 from ..transport import Transport
-from .device import await_answer, drain
+from .device import await_response, drain
 from .lidar import LidarDevice, LidarStream
 
 BAUDS = (115200, 19200, 38400)
-"""Bits a second of RS-232 ports; USB and Ethernet take any."""
-ANSWER_TIMEOUT = 0.5
-"""Seconds; a device that measures may first finish a scan."""
+"""Bits per second of RS-232 ports; USB and Ethernet accept any."""
+RESPONSE_TIMEOUT = 0.5
+"""Seconds; a measuring device may first finish a scan."""
 MAX_TRIES = 2
 
 
 class ScipDevice(LidarDevice):
-    """A Hokuyo. Options: see `specs`; with `baud` the port is taken for RS-232, whose bytes take time."""
+    """A Hokuyo lidar. Options: see `device_spec`; with `baud` the port is assumed to be RS-232, with transmission
+    delays.
+    """
 
     start_timeout = 10.0
 
@@ -33,7 +35,7 @@ class ScipDevice(LidarDevice):
         self._parameters: Parameters | None = None
 
     def identify(self, transport: Transport, baud: int) -> None:
-        """Silence it and ask who it is."""
+        """Stop any measurement and query the device's identity."""
         transport.write(b"\n" + scip.STOP)
         drain(transport)
         reply = _request(transport, scip.PARAMETERS)
@@ -47,7 +49,7 @@ class ScipDevice(LidarDevice):
         self.check_serial(transport)
 
     def halt(self, transport: Transport) -> None:
-        """Stop measuring, which switches the laser off; the motor goes on turning."""
+        """Stop measuring, which switches the laser off; the motor continues to turn."""
         transport.write(scip.STOP)
 
     def _start_stream(self, transport: Transport, baud: int) -> LidarStream:
@@ -63,7 +65,7 @@ class ScipDevice(LidarDevice):
 
 
 def _request(transport: Transport, command: bytes) -> Reply:
-    """The reply to a command; raises NoResponseError."""
+    """Send a command and return its reply; raises NoResponseError."""
     reader = ReplyParser()
 
     def parse(data: bytes) -> Reply | None:
@@ -71,13 +73,13 @@ def _request(transport: Transport, command: bytes) -> Reply:
 
     for _ in range(MAX_TRIES):
         transport.write(command)
-        if parameters := await_answer(transport, parse, ANSWER_TIMEOUT):
+        if parameters := await_response(transport, parse, RESPONSE_TIMEOUT):
             return parameters[0]
-    raise NoResponseError(transport.name, "no lidar that speaks SCIP answers here")
+    raise NoResponseError(transport.name, "no lidar with SCIP responds here")
 
 
 def _field(reply: Reply, name: str) -> str:
-    """A field of a reply with lines such as `SERI:H0906091;`; empty where it is not there."""
+    """Return a field of a reply with lines such as `SERI:H0906091;`; empty if it is missing."""
     for line in reply.lines:
         text = scip.strip_checksum(line)
         if text is not None and text.startswith(name.encode() + b":"):

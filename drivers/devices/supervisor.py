@@ -1,4 +1,5 @@
-"""The life of one device: found, identified, started, read, missed when it is silent, found again, halted at the end.
+"""Supervisor: runs one device. It finds, identifies, starts and reads the device, reconnects when it is silent, and
+halts it at the end.
 
 CONNECTING -> STARTING -> RUNNING -> LOST -> CONNECTING ...; -> ENDED
 """
@@ -22,23 +23,27 @@ from .ports import candidate_addresses, connect, searches_ports
 from .registry import make_device
 
 SILENCE_TIMEOUT = 1.0
-"""Seconds without an undamaged packet after which a device that was running is started anew."""
+"""Seconds without an undamaged packet after which a running device is started again."""
 MAX_READ_GAP = 1.5
-"""Seconds between two reads after which what waited is of unknown age: buffers have overflowed, clocks lost track."""
+"""Seconds between two reads. After a longer gap the age of the buffered bytes is unknown: buffers have overflowed, and
+the clock fits are wrong.
+"""
 RETRY_PAUSES = (0.1, 0.3, 1.0, 2.0)
 """Seconds between attempts to find a lost device; the last one is repeated."""
 
 NORMAL_COUNTERS = frozenset(
     {"messages", "bytes_read", "connections", "packets", "samples", "revolutions", "good", "readings"}
 )
-"""Counters of what shall happen."""
+"""Counters of normal operation; all others count faults."""
 
 SEARCH_LOCK = Lock()
-"""Held while a device is looked for on ports that nobody named: two that look there at once find each other."""
+"""Held while a device is searched on ports that the user did not name: two simultaneous searches would disturb each
+other.
+"""
 
 
 class DeviceState(Enum):
-    """Of a device."""
+    """State of a device."""
 
     CONNECTING = "connecting"
     STARTING = "starting"
@@ -49,16 +54,16 @@ class DeviceState(Enum):
 
 @dataclass(frozen=True, slots=True)
 class DeviceStatus:
-    """How a device is doing.
+    """Status of a device.
 
-    spec      as it was typed
-    is_lidar  whether it is a lidar
-    state     see `State`
-    port      where it was found; empty before
-    identity  what it says that it is; empty before it was identified
-    problem   why it was lost last; empty if it never was
+    spec      as typed by the user
+    is_lidar  True for a lidar, False for a wheel base
+    state     see `DeviceState`
+    port      port on which it was found; empty before
+    identity  description by the device itself; empty before it was identified
+    problem   reason of its last loss; empty if it was never lost
     age       seconds since its last message was measured; None before the first one
-    counters  all counts, see `Session.status`
+    counters  all counts, see `Supervisor.status`
     """
 
     spec: str
@@ -72,28 +77,28 @@ class DeviceStatus:
 
     @property
     def has_run(self) -> bool:
-        """Whether it has measured anything so far."""
+        """True if the device has measured anything so far."""
         return self.counters["connections"] > 0
 
 
 def fault_counters(counters: Mapping[str, int]) -> dict[str, int]:
-    """Those of a device's counters that count what went wrong, where anything did; see `ORDINARY`."""
+    """Return the non-zero counters of faults; see `NORMAL_COUNTERS`."""
     return {name: count for name, count in counters.items() if count and name not in NORMAL_COUNTERS}
 
 
 class SilenceError(DriverError):
-    """A device that is connected sends nothing that can be used."""
+    """A connected device sends no usable data."""
 
 
 class Supervisor:
     """Runs a device in the thread that calls `run`.
 
-    spec    what was asked for
-    put     takes its messages, stamped on the host's steady clock
-    others  addresses of other devices, where this one is never looked for
+    spec             of the device
+    put              receives its messages, stamped on the host's steady clock
+    other_addresses  addresses of other devices, at which this one is never searched
 
-    failure  why the device could never be started, if so: what the user asked for is not there. A device that ran once
-             is looked for until it is back
+    failure  error of the first start, if it failed: the requested device is not there. A device that has run once is
+             searched until it is back
     """
 
     def __init__(
@@ -105,15 +110,15 @@ class Supervisor:
         self.state = DeviceState.CONNECTING
         self._put = put
         self._device: Device = make_device(spec)
-        self._last_location: tuple[str, int] | None = None  # address and baud where it was last
+        self._last_location: tuple[str, int] | None = None  # address and baud rate of the last connection
         self._was_connected = self._has_run = False
         self._problem = ""
         self._last_message_end: float | None = None  # end of the last message
-        self._read_until = math.inf  # when it was read last; infinite while it is not connected
+        self._read_until = math.inf  # time of the last read; infinite while it is not connected
         self._counts = {"messages": 0, "bytes_read": 0, "connections": 0, "losses": 0, "silences": 0, "pauses": 0}
 
     def run(self, stop: Event) -> None:
-        """Until `stop` is set, the tape ends, or the first start fails; the device is halted in any case."""
+        """Run until `stop` is set, the byte capture ends, or the first start fails; always halt the device."""
         attempts = 0
         while not stop.is_set():
             runs = self._counts["connections"]
@@ -138,14 +143,16 @@ class Supervisor:
 
     @property
     def read_until(self) -> float:
-        """When the device was read last, all of which has been put (seconds on the steady clock); infinite where it is
-        not connected, so that there is nothing to wait for.
+        """Time of the last read whose messages have all been put (seconds on the steady clock); infinite while the
+        device is not connected, as there is nothing to wait for.
         """
         return self._read_until
 
     def status(self) -> DeviceStatus:
-        """How it is doing now. To the device's own counters come: messages, bytes_read, connections made, losses of a
-        connection; of these silences, without the port being gone, and pauses, for which this computer is to blame.
+        """Return the current status.
+
+        The supervisor adds to the device's counters: messages, bytes_read, connections made, losses of a connection,
+        and of these losses silences (the port is still there) and pauses (the computer was held up).
         """
         age = None if self._last_message_end is None else time.monotonic() - self._last_message_end
         port = "" if self._last_location is None else self._last_location[0]
@@ -155,7 +162,7 @@ class Supervisor:
         )
 
     def _find_device(self, stop: Event) -> Transport:
-        """The started device, wherever it is; raises the DriverError of the first place that was tried."""
+        """Find and start the device; raises the DriverError of the first address tried."""
         moved = self._has_run and bool(self._device.serial)
         with SEARCH_LOCK if searches_ports(self.spec, moved) else nullcontext():
             return self._try_ports(moved, stop)
@@ -168,12 +175,12 @@ class Supervisor:
                     break
                 try:
                     return self._start(address, baud)
-                except NoResponseError as error:  # perhaps at another speed
+                except NoResponseError as error:  # perhaps at another baud rate
                     first = first or error
                 except DriverError as error:
                     first = first or error
                     break
-        text = f"{self.spec.text}: no serial port is there" if self.spec.address == AUTO else "stopped"
+        text = f"{self.spec.text}: no serial port found" if self.spec.address == AUTO else "stopped"
         raise first or DriverError(text)
 
     def _bauds(self, address: str) -> list[int]:
@@ -196,7 +203,7 @@ class Supervisor:
         return transport
 
     def _run_connected(self, transport: Transport, stop: Event) -> None:
-        """Read until told to stop; raises SilenceError or ConnectionLostError."""
+        """Read until `stop` is set; raises SilenceError or ConnectionLostError."""
         try:
             device, started = self._device, time.monotonic()
             self._read_until = started
@@ -224,10 +231,10 @@ class Supervisor:
             self._disconnect(transport)
 
     def _check_read_gap(self, transport: Transport, pause: float) -> None:
-        """Raises SilenceError where this computer was held up for too long."""
+        """Check the time between two reads; raises SilenceError if this computer was held up for too long."""
         if pause > MAX_READ_GAP:
             self._counts["pauses"] += 1
-            raise SilenceError(f"{transport.name}: not read for {pause:.1f} s, the computer was held up")
+            raise SilenceError(f"{transport.name}: not read for {pause:.1f} s because the computer was held up")
 
     def _deliver(self, messages: list[Message]) -> None:
         if messages:
@@ -236,7 +243,7 @@ class Supervisor:
             self._put(messages)
 
     def _disconnect(self, transport: Transport) -> None:
-        """Halt the device, if it still listens, and give its port back."""
+        """Halt the device if it still responds, and close its port."""
         with suppress(DriverError):
             self._device.halt(transport)
         transport.close()

@@ -1,4 +1,4 @@
-"""Wheel bases of all protocols: readings in, odometry out."""
+"""Wheel bases of all protocols: from readings to odometry."""
 
 from __future__ import annotations
 
@@ -31,24 +31,25 @@ from .device_clock import DeviceClock
 from .packet_stamper import MonotonicStamps, PacketCountClock
 
 REQUEST_RETRY_PERIOD = 1.0
-"""Seconds after which a base that has not sent a reading yet is asked to once more: boards restart when a port is
-opened, and miss what is said meanwhile."""
+"""Seconds after which the start request is repeated to a base that has not sent a reading yet: boards restart when a
+port is opened, and miss requests sent meanwhile.
+"""
 POLL_TIMEOUT = 0.2
-"""Seconds; a polled base answers within some milliseconds."""
+"""Seconds; a polled base responds within some milliseconds."""
 MAX_FRAME_SIZE = 256
-"""Bytes; more between two readings are not one frame."""
+"""Bytes; more bytes between two readings are not one frame."""
 DEFAULT_TOP_SPEED = 1.5
-"""m/s of a wheel of a base that is not known: no small robot drives as fast."""
+"""m/s of a wheel of an unknown base: no small robot drives as fast."""
 DEFAULT_COUNTER_BITS = 32
 
 
 class BaseKind(NamedTuple):
-    """Of bases.
+    """A kind of wheel base.
 
-    name      for people
-    protocol  makes the host's side of it
-    drive     its measures; None where they are the builder's
-    dtr       whether the line DTR is asserted
+    name      for display
+    protocol  creates the host's side of the protocol
+    drive     wheel geometry; None if it is the builder's
+    dtr       state of the modem line DTR
     """
 
     name: str
@@ -63,13 +64,13 @@ BASE_KINDS: Mapping[str, BaseKind] = {
     "arduino": BaseKind("ros_arduino_bridge", ArduinoBridge, None, dtr=True),
     "wheels": BaseKind("base with the project's own line protocol", WheelLine, None, dtr=True),
 }
-"""By the name that a user types."""
+"""Kinds of wheel bases by the name that a user types."""
 PROBE_ORDER = ("kobuki", "wheels", "create2", "arduino")
-"""The kinds in the order to ask an unknown device; the first two say where they stand without being asked."""
+"""Kinds in the order in which an unknown device is probed; the first two send readings without a request."""
 
 
 def drive_geometry(kind: str, options: Mapping[str, Any]) -> DifferentialDrive:
-    """The measures of a base of that kind with the options of a spec."""
+    """Return the wheel geometry of a kind of base with the options of a device spec."""
     drive = BASE_KINDS[kind].drive or DifferentialDrive(1.0, 1.0, 1.0, DEFAULT_COUNTER_BITS, DEFAULT_TOP_SPEED)
     if "wheel_radius" in options and "ticks" in options:
         (left, right), (left_ticks, right_ticks) = options["wheel_radius"], options["ticks"]
@@ -79,7 +80,7 @@ def drive_geometry(kind: str, options: Mapping[str, Any]) -> DifferentialDrive:
 
 
 class WheelBaseDevice(Device):
-    """A wheel base. The pose goes on over new connections. Nothing here makes it drive."""
+    """A wheel base. The pose continues over new connections. This class never makes the base drive."""
 
     start_timeout = 6.0
 
@@ -90,7 +91,7 @@ class WheelBaseDevice(Device):
         self._odometer = Odometer(self._wheels)
         self._monotonic = MonotonicStamps()
         self._protocol = self._kind.protocol(self._wheels)
-        self._previous_counts: Counter[str] = Counter()  # of earlier connections
+        self._previous_counts: Counter[str] = Counter()  # counts of earlier connections
         self._frame_size: int
         self._requested_at: float
         self.dtr = options.get("dtr", self._kind.dtr)
@@ -99,29 +100,29 @@ class WheelBaseDevice(Device):
 
     @property
     def measurement_count(self) -> int:
-        """Readings."""
+        """Undamaged readings."""
         return self._previous_counts["good"] + self._protocol.counters.good
 
     def identify(self, transport: Transport, baud: int) -> None:
-        """Ask it for a reading."""
+        """Request a reading; raises NoResponseError if none arrives."""
         self.start(transport, baud)
         end = time.monotonic() + self.start_timeout
         before = self.measurement_count
         while self.measurement_count == before:
             if time.monotonic() > end:
-                raise NoResponseError(transport.name, f"no {self._kind.name} answers here")
+                raise NoResponseError(transport.name, f"no {self._kind.name} responds here")
             self.step(transport)
         self.halt(transport)
 
     def start(self, transport: Transport, baud: int) -> None:
-        """Have it send readings; `step` asks again until it does."""
+        """Request readings; `step` repeats the request until they arrive."""
         self._previous_counts += Counter(asdict(self._protocol.counters)) + Counter(self._clock_counters())
         self._reset_protocol(baud)
         self.identity = self._kind.name
         transport.write(self._protocol.start())
 
     def step(self, transport: Transport) -> tuple[Received, list[Message]]:
-        """Read once, or ask once, and pause."""
+        """Read once, or poll once and pause."""
         if self._protocol.poll_period is not None:
             return self._poll(transport, self._protocol.poll_period)
         received, messages = super().step(transport)
@@ -131,7 +132,7 @@ class WheelBaseDevice(Device):
         return received, messages
 
     def feed(self, received: Received) -> list[Message]:
-        """The poses that bytes complete."""
+        """Return the odometry that the bytes complete."""
         before = self._bytes
         self._bytes += len(received.data)
         readings = self._protocol.feed(received.data)
@@ -141,20 +142,20 @@ class WheelBaseDevice(Device):
         return [message for pair in zip(readings, stamps, strict=True) if (message := self._odometer.add(*pair))]
 
     def halt(self, transport: Transport) -> None:
-        """Have it stand, and fall silent where it can."""
+        """Stop the wheels, and the readings if the protocol allows it."""
         transport.write(self._protocol.stop())
 
     def counters(self) -> dict[str, int]:
-        """Of the protocol, the odometer and the clock."""
+        """Return the counts of the protocol, the odometer and the clock."""
         counts = self._previous_counts + Counter(asdict(self._protocol.counters)) + Counter(self._clock_counters())
         names = ("good", "bad", "skipped", "lost", "restarts", "clock_jumps", "clock_strays")
         return {name: counts[name] for name in names} | asdict(self._odometer.counters)
 
     def _reset_protocol(self, baud: int) -> None:
-        """Begin with a new connection."""
+        """Create a new protocol and clock for a new connection."""
         self._protocol = self._kind.protocol(self._wheels)
         tick = self._protocol.tick
-        # A clock wraps. What does not wrap is the count of the readings, which stands in for one.
+        # Clocks wrap. A protocol with a tick but no wrap counts readings instead.
         counts = tick is not None and self._protocol.wraps_at is None
         self._count_clock = PacketCountClock(tick) if tick is not None and counts else None
         self._clock = None if tick is None or counts else DeviceClock(tick, self._protocol.wraps_at)
@@ -168,11 +169,11 @@ class WheelBaseDevice(Device):
         return {"lost": lost} | ({"clock_jumps": clock.jumps, "clock_strays": clock.strays} if clock else {})
 
     def _stamps(self, readings: list[WheelReading], arrived: float) -> Floats:
-        """When readings (n,) that arrived together were measured, in seconds, as far as the clock knows."""
+        """Return stamps (n,) in seconds of readings that arrived together, as far as the clock is known."""
         clock = self._count_clock.clock if self._count_clock else self._clock
         if clock is None or not readings:
             return np.full(len(readings), arrived)
-        # The last one was held up least; the others follow from it.
+        # The last one was delayed least; the others are computed from it.
         times = np.array([reading.time for reading in readings])
         last = int(times[-1])
         last_stamp = self._count_clock.stamp(last, arrived) if self._count_clock else clock.stamp(last, arrived)
@@ -181,7 +182,7 @@ class WheelBaseDevice(Device):
         return np.asarray(last_stamp - ages * clock.tick * (1.0 + clock.drift) - frame_size * 10.0 / self._baud)
 
     def _poll(self, transport: Transport, period: float) -> tuple[Received, list[Message]]:
-        """Ask for one reading, whose time is the middle of question and answer, and pause until the next one is due."""
+        """Poll one reading, stamped in the middle between request and response, and pause until the next one is due."""
         requested_at = time.monotonic()
         transport.write(self._protocol.poll())
         messages: list[Message] = []

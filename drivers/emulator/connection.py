@@ -1,4 +1,4 @@
-"""A device, its line and its port, and what happens to the bytes between them."""
+"""A device, its line and its port, and the transport of bytes between them."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from .pty_port import PtyPort
 from .serial_line import Corruptor
 
 BAUD_TOLERANCE = 0.03
-"""Share by which the speeds of both ends of a line may differ and still be understood."""
+"""Relative difference of the baud rates of both ends up to which bytes are still understood."""
 
 
 @dataclass(slots=True)
 class ConnectionCounts:
-    """What happened; but for the events in bytes.
+    """Counts of what happened, in bytes except for the events.
 
-    sent      arrived in a port that a program had open
+    sent      to a port that a program had open
     received  from the host
-    unheard   from the device while no program had its port open
-    overrun   from the device when the program that had its port open did not read
-    garbled   in either direction while the program had set a wrong speed
+    unheard   sent by the device while no program had its port open
+    overrun   sent by the device while the program with the open port did not read
+    garbled   in either direction while the program had set a wrong baud rate
     stalled, unplugged  in either direction lost to these faults
     unplugs, stalls, restarts, fails  faults so far
     """
@@ -47,8 +47,8 @@ class ConnectionCounts:
 class DeviceConnection:
     """Steps a device and carries bytes between it and its port.
 
-    events  that happen to it
-    damage  what it does to bytes from the device on their way
+    events     faults of the device
+    corruptor  applied to bytes sent by the device
     """
 
     def __init__(
@@ -68,13 +68,13 @@ class DeviceConnection:
 
     @property
     def due(self) -> float:
-        """When it should be stepped next."""
+        """Time at which it should be stepped next."""
         event = self._events[0].time if self._events else math.inf
         plug = self._plug_at if not self.port.is_plugged else math.inf
         return min(self.device.due, self.device.line.due, event, plug)
 
     def step(self, time: float) -> None:
-        """Let happen what happens until a time."""
+        """Process everything up to a time."""
         while self._events and self._events[0].time <= time:
             self._apply_event(self._events.popleft(), time)
         if not self.port.is_plugged and time >= self._plug_at:
@@ -112,7 +112,7 @@ class DeviceConnection:
             device.switch_on(time)
 
     def _pass_to_device(self, data: bytes, time: float) -> None:
-        """Pass what the host has sent."""
+        """Pass bytes from the host to the device."""
         self.counts.received += len(data)
         if time < self._stalled_until:
             self.counts.stalled += len(data)
@@ -122,7 +122,7 @@ class DeviceConnection:
             self.device.receive(data, time)
 
     def _pass_to_port(self, data: bytes, time: float) -> None:
-        """Pass what has come through from the device."""
+        """Pass bytes from the device to the host."""
         counts = self.counts
         if not self.port.is_plugged:
             counts.unplugged += len(data)
@@ -140,12 +140,12 @@ class DeviceConnection:
             counts.overrun += len(arriving) - consumed
 
     def _is_baud_wrong(self) -> bool:
-        """Whether the program has set a speed that is not the line's."""
+        """Return whether the program has set a baud rate other than the line's."""
         baud, set_to = self.device.line.baud, self.port.baud
         return set_to is not None and math.isfinite(baud) and abs(set_to / baud - 1.0) > BAUD_TOLERANCE
 
     def report(self) -> dict[str, object]:
-        """What happened, by name."""
+        """Return all counts by name."""
         device = self.device
         return {
             "device": device.name,

@@ -1,4 +1,4 @@
-"""What all emulated devices have in common."""
+"""Common part of all emulated devices."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from ..messages import Floats
 from .serial_line import SerialLine
 
 Time = TypeVar("Time", float, Floats)
-"""Seconds, one or many."""
+"""Seconds, a single value or an array."""
 
 
 class EmulatedDevice(ABC):
-    """A device on a line, with a clock of its own that begins when it is switched on.
+    """A device on a line, with a clock of its own that starts when it is switched on.
 
-    name         as the user chose it
-    line         to the host
-    drift        by how much its clock is too fast, parts of one
-    usb_powered  whether it loses its power when it is unplugged
-    on           whether it has power
-    restarts     times that it was switched on or started again, but for the first
-    requests     understood from the host
+    name          chosen by the user
+    line          to the host
+    drift         relative rate error of its clock; positive if it runs fast
+    usb_powered   True if it loses its power when it is unplugged
+    on            True if it has power
+    restarts      number of times that it was switched on or restarted, except the first
+    requests      number of requests understood
     """
 
     def __init__(self, name: str, line: SerialLine, drift: float, usb_powered: bool) -> None:
@@ -33,26 +33,26 @@ class EmulatedDevice(ABC):
         self._powered_since = 0.0
 
     def switch_on(self, time: float) -> None:
-        """Start, or start again."""
+        """Start or restart."""
         self.on = True
         self.restarts += 1
         self._powered_since = time
 
     def switch_off(self) -> None:
-        """Lose the power."""
+        """Switch the power off."""
         self.on = False
 
     @abstractmethod
     def on_port_opened(self, time: float) -> None:
-        """A program has opened the port."""
+        """React to a program that has opened the port."""
 
     def inject_error(self, time: float) -> bool:
-        """Have an inner error that only a reset mends; False where the device knows no such thing."""
+        """Enter an internal error state that only a reset ends; return False if the device has no such state."""
         return False
 
     @property
     def due(self) -> float:
-        """When it should be looked after next; infinite where it waits for the host."""
+        """Time of its next action; infinite while it waits for the host."""
         return math.inf
 
     @property
@@ -62,20 +62,20 @@ class EmulatedDevice(ABC):
 
     @abstractmethod
     def receive(self, data: bytes, time: float) -> None:
-        """Take what the host has sent."""
+        """Process bytes from the host."""
 
     @abstractmethod
     def advance(self, time: float) -> None:
-        """Do what is to be done until a time."""
+        """Perform all actions that are due up to a time."""
 
     @abstractmethod
     def report(self) -> dict[str, object]:
-        """What it did, by name."""
+        """Return counts of its actions, by name."""
 
     def to_device_time(self, time: Time) -> Time:
-        """A time on its own clock, seconds since it was switched on."""
+        """Convert a time to the device's clock, seconds since it was switched on."""
         return (time - self._powered_since) * (1.0 + self.drift)
 
     def to_host_time(self, own: Time) -> Time:
-        """The time when its own clock shows `own`."""
+        """Convert a time on the device's clock to the host's."""
         return self._powered_since + own / (1.0 + self.drift)

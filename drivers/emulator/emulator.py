@@ -1,4 +1,4 @@
-"""The robot behind its ports, stepped by a clock."""
+"""The emulated robot behind its ports, stepped by a clock."""
 
 from __future__ import annotations
 
@@ -35,28 +35,28 @@ from .serial_line import Corruptor, SerialLine
 from .wheel_sensors import Encoders, Gyro
 
 MAX_STEP = 0.5
-"""Seconds; longer ones, as when the host was suspended, are made in parts."""
+"""Seconds; longer steps, as after the host was suspended, are divided."""
 MIN_PAUSE, MAX_PAUSE = 0.001, 0.005
-"""Seconds to sleep between steps. In between it wakes when a packet is through, so that packets arrive in time; the
-host's requests wait for the next step.
+"""Seconds to sleep between steps. Within these limits it wakes when a packet is complete, so that packets arrive in
+time; requests of the host wait for the next step.
 """
 
 
 class Emulator:
-    """A simulated robot. Use it as a context; it makes the ports on entering, and takes them away on leaving.
+    """A simulated robot; a context manager that creates the ports on entering and removes them on leaving.
 
-    setup   what was asked for
+    setup   settings
     begun   the host's steady clock (seconds) at time zero
-    day     the time of day then (seconds since 1970), on which the truth is stamped
+    day     wall-clock time at time zero (seconds since 1970), used to stamp the ground truth
     motion  the robot's true motion
 
-    Raises RecordingError where there is no such world or a file cannot be written, PortError where a port cannot be
-    made, DriverError where there is no keyboard.
+    Raises RecordingError if the world does not exist or a file cannot be written, PortError if a port cannot be
+    created, DriverError if there is no keyboard.
     """
 
     def __init__(self, setup: EmulatorSetup, begun: float | None = None) -> None:
         self.setup = setup
-        warm_up()  # takes seconds the first time, and must not once time runs
+        warm_up()  # compiles for seconds the first time, which must not happen while time passes
         self.begun = clocks.monotonic() if begun is None else begun
         self.day = self.begun + wall_clock_offset()
         self._world = setup.world if isinstance(setup.world, World) else load_world(setup.world)
@@ -88,7 +88,7 @@ class Emulator:
     def _connect(
         self, opening: ExitStack, who: str, device: EmulatedDevice, random: list[np.random.Generator]
     ) -> DeviceConnection:
-        """A device at its port."""
+        """Connect a device to its port."""
         setup = self.setup
         port = PtyPort(setup.lidar_port if who == "lidar" else setup.base_port)
         opening.callback(port.unplug)
@@ -124,11 +124,11 @@ class Emulator:
 
     @property
     def due(self) -> float:
-        """When the next step should be at the latest."""
+        """Latest time of the next step."""
         return min(self.lidar.due, self.base.due)
 
     def step(self, time: float) -> None:
-        """Let everything happen up to a time, seconds since the start; times never decrease."""
+        """Process everything up to a time, seconds since the start; times must not decrease."""
         while self._time < time:
             self._time = min(time, self._time + MAX_STEP)
             if self._keyboard is not None:
@@ -140,7 +140,7 @@ class Emulator:
                 self._truth.advance(self._time)
 
     def run(self, duration: float | None = None) -> None:
-        """Go on in real time, for so many seconds or until it is interrupted."""
+        """Run in real time, for a duration in seconds or until interrupted."""
         end = math.inf if duration is None else clocks.monotonic() - self.begun + duration
         with realtime_priority():
             while (now := clocks.monotonic() - self.begun) < end:
@@ -149,7 +149,7 @@ class Emulator:
                 clocks.sleep(min(max(pause, MIN_PAUSE), MAX_PAUSE))
 
     def report(self) -> dict[str, Any]:
-        """What happened so far, as plain values; `seconds` counts from `begun`, seconds since 1970."""
+        """Return what happened so far, as plain values; `seconds` counts from `begun`, seconds since 1970."""
         setup = self.setup
         return {
             "world": self._world.name,
@@ -172,10 +172,10 @@ class Emulator:
 
 @contextmanager
 def realtime_priority() -> Iterator[None]:
-    """What is inside runs whenever it has something to do, before all other programs, if this one may have that.
+    """Run the block with real-time priority, if permitted.
 
-    Hardware does not wait for a processor. An emulator that has to, on a computer that is busy, sends later than any
-    device would, and programs take that for measurements lost on the way.
+    Hardware does not wait for a processor. Without priority, an emulator on a busy computer sends later than any real
+    device would, and programs interpret that as lost measurements.
     """
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     with suppress(PermissionError):

@@ -1,4 +1,4 @@
-"""What can be asked of the emulator, and the faults that happen at a time."""
+"""Settings of the emulator, and the scheduled faults."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from ..simulation import LidarModel, WheelModel, World
 from . import rplidar_variants, wheel_base
 
 DRIVES = ("path", "base", "keyboard")
-"""Who steers: the world's path, the velocities that the base is sent, the arrow keys."""
+"""Pilots: the world's path, the velocities sent to the base, the arrow keys."""
 FAULT_KINDS = ("unplug", "stall", "restart", "fail")
-"""The port disappears for a while; it says nothing for a while; the device starts again; it has an inner error."""
+"""The port disappears for a while; the device is silent for a while; it restarts; it has an internal error."""
 LASTING_FAULTS = ("unplug", "stall")
 EVENT_PATTERN = re.compile(r"(lidar|base)@([0-9]+(?:\.[0-9]+)?)(?::([0-9]+(?:\.[0-9]+)?))?")
 MAX_CLOCK_DRIFT = 10_000.0
@@ -22,18 +22,18 @@ MAX_CLOCK_DRIFT = 10_000.0
 
 
 def lidar_names() -> list[str]:
-    """The lidars that can be emulated."""
+    """Return the names of the lidars that can be emulated."""
     return [*rplidar_variants.RPLIDAR_VARIANTS, "ld06", "scip"]
 
 
 def base_names() -> list[str]:
-    """The wheel bases that can be emulated."""
+    """Return the names of the wheel bases that can be emulated."""
     return list(wheel_base.BASE_VARIANTS)
 
 
 @dataclass(frozen=True, slots=True)
 class FaultEvent:
-    """A fault: what (one of EVENTS), to whom ("lidar" or "base"), when, and for how long; seconds."""
+    """A scheduled fault: kind (one of FAULT_KINDS), device ("lidar" or "base"), time and duration in seconds."""
 
     kind: str
     device: str
@@ -42,33 +42,37 @@ class FaultEvent:
 
     @classmethod
     def parse(cls, kind: str, text: str) -> FaultEvent:
-        """From DEVICE@SECONDS, with :SECONDS for how long where it lasts. Raises DriverError where it is none."""
+        """Parse DEVICE@SECONDS, followed by :SECONDS for the duration if the fault lasts. Raises DriverError if it is
+        invalid.
+        """
         match = EVENT_PATTERN.fullmatch(text)
         if match is None or (match[3] is not None) != (kind in LASTING_FAULTS):
             example = "lidar@20:3" if kind in LASTING_FAULTS else "lidar@20"
-            raise DriverError(f"--{kind} {text}: say it as {example}, the device (lidar or base) and seconds")
+            raise DriverError(
+                f"--{kind} {text}: expected the device (lidar or base) and seconds, for example {example}"
+            )
         return cls(kind, match[1], float(match[2]), float(match[3] or 0.0))
 
 
 @dataclass(frozen=True, slots=True)
 class EmulatorSetup:
-    """A robot in a world, and what goes wrong.
+    """A robot in a world, and its faults.
 
-    world         the name of a world that comes with the package, a TOML file, or a World
+    world         name of a world that comes with the package, a TOML file, or a World
     lidar, base   of `lidar_names` and `base_names`
-    lidar_port, base_port  symbolic links to make
+    lidar_port, base_port  symbolic links to create
     drive         of DRIVES
-    seed          of all that is random
+    seed          of all random numbers
     mount         [x, y, heading] of the lidar on the robot
     noise         of the lidar's beams; rate, number of beams and limits of range are the lidar's own
-    wheels        slip, noise and biases; rate and wheelbase are the base's own
-    drop, insert, flip  probabilities of damage to each byte from a device
-    events        faults at a time
-    lidar_drift, base_drift  by how much the devices' clocks are too fast, parts per million
-    truth         a file to write the true path to, in the TUM format, stamps as the time of day
-    report        a file to write what happened to, as JSON, when it is over
+    wheels        slip, noise and biases; rate and track are the base's own
+    drop, insert, flip  probabilities of corruption for each byte from a device
+    events        scheduled faults
+    lidar_drift, base_drift  relative rate errors of the devices' clocks, parts per million; positive if fast
+    truth         file for the true path in the TUM format, with wall-clock stamps
+    report        file for the final report, as JSON
 
-    Raises DriverError where something of it cannot be.
+    Raises DriverError if a setting is invalid.
     """
 
     world: str | Path | World
@@ -100,7 +104,7 @@ class EmulatorSetup:
                 raise DriverError(f"there is no {what} {name!r}; there are {', '.join(names)}")
         chances = (self.drop, self.insert, self.flip)
         if not all(0.0 <= chance <= 1.0 for chance in chances) or sum(chances) > 1.0:
-            raise DriverError("the probabilities of damaged bytes must lie between 0 and 1, and so must their sum")
+            raise DriverError("the probabilities of corrupted bytes and their sum must lie between 0 and 1")
         if not all(abs(drift) <= MAX_CLOCK_DRIFT for drift in (self.lidar_drift, self.base_drift)):
             raise DriverError(f"clocks drift by at most {MAX_CLOCK_DRIFT:.0f} parts per million")
         if self.seed < 0:
@@ -108,11 +112,11 @@ class EmulatorSetup:
         if any(
             event.kind == "fail" and not (event.device == "lidar" and "rplidar" in self.lidar) for event in self.events
         ):
-            raise DriverError("only RPLIDARs have an inner error")
+            raise DriverError("only RPLIDARs have an internal error")
         if self.lidar_port.absolute() == self.base_port.absolute():
             raise DriverError(f"{self.lidar_port}: lidar and base must have different ports")
 
 
 def default_ports() -> Path:
-    """The directory that ports are made in where none is given."""
+    """Return the default directory of the ports."""
     return Path(tempfile.gettempdir()) / "wclm-robot"

@@ -1,4 +1,4 @@
-"""Where the robot really was, as a file in the TUM format: `t x y z qx qy qz qw` a line."""
+"""The true path of the robot as a file in the TUM format: lines of `t x y z qx qy qz qw`."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ PERIOD = 0.02
 
 
 class GroundTruthWriter:
-    """Grows as the robot drives. Raises RecordingError where the file cannot be written.
+    """Writes the true path as the robot drives. Raises RecordingError if the file cannot be written.
 
-    begun  the time of day (seconds since 1970) at the emulator's time zero
+    begun  wall-clock time (seconds since 1970) at the emulator's time zero
     """
 
     def __init__(self, path: Path, motion: RobotMotion, begun: float) -> None:
@@ -35,7 +35,7 @@ class GroundTruthWriter:
             return
         times = (self._lines + np.arange(count)) * PERIOD
         self._lines += count
-        poses = self._motion.at(np.asarray(times, dtype=np.float64))
+        poses = self._motion.poses(np.asarray(times, dtype=np.float64))
         try:
             for moment, (x, y, heading) in zip(times, poses, strict=True):
                 qz, qw = np.sin(heading / 2), np.cos(heading / 2)

@@ -1,4 +1,4 @@
-"""Driving with the arrow keys of the terminal that the emulator runs in."""
+"""Driving with the arrow keys of the emulator's terminal."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from ..bases.interface import Velocity
 from ..errors import DriverError
 
 SPEED_STEP, TURN_RATE_STEP = 0.1, 0.25
-"""Metres and radians a second that a key adds."""
+"""Metres and radians per second that a key adds."""
 MAX_SPEED, MAX_TURN_RATE = 0.5, 1.5
 KEY_PATTERN = re.compile(rb"\x1b\[[A-D]|\x1bO[A-D]|[wasdWASD ]")
 ARROW_STEPS = {b"A": (1, 0), b"B": (-1, 0), b"C": (0, -1), b"D": (0, 1)}
-"""By the last character of what an arrow key sends: forwards, counter-clockwise."""
+"""(forwards, counter-clockwise) by the last character of an arrow key's escape sequence."""
 LETTER_ARROWS = {b"w": b"A", b"s": b"B", b"d": b"C", b"a": b"D"}
 HELP = "arrow keys: faster, slower, left, right; space: stop"
 
 
 def apply_keys(velocity: Velocity, keys: bytes) -> Velocity:
-    """The velocity after keys, as a terminal sends them; the space bar stands still, unknown keys do nothing."""
+    """Return the velocity after keys, as a terminal sends them; the space bar stops, unknown keys are ignored."""
     for key in KEY_PATTERN.findall(keys):
         if key == b" ":
             velocity = Velocity(0.0, 0.0)
@@ -36,7 +36,7 @@ def apply_keys(velocity: Velocity, keys: bytes) -> Velocity:
 
 
 class Keyboard:
-    """The keys that are pressed, while the context lasts. Raises DriverError where standard input is no terminal."""
+    """The keys of the terminal; a context manager. Raises DriverError if standard input is no terminal."""
 
     def __init__(self) -> None:
         if not sys.stdin.isatty():
@@ -54,6 +54,6 @@ class Keyboard:
         termios.tcsetattr(self._input, termios.TCSADRAIN, self._before)
 
     def read_keys(self) -> bytes:
-        """What was typed since the last call; does not wait."""
+        """Return the characters typed since the last call, without waiting."""
         ready, _, _ = select.select([self._input], [], [], 0.0)
         return os.read(self._input, 256) if ready else b""

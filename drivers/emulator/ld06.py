@@ -1,4 +1,4 @@
-"""An emulated LD06 or LD19: it turns and sends from power-up on, and hears nothing."""
+"""An emulated LD06 or LD19: it turns and sends from power-up on, and receives nothing."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from .device import EmulatedDevice
 from .serial_line import SerialLine
 
 ROTATION_RATE = 10.0
-"""Revolutions a second."""
+"""Revolutions per second."""
 SPIN_UP_DURATION = 1.0
 """Seconds until it turns steadily."""
 RETURN_INTENSITY = 200
-"""Of what came back."""
+"""Intensity of points with a return."""
 
 
 class EmulatedLd06(EmulatedDevice):
@@ -30,33 +30,33 @@ class EmulatedLd06(EmulatedDevice):
         self.samples = 0
 
     def switch_on(self, time: float) -> None:
-        """Begin to turn."""
+        """Start to turn."""
         super().switch_on(time)
         self._packets = 0
 
     def on_port_opened(self, time: float) -> None:
-        """It does not notice."""
+        """Do nothing: the device does not notice."""
 
     @property
     def unrecognised(self) -> int:
-        """All that was sent to it."""
+        """All bytes sent to it."""
         return self._received_bytes
 
     def receive(self, data: bytes, time: float) -> None:
-        """Nothing: its receiving wire is not connected."""
+        """Ignore the bytes: its receiving wire is not connected."""
         self._received_bytes += len(data)
 
     @property
     def due(self) -> float:
-        """When the next packet is complete."""
+        """Time at which the next packet is complete."""
         return self.to_host_time(self._packet_end()) if self.on else math.inf
 
     def _packet_end(self) -> float:
-        """Own time of the next packet's last point."""
+        """Return the device time of the next packet's last point."""
         return SPIN_UP_DURATION + ((self._packets + 1) * ld06.POINTS - 1) / ld06.SAMPLE_RATE
 
     def advance(self, time: float) -> None:
-        """Measure and send what is due."""
+        """Measure and send all packets that are due."""
         while time >= self.due:
             end = self._packet_end()
             device_times = end - np.arange(ld06.POINTS - 1, -1, -1) / ld06.SAMPLE_RATE
@@ -69,5 +69,5 @@ class EmulatedLd06(EmulatedDevice):
             self.samples += ld06.POINTS
 
     def report(self) -> dict[str, object]:
-        """Samples measured."""
+        """Return the number of samples measured."""
         return {"samples": self.samples}

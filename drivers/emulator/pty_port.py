@@ -1,4 +1,4 @@
-"""A pseudo terminal under a name of the user's choice."""
+"""A pseudo terminal with a name of the user's choice."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from pathlib import Path
 from ..errors import PortError
 
 TCGETS2 = 0x802C542A
-"""Linux's request for a terminal's settings with its speeds as numbers, on most processors; pyserial sets speeds that
-have no name of their own.
+"""Linux's ioctl request for a terminal's settings with numeric baud rates, on most processors; pyserial sets baud rates
+without a termios constant.
 """
 TERMIOS2 = struct.Struct("IIII20xII")
 MAX_READ_SIZE = 65536
-"""Bytes read at once."""
+"""Bytes per read."""
 
 
 class PtyPort:
-    """One end of a pseudo terminal; programs open the other by a symbolic link that keeps its name.
+    """One end of a pseudo terminal; programs open the other end by a symbolic link with a fixed name.
 
     path  of the link
 
-    A link that is there already is replaced, as one left behind by a program that was killed; anything else is not.
-    Raises PortError where the link cannot be made.
+    An existing link is replaced, such as one left by a killed program; any other file is kept. Raises PortError if the
+    link cannot be created.
     """
 
     def __init__(self, path: Path) -> None:
@@ -38,16 +38,16 @@ class PtyPort:
         self.plug()
 
     def plug(self) -> None:
-        """Make the port appear."""
+        """Create the port."""
         if self._controller is not None:
             return
         if not self.path.is_symlink() and self.path.exists():
-            raise PortError(str(self.path), "exists, and is no link that could be replaced; choose another name")
+            raise PortError(str(self.path), "exists and is no symbolic link; choose another name")
         self._controller, other = pty.openpty()
-        tty.setraw(other)  # else what is written before a program opens the port comes back as an echo
+        tty.setraw(other)  # otherwise bytes written before a program opens the port are echoed
         os.set_blocking(self._controller, False)
         self._device = os.ttyname(other)
-        os.close(other)  # so that it shows whether a program has opened it
+        os.close(other)  # so that `is_open` can detect a program
         work = self.path.with_name(f".{self.path.name}-{os.getpid()}")
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -57,13 +57,13 @@ class PtyPort:
         except OSError as failure:
             os.close(self._controller)
             self._controller = None
-            raise PortError(str(self.path), f"no port can be made there: {failure.strerror}") from failure
+            raise PortError(str(self.path), f"the port cannot be created: {failure.strerror}") from failure
 
     def unplug(self) -> None:
-        """Make it disappear: programs that have it open find the connection lost. Any number of times."""
+        """Remove the port; programs that have it open lose the connection. Further calls have no effect."""
         if self._controller is None:
             return
-        with suppress(OSError):  # gone, or replaced by another program's
+        with suppress(OSError):  # removed, or replaced by another program
             if self.path.readlink() == Path(self._device):
                 self.path.unlink()
         os.close(self._controller)
@@ -71,12 +71,12 @@ class PtyPort:
 
     @property
     def is_plugged(self) -> bool:
-        """Whether it is there."""
+        """True if the port exists."""
         return self._controller is not None
 
     @property
     def is_open(self) -> bool:
-        """Whether a program has it open."""
+        """True if a program has it open."""
         if self._controller is None:
             return False
         poll = select.poll()
@@ -85,7 +85,7 @@ class PtyPort:
 
     @property
     def baud(self) -> int | None:
-        """The speed that a program has set, bits a second; None where the system does not tell."""
+        """Baud rate that a program has set, bits per second; None if unknown."""
         if self._controller is None:
             return None
         try:
@@ -94,16 +94,16 @@ class PtyPort:
             return None
 
     def read(self) -> bytes:
-        """What a program has written; does not wait."""
+        """Return the bytes written by a program, without waiting."""
         if self._controller is None:
             return b""
         try:
             return os.read(self._controller, MAX_READ_SIZE)
-        except OSError:  # nothing there, or nobody
+        except OSError:  # no bytes, or no program
             return b""
 
     def write(self, data: bytes) -> int:
-        """Pass bytes on as far as the system's buffer, of about 16 000 bytes, takes them; how many it took."""
+        """Write bytes up to the free space of the system's buffer of about 16 000 bytes; return the number written."""
         if self._controller is None:
             return 0
         try:

@@ -1,4 +1,4 @@
-"""The robot's true motion, made as time passes, and who steers it."""
+"""The robot's true motion, computed as time passes, and the pilots that steer it."""
 
 from __future__ import annotations
 
@@ -15,36 +15,36 @@ from ..simulation.trajectory import MAX_ACCELERATION, MAX_TURN_ACCELERATION, Way
 from ..simulation.world import World
 
 HISTORY_DURATION = 3.0
-"""Seconds of motion that are remembered at least; devices ask for what happened since the last step."""
+"""Seconds of motion that are kept at least; devices need the motion since the last step."""
 ROBOT_RADIUS = 0.20
-"""Metres from the robot's centre to its bumper, all around."""
+"""Metres from the robot's centre to its bumper, in all directions."""
 BRAKING_FACTOR = 3.0
-"""Times the acceleration; stopping is quicker than starting."""
+"""Ratio of deceleration to acceleration."""
 
 
 class Pilot(Protocol):
-    """Who steers."""
+    """Steers the robot."""
 
     def steer(self, x: float, y: float, heading: float) -> tuple[float, float]:
-        """Speed (m/s) and turn rate (rad/s) for the next TIME_STEP from a pose."""
+        """Return speed (m/s) and turn rate (rad/s) for the next step from a pose."""
         ...
 
 
 class PathPilot:
-    """Drives along a world's way points for ever; see `trajectory.WaypointFollower`."""
+    """Follows a world's way points endlessly; see `driving.Steering`."""
 
     def __init__(self, world: World) -> None:
         self._steering = WaypointFollower(world.waypoints, world.speed, endless=True)
 
     def steer(self, x: float, y: float, heading: float) -> tuple[float, float]:
-        """The next step along the path."""
+        """Return the next step along the path."""
         return self._steering.step(x, y, heading) or (0.0, 0.0)
 
 
 class CommandedPilot:
-    """Drives as it is told, and stops at walls.
+    """Follows commanded velocities, and stops at walls.
 
-    wanted  what was told last
+    target  last commanded velocity
     """
 
     def __init__(self, world: World) -> None:
@@ -53,7 +53,9 @@ class CommandedPilot:
         self._v = self._w = 0.0
 
     def steer(self, x: float, y: float, heading: float) -> tuple[float, float]:
-        """The wanted velocity as far as the motors accelerate; no speed into what is nearer than RADIUS."""
+        """Return the target velocity within the limits of acceleration; no speed towards obstacles nearer than
+        ROBOT_RADIUS.
+        """
         self._v = _approach(self._v, self.target.speed, MAX_ACCELERATION * TIME_STEP)
         self._w = _approach(self._w, self.target.turn_rate, MAX_TURN_ACCELERATION * TIME_STEP)
         if self._v != 0.0:
@@ -65,13 +67,15 @@ class CommandedPilot:
 
 
 def _approach(value: float, target: float, step: float) -> float:
-    """A value changed by at most `step` away from zero, and by BRAKING times as much towards it."""
+    """Return a value changed towards `target` by at most `step` away from zero, and by BRAKING_FACTOR times as much
+    towards zero.
+    """
     room = step * BRAKING_FACTOR if abs(target) < abs(value) or target * value < 0.0 else step
     return value + max(-room, min(room, target - value))
 
 
 def clearance(x: float, y: float, world: World) -> float:
-    """Metres from a point to the nearest wall, box or column."""
+    """Return the distance in metres from a point to the nearest wall, box or column."""
     start, along = world.segments[:, :2], world.segments[:, 2:] - world.segments[:, :2]
     to = np.array([x, y]) - start
     share = np.clip((to * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-12), 0.0, 1.0)
@@ -81,7 +85,8 @@ def clearance(x: float, y: float, world: World) -> float:
 
 
 class RobotMotion:
-    """Arcs of TIME_STEP seconds each, from the world's first way point on; the last HISTORY seconds are remembered.
+    """Arcs of one simulation step each, from the world's first way point on; the last HISTORY_DURATION seconds are
+    kept.
 
     world  in which the robot drives
     """
@@ -91,9 +96,8 @@ class RobotMotion:
         self._pilot = pilot
         self._history_steps = round(HISTORY_DURATION / TIME_STEP)
         self._poses, self._twists = np.empty((2 * self._history_steps, 3)), np.empty((2 * self._history_steps, 2))
-        self._travelled_at_steps = np.empty(
-            (2 * self._history_steps, 2)
-        )  # metres driven and radians turned when each step begins
+        # metres driven and radians turned at the beginning of each step
+        self._travelled_at_steps = np.empty((2 * self._history_steps, 2))
         self._first = 0  # number of the step in row 0
         self._count = 0
         self._pose = start_pose(world.waypoints)
@@ -101,7 +105,7 @@ class RobotMotion:
         self.advance(0.0)
 
     def advance(self, time: float) -> None:
-        """Drive up to a time, and to the end of the step that it lies in."""
+        """Drive up to a time, and to the end of the step that contains it."""
         while (self._first + self._count) * TIME_STEP <= time + TIME_STEP:
             self._step()
 
@@ -117,21 +121,23 @@ class RobotMotion:
         self._pose = drive_arc(*self._pose, v, w)
         self._travelled = (self._travelled[0] + v * TIME_STEP, self._travelled[1] + w * TIME_STEP)
 
-    def at(self, times: Floats) -> Pose:
-        """True poses (n, 3) at times (n,), in the world's frame."""
+    def poses(self, times: Floats) -> Pose:
+        """Return the true poses (n, 3) at times (n,), in the world's frame."""
         poses = poses_at(times - self._first * TIME_STEP, self._poses[: self._count], self._twists[: self._count])
         poses[:, 2] = wrap(poses[:, 2])
         return poses
 
     def travelled(self, time: float) -> tuple[float, float]:
-        """Metres driven, forwards positive, and radians turned since the start."""
+        """Return the metres driven, forwards positive, and the radians turned since the start."""
         row = min(max(int(time / TIME_STEP) - self._first, 0), self._count - 1)
         elapsed = time - (self._first + row) * TIME_STEP
         (v, w), (distance, turn) = self._twists[row], self._travelled_at_steps[row]
         return float(distance + v * elapsed), float(turn + w * elapsed)
 
-    def sweep(self, times: Floats, bearings: Floats, mount: Pose) -> Floats:
-        """How far (n,) beams go that leave a lidar mounted at `mount`, each at its time and bearing; see `raycast`."""
+    def cast_beams(self, times: Floats, bearings: Floats, mount: Pose) -> Floats:
+        """Return the true ranges (n,) of beams of a lidar mounted at `mount`, each at its time and bearing; see
+        `raycast`.
+        """
         poses, twists = self._poses[: self._count], self._twists[: self._count]
         world = self.world
         return np.asarray(

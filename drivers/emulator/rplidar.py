@@ -1,4 +1,4 @@
-"""An emulated RPLIDAR: answers as the device does, and scans in the mode that it was told."""
+"""An emulated RPLIDAR: responds like the device, and scans in the requested mode."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from .rplidar_variants import RplidarVariant
 from .serial_line import SerialLine
 
 BOOT_DURATION = 0.5
-"""Seconds from power or reset until it listens; the banner comes then."""
+"""Seconds from power-up or reset until it listens and sends the banner."""
 SPIN_UP_DURATION = 1.0
 """Seconds until the head turns steadily; there are no measurements before."""
 SCAN_START_DELAY = 0.01
-"""Seconds from the request for a scan to its first sample."""
+"""Seconds from the scan request to the first sample."""
 SPEED_VARIATION, SPEED_VARIATION_PERIOD = 0.005, 7.0
-"""The head is faster and slower by this share, in so many seconds."""
+"""Relative amplitude and period (seconds) of the variation of the head's speed."""
 ERROR_CODE = 4
-"""Code of an inner error; Slamtec documents none."""
+"""Code of the internal error; Slamtec documents none."""
 COMMANDS_WHILE_SCANNING = frozenset(
     {
         *(Command.STOP, Command.RESET, Command.SCAN, Command.FORCE_SCAN, Command.EXPRESS_SCAN, Command.HQ_SCAN),
         *(Command.SET_MOTOR_SPEED, Command.SET_MOTOR_PWM),
     }
 )
-"""What is heeded then; other requests get no answer."""
+"""Commands accepted during a scan; other requests get no response."""
 
 
 class EmulatedRplidar(EmulatedDevice):
-    """One of `rplidar_kinds`. Its DTR line is never asserted, as pseudo terminals have none."""
+    """One of `rplidar_variants`. Its modem line DTR is never asserted, as pseudo terminals have none."""
 
     def __init__(self, name: str, line: SerialLine, drift: float, kind: RplidarVariant, beams: BeamModel) -> None:
         super().__init__(name, line, drift, usb_powered=True)
@@ -48,15 +48,15 @@ class EmulatedRplidar(EmulatedDevice):
         self._scan: ScanInProgress | None = None
         self._failed = False
         self._booting = False
-        self._turning_since: float | None = None  # own time since which the head turns; None: it stands
+        self._turning_since: float | None = None  # device time since which the head turns; None if it stands still
         self._rate = kind.rate
-        self._phase = (0.0, 0.0)  # the head's angle at an own time; it turns at _rate from there
+        self._phase = (0.0, 0.0)  # the head's angle at a device time, from which on it turns at _rate
         self.scans = self.samples = 0
 
     # -- power ------------------------------------------------------------------------------------------------------
 
     def switch_on(self, time: float) -> None:
-        """Boot; the banner follows when it is done."""
+        """Boot; the banner follows at the end."""
         super().switch_on(time)
         self._scan, self._failed, self._booting = None, False, True
         self._reader = self._new_reader()
@@ -69,10 +69,10 @@ class EmulatedRplidar(EmulatedDevice):
         return reader
 
     def on_port_opened(self, time: float) -> None:
-        """It does not notice."""
+        """Do nothing: the device does not notice."""
 
     def inject_error(self, time: float) -> bool:
-        """Go into the state of protection, where health is an error and nothing is measured, until a reset."""
+        """Enter the protection state, in which health is an error and nothing is measured, until a reset."""
         self._failed, self._scan = True, None
         return True
 
@@ -89,12 +89,12 @@ class EmulatedRplidar(EmulatedDevice):
         return self._reader.bytes_skipped
 
     def receive(self, data: bytes, time: float) -> None:
-        """Obey and answer; deaf while it boots."""
+        """Execute the requests and respond; ignore them while booting."""
         if not self.on or self.to_device_time(time) < BOOT_DURATION:
             return
         for request in self._reader.feed(data):
             if self._booting:
-                return  # what came after a reset went unheard
+                return  # requests after a reset are lost
             self.requests += 1
             if self._scan is None or request.command in COMMANDS_WHILE_SCANNING:
                 self._execute(request, time)
@@ -122,7 +122,7 @@ class EmulatedRplidar(EmulatedDevice):
             self._respond(request, time)
 
     def _respond(self, request: Request, time: float) -> None:
-        """What is answered once."""
+        """Send a single response."""
         command, kind = request.command, self.kind
         health = Health(HealthStatus.ERROR, ERROR_CODE) if self._failed else Health(HealthStatus.GOOD, 0)
         responses: dict[int, tuple[ResponseType, bytes | None]] = {
@@ -145,7 +145,7 @@ class EmulatedRplidar(EmulatedDevice):
     # -- motor and scans --------------------------------------------------------------------------------------------
 
     def _find_express_mode(self, number: int) -> ScanMode | None:
-        """The mode that a request for capsules means."""
+        """Return the mode that a request for capsules selects."""
         modes = self.kind.modes.modes
         if self.kind.reports_modes:
             return next((mode for mode in modes if mode.id == number), None)
@@ -177,7 +177,9 @@ class EmulatedRplidar(EmulatedDevice):
             self._turning_since = None
 
     def _set_motor(self, rate: float, time: float) -> None:
-        """Turn at a rate, revolutions a second; a motor that the scan turns does not stop before that has ended."""
+        """Set the rotation rate in revolutions per second; a motor started by the scan does not stop before the scan
+        has ended.
+        """
         device_time = self.to_device_time(time)
         if rate > 0.0:
             self._phase = (float(self._head(np.array([device_time]))[0]), device_time)
@@ -192,7 +194,7 @@ class EmulatedRplidar(EmulatedDevice):
                 self._scan.start = math.inf
 
     def _head(self, device_time: Floats) -> Floats:
-        """Radians clockwise that the head has turned at own times (n,)."""
+        """Return the radians clockwise that the head has turned at device times (n,)."""
         angle, since = self._phase
         slow = 2.0 * np.pi / SPEED_VARIATION_PERIOD
         gained = SPEED_VARIATION / slow * (np.cos(slow * since) - np.cos(slow * device_time))
@@ -202,7 +204,7 @@ class EmulatedRplidar(EmulatedDevice):
 
     @property
     def due(self) -> float:
-        """When the banner or the next packet is."""
+        """Time of the banner or the next packet."""
         if not self.on:
             return math.inf
         if self._booting:
@@ -213,11 +215,13 @@ class EmulatedRplidar(EmulatedDevice):
         return self.to_host_time(scan.start + (scan.samples + self._samples_due(scan)) * scan.period)
 
     def _samples_due(self, scan: ScanInProgress) -> int:
-        """Samples to measure next; the first time one more, as a packet may tell how the next begins."""
+        """Return the number of samples to measure next; one more the first time, as packets may refer to their
+        successor.
+        """
         return scan.in_packet + (scan.samples == 0)
 
     def advance(self, time: float) -> None:
-        """Measure what is due, and send it."""
+        """Measure and send everything that is due."""
         if self._booting and self.on and time >= self.to_host_time(BOOT_DURATION):
             self._booting = False
             self.line.send(self._banner(), self.to_host_time(BOOT_DURATION))
@@ -241,13 +245,13 @@ class EmulatedRplidar(EmulatedDevice):
         self.samples += count
 
     def _send(self, scan: ScanInProgress) -> None:
-        """Send what is measured, but for one sample."""
+        """Send all measured samples except one."""
         count = scan.in_packet
         heads, ranges, lags = scan.heads[:count], scan.ranges[:count], scan.lags[:count]
         turns = np.floor(np.concatenate([[scan.before or heads[0]], heads]) / (2.0 * np.pi))
         data = encode(scan, heads, ranges, lags, np.diff(turns) > 0)
-        last = scan.start + (scan.samples - 2) * scan.period  # of the packet
-        ready = last + 1.5 * scan.period  # a sample takes its period, and is filtered for another half
+        last = scan.start + (scan.samples - 2) * scan.period  # of the packet's samples
+        ready = last + 1.5 * scan.period  # a sample takes its period, and half a period of filtering
         if scan.response_type == ResponseType.STANDARD:
             self.line.send(
                 data, self.to_host_time(ready - scan.period * np.arange(count - 1, -1, -1, dtype=np.float64))
@@ -259,5 +263,5 @@ class EmulatedRplidar(EmulatedDevice):
         scan.packets += 1
 
     def report(self) -> dict[str, object]:
-        """Scans started, samples measured."""
+        """Return the numbers of scans started and samples measured."""
         return {"scans": self.scans, "samples": self.samples}

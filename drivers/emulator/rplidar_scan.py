@@ -1,4 +1,4 @@
-"""A scan of an emulated RPLIDAR under way, and its packets in the format of its mode."""
+"""A running scan of an emulated RPLIDAR, and its packets in the format of its mode."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from ..lidars.rplidar.responses import ResponseType
 from ..messages import Floats
 
 BURST_DURATION = 2e-3
-"""Seconds of standard nodes that are made at a time; the first of them come so much late."""
+"""Seconds of standard nodes that are created at a time; the first of them are late by this much."""
 RETURN_QUALITY = 47
-"""Of what came back."""
+"""Quality of samples with a return."""
 
 
 @dataclass(slots=True)
@@ -45,16 +45,16 @@ class ScanInProgress:
 
     @property
     def in_packet(self) -> int:
-        """Samples in what is made at a time."""
+        """Samples created at a time."""
         if self.response_type in CAPSULES:
             return CAPSULES[ResponseType(self.response_type)].samples
         return hq.NODES if self.response_type == ResponseType.HQ else max(2, round(BURST_DURATION / self.period))
 
 
 def encode(scan: ScanInProgress, heads: Floats, ranges: Floats, lags: Floats, starts: Flags) -> bytes:
-    """The packet with samples (n,), or n nodes; `scan` still has the sample after them.
+    """Encode the packet with samples (n,), or n nodes; `scan` still has the sample after them.
 
-    `heads`, `ranges` and `lags` as in `Scanning`; `starts` whether a revolution begins.
+    `heads`, `ranges` and `lags` as in `ScanInProgress`; `starts` is True where a revolution begins.
     """
     response_type, first = scan.response_type, scan.packets == 0
     head, row = heads[:1], ranges[None]
@@ -73,11 +73,11 @@ def encode(scan: ScanInProgress, heads: Floats, ranges: Floats, lags: Floats, st
 
 
 def beam_lag(ranges: Floats) -> Floats:
-    """Radians by which beams of these ranges (metres, infinite where nothing is) lag the head."""
+    """Return the radians by which beams lag the head, for ranges in metres, infinite for no return."""
     millimetres = np.round(np.minimum(ranges, 1e4) * 1e3).astype(np.int64)
     return np.asarray(np.radians(ultra.correction(millimetres)))
 
 
 def quantised_beam_lag(ranges: Floats) -> Floats:
-    """The same as the express format tells it, in eighths of a degree."""
+    """Return the lag as the express format stores it, in multiples of an eighth of a degree."""
     return np.asarray(np.radians(np.round(np.degrees(beam_lag(ranges)) * 8.0) / 8.0))

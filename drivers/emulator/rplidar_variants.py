@@ -1,4 +1,4 @@
-"""The RPLIDARs that can be emulated: one of each family, and an A1 whose firmware tells no scan modes."""
+"""The RPLIDARs that can be emulated: one of each family, and an A1 with firmware without scan modes."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from ..lidars.rplidar.standard import MAX_RANGE
 
 @dataclass(frozen=True, slots=True)
 class RplidarVariant:
-    """A device as it comes out of its box.
+    """A device with its factory settings.
 
-    baud   bits a second
-    rate   revolutions a second
-    modes  that it has; it tells them if its firmware does
+    baud   bits per second
+    rate   revolutions per second
+    modes  scan modes; reported if the firmware does so
     """
 
     info: Info
@@ -26,17 +26,17 @@ class RplidarVariant:
 
     @property
     def model(self) -> Model:
-        """What differs from model to model."""
+        """Properties of the model."""
         return model_of(self.info.model)
 
     @property
     def reports_modes(self) -> bool:
-        """Whether it answers questions for its modes."""
+        """True if it responds to queries for its modes."""
         return reports_modes(self.info)
 
     @property
     def sample_rate(self) -> SampleRate:
-        """What it answers where it is asked as old firmware is: the first mode's period, and the first capsules'."""
+        """Response to the query of old hosts: the periods of the first mode and of the first capsule mode."""
         periods = [mode.sample_period for mode in self.modes.modes]
         return SampleRate(periods[0], periods[min(1, len(periods) - 1)])
 
@@ -49,7 +49,7 @@ def _variant(
     typical: int,
     *modes: tuple[str, float, ResponseType],
 ) -> RplidarVariant:
-    """A kind with modes (name, microseconds a sample, answer)."""
+    """Create a variant with modes (name, microseconds per sample, response type)."""
     info = Info(number, firmware, 7, f"{number:02X}" * 4 + "57434C4D" * 3)
     farthest = model_of(number).range_max
     modes_of_variant = [
@@ -73,7 +73,7 @@ _A1_MODES = (
     ("Sensitivity", 127.0, ResponseType.ULTRA),
     ("Stability", 201.0, ResponseType.ULTRA),
 )
-"""As a device with firmware 1.29 tells them."""
+"""As reported by a device with firmware 1.29."""
 
 RPLIDAR_VARIANTS = {
     "rplidar-a1": _variant(0x18, (1, 29), 115200, 7.5, 3, *_A1_MODES),
@@ -129,6 +129,6 @@ RPLIDAR_VARIANTS = {
         ("DenseBoost", 31.25, ResponseType.ULTRA_DENSE),
     ),
 }
-"""By the name that a user gives. Modes of S and C series are what their data sheets and rates on the wire allow, as no
-list of theirs has been published.
+"""Variants by the name that a user gives. Modes of the S and C series are what their data sheets and the rates on the
+wire allow, as no list of them has been published.
 """

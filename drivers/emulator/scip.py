@@ -1,4 +1,4 @@
-"""An emulated Hokuyo URG-04LX, speaking SCIP 2.0 over its own USB: the baud rate does not matter."""
+"""An emulated Hokuyo URG-04LX with SCIP 2.0 over native USB: the baud rate does not matter."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..lidars import scip_scan
-from ..lidars.scip import OK, MeasureRequest, Parameters, Reply, checksum, encode_values
+from ..lidars.scip import OK, MeasureRequest, Parameters, Reply, checksum, encode_text_lines, encode_values
 from ..messages import Floats
 from .beam_model import BeamModel
 from .device import EmulatedDevice
@@ -19,15 +19,17 @@ URG = Parameters("URG-04LX(Hokuyo Automatic Co.,Ltd.)", 0.02, 5.6, 1024, 44, 725
 IDENTITY = ("VEND:Hokuyo Automatic Co.,Ltd.", "PROD:SOKUIKI Sensor URG-04LX", "FIRM:3.3.00", "PROT:SCIP 2.0", "SERI:H0")
 STATE = ("MODL:URG-04LX", "LASR:OFF", "SCSP:600", "MESM:IDLE", "SBPS:USB", "STAT:sensor is working normally")
 UNKNOWN, WRONG_STEPS = "0E", "04"
-"""Status of what is not understood, and of steps that there are not."""
+"""Status of an unknown command, and of invalid steps."""
 MAX_COMMAND_LENGTH = 64
-"""Bytes in a command; what is longer is none."""
+"""Bytes; longer commands are invalid."""
 MEASURE_PATTERN = re.compile(rb"([MG])([DS])(\d{4})(\d{4})(\d{2})(?:(\d)(\d{2}))?")
 
 
 @dataclass(slots=True)
 class _MeasurementTask:
-    """Measurements that were asked for: the revolution to look at next, and how many scans remain; None: no end."""
+    """A measurement request in progress: the next revolution to measure, and the number of remaining scans; None if
+    unlimited.
+    """
 
     request: MeasureRequest
     revolution: int
@@ -35,7 +37,7 @@ class _MeasurementTask:
 
 
 class EmulatedScip(EmulatedDevice):
-    """Its head turns counter-clockwise; step 0 of revolution k is measured at k turns' time on its own clock."""
+    """Its head turns counter-clockwise; step 0 of revolution k is measured after k turns on its own clock."""
 
     def __init__(self, name: str, line: SerialLine, drift: float, beams: BeamModel) -> None:
         super().__init__(name, line, drift, usb_powered=True)
@@ -51,7 +53,7 @@ class EmulatedScip(EmulatedDevice):
         self._held, self._task = b"", None
 
     def on_port_opened(self, time: float) -> None:
-        """It does not notice."""
+        """Do nothing: the device does not notice."""
 
     @property
     def unrecognised(self) -> int:
@@ -59,7 +61,7 @@ class EmulatedScip(EmulatedDevice):
         return self._bytes_skipped
 
     def receive(self, data: bytes, time: float) -> None:
-        """Obey and answer."""
+        """Execute the commands and reply."""
         *lines, self._held = (self._held + data).replace(b"\r", b"\n").split(b"\n")
         for line in lines:
             if line:
@@ -72,8 +74,8 @@ class EmulatedScip(EmulatedDevice):
         match = MEASURE_PATTERN.fullmatch(line)
         texts: dict[bytes, tuple[bytes, ...]] = {
             **dict.fromkeys((b"BM", b"SCIP2.0", b"TM0", b"TM2", b"QT", b"RS"), ()),
-            b"VV": _sealed(IDENTITY),
-            b"II": _sealed(STATE),
+            b"VV": encode_text_lines(IDENTITY),
+            b"II": encode_text_lines(STATE),
             b"PP": URG.lines(),
         }
         if match is not None and (match[1] == b"M") == (match[6] is not None):
@@ -96,7 +98,7 @@ class EmulatedScip(EmulatedDevice):
         self.line.send(reply.packet(), time)
 
     def _start_measuring(self, line: bytes, match: re.Match[bytes], time: float) -> None:
-        """Take on a request for measurements."""
+        """Start a measurement request."""
         first, last, cluster = (int(match[i]) for i in (3, 4, 5))
         continuous = match[1] == b"M"
         width = 3 if match[2] == b"D" else 2
@@ -113,17 +115,17 @@ class EmulatedScip(EmulatedDevice):
 
     @property
     def due(self) -> float:
-        """When the next scan is complete."""
+        """Time at which the next scan is complete."""
         if self._task is None or not self.on:
             return math.inf
         return self.to_host_time(float(self._device_times(self._task, np.array([self._task.request.last]))[0]))
 
     def _device_times(self, task: _MeasurementTask, steps: Floats) -> Floats:
-        """Own times at which steps (n,) are measured."""
+        """Return the device times at which steps (n,) are measured."""
         return np.asarray(task.revolution * 60.0 / URG.speed + steps * URG.step_period)
 
     def advance(self, time: float) -> None:
-        """Measure and send what is due."""
+        """Measure and send all scans that are due."""
         while (task := self._task) is not None and time >= self.due:
             self._scan(task)
 
@@ -147,14 +149,9 @@ class EmulatedScip(EmulatedDevice):
             self._task = None
 
     def _clock(self, device_time: float) -> int:
-        """Milliseconds as it tells them."""
+        """Return the milliseconds that the device reports."""
         return round(device_time * 1e3) % scip_scan.CLOCK_WRAP
 
     def report(self) -> dict[str, object]:
-        """Scans sent."""
+        """Return the number of scans sent."""
         return {"scans": self.scans}
-
-
-def _sealed(texts: tuple[str, ...]) -> tuple[bytes, ...]:
-    """Lines of text with their checksums."""
-    return tuple(text.encode("ascii") + b";" + checksum(text.encode("ascii")) for text in texts)

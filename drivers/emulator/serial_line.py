@@ -1,4 +1,4 @@
-"""A serial line: bytes at the pace of a baud rate, and what damages them on the way."""
+"""A serial line: bytes at the pace of a baud rate, and their random corruption."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ import numpy as np
 from ..messages import Floats
 
 BITS_PER_BYTE = 10
-"""On the line for each byte: start, eight of data, stop."""
+"""Start bit, eight data bits, stop bit."""
 MAX_BACKLOG = 0.5
-"""Seconds of bytes that a device holds back for a line that is too slow; what is more is lost."""
+"""Seconds of bytes that a device buffers for a line that is too slow; further bytes are lost."""
 
 
 @dataclass(slots=True)
 class _Batch:
     data: bytes
-    ends: Floats  # when each packet's last byte is through
+    ends: Floats  # time at which each packet's last byte is transmitted
     size: int  # of a packet
     consumed: int = 0
 
 
 class SerialLine:
-    """Carries packets one after the other.
+    """Transmits packets one after the other.
 
-    baud      bits a second; infinite for devices that are on USB themselves
+    baud      bits per second; infinite for devices with native USB
     overflow  bytes lost because the line was too slow
     """
 
@@ -36,15 +36,15 @@ class SerialLine:
         self.overflow = 0
         self._byte_time = BITS_PER_BYTE / baud
         self._batches: deque[_Batch] = deque()
-        self._free = 0.0  # when the last byte will be through
+        self._free = 0.0  # time at which the last byte will be transmitted
 
     @property
     def due(self) -> float:
-        """When all bytes on the way will be through; infinite where there are none."""
+        """Time at which all bytes in transmission will have arrived; infinite if there are none."""
         return self._free if self._batches else math.inf
 
     def send(self, data: bytes, ready: Floats | float) -> None:
-        """Put packets of equal size on the line, each when it is `ready`, (m,) or one time."""
+        """Send packets of equal size, each when it is `ready`, (m,) or one time for all."""
         times = np.atleast_1d(np.asarray(ready, dtype=np.float64))
         if self._free - times[-1] > MAX_BACKLOG:
             self.overflow += len(data)
@@ -57,7 +57,7 @@ class SerialLine:
         self._batches.append(_Batch(data, ends, size))
 
     def read(self, time: float) -> bytes:
-        """The bytes that have come through since the last call."""
+        """Return the bytes that have arrived since the last call."""
         parts: list[bytes] = []
         while self._batches:
             batch = self._batches[0]
@@ -75,7 +75,7 @@ class SerialLine:
         return b"".join(parts)
 
     def clear(self, time: float) -> int:
-        """Lose what is on the way; the number of bytes."""
+        """Discard the bytes in transmission; return their number."""
         lost = sum(len(batch.data) - batch.consumed for batch in self._batches)
         self._batches.clear()
         self._free = time
@@ -84,7 +84,7 @@ class SerialLine:
 
 @dataclass(slots=True)
 class CorruptionCounts:
-    """Bytes dropped, inserted and flipped (one bit each) so far."""
+    """Numbers of bytes dropped, inserted and flipped (one bit each)."""
 
     dropped: int = 0
     inserted: int = 0
@@ -92,8 +92,8 @@ class CorruptionCounts:
 
 
 class Corruptor:
-    """Damages bytes at random: before a byte another one is inserted, it is dropped, or one of its bits is flipped,
-    each with a probability. The damage depends on the seed and not on how the bytes come.
+    """Corrupts bytes at random: a byte is dropped, gets a byte inserted before it, or has one bit flipped, each with a
+    probability. The result depends on the seed, not on the chunks.
     """
 
     def __init__(self, drop: float, insert: float, flip: float, random: np.random.Generator) -> None:
@@ -102,7 +102,7 @@ class Corruptor:
         self._positions, self._values = random.spawn(2)
 
     def __call__(self, data: bytes) -> bytes:
-        """The bytes that arrive instead."""
+        """Return the corrupted bytes."""
         if not self._limits[-1] or not data:
             return data
         fate = np.searchsorted(self._limits, self._positions.random(len(data)), side="right")

@@ -1,4 +1,4 @@
-"""Emulated wheel bases: the base's side of each protocol, with encoders, a clock and motors behind it."""
+"""Emulated wheel bases: the base's side of each protocol, with encoders, a clock and motors."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ from .serial_line import SerialLine
 from .wheel_sensors import Encoders, Gyro
 
 ARDUINO_GEOMETRY = DifferentialDrive(left=1 / 5000, right=1 / 5000, track=0.30, bits=32, top_speed=0.6)
-"""The measures that the project's sketch for Arduinos begins with."""
+"""Default wheel geometry of the project's Arduino sketch."""
 ARDUINO_BOOT_DURATION = 1.5
-"""Seconds that an Arduino's boot loader takes."""
+"""Seconds of an Arduino's boot loader."""
 BATTERY_VOLTAGE = 16.4
 """Volts."""
 
 
 @dataclass(frozen=True, slots=True)
 class BaseVariant:
-    """A base.
+    """A wheel base.
 
-    protocol  makes its side of the protocol
-    wheels    its measures as its makers state them
-    baud      bits a second
-    period    seconds between readings; None where it only answers
-    tick      seconds a unit of its clock; None where it tells no time
-    silent    until it is told to stream
-    gyro      whether it has one
-    arduino   a board that takes its power from USB, and starts again when its port is opened
-    deadman   seconds after which it stops unless it is told to drive again
+    protocol    creates the base's side of the protocol
+    wheels      wheel geometry as the makers state it
+    baud        bits per second
+    period      seconds between readings; None if it only responds
+    tick        seconds per unit of its clock; None if it sends no time
+    is_silent   True until it is requested to stream
+    has_gyro    True if it has a gyro
+    is_arduino  a board powered by USB that restarts when its port is opened
+    deadman     seconds without a velocity command after which it stops
     """
 
     protocol: Callable[[DifferentialDrive], WheelDevice]
@@ -67,13 +67,13 @@ BASE_VARIANTS = {
         deadman=0.5,
     ),
 }
-"""By the name that a user gives."""
+"""Wheel bases by the name that a user gives."""
 
 
 class EmulatedWheelBase(EmulatedDevice):
-    """One of KINDS.
+    """One of BASE_VARIANTS.
 
-    obey  is called with the velocities that the base is to drive
+    on_velocity  called with the velocities to drive
     """
 
     def __init__(
@@ -107,19 +107,19 @@ class EmulatedWheelBase(EmulatedDevice):
         self._stop()
 
     def switch_off(self) -> None:
-        """Stand, without power."""
+        """Stop, without power."""
         super().switch_off()
         self._stop()
 
     def on_port_opened(self, time: float) -> None:
-        """The line DTR, which a program asserts when it opens the port, starts Arduinos again."""
+        """Restart Arduinos: opening the port asserts the modem line DTR, which resets them."""
         if self.kind.is_arduino and self.on:
             self.line.clear(time)
             self.switch_on(time)
 
     @property
     def _ready(self) -> float:
-        """Own time from which on it works."""
+        """Device time from which on it works."""
         return ARDUINO_BOOT_DURATION if self.kind.is_arduino else 0.0
 
     @property
@@ -128,7 +128,7 @@ class EmulatedWheelBase(EmulatedDevice):
         return self._unrecognised_before + self._protocol.counters.skipped
 
     def receive(self, data: bytes, time: float) -> None:
-        """Obey and answer; deaf while it boots."""
+        """Execute the requests and respond; ignore them while booting."""
         if self.on and self.to_device_time(time) >= self._ready:
             for request in self._protocol.feed(data):
                 self.requests += 1
@@ -155,13 +155,13 @@ class EmulatedWheelBase(EmulatedDevice):
 
     @property
     def due(self) -> float:
-        """When the next reading is."""
+        """Time of the next reading."""
         if not self.on or not self._streaming or self.kind.period is None:
             return math.inf
         return self.to_host_time(self._ready + self._next * self.kind.period)
 
     def advance(self, time: float) -> None:
-        """Send the readings that are due; stop where no command came for too long."""
+        """Send the readings that are due; stop if no velocity command came for too long."""
         while time >= self.due:
             self._send_reading(self.due)
             self._next += 1
@@ -169,7 +169,7 @@ class EmulatedWheelBase(EmulatedDevice):
             self._stop()
 
     def _send_reading(self, time: float) -> None:
-        """Send the reading of a time."""
+        """Send the reading at a time."""
         left, right = self.encoders.read(time)
         clock = round(self.to_device_time(time) / self.kind.tick) if self.kind.tick else None
         heading = self._gyro.read(time) if self.kind.has_gyro else None
@@ -177,7 +177,7 @@ class EmulatedWheelBase(EmulatedDevice):
         self.readings += 1
 
     def report(self) -> dict[str, object]:
-        """Readings sent, velocities heard, and what is wrong with the wheels."""
+        """Return the numbers of readings sent and velocities received, and the biases of the wheels."""
         biases = self.encoders.biases
         return {
             "readings": self.readings,

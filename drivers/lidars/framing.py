@@ -1,8 +1,8 @@
-"""Packets of one length, found in a stream of bytes that may have lost, gained or damaged some."""
+"""Packets of fixed length in a stream of bytes that may have lost, gained or damaged some."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,16 +10,22 @@ import numpy as np
 from .measurements import Bytes, DecoderCounters, Flags, Integers
 
 SLICE_SIZE = 1 << 15
-"""Bytes taken on at once; bounds the memory of a search however much is fed."""
+"""Bytes processed at once; limits the memory of a search for any amount of input."""
+
+
+def slices(data: bytes) -> Iterator[Bytes]:
+    """Yield the bytes in arrays of at most SLICE_SIZE."""
+    for first in range(0, len(data), SLICE_SIZE):
+        yield np.frombuffer(data, np.uint8, min(SLICE_SIZE, len(data) - first), first)
 
 
 @dataclass(frozen=True, slots=True)
 class PacketLayout:
-    """How a packet is told from other bytes.
+    """Distinguishes a packet from other bytes.
 
-    size    of a packet, bytes
-    marks   ((mask, value), ...) that the packet's first bytes show: byte & mask == value
-    intact  (m, size) packets that show the marks -> (m,) whether their checksum is right
+    size             bytes of a packet
+    sync_marks       ((mask, value), ...) of the packet's first bytes: byte & mask == value
+    checksums_match  function of packets (m, size) with the marks; returns (m,) whether their checksum is right
     """
 
     size: int
@@ -27,7 +33,7 @@ class PacketLayout:
     checksums_match: Callable[[Bytes], Flags]
 
     def has_sync_marks(self, data: Bytes) -> Flags:
-        """Whether packets, the last axis of `data`, show the marks; shorter prefixes of packets may be given."""
+        """Return whether packets, along the last axis of `data`, have the marks; prefixes of packets are allowed."""
         shown = np.ones(data.shape[:-1], dtype=np.bool_)
         for i, (mask, value) in enumerate(self.sync_marks):
             shown &= (data[..., i] & mask) == value
@@ -36,8 +42,11 @@ class PacketLayout:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PacketBatch:
-    """Undamaged packets: `data` (m, size), `ends` (m,) bytes fed up to the last of each, `continuous` (m,) where
-    nothing lies between a packet and the one before.
+    """Undamaged packets.
+
+    data        (m, size)
+    ends        (m,) bytes fed up to the last one of each packet
+    continuous  (m,) True if the packet directly follows the previous one
     """
 
     data: Bytes
@@ -46,9 +55,10 @@ class PacketBatch:
 
 
 class PacketFramer:
-    """Finds the packets: where one is due it is taken if its marks and checksum are right, else one byte is skipped.
+    """Finds the packets: if marks and checksum are right at the expected position, the packet is accepted; otherwise
+    one byte is skipped.
 
-    What is found does not depend on the chunks. At most a packet less one byte is held.
+    The result does not depend on the chunks. At most a packet less one byte is held.
     """
 
     def __init__(self, layout: PacketLayout, counters: DecoderCounters) -> None:
@@ -58,13 +68,12 @@ class PacketFramer:
         self._locked = False  # the last packet ended where the first held byte is
 
     def feed(self, data: bytes) -> PacketBatch:
-        """The packets that these bytes complete."""
+        """Return the packets that these bytes complete."""
         size = self.layout.size
         parts: list[Bytes] = []
         ends: list[Integers] = []
         continuous: list[Flags] = []
-        for first in range(0, len(data), SLICE_SIZE):
-            new = np.frombuffer(data, np.uint8, min(SLICE_SIZE, len(data) - first), first)
+        for new in slices(data):
             buffer = np.concatenate([self._buffer, new])
             start = 0
             while len(buffer) - start >= size:
@@ -88,7 +97,7 @@ class PacketFramer:
         return PacketBatch(np.concatenate(parts), np.concatenate(ends), np.concatenate(continuous))
 
     def _leading_packets(self, data: Bytes) -> Bytes:
-        """The undamaged packets that follow each other from the first byte on."""
+        """Return the undamaged packets that follow each other from the first byte on."""
         size = self.layout.size
         packets = data[: len(data) // size * size].reshape(-1, size)
         good = self.layout.has_sync_marks(packets)
@@ -96,7 +105,9 @@ class PacketFramer:
         return packets if good.all() else packets[: int(np.argmin(good))]
 
     def _skip(self, data: Bytes) -> int:
-        """How many bytes to pass, no packet being at the first, to where the next one is or may yet be."""
+        """Return the number of bytes to skip, as no packet begins at the first one, up to where the next packet begins
+        or may begin.
+        """
         size = self.layout.size
         windows = np.lib.stride_tricks.sliding_window_view(data, size)
         candidates = np.flatnonzero(self.layout.has_sync_marks(windows))

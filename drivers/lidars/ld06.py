@@ -21,9 +21,9 @@ from .measurements import (
 BAUD = 230400
 POINTS = 12
 SAMPLE_RATE = 4500.0
-"""Measurements a second."""
+"""Measurements per second."""
 RANGE_MIN, RANGE_MAX = 0.02, 12.0
-"""Metres, as the data sheets state."""
+"""Metres, from the data sheets."""
 POINT = np.dtype([("distance", "<u2"), ("intensity", "u1")])
 LAYOUT = np.dtype(
     [
@@ -40,14 +40,16 @@ LAYOUT = np.dtype(
 HEADER, LENGTH = 0x54, 0x2C
 TURN_HUNDREDTHS = 36000
 TIME_WRAP = 30000
-"""Milliseconds after which the device's clock begins again."""
+"""Milliseconds after which the device's clock restarts at zero."""
 MAX_SPAN_FACTOR = 3.0
-"""A packet that spans so many times what its speed allows is wrong. The example in the manual spans 1.8 times that."""
+"""A packet is wrong if it spans more than this multiple of the angle that its speed allows. The example in the manual
+spans 1.8 times that angle.
+"""
 POLYNOMIAL = 0x4D
 
 
 def _crc_tables() -> Bytes:
-    """What each value of each byte of a packet, but for the last, contributes to its CRC; (size - 1, 256)."""
+    """Return the contributions of each value of each byte but the last to a packet's CRC, (size - 1, 256)."""
     table = np.arange(256)
     for _ in range(8):
         table = np.where(table & 0x80, (table << 1) ^ POLYNOMIAL, table << 1) & 0xFF
@@ -61,21 +63,21 @@ CRC_TABLES = _crc_tables()
 
 
 def crc8(packets: Bytes) -> Bytes:
-    """CRC-8 of packets (m, 47): polynomial 4D, from 0, over all bytes but the last.
+    """Return the CRC-8 of packets (m, 47): polynomial 4D, initial value 0, over all bytes but the last.
 
-    The CRC is linear, so that it is the XOR of what each byte contributes by itself.
+    The CRC is linear, so it is the XOR of the contributions of the bytes.
     """
     size = len(CRC_TABLES)
     return np.asarray(np.bitwise_xor.reduce(CRC_TABLES[np.arange(size), packets[:, :size]], axis=1), dtype=np.uint8)
 
 
 def checksums_match(packets: Bytes) -> Flags:
-    """Whether the CRCs of packets (m, 47) are right."""
+    """Return whether the CRCs of packets (m, 47) are right."""
     return np.asarray(crc8(packets) == packets[:, -1])
 
 
 class Ld06Decoder:
-    """Decodes the stream, as a `Decoder`. The device's clock is counted on over its wrap every 30 s."""
+    """Decodes the stream, as a `Decoder`. The device's clock, which wraps every 30 s, is unwrapped."""
 
     def __init__(self, sample_rate: float = SAMPLE_RATE, baud: float = BAUD) -> None:
         self.counters = DecoderCounters()
@@ -87,7 +89,7 @@ class Ld06Decoder:
         self._time: int | None = None  # of the last packet, milliseconds, unwrapped
 
     def feed(self, data: bytes) -> Measurements:
-        """The measurements that these bytes complete."""
+        """Return the measurements that these bytes complete."""
         batch = self._framer.feed(data)
         packets = batch.data.view(LAYOUT)[:, 0]
         span = np.mod(packets["last"].astype(np.int64) - packets["first"], TURN_HUNDREDTHS)
@@ -97,7 +99,7 @@ class Ld06Decoder:
         count = len(packets)
         if not count:
             return NO_MEASUREMENTS
-        # In units of 1/1100 degree all angles are whole.
+        # In units of 1/1100 degree all angles are integers.
         angles = packets["first"].astype(np.int64)[:, None] * (POINTS - 1) + span[:, None] * np.arange(POINTS)
         angles = np.mod(angles, TURN_HUNDREDTHS * (POINTS - 1)).ravel()
         before = np.concatenate([angles[:1] if self._angle is None else [self._angle], angles[:-1]])
@@ -107,7 +109,7 @@ class Ld06Decoder:
         distance = packets["points"]["distance"].ravel()
         samples["range"] = np.where(distance > 0, distance / 1e3, np.nan)
         samples["quality"] = packets["points"]["intensity"].ravel()
-        samples["start"] = before - angles > TURN_HUNDREDTHS * (POINTS - 1) // 2  # packets may overlap a little
+        samples["start"] = before - angles > TURN_HUNDREDTHS * (POINTS - 1) // 2  # packets may overlap slightly
         samples["offset"] = np.tile(self._offsets, count)
         samples["packet"] = np.repeat(np.arange(count), POINTS)
         carriers = np.empty(count, dtype=PACKET)
@@ -117,7 +119,7 @@ class Ld06Decoder:
         return Measurements(samples, carriers)
 
     def _unwrapped(self, times: Integers) -> Integers:
-        """Milliseconds counted on from the last packet's."""
+        """Return milliseconds that continue from the last packet's time."""
         last = int(times[0]) if self._time is None else self._time
         unwrapped = last + np.cumsum(np.mod(np.diff(times, prepend=last % TIME_WRAP), TIME_WRAP))
         self._time = int(unwrapped[-1])
@@ -125,9 +127,13 @@ class Ld06Decoder:
 
 
 def encode(angles: Floats, ranges: Floats, intensities: Integers, speed: float, time: float) -> bytes:
-    """Packets (m,): `angles` (m, 2) radians clockwise of the first and the last point, `ranges` (m, 12) metres (NaN
-    where nothing came back), `intensities` (m, 12) 0 to 255, `speed` radians a second, all with one device `time` in
-    seconds.
+    """Encode packets (m,), all with one device time.
+
+    angles       (m, 2) radians clockwise of the first and the last point
+    ranges       (m, 12) metres, NaN for no return
+    intensities  (m, 12) 0 to 255
+    speed        radians per second
+    time         seconds on the device's clock
     """
     packets = np.zeros(len(ranges), dtype=LAYOUT)
     packets["header"], packets["length"] = HEADER, LENGTH

@@ -1,4 +1,4 @@
-"""The one form in which the measurements of every lidar come out of its decoder."""
+"""The common form of the measurements of every lidar."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ Bytes = NDArray[np.uint8]
 Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 StructuredArray = NDArray[Any]
-"""A structured array; its fields are said where it is used."""
+"""A structured array; its fields are stated where it is used."""
 
 NO_QUALITY = -1
-"""Quality of a measurement whose format tells none."""
+"""Quality of a measurement whose format contains none."""
 
 SAMPLE = np.dtype(
     [
@@ -31,56 +31,59 @@ SAMPLE = np.dtype(
 )
 """One measurement.
 
-angle    radians in the lidar's frame, counter-clockwise from the direction the device calls zero, in [-pi, pi]. What
-         turns clockwise (all RPLIDARs, LD06) gives decreasing angles
-range    metres; NaN where the beam returned nothing valid
-quality  as the device tells it, higher is better; NO_QUALITY where it tells nothing
+angle    radians in the lidar's frame, counter-clockwise from the device's direction zero, in [-pi, pi]. Lidars that
+         turn clockwise (all RPLIDARs, LD06) give decreasing angles
+range    metres; NaN if the beam returned nothing valid
+quality  as reported by the device, higher is better; NO_QUALITY if it reports none
 start    the first of a revolution
-offset   seconds from the packet's arrival, when its last byte came in, to the measurement; negative
+offset   seconds from the packet's arrival, when its last byte was received, to the measurement; negative
 packet   row in the packets of the same `Measurements`
 """
 
 PACKET = np.dtype([("end", np.int64), ("device_time", np.float64), ("continuous", np.bool_)])
-"""What carried the measurements.
+"""The packet that carried the measurements.
 
-end          bytes fed to the decoder up to the packet's last one, so that its arrival follows from those of the chunks
-device_time  seconds on the device's clock, unwrapped; NaN where the packet carries none
-continuous   nothing has been lost between the packet before and this one
+end          bytes fed to the decoder up to the packet's last one, from which its arrival time follows
+device_time  seconds on the device's clock, unwrapped; NaN if the packet carries none
+continuous   True if nothing has been lost between the previous packet and this one
 """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurements:
-    """What a chunk of bytes completed: `samples` (n,) of SAMPLE in the order measured, `packets` (m,) of PACKET."""
+    """Measurements that a chunk of bytes completed: `samples` (n,) of SAMPLE in measuring order, `packets` (m,) of
+    PACKET.
+    """
 
     samples: StructuredArray
     packets: StructuredArray
 
     def __len__(self) -> int:
-        """The number of samples."""
+        """Return the number of samples."""
         return len(self.samples)
 
     def stamps(self, arrivals: Floats) -> Floats:
-        """When the samples were measured (n,), in seconds, from when the packets (m,) arrived."""
+        """Return the stamps (n,) of the samples in seconds, from the arrival times (m,) of the packets."""
         return np.asarray(arrivals[self.samples["packet"]] + self.samples["offset"])
 
 
 NO_MEASUREMENTS = Measurements(np.empty(0, SAMPLE), np.empty(0, PACKET))
-"""No measurements."""
+"""Empty measurements."""
 
 
 @dataclass(slots=True)
 class DecoderCounters:
-    """What a decoder has seen since it was made. Nothing is dropped without being counted here.
+    """Counts of a decoder since it was created. Everything that is dropped is counted here.
 
     bytes              fed
     packets            found undamaged: nodes, capsules, blocks
-    samples            given out
-    bytes_skipped      that belong to no packet that was believed
-    checksum_failures  times that a packet was due and its marks or checksum were wrong, or it could not follow the last
-    discarded          undamaged packets that gave nothing: their successor was lost, or the device says that its angle
-                       was reset
-    implausible        samples of undamaged packets left out because no head of a lidar turns like that
+    samples            returned
+    bytes_skipped      not part of any accepted packet
+    checksum_failures  times that a packet was due and its marks or checksum were wrong, or it could not follow the
+                       previous one
+    discarded          undamaged packets without samples: their successor was lost, or the device reports a reset of its
+                       angle
+    implausible        samples of undamaged packets discarded because no lidar's head turns like that
     """
 
     bytes: int = 0
@@ -92,22 +95,22 @@ class DecoderCounters:
     implausible: int = 0
 
     def as_dict(self) -> dict[str, int]:
-        """All counts by name."""
+        """Return all counts by name."""
         return asdict(self)
 
 
 class Decoder(Protocol):
-    """Bytes in, measurements out. Any bytes are taken, in any chunks; none make it raise, or hold more than a few
-    packets. The samples are the same whatever the chunks.
+    """Converts bytes to measurements. It accepts any bytes in any chunks, never raises, and never holds more than a few
+    packets. The samples do not depend on the chunks.
     """
 
     counters: DecoderCounters
 
     def feed(self, data: bytes) -> Measurements:
-        """The measurements that these bytes complete."""
+        """Return the measurements that these bytes complete."""
         ...
 
 
 def to_counter_clockwise(clockwise: Floats) -> Floats:
-    """Angles that count clockwise as REP-103 angles; radians, wrapped to [-pi, pi]."""
+    """Convert angles that count clockwise to REP-103 angles; radians, wrapped to [-pi, pi]."""
     return np.asarray(np.mod(np.pi - clockwise, 2.0 * np.pi) - np.pi)

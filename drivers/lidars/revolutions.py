@@ -1,4 +1,4 @@
-"""Measurements cut into one `Scan` a revolution."""
+"""Measurements cut into one `Scan` per revolution."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from ..se2 import Pose
 from .measurements import Measurements, StructuredArray
 
 MIN_SPAN = np.radians(300.0)
-"""What a revolution must span. Two lost capsules of an RPLIDAR leave 30 to 50 degrees out."""
+"""Radians that a complete revolution must span. Two lost capsules of an RPLIDAR leave a gap of 30 to 50 degrees."""
 MAX_SPAN = np.radians(420.0)
-"""What no revolution spans: then the start of one was lost."""
+"""Radians; a larger span means that the start of a revolution was lost."""
 MAX_ANGLE_GAP = np.radians(60.0)
-"""Between neighbouring beams of a revolution that counts as complete."""
+"""Radians between neighbouring beams of a complete revolution."""
 MAX_TIME_GAP = 0.24
-"""Of a revolution's duration, between measurements. Where the start between two turns is lost with more than half a
-turn, so that the angles alone look like one turn, it is more than a quarter.
+"""Maximum gap between measurements, as a share of the revolution's duration. If the start between two turns is lost
+with more than half a turn, so that the angles alone look like one turn, the gap is more than a quarter.
 """
 MAX_SAMPLES = 1 << 15
-"""In a revolution; an RPLIDAR at 32 000 a second that turns once a second has about as many."""
+"""Samples of a revolution; an RPLIDAR with 32 000 per second that turns once a second has about as many."""
 
 
 @dataclass(slots=True)
 class RevolutionCounters:
-    """Revolutions that became scans, and those that did not: too much of them was lost, or their beginning."""
+    """Numbers of revolutions that became scans, and of those with too large a loss or a lost start."""
 
     complete: int = 0
     incomplete: int = 0
@@ -40,11 +40,11 @@ def make_scan(
     mount: Pose | None = None,
     upside_down: bool = False,
 ) -> Scan:
-    """One scan of samples (n,) of SAMPLE in the order measured at `stamps` (n,) seconds; n >= 1.
+    """Return the scan of samples (n,) of SAMPLE in the order measured at `stamps` (n,) seconds; n >= 1.
 
-    Angles are unwrapped from the first sample on, so that beams are in the order of time or against it, but for where
-    the device corrects its angles: clockwise they go from about 0 down to -2 pi. Of beams in the same direction, the
-    first that returned something is kept. Ranges beyond the limits are NaN. `upside_down` mirrors the angles.
+    Angles are unwrapped from the first sample on, so that the beams are ordered by time, forwards or backwards, except
+    where the device corrects its angles: clockwise they go from about 0 down to -2 pi. Of beams in the same direction,
+    the first one with a return is kept. Ranges beyond the limits become NaN. `upside_down` mirrors the angles.
     """
     angles = np.unwrap(samples["angle"])
     if upside_down:
@@ -57,11 +57,11 @@ def make_scan(
 
 
 class RevolutionAssembler:
-    """Takes measurements as they come, gives scans.
+    """Collects measurements and returns scans.
 
-    range_min, range_max, mount, upside_down  of the lidar, for the scans (see `scan_of`)
-    whole_packets  each packet is one scan, as with SCIP; otherwise a scan goes from one start to the next, and what
-                   comes before the first start is left out
+    range_min, range_max, mount, upside_down  of the lidar, for the scans (see `make_scan`)
+    whole_packets  if True, each packet is one scan, as with SCIP; otherwise a scan reaches from one start to the next,
+                   and samples before the first start are discarded
     """
 
     def __init__(
@@ -78,13 +78,13 @@ class RevolutionAssembler:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the revolution under way: the lidar was started again."""
+        """Discard the unfinished revolution, because the lidar was started again."""
         self._samples: list[StructuredArray] = []
         self._stamps: list[Floats] = []
         self._has_start = False
 
     def add(self, measurements: Measurements, stamps: Floats) -> list[Scan]:
-        """The scans that measurements (n,) taken at `stamps` (n,), in seconds on the host's clock, complete."""
+        """Return the scans completed by measurements (n,) with `stamps` (n,) in seconds on the host's clock."""
         samples = measurements.samples
         scans: list[Scan] = []
         starts = np.flatnonzero(samples["start"])
@@ -103,7 +103,7 @@ class RevolutionAssembler:
         return scans
 
     def _finish(self) -> list[Scan]:
-        """The scan of what was collected, if it is complete."""
+        """Return the scan of the collected samples, if it is complete."""
         if not self._has_start:
             return []
         samples, stamps = np.concatenate(self._samples), np.concatenate(self._stamps)
@@ -116,7 +116,7 @@ class RevolutionAssembler:
 
 
 def is_complete_revolution(samples: StructuredArray, stamps: Floats) -> bool:
-    """Whether samples (n,) taken at `stamps` (n,) go around once without too large a gap."""
+    """Return whether samples (n,) with `stamps` (n,) form one turn without too large a gap."""
     if len(samples) < 2:
         return False
     angles = np.sort(np.unwrap(samples["angle"]))

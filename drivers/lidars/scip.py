@@ -1,11 +1,12 @@
-"""Hokuyo's SCIP 2.0: lines of ASCII asked for and answered. This is the language; `scip_scan` reads its measurements.
+"""Hokuyo's SCIP 2.0: ASCII commands and replies. `scip_scan` decodes the measurements.
 
-A reply is the command's echo, a status with a checksum, lines each with a checksum, and an empty line.
+A reply consists of the command's echo, a status with a checksum, lines with a checksum each, and an empty line.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,34 +15,34 @@ from ..errors import DriverError
 from .measurements import Bytes, Flags, Integers
 
 OFFSET = 0x30
-"""Characters 0x30 to 0x6F stand for six bits."""
+"""Characters 0x30 to 0x6F encode six bits each."""
 LINE_LENGTH = 64
 """Characters of data in a line, before its checksum."""
 MAX_LINE_LENGTH = 256
 MAX_LINES = 256
-"""In a reply; 1 921 steps of three characters, the most that a Hokuyo sends, take 91."""
+"""Lines of a reply; 1 921 steps of three characters, the maximum of a Hokuyo, take 91."""
 OK = "00"
 DATA = "99"
-"""Status of the replies in which measurements keep coming."""
+"""Status of the replies of a continuous measurement."""
 
 STOP = b"QT\n"
 LASER_ON = b"BM\n"
 PARAMETERS = b"PP\n"
 VERSION = b"VV\n"
 USE_SCIP2 = b"SCIP2.0\n"
-"""To a device that answers `E` because it still speaks SCIP 1.1."""
+"""Command to a device that replies `E` because it still uses SCIP 1.1."""
 CLOCK = b"TM1\n"
 
 
 def checksum(text: bytes) -> bytes:
-    """The character that follows `text`: the sum's lowest six bits."""
+    """Return the character that follows `text`: the lowest six bits of the sum."""
     return bytes([(sum(text) & 0x3F) + OFFSET])
 
 
 def strip_checksum(line: bytes) -> bytes | None:
-    """A line without its checksum; None where that is wrong.
+    """Return a line without its checksum; None if the checksum is wrong.
 
-    Lines of parameters have a semicolon before the checksum, which does not count.
+    Lines of parameters have a semicolon before the checksum, which is not summed.
     """
     text, told = line[:-1], line[-1:]
     if not text or told not in (checksum(text), checksum(text[:-1]) if text.endswith(b";") else b""):
@@ -50,20 +51,20 @@ def strip_checksum(line: bytes) -> bytes | None:
 
 
 def encode_values(values: Integers, width: int) -> bytes:
-    """Values (n,), `width` characters each, the highest six bits first."""
+    """Encode values (n,) in `width` characters each, the highest six bits first."""
     shifts = 6 * np.arange(width - 1, -1, -1)
     return (((values[:, None] >> shifts) & 0x3F) + OFFSET).astype(np.uint8).tobytes()
 
 
 def decode_values(characters: Bytes, width: int) -> tuple[Integers, Flags]:
-    """Values (n,) of n * width characters, and whether all of a value's characters can stand for bits."""
+    """Decode values (n,) of n * width characters; also return whether all characters of each value are valid."""
     groups = characters.reshape(-1, width).astype(np.int64) - OFFSET
     good: Flags = np.asarray(((groups >= 0) & (groups < 64)).all(axis=1))
     return (groups << (6 * np.arange(width - 1, -1, -1))).sum(axis=1), good
 
 
 def parse_clock(line: bytes) -> int | None:
-    """Milliseconds on the device's clock, modulo 2^24; None where the line is damaged."""
+    """Return the device's clock in milliseconds modulo 2^24; None if the line is damaged."""
     text = strip_checksum(line)
     if text is None or len(text) != 4:
         return None
@@ -71,9 +72,14 @@ def parse_clock(line: bytes) -> int | None:
     return int(values[0]) if good[0] else None
 
 
+def encode_text_lines(texts: Iterable[str]) -> tuple[bytes, ...]:
+    """Return lines of text, each with a semicolon and its checksum."""
+    return tuple(text.encode("ascii") + b";" + checksum(text.encode("ascii")) for text in texts)
+
+
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """A reply as it came: echo, status, its lines with their checksums, and the bytes fed up to its end."""
+    """A reply as received: echo, status, lines with their checksums, and the number of bytes fed up to its end."""
 
     echo: bytes
     status: str
@@ -81,13 +87,15 @@ class Reply:
     end: int
 
     def packet(self) -> bytes:
-        """The bytes that the device sends."""
+        """Return the bytes that the device sends."""
         status = self.status.encode("ascii")
         return b"\n".join([self.echo, status + checksum(status), *self.lines, b"", b""])
 
 
 class ReplyParser:
-    """Replies out of bytes in any chunks. What is too long, or has no status, is passed over and counted."""
+    """Finds replies in bytes in any chunks. Bytes of replies that are too long or have no status are skipped and
+    counted.
+    """
 
     def __init__(self) -> None:
         self.bytes_skipped = 0
@@ -97,7 +105,7 @@ class ReplyParser:
         self._overlong = False
 
     def feed(self, data: bytes) -> list[Reply]:
-        """The replies that these bytes complete."""
+        """Return the replies that these bytes complete."""
         replies: list[Reply] = []
         at = 0
         while (end := data.find(b"\n", at)) >= 0:
@@ -129,7 +137,7 @@ class ReplyParser:
             self.bytes_skipped += len(line) + 1
 
     def _reply(self, end: int) -> Reply | None:
-        """The reply that the held lines make, None where they make none."""
+        """Return the reply consisting of the collected lines; None if they form none."""
         lines, self._lines = self._lines, []
         overlong, self._overlong = self._overlong, False
         if not overlong and len(lines) >= 2:
@@ -144,13 +152,13 @@ class ReplyParser:
 
 @dataclass(frozen=True, slots=True)
 class Parameters:
-    """What the device is, from its reply to PP.
+    """Properties of the device, from its reply to PP.
 
-    model               as it calls itself
+    model                 name of the model
     range_min, range_max  metres; smaller values are error codes
-    steps               in a full turn
-    first, last, front  steps: the first and the last that can be measured, and the one that looks ahead
-    speed               revolutions a minute
+    steps                 steps per full turn
+    first, last, front    steps: the first and the last that can be measured, and the one straight ahead
+    speed                 revolutions per minute
     """
 
     model: str
@@ -169,12 +177,12 @@ class Parameters:
 
     @classmethod
     def parse(cls, reply: Reply) -> Parameters:
-        """Raises DriverError where the reply lacks something or is damaged."""
+        """Parse the reply to PP; raises DriverError if it is incomplete or damaged."""
         fields: dict[str, str] = {}
         for line in reply.lines:
             text = strip_checksum(line)
             if text is None:
-                raise DriverError("the lidar's parameters came damaged")
+                raise DriverError("the lidar's parameters arrived damaged")
             name, _, value = text.decode("ascii", errors="replace").rstrip(";").partition(":")
             fields[name] = value
         try:
@@ -195,7 +203,7 @@ class Parameters:
         )
 
     def lines(self) -> tuple[bytes, ...]:
-        """The lines of the reply that tells them."""
+        """Return the lines of the reply with these parameters."""
         numbers = {
             "DMIN": self.range_min * 1e3,
             "DMAX": self.range_max * 1e3,
@@ -206,16 +214,16 @@ class Parameters:
             "SCAN": self.speed,
         }
         texts = [f"MODL:{self.model}", *(f"{name}:{round(value)}" for name, value in numbers.items())]
-        return tuple(text.encode("ascii") + b";" + checksum(text.encode("ascii")) for text in texts)
+        return encode_text_lines(texts)
 
 
 @dataclass(frozen=True, slots=True)
 class MeasureRequest:
-    """A request for measurements of the steps `first` to `last`, in clusters of `cluster` neighbours whose nearest is
-    told.
+    """A request for measurements of the steps `first` to `last`, in clusters of `cluster` neighbours of which the
+    nearest is reported.
 
-    continuous  MD and MS, which keep coming until STOP; GD and GS answer once
-    width       characters a value: 3, or 2 for less than 4.096 m
+    continuous  True for MD and MS, which repeat until STOP; False for GD and GS, which reply once
+    width       characters per value: 3, or 2 for ranges below 4.096 m
     skip        scans left out between two
     """
 
@@ -228,16 +236,16 @@ class MeasureRequest:
 
     @property
     def count(self) -> int:
-        """Values in a scan."""
+        """Number of values in a scan."""
         return math.ceil((self.last - self.first + 1) / self.cluster)
 
     @property
     def echo_prefix(self) -> bytes:
-        """What every echo begins with."""
+        """Beginning of every echo."""
         command = ("M" if self.continuous else "G") + ("D" if self.width == 3 else "S")
         text = f"{command}{self.first:04d}{self.last:04d}{self.cluster:02d}"
         return (text + (f"{self.skip:01d}" if self.continuous else "")).encode("ascii")
 
     def packet(self) -> bytes:
-        """The bytes to send; continuous measurements are asked for without end."""
+        """Return the bytes to send; continuous measurements are requested without a limit."""
         return self.echo_prefix + (b"00" if self.continuous else b"") + b"\n"

@@ -1,4 +1,4 @@
-"""Measurements in SCIP 2.0: one reply a scan, counter-clockwise, with the device's clock."""
+"""Measurements in SCIP 2.0: one reply per scan, counter-clockwise, with the device's clock."""
 
 from __future__ import annotations
 
@@ -21,34 +21,34 @@ from .scip import (
 )
 
 CLOCK_WRAP = 1 << 24
-"""Milliseconds after which the device's clock begins again."""
+"""Milliseconds after which the device's clock restarts at zero."""
 DAMAGED = 0xFF
-"""Stands in for the characters of damaged lines; no value has it."""
+"""Substitute for the characters of damaged lines; no value contains it."""
 
 
 class ScipDecoder:
-    """Decodes the replies to one request for measurements, as a `Decoder`; each is one whole scan.
+    """Decodes the replies to one measurement request, as a `Decoder`; each reply is a whole scan.
 
     parameters  of the device
-    request     what was asked
-    baud        of the port, bits a second; infinite on USB
+    request     that was sent
+    baud        of the port, bits per second; infinite on USB
 
-    A damaged line costs the measurements in it, which become NaN; a damaged echo, clock or number of lines costs the
-    scan. Replies to other requests are passed over, as their bytes are by the counters.
+    A damaged line turns its measurements into NaN; a damaged echo, clock or number of lines loses the scan. Replies to
+    other requests are counted as skipped bytes.
     """
 
     def __init__(self, parameters: Parameters, request: MeasureRequest, baud: float = np.inf) -> None:
         self.parameters, self.request, self.counters = parameters, request, DecoderCounters()
         self._reader = ReplyParser()
         self._clock: int | None = None  # milliseconds, unwrapped
-        self._intact = False  # the last reply was taken
+        self._intact = False  # the last reply contained a scan
         middle = request.first + np.arange(request.count) * request.cluster + 0.5 * (request.cluster - 1)
         self._angles = (middle - parameters.front) * (2.0 * np.pi / parameters.steps)
         bytes_sent = len(encode(np.zeros(request.count), request, 0, 0))
         self._offsets = (middle - request.last) * parameters.step_period - bytes_sent * 10.0 / baud
 
     def feed(self, data: bytes) -> Measurements:
-        """The measurements of the scans that these bytes complete."""
+        """Return the measurements of the scans that these bytes complete."""
         replies = self._reader.feed(data)
         self.counters.bytes += len(data)
         skipped = self._reader.bytes_skipped
@@ -67,13 +67,13 @@ class ScipDecoder:
         return Measurements(samples, np.concatenate([part.packets for part in parts]))
 
     def _scan(self, reply: Reply, row: int) -> Measurements | None:
-        """The scan in a reply, as packet number `row`; None where it holds none."""
+        """Return the scan in a reply, as packet number `row`; None if it contains none."""
         if (
             not self._is_own_echo(reply.echo)
             or reply.status != (DATA if self.request.continuous else OK)
             or not reply.lines
         ):
-            if reply.status != OK:  # which is what the first reply to a request that goes on says
+            if reply.status != OK:  # the first reply to a continuous request has status OK and no data
                 self.counters.bytes_skipped += len(reply.packet())
             return None
         clock = parse_clock(reply.lines[0])
@@ -94,15 +94,15 @@ class ScipDecoder:
         return Measurements(samples, packet)
 
     def _is_own_echo(self, echo: bytes) -> bool:
-        """Whether an echo is that of the request, whatever the number of scans that remain."""
+        """Return whether an echo is that of the request, for any number of remaining scans."""
         echo_prefix, rest = echo[: len(self.request.echo_prefix)], echo[len(self.request.echo_prefix) :]
         return echo_prefix == self.request.echo_prefix and (
             len(rest) == 2 and rest.isdigit() if self.request.continuous else not rest
         )
 
     def _characters(self, lines: tuple[bytes, ...]) -> Bytes | None:
-        """The characters of all values, DAMAGED in the place of damaged lines; None where there are not as many lines
-        as there should be.
+        """Return the characters of all values, with DAMAGED in place of damaged lines; None if the number of lines is
+        wrong.
         """
         total = self.request.count * self.request.width
         if len(lines) != -(-total // LINE_LENGTH):
@@ -117,15 +117,17 @@ class ScipDecoder:
         return characters
 
     def _unwrapped(self, clock: int) -> int:
-        """Milliseconds counted on from the last scan's."""
+        """Return milliseconds that continue from the last scan's time."""
         self._clock = clock if self._clock is None else self._clock + (clock - self._clock) % CLOCK_WRAP
         return self._clock
 
 
 def encode(ranges: Floats, request: MeasureRequest, clock: int, remaining: int = 0) -> bytes:
-    """The reply with one scan: `ranges` (n,) metres (NaN where nothing came back, which is told as 0), n =
-    request.count; the device's `clock` in milliseconds; how many scans remain of those asked for, 0 where they are
-    without end.
+    """Encode the reply with one scan.
+
+    ranges     (request.count,) metres; NaN for no return, encoded as 0
+    clock      milliseconds on the device's clock
+    remaining  number of scans still to come, 0 if the request has no limit
     """
     max_value = (1 << 6 * request.width) - 1
     values = np.clip(np.round(np.nan_to_num(ranges, posinf=0.0) * 1e3), 0, max_value).astype(np.int64)

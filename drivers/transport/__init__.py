@@ -1,4 +1,4 @@
-"""Connections to devices: serial ports, TCP, tapes of raw bytes. They carry bytes and know no protocol."""
+"""Connections to devices: serial ports, TCP and byte captures. They carry bytes and contain no protocol."""
 
 from __future__ import annotations
 

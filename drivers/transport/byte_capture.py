@@ -1,13 +1,13 @@
-"""Tapes: what passed through a connection, byte by byte, with times.
+"""Byte captures: the raw bytes of a connection with their times.
 
-A tape is a text with a line for each chunk, `<seconds> <arrow> <hex>`, the arrow `<` for what came from the device and
-`>` for what was sent to it:
+A byte capture is a text file with one line per chunk, `<seconds> <arrow> <hex>`. The arrow `<` marks bytes from the
+device, `>` bytes sent to it:
 
     8137.204512345 > a525
     8137.310274001 < a55a140000000418
 
-It is made to be attached to a report, read by people, and cut with any editor. Empty lines and lines that begin with #
-say nothing. The last line is left out where it does not end, as after a crash.
+The format can be attached to a report, read by people and cut with any editor. Empty lines and lines beginning with #
+are ignored. An incomplete last line, as after a crash, is ignored too.
 """
 
 from __future__ import annotations
@@ -25,11 +25,12 @@ FROM_DEVICE = "<"
 
 
 class CapturingTransport:
-    """A `Transport` that writes what passes through another one to a tape, which is begun anew or gone on with.
+    """A `Transport` that writes the bytes of another transport to a byte capture, either a new file or appended.
 
-    failure  why the tape ended early, as on a full disk; None while it goes on. The connection goes on anyhow
+    failure  reason why the capture ended early, such as a full disk; None while it is being written. The connection
+             continues in any case
 
-    Raises PortError where the tape cannot be written at all.
+    Raises PortError if the capture cannot be written at all.
     """
 
     def __init__(self, transport: Transport, path: str | Path, append: bool = False) -> None:
@@ -39,7 +40,7 @@ class CapturingTransport:
         try:
             self._file = Path(path).open("a" if append else "w", encoding="ascii", buffering=1)  # noqa: SIM115
         except OSError as failure:
-            raise PortError(self.name, f"the tape {path} cannot be written: {failure.strerror}") from failure
+            raise PortError(self.name, f"the byte capture {path} cannot be written: {failure.strerror}") from failure
         self._write_line(f"# {self.name}".encode("ascii", "backslashreplace").decode())
 
     def read(self, timeout: float) -> Received:
@@ -56,7 +57,7 @@ class CapturingTransport:
         self._transport.write(data)
 
     def set_dtr(self, asserted: bool) -> bool:
-        """Set the connection's line; the tape does not tell."""
+        """Set the connection's modem line; it is not captured."""
         return self._transport.set_dtr(asserted)
 
     def cancel(self) -> None:
@@ -64,7 +65,7 @@ class CapturingTransport:
         self._transport.cancel()
 
     def close(self) -> None:
-        """Close the connection and the tape."""
+        """Close the connection and the capture."""
         self._transport.close()
         try:
             self._file.close()
@@ -80,30 +81,30 @@ class CapturingTransport:
 
 
 class ReplayTransport:
-    """A `Transport` that plays what came from the device, with the times of the tape.
+    """A `Transport` that plays the device's bytes of a byte capture, with the captured times.
 
-    path   of the tape
-    paced  whether reads take as long as they took; without, time passes on the tape only, and a read that would have
-           timed out returns at once
+    path   of the byte capture
+    paced  if True, reads take as long as they did originally; otherwise time passes only within the capture, and a read
+           that would have timed out returns at once
 
-    What is written to it goes nowhere. Reading beyond the end raises EndOfTapeError. Raises RecordingError where the
-    tape cannot be read, or has a line that is none.
+    Written bytes are discarded. Reading beyond the end raises EndOfCaptureError. Raises RecordingError if the capture
+    cannot be read or contains an invalid line.
     """
 
     def __init__(self, path: str | Path, paced: bool = False) -> None:
         self.name = str(path)
         self._paced = paced
         self._chunks = iter(read_received(path))
-        self._time: float | None = None  # on the tape
+        self._time: float | None = None  # captured time, seconds
         self._cancelled = self._closed = False
         self._next = next(self._chunks, None)
 
     def read(self, timeout: float) -> Received:
-        """The next chunk, or nothing where the tape has none within the timeout (seconds)."""
+        """Return the next chunk, or no bytes if the capture has none within `timeout` seconds."""
         if self._closed:
             raise EndOfCaptureError(self.name, "closed")
         if self._next is None:
-            raise EndOfCaptureError(self.name, "the tape ends here")
+            raise EndOfCaptureError(self.name, "the byte capture ends here")
         now = self._next.time if self._time is None else self._time
         if self._cancelled:
             self._cancelled = False
@@ -118,10 +119,10 @@ class ReplayTransport:
         return received
 
     def write(self, data: bytes) -> None:
-        """Nothing: the device of a tape has said what it says."""
+        """Discard the bytes."""
 
     def set_dtr(self, asserted: bool) -> bool:
-        """There is no such line."""
+        """Return False: a byte capture has no modem lines."""
         return False
 
     def cancel(self) -> None:
@@ -129,7 +130,7 @@ class ReplayTransport:
         self._cancelled = True
 
     def close(self) -> None:
-        """End playing."""
+        """Stop playing."""
         self._closed = True
 
     def _wait_if_paced(self, duration: float) -> None:
@@ -138,12 +139,12 @@ class ReplayTransport:
 
 
 def read_received(path: str | Path) -> Iterator[Received]:
-    """The chunks that came from the device. Raises RecordingError where the tape cannot be read."""
+    """Return the chunks that came from the device. Raises RecordingError if the capture cannot be read."""
     return (received for direction, received in read_capture(path) if direction == FROM_DEVICE)
 
 
 def read_capture(path: str | Path) -> Iterator[tuple[str, Received]]:
-    """The chunks in both directions, each with its arrow. Raises RecordingError where the tape cannot be read."""
+    """Yield (arrow, chunk) for both directions. Raises RecordingError if the capture cannot be read."""
     try:
         with Path(path).open(encoding="ascii", newline="\n") as file:
             for number, line in enumerate(file, start=1):
@@ -154,7 +155,7 @@ def read_capture(path: str | Path) -> Iterator[tuple[str, Received]]:
                     continue
                 match = LINE_PATTERN.fullmatch(text)
                 if match is None:
-                    raise RecordingError(path, number, "not a line of a tape: <seconds> <arrow> <hex>")
+                    raise RecordingError(path, number, "not a line of a byte capture: <seconds> <arrow> <hex>")
                 yield match[2], Received(bytes.fromhex(match[3]), float(match[1]))
     except (OSError, UnicodeDecodeError) as failure:
         raise RecordingError(path, None, f"cannot be read: {failure}") from failure

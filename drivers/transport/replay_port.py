@@ -1,4 +1,4 @@
-"""A tape behind a pseudo terminal, so that any program can read it as if the device were there."""
+"""A byte capture played behind a pseudo terminal, so that any program can read it like the device."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from typing import Self
 from .byte_capture import FROM_DEVICE, read_capture
 
 MAX_HOST_DELAY = 5.0
-"""Seconds of waiting for what the tape says that the host sent; then the tape goes on without it."""
+"""Seconds to wait for bytes that the captured host sent; afterwards the capture continues without them."""
 MAX_OPEN_DELAY = 60.0
-"""Seconds of waiting for somebody to open the port."""
+"""Seconds to wait for a program to open the port."""
 MAX_READ_SIZE = 4096
-"""Bytes taken at once."""
+"""Bytes per read."""
 
 
 class ReplayPort:
-    """Plays a tape from the device's side, a context.
+    """Plays a byte capture from the device's side; a context manager.
 
-    name   the port to open
-    speed  times as fast as it was
+    name   path of the port to open
+    speed  factor of the original speed
 
-    Where the tape says that the host sent something, the tape waits until as many bytes have come, so that questions
-    and answers stay in step. Raises RecordingError where the tape cannot be read.
+    Where the captured host sent bytes, playing waits until as many bytes have arrived, so that requests and responses
+    stay in step. Raises RecordingError if the capture cannot be read.
     """
 
     def __init__(self, path: str | Path, speed: float = 1.0) -> None:
@@ -51,8 +51,8 @@ class ReplayPort:
         os.close(self._terminal)
 
     def play(self) -> int:
-        """Play to the end; the number of bytes that went out. Bytes for which the port has no room are lost, as those
-        of a device are.
+        """Play to the end; return the number of bytes sent. Bytes are lost if the port's buffer is full, as with a
+        device.
         """
         count, expected, previous = 0, 0, None
         for direction, received in self._chunks:
@@ -68,7 +68,7 @@ class ReplayPort:
         return count
 
     def _receive(self, until: float, expected: int | None = None) -> None:
-        """Take what the host sends, until a time, or until as many bytes have come in all as are expected."""
+        """Receive the host's bytes until a time, or until `expected` bytes have been received in total."""
         while expected is None or self._received_bytes < expected:
             left = until - time.monotonic()
             if left <= 0.0:

@@ -1,4 +1,4 @@
-"""Serial ports, by pyserial."""
+"""Serial ports, using pyserial."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from ..errors import ConnectionLostError, PortError
 from .transport import Received, read_promptly
 
 WRITE_TIMEOUT = 1.0
-"""Seconds; requests are a few bytes, and a port that takes none for so long is stuck."""
+"""Seconds; requests are a few bytes long, so a port that accepts none for this long is stuck."""
 PORT_ERRORS = (OSError, termios.error)
-"""What pyserial and the system raise when a port is gone; pyserial's own errors are OSErrors."""
+"""Exceptions of pyserial and the system when a port is gone; pyserial's own exceptions are OSErrors."""
 LOW_LATENCY_ERRORS = (ValueError, NotImplementedError)
-"""What pyserial raises for a port, and on a system, without such a mode."""
+"""Exceptions of pyserial if the port or the system has no low-latency mode."""
 NO_MODEM_LINE_CODES = (errno.ENOTTY, errno.EINVAL)
-"""What setting a modem line fails with on ports that have none."""
+"""Error codes of setting a modem line on a port that has none."""
 REASONS = {
     errno.ENOENT: "no such port; is the device plugged in?",
     errno.EACCES: "permission denied; on most systems the user must be in the group dialout",
@@ -31,15 +31,15 @@ REASONS = {
 
 
 class SerialPort:
-    """A `Transport` over a serial port, 8 bits, no parity, 1 stop bit.
+    """A `Transport` over a serial port with 8 data bits, no parity and 1 stop bit.
 
-    port  the device's path
-    baud  bits a second
-    dtr   how the line "data terminal ready" is set from the beginning. Asserted, it stops the motor of an RPLIDAR A1;
-          a change of it restarts many Arduinos; boards that are USB devices themselves send nothing without it. The
-          system may pulse it while it opens a port
+    port  path of the device
+    baud  bits per second
+    dtr   state of the modem line "data terminal ready" from the beginning. If asserted, it stops the motor of an
+          RPLIDAR A1; a change restarts many Arduinos; boards with native USB send nothing without it. The system may
+          pulse it while opening a port
 
-    Nobody else can open the port meanwhile. Raises PortError where it cannot be opened.
+    The port is opened exclusively. Raises PortError if it cannot be opened.
     """
 
     def __init__(self, port: str, baud: int, dtr: bool = False) -> None:
@@ -52,16 +52,16 @@ class SerialPort:
             self._serial.dtr = self._serial.rts = dtr  # an ESP32 is held in reset while the two differ
             self._serial.open()
             with suppress(*LOW_LATENCY_ERRORS):
-                self._serial.set_low_latency_mode(True)  # adapters hold bytes back for 16 ms without it
+                self._serial.set_low_latency_mode(True)  # otherwise adapters delay bytes by 16 ms
         except PORT_ERRORS as error:
             raise PortError(port, _reason(error)) from error
         except (ValueError, OverflowError) as error:
             raise PortError(port, f"{error}") from error
 
     def read(self, timeout: float) -> Received:
-        """All that has arrived; waits at most a timeout (seconds) for the first byte."""
+        """Return all bytes that have arrived; wait at most `timeout` seconds for the first one."""
         try:
-            if timeout != self._timeout:  # setting it configures the port
+            if timeout != self._timeout:  # setting the timeout reconfigures the port
                 self._serial.timeout = self._timeout = timeout
             first = self._serial.read(1)
             if not first:
@@ -72,14 +72,16 @@ class SerialPort:
         return Received(first + rest, arrived)
 
     def write(self, data: bytes) -> None:
-        """Send; raises ConnectionLostError, too, where the port takes no bytes for a second."""
+        """Send bytes; also raises ConnectionLostError if the port accepts none for a second."""
         try:
             self._serial.write(data)
         except PORT_ERRORS as error:
             raise self._connection_lost(error) from error
 
     def set_dtr(self, asserted: bool) -> bool:
-        """Set the line; False on ports that have none, as pseudo terminals. It stays so when the port is closed."""
+        """Set the modem line; return False for ports without one, such as pseudo terminals. It keeps its state when the
+        port is closed.
+        """
         if self._closed:
             raise ConnectionLostError(self.name, "closed")
         try:
@@ -92,22 +94,22 @@ class SerialPort:
         return True
 
     def cancel(self) -> None:
-        """Make a read that waits, or else the next one, return at once."""
+        """Make a waiting read, or else the next one, return at once."""
         self._serial.cancel_read()
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         self._closed = True
         self._serial.close()
 
     def _keep_modem_lines(self) -> None:
-        """Have the lines stay as they are when the port is closed; else the motor of an A1 turns again."""
+        """Keep the modem lines unchanged when the port is closed; otherwise the motor of an A1 starts again."""
         try:
             attributes = termios.tcgetattr(self._serial.fileno())
             attributes[2] &= ~termios.HUPCL
             termios.tcsetattr(self._serial.fileno(), termios.TCSANOW, attributes)
         except termios.error as error:
-            if error.args[0] != errno.EINVAL:  # which may be the answer to a speed that has no name in termios
+            if error.args[0] != errno.EINVAL:  # returned for baud rates without a termios constant
                 raise self._connection_lost(error) from error
 
     def _connection_lost(self, error: Exception) -> ConnectionLostError:

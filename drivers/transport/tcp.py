@@ -1,4 +1,4 @@
-"""Serial devices behind a network, as raw bytes over TCP: serial servers, lidars with Ethernet."""
+"""Serial devices behind a network, as raw bytes over TCP: serial servers and lidars with Ethernet."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from ..errors import ConnectionLostError, PortError
 from .transport import Received, read_promptly
 
 CONNECT_TIMEOUT = 3.0
-"""Seconds; devices stand in the same room."""
+"""Seconds; devices are on the local network."""
 WRITE_TIMEOUT = 1.0
-"""Seconds; as for serial ports."""
+"""Seconds, as for serial ports."""
 MAX_READ_SIZE = 65536
-"""Bytes taken at once."""
+"""Bytes per read."""
 
 
 class TcpConnection:
-    """A `Transport` to host:port. Raises PortError where nobody answers there."""
+    """A `Transport` to host:port. Raises PortError if the connection cannot be made."""
 
     def __init__(self, host: str, port: int) -> None:
         self.name = f"{host}:{port}"
@@ -34,13 +34,13 @@ class TcpConnection:
         self._selector.register(self._wake_receiver, selectors.EVENT_READ)
 
     def read(self, timeout: float) -> Received:
-        """All that has arrived; waits at most a timeout (seconds) for the first byte."""
+        """Return all bytes that have arrived; wait at most `timeout` seconds for the first one."""
         self._check_open()
         self._selector.select(timeout)
         return read_promptly(self._read_available)
 
     def write(self, data: bytes) -> None:
-        """Send; raises ConnectionLostError, too, where the other side takes no bytes for a second."""
+        """Send bytes; also raises ConnectionLostError if the other side accepts none for a second."""
         self._check_open()
         try:
             self._socket.sendall(data)
@@ -48,17 +48,17 @@ class TcpConnection:
             raise ConnectionLostError(self.name, f"connection lost: {failure}") from failure
 
     def set_dtr(self, asserted: bool) -> bool:
-        """There is no such line."""
+        """Return False: TCP has no modem lines."""
         self._check_open()
         return False
 
     def cancel(self) -> None:
-        """Make a read that waits, or else the next one, return at once."""
+        """Make a waiting read, or else the next one, return at once."""
         if not self._closed:
             self._wake_sender.send(b"\0")
 
     def close(self) -> None:
-        """End the connection."""
+        """Close the connection."""
         if not self._closed:
             self._closed = True
             self._selector.close()
@@ -66,7 +66,7 @@ class TcpConnection:
                 end.close()
 
     def _read_available(self) -> bytes:
-        """The bytes that are there."""
+        """Return the available bytes without waiting."""
         ready = [key.fileobj for key, _ in self._selector.select(0.0)]
         if self._wake_receiver in ready:
             self._wake_receiver.recv(MAX_READ_SIZE)

@@ -1,4 +1,4 @@
-"""What carries a device's bytes."""
+"""Interface of the connections that carry a device's bytes."""
 
 from __future__ import annotations
 
@@ -7,16 +7,18 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 PROMPT_DURATION = 1e-3
-"""Seconds from asking for bytes to having looked at the clock, where nothing else keeps the host busy; these are some
-calls of the system, of about 20 microseconds each."""
+"""Seconds from reading the bytes to reading the clock on a host that is not busy. These are a few system calls of about
+20 microseconds each.
+"""
 MAX_READS = 5
-"""In a row at most, on a host that is never prompt."""
+"""Maximum number of reads in a row on a host that is never prompt."""
 
 
 class Received(NamedTuple):
-    """Bytes that had arrived by a time (seconds on the host's steady clock, `time.monotonic`); none after a timeout.
+    """Bytes that had arrived by `time`, in seconds on the host's steady clock (`time.monotonic`); empty after a
+    timeout.
 
-    The steady clock, because the one of the day can be set while a device is being read. It is the same in all
+    The steady clock is used because the wall clock can be set while a device is being read. It is the same in all
     processes of a host.
     """
 
@@ -29,40 +31,40 @@ class Transport(Protocol):
 
     name  the port as a user writes it
 
-    One thread reads and one writes, which may be the same; `cancel` may be called from any. To close, cancel, wait for
-    the reader to come back, and close. `read`, `write` and `set_dtr` raise ConnectionLostError once the connection is
-    gone.
+    One thread reads and one writes; they may be the same. `cancel` may be called from any thread. To close a
+    connection, call `cancel`, wait for the reader to return, and call `close`. `read`, `write` and `set_dtr` raise
+    ConnectionLostError once the connection is gone.
     """
 
     name: str
 
     def read(self, timeout: float) -> Received:
-        """All that has arrived; waits at most a timeout (seconds) for the first byte."""
+        """Return all bytes that have arrived; wait at most `timeout` seconds for the first one."""
         ...
 
     def write(self, data: bytes) -> None:
-        """Send; waits until the system has taken all bytes."""
+        """Send bytes; wait until the system has accepted all of them."""
         ...
 
     def set_dtr(self, asserted: bool) -> bool:
-        """Set the line "data terminal ready"; False where the connection has none."""
+        """Set the modem line "data terminal ready"; return False if the connection has none."""
         ...
 
     def cancel(self) -> None:
-        """Make a read that waits, or else the next one, return at once."""
+        """Make a waiting read, or else the next one, return at once."""
         ...
 
     def close(self) -> None:
-        """Give the port back; any number of times."""
+        """Close the connection. Further calls have no effect."""
         ...
 
 
 def read_promptly(read: Callable[[], bytes]) -> Received:
-    """What `take` gives, the bytes that are there without waiting for any, with the time when they were.
+    """Return the bytes available from `read`, which does not wait, with the time at which the last one was available.
 
-    A busy host may put the program aside between the bytes and the look at the clock. Then they would all seem to have
-    arrived late. So what has come meanwhile is taken, too, until a look was prompt: then the last bytes have their true
-    time.
+    A busy host may suspend the program between reading the bytes and reading the clock. All bytes would then seem to
+    have arrived late. The bytes that arrive meanwhile are therefore read too, until one read and its clock reading were
+    prompt: then the time of the last bytes is right.
     """
     data = b""
     for _ in range(MAX_READS):

@@ -1,5 +1,5 @@
-"""What the capsule formats have in common: the head's angle where a capsule begins, and samples spread evenly up to
-where the next one does.
+"""Common part of the capsule formats: the head's angle at the beginning of a capsule, and samples spaced evenly up to
+the beginning of the next one.
 """
 
 from __future__ import annotations
@@ -27,18 +27,21 @@ from ..measurements import (
 
 SYNC_MARKS = ((0xF0, 0xA0), (0xF0, 0x50))
 RESET_FLAG = 0x8000
-"""Bit of the start angle: first capsule after the start, or the angle's base was reset. Not a new revolution."""
+"""Bit of the start angle: first capsule after the start, or reset of the angle. It does not mark a new revolution."""
 TURN_Q6 = 360 * 64
 MAX_ROTATION_RATE = 50.0
-"""Revolutions a second that no RPLIDAR reaches (they turn 5 to 20 times): a larger step means that capsules between two
-were lost, or that the head seemed to turn back."""
+"""Revolutions per second that no RPLIDAR reaches (they turn 5 to 20 times): a larger step means that capsules in
+between were lost, or that the head seemed to turn back.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CapsuleReturns:
-    """What (m) capsules of N samples hold: `ranges` (m, N) metres, NaN where invalid; `quality` (m, N) or None where
-    the format has none; `correction` (m, N) degrees to subtract from the head's angle, or None where there is nothing
-    to.
+    """Content of m capsules of N samples.
+
+    ranges      (m, N) metres, NaN if invalid
+    quality     (m, N), or None if the format has none
+    correction  (m, N) degrees to subtract from the head's angle, or None if there is no correction
     """
 
     ranges: Floats
@@ -48,9 +51,10 @@ class CapsuleReturns:
 
 @dataclass(frozen=True, slots=True)
 class CapsuleFormat:
-    """One capsule format: `layout` is the packed bytes, with the start angle in the field `angle`.
+    """A capsule format.
 
-    read  (capsules (m,), the ones that follow each (m,)) of `layout` -> Returns
+    layout  packed bytes, with the start angle in the field `angle`
+    decode  function of capsules (m,) and their successors (m,), both of `layout`, that returns CapsuleReturns
     """
 
     response_type: int
@@ -65,13 +69,13 @@ class CapsuleFormat:
 
 
 def checksums_match(capsules: Bytes) -> Flags:
-    """Whether the low nibbles of the first two bytes are the XOR of all bytes after them; capsules (m, size)."""
+    """Return whether the low nibbles of the first two bytes are the XOR of all following bytes; capsules (m, size)."""
     stored = (capsules[:, 0] & 0x0F) | ((capsules[:, 1] & 0x0F) << 4)
     return np.asarray(stored == np.bitwise_xor.reduce(capsules[:, 2:], axis=1))
 
 
 def add_checksums(capsules: StructuredArray) -> bytes:
-    """The bytes of capsules (m,) with sync nibbles and checksum put in."""
+    """Return the bytes of capsules (m,) with sync nibbles and checksum filled in."""
     raw = capsules.view(np.uint8).reshape(len(capsules), -1)
     checksum = np.bitwise_xor.reduce(raw[:, 2:], axis=1)
     raw[:, 0] = 0xA0 | (checksum & 0x0F)
@@ -80,8 +84,8 @@ def add_checksums(capsules: StructuredArray) -> bytes:
 
 
 def new_capsules(format: CapsuleFormat, heads: Floats, reset: bool) -> StructuredArray:
-    """Capsules (m,) that begin with the head at `heads` (m,) radians clockwise; `reset` marks the first as the first
-    after a start.
+    """Create capsules (m,) that begin with the head at `heads` (m,) radians clockwise; `reset` marks the first one as
+    the first after a start.
     """
     capsules = np.zeros(len(heads), dtype=format.layout)
     capsules["angle"] = np.round(np.degrees(heads) * 64.0).astype(np.int64) % TURN_Q6
@@ -93,27 +97,27 @@ def new_capsules(format: CapsuleFormat, heads: Floats, reset: bool) -> Structure
 class CapsuleDecoder:
     """Decodes a stream of capsules, as a `Decoder`.
 
-    format         which
-    sample_period  seconds between samples, as the device states for the scan mode
-    baud           of the port, bits a second
+    format         of the capsules
+    sample_period  seconds between samples, as the device reports for the scan mode
+    baud           of the port, bits per second
 
-    A capsule's samples are known when the next one has come, undamaged and directly after it.
+    A capsule's samples are known once the next one has arrived, undamaged and directly after it.
     """
 
     def __init__(self, format: CapsuleFormat, sample_period: float, baud: float) -> None:
         self.format, self.counters = format, DecoderCounters()
         self._framer = PacketFramer(PacketLayout(format.size, SYNC_MARKS, checksums_match), self.counters)
         count = format.samples
-        # A sample takes its period, is filtered for another half, waits for the capsule's others, then for the line.
+        # Delay of a sample: its period, half a period of filtering, the capsule's later samples, the transmission.
         self._offsets = -(format.size * 10.0 / baud + sample_period * (1.5 + np.arange(count - 1, -1, -1)))
         self._limit_q6 = min(TURN_Q6, int(TURN_Q6 * MAX_ROTATION_RATE * count * sample_period))
-        self._last: Bytes | None = None  # the newest capsule, which awaits the next
+        self._last: Bytes | None = None  # the newest capsule, whose successor has not arrived yet
         self._last_end = 0
-        self._head: int | None = None  # where the head was at the last sample given out, in 1/64/count degrees
-        self._emitted_end = -1  # end of the last capsule whose samples were given out
+        self._head: int | None = None  # the head's angle at the last returned sample, in 1/64/count degrees
+        self._emitted_end = -1  # end of the last capsule whose samples were returned
 
     def feed(self, data: bytes) -> Measurements:
-        """The measurements that these bytes complete."""
+        """Return the measurements that these bytes complete."""
         batch = self._framer.feed(data)
         if not len(batch.data):
             return NO_MEASUREMENTS
@@ -141,7 +145,7 @@ class CapsuleDecoder:
 
     def _measurements(self, heads: Integers, steps: Integers, ends: Integers, returns: CapsuleReturns) -> Measurements:
         count, capsules = self.format.samples, len(heads)
-        # In units of 1/64/count degrees everything is whole, so that turning on never seems to turn back.
+        # In units of 1/64/count degrees all angles are integers, so rounding never makes the head seem to turn back.
         turn = TURN_Q6 * count
         angles = np.mod(heads[:, None] * count + steps[:, None] * np.arange(count), turn)
         swept = angles.ravel()
@@ -167,11 +171,13 @@ class CapsuleDecoder:
 
 
 def to_metres(distances: Integers) -> Floats:
-    """Distances in whole millimetres as metres; NaN for 0 and less, which mean that nothing came back."""
+    """Convert whole millimetres to metres; NaN for 0 and less, which mean no return."""
     return np.where(distances > 0, distances / 1e3, np.nan)
 
 
 def to_millimetres(ranges: Floats, largest: int) -> Integers:
-    """Ranges in metres as whole millimetres; 0 where there is none or it exceeds what the format can tell."""
+    """Convert metres to whole millimetres; 0 if there is no return or the range exceeds `largest`, the format's
+    maximum.
+    """
     stored = np.round(np.nan_to_num(ranges, nan=0.0, posinf=0.0, neginf=0.0) * 1e3)
     return np.where((stored > 0) & (stored <= largest), stored, 0).astype(np.int64)

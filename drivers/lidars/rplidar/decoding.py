@@ -1,4 +1,4 @@
-"""The decoder for each type of answer with measurements."""
+"""The decoder for each response type with measurements."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ SIZES = {
     ResponseType.HQ: hq.LAYOUT.itemsize,
     **{ResponseType(response_type): format.size for response_type, format in CAPSULES.items()},
 }
-"""Bytes of a packet."""
+"""Bytes of a packet, by response type."""
 
 
 def decoder_for(response_type: int, sample_period: float, baud: float, triangulates: bool) -> Decoder:
-    """The decoder of a scan mode's type of answer; raises DriverError where there is none.
+    """Return the decoder for a scan mode's response type; raises DriverError if it is unknown.
 
     sample_period  seconds between samples
-    baud           of the port, bits a second
-    corrected      whether the model triangulates (see `models.Model`)
+    baud           of the port, bits per second
+    triangulates   of the model (see `models.Model`)
     """
     if response_type == ResponseType.STANDARD:
         return StandardDecoder(sample_period, baud, triangulates)
@@ -36,7 +36,7 @@ def decoder_for(response_type: int, sample_period: float, baud: float, triangula
 
 
 def descriptor_of(response_type: int) -> Descriptor:
-    """What a device sends before measurements of that type; raises DriverError where it is unknown."""
+    """Return the descriptor that a device sends before measurements of a type; raises DriverError if it is unknown."""
     for known, size in SIZES.items():
         if known == response_type:
             return Descriptor(size, True, response_type)

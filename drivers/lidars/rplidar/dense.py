@@ -1,4 +1,4 @@
-"""The dense format, answer 0x85: 40 samples in 84 bytes, evenly spaced, in whole millimetres."""
+"""The dense format, response type 0x85: 40 samples in 84 bytes, evenly spaced, in whole millimetres."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ LAYOUT = np.dtype([("sync", "u1", 2), ("angle", "<u2"), ("distances", "<u2", 40)
 
 
 def decode(capsules: StructuredArray, following: StructuredArray) -> CapsuleReturns:
-    """The distances as they stand there."""
+    """Decode capsules (m,); the distances are stored directly."""
     return CapsuleReturns(to_metres(capsules["distances"].astype(np.int64)))
 
 
@@ -20,8 +20,11 @@ FORMAT = CapsuleFormat(0x85, LAYOUT, 40, decode)
 
 
 def encode(heads: Floats, ranges: Floats, reset: bool = False) -> bytes:
-    """Capsules (m,) with the head at `heads` (m,) radians clockwise at their beginning and `ranges` (m, 40) metres; NaN
-    where nothing came back. `reset` marks the first capsule after a start.
+    """Encode capsules (m,).
+
+    heads   (m,) radians clockwise of the head at the capsules' beginning
+    ranges  (m, 40) metres; NaN for no return
+    reset   marks the first capsule after a start
     """
     capsules = new_capsules(FORMAT, heads, reset)
     capsules["distances"] = to_millimetres(ranges, 0xFFFF)

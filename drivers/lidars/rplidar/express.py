@@ -1,4 +1,4 @@
-"""The first express format, answer 0x82: 32 samples in 84 bytes, each with its own correction of the angle."""
+"""The first express format, response type 0x82: 32 samples in 84 bytes, each with its own angle correction."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from .capsules import CapsuleFormat, CapsuleReturns, add_checksums, new_capsules
 CABIN = np.dtype([("distances", "<u2", 2), ("corrections", "u1")])
 LAYOUT = np.dtype([("sync", "u1", 2), ("angle", "<u2"), ("cabins", CABIN, 16)])
 MAX_DISTANCE = 0x3FFF
-"""Millimetres; what 14 bits hold."""
+"""Millimetres; the largest value of 14 bits."""
 
 
 def decode(capsules: StructuredArray, following: StructuredArray) -> CapsuleReturns:
-    """Distances in millimetres above two bits; with four more bits for each sample, corrections in 1/8 degree.
+    """Decode capsules (m,): distances in millimetres, and angle corrections in 1/8 degree.
 
-    The corrections are unsigned, 0 to 7.875 degrees: real capsules have them as the optics' geometry predicts.
+    A sample has 14 bits of distance and six bits of correction, four of them in a byte of their own. The corrections
+    are unsigned, 0 to 7.875 degrees: those of real capsules agree with the geometry of the optics.
     """
     cabins = capsules["cabins"]
     words = cabins["distances"].astype(np.int64)  # (m, 16, 2)
@@ -32,8 +33,12 @@ FORMAT = CapsuleFormat(0x82, LAYOUT, 32, decode)
 
 
 def encode(heads: Floats, ranges: Floats, corrections: Floats | None = None, reset: bool = False) -> bytes:
-    """Capsules (m,) with the head at `heads` (m,) radians clockwise at their beginning, `ranges` (m, 32) metres (NaN
-    where nothing came back), and `corrections` (m, 32) radians by which each beam lags the head, 0 to 7.875 degrees.
+    """Encode capsules (m,).
+
+    heads        (m,) radians clockwise of the head at the capsules' beginning
+    ranges       (m, 32) metres; NaN for no return
+    corrections  (m, 32) radians by which each beam lags the head, 0 to 7.875 degrees
+    reset        marks the first capsule after a start
     """
     capsules = new_capsules(FORMAT, heads, reset)
     distances = to_millimetres(ranges, MAX_DISTANCE)

@@ -1,4 +1,4 @@
-"""The high-quality format, answer 0x83: 96 nodes in 781 bytes, each with its own angle, under a CRC of 32 bits."""
+"""The high-quality format, response type 0x83: 96 nodes in 781 bytes, each with its own angle, with a 32-bit CRC."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from ..measurements import (
     to_counter_clockwise,
 )
 
-RESPONSE_TYPE = 0x83
 NODES = 96
 NODE = np.dtype([("angle", "<u2"), ("distance", "<u4"), ("quality", "u1"), ("flags", "u1")])
 LAYOUT = np.dtype([("sync", "u1"), ("timestamp", "<u8"), ("nodes", NODE, NODES), ("crc", "<u4")])
@@ -30,19 +29,23 @@ QUARTER = 1 << 14
 
 
 def crc32_of(packet: bytes) -> int:
-    """CRC-32 over what comes before the packet's CRC, filled up with zeros to a multiple of four bytes."""
+    """Return the CRC-32 of the bytes before the packet's CRC, padded with zeros to a multiple of four bytes."""
     body = packet[:-4]
     return zlib.crc32(body + bytes(-len(body) % 4))
 
 
 def checksums_match(packets: Bytes) -> Flags:
-    """Whether the CRCs of packets (m, 781) are right."""
+    """Return whether the CRCs of packets (m, 781) are right."""
     stored = packets[:, -4:].copy().view("<u4")[:, 0]
     return np.asarray(stored == [crc32_of(packet.tobytes()) for packet in packets], dtype=np.bool_)
 
 
 class HqDecoder:
-    """Decodes packets of 96 nodes, as a `Decoder`; seconds between samples, and the port's bits a second."""
+    """Decodes packets of 96 nodes, as a `Decoder`.
+
+    sample_period  seconds between samples
+    baud           of the port, bits per second
+    """
 
     def __init__(self, sample_period: float, baud: float) -> None:
         self.counters = DecoderCounters()
@@ -51,7 +54,7 @@ class HqDecoder:
         self._offsets = -(LAYOUT.itemsize * 10.0 / baud + waiting)
 
     def feed(self, data: bytes) -> Measurements:
-        """The measurements that these bytes complete."""
+        """Return the measurements that these bytes complete."""
         batch = self._framer.feed(data)
         count = len(batch.data)
         if not count:
@@ -66,14 +69,18 @@ class HqDecoder:
         samples["packet"] = np.repeat(np.arange(count), NODES)
         packets = np.empty(count, dtype=PACKET)
         packets["end"], packets["continuous"] = batch.ends, batch.continuous
-        packets["device_time"] = np.nan  # there is a timestamp, but its unit is not documented
+        packets["device_time"] = np.nan  # the unit of the packet's timestamp is not documented
         self.counters.samples += len(samples)
         return Measurements(samples, packets)
 
 
 def encode(angles: Floats, ranges: Floats, qualities: Integers, starts: Flags, timestamp: int = 0) -> bytes:
-    """Packets (m,) of nodes: `angles` (m, 96) radians clockwise, `ranges` (m, 96) metres (NaN where nothing came back),
-    `qualities` (m, 96) 0 to 255, `starts` (m, 96) whether a revolution begins; all with one device `timestamp`.
+    """Encode packets (m,) of nodes, all with one device timestamp.
+
+    angles     (m, 96) radians clockwise
+    ranges     (m, 96) metres; NaN for no return
+    qualities  (m, 96) 0 to 255
+    starts     (m, 96) True where a revolution begins
     """
     packets = np.zeros(len(ranges), dtype=LAYOUT)
     packets["sync"], packets["timestamp"] = SYNC, timestamp

@@ -1,4 +1,4 @@
-"""What differs from one RPLIDAR to the next. Speeds of ports are not told apart by the model: they are tried."""
+"""Differences between the models of RPLIDARs. Baud rates do not follow from the model: they are tried."""
 
 from __future__ import annotations
 
@@ -6,29 +6,30 @@ from dataclasses import dataclass
 from enum import Enum
 
 BAUDS = (115200, 256000, 460800, 1000000)
-"""Bits a second, in the order to try them."""
+"""Bits per second, in the order in which they are tried."""
 DEFAULT_SPEED = 600
-"""Revolutions a minute, where the device does not tell what it wants."""
+"""Revolutions per minute, if the device does not report the desired speed."""
 DEFAULT_PWM = 660
+"""PWM duty, 0 to 1023, if the device does not report the desired one."""
 
 
 class Motor(Enum):
-    """How the motor is stopped and started."""
+    """Control of the motor."""
 
-    DTR = "the DTR line: asserted stops the motor, which is what a port does when it is opened"
-    PWM = "SET_MOTOR_PWM, if the board it hangs on has a motor driver (GET_MOTOR_BOARD); DTR must not be asserted"
+    DTR = "the DTR line: asserted stops the motor; opening a port asserts it"
+    PWM = "SET_MOTOR_PWM, if the adapter board has a motor driver (GET_MOTOR_BOARD); DTR must not be asserted"
     SPEED = "SET_MOTOR_SPEED, after STOP; a scan starts it"
     SCAN = "starts and stops with the scan"
 
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """A model, or a family where the model is not known.
+    """A model, or a family if the model is unknown.
 
-    bauds      bits a second of its ports, the usual one first
-    motor      how it is controlled
-    corrected  whether it triangulates: angles are corrected by the distance and may step back
-    range_min, range_max  metres, as the data sheets state
+    bauds        bits per second of its ports, the usual one first
+    motor        control of the motor
+    triangulates  True if it measures by triangulation: angles are corrected by the distance and may step back
+    range_min, range_max  metres, from the data sheets
     """
 
     name: str
@@ -49,15 +50,15 @@ S3 = Model("S3", (1000000, 460800), Motor.SPEED, False, 0.05, 40.0)
 UNKNOWN = Model("RPLIDAR", BAUDS, Motor.SPEED, False, 0.05, 40.0)
 
 FAMILIES = {1: A1, 2: A2, 3: A3, 4: C1, 6: S1, 7: S2, 8: S3}
-"""By the major number."""
+"""Families by the major model number."""
 
 
 def model_of(number: int) -> Model:
-    """The family of a model number as in `answers.Info`, whose high four bits are the major number."""
+    """Return the family of a model number as in `responses.Info`, whose high four bits are the major number."""
     return FAMILIES.get(number >> 4, UNKNOWN)
 
 
 def name_of(number: int) -> str:
-    """A model's name as Slamtec writes it, such as A1M8 or S2M1."""
+    """Return a model's name as Slamtec writes it, such as A1M8 or S2M1."""
     family = FAMILIES.get(number >> 4)
     return f"{family.name}M{number & 0x0F}" if family else f"RPLIDAR 0x{number:02X}"

@@ -1,5 +1,5 @@
-"""The scan modes that a device tells. Their ids change from firmware to firmware, so they are chosen by name, or the
-device's typical one is taken.
+"""The scan modes that a device reports. Their ids depend on the firmware, so a mode is chosen by name, or the device's
+typical one is used.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from .requests import SCAN, Request, express_scan, get_configuration
 from .responses import Info, ResponseType, SampleRate
 
 FIRST_FIRMWARE_WITH_MODES = (1, 24)
-"""The first of A-series lidars that tells its modes; those that measure times of flight always do."""
+"""First firmware of A-series lidars that reports scan modes; time-of-flight models always do."""
 FIRST_MODEL_WITH_MODES = 4
-"""Major number of the first model that always tells its modes."""
+"""Major number of the first model that always reports its modes."""
 MAX_MODES = 32
-"""Modes; a device that claims more is not believed."""
+"""Modes; a larger number is treated as an error."""
 
 
 class ConfigEntry(IntEnum):
-    """Of the configuration. From 0x71 to 0x7F but for COUNT and TYPICAL they exist for each mode."""
+    """Entries of the configuration. Those from 0x71 to 0x7F, except COUNT and TYPICAL, exist for each mode."""
 
     ROTATION = 0x01
     COUNT = 0x70
@@ -35,7 +35,7 @@ class ConfigEntry(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class ScanMode:
-    """A way to scan: id, name, seconds between samples, farthest distance in metres, type of the answer."""
+    """A scan mode: id, name, seconds between samples, maximum distance in metres, type of the response."""
 
     id: int
     name: str
@@ -44,19 +44,19 @@ class ScanMode:
     response_type: int
 
     def start(self) -> Request:
-        """What starts it."""
+        """Return the request that starts it."""
         return SCAN if self.response_type == ResponseType.STANDARD else express_scan(self.id)
 
 
 @dataclass(frozen=True, slots=True)
 class Modes:
-    """All modes of a device, and the id of the one that its makers think best."""
+    """All scan modes of a device, and the id of the typical one."""
 
     modes: tuple[ScanMode, ...]
     typical: int
 
     def choose(self, name: str = "typical") -> ScanMode:
-        """The typical mode, or the one of that name, whatever its case; raises DriverError naming those there are."""
+        """Return the typical mode, or the one with a name, ignoring case; raises DriverError with all names."""
         for mode in self.modes:
             if (mode.id == self.typical) if name == "typical" else (mode.name.lower() == name.lower()):
                 return mode
@@ -65,23 +65,24 @@ class Modes:
 
 
 def reports_modes(info: Info) -> bool:
-    """Whether the device can be asked for its modes."""
+    """Return whether the device reports its scan modes."""
     return info.model >> 4 >= FIRST_MODEL_WITH_MODES or info.firmware >= FIRST_FIRMWARE_WITH_MODES
 
 
 def legacy_modes(rate: SampleRate, max_distance: float) -> Modes:
-    """The two modes of firmware that cannot be asked; `max_distance` in metres is the model's."""
+    """Return the two modes of firmware that reports none; `max_distance` in metres is the model's."""
     standard = ScanMode(0, "Standard", rate.standard, max_distance, ResponseType.STANDARD)
     return Modes((standard, ScanMode(0, "Express", rate.express, max_distance, ResponseType.EXPRESS)), typical=0)
 
 
 def query_modes() -> Generator[Request, bytes, Modes]:
-    """Ask for all modes: yields requests, to be sent one after the other the payloads of their answers, and returns the
-    modes. Raises DriverError where an answer makes no sense.
+    """Query all modes: yield requests, receive the payloads of their responses, and return the modes.
+
+    Raises DriverError if a response is invalid.
     """
     (count,) = yield from _query_numbers(ConfigEntry.COUNT, "<H")
     if not 0 < count <= MAX_MODES:
-        raise DriverError(f"the lidar claims {count} scan modes")
+        raise DriverError(f"the lidar reports {count} scan modes")
     (typical,) = yield from _query_numbers(ConfigEntry.TYPICAL, "<H")
     modes = []
     for mode in range(count):
@@ -90,25 +91,27 @@ def query_modes() -> Generator[Request, bytes, Modes]:
         (response_type,) = yield from _query_numbers(ConfigEntry.RESPONSE_TYPE, "<B", mode)
         name = _parse_text((yield from _query(ConfigEntry.NAME, mode)))
         if period == 0:
-            raise DriverError(f"the lidar tells no sample period for scan mode {name!r}")
+            raise DriverError(f"the lidar reports no sample period for scan mode {name!r}")
         modes.append(ScanMode(mode, name, period / 256e6, distance / 256.0, response_type))
     return Modes(tuple(modes), typical)
 
 
 def query_rotation() -> Generator[Request, bytes, tuple[int, int]]:
-    """Ask how fast the head should turn: revolutions a minute, and the PWM duty that gives about that. As `survey`."""
+    """Query the desired speed: revolutions per minute, and the PWM duty that gives about that speed. Used like
+    `query_modes`.
+    """
     speed, duty = yield from _query_numbers(ConfigEntry.ROTATION, "<HH")
     return speed, duty
 
 
 def echo(request: Request) -> bytes:
-    """What the answer to a request for configuration begins with."""
+    """Return the beginning of the response to a configuration request."""
     return request.payload[:4]
 
 
 def configuration_response(request: Request, modes: Modes, rotation: tuple[int, int] = (600, 660)) -> bytes | None:
-    """The payload with which a device of these modes answers a request for configuration; None if it does not know
-    it.
+    """Return the payload with which a device with these modes responds to a configuration request; None if the entry is
+    unknown.
     """
     entry = struct.unpack("<I", request.payload[:4])[0] if len(request.payload) >= 4 else -1
     number = struct.unpack("<H", request.payload[4:6])[0] if len(request.payload) >= 6 else -1
@@ -135,11 +138,11 @@ def configuration_response(request: Request, modes: Modes, rotation: tuple[int, 
 
 
 def _query(entry: ConfigEntry, mode: int | None) -> Generator[Request, bytes, bytes]:
-    """Ask for one entry; its data without the echo."""
+    """Query one entry; return its data without the echo."""
     request = get_configuration(entry, mode)
     payload = yield request
     if not payload.startswith(echo(request)):
-        raise DriverError(f"the lidar was asked for {entry.name} and answered {payload[:16].hex(' ')}")
+        raise DriverError(f"the lidar was queried for {entry.name} and sent {payload[:16].hex(' ')}")
     return payload[4:]
 
 

@@ -1,4 +1,4 @@
-"""What the host sends to an RPLIDAR: A5 and a command, or A5, command, length, payload and the XOR of all these."""
+"""Requests to an RPLIDAR: A5 and a command, or A5, command, length, payload and the XOR of all these bytes."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from operator import xor
 
 SYNC = 0xA5
 HAS_PAYLOAD = 0x80
-"""Bit of the command."""
+"""Bit of the command that marks a payload."""
 
 
 class Command(IntEnum):
-    """What can be asked. Those without an answer take effect at once; a scan's answer does not end."""
+    """Commands. Those without a response take effect at once; the response to a scan does not end."""
 
     STOP = 0x25
     RESET = 0x40
@@ -35,13 +35,13 @@ class Command(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """A command with its payload, empty where the command takes none."""
+    """A command with its payload, which is empty if the command takes none."""
 
     command: int
     payload: bytes = b""
 
     def packet(self) -> bytes:
-        """The bytes to send."""
+        """Return the bytes to send."""
         if not self.command & HAS_PAYLOAD:
             return bytes([SYNC, self.command])
         packet = bytes([SYNC, self.command, len(self.payload)]) + self.payload
@@ -60,37 +60,41 @@ GET_MOTOR_BOARD = Request(Command.GET_MOTOR_BOARD, bytes(4))
 
 
 def express_scan(mode: int) -> Request:
-    """Start the scan mode of that id; firmware that tells no modes knows only 0. Not for modes that answer with the
-    standard format: those start with SCAN.
+    """Return the request that starts the scan mode `mode`; firmware without scan modes accepts only 0. Modes with the
+    standard format start with SCAN instead.
     """
     return Request(Command.EXPRESS_SCAN, struct.pack("<BHH", mode, 0, 0))
 
 
 def get_configuration(entry: int, mode: int | None = None) -> Request:
-    """Ask for an entry of the configuration (see `modes.Entry`), of one scan mode where it has one for each."""
+    """Return the request for an entry of the configuration (see `modes.ConfigEntry`), of one scan mode if it has one
+    per mode.
+    """
     payload = struct.pack("<I", entry) + (b"" if mode is None else struct.pack("<H", mode))
     return Request(Command.GET_CONFIGURATION, payload)
 
 
 def set_motor_speed(revolutions_per_minute: int) -> Request:
-    """Turn at that speed, where the model lets software set it (S series)."""
+    """Return the request to turn at a speed, for models with software control (S series)."""
     return Request(Command.SET_MOTOR_SPEED, struct.pack("<H", revolutions_per_minute))
 
 
 def set_motor_pwm(duty: int) -> Request:
-    """Drive the motor through the USB board of A2 and A3; 0 stops, 660 is usual, 1023 the most."""
+    """Return the request to drive the motor through the USB board of A2 and A3; 0 stops, 660 is usual, 1023 the
+    maximum.
+    """
     return Request(Command.SET_MOTOR_PWM, struct.pack("<H", duty))
 
 
 class RequestReader:
-    """The device's ear: requests out of bytes in any chunks. What is no request is passed over and counted."""
+    """The device's side: finds requests in bytes in any chunks. Other bytes are skipped and counted."""
 
     def __init__(self) -> None:
         self.bytes_skipped = 0
         self._held = b""
 
     def feed(self, data: bytes) -> list[Request]:
-        """The requests that these bytes complete."""
+        """Return the requests that these bytes complete."""
         held, at = self._held + data, 0
         requests: list[Request] = []
         while at < len(held):
@@ -108,7 +112,7 @@ class RequestReader:
         return requests
 
     def _length(self, held: bytes, at: int) -> int | None:
-        """Of the request at a byte; 1 where there is none, None where that cannot be said yet."""
+        """Return the length of the request at a byte; 1 if there is none, None if more bytes are needed."""
         if held[at] != SYNC:
             return 1
         if at + 1 == len(held):

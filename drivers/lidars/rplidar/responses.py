@@ -1,4 +1,6 @@
-"""What an RPLIDAR answers: a descriptor of 7 bytes, then one payload, or packets of one size until it is stopped."""
+"""Responses of an RPLIDAR: a descriptor of 7 bytes, followed by one payload, or by packets of fixed size until it is
+stopped.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +14,11 @@ from ...errors import DriverError
 SYNC = b"\xa5\x5a"
 DESCRIPTOR_SIZE = 7
 MAX_RESPONSE_SIZE = 1024
-"""Bytes; no single answer is longer."""
+"""Bytes; no single response is longer."""
 
 
 class ResponseType(IntEnum):
-    """Types of answers."""
+    """Types of responses."""
 
     INFO = 0x04
     HEALTH = 0x06
@@ -34,34 +36,34 @@ class ResponseType(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Descriptor:
-    """Says what follows: `size` bytes of a `type`, once, or again and again where `multiple`."""
+    """Announces the following data: `size` bytes of `type`, once or, if `multiple`, repeatedly."""
 
     size: int
     multiple: bool
     type: int
 
     def packet(self) -> bytes:
-        """The bytes that the device sends: the length has 30 bits, the two above are the mode."""
+        """Return the bytes that the device sends: the length has 30 bits, the two above it are the mode."""
         return SYNC + struct.pack("<IB", self.size | (self.multiple << 30), self.type)
 
     @classmethod
     def parse(cls, packet: bytes) -> Descriptor:
-        """From its 7 bytes; raises DriverError where they are none."""
+        """Parse 7 bytes; raises DriverError if they are no descriptor."""
         if len(packet) != DESCRIPTOR_SIZE or packet[:2] != SYNC or packet[5] >> 6 > 1:
-            raise DriverError(f"no answer descriptor: {packet[:16].hex(' ')}")
+            raise DriverError(f"no response descriptor: {packet[:16].hex(' ')}")
         word, kind = struct.unpack("<IB", packet[2:])
         return cls(word & 0x3FFFFFFF, bool(word >> 30), kind)
 
 
 class ResponseReader:
-    """Waits for one answer in bytes that may begin with anything: a scan that still runs, the banner after a reset.
+    """Finds one response in bytes that may begin with anything, such as a running scan or the banner after a reset.
 
-    type      of the answer
-    size      of its payload, None where it varies
-    multiple  whether packets follow until the device is stopped; then only the descriptor is waited for
-    prefix    what the payload begins with, as the echo of what was asked; other answers are passed over
+    type      of the response
+    size      of its payload, None if it varies
+    multiple  True if packets follow until the device is stopped; then only the descriptor is searched
+    prefix    beginning of the payload, such as the echo of the request; other responses are skipped
 
-    Once the answer is there, `rest` holds the bytes after it.
+    Once the response is found, `remainder` holds the bytes after it.
     """
 
     def __init__(self, type: int, size: int | None = None, multiple: bool = False, prefix: bytes = b"") -> None:
@@ -72,7 +74,7 @@ class ResponseReader:
         self._payload: bytes | None = None
 
     def feed(self, data: bytes) -> bytes | None:
-        """The answer's payload, empty for a scan's, as soon as it is there; None before."""
+        """Return the response's payload, empty for a scan, as soon as it is complete; None before."""
         if self._payload is not None:
             self.remainder += data
             return self._payload
@@ -88,19 +90,19 @@ class ResponseReader:
         return None
 
     def _find_descriptor(self) -> int | None:
-        """Pass what comes before a fitting descriptor; the length of the payload after it, None where none is there."""
+        """Skip the bytes before a matching descriptor and return the length of its payload; None if there is none."""
         at = self._held.find(SYNC)
         while at >= 0 and at + DESCRIPTOR_SIZE <= len(self._held):
             if (size := self._payload_size(self._held[at : at + DESCRIPTOR_SIZE])) is not None:
                 self._skip(at)
                 return size
             at = self._held.find(SYNC, at + 1)
-        # The last bytes may begin a descriptor.
+        # The last bytes may be the beginning of a descriptor.
         self._skip(at if at >= 0 else len(self._held) - self._held.endswith(SYNC[:1]))
         return None
 
     def _payload_size(self, packet: bytes) -> int | None:
-        """The length of the payload that a descriptor announces, None where it is not the one waited for."""
+        """Return the payload length that a descriptor announces; None if it is not the expected one."""
         try:
             descriptor = Descriptor.parse(packet)
         except DriverError:
@@ -118,8 +120,8 @@ class ResponseReader:
 
 @dataclass(frozen=True, slots=True)
 class Info:
-    """Who answers: model (see `models`), firmware as (major, minor), hardware revision, serial number in hexadecimal,
-    in the order of the wire.
+    """Identity: model (see `models`), firmware as (major, minor), hardware revision, and serial number in hexadecimal
+    in wire order.
     """
 
     model: int
@@ -131,17 +133,17 @@ class Info:
 
     @classmethod
     def parse(cls, payload: bytes) -> Info:
-        """From 20 bytes; raises DriverError where there are not as many."""
+        """Parse 20 bytes; raises DriverError if the length is wrong."""
         model, minor, major, hardware, serial = _unpack("<BBBB16s", payload, "identity")
         return cls(model, (major, minor), hardware, serial.hex().upper())
 
     def payload(self) -> bytes:
-        """The bytes that the device sends."""
+        """Return the bytes that the device sends."""
         return struct.pack("<BBBB16s", self.model, *self.firmware[::-1], self.hardware, bytes.fromhex(self.serial))
 
 
 class HealthStatus(IntEnum):
-    """Of the device's health; after an error it must be reset."""
+    """Status of the device; after an error it must be reset."""
 
     GOOD = 0
     WARNING = 1
@@ -159,20 +161,20 @@ class Health:
 
     @classmethod
     def parse(cls, payload: bytes) -> Health:
-        """From 3 bytes; raises DriverError where there are not as many, or the status is none."""
+        """Parse 3 bytes; raises DriverError if the length is wrong or the status is unknown."""
         status, code = _unpack("<BH", payload, "health")
         if status not in list(HealthStatus):
             raise DriverError(f"health status {status} is unknown")
         return cls(HealthStatus(status), code)
 
     def payload(self) -> bytes:
-        """The bytes that the device sends."""
+        """Return the bytes that the device sends."""
         return struct.pack("<BH", self.status, self.code)
 
 
 @dataclass(frozen=True, slots=True)
 class SampleRate:
-    """Seconds between samples in standard and in express mode, of firmware that tells no scan modes."""
+    """Seconds between samples in standard and in express mode, of firmware without scan modes."""
 
     standard: float
     express: float
@@ -181,23 +183,23 @@ class SampleRate:
 
     @classmethod
     def parse(cls, payload: bytes) -> SampleRate:
-        """From 4 bytes; raises DriverError where there are not as many, or a period is 0."""
+        """Parse 4 bytes; raises DriverError if the length is wrong or a period is 0."""
         standard, express = _unpack("<HH", payload, "sample rate")
         if not (standard and express):
             raise DriverError("sample period is zero")
         return cls(standard / 1e6, express / 1e6)
 
     def payload(self) -> bytes:
-        """The bytes that the device sends."""
+        """Return the bytes that the device sends."""
         return struct.pack("<HH", round(self.standard * 1e6), round(self.express * 1e6))
 
 
 DEFAULT_SAMPLE_RATE = SampleRate(476e-6, 476e-6)
-"""Of firmware before 1.17, which cannot be asked."""
+"""Sample rate of firmware before 1.17, which does not report it."""
 
 
 def has_motor_pwm(payload: bytes) -> bool:
-    """Whether the board that A2 or A3 hangs on drives the motor, from the answer to GET_MOTOR_BOARD."""
+    """Return whether the adapter board of an A2 or A3 drives the motor, from the response to GET_MOTOR_BOARD."""
     (flags,) = _unpack("<I", payload, "motor board")
     return bool(flags & 1)
 

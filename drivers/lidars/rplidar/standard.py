@@ -1,9 +1,9 @@
-"""The standard format, answer 0x81: a node of 5 bytes for every sample, with three check bits and no checksum.
+"""The standard format, response type 0x81: a node of 5 bytes per sample, with three check bits and no checksum.
 
-A byte lost or gained shifts all that follows, and shifted nodes often look right: a quarter of them pass their check
-bits. So nodes are believed by what comes after them. Where a node is wrong, the decoder looks for the alignment in
-which the next nodes are right and go on turning, then follows that alignment back to where it begins to be right;
-bytes that both alignments claim are given to neither.
+A lost or gained byte shifts all following ones, and shifted nodes often look right: a quarter of them pass their check
+bits. A node is therefore accepted only after the following nodes have confirmed it. After a wrong node, the decoder
+searches the alignment in which the next nodes are right and continue to turn, then follows that alignment back to its
+first right node; bytes that both alignments claim are discarded.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...messages import Floats
+from ..framing import slices
 from ..measurements import (
     NO_MEASUREMENTS,
     PACKET,
@@ -24,39 +25,39 @@ from ..measurements import (
     to_counter_clockwise,
 )
 
-RESPONSE_TYPE = 0x81
 NODE = np.dtype([("flags", "u1"), ("angle", "<u2"), ("distance", "<u2")])
 SIZE = NODE.itemsize
 TURN_Q6 = 360 * 64
 MAX_RANGE = 0xFFFF * 0.25e-3
-"""Metres; what the format can tell."""
+"""Metres; the maximum of the format."""
 
 CONFIRMING_NODES = 8
-"""Nodes that must be right after a node before it is believed. Misaligned nodes rarely are so often in a row: each is
-with probability 0.25 by its check bits, and its angle would have to follow the last one's."""
+"""Right nodes that must follow a node before it is accepted. Misaligned nodes are rarely right so often in a row: each
+one passes its check bits with probability 0.25, and its angle would have to follow the previous one.
+"""
 LOCK_NODES = 16
-"""Nodes in a row that begin a stream, where no angle before them helps."""
+"""Nodes in a row that begin a stream, without a previous angle to compare with."""
 MAX_PREDICTED_BYTES = 32 * SIZE
 """Bytes after a fault beyond which the head's angle is no longer predicted."""
 CORRECTED_STEP_BACK, CORRECTED_STEP_FORWARD = 16 * 64, 24 * 64
-"""Steps of angle between nodes that are plausible, 1/64 degree. Triangulating lidars correct each angle by -6 to 8
-degrees with the distance."""
+"""Plausible steps of angle between nodes, 1/64 degree. Triangulating lidars correct each angle by -6 to 8 degrees
+depending on the distance.
+"""
 STEADY_STEP_BACK, STEADY_STEP_FORWARD = 64, 3 * 64
-"""The same where nothing corrects the angles: they may jitter, and 15 turns in 2 000 samples step by 2.7 degrees."""
-SLICE = 1 << 15
-"""Bytes taken on at once; bounds the memory of a search however much is fed."""
+"""The same for lidars that do not correct angles: they may jitter, and 15 turns in 2 000 samples step by 2.7 degrees.
+"""
 
 
 def check_bits_match(nodes: StructuredArray) -> Flags:
-    """Whether nodes (n,) of NODE show their check bits: the start flag differs from its inverse beside it, the lowest
-    bit of the angle is set, and the angle is one.
+    """Return whether nodes (n,) of NODE have the right check bits: the start flag differs from its inverse, the lowest
+    bit of the angle is set, and the angle is valid.
     """
     flags, angle = nodes["flags"], nodes["angle"]
     return np.asarray((((flags ^ (flags >> 1)) & 1) == 1) & ((angle & 1) == 1) & ((angle >> 1) < TURN_Q6 + 64))
 
 
 def decode_nodes(nodes: StructuredArray) -> StructuredArray:
-    """Nodes (n,) of NODE as samples (n,) of SAMPLE, each in a packet of its own; without offsets."""
+    """Convert nodes (n,) of NODE to samples (n,) of SAMPLE, each in a packet of its own; without offsets."""
     samples = np.zeros(len(nodes), dtype=SAMPLE)
     samples["angle"] = to_counter_clockwise(np.radians((nodes["angle"] >> 1) / 64.0))
     samples["range"] = np.where(nodes["distance"] > 0, nodes["distance"] / 4e3, np.nan)
@@ -70,11 +71,11 @@ class StandardDecoder:
     """Decodes a stream of nodes, as a `Decoder`.
 
     sample_period  seconds between samples
-    baud           of the port, bits a second
-    corrected      whether the lidar triangulates, so that its angles are corrected by the distance and may step back;
-                   the others' turn steadily, and damaged angles show
+    baud           of the port, bits per second
+    triangulates   True if angles are corrected by the distance and may step back; otherwise they increase steadily,
+                   which reveals damaged angles
 
-    A node is given out when AHEAD more have come.
+    A node is returned when CONFIRMING_NODES more have arrived.
     """
 
     def __init__(self, sample_period: float, baud: float, triangulates: bool = True) -> None:
@@ -85,25 +86,26 @@ class StandardDecoder:
         )
         self._buffer = np.empty(0, dtype=np.uint8)
         self._position = 0  # bytes fed before the first that is held
-        self._aligned = False  # a node that may be believed begins with the first held byte
-        self._emitted_end = -1  # end of the last node that was given out
+        self._aligned = False  # a valid node begins with the first held byte
+        self._emitted_end = -1  # end of the last returned node
 
     def feed(self, data: bytes) -> Measurements:
-        """The measurements that these bytes complete."""
+        """Return the measurements that these bytes complete."""
         nodes: list[Bytes] = []
         ends: list[Integers] = []
-        for first in range(0, len(data), SLICE):
-            new = np.frombuffer(data, np.uint8, min(SLICE, len(data) - first), first)
+        for new in slices(data):
             self._buffer = np.concatenate([self._buffer, new])
             while (passed := self._advance(nodes, ends)) is not None:
                 self._position += passed
                 self._buffer = self._buffer[passed:]
-            self._buffer = self._buffer.copy()  # lets the rest of the slice go
+            self._buffer = self._buffer.copy()  # releases the rest of the slice
         self.counters.bytes += len(data)
         return self._measurements(np.concatenate(nodes), np.concatenate(ends)) if nodes else NO_MEASUREMENTS
 
     def _advance(self, nodes: list[Bytes], ends: list[Integers]) -> int | None:
-        """Give out the nodes that can be believed, or find where nodes begin; the bytes done with, None to wait."""
+        """Emit the confirmed nodes, or find where nodes begin; return the number of processed bytes, None to wait for
+        more.
+        """
         if not self._aligned:
             return self._align()
         due = self._buffer[: len(self._buffer) // SIZE * SIZE].view(NODE)
@@ -116,7 +118,9 @@ class StandardDecoder:
         return None if right == len(due) else self._realign(right * SIZE, nodes, ends)
 
     def _check_nodes(self, nodes: StructuredArray, apart: int) -> tuple[Flags, Flags]:
-        """Whether nodes (n,) show their check bits, and whether each plausibly follows the one `apart` rows before."""
+        """Return whether nodes (n,) have the right check bits, and whether each plausibly follows the one `apart` rows
+        before.
+        """
         angles = (nodes["angle"] >> 1).astype(np.int64)
         starts = nodes["flags"] & 1
         follows = np.ones(len(nodes), dtype=np.bool_)
@@ -125,12 +129,14 @@ class StandardDecoder:
         return check_bits_match(nodes), follows
 
     def _is_plausible_step(self, steps: Integers, max_forward: int | Integers) -> Flags:
-        """Whether steps of angle, in 1/64 degree, are between a little back and `most` on."""
+        """Return whether steps of angle, in 1/64 degree, are between a little back and `max_forward` forward."""
         return np.asarray(np.mod(steps + self._max_back, TURN_Q6) <= self._max_back + max_forward)
 
     def _find_runs(self, data: Bytes, length: int) -> tuple[StructuredArray, Flags, Flags, Flags]:
-        """The nodes that would begin at each byte, whether they show their check bits, whether each plausibly follows
-        the node SIZE bytes before, and whether as many as `length` in a row do both.
+        """Check the nodes that would begin at each byte.
+
+        Return the nodes, whether their check bits are right, whether each plausibly follows the node SIZE bytes before,
+        and whether both hold for `length` nodes in a row.
         """
         windows = np.lib.stride_tricks.sliding_window_view(data, SIZE)
         nodes = np.ascontiguousarray(windows).view(NODE)[:, 0]
@@ -142,7 +148,7 @@ class StandardDecoder:
         return nodes, bits, follows, runs
 
     def _align(self) -> int | None:
-        """Pass what comes before the first run of LOCK nodes."""
+        """Skip the bytes before the first run of LOCK_NODES nodes."""
         if len(self._buffer) < LOCK_NODES * SIZE:
             return None
         runs = self._find_runs(self._buffer, LOCK_NODES)[-1]
@@ -152,7 +158,7 @@ class StandardDecoder:
         return passed
 
     def _realign(self, fault: int, nodes: list[Bytes], ends: list[Integers]) -> int | None:
-        """Find where nodes go on after the held ones up to byte `fault`, at which there is none that could follow."""
+        """Find where nodes continue after byte `fault`, at which no plausible node begins."""
         window = self._buffer[: fault + MAX_PREDICTED_BYTES + CONFIRMING_NODES * SIZE]
         candidates, bits, follows, runs = self._find_runs(window, CONFIRMING_NODES)
         angles = (candidates["angle"] >> 1).astype(np.int64)
@@ -171,7 +177,7 @@ class StandardDecoder:
             begin -= SIZE
         kept, lead = fault // SIZE, begin - fault
         if lead % SIZE == 0:
-            # Nothing is shifted. If the node at the fault fits what follows but not what precedes, either may be wrong.
+            # No shift. If the node at the fault fits its successors but not its predecessor, either may be wrong.
             kept, begin = (kept - 1, fault + SIZE) if lead <= 0 else (kept, begin)
         elif lead < 0:
             kept, begin = begin // SIZE, fault + lead % SIZE  # both alignments claim the bytes between
@@ -180,7 +186,7 @@ class StandardDecoder:
         return self._resume(kept, begin, nodes, ends)
 
     def _resume(self, kept: int, begin: int, nodes: list[Bytes], ends: list[Integers]) -> int:
-        """Give out the first `kept` nodes held, and go on with byte `begin`."""
+        """Emit the first `kept` nodes, and continue with byte `begin`."""
         self._emit(self._buffer, kept, nodes, ends)
         self.counters.checksum_failures += 1
         self.counters.bytes_skipped += begin - kept * SIZE
@@ -205,8 +211,12 @@ class StandardDecoder:
 
 
 def encode(angles: Floats, ranges: Floats, qualities: Integers, starts: Flags) -> bytes:
-    """Nodes (n,): `angles` radians clockwise, `ranges` metres (NaN where nothing came back, or beyond LARGEST),
-    `qualities` 0 to 63, `starts` whether a revolution begins.
+    """Encode nodes (n,).
+
+    angles     (n,) radians clockwise
+    ranges     (n,) metres; NaN for no return, also encoded for ranges beyond MAX_RANGE
+    qualities  (n,) 0 to 63
+    starts     (n,) True where a revolution begins
     """
     nodes = np.zeros(len(ranges), dtype=NODE)
     nodes["flags"] = np.where(starts, 1, 2) | (qualities << 2)

@@ -1,7 +1,7 @@
-"""The ultra format, answer 0x84 (Boost, Sensitivity, Stability): 96 samples in 132 bytes.
+"""The ultra format, response type 0x84 (Boost, Sensitivity, Stability): 96 samples in 132 bytes.
 
 A cabin of 32 bits holds the distance of its first sample (`major`, 12 bits on a scale that coarsens with distance) and
-two small differences: of the second sample to the first, and of the third to the next cabin's first.
+two small differences: of the second sample to the first, and of the third sample to the next cabin's first.
 """
 
 from __future__ import annotations
@@ -14,24 +14,24 @@ from .capsules import CapsuleFormat, CapsuleReturns, add_checksums, new_capsules
 
 LAYOUT = np.dtype([("sync", "u1", 2), ("angle", "<u2"), ("cabins", "<u4", 32)])
 
-# by level: the first major on it, and the distance in millimetres that it stands for; a step is 2^level millimetres
+# by level: the first major and its distance in millimetres; a step is 2^level millimetres
 FIRST_MAJOR = np.array([0, 512, 1280, 1792, 3328])
 FIRST_DISTANCE = np.array([0, 512, 2048, 4096, 16384])
 MAX_DISTANCE = int(FIRST_DISTANCE[4] + ((0xFFF - FIRST_MAJOR[4]) << 4))
 INVALID_DIFFERENCES = (-512, 511)
-"""Differences that mean: nothing came back."""
+"""Differences that encode no return."""
 NEAR_DISTANCE = 50
-"""Millimetres; nearer distances are corrected by a constant."""
+"""Millimetres; shorter distances are corrected by a constant angle."""
 
 
 def decode_majors(majors: Integers) -> tuple[Integers, Integers]:
-    """Distances in millimetres and levels that majors stand for."""
+    """Return the distances in millimetres and the levels of majors."""
     level = np.searchsorted(FIRST_MAJOR, majors, side="right") - 1
     return FIRST_DISTANCE[level] + ((majors - FIRST_MAJOR[level]) << level), level
 
 
 def encode_majors(distances: Integers) -> Integers:
-    """Majors nearest to distances in millimetres."""
+    """Return the majors nearest to distances in millimetres."""
     level = np.searchsorted(FIRST_DISTANCE, distances, side="right") - 1
     half = (1 << level) >> 1
     majors = FIRST_MAJOR[level] + ((distances - FIRST_DISTANCE[level] + half) >> level)
@@ -39,9 +39,9 @@ def encode_majors(distances: Integers) -> Integers:
 
 
 def correction(distances: Integers) -> Floats:
-    """Degrees by which beams lag the head, from the optics' geometry; distances in millimetres.
+    """Return the degrees by which beams lag the head, from the geometry of the optics; distances in millimetres.
 
-    In radians * 2^16 it is 8 degrees - 64 k - k^3 / 98304, k = 98361 / (4 d) rounded down.
+    In radians * 2^16 it is 8 degrees - 64 k - k^3 / 98304, with k = 98361 / (4 d) rounded down.
     """
     k = 98361 // (4 * np.maximum(distances, NEAR_DISTANCE))
     lag = int(np.pi / 180.0 * 8.0 * 65536.0) - (k << 6) - k**3 // 98304
@@ -49,7 +49,9 @@ def correction(distances: Integers) -> Floats:
 
 
 def decode(capsules: StructuredArray, following: StructuredArray) -> CapsuleReturns:
-    """Distances from majors and differences; the last cabin's third sample builds on the following capsule's first."""
+    """Decode capsules (m,): distances from majors and differences; the last cabin's third sample refers to the
+    following capsule's first major.
+    """
     cabins = capsules["cabins"].astype(np.int64)
     majors = np.column_stack([cabins & 0xFFF, following["cabins"][:, 0].astype(np.int64) & 0xFFF])
     values, levels = decode_majors(majors)
@@ -72,10 +74,14 @@ FORMAT = CapsuleFormat(0x84, LAYOUT, 96, decode)
 
 
 def encode(heads: Floats, ranges: Floats, ahead: float = np.nan, reset: bool = False) -> bytes:
-    """Capsules (m,) with the head at `heads` (m,) radians clockwise at their beginning and `ranges` (m, 96) metres, NaN
-    where nothing came back; `ahead` is the first range of the capsule after these.
+    """Encode capsules (m,).
 
-    A second or third sample too far from what it builds on cannot be told and becomes invalid, as in the device.
+    heads   (m,) radians clockwise of the head at the capsules' beginning
+    ranges  (m, 96) metres; NaN for no return
+    ahead   first range of the capsule after these
+    reset   marks the first capsule after a start
+
+    A second or third sample too far from its reference cannot be encoded and becomes invalid, as in the device.
     """
     capsules = new_capsules(FORMAT, heads, reset)
     wanted = to_millimetres(ranges, MAX_DISTANCE).reshape(-1, 3)
@@ -91,18 +97,22 @@ def encode(heads: Floats, ranges: Floats, ahead: float = np.nan, reset: bool = F
 
 
 def _base(values: Integers, levels: Integers) -> tuple[Integers, Integers]:
-    """Distance and level that second samples build on: their cabin's own, or the next one's where it has none."""
+    """Return distance and level to which second samples refer: of their own cabin, or of the next one if it has no
+    return.
+    """
     lost = (values[:, :-1] == 0) & (values[:, 1:] != 0)
     return np.where(lost, values[:, 1:], values[:, :-1]), np.where(lost, levels[:, 1:], levels[:, :-1])
 
 
 def _signed(bits: Integers) -> Integers:
-    """The lowest ten bits as a signed number."""
+    """Return the lowest ten bits as a signed number."""
     return ((bits & 0x3FF) ^ 0x200) - 0x200
 
 
 def _difference(wanted: Integers, base: Integers, level: Integers) -> Integers:
-    """What a second or third sample says to come nearest to the wanted distance; an invalid one where nothing does."""
+    """Return the encoded difference of a second or third sample nearest to the wanted distance; an invalid one if out
+    of range.
+    """
     steps = (wanted - base + ((1 << level) >> 1)) >> level
     stored = (wanted > 0) & (steps > INVALID_DIFFERENCES[0]) & (steps < INVALID_DIFFERENCES[1])
     return np.where(stored, steps, INVALID_DIFFERENCES[0])

@@ -248,7 +248,7 @@ def test_a_lidar_that_reports_an_error_is_reset(make_peer: Callable[..., Any]) -
 def test_what_does_not_answer_is_one_clear_error(make_peer: Callable[..., Any]) -> None:
     peer = make_peer("--deaf")
     with (
-        pytest.raises(DriverError, match=r"lidar: no RPLIDAR answers here") as caught,
+        pytest.raises(DriverError, match=r"lidar: no RPLIDAR responds here") as caught,
         Acquisition(parse_devices(f"rplidar:{peer.lidar}?baud=256000")),
     ):
         pass

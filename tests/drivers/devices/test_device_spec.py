@@ -52,7 +52,7 @@ def test_wheels_are_measured_by_their_radius_and_counts() -> None:
     [
         ("lidar:/dev/a", "not a device; there are rplidar:PORT"),
         ("rplidar", "not a device"),
-        ("rplidar:", "says no port"),
+        ("rplidar:", "the port is missing"),
         ("rplidar:/dev/a?speed=3", "no option 'speed'; it has baud"),
         ("rplidar:/dev/a?baud=fast", "baud=fast"),
         ("rplidar:/dev/a?baud=-1", "above 0"),
@@ -63,7 +63,7 @@ def test_wheels_are_measured_by_their_radius_and_counts() -> None:
         ("create2:/dev/a?ticks=0", "one number, or"),
         ("wheels:/dev/a", "needs wheel_radius, ticks, track; for example wheels:/dev/a?wheel_radius="),
         ("arduino:/dev/a?track=0.2&ticks=10", "needs wheel_radius;"),
-        ("ld06:/dev/a + kobuki:/dev/a", "asked for twice"),
+        ("ld06:/dev/a + kobuki:/dev/a", "used twice"),
         ("ld06:/dev/a + /dev/b", "/dev/b: not a device"),
     ],
 )

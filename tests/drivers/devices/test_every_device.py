@@ -385,7 +385,7 @@ def test_no_port_at_all_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ports, "serial_ports", lambda: [])
     supervisor, _ = run_supervisor("ld06:auto")
     assert isinstance(supervisor.failure, DriverError)
-    assert "no serial port is there" in str(supervisor.failure)
+    assert "no serial port found" in str(supervisor.failure)
 
 
 @pytest.mark.parametrize(

@@ -66,7 +66,7 @@ def test_odometry_is_the_driven_path(bench: MakeBench, name: str) -> None:
     host, protocol = started(robot, name)
     stamps, poses, odometer = dead_reckon(robot, host, protocol, 12.0)
     truth = robot.emulator.motion
-    begin, end = truth.at(stamps[[0, -1]])
+    begin, end = truth.poses(stamps[[0, -1]])
     travelled = between(begin, end)
     assert np.hypot(*travelled[:2]) > 2.0
     # A reading is up to 25 ms old when it is taken up, which is 12 mm; a count is 0.44 mm, and 2 mrad of a turn.
@@ -94,14 +94,14 @@ def test_wheels_are_wrong_as_they_are_said_to_be(bench: MakeBench) -> None:
 def test_velocities_are_driven(bench: MakeBench, name: str) -> None:
     robot = bench(base=name, drive="base")
     host, protocol = started(robot, name)
-    start = robot.emulator.motion.at(np.array([robot.time]))[0]
+    start = robot.emulator.motion.poses(np.array([robot.time]))[0]
     for _ in range(10):
         host.port.write(protocol.drive(Velocity(0.2, 0.5)))
         robot.go(0.2)
     travelled, turned = robot.emulator.motion.travelled(robot.time)
     assert travelled == pytest.approx(0.2 * (2.0 - 0.2 / 0.6 / 2), abs=0.02)  # it speeds up at 0.6 m/s^2
     assert turned == pytest.approx(0.5 * (2.0 - 0.5 / 4.0 / 2), abs=0.03)
-    assert np.hypot(*between(start, robot.emulator.motion.at(np.array([robot.time]))[0])[:2]) > 0.3
+    assert np.hypot(*between(start, robot.emulator.motion.poses(np.array([robot.time]))[0])[:2]) > 0.3
     host.port.write(protocol.stop())
     robot.go(1.0)
     remainder = robot.emulator.motion.travelled(robot.time)
@@ -123,12 +123,12 @@ def test_walls_stop_the_robot(bench: MakeBench) -> None:
     host.port.write(protocol.drive(Velocity(0.5, 0.0)))
     robot.step = 0.02
     robot.go(30.0)
-    x, y, _ = robot.emulator.motion.at(np.array([robot.time]))[0]
+    x, y, _ = robot.emulator.motion.poses(np.array([robot.time]))[0]
     assert clearance(x, y, robot.emulator.motion.world) == pytest.approx(ROBOT_RADIUS, abs=0.02)
     host.port.write(protocol.drive(Velocity(-0.3, 0.0)))
     robot.go(1.0)
     assert robot.emulator.motion.travelled(robot.time)[0] > 0.5
-    x, y, _ = robot.emulator.motion.at(np.array([robot.time]))[0]
+    x, y, _ = robot.emulator.motion.poses(np.array([robot.time]))[0]
     assert clearance(x, y, robot.emulator.motion.world) > ROBOT_RADIUS + 0.1
 
 
@@ -211,9 +211,9 @@ def test_keys_of_a_terminal_drive_the_robot(bench: MakeBench, monkeypatch: pytes
 
 def test_the_motion_goes_on_smoothly_while_its_beginning_is_forgotten(bench: MakeBench) -> None:
     motion = bench().emulator.motion
-    before = motion.at(np.array([0.0]))[0]
+    before = motion.poses(np.array([0.0]))[0]
     for moment in np.arange(0.0, 20.0, 0.05):
         motion.advance(float(moment))
-        pose = motion.at(np.array([moment]))[0]
+        pose = motion.poses(np.array([moment]))[0]
         assert np.hypot(*between(before, pose)[:2]) < 0.05
         before = pose

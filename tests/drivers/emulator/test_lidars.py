@@ -83,7 +83,7 @@ def test_what_is_decoded_is_what_is_there(bench: MakeBench, lidar: str, mode: st
     latest = robot.step + (BURST_DURATION if mode == "Standard" else 0.0)
     motion, mount = robot.emulator.motion, np.array(robot.emulator.setup.mount)
     cast = [
-        motion.sweep(stamps - late, samples["angle"] + aside, mount)
+        motion.cast_beams(stamps - late, samples["angle"] + aside, mount)
         for late in (0.0, 0.5 * latest, latest)
         for aside in np.radians([-0.08, -0.03, 0.0, 0.03, 0.08])
     ]
@@ -91,7 +91,7 @@ def test_what_is_decoded_is_what_is_there(bench: MakeBench, lidar: str, mode: st
     right = (samples["range"] > np.min(cast, axis=0) - quantum) & (samples["range"] < np.max(cast, axis=0) + quantum)
     assert np.count_nonzero(told) > 0.95 * len(samples)
     assert np.count_nonzero(right | ~told) >= 0.995 * len(samples)
-    assert np.ptp(motion.at(np.array([stamps[0], stamps[-1]])), axis=0).max() > 0.1  # it drove meanwhile
+    assert np.ptp(motion.poses(np.array([stamps[0], stamps[-1]])), axis=0).max() > 0.1  # it drove meanwhile
 
 
 @pytest.mark.parametrize(

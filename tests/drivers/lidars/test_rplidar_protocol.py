@@ -120,7 +120,7 @@ def test_descriptors(packet: str, size: int, multiple: bool, type: ResponseType)
 
 @pytest.mark.parametrize("packet", ["", "A5 5A 14 00 00 00", "A5 5B 14 00 00 00 04", "A5 5A 14 00 00 C0 04"])
 def test_what_is_no_descriptor(packet: str) -> None:
-    with pytest.raises(DriverError, match="no answer descriptor"):
+    with pytest.raises(DriverError, match="no response descriptor"):
         Descriptor.parse(bytes.fromhex(packet))
 
 
