@@ -1,1 +1,1 @@
-"""Recognising places after drift, and closing the loops: propose, verify, decide late, merge."""
+"""Place recognition after drift, loop closure, and relocalisation in a known map."""

@@ -1,4 +1,4 @@
-"""What is compared when a place may have been seen before: the walls of the last metres, rigid, and the old map."""
+"""Selection of the walls that a loop search compares: the recent walls, as one rigid body, and the reference map."""
 
 from __future__ import annotations
 
@@ -12,20 +12,40 @@ from drivers import se2
 from ..geometry.segments import Floats, Integers
 from ..mapping.landmarks import Landmarks
 
-RECENT_WAY = 6.0  # metres of driving whose walls make the constellation, and its radius around the robot
-OLD_WAY = 15.0  # metres of driving after which a wall belongs to the old map
-TRANSLATION_DRIFT = 0.05  # metres of drift to be expected a metre driven: three times what good wheels do
-ROTATION_DRIFT = np.radians(0.2)  # radians a metre
-LEAST_TRANSLATION, MOST_TRANSLATION = 0.6, 10.0  # metres
-# Times as far as drift is expected to have led, other places are looked for that would explain as much: what lies just
-# out of reach makes a place as ambiguous as what lies within.
-RIVALS = 2.0
-LEAST_ROTATION, MOST_ROTATION = np.radians(6.0), np.radians(40.0)
+# Travelled metres within which a wall seen is recent; also the radius around the robot, in metres, to which recent
+# walls are clipped. Origin: chosen, shortened from 8 m during development on recordings; not measured.
+RECENT_DISTANCE = 6.0
+# Travelled metres after which a wall belongs to the reference map.
+# Origin: chosen, longer than RECENT_DISTANCE; not measured.
+REFERENCE_DISTANCE = 15.0
+# Metres of drift expected per metre travelled. Origin: chosen, three times that of good wheels; not measured.
+TRANSLATION_DRIFT_RATE = 0.05
+# Radians of drift expected per metre travelled. Origin: chosen; not measured.
+ROTATION_DRIFT_RATE = np.radians(0.2)
+# Metres, least expected drift. Origin: chosen; not measured.
+MIN_TRANSLATION_DRIFT = 0.6
+# Metres, largest expected drift. Origin: chosen, bounds the search; not measured.
+MAX_TRANSLATION_DRIFT = 10.0
+# Radians, least expected drift. Origin: chosen; not measured.
+MIN_ROTATION_DRIFT = np.radians(6.0)
+# Radians, largest expected drift. Origin: chosen, bounds the search; not measured.
+MAX_ROTATION_DRIFT = np.radians(40.0)
+# Factor on the expected drift within which alternatives are searched: one just beyond the drift makes a place as
+# ambiguous as one within it. Origin: tuned on simulated drives; wrong closures occurred if the true place was just out
+# of reach.
+ALTERNATIVE_REACH = 2.0
+# Metres of a wall that must be left of it after clipping. Origin: chosen, two cells of a wall; not measured.
+MIN_CLIPPED_LENGTH = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WallSet:
-    """n walls as finite segments in the map: identities, frames (n, 3) at their middle, half lengths (n,) metres."""
+    """n walls as finite segments in the map.
+
+    walls        (n,) landmark ids
+    frame        (n, 3) frames at the walls' middles
+    half_length  (n,) metres
+    """
 
     walls: Integers
     frame: Floats
@@ -35,60 +55,67 @@ class WallSet:
         return len(self.walls)
 
     def length(self) -> float:
-        """Metres of wall."""
+        """Return the total length of the walls in metres."""
         return float(2 * self.half_length.sum())
 
     def end_points(self) -> Floats:
-        """(n, 2, 2): both ends of each wall in the map, metres."""
+        """Return both ends (n, 2, 2) of each wall in the map, metres."""
         along = np.stack([np.cos(self.frame[:, 2]), np.sin(self.frame[:, 2])], axis=-1) * self.half_length[:, None]
         return np.stack([self.frame[:, :2] - along, self.frame[:, :2] + along], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceMap:
-    """Old walls near enough to be met again, and for each how far drift may have carried the robot from it.
+    """Older walls near enough to be observed again, and the drift expected since each was seen last.
 
-    left (n,) whether a wall has not been seen lately; translation (n,) metres, rotation (n,) radians.
+    wall_set     n walls
+    not_recent   (n,) true if the wall was not seen within RECENT_DISTANCE
+    translation  (n,) expected drift, metres
+    rotation     (n,) expected drift, radians
     """
 
     wall_set: WallSet
-    left: NDArray[np.bool_]
+    not_recent: NDArray[np.bool_]
     translation: Floats
     rotation: Floats
 
 
-def recent_and_reference(landmarks: Landmarks, pose: se2.Pose, travelled: Floats) -> tuple[WallSet, ReferenceMap]:
-    """The walls around the robot's pose seen lately, and those that have long been known.
+def select_recent_and_reference(
+    landmarks: Landmarks, pose: se2.Pose, travelled: Floats
+) -> tuple[WallSet, ReferenceMap]:
+    """Select the recent walls around the robot's pose, and the reference map.
 
-    A wall can be both: seen again, it speaks for where the robot is believed to be, as others may speak against it.
-    `ways` (k,) are the metres driven up to each keyframe.
+    A wall can be in both: an old wall that was seen again supports the null hypothesis, as others may contradict it.
+    `travelled` (k,) is the travelled distance at each keyframe, metres.
     """
     walls = landmarks.walls.rows
     active = walls["in_graph"] & landmarks.active()
     since_seen = travelled[-1] - travelled[walls["last_seen"]]
-    recent = np.flatnonzero(active & (since_seen < RECENT_WAY) & (walls["observations"] >= 2))
-    low, high = _clipped(walls["frame"][recent], walls["low"][recent], walls["high"][recent], pose)
-    visible = high - low > 0.2
-    recents = _constellation(recent[visible], walls["frame"][recent[visible]], low[visible], high[visible])
+    rows = np.flatnonzero(active & (since_seen < RECENT_DISTANCE) & (walls["observations"] >= 2))
+    low, high = _clip_extent(walls["frame"][rows], walls["low"][rows], walls["high"][rows], pose)
+    visible = high - low > MIN_CLIPPED_LENGTH
+    recent = _wall_set(rows[visible], walls["frame"][rows[visible]], low[visible], high[visible])
 
-    old = active & (travelled[-1] - travelled[walls["first_seen"]] > OLD_WAY)
-    gone = np.where(since_seen > RECENT_WAY, since_seen, np.max(since_seen[old], initial=0.0))
-    translation = np.clip(TRANSLATION_DRIFT * gone, LEAST_TRANSLATION, MOST_TRANSLATION)
-    rotation = np.clip(ROTATION_DRIFT * gone, LEAST_ROTATION, MOST_ROTATION)
-    seen_from = se2.transform(se2.inverse(walls["frame"]), pose[:2])
-    beyond = np.maximum(0.0, np.maximum(walls["low"] - seen_from[:, 0], seen_from[:, 0] - walls["high"]))
-    near = np.flatnonzero(old & (np.hypot(beyond, seen_from[:, 1]) < RECENT_WAY + RIVALS * translation))
-    olds = _constellation(near, walls["frame"][near], walls["low"][near], walls["high"][near])
-    return recents, ReferenceMap(olds, since_seen[near] > RECENT_WAY, translation[near], rotation[near])
-
-
-def _clipped(frame: Floats, low: Floats, high: Floats, pose: se2.Pose) -> tuple[Floats, Floats]:
-    """The extent of walls within RECENT_WAY of the robot (empty where high < low)."""
-    seen_from = se2.transform(se2.inverse(frame), pose[:2]).reshape(-1, 2)
-    half_chord = np.sqrt(np.maximum(0.0, RECENT_WAY**2 - seen_from[:, 1] ** 2))
-    return np.maximum(low, seen_from[:, 0] - half_chord), np.minimum(high, seen_from[:, 0] + half_chord)
+    old = active & (travelled[-1] - travelled[walls["first_seen"]] > REFERENCE_DISTANCE)
+    since = np.where(since_seen > RECENT_DISTANCE, since_seen, np.max(since_seen[old], initial=0.0))
+    translation = np.clip(TRANSLATION_DRIFT_RATE * since, MIN_TRANSLATION_DRIFT, MAX_TRANSLATION_DRIFT)
+    rotation = np.clip(ROTATION_DRIFT_RATE * since, MIN_ROTATION_DRIFT, MAX_ROTATION_DRIFT)
+    viewpoint = se2.transform(se2.inverse(walls["frame"]), pose[:2])
+    beyond = np.maximum(0.0, np.maximum(walls["low"] - viewpoint[:, 0], viewpoint[:, 0] - walls["high"]))
+    reach = RECENT_DISTANCE + ALTERNATIVE_REACH * translation
+    near = np.flatnonzero(old & (np.hypot(beyond, viewpoint[:, 1]) < reach))
+    reference = _wall_set(near, walls["frame"][near], walls["low"][near], walls["high"][near])
+    return recent, ReferenceMap(reference, since_seen[near] > RECENT_DISTANCE, translation[near], rotation[near])
 
 
-def _constellation(walls: Integers, frame: Floats, low: Floats, high: Floats) -> WallSet:
+def _clip_extent(frame: Floats, low: Floats, high: Floats, pose: se2.Pose) -> tuple[Floats, Floats]:
+    """Clip the extents of walls to RECENT_DISTANCE around the robot; high < low if nothing is left."""
+    viewpoint = se2.transform(se2.inverse(frame), pose[:2]).reshape(-1, 2)
+    half_chord = np.sqrt(np.maximum(0.0, RECENT_DISTANCE**2 - viewpoint[:, 1] ** 2))
+    return np.maximum(low, viewpoint[:, 0] - half_chord), np.minimum(high, viewpoint[:, 0] + half_chord)
+
+
+def _wall_set(walls: Integers, frame: Floats, low: Floats, high: Floats) -> WallSet:
+    """Build a wall set with frames moved to the middles of the extents."""
     middle = np.column_stack([0.5 * (low + high), np.zeros((len(low), 2))])
     return WallSet(walls, se2.compose(frame, middle).reshape(-1, 3), 0.5 * (high - low))

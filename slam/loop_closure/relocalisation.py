@@ -1,8 +1,8 @@
-"""Where in a map a robot is that may be anywhere, from what it has seen on its last metres.
+"""Relocalisation: pose of a submap in a map without a prior.
 
-A fragment is a small map of its own. Its pairs of walls vote for poses in the whole map, the poses with most votes are
-refined on all walls, and what is then seen from there is compared with what should be. A place is believed if it
-explains most of what was seen, in every direction, and no other place does nearly as well.
+Pairs of walls of the submap vote for poses in the whole map. The poses with most votes are aligned on all walls, and
+the submap's views are compared with what the map should show from there. A pose is accepted if it explains most of what
+was seen, in every direction, and no alternative does nearly as well.
 """
 
 from __future__ import annotations
@@ -17,73 +17,96 @@ from drivers import se2
 
 from ..geometry.segments import Floats, Integers, Segments
 from ..mapping.mapper import Mapper
-from .map_descriptor import MapDescriptor, describe_map, seen_from
-from .proposal import DISTINCT, DISTINCT_TURN
-from .submap_alignment import Alignment, align_submap, samples_of
-from .visibility import VisibilityCounts, look
-from .wall_pairs import pair_table, vote
+from .map_descriptor import MapDescriptor, describe_map, express_in_frame
+from .proposal import DISTINCT_SHIFT, DISTINCT_TURN
+from .submap_alignment import Alignment, align_submap, sample_walls
+from .visibility import VisibilityCounts, compare_visibility
+from .wall_pairs import build_pair_table, vote_for_poses
 
-REFINED = 64  # poses with most votes that are refined
-LOOKED_AT = 12  # of them, those that explain most wall, that are looked around from
-LEAST_WALLS = 3  # in a fragment
-# Walls matched, less UNMATCHED for each that is not. One wall falls on some wall of a building by chance at times, but
-# not many at once. Metres do not tell that: a long corridor has more of them than ten offices.
-LEAST_EVIDENCE, UNMATCHED = 5.0, 0.6
-LEAST_LENGTH = 6.0  # metres of wall that must lie on the map's
-LEAST_EXPLAINED = 0.55  # share of the fragment's walls that must
-# Share of the fragment's walls that the score must reach: what passes one test after the other narrowly is doubtful.
-LEAST_ALL_IN_ALL = 0.5
-LEAST_AGREEMENT = 0.6  # share of what is seen, where the map knows what there is to be seen
-MOST_CONTRADICTED = 0.10  # share of what was seen that the map's walls would have hidden
-# Metres and radians, in any direction. One wall by itself leaves 0.03 m and more across it; in buildings where they had
-# never been, pieces came out at 0.05 and 0.06 m, hanging on one wall along a corridor. Right ones rarely reach 0.035 m.
-WORST_SIGMA, WORST_TURN = 0.04, np.radians(1.5)
-RUNNER_UP = 0.60  # share of its score that another place may reach
-# Another place must explain clearly less wall as well, in metres or by share of it, whatever is seen from there: how
-# well a view agrees depends on how much of a place was mapped, and on what was moved there.
-LEAST_LEAD, AS_MUCH_WALL = 4.0, 0.75
-LIKELY_RUNNER_UP = 0.85  # share that another place may reach where it is asked again with more seen
+# Poses with most votes that are aligned. Origin: chosen, for speed; not measured.
+MAX_ALIGNED_POSES = 64
+# Distinct alignments with most wall length whose visibility is compared. Origin: chosen, for speed; not measured.
+MAX_CANDIDATES = 12
+# Walls of a submap and of a map. Origin: chosen, one more than determine a pose; not measured.
+MIN_WALLS = 3
+# Matched walls less UNMATCHED_PENALTY for each unmatched one. A single wall of a building matches by chance, many at
+# once do not; metres are no evidence of that, as one corridor is longer than ten offices.
+# Origin: chosen, any four walls match four walls of most buildings; not measured.
+MIN_EVIDENCE = 5.0
+# Walls by which an unmatched wall lowers the evidence. Origin: chosen; not measured.
+UNMATCHED_PENALTY = 0.6
+# Metres of the submap's walls that must lie on the map's. Origin: chosen; not measured.
+MIN_ALIGNED_LENGTH = 6.0
+# Share of the submap's observed wall length that must lie on the map's walls. Origin: chosen; not measured.
+MIN_SUBMAP_OVERLAP = 0.55
+# Least score as a share of the submap's observed wall length: passing each check narrowly is not enough.
+# Origin: chosen; not measured.
+MIN_SCORE_SHARE = 0.5
+# Least agreement of the views, see `VisibilityCounts`. Origin: chosen; not measured.
+MIN_AGREEMENT = 0.6
+# Largest share of rays that walls of the map would have blocked. Origin: chosen; not measured.
+MAX_CONTRADICTED = 0.10
+# Metres, largest standard deviation of the position in any direction. Origin: measured, on submaps searched in maps of
+# other buildings: wrong poses that rest on one wall along a corridor have 0.05 and 0.06 m; a single wall alone leaves
+# 0.03 m and more across it; right poses rarely exceed 0.035 m.
+MAX_POSITION_SIGMA = 0.04
+# Radians, largest standard deviation of the heading. Origin: chosen; not measured.
+MAX_HEADING_SIGMA = np.radians(1.5)
+# Share of the score that an alternative may reach.
+# Origin: chosen, tightened from 0.70 during development; not measured.
+MAX_ALTERNATIVE_SCORE = 0.60
+# Metres of wall by which the pose must exceed every alternative, unless MAX_ALTERNATIVE_LENGTH is kept. Wall length is
+# compared as well because the views depend on how completely a place was mapped and on what was moved.
+# Origin: chosen, raised from 3 m during development; not measured.
+MIN_LENGTH_LEAD = 4.0
+# Share of the matched wall length that an alternative may reach. Origin: chosen, see MIN_LENGTH_LEAD; not measured.
+MAX_ALTERNATIVE_LENGTH = 0.75
+# Share of the score that an alternative may reach if the same pose must be found repeatedly.
+# Origin: chosen; not measured.
+MAX_ALTERNATIVE_SCORE_REPEATED = 0.85
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapIndex:
-    """A map prepared for recognising places in it; as good as the estimate was when it was made."""
+    """Map prepared for relocalisation: its descriptor and pair table. Not updated when the map changes."""
 
-    scene: MapDescriptor
+    descriptor: MapDescriptor
     pairs: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Submap:
-    """What was seen lately, in a frame of its own.
+    """Walls and corners seen recently, in a frame of their own.
 
-    scene  walls and corners
-    pose   of the robot at the end
-    views  poses with the segments seen from them
+    descriptor  walls and corners
+    pose        of the robot at the end
+    views       poses with the segments seen from there
     """
 
-    scene: MapDescriptor
+    descriptor: MapDescriptor
     pose: se2.Pose
     views: Sequence[tuple[se2.Pose, Segments]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaceVerdict:
-    """Whether a place is believed, why not, and the scores that was decided by.
+    """Decision on the best pose of a submap, with its scores.
 
-    likely        whether it would be believed if it were the same again and again as more is seen: all tests hold but
-                  that other places lie far behind
-    explained     share of the fragment's walls that lies on the map's, `length` metres of `matches` walls; `corners`
-                  lie on corners
-    agreement     share of what was seen as the map has it, where the map has something
-    contradicted  share of what was seen that the map's walls would have hidden
-    sigma         metres: standard deviation of the position in its least certain direction; `turn_sigma` radians
-    score         metres of wall explained, times the agreement, less what is contradicted
-    runner_up     the score of the best other place
+    plausible      true if the pose would be acceptable when found repeatedly as more is seen: all checks pass except
+                   those of alternatives, and no alternative scores more than MAX_ALTERNATIVE_SCORE_REPEATED
+    overlap_ratio  share of the submap's observed wall length that lies on the map's walls: `length` metres
+    matches        matched walls
+    corners        matched corners
+    agreement      share of agreeing rays, see `VisibilityCounts`
+    contradicted   share of rays that walls of the map would have blocked
+    sigma          standard deviation of the position in its least certain direction, metres
+    turn_sigma     standard deviation of the heading, radians
+    score          length times agreement times the share of rays not contradicted, metres
+    runner_up      score of the best alternative
     """
 
     accepted: bool
-    likely: bool
+    plausible: bool
     reason: str
     overlap_ratio: float
     length: float
@@ -99,12 +122,12 @@ class PlaceVerdict:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Relocalisation:
-    """The place in the map that explains a fragment best, believed or not.
+    """Best pose of a submap in a map, accepted or not.
 
     pose        [x, y, heading] of the robot in the map
-    covariance  (3, 3) of it, in the map's axes
-    motion      [x, y, heading] that takes the fragment's frame into the map's
-    pairs       (n, 2) identities of walls of the map and of the fragment that lie on each other
+    covariance  (3, 3) of the pose, in the map's axes
+    motion      [x, y, heading] of the submap's frame in the map
+    pairs       (n, 2) landmark ids of matched walls: in the map, in the submap
     """
 
     pose: se2.Pose
@@ -115,116 +138,137 @@ class Relocalisation:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Place:
-    laid: Alignment
-    sight: VisibilityCounts
+class _Candidate:
+    """Aligned submap with its visibility comparison; score as in `PlaceVerdict`."""
+
+    alignment: Alignment
+    visibility: VisibilityCounts
     score: float
 
 
 def index_map(mapper: Mapper) -> MapIndex:
-    """Prepare a map. Takes a few milliseconds for each hundred walls."""
-    scene = describe_map(mapper.landmarks, mapper.roughness.variance)
-    return MapIndex(scene, pair_table(scene))
+    """Prepare a map for relocalisation. Takes a few milliseconds per hundred walls."""
+    descriptor = describe_map(mapper.landmarks, mapper.roughness.variance)
+    return MapIndex(descriptor, build_pair_table(descriptor))
 
 
 def submap_of(mapper: Mapper) -> Submap:
-    """A small map of the last metres as a fragment."""
-    views = [(mapper.graph.keyframe_pose(keyframe), segments) for keyframe, segments in mapper.views]
+    """Return the map of a short drive as a submap."""
+    views = [(mapper.graph.keyframe_pose(keyframe), segments) for keyframe, segments in mapper.recent_segments]
     return Submap(describe_map(mapper.landmarks, mapper.roughness.variance), mapper.pose, views)
 
 
-def relocalise(fragment: Submap, index: MapIndex) -> Relocalisation | None:
-    """The place of the fragment in the map, with the verdict on it; None where nothing suggests one."""
-    seen = seen_from(fragment.pose, fragment.scene)
-    if len(seen) < LEAST_WALLS or len(index.scene) < LEAST_WALLS:
+def relocalise(submap: Submap, index: MapIndex) -> Relocalisation | None:
+    """Find the pose of a submap in a map and decide on it; None if there are no candidates."""
+    observed = express_in_frame(submap.pose, submap.descriptor)
+    if len(observed) < MIN_WALLS or len(index.descriptor) < MIN_WALLS:
         return None
-    views = [(se2.between(fragment.pose, pose), segments) for pose, segments in fragment.views]
-    places = _places(seen, views, index)
-    if not places:
+    views = [(se2.between(submap.pose, pose), segments) for pose, segments in submap.views]
+    candidates = _find_candidates(observed, views, index)
+    if not candidates:
         return None
-    best = places[0]
-    others = _apart(best.laid.place, np.array([place.laid.place for place in places]))
-    rivals = [place for place, other in zip(places, others, strict=True) if other]
-    covariance = np.asarray(np.linalg.inv(best.laid.information))
-    matched = np.flatnonzero(best.laid.matches >= 0)
+    best = candidates[0]
+    distinct = _are_distinct(best.alignment.pose, np.array([candidate.alignment.pose for candidate in candidates]))
+    alternatives = [candidate for candidate, other in zip(candidates, distinct, strict=True) if other]
+    covariance = np.asarray(np.linalg.inv(best.alignment.information))
+    matched = np.flatnonzero(best.alignment.matches >= 0)
     return Relocalisation(
-        pose=best.laid.place,
+        pose=best.alignment.pose,
         covariance=covariance,
-        motion=se2.compose(best.laid.place, se2.inverse(fragment.pose)),
-        pairs=np.column_stack([index.scene.walls[best.laid.matches[matched]], seen.walls[matched]]),
-        verdict=_judge(best, rivals, covariance),
+        motion=se2.compose(best.alignment.pose, se2.inverse(submap.pose)),
+        pairs=np.column_stack([index.descriptor.walls[best.alignment.matches[matched]], observed.walls[matched]]),
+        verdict=_decide(best, alternatives, covariance),
     )
 
 
-def _places(seen: MapDescriptor, views: Sequence[tuple[se2.Pose, Segments]], index: MapIndex) -> list[_Place]:
-    """Different places, the best first."""
-    samples = samples_of(seen)
-    laid = [align_submap(start, seen, samples, index.scene) for start in vote(seen, index.scene, index.pairs, REFINED)]
-    places = []
-    for some in _different(laid):
-        sight = look(some.place, views, index.scene)
-        places.append(_Place(some, sight, some.length * sight.agreement * (1.0 - sight.contradicted)))
-    return sorted(places, key=lambda place: -place.score)
+def _find_candidates(
+    observed: MapDescriptor, views: Sequence[tuple[se2.Pose, Segments]], index: MapIndex
+) -> list[_Candidate]:
+    """Return distinct candidates, by descending score."""
+    samples = sample_walls(observed)
+    starts = vote_for_poses(observed, index.descriptor, index.pairs, MAX_ALIGNED_POSES)
+    aligned = [align_submap(start, observed, samples, index.descriptor) for start in starts]
+    candidates = []
+    for alignment in _select_distinct(aligned):
+        visibility = compare_visibility(alignment.pose, views, index.descriptor)
+        score = alignment.length * visibility.agreement * (1.0 - visibility.contradicted)
+        candidates.append(_Candidate(alignment, visibility, score))
+    return sorted(candidates, key=lambda candidate: -candidate.score)
 
 
-def _different(laid: Sequence[Alignment]) -> list[Alignment]:
-    """Those that explain most wall, each the best of its place."""
-    left = sorted(laid, key=lambda some: -some.length)
-    different: list[Alignment] = []
-    while left and len(different) < LOOKED_AT:
-        different.append(left[0])
-        apart = _apart(left[0].place, np.array([some.place for some in left]))
-        left = [some for some, far in zip(left, apart, strict=True) if far]
-    return different
+def _select_distinct(aligned: Sequence[Alignment]) -> list[Alignment]:
+    """Return the alignments with most wall length, one for each distinct pose."""
+    remaining = sorted(aligned, key=lambda alignment: -alignment.length)
+    selected: list[Alignment] = []
+    while remaining and len(selected) < MAX_CANDIDATES:
+        selected.append(remaining[0])
+        distinct = _are_distinct(remaining[0].pose, np.array([alignment.pose for alignment in remaining]))
+        remaining = [alignment for alignment, other in zip(remaining, distinct, strict=True) if other]
+    return selected
 
 
-def _apart(place: se2.Pose, places: Floats) -> NDArray[np.bool_]:
-    """Which of the places (n, 3) are other places."""
-    difference = se2.between(place, places)
-    far = np.hypot(difference[:, 0], difference[:, 1]) > DISTINCT
+def _are_distinct(pose: se2.Pose, poses: Floats) -> NDArray[np.bool_]:
+    """Return (n,) which of the poses (n, 3) are distinct places from `pose`."""
+    difference = se2.between(pose, poses)
+    far = np.hypot(difference[:, 0], difference[:, 1]) > DISTINCT_SHIFT
     return np.asarray(far | (np.abs(difference[:, 2]) > DISTINCT_TURN))
 
 
-def _judge(best: _Place, rivals: Sequence[_Place], covariance: Floats) -> PlaceVerdict:
-    """Every test must hold; the first that fails is the reason for refusing."""
-    laid, sight = best.laid, best.sight
-    matches = int((laid.matches >= 0).sum())
-    evidence = matches - UNMATCHED * (len(laid.matches) - matches)
-    seen = max(float(laid.seen.sum()), 1e-9)
-    overlap_ratio, all_in_all = laid.length / seen, best.score / seen
+def _decide(best: _Candidate, alternatives: Sequence[_Candidate], covariance: Floats) -> PlaceVerdict:
+    """Decide on the best candidate: every check must pass; the first that fails is the reason for rejection."""
+    alignment, visibility = best.alignment, best.visibility
+    matches = int((alignment.matches >= 0).sum())
+    evidence = matches - UNMATCHED_PENALTY * (len(alignment.matches) - matches)
+    observed = max(float(alignment.observed.sum()), 1e-9)
+    overlap_ratio, score_share = alignment.length / observed, best.score / observed
     sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
     turn_sigma = float(np.sqrt(covariance[2, 2]))
-    uncertain = f"uncertain by {sigma:.2f} m and {np.degrees(turn_sigma):.1f} degrees"
-    runner_up = max((rival.score for rival in rivals), default=0.0)
-    other = max((rival.laid.length for rival in rivals), default=0.0)
-    clear = laid.length - other >= LEAST_LEAD or other <= AS_MUCH_WALL * laid.length
-    tests = [
-        (sigma <= WORST_SIGMA and turn_sigma <= WORST_TURN, uncertain),
-        (evidence >= LEAST_EVIDENCE, f"{matches} of {len(laid.matches)} walls are no evidence"),
-        (laid.length >= LEAST_LENGTH, f"{laid.length:.1f} m of wall < {LEAST_LENGTH:.0f} m"),
-        (overlap_ratio >= LEAST_EXPLAINED, f"explains {overlap_ratio:.0%} < {LEAST_EXPLAINED:.0%}"),
-        (sight.contradicted <= MOST_CONTRADICTED, f"{sight.contradicted:.0%} was seen through walls of the map"),
-        (sight.agreement >= LEAST_AGREEMENT, f"the view agrees by {sight.agreement:.0%} < {LEAST_AGREEMENT:.0%}"),
-        (all_in_all >= LEAST_ALL_IN_ALL, f"all in all {all_in_all:.0%} < {LEAST_ALL_IN_ALL:.0%}"),
+    uncertain = f"standard deviations {sigma:.2f} m and {np.degrees(turn_sigma):.1f} degrees"
+    checks = [
+        (sigma <= MAX_POSITION_SIGMA and turn_sigma <= MAX_HEADING_SIGMA, uncertain),
+        (evidence >= MIN_EVIDENCE, f"{matches} of {len(alignment.matches)} walls matched are not enough evidence"),
+        (alignment.length >= MIN_ALIGNED_LENGTH, f"{alignment.length:.1f} m of wall < {MIN_ALIGNED_LENGTH:.0f} m"),
+        (overlap_ratio >= MIN_SUBMAP_OVERLAP, f"overlap ratio {overlap_ratio:.0%} < {MIN_SUBMAP_OVERLAP:.0%}"),
+        (
+            visibility.contradicted <= MAX_CONTRADICTED,
+            f"{visibility.contradicted:.0%} of the rays passed through walls of the map",
+        ),
+        (
+            visibility.agreement >= MIN_AGREEMENT,
+            f"{visibility.agreement:.0%} of the rays agree with the map < {MIN_AGREEMENT:.0%}",
+        ),
+        (score_share >= MIN_SCORE_SHARE, f"total score {score_share:.0%} < {MIN_SCORE_SHARE:.0%}"),
     ]
-    fits = all(passed for passed, _ in tests)
-    tests += [
-        (runner_up <= RUNNER_UP * best.score, f"another place scores {runner_up / max(best.score, 1e-9):.0%} as much"),
-        (clear, f"another place explains {other:.1f} m of wall, this one {laid.length:.1f} m"),
-    ]
-    reason = next((text for passed, text in tests if not passed), "")
+    fits = all(passed for passed, _ in checks)
+    runner_up = max((candidate.score for candidate in alternatives), default=0.0)
+    checks += _check_alternatives(best, alternatives)
+    reason = next((text for passed, text in checks if not passed), "")
     return PlaceVerdict(
         accepted=not reason,
-        likely=fits and runner_up <= LIKELY_RUNNER_UP * best.score,
-        reason=reason or "all tests passed",
+        plausible=fits and runner_up <= MAX_ALTERNATIVE_SCORE_REPEATED * best.score,
+        reason=reason or "all checks passed",
         overlap_ratio=overlap_ratio,
-        length=laid.length,
+        length=alignment.length,
         matches=matches,
-        corners=laid.corners,
-        agreement=sight.agreement,
-        contradicted=sight.contradicted,
+        corners=alignment.corners,
+        agreement=visibility.agreement,
+        contradicted=visibility.contradicted,
         sigma=sigma,
         turn_sigma=turn_sigma,
         score=best.score,
         runner_up=runner_up,
     )
+
+
+def _check_alternatives(best: _Candidate, alternatives: Sequence[_Candidate]) -> list[tuple[bool, str]]:
+    """Check that no alternative comes near the best candidate in score or in wall length."""
+    score = max((candidate.score for candidate in alternatives), default=0.0)
+    length, other = best.alignment.length, max((candidate.alignment.length for candidate in alternatives), default=0.0)
+    clear = length - other >= MIN_LENGTH_LEAD or other <= MAX_ALTERNATIVE_LENGTH * length
+    return [
+        (
+            score <= MAX_ALTERNATIVE_SCORE * best.score,
+            f"an alternative scores {score / max(best.score, 1e-9):.0%} as much",
+        ),
+        (clear, f"an alternative matches {other:.1f} m of wall, the best pose {length:.1f} m"),
+    ]

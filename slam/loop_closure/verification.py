@@ -1,73 +1,93 @@
-"""Whether a place is the one it looks like. Every test must hold; the first that fails is the reason for refusing."""
+"""Verification of loop closure hypotheses: every check must pass; the first that fails is the reason for rejection."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from drivers import se2
 
 from ..geometry.segments import Floats, Segments
 from ..mapping.landmarks import Landmarks
-from .proposal import Hypothesis, distinct
+from .occlusion import occluded_share
+from .proposal import Hypothesis, are_distinct
 from .recent_walls import ReferenceMap, WallSet
 
-# Times as far as drift is expected to lead that a place may be: how far it can have led, the estimate's covariance says
-# better. Other places are looked for farther away still.
-FARTHEST = 1.4
-LEAST_EXPLAINED = 0.5  # share of the wall length seen where the old map has been that must fall on old walls
-# The same of the walls that tell of any one direction. Of true places on recordings two in three to four in five do; of
-# wrong ones whose furniture was moved few, as walls along one direction only make them look right.
-LEAST_IN_DIRECTION = 0.65
-LEAST_MATCHES = 4  # walls
-LEAST_GAIN = 3.0  # metres of wall that must fall on old walls more than if nothing moved
-LEAST_LENGTH = 6.0  # metres of wall that must fall on old walls
-WORST_SIGMA = 0.07  # metres: the motion must be determined in every direction, which parallel walls alone never do
-# Of a motion so short less is asked where the estimate is astray: no building repeats itself so soon, and walls that
-# have been taken for others keep what staying explains high.
-NEAR, NEAR_TURN, NEAR_EXPLAINED, NEAR_GAIN = 1.0, np.radians(6.0), 0.4, 1.5  # metres, radians, share, metres of wall
-# Squared Mahalanobis distance of a motion that the estimate allows: chi-square with three degrees of freedom exceeds
-# 16.3 once in a thousand times; errors of wheels that are no noise count for half the deviation more.
-MOST_UNEXPECTED = 1.5**2 * 16.3
-# By how much walls that were taken for others may have pulled the estimate besides its uncertainty, metres and radians.
-ASTRAY_SIGMAS = np.array([0.25, 0.25, np.radians(3.0)])
-# A different motion that explains this share of what the best one does makes the place ambiguous, unless the estimate
-# rules it out; less of it will do where odometry speaks for the other one rather.
-RUNNER_UP, LIKELIER_RUNNER_UP = 0.85, 0.70
-# Share of the wall length seen that could not have been seen through the old walls. Doors open and things are moved:
-# what contradicts staying put as much says nothing against moving.
-MOST_CONTRADICTED = 0.10
-LOOKED_AT = (-0.8, 0.0, 0.8)  # of a segment, from its middle to its ends, where lines of sight end
-SHORTENED = 0.3  # metres by which views end before what they saw, and by which old walls are shortened
+# Largest motion, as a multiple of the expected drift. The covariance check bounds the drift better, and alternatives
+# are searched up to ALTERNATIVE_REACH. Origin: chosen; not measured.
+MAX_DRIFT_RATIO = 1.4
+# Least share of the recent wall length in the mapped area that must fall on reference walls.
+# Origin: tuned on Intel, fr079, CSAIL.
+MIN_OVERLAP_RATIO = 0.5
+# The same of the walls that constrain any one direction. Origin: measured, on recordings: 2/3 to 4/5 for true places;
+# less for wrong ones with moved furniture, where walls along one direction alone make a place look right.
+MIN_DIRECTIONAL_RATIO = 0.65
+# Walls that must match. Origin: tuned on Intel, fr079, CSAIL, together with MIN_MATCHED_LENGTH.
+MIN_MATCHED_WALLS = 4
+# Metres of wall that must fall on reference walls in addition to those of the null hypothesis.
+# Origin: tuned on Intel, fr079, CSAIL.
+MIN_GAIN = 3.0
+# Metres of wall that must fall on reference walls. Origin: tuned on Intel, fr079, CSAIL.
+MIN_MATCHED_LENGTH = 6.0
+# Metres, largest standard deviation of the motion in any direction; parallel walls alone never reach it.
+# Origin: chosen; not measured.
+MAX_LOOP_SIGMA = 0.07
+# Metres, a short motion: buildings do not repeat themselves so soon. If drift does not explain such a motion, walls
+# were misassociated, which raises what the null hypothesis explains; relaxed limits apply then.
+# Origin: chosen; not measured.
+SHORT_MOTION = 1.0
+# Radians, likewise. Origin: chosen; not measured.
+SHORT_MOTION_TURN = np.radians(6.0)
+# MIN_OVERLAP_RATIO and MIN_DIRECTIONAL_RATIO of a short motion. Origin: tuned on Intel, fr079, CSAIL.
+RELAXED_OVERLAP_RATIO = 0.4
+# MIN_GAIN of a short motion, metres. Origin: tuned on Intel, fr079, CSAIL.
+RELAXED_GAIN = 1.5
+# Largest squared Mahalanobis distance between a motion and the estimate.
+# Origin: chi-square, 3 dof, 99.9 %, for standard deviations half as large again: wheel errors are not white noise.
+MAX_SQUARED_MAHALANOBIS = 1.5**2 * 16.3
+# Metres, metres, radians: standard deviations by which misassociated walls may have pulled the estimate, in addition
+# to its covariance. Origin: chosen; not measured.
+MISASSOCIATION_SIGMAS = np.array([0.25, 0.25, np.radians(3.0)])
+# Largest share of the hypothesis's wall length that an alternative may explain; more makes the place ambiguous, unless
+# the estimate excludes the alternative. Origin: tuned on Intel, fr079, CSAIL.
+MAX_ALTERNATIVE_RATIO = 0.85
+# The same of an alternative that agrees better with odometry than the hypothesis.
+# Origin: tuned on simulated drives.
+MAX_LIKELIER_ALTERNATIVE_RATIO = 0.70
+# Largest share of the wall length seen that reference walls would have hidden; or the share of the null hypothesis,
+# if that is larger, as doors open and furniture moves. Origin: chosen; not measured.
+MAX_OCCLUDED_SHARE = 0.10
 
 
 @dataclass(frozen=True, slots=True)
-class Test:
-    """One of the tests of a hypothesis: what was measured, and the gate it had to be `at_least` or at most."""
+class Check:
+    """Check of a hypothesis: a measured value and its gate, the least value if `at_least`, else the largest."""
 
     name: str
     value: float
     gate: float
     at_least: bool
-    failing: str  # the reason for refusing, where it does not hold
+    failure: str
+    """Reason for rejection if the check fails."""
 
     @property
     def passed(self) -> bool:
-        """Whether it holds."""
+        """True if the value keeps the gate."""
         return self.value >= self.gate if self.at_least else self.value <= self.gate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verdict:
-    """What was decided on a hypothesis, the scores it was decided by, and all tests in their order.
+    """Result of verifying a hypothesis: the decision, its scores, and all checks in order.
 
-    casts_doubt  whether the place explains clearly more than where the robot is believed to be, accepted or not
-    ambiguous    whether another place is nearly as good
-    near         whether less was asked of it, the motion being short and the estimate astray
+    runner_up              wall length that the best alternative explains, relative to the hypothesis
+    sigma                  standard deviation of the motion in its least certain direction, metres
+    contradicted           share of the wall length seen that reference walls would have hidden
+    beats_null_hypothesis  true if the hypothesis explains clearly more than the null hypothesis, accepted or not
+    ambiguous              true if an alternative explains nearly as much
+    relaxed                true if the relaxed limits of a short motion that drift does not explain were applied
     """
 
     accepted: bool
@@ -77,225 +97,192 @@ class Verdict:
     runner_up: float
     sigma: float
     contradicted: float
-    casts_doubt: bool
+    beats_null_hypothesis: bool
     ambiguous: bool
-    near: bool
-    tests: tuple[Test, ...] = ()
+    relaxed: bool
+    checks: tuple[Check, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VerificationContext:
-    """What hypotheses are judged by.
+    """Data that hypotheses are verified with.
 
-    pose         of the robot
-    views        the last keyframes' poses, each with the segments seen from there
-    uncertainty  gives the covariance (3, 3) of the pose relative to the old place, in the robot's frame; to ask for it
-                 costs more than all else
+    pose         of the robot in the map
+    views        poses of the last keyframes, each with the segments seen from there
+    uncertainty  returns the covariance (3, 3) of the pose relative to the old keyframe, in the robot's frame; it costs
+                 more than all other data together
     """
 
     recent: WallSet
-    old: ReferenceMap
+    reference: ReferenceMap
     landmarks: Landmarks
     pose: se2.Pose
     views: Sequence[tuple[se2.Pose, Segments]]
     uncertainty: Callable[[], Floats]
 
 
-def verify(hypotheses: Sequence[Hypothesis], outlook: VerificationContext) -> Verdict:
-    """Judge the second of several hypotheses by what was seen; the first is that nothing has to move."""
-    motion = robot_motion(hypotheses[1], outlook.pose)
-    near = is_near(motion)
-    gain, *fits = _fit_tests(hypotheses, outlook, near=near)
-    if near and all(test.passed for test in (gain, *fits)) and not is_astray(motion, outlook.uncertainty()):
-        near = False
-        gain, *fits = _fit_tests(hypotheses, outlook, near=False)
-    fitting = all(test.passed for test in (gain, *fits))
-    rivals = _rival_tests(hypotheses, outlook, by_estimate=fitting and not near)
-    tests = [gain, *fits, *rivals]
-    if all(test.passed for test in tests):
-        tests.append(allowed_by_estimate(motion, outlook.uncertainty()))
-    reason = next((test.failing for test in tests if not test.passed), "")
-    values = {test.name: test.value for test in tests}
+def verify(hypotheses: Sequence[Hypothesis], context: VerificationContext) -> Verdict:
+    """Verify the second of several hypotheses; the first is the null hypothesis, the others are alternatives."""
+    motion = robot_motion(hypotheses[1], context.pose)
+    relaxed = is_short_motion(motion)
+    gain, *fits = _check_fit(hypotheses, context, relaxed=relaxed)
+    if relaxed and all(check.passed for check in (gain, *fits)) and not exceeds_drift(motion, context.uncertainty()):
+        relaxed = False
+        gain, *fits = _check_fit(hypotheses, context, relaxed=False)
+    fitting = all(check.passed for check in (gain, *fits))
+    alternatives = _check_alternatives(hypotheses, context, use_estimate=fitting and not relaxed)
+    checks = [gain, *fits, *alternatives]
+    if all(check.passed for check in checks):
+        checks.append(check_against_estimate(motion, context.uncertainty()))
+    reason = next((check.failure for check in checks if not check.passed), "")
+    values = {check.name: check.value for check in checks}
     return Verdict(
         accepted=not reason,
-        reason=reason or "all tests passed",
-        overlap_ratio=values["overlap_ratio"],
+        reason=reason or "all checks passed",
+        overlap_ratio=values["overlap-ratio"],
         matches=int(values["walls"]),
-        runner_up=values["runner-up"],
+        runner_up=values["alternative"],
         sigma=values["sigma"],
         contradicted=values["contradicted"],
-        casts_doubt=gain.passed,
-        ambiguous=not all(test.passed for test in rivals),
-        near=near,
-        tests=tuple(tests),
+        beats_null_hypothesis=gain.passed,
+        ambiguous=not all(check.passed for check in alternatives),
+        relaxed=relaxed,
+        checks=tuple(checks),
     )
 
 
-def _fit_tests(hypotheses: Sequence[Hypothesis], outlook: VerificationContext, *, near: bool) -> list[Test]:
-    """Whether the place fits what was seen; the first test is by how much better than staying. `near` asks less."""
-    stay, best = hypotheses[:2]
-    gain = best.length - stay.length
-    shift, turn, part = _driftwise(best, outlook.old, outlook.pose)
-    matches, sigma = _matches(best), _sigma(best)
+def _check_fit(hypotheses: Sequence[Hypothesis], context: VerificationContext, *, relaxed: bool) -> list[Check]:
+    """Check a hypothesis against the observations; the first check is the gain over the null hypothesis."""
+    null, best = hypotheses[:2]
+    gain = best.length - null.length
+    shift, turn, drift_ratio = _relative_to_drift(best, context.reference, context.pose)
+    matches, sigma = _count_matches(best), _worst_sigma(best)
     contradicted, allowed = (
-        contradiction(some.motion, outlook.old, outlook.landmarks, outlook.views) for some in (best, stay)
+        occluded_share(some.motion, context.reference, context.landmarks, context.views) for some in (best, null)
     )
-    least_explained, least_gain = (NEAR_EXPLAINED, NEAR_GAIN) if near else (LEAST_EXPLAINED, LEAST_GAIN)
-    least_weakest = NEAR_EXPLAINED if near else LEAST_IN_DIRECTION
-    weakest = f"explains {best.weakest:.0%} < {least_weakest:.0%} in one direction"
-    drift = f"{shift:.1f} m and {np.degrees(turn):.0f} degrees are farther than drift leads"
-    explains = f"explains {best.overlap_ratio:.0%} < {least_explained:.0%}"
-    long_enough = f"{best.length:.1f} m of wall < {LEAST_LENGTH:.0f} m"
-    better = f"{gain:.1f} m of wall more than staying < {least_gain:.1f} m"
-    through = f"{contradicted:.0%} was seen through old walls"
+    min_overlap, min_gain = (RELAXED_OVERLAP_RATIO, RELAXED_GAIN) if relaxed else (MIN_OVERLAP_RATIO, MIN_GAIN)
+    min_directional = RELAXED_OVERLAP_RATIO if relaxed else MIN_DIRECTIONAL_RATIO
+    directional = best.min_directional_ratio
     return [
-        Test("gain", gain, least_gain, True, better),
-        Test("drift", part, FARTHEST, False, drift),
-        Test("overlap_ratio", best.overlap_ratio, least_explained, True, explains),
-        Test("weakest", best.weakest, least_weakest, True, weakest),
-        Test("length", best.length, LEAST_LENGTH, True, long_enough),
-        Test("walls", matches, LEAST_MATCHES, True, f"{matches} walls < {LEAST_MATCHES}"),
-        Test("sigma", sigma, WORST_SIGMA, False, f"one direction known to {sigma:.2f} m only"),
-        Test("contradicted", contradicted, max(MOST_CONTRADICTED, allowed), False, through),
-    ]
-
-
-def _rival_tests(hypotheses: Sequence[Hypothesis], outlook: VerificationContext, *, by_estimate: bool) -> list[Test]:
-    """Whether of another place nearly as much is explained; the less will do, if odometry speaks for that rather.
-
-    A place that the estimate rules out is no rival, if it is asked: where a near motion shows it to be astray it has no
-    say, and where the place does not fit the answer would not matter.
-    """
-    best = hypotheses[1]
-    others = [h for h in hypotheses if h is not best and distinct(h.motion, best.motion, outlook.pose)]
-    rivals = [(_rivalry(other, best), other) for other in others]
-    likelier = 0.0
-    if by_estimate and any(share > LIKELIER_RUNNER_UP for share, _ in rivals):
-        loose = outlook.uncertainty() + np.diag(ASTRAY_SIGMAS**2)
-        own = _unexpectedness(robot_motion(best, outlook.pose), loose)
-        unexpected = [_unexpectedness(robot_motion(rival, outlook.pose), loose) for _, rival in rivals]
-        shares = [share for share, _ in rivals]
-        likelier = max((share for share, far in zip(shares, unexpected, strict=True) if far <= own), default=0.0)
-        rivals = [rival for rival, far in zip(rivals, unexpected, strict=True) if far <= MOST_UNEXPECTED]
-    runner_up = max((share for share, _ in rivals), default=0.0)
-    explains = "another place explains"
-    return [
-        Test("runner-up", runner_up, RUNNER_UP, False, f"{explains} {runner_up:.0%} as much"),
-        Test(
-            "likelier-rival", likelier, LIKELIER_RUNNER_UP, False,
-            f"{explains} {likelier:.0%} as much, and odometry speaks for it rather",
+        Check("gain", gain, min_gain, True, f"{gain:.1f} m of wall more than without a motion < {min_gain:.1f} m"),
+        Check(
+            "drift", drift_ratio, MAX_DRIFT_RATIO, False,
+            f"{shift:.1f} m and {np.degrees(turn):.0f} degrees exceed the expected drift",
+        ),
+        Check(
+            "overlap-ratio", best.overlap_ratio, min_overlap, True,
+            f"overlap ratio {best.overlap_ratio:.0%} < {min_overlap:.0%}",
+        ),
+        Check(
+            "directional-ratio", directional, min_directional, True,
+            f"overlap ratio {directional:.0%} < {min_directional:.0%} in one direction",
+        ),
+        Check(
+            "length", best.length, MIN_MATCHED_LENGTH, True,
+            f"{best.length:.1f} m of wall < {MIN_MATCHED_LENGTH:.0f} m",
+        ),
+        Check("walls", matches, MIN_MATCHED_WALLS, True, f"{matches} walls < {MIN_MATCHED_WALLS}"),
+        Check("sigma", sigma, MAX_LOOP_SIGMA, False, f"standard deviation {sigma:.2f} m in one direction"),
+        Check(
+            "contradicted", contradicted, max(MAX_OCCLUDED_SHARE, allowed), False,
+            f"{contradicted:.0%} of the walls were seen through walls of the map",
         ),
     ]  # fmt: skip
 
 
-def is_near(motion: se2.Pose) -> bool:
-    """Whether a motion [x, y, heading] in the robot's frame is too short to lead to a place that looks alike."""
-    return bool(np.hypot(motion[0], motion[1]) < NEAR and abs(motion[2]) < NEAR_TURN)
+def _check_alternatives(
+    hypotheses: Sequence[Hypothesis], context: VerificationContext, *, use_estimate: bool
+) -> list[Check]:
+    """Check that no alternative explains nearly as much, or less than that but agrees better with odometry.
 
-
-def is_astray(motion: se2.Pose, covariance: Floats) -> bool:
-    """Whether a motion, were it right, would show that walls were taken for others: drift does not explain it.
-
-    `covariance` (3, 3) is that of the robot's pose relative to the old place, in the robot's frame.
+    Alternatives outside the gate of the estimate are ignored if `use_estimate`. It is false for a short motion that
+    drift does not explain, as the estimate is wrong then, and if the hypothesis fails anyway, to save the time.
     """
-    return _unexpectedness(motion, covariance) > MOST_UNEXPECTED
+    best = hypotheses[1]
+    others = [h for h in hypotheses if h is not best and are_distinct(h.motion, best.motion, context.pose)]
+    ratios = [(_explained_ratio(other, best), other) for other in others]
+    likelier = 0.0
+    if use_estimate and any(ratio > MAX_LIKELIER_ALTERNATIVE_RATIO for ratio, _ in ratios):
+        covariance = context.uncertainty() + np.diag(MISASSOCIATION_SIGMAS**2)
+        own = _squared_mahalanobis(robot_motion(best, context.pose), covariance)
+        distances = [_squared_mahalanobis(robot_motion(other, context.pose), covariance) for _, other in ratios]
+        shares = [ratio for ratio, _ in ratios]
+        likelier = max((share for share, far in zip(shares, distances, strict=True) if far <= own), default=0.0)
+        ratios = [item for item, far in zip(ratios, distances, strict=True) if far <= MAX_SQUARED_MAHALANOBIS]
+    largest = max((ratio for ratio, _ in ratios), default=0.0)
+    explains = "an alternative explains"
+    return [
+        Check("alternative", largest, MAX_ALTERNATIVE_RATIO, False, f"{explains} {largest:.0%} as much"),
+        Check(
+            "likelier-alternative", likelier, MAX_LIKELIER_ALTERNATIVE_RATIO, False,
+            f"{explains} {likelier:.0%} as much and agrees better with odometry",
+        ),
+    ]  # fmt: skip
 
 
-def allowed_by_estimate(motion: se2.Pose, covariance: Floats) -> Test:
-    """Whether drift, or walls that were taken for others, explain a motion, given as above.
+def is_short_motion(motion: se2.Pose) -> bool:
+    """True if a motion [x, y, heading] of the robot is too short to lead to a similar-looking place."""
+    return bool(np.hypot(motion[0], motion[1]) < SHORT_MOTION and abs(motion[2]) < SHORT_MOTION_TURN)
 
-    A place that looks right while the robot is known to be elsewhere is another one that looks alike.
+
+def exceeds_drift(motion: se2.Pose, covariance: Floats) -> bool:
+    """True if drift does not explain a motion; if the motion is right, walls were misassociated.
+
+    motion      [x, y, heading] in the robot's frame
+    covariance  (3, 3) of the robot's pose relative to the old keyframe, in the robot's frame
     """
-    deviations = float(np.sqrt(_unexpectedness(motion, covariance + np.diag(ASTRAY_SIGMAS**2))))
-    failing = f"{deviations:.0f} standard deviations from the estimate"
-    return Test("unexpected", deviations, float(np.sqrt(MOST_UNEXPECTED)), False, failing)
+    return _squared_mahalanobis(motion, covariance) > MAX_SQUARED_MAHALANOBIS
+
+
+def check_against_estimate(motion: se2.Pose, covariance: Floats) -> Check:
+    """Check that drift or misassociated walls explain a motion; the arguments are those of `exceeds_drift`.
+
+    A place that fits, but that the estimate excludes, is a similar-looking other place.
+    """
+    deviations = float(np.sqrt(_squared_mahalanobis(motion, covariance + np.diag(MISASSOCIATION_SIGMAS**2))))
+    failure = f"{deviations:.0f} standard deviations from the estimate"
+    return Check("mahalanobis", deviations, float(np.sqrt(MAX_SQUARED_MAHALANOBIS)), False, failure)
 
 
 def robot_motion(hypothesis: Hypothesis, pose: se2.Pose) -> se2.Pose:
-    """The motion [x, y, heading] of the robot at `pose` by a hypothesis, in its own frame."""
+    """Return the motion [x, y, heading] of the robot at `pose` under a hypothesis, in the robot's frame."""
     return se2.between(pose, se2.compose(hypothesis.motion, pose))
 
 
-def _unexpectedness(motion: se2.Pose, covariance: Floats) -> float:
+def _squared_mahalanobis(motion: se2.Pose, covariance: Floats) -> float:
     return float(motion @ np.linalg.solve(covariance, motion))
 
 
-def _driftwise(hypothesis: Hypothesis, old: ReferenceMap, pose: se2.Pose) -> tuple[float, float, float]:
-    """Metres and radians by which the robot would move, and how many times that is what drift is expected to do."""
+def _relative_to_drift(hypothesis: Hypothesis, reference: ReferenceMap, pose: se2.Pose) -> tuple[float, float, float]:
+    """Return shift (metres) and turn (radians) of the robot, and the larger of their ratios to the expected drift."""
     moved = robot_motion(hypothesis, pose)
     shift, turn = float(np.hypot(moved[0], moved[1])), abs(float(moved[2]))
     matched = hypothesis.matches[hypothesis.matches >= 0]
-    translation, rotation = old.translation[matched].max(initial=1e-9), old.rotation[matched].max(initial=1e-9)
+    translation = reference.translation[matched].max(initial=1e-9)
+    rotation = reference.rotation[matched].max(initial=1e-9)
     return shift, turn, max(shift / translation, turn / rotation)
 
 
-def _rivalry(rival: Hypothesis, best: Hypothesis) -> float:
-    """How much another motion explains, relative to the best one.
+def _explained_ratio(alternative: Hypothesis, best: Hypothesis) -> float:
+    """Return how much an alternative explains relative to the best hypothesis.
 
-    Where the old map ends, a motion farther into it explains more wall without being any truer. So one that determines
-    where the robot is by itself is compared by the share it explains of what could be known there, too.
+    Near the end of the reference map a motion farther into it explains more wall without being more likely. So an
+    alternative that determines the pose on its own is compared by overlap ratio as well, not only by length.
     """
-    by_length = rival.length / max(best.length, 1e-9)
-    if _matches(rival) < LEAST_MATCHES or rival.length < LEAST_LENGTH or _sigma(rival) > WORST_SIGMA:
+    by_length = alternative.length / max(best.length, 1e-9)
+    if (
+        _count_matches(alternative) < MIN_MATCHED_WALLS
+        or alternative.length < MIN_MATCHED_LENGTH
+        or _worst_sigma(alternative) > MAX_LOOP_SIGMA
+    ):
         return by_length
-    return max(by_length, rival.overlap_ratio / max(best.overlap_ratio, 1e-9))
+    return max(by_length, alternative.overlap_ratio / max(best.overlap_ratio, 1e-9))
 
 
-def _matches(hypothesis: Hypothesis) -> int:
+def _count_matches(hypothesis: Hypothesis) -> int:
     return int((hypothesis.matches >= 0).sum())
 
 
-def _sigma(hypothesis: Hypothesis) -> float:
-    """Metres: how well the matched walls determine the motion, in the direction in which they do so worst."""
+def _worst_sigma(hypothesis: Hypothesis) -> float:
+    """Return the standard deviation of the motion in its least certain direction, metres."""
     return float(np.sqrt(np.linalg.eigvalsh(np.linalg.inv(hypothesis.information)[:2, :2])[-1]))
-
-
-def contradiction(
-    motion: se2.Pose, old: ReferenceMap, landmarks: Landmarks, views: Sequence[tuple[se2.Pose, Segments]]
-) -> float:
-    """Share of the wall length seen in `views` that old walls would have hidden, were the robot moved by `motion`."""
-    eyes, targets, weights = _sight_lines(motion, views)
-    walls = old.wall_set.walls[old.left]
-    if not len(eyes) or not len(walls):
-        return 0.0
-    rows = landmarks.walls.rows[walls]
-    crossings = _crossings(eyes, targets, rows["frame"], rows["low"] + SHORTENED, rows["high"] - SHORTENED)
-    blocked = np.zeros(len(eyes), dtype=bool)
-    for ray, row, at in crossings:
-        blocked[ray] |= landmarks.is_covered(int(walls[row]), at)
-    return float(weights[blocked].sum() / weights.sum())
-
-
-@njit(cache=True)
-def _crossings(eyes, targets, frames, lows, highs):  # type: ignore[no-untyped-def]
-    """The lines of sight (row of `eyes`), the walls (row of `frames`) that they cross between their ends, and where."""
-    found = []
-    for row in range(len(frames)):
-        x, y = frames[row, 0], frames[row, 1]
-        c, s = math.cos(frames[row, 2]), math.sin(frames[row, 2])
-        for ray in range(len(eyes)):
-            ex, ey = eyes[ray, 0] - x, eyes[ray, 1] - y
-            tx, ty = targets[ray, 0] - x, targets[ray, 1] - y
-            eye_side, target_side = c * ey - s * ex, c * ty - s * tx
-            if eye_side * target_side < 0.0:
-                part = eye_side / (eye_side - target_side)
-                at = c * (ex + part * (tx - ex)) + s * (ey + part * (ty - ey))
-                if lows[row] < at < highs[row]:
-                    found.append((ray, row, at))
-    return found
-
-
-def _sight_lines(motion: se2.Pose, views: Sequence[tuple[se2.Pose, Segments]]) -> tuple[Floats, Floats, Floats]:
-    """Eyes (r, 2), targets (r, 2) a little before what was seen, and the wall length (r,) that each stands for."""
-    if not views:
-        return np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)
-    poses = se2.compose(motion, np.array([pose for pose, _ in views]))
-    frames = np.concatenate([se2.compose(pose, seen.frame) for pose, (_, seen) in zip(poses, views, strict=True)])
-    eyes = np.repeat(poses[:, :2], [len(segments) for _, segments in views], axis=0)
-    halves = np.concatenate([segments.half_length for _, segments in views])
-    along = np.column_stack([np.cos(frames[:, 2]), np.sin(frames[:, 2])])
-    seen = np.concatenate([frames[:, :2] + part * halves[:, None] * along for part in LOOKED_AT])
-    eyes, weights = np.tile(eyes, (len(LOOKED_AT), 1)), np.tile(halves, len(LOOKED_AT))
-    distance = np.hypot(*(seen - eyes).T)
-    shorter = np.maximum(0.0, 1.0 - SHORTENED / np.maximum(distance, 1e-9))
-    return eyes, eyes + shorter[:, None] * (seen - eyes), weights

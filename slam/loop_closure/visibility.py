@@ -1,8 +1,8 @@
-"""What would have been seen of a map from where a fragment is believed to lie, and what was seen instead.
+"""Visibility comparison: what a map should show from the views of an aligned submap, against what was seen.
 
-Rays go out in all directions from the fragment's views; along each the nearest thing in the view is compared with the
-nearest in the map. What was seen through a wall of the map, or in front of it where the map knows of nothing, speaks
-against the place.
+Rays are cast in all directions from the submap's views; along each ray the nearest segment of the view is compared with
+the nearest wall of the map. A segment seen through a wall of the map, or in front of it where the map has none,
+contradicts the alignment.
 """
 
 from __future__ import annotations
@@ -19,74 +19,89 @@ from drivers import se2
 from ..geometry.segments import Floats, Segments
 from .map_descriptor import MapDescriptor
 
-RAYS = 120  # of a view
-MOST_VIEWS = 12  # of a fragment: neighbouring ones see much the same
-SHORTENED = 0.2  # metres by which the stretches of the map's walls are shortened at either end: doors, and errors
-SAME_RANGE = 0.3  # metres by which the ranges of the same wall may differ, besides
-SAME_ACROSS = 0.2  # metres across a wall by which what was seen may differ from it
+# Rays per view: one every 3 degrees. Origin: chosen, for speed; not measured.
+RAYS = 120
+# Views of a submap that are compared: neighbouring ones see much the same. Origin: chosen, for speed; not measured.
+MAX_COMPARED_VIEWS = 12
+# Metres by which the stretches of the map's walls are shortened at both ends, for doors and errors of the pose.
+# Origin: chosen; not measured.
+STRETCH_SHORTENING = 0.2
+# Metres between the ranges of one wall in the view and in the map; satisfied by either this or RAY_OFFSET_TOLERANCE.
+# Origin: chosen; not measured.
+RAY_RANGE_TOLERANCE = 0.3
+# The same across the wall, metres: for rays at grazing incidence. Origin: chosen; not measured.
+RAY_OFFSET_TOLERANCE = 0.2
+# Metres beyond a view's reach in which walls of the map are considered. Origin: chosen; not measured.
+REACH_MARGIN = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class VisibilityCounts:
-    """Rays of a fragment's views that hit something in the view, sorted by what the map has there.
+    """Numbers of rays by result.
 
-    agree    the same at the same range
-    through  a wall nearer than what was seen
-    front    only something farther
-    unknown  nothing
-    missing  rays besides that hit nothing in the view, where the map has a wall in reach of what else was seen
+    agreeing  hit a segment of the view and a wall of the map at the same range
+    through   hit a segment behind a wall of the map
+    in_front  hit a segment in front of a wall of the map
+    unmapped  hit a segment, but no wall of the map
+    missing   hit no segment, but a wall of the map within the view's reach
     """
 
-    agree: int
+    agreeing: int
     through: int
-    front: int
-    unknown: int
+    in_front: int
+    unmapped: int
     missing: int
 
     @property
     def agreement(self) -> float:
-        """Share of the rays that hit something in both that agree."""
-        return self.agree / max(1, self.agree + self.through + self.front)
+        """Share of agreeing rays among those that hit something in view and map, 0 to 1."""
+        return self.agreeing / max(1, self.agreeing + self.through + self.in_front)
 
     @property
     def contradicted(self) -> float:
-        """Share of all rays that went through a wall."""
-        return self.through / max(1, self.agree + self.through + self.front + self.unknown)
+        """Share of rays through a wall of the map among those that hit a segment of the view, 0 to 1."""
+        return self.through / max(1, self.agreeing + self.through + self.in_front + self.unmapped)
 
 
-def look(place: se2.Pose, views: Sequence[tuple[se2.Pose, Segments]], scene: MapDescriptor) -> VisibilityCounts:
-    """Compare what the views saw with the map, where the fragment's frame lies at `place`."""
-    chosen = np.linspace(0, len(views) - 1, min(len(views), MOST_VIEWS)).round().astype(int)
-    ends = _ends(scene)
+def compare_visibility(
+    pose: se2.Pose, views: Sequence[tuple[se2.Pose, Segments]], descriptor: MapDescriptor
+) -> VisibilityCounts:
+    """Compare the views of a submap with the map if the submap's frame is at `pose` in the map.
+
+    `views` are poses in the submap's frame, each with the segments seen from there.
+    """
+    chosen = np.linspace(0, len(views) - 1, min(len(views), MAX_COMPARED_VIEWS)).round().astype(int)
+    ends = _shortened_stretches(descriptor)
     counts = np.zeros(5, dtype=np.int64)
-    for pose, segments in (views[k] for k in chosen):
+    for view_pose, segments in (views[k] for k in chosen):
         if not len(segments):
             continue
-        eye = se2.compose(place, pose)
+        eye = se2.compose(pose, view_pose)
         counts += _compare(eye, segments.frame, segments.half_length, ends, segments.reach())
     return VisibilityCounts(*(int(count) for count in counts))
 
 
-def _ends(scene: MapDescriptor) -> Floats:
-    """(s, 4): the stretches of the walls from their first to their last point in the map, shortened."""
-    frame = scene.frame[scene.stretch_wall]
+def _shortened_stretches(descriptor: MapDescriptor) -> Floats:
+    """Return the stretches (s, 4) of the walls in the map, first and last point, shortened at both ends."""
+    frame = descriptor.frame[descriptor.stretch_wall]
     direction = np.column_stack([np.cos(frame[:, 2]), np.sin(frame[:, 2])])
-    shorter = np.minimum(SHORTENED, 0.25 * (scene.stretches[:, 1] - scene.stretches[:, 0]))
-    low, high = scene.stretches[:, 0] + shorter, scene.stretches[:, 1] - shorter
+    length = descriptor.stretches[:, 1] - descriptor.stretches[:, 0]
+    shorter = np.minimum(STRETCH_SHORTENING, 0.25 * length)
+    low, high = descriptor.stretches[:, 0] + shorter, descriptor.stretches[:, 1] - shorter
     return np.column_stack([frame[:, :2] + low[:, None] * direction, frame[:, :2] + high[:, None] * direction])
 
 
 @njit(cache=True)
 def _compare(eye, frames, halves, ends, reach):  # type: ignore[no-untyped-def]
-    """Counts (5,) in the order of Sight, of one view."""
+    """Count the rays of one view, (5,) in the order of `VisibilityCounts`."""
     counts = np.zeros(5, dtype=np.int64)
     near = np.empty((len(ends), 4))
     count = 0
     c, s = math.cos(eye[2]), math.sin(eye[2])
-    for k in range(len(ends)):  # into the view's frame, as far as in reach
+    for k in range(len(ends)):  # stretches within reach, in the view's frame
         ax, ay, bx, by = ends[k, 0] - eye[0], ends[k, 1] - eye[1], ends[k, 2] - eye[0], ends[k, 3] - eye[1]
         half = 0.5 * math.hypot(bx - ax, by - ay)
-        if math.hypot(0.5 * (ax + bx), 0.5 * (ay + by)) - half < reach + 1.0:
+        if math.hypot(0.5 * (ax + bx), 0.5 * (ay + by)) - half < reach + REACH_MARGIN:
             near[count] = np.array([c * ax + s * ay, c * ay - s * ax, c * bx + s * by, c * by - s * bx])
             count += 1
     for ray in range(RAYS):
@@ -96,21 +111,21 @@ def _compare(eye, frames, halves, ends, reach):  # type: ignore[no-untyped-def]
         for i in range(len(frames)):
             hx, hy = halves[i] * math.cos(frames[i, 2]), halves[i] * math.sin(frames[i, 2])
             x, y = frames[i, 0], frames[i, 1]
-            seen = min(seen, _range(rc, rs, x - hx, y - hy, x + hx, y + hy))
-        expected, steepness = np.inf, 1.0
+            seen = min(seen, _range_to_segment(rc, rs, x - hx, y - hy, x + hx, y + hy))
+        expected, incidence = np.inf, 1.0
         facing = False
         for k in range(count):
             ax, ay, bx, by = near[k]
-            distance = _range(rc, rs, ax, ay, bx, by)
+            distance = _range_to_segment(rc, rs, ax, ay, bx, by)
             if distance < expected:
                 length = math.hypot(bx - ax, by - ay)
-                expected, steepness = distance, abs(rc * (by - ay) - rs * (bx - ax)) / length
-                facing = ax * by - ay * bx > 0  # the eye is on the wall's left
+                expected, incidence = distance, abs(rc * (by - ay) - rs * (bx - ax)) / length
+                facing = ax * by - ay * bx > 0  # the viewpoint is on the wall's visible side
         if seen == np.inf:
             counts[4] += expected < reach
         elif expected == np.inf:
             counts[3] += 1
-        elif abs(seen - expected) < SAME_RANGE or abs(seen - expected) * steepness < SAME_ACROSS:
+        elif abs(seen - expected) < RAY_RANGE_TOLERANCE or abs(seen - expected) * incidence < RAY_OFFSET_TOLERANCE:
             counts[0] += facing
             counts[3] += not facing
         elif expected < seen:
@@ -121,8 +136,8 @@ def _compare(eye, frames, halves, ends, reach):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _range(rc, rs, ax, ay, bx, by):  # type: ignore[no-untyped-def]
-    """Along the ray (rc, rs) from the origin to the segment a-b, infinite where it misses."""
+def _range_to_segment(rc, rs, ax, ay, bx, by):  # type: ignore[no-untyped-def]
+    """Return the range along the ray (rc, rs) from the origin to the segment a-b, infinite if the ray misses it."""
     side_a, side_b = rc * ay - rs * ax, rc * by - rs * bx
     if side_a * side_b > 0.0 or side_a == side_b:
         return np.inf

@@ -1,10 +1,10 @@
-"""Where a fragment may lie in a map, of any place and heading: pairs of walls vote.
+"""Voting for the pose of a submap in a map, from any start: pairs of walls and corners vote.
 
-Two walls that are not parallel have a frame of their own: its origin where their lines meet, its x along the first one,
-which is the one that the second turns left from. Because walls are seen from one side, that frame is unique, and laying
-the frame of a fragment's pair on that of a map's pair with the same angle fixes the motion. The stretches of the two
-walls must then lie on each other. A corner is such a frame as well. Motions are counted in cells that are kept sorted,
-not in a grid, so that memory follows the votes, not the size of the building.
+Two walls that are not parallel define a frame: its origin is where their lines meet, its x axis runs along the first
+one, from which the second one turns left. Because a wall is seen from one side, that frame is unique, and putting the
+frame of a submap's pair on that of a map's pair with the same angle determines the motion. The stretches of both walls
+must overlap then. A corner is such a frame as well. Votes are counted in sorted cells instead of a grid, so that memory
+grows with the votes and not with the size of the building.
 """
 
 from __future__ import annotations
@@ -14,106 +14,128 @@ import math
 import numpy as np
 from numba import njit
 
-from ..geometry.angles import turn_of
+from ..geometry.angles import wrap_angle
 from ..geometry.segments import Floats, Integers
 from .map_descriptor import MapDescriptor
 
-LEAST_SINE = 0.5  # of the angle between two walls that fix a motion
-SAME_ANGLE = math.radians(5.0)  # by which the angle between two walls may differ from that between those of the map
-FARTHEST = 8.0  # metres from where the lines of a pair meet to the nearer end of either wall
-SHORTEST = 0.3  # metres: the heading of shorter walls is too uncertain to propose motions
-LONGEST = 16  # walls of the fragment that propose motions
-LEAST_SHARE = 0.5  # of the shorter of two walls that must lie on the other
-MOST_VOTE = 2.0  # metres of wall that one pair speaks for, at most: a corridor's walls must not outvote everything
-CORNER_VOTE = 1.0  # the same of a corner
-CORNER_TURN = math.radians(15.0)  # by which the headings of two corners that are one may differ
-CELL, CELL_TURN = 0.5, math.radians(6.0)  # metres and radians of the cells of motions
-HEADINGS = round(2 * math.pi / CELL_TURN)
-STRONGEST = 600  # cells whose surroundings are looked at
-AROUND = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)  # a cell, its neighbours
-ANGLE, X, Y, HEADING, LOW, HIGH, OTHER_LOW, OTHER_HIGH = range(8)  # columns of a table of pairs
+# Sine of the least angle between two walls that determine a motion: 30 degrees.
+# Origin: chosen, for conditioning; not measured.
+MIN_PAIR_SINE = 0.5
+# Radians by which the angle between two walls of the submap may differ from that between those of the map.
+# Origin: chosen; not measured.
+PAIR_ANGLE_TOLERANCE = math.radians(5.0)
+# Metres from where the lines of a pair meet to the nearer end of either wall. Origin: chosen; not measured.
+MAX_INTERSECTION_DISTANCE = 8.0
+# Metres: the heading of a shorter wall is too uncertain to vote. Origin: chosen; not measured.
+MIN_VOTING_LENGTH = 0.3
+# Longest walls of the submap that vote. Origin: chosen, for speed; not measured.
+MAX_VOTING_WALLS = 16
+# Share of the shorter of two walls that must overlap with the other. Origin: chosen; not measured.
+MIN_OVERLAP_SHARE = 0.5
+# Metres of wall, largest vote of one pair, so that the walls of a corridor do not outvote all others.
+# Origin: chosen; not measured.
+MAX_PAIR_VOTE = 2.0
+# Vote of a corner in metres of wall. Origin: chosen, half of a large pair; not measured.
+CORNER_VOTE = 1.0
+# Radians by which the angle of two matching corners may differ. Origin: chosen; not measured.
+CORNER_ANGLE_TOLERANCE = math.radians(15.0)
+# Metres, side of a cell of poses. Origin: chosen, below the first offset gate of the alignment; not measured.
+POSE_CELL = 0.5
+# Radians, size of a cell of poses; a divisor of the full turn.
+# Origin: chosen, below the first heading gate of the alignment; not measured.
+POSE_CELL_TURN = math.radians(6.0)
+# Cells around the full turn. Origin: definition.
+HEADING_CELLS = round(2 * math.pi / POSE_CELL_TURN)
+# Cells with most votes whose neighbourhoods are summed. Origin: chosen, for speed; not measured.
+MAX_SUMMED_CELLS = 600
+# Offsets (27, 3) of a cell and its neighbours. Origin: definition.
+NEIGHBOURHOOD = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+# Columns of a pair table. Origin: definition.
+ANGLE, X, Y, HEADING, LOW, HIGH, OTHER_LOW, OTHER_HIGH = range(8)
 
 
-def pair_table(scene: MapDescriptor, longest: int | None = None) -> Floats:
-    """(p, 8): a row for each pair of walls that are not parallel, by the angle between them; of the longest walls only,
-    if wanted. LOW, HIGH and OTHER_LOW, OTHER_HIGH are the walls' ends, metres along each from where their lines meet.
+def build_pair_table(descriptor: MapDescriptor, max_walls: int | None = None) -> Floats:
+    """Return a table (p, 8) of the pairs of walls that are not parallel, sorted by the angle between them.
+
+    The columns are the angle, the pair's frame (X, Y, HEADING), and the ends of both walls (LOW, HIGH and OTHER_LOW,
+    OTHER_HIGH) in metres along them from where their lines meet. At most the `max_walls` longest walls are used.
     """
-    order = np.argsort(-scene.half_length, kind="stable")[:longest]
-    order = order[2 * scene.half_length[order] > SHORTEST]
-    table = _pairs(scene.frame[order], scene.half_length[order])
+    order = np.argsort(-descriptor.half_length, kind="stable")[:max_walls]
+    order = order[2 * descriptor.half_length[order] > MIN_VOTING_LENGTH]
+    table = _find_pairs(descriptor.frame[order], descriptor.half_length[order])
     return np.asarray(table[np.argsort(table[:, ANGLE], kind="stable")])
 
 
-def vote(fragment: MapDescriptor, scene: MapDescriptor, pairs: Floats, most: int) -> Floats:
-    """(k, 3): where the fragment's frame may lie in the map, at most `most` poses, those with most votes first.
+def vote_for_poses(submap: MapDescriptor, descriptor: MapDescriptor, pairs: Floats, max_poses: int) -> Floats:
+    """Return poses (k, 3) of the submap's frame in the map, at most `max_poses`, those with most votes first.
 
-    `pairs` is the table of the map.
+    `pairs` is the pair table of the map that `descriptor` describes.
     """
-    own = pair_table(fragment, LONGEST)
-    found = _pair_votes(own, pairs)
-    corners = _corner_votes(fragment.corners, fragment.headings, scene.corners, scene.headings)
+    own = build_pair_table(submap, MAX_VOTING_WALLS)
+    found = _vote_by_pairs(own, pairs)
+    corners = _vote_by_corners(submap.corners, submap.headings, descriptor.corners, descriptor.headings)
     votes = np.concatenate([found, corners])
     if not len(votes):
         return np.zeros((0, 3))
-    return _strongest(votes, most)
+    return _strongest_poses(votes, max_poses)
 
 
-def _strongest(votes: Floats, most: int) -> Floats:
-    """(k, 3): the means of the votes (v, 4) in the cells with most votes in and around them."""
+def _strongest_poses(votes: Floats, max_poses: int) -> Floats:
+    """Return the mean poses (k, 3) of the votes (v, 4) in the cells with most votes in their neighbourhoods."""
     origin = votes[:, :2].min(axis=0)
-    cells = np.column_stack([(votes[:, :2] - origin) // CELL, votes[:, 2] // CELL_TURN]).astype(np.int64)
-    rows = int(cells[:, 1].max()) + 3  # with an empty row on either side, so that neighbours are not mistaken
-    keys = _key(cells, rows)
+    cells = np.column_stack([(votes[:, :2] - origin) // POSE_CELL, votes[:, 2] // POSE_CELL_TURN]).astype(np.int64)
+    rows = int(cells[:, 1].max()) + 3  # an empty row on either side separates the columns
+    keys = _cell_keys(cells, rows)
     order = np.argsort(keys, kind="stable")
     keys, first = np.unique(keys[order], return_index=True)
     weight = votes[order, 3]
     total = np.add.reduceat(weight, first)
     means = np.add.reduceat(votes[order, :3] * weight[:, None], first, axis=0) / total[:, None]
-    strongest = np.argsort(-total, kind="stable")[:STRONGEST]
+    strongest = np.argsort(-total, kind="stable")[:MAX_SUMMED_CELLS]
     cells = cells[order][first][strongest]
-    near = cells[:, None] + AROUND
-    near[..., 2] %= HEADINGS
-    wanted = _key(near, rows)
+    near = cells[:, None] + NEIGHBOURHOOD
+    near[..., 2] %= HEADING_CELLS
+    wanted = _cell_keys(near, rows)
     at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
     support = np.where(keys[at] == wanted, total[at], 0.0).sum(axis=1)
-    return np.asarray(means[strongest[_apart(cells, np.argsort(-support, kind="stable"), most)]])
+    return np.asarray(means[strongest[_separate_cells(cells, np.argsort(-support, kind="stable"), max_poses)]])
 
 
-def _key(cells: Integers, rows: int) -> Integers:
-    """One number for each cell (..., 3)."""
-    return ((cells[..., 0] + 1) * rows + cells[..., 1] + 1) * HEADINGS + cells[..., 2]
+def _cell_keys(cells: Integers, rows: int) -> Integers:
+    """Return a unique number for each cell (..., 3)."""
+    return ((cells[..., 0] + 1) * rows + cells[..., 1] + 1) * HEADING_CELLS + cells[..., 2]
 
 
-def _apart(cells: Integers, order: Integers, most: int) -> Integers:
-    """The first rows in `order` whose cells are no neighbours."""
+def _separate_cells(cells: Integers, order: Integers, max_count: int) -> Integers:
+    """Return the first rows in `order` whose cells are not neighbours, at most `max_count`."""
     chosen: list[int] = []
     for row in order:
         difference = np.abs(cells[chosen] - cells[row])
-        difference[:, 2] = np.minimum(difference[:, 2], HEADINGS - difference[:, 2])
+        difference[:, 2] = np.minimum(difference[:, 2], HEADING_CELLS - difference[:, 2])
         if not (difference <= 1).all(axis=1).any():
             chosen.append(int(row))
-            if len(chosen) == most:
+            if len(chosen) == max_count:
                 break
     return np.array(chosen, dtype=np.int64)
 
 
 @njit(cache=True)
-def _pairs(frames, halves):  # type: ignore[no-untyped-def]
-    """The table of pairs, unsorted."""
+def _find_pairs(frames, halves):  # type: ignore[no-untyped-def]
+    """Return the pair table, unsorted."""
     count = 0
     table = np.empty((1024, 8))
     for a in range(len(frames)):
         ca, sa = math.cos(frames[a, 2]), math.sin(frames[a, 2])
         for b in range(len(frames)):
-            angle = turn_of(frames[b, 2] - frames[a, 2])
+            angle = wrap_angle(frames[b, 2] - frames[a, 2])
             sine = math.sin(angle)
-            if sine < LEAST_SINE:
+            if sine < MIN_PAIR_SINE:
                 continue
             cb, sb = math.cos(frames[b, 2]), math.sin(frames[b, 2])
             dx, dy = frames[b, 0] - frames[a, 0], frames[b, 1] - frames[a, 1]
-            along_a = (dx * sb - dy * cb) / sine  # of the meeting point, from the middle of the first wall
+            along_a = (dx * sb - dy * cb) / sine  # intersection, from the middle of the first wall
             along_b = (dx * sa - dy * ca) / sine
-            if max(abs(along_a) - halves[a], abs(along_b) - halves[b]) > FARTHEST:
+            if max(abs(along_a) - halves[a], abs(along_b) - halves[b]) > MAX_INTERSECTION_DISTANCE:
                 continue
             if count == len(table):
                 larger = np.empty((2 * count, 8))
@@ -129,48 +151,48 @@ def _pairs(frames, halves):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _pair_votes(own, pairs):  # type: ignore[no-untyped-def]
-    """(v, 4): where the origin comes to lie, the turn in [0, 2 pi), and metres of wall."""
+def _vote_by_pairs(own, pairs):  # type: ignore[no-untyped-def]
+    """Return votes (v, 4): position of the submap's origin, heading in [0, 2 pi), and weight in metres of wall."""
     count = 0
     votes = np.empty((4096, 4))
     for i in range(len(own)):
-        mine = own[i]
-        length, other_length = mine[HIGH] - mine[LOW], mine[OTHER_HIGH] - mine[OTHER_LOW]
-        trust = other_length**2 / (length**2 + other_length**2)
-        dx, dy = -mine[X], -mine[Y]
-        start = np.searchsorted(pairs[:, ANGLE], mine[ANGLE] - SAME_ANGLE)
+        pair = own[i]
+        length, other_length = pair[HIGH] - pair[LOW], pair[OTHER_HIGH] - pair[OTHER_LOW]
+        second_weight = other_length**2 / (length**2 + other_length**2)
+        dx, dy = -pair[X], -pair[Y]
+        start = np.searchsorted(pairs[:, ANGLE], pair[ANGLE] - PAIR_ANGLE_TOLERANCE)
         for j in range(start, len(pairs)):
-            yours = pairs[j]
-            if yours[ANGLE] > mine[ANGLE] + SAME_ANGLE:
+            map_pair = pairs[j]
+            if map_pair[ANGLE] > pair[ANGLE] + PAIR_ANGLE_TOLERANCE:
                 break
-            overlap = min(mine[HIGH], yours[HIGH]) - max(mine[LOW], yours[LOW])
-            if overlap < LEAST_SHARE * min(length, yours[HIGH] - yours[LOW]):
+            overlap = min(pair[HIGH], map_pair[HIGH]) - max(pair[LOW], map_pair[LOW])
+            if overlap < MIN_OVERLAP_SHARE * min(length, map_pair[HIGH] - map_pair[LOW]):
                 continue
-            other = min(mine[OTHER_HIGH], yours[OTHER_HIGH]) - max(mine[OTHER_LOW], yours[OTHER_LOW])
-            if other < LEAST_SHARE * min(other_length, yours[OTHER_HIGH] - yours[OTHER_LOW]):
+            other = min(pair[OTHER_HIGH], map_pair[OTHER_HIGH]) - max(pair[OTHER_LOW], map_pair[OTHER_LOW])
+            if other < MIN_OVERLAP_SHARE * min(other_length, map_pair[OTHER_HIGH] - map_pair[OTHER_LOW]):
                 continue
-            turn = yours[HEADING] - mine[HEADING] + trust * (yours[ANGLE] - mine[ANGLE])
+            turn = map_pair[HEADING] - pair[HEADING] + second_weight * (map_pair[ANGLE] - pair[ANGLE])
             if count == len(votes):
                 larger = np.empty((2 * count, 4))
                 larger[:count] = votes
                 votes = larger
             c, s = math.cos(turn), math.sin(turn)
-            votes[count, 0], votes[count, 1] = yours[X] + c * dx - s * dy, yours[Y] + s * dx + c * dy
-            votes[count, 2], votes[count, 3] = turn % (2 * math.pi), min(MOST_VOTE, overlap, other)
+            votes[count, 0], votes[count, 1] = map_pair[X] + c * dx - s * dy, map_pair[Y] + s * dx + c * dy
+            votes[count, 2], votes[count, 3] = turn % (2 * math.pi), min(MAX_PAIR_VOTE, overlap, other)
             count += 1
     return votes[:count]
 
 
 @njit(cache=True)
-def _corner_votes(corners, headings, others, other_headings):  # type: ignore[no-untyped-def]
-    """The same of corners."""
+def _vote_by_corners(corners, headings, others, other_headings):  # type: ignore[no-untyped-def]
+    """Return the votes (v, 4) of corners, as `_vote_by_pairs`."""
     count = 0
     votes = np.empty((len(corners) * len(others), 4))
     for i in range(len(corners)):
         for j in range(len(others)):
-            first = turn_of(other_headings[j, 0] - headings[i, 0])
-            difference = turn_of(other_headings[j, 1] - headings[i, 1] - first)
-            if abs(difference) > CORNER_TURN:
+            first = wrap_angle(other_headings[j, 0] - headings[i, 0])
+            difference = wrap_angle(other_headings[j, 1] - headings[i, 1] - first)
+            if abs(difference) > CORNER_ANGLE_TOLERANCE:
                 continue
             turn = first + 0.5 * difference
             dx, dy = -corners[i, 0], -corners[i, 1]
