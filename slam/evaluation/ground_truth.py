@@ -1,7 +1,7 @@
-"""What a simulation knows to be true, laid beside what was estimated: errors in units of the covariances (NEES).
+"""Compare an estimate with the ground truth of a simulation: normalised estimation errors squared (NEES).
 
-The map's frame is that of the first keyframe, so the true pose there takes the world into the map. Which true wall a
-mapped one shows is decided by geometry alone: if the covariances had a say, they would be judged by what they chose.
+The map frame is that of the first keyframe, so the true pose there transforms the world into the map. Mapped walls are
+matched with true ones by geometry alone: if the covariances influenced the matching, the NEES would be biased.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from ..io.tum import Trajectory
 from ..pipeline import Slam
 from .nees import Floats, line_nees, point_nees, pose_nees
 
-FARTHEST = 0.15  # metres between a mapped thing and the true one it is taken for
-WIDEST = np.radians(15.0)  # the same, of direction; the other face of a wall runs the opposite way
-LEAST_COVERED = 0.5  # of a mapped wall that true walls must cover
+MAX_DISTANCE = 0.15  # metres between a mapped landmark and its true counterpart
+MAX_ANGLE = np.radians(15.0)  # between a mapped and a true wall; the opposite side of a wall differs by 180 degrees
+MIN_COVERED = 0.5  # share of a mapped wall's length that true walls must cover
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Nees:
     """NEES of k keyframes (3 degrees of freedom each), n walls and m corners (2 each) of one run.
 
-    Keyframe 0 is left out: it is true by definition. NaN stands for walls that are nothing straight in the world, such
-    as those on a round table, and for corners of such.
+    Keyframe 0 is left out, because it is exact by definition. Walls without a true counterpart, such as chords of a
+    round table, and their corners have NaN.
     """
 
     poses: Floats
@@ -40,7 +40,7 @@ class Nees:
 
 
 def measure(simulation: Simulation, config: Config | None = None) -> tuple[Nees, Finished]:
-    """Run SLAM over a simulation and compare."""
+    """Run SLAM on a simulation and return the NEES and the result."""
     slam = Slam(config)
     truth: list[GroundTruth] = []
     for message in simulation:
@@ -54,7 +54,11 @@ def measure(simulation: Simulation, config: Config | None = None) -> tuple[Nees,
 
 
 def compare(finished: Finished, covariances: Floats, world: World, truth: Trajectory) -> Nees:
-    """NEES of a run's keyframes, with their covariances (k, 3, 3) each in the keyframe's own frame, and of its map."""
+    """Return the NEES of a run.
+
+    covariances  (k, 3, 3) of the keyframes, each in the keyframe's own frame
+    truth        true path in the world frame
+    """
     true_poses = truth.at(finished.keyframe_stamps).poses
     in_map = se2.between(true_poses[0], true_poses)
     walls = true_walls(world, true_poses[0])
@@ -67,14 +71,14 @@ def compare(finished: Finished, covariances: Floats, world: World, truth: Trajec
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrueWalls:
-    """n sides of walls in the map's frame: frame (n, 3) at one end, x along the wall, and length (n,) in metres."""
+    """Sides of n true walls in the map frame: frame (n, 3) at one end, x along the wall; length (n,) in metres."""
 
     frame: Floats
     length: Floats
 
 
 def true_walls(world: World, origin: se2.Pose) -> TrueWalls:
-    """A world's segments, both sides of each, seen from the map's `origin` in the world."""
+    """Return both sides of each segment of a world in the map frame; `origin` is the map's pose in the world."""
     ends = world.segments.reshape(-1, 2, 2)
     ends = np.concatenate([ends, ends[:, ::-1]])
     along = ends[:, 1] - ends[:, 0]
@@ -83,32 +87,32 @@ def true_walls(world: World, origin: se2.Pose) -> TrueWalls:
 
 
 def match_walls(lines: MapWalls, walls: TrueWalls) -> NDArray[np.int64]:
-    """(n,) index of the true wall that lies nearest to both ends of each mapped one; -1 where none is near.
+    """Return the index (n,) of the true wall nearest to both ends of each mapped one; -1 if none is near.
 
-    A mapped wall goes on behind doors, so what it covers of all true walls on one line counts together.
+    A mapped wall continues behind doors, so its overlap with all true walls on one line is added up.
     """
     ends = lines.end_points()
-    seen = se2.transform(se2.inverse(walls.frame)[:, None, None], ends[None])  # (true, mapped, end, xy)
-    turn = se2.wrap(lines.frame[None, :, 2] - walls.frame[:, None, 2])
-    distance = np.abs(seen[..., 1]).max(axis=-1)
-    covered = np.minimum(seen[:, :, 1, 0], walls.length[:, None]) - np.maximum(seen[:, :, 0, 0], 0.0)
+    relative = se2.transform(se2.inverse(walls.frame)[:, None, None], ends[None])  # (true, mapped, end, xy)
+    angle = se2.wrap(lines.frame[None, :, 2] - walls.frame[:, None, 2])
+    distance = np.abs(relative[..., 1]).max(axis=-1)
+    covered = np.minimum(relative[:, :, 1, 0], walls.length[:, None]) - np.maximum(relative[:, :, 0, 0], 0.0)
     _, line = np.unique(np.round(_line_coordinates(walls.frame), 6), axis=0, return_inverse=True)
     on_line = np.zeros((line.max() + 1, len(lines)))
     np.add.at(on_line, line.ravel(), np.maximum(covered, 0.0))
-    enough = (on_line[line.ravel()] > LEAST_COVERED * (lines.high - lines.low)) & (covered > 0.0)
-    distance[~enough | (np.abs(turn) > WIDEST) | (distance > FARTHEST)] = np.inf
+    enough = (on_line[line.ravel()] > MIN_COVERED * (lines.high - lines.low)) & (covered > 0.0)
+    distance[~enough | (np.abs(angle) > MAX_ANGLE) | (distance > MAX_DISTANCE)] = np.inf
     nearest = distance.argmin(axis=0)
     return np.where(np.isfinite(distance[nearest, np.arange(len(lines))]), nearest, -1)
 
 
 def _line_coordinates(frames: Floats) -> Floats:
-    """(n, 3): the same for frames with their x axes on one line, in one direction."""
+    """Return coordinates (n, 3) that are equal for frames whose x axes are on one line in one direction."""
     c, s = np.cos(frames[:, 2]), np.sin(frames[:, 2])
     return np.column_stack([c, s, c * frames[:, 1] - s * frames[:, 0]])
 
 
 def wall_nees(lines: MapWalls, walls: TrueWalls) -> Floats:
-    """(n,) NEES of offset and heading of mapped walls, NaN for those that are none."""
+    """Return the NEES (n,) of offset and heading of mapped walls, NaN for those without a true wall."""
     match = match_walls(lines, walls)
     found = match >= 0
     result = np.full(len(lines), np.nan)
@@ -117,9 +121,9 @@ def wall_nees(lines: MapWalls, walls: TrueWalls) -> Floats:
 
 
 def corner_nees(corners: MapCorners, lines: MapWalls, walls: TrueWalls) -> Floats:
-    """(m,) NEES of mapped corners against where the lines of their two true walls meet.
+    """Return the NEES (m,) of mapped corners against the intersection of their two true walls.
 
-    NaN where one of its walls is not in the map, or nothing true, or where the corner is far from that point.
+    NaN if one of the walls is not in the map or has no true counterpart, or if the corner is far from the intersection.
     """
     match = np.append(match_walls(lines, walls), -1)
     row_of = {int(identity): row for row, identity in enumerate(lines.identity)}
@@ -127,16 +131,16 @@ def corner_nees(corners: MapCorners, lines: MapWalls, walls: TrueWalls) -> Float
     first, second = match[rows].T
     known = np.flatnonzero((first >= 0) & (second >= 0))
     result = np.full(len(corners), np.nan)
-    truth = _meeting(walls.frame[first[known]], walls.frame[second[known]])
-    near = np.hypot(*(corners.position[known] - truth).T) < FARTHEST
+    truth = _intersections(walls.frame[first[known]], walls.frame[second[known]])
+    near = np.hypot(*(corners.position[known] - truth).T) < MAX_DISTANCE
     known, truth = known[near], truth[near]
     result[known] = point_nees(corners.position[known], corners.covariance[known], truth)
     return result
 
 
-def _meeting(first: Floats, second: Floats) -> Floats:
-    """(n, 2): where the x axes of frames (n, 3) meet; infinitely far or not a number where they are parallel."""
-    seen = se2.between(first, second)
+def _intersections(first: Floats, second: Floats) -> Floats:
+    """Return the intersections (n, 2) of the x axes of frames (n, 3); not finite if they are parallel."""
+    relative = se2.between(first, second)
     with np.errstate(divide="ignore", invalid="ignore"):
-        along = seen[:, 0] - seen[:, 1] / np.tan(seen[:, 2])
+        along = relative[:, 0] - relative[:, 1] / np.tan(relative[:, 2])
     return se2.transform(first, np.column_stack([along, np.zeros(len(first))]))

@@ -1,6 +1,6 @@
-"""How good a trajectory and its covariances are: against relations, against a reference, against their own claims.
+"""Score trajectories against relations or against a reference trajectory.
 
-Everything is plain numbers in and out; drawing is in `slam.visualisation.plots`, printing in the command line.
+All functions take and return plain numbers; plots are in `slam.visualisation.plots`, printing is in the command line.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from ..io.tum import Trajectory, distance_along, read_table
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-SAME_TIME = 0.01
-"""Seconds between two stamps that are still taken for the same time when two trajectories are compared; as in evo."""
-SHORTEST_ALIGNED = 2
-"""Pairs of poses that an alignment needs."""
+MAX_TIME_DIFFERENCE = 0.01
+"""Seconds between the stamps of two poses that are compared; as in evo."""
+MIN_ALIGNED_PAIRS = 2
+"""Pairs of poses required for an alignment."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionErrors:
-    """n motions compared with the true ones: `translation` (n,) metres, `rotation` (n,) radians, both absolute."""
+    """Errors of n motions: `translation` (n,) metres, `rotation` (n,) radians, both absolute values."""
 
     translation: Floats
     rotation: Floats
@@ -38,14 +38,14 @@ class MotionErrors:
 
 
 def motion_errors(estimated: Floats, true: Floats) -> MotionErrors:
-    """Motions (n, 3) against true motions (n, 3): length of the translations' difference, size of the headings'."""
+    """Return the errors of motions (n, 3): norm of the translation error, absolute value of the heading error."""
     difference = estimated - true
     return MotionErrors(np.hypot(difference[:, 0], difference[:, 1]), np.abs(se2.wrap(difference[:, 2])))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Relations:
-    """n true motions: `motion` (n, 3) is the pose at time `second` (n,) seen from the pose at time `first` (n,)."""
+    """True motions: `motion` (n, 3) is the pose at time `second` (n,) relative to the pose at time `first` (n,)."""
 
     first: Floats
     second: Floats
@@ -56,19 +56,22 @@ class Relations:
 
 
 def read_relations(path: Path) -> Relations:
-    """The SLAM benchmark's relations, `t1 t2 x y z roll pitch yaw` a line. Raises MapError naming file and line."""
+    """Read relations of the SLAM benchmark, one `t1 t2 x y z roll pitch yaw` per line.
+
+    Raises MapError with file and line.
+    """
     values = read_table(path, 8, "t1 t2 x y z roll pitch yaw").values
     return Relations(values[:, 0], values[:, 1], values[:, [2, 3, 7]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelationsScore:
-    """What `score_relations` found, over the relations that lie within the trajectory's time.
+    """Errors of the relations within the time of a trajectory.
 
-    errors        of those relations, in their order
-    first         (n,) their first stamps, seconds
-    missing       relations outside the trajectory's time
-    interpolated  share of relations for which a pose had to be interpolated
+    errors        in the order of the relations
+    first         (n,) first stamps of the relations, seconds
+    missing       number of relations outside the trajectory's time
+    interpolated  share of relations with an interpolated pose
     """
 
     errors: MotionErrors
@@ -77,7 +80,7 @@ class RelationsScore:
     interpolated: float
 
     def figures(self) -> dict[str, float]:
-        """The score as the benchmark states it: metres and degrees, rounded to what is meaningful."""
+        """Return the benchmark's figures in metres and degrees, rounded to meaningful digits."""
         translation, rotation = self.errors.translation, np.degrees(self.errors.rotation)
         return {
             "relations": len(self.errors),
@@ -95,15 +98,15 @@ class RelationsScore:
 
 
 def score_relations(trajectory: Trajectory, relations: Relations) -> RelationsScore:
-    """Compare the trajectory's motions with true ones (Kuemmerle et al., Autonomous Robots 27, 2009, eq. 4).
+    """Score a trajectory's motions against true ones (Kuemmerle et al., Autonomous Robots 27, 2009, eq. 4).
 
     Needs no alignment and is not dominated by one early error, unlike a comparison of absolute poses.
-    Raises MapError where no relation lies within the trajectory's time.
+    Raises MapError if no relation lies within the trajectory's time.
     """
     start, end = trajectory.at(relations.first), trajectory.at(relations.second)
     covered = start.covered & end.covered
     if not covered.any():
-        raise MapError("no relation lies within the trajectory's time: are the two of the same recording?")
+        raise MapError("no relation lies within the trajectory's time: are both of the same recording?")
     estimated = se2.between(start.poses[covered], end.poses[covered])
     exact = (start.exact & end.exact)[covered]
     return RelationsScore(
@@ -116,14 +119,14 @@ def score_relations(trajectory: Trajectory, relations: Relations) -> RelationsSc
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceScore:
-    """A trajectory compared with a reference over their n common times.
+    """Errors of a trajectory against a reference at their n common times.
 
-    stamps     (n,) seconds, the reference's
-    reference  (n, 3) its poses
-    aligned    (n, 3) the trajectory's poses, moved as a whole (rotation and translation) onto the reference
-    alignment  [x, y, heading] that did so: aligned = compose(alignment, pose)
-    absolute   distance and turn between the two after alignment
-    relative   errors of the motions over `step` metres of the reference's path, from every pose on; may be empty
+    stamps     (n,) of the reference, seconds
+    reference  (n, 3) poses of the reference
+    aligned    (n, 3) poses of the trajectory after rigid alignment with the reference
+    alignment  [x, y, heading] of the alignment: aligned = compose(alignment, pose)
+    absolute   errors of the aligned poses
+    relative   errors of the motions over `step` metres of the reference's path, from every pose; may be empty
     """
 
     stamps: Floats
@@ -135,7 +138,7 @@ class ReferenceScore:
     step: float
 
     def figures(self) -> dict[str, float]:
-        """Metres and degrees: absolute trajectory error (ate) and relative pose error (rpe) as root mean squares."""
+        """Return absolute trajectory error (ate) and relative pose error (rpe) in metres and degrees, mostly as RMS."""
         figures = {
             "poses": float(len(self.stamps)),
             "ate_rmse": _rms(self.absolute.translation),
@@ -152,15 +155,15 @@ class ReferenceScore:
 
 
 def score_reference(trajectory: Trajectory, reference: Trajectory, step: float = 1.0) -> ReferenceScore:
-    """Absolute error after the best SE(2) alignment, and relative error over `step` metres.
+    """Return the absolute error after least-squares SE(2) alignment, and the relative error over `step` metres.
 
-    The poses of the sparser trajectory are paired with the nearest in time of the other, at most SAME_TIME apart.
-    Raises MapError where fewer than two poses have a partner.
+    Each pose of the sparser trajectory is paired with the nearest in time of the other, at most MAX_TIME_DIFFERENCE
+    apart. Raises MapError if fewer than two poses can be paired.
     """
-    mine, other = pair_by_time(trajectory, reference)
-    if len(mine) < SHORTEST_ALIGNED:
-        raise MapError(f"trajectory and reference share {len(mine)} times (within {SAME_TIME} s), two are needed")
-    poses, truth = trajectory.poses[mine], reference.poses[other]
+    own, other = pair_by_time(trajectory, reference)
+    if len(own) < MIN_ALIGNED_PAIRS:
+        raise MapError(f"trajectory and reference share {len(own)} times (within {MAX_TIME_DIFFERENCE} s), two are needed")
+    poses, truth = trajectory.poses[own], reference.poses[other]
     alignment = align(poses[:, :2], truth[:, :2])
     aligned = se2.compose(alignment, poses)
     first, second = pairs_by_distance(truth[:, :2], step)
@@ -173,8 +176,8 @@ def score_reference(trajectory: Trajectory, reference: Trajectory, step: float =
     )
 
 
-def pair_by_time(first: Trajectory, second: Trajectory, tolerance: float = SAME_TIME) -> tuple[Indices, Indices]:
-    """Indices (m,), (m,) of poses that belong together: each of the sparser trajectory with the nearest of the other.
+def pair_by_time(first: Trajectory, second: Trajectory, tolerance: float = MAX_TIME_DIFFERENCE) -> tuple[Indices, Indices]:
+    """Return indices (m,), (m,) of paired poses: each of the sparser trajectory with the nearest of the other.
 
     Poses without a partner within `tolerance` seconds are left out.
     """
@@ -187,7 +190,7 @@ def pair_by_time(first: Trajectory, second: Trajectory, tolerance: float = SAME_
 
 
 def align(points: Floats, onto: Floats) -> se2.Pose:
-    """The rigid motion [x, y, heading] that brings `points` (n, 2) closest to `onto` (n, 2), least squares.
+    """Return the rigid motion [x, y, heading] from `points` (n, 2) to `onto` (n, 2) by least squares.
 
     Horn's closed form in the plane: the heading is the phase of the summed products of the centred points.
     """
@@ -199,7 +202,7 @@ def align(points: Floats, onto: Floats) -> se2.Pose:
 
 
 def pairs_by_distance(positions: Floats, step: float) -> tuple[Indices, Indices]:
-    """Indices (m,), (m,) of poses at `positions` (n, 2) and of the first at least `step` metres of path later."""
+    """Return indices (m,), (m,) of poses at `positions` (n, 2), and of the first pose at least `step` metres later."""
     travelled = distance_along(positions)
     second = np.searchsorted(travelled, travelled + step)
     first = np.flatnonzero(second < len(positions))

@@ -1,13 +1,13 @@
-"""Whether the estimate's covariances are honest: normalised estimation error squared (NEES).
+"""Test the consistency of covariances by the normalised estimation error squared (NEES).
 
-For errors e of k dimensions and their covariances P, e' P^-1 e follows a chi-square distribution with k degrees of
-freedom if the covariances are right (Bar-Shalom, Li, Kirubarajan, Estimation with Applications, 2001, section 5.4).
-A mean above its band says that the estimate is overconfident, below that it is needlessly cautious.
+For errors e of k dimensions with covariances P, e' P^-1 e follows a chi-square distribution with k degrees of freedom
+if the covariances are correct (Bar-Shalom, Li, Kirubarajan, Estimation with Applications, 2001, section 5.4). A mean
+above its confidence band means overconfident covariances, a mean below it too cautious ones.
 
-The band of a mean holds for independent values. Those of one run are not: an error that the first keyframe makes is in
-all that follow. So a run counts as one draw, with the mean of its values, whose expectation is still k. The chi-square
-band for one value a run then holds whatever the correlation within runs, since the mean of correlated values scatters
-at most as much as one of them. How much the runs' means did scatter is told beside it, as the standard error.
+The band of a mean holds for independent values. Values of one run are correlated: an error of the first keyframe
+affects all later ones. Each run therefore counts as one sample, with the mean of its values, whose expectation is still
+k. The chi-square band for one value per run holds for any correlation within runs, because the variance of the mean of
+correlated values is at most that of one of them. The standard error of the runs' means is reported as well.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Consistency:
-    """The mean of `count` NEES values of `dimensions` degrees of freedom, and the band it should lie in.
+    """Mean of `count` NEES values of `dimensions` degrees of freedom, and its confidence band.
 
-    The band holds for independent values: take them from different runs, as `run_consistency` does. `standard_error` is
-    that of the mean, as the values scatter; NaN for a single one.
+    The band holds for independent values, i.e. from different runs, as in `run_consistency`. `standard_error` is that of
+    the mean, from the scatter of the values; NaN for a single value.
     """
 
     mean: float
@@ -43,33 +43,37 @@ class Consistency:
 
     @property
     def consistent(self) -> bool:
-        """Whether the mean lies within the band."""
+        """True if the mean is within the band."""
         return self.low <= self.mean <= self.high
 
 
 def pose_nees(estimates: Floats, covariances: Floats, truth: Floats) -> Floats:
-    """(n,) NEES of poses (n, 3); covariances (n, 3, 3) of [x, y, heading] in the estimated pose's own frame (GTSAM)."""
+    """Return the NEES (n,) of poses (n, 3).
+
+    Covariances (n, 3, 3) of [x, y, heading] are in the estimated pose's own frame (GTSAM's convention).
+    """
     return nees(se2.between(estimates, truth), covariances)
 
 
 def point_nees(estimates: Floats, covariances: Floats, truth: Floats) -> Floats:
-    """(n,) NEES of points such as corners (n, 2) with covariances (n, 2, 2)."""
+    """Return the NEES (n,) of points such as corners (n, 2) with covariances (n, 2, 2)."""
     return nees(truth - estimates, covariances)
 
 
 def line_nees(frames: Floats, covariances: Floats, truth: Floats) -> Floats:
-    """(n,) NEES of walls: `frames` (n, 3) on the estimated walls, x along the wall, `truth` (n, 3) on the true ones.
+    """Return the NEES (n,) of walls.
 
-    The covariances (n, 2, 2) are of offset and heading at the estimated frame's origin. Where along the true wall its
-    frame stands does not matter; which way it runs does.
+    frames       (n, 3) on the estimated walls, x along the wall
+    covariances  (n, 2, 2) of offset and heading at the estimated frame's origin
+    truth        (n, 3) on the true walls, anywhere along them, x in the same direction
     """
-    seen = se2.between(frames, truth)
-    offset = seen[:, 1] - seen[:, 0] * np.tan(seen[:, 2])
-    return nees(np.column_stack([offset, seen[:, 2]]), covariances)
+    relative = se2.between(frames, truth)
+    offset = relative[:, 1] - relative[:, 0] * np.tan(relative[:, 2])
+    return nees(np.column_stack([offset, relative[:, 2]]), covariances)
 
 
 def nees(errors: Floats, covariances: Floats) -> Floats:
-    """(n,) e' P^-1 e of errors (n, k) and covariances (n, k, k). Raises MapError where a covariance is singular."""
+    """Return e' P^-1 e (n,) of errors (n, k) and covariances (n, k, k). Raises MapError if a covariance is singular."""
     try:
         weighted = np.linalg.solve(covariances, errors[..., None])[..., 0]
     except np.linalg.LinAlgError as error:
@@ -78,9 +82,12 @@ def nees(errors: Floats, covariances: Floats) -> Floats:
 
 
 def consistency(values: Floats, dimensions: int, probability: float = 0.95) -> Consistency:
-    """The mean of NEES `values` (n,) and the band that holds it with `probability` if the covariances are right."""
+    """Return the mean of NEES `values` (n,), and the band that contains it with `probability` if consistent.
+
+    Raises MapError without values.
+    """
     if len(values) == 0:
-        raise MapError("there is no NEES value to take the mean of")
+        raise MapError("there is no NEES value to average")
     degrees = len(values) * dimensions
     low, high = (chi_square_quantile(p, degrees) / len(values) for p in (0.5 - probability / 2, 0.5 + probability / 2))
     error = float(np.std(values, ddof=1)) / len(values) ** 0.5 if len(values) > 1 else float("nan")
@@ -88,15 +95,15 @@ def consistency(values: Floats, dimensions: int, probability: float = 0.95) -> C
 
 
 def run_consistency(runs: Sequence[Floats], dimensions: int, probability: float = 0.95) -> Consistency:
-    """The same for NEES values (n,) of several runs, each of which counts as one draw; NaN values are left out."""
+    """Return the consistency of NEES values (n,) of several runs, each counted as one sample; NaN values are skipped."""
     means = [float(np.nanmean(values)) for values in runs if np.isfinite(values).any()]
     return consistency(np.array(means), dimensions, probability)
 
 
 def chi_square_quantile(probability: float, degrees: int) -> float:
-    """Quantile of the chi-square distribution by Wilson and Hilferty (1931): its cube root is nearly normal.
+    """Return a quantile of the chi-square distribution by Wilson and Hilferty (1931): its cube root is nearly normal.
 
-    Between 1 and 99 % right to 1 % from 10 degrees of freedom on, to 0.1 % from 30; NEES means have hundreds.
+    Between 1 and 99 %, exact to 1 % from 10 degrees of freedom on, to 0.1 % from 30; NEES means have hundreds.
     """
     spread = 2 / (9 * degrees)
     return float(degrees * max(1 - spread + NormalDist().inv_cdf(probability) * spread**0.5, 0.0) ** 3)
