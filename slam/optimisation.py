@@ -1,4 +1,4 @@
-"""A whole session looked at again, with time to spare: associated anew and solved in batch until it settles."""
+"""Optimise a stored session offline: refine its map and trajectory, and check its loop closures again."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from .errors import MapError
 from .estimation.map_view import final_result
-from .estimation.refinement import Refined, ScanHistory, refine
+from .estimation.refinement import RefinementResult, ScanHistory, refine
 from .events import Finished, Sink
 from .io.sessions import StoredSession
 from .localisation.tracker import PoseFix
@@ -21,54 +21,63 @@ from .mapping.odometry_segments import OdometrySegments
 from .publisher import Publisher
 from .run_statistics import loop_row
 
-PASS = 10  # keyframes before a closure that count as the pass that it joined to an older one
-SHOWN_SHIFTS = 5
+# Keyframes before a loop closure that are checked for walls in common with the older part of the map.
+CHECKED_KEYFRAMES = 10
+# Number of keyframes with the largest shifts in the summary.
+LISTED_SHIFTS = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Optimised:
-    """The map and path that came of it, and the session to go on from; `summary` says what changed."""
+class OptimisedSession:
+    """Result of optimising a session.
+
+    finished  the final map and trajectory
+    session   the session to continue from
+    summary   what changed, for summary.json
+    """
 
     finished: Finished
     session: StoredSession
     summary: dict[str, Any]
 
 
-def optimise(session: StoredSession, sinks: Sequence[Sink] = ()) -> Optimised:
-    """Optimise a session, which is not to be used any more.
+def optimise(session: StoredSession, sinks: Sequence[Sink] = ()) -> OptimisedSession:
+    """Optimise a session; the input must not be used afterwards.
 
-    Listeners are told of the map before, of every keyframe where it is now, and of the map after. Raises MapError where
-    there is nothing to optimise, or the estimate is undetermined.
+    Publishes the map before, every keyframe at its new pose, and the map after. Raises MapError if the session has
+    fewer than two keyframes, or the estimate is undetermined.
     """
-    slam_state, reporter = session.slam_state, Publisher(sinks)
+    slam_state, publisher = session.slam_state, Publisher(sinks)
     if slam_state.mapper.keyframe_count < 2:
-        raise MapError("there are fewer than two keyframes, so there is nothing to optimise")
+        raise MapError("nothing to optimise: the session has fewer than two keyframes")
     slam_state.mapper.converge()
-    before, drive = slam_state.mapper, session.scan_history()
-    reporter.publish_map(float(drive.stamps[0]), before, index=0)
-    refined = refine(before, drive, slam_state.odometry_model)
-    keyframes = {k: session.scans[row] for k, row in enumerate(drive.keyframes.tolist())}
+    before, history = slam_state.mapper, session.scan_history()
+    publisher.publish_map(float(history.stamps[0]), before, index=0)
+    refined = refine(before, history, slam_state.odometry_model)
+    keyframes = {k: session.scans[row] for k, row in enumerate(history.keyframes.tolist())}
     refined.mapper.recompute_pose_covariances()
     last = session.scans[-1]
-    slam_state.replace_map(refined.mapper, refined.path, PoseFix(refined.poses[-1], last.odometry), keyframes)
-    closures = _closures(session.loop_decisions, refined, drive)
-    summary = refined.summary | _changes(before, refined.mapper, session.loop_decisions, closures)
-    reporter.publish_keyframes(refined.mapper, keyframes, session.sigma_range)
-    reporter.publish_map(last.stamp, refined.mapper)
-    drives = OdometrySegments(session.odometry, session.starts)
+    slam_state.replace_map(refined.mapper, refined.trajectory, PoseFix(refined.poses[-1], last.odometry), keyframes)
+    decisions = _update_decisions(session.loop_decisions, refined, history)
+    summary = refined.summary | _changes(before, refined.mapper, session.loop_decisions, decisions)
+    publisher.publish_keyframes(refined.mapper, keyframes, session.sigma_range)
+    publisher.publish_map(last.stamp, refined.mapper)
+    segments = OdometrySegments(session.odometry, session.starts)
     result = final_result(
-        slam_state, drives.trajectory(slam_state.trajectory, slam_state.mapper.keyframe_poses), {"refinement": summary}
+        slam_state,
+        segments.trajectory(slam_state.trajectory, slam_state.mapper.keyframe_poses),
+        {"refinement": summary},
     )
-    reporter.publish(result)
-    return Optimised(result, replace(session, loop_decisions=closures), summary)
+    publisher.publish(result)
+    return OptimisedSession(result, replace(session, loop_decisions=decisions), summary)
 
 
 def _changes(
     before: Mapper, after: Mapper, old: Sequence[Mapping[str, Any]], new: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """What the summary tells besides."""
+    """Compare the maps and loop decisions before and after, for the summary."""
     moved = np.hypot(*(after.keyframe_poses - before.keyframe_poses)[:, :2].T)
-    farthest = np.argsort(-moved, kind="stable")[:SHOWN_SHIFTS]
+    farthest = np.argsort(-moved, kind="stable")[:LISTED_SHIFTS]
     removed = sum(a["status"] == LoopStatus.ACCEPTED != b["status"] for a, b in zip(old, new, strict=False))
     return {
         "factors_before": before.graph.factor_count,
@@ -79,21 +88,23 @@ def _changes(
     }
 
 
-def _closures(rows: Sequence[Mapping[str, Any]], refined: Refined, drive: ScanHistory) -> list[dict[str, Any]]:
-    """The decisions on closures as they stand now: what held and holds no more is removed, what was found is added."""
-    told = [dict(row) for row in rows]
-    for row in told:
+def _update_decisions(
+    rows: Sequence[Mapping[str, Any]], refined: RefinementResult, history: ScanHistory
+) -> list[dict[str, Any]]:
+    """Return the updated loop decisions: closures that do not hold any more are marked, missed loops are appended."""
+    decisions = [dict(row) for row in rows]
+    for row in decisions:
         if row["status"] == LoopStatus.ACCEPTED and not _holds(refined.mapper, int(row["keyframe"])):
-            row |= {"status": "removed", "reason": "the two passes see no wall in common any more"}
-    stamps = drive.stamps[drive.keyframes]
-    return told + [loop_row(float(stamps[decision.keyframe]), decision) for decision in refined.closures]
+            row |= {"status": "removed", "reason": "both passes have no wall in common any more"}
+    stamps = history.stamps[history.keyframes]
+    return decisions + [loop_row(float(stamps[decision.keyframe]), decision) for decision in refined.loop_decisions]
 
 
 def _holds(mapper: Mapper, keyframe: int) -> bool:
-    """Whether what was seen on the way to a keyframe is on any wall that an older pass saw."""
+    """Return True if the keyframes up to `keyframe` observed a wall that was first observed on an older pass."""
     travelled = np.array(mapper.travelled)
-    walls = [mapper.landmark_ids[k].walls for k in range(max(0, keyframe - PASS), keyframe + 1)]
-    seen = np.unique(np.concatenate(walls))
-    seen = mapper.landmarks.walls.rows["merged_into"][seen[seen >= 0]]
-    first = mapper.landmarks.walls.rows["first_seen"][seen[seen >= 0]]
+    walls = [mapper.landmark_ids[k].walls for k in range(max(0, keyframe - CHECKED_KEYFRAMES), keyframe + 1)]
+    observed = np.unique(np.concatenate(walls))
+    observed = mapper.landmarks.walls.rows["merged_into"][observed[observed >= 0]]
+    first = mapper.landmarks.walls.rows["first_seen"][observed[observed >= 0]]
     return bool((travelled[keyframe] - travelled[first] > REFERENCE_DISTANCE).any())

@@ -1,4 +1,4 @@
-"""Every scan laid over the whole map: its walls, and the points of all passes through a place."""
+"""Match scans to the whole map: to its walls, and to the points of all keyframes nearby."""
 
 from __future__ import annotations
 
@@ -10,93 +10,117 @@ import numpy as np
 from drivers import se2
 
 from ...geometry.segments import Floats
-from ...localisation.tracker import CLEARLY_LIKER, MatchTarget
+from ...localisation.match_target import MatchTarget
+from ...localisation.tracker import MIN_SEARCH_GAIN
 from ...mapping.landmarks import Landmarks
 from ...mapping.local_map import LocalMap, landmarks_around
-from ...mapping.mapper import REACH_MARGIN
-from ...matching.likelihood_field import LikelihoodField, make_field
+from ...mapping.mapper import LOCAL_MAP_MARGIN
+from ...matching.likelihood_field import LikelihoodField, build_likelihood_field
 from ...matching.line_matcher import NEAR_STARTS, Registration
 from .scan_history import ScanHistory
 
-TILE = 4.0  # metres: scans taken within one square see one field of points
-NEAR = 6.0  # metres from the middle of a tile, within which keyframes give it their points
-MOST_KEYFRAMES = 40  # that do so, evenly taken
-PRIOR_SIGMAS = np.array([0.2, 0.2, 0.1])  # metres, metres, radians: what walls and points leave open stays as it is
-ASTRAY = 0.2  # metres from the even course between its neighbours, from which on a scan is laid there as well
+# Metres; side of the square tiles: scans of one tile use the same likelihood field.
+# Origin: chosen, less than the range of a likelihood field; not measured.
+TILE = 4.0
+# Metres from the centre of a tile within which keyframes contribute points to its likelihood field.
+# Origin: chosen, somewhat more than a tile; not measured.
+FIELD_RADIUS = 6.0
+# Maximum number of keyframes per likelihood field, evenly selected. Origin: chosen, bounds the time; not measured.
+MAX_FIELD_KEYFRAMES = 40
+# Metres, metres, radians: prior of a scan's pose, for directions that walls and points do not determine.
+# Origin: chosen, weak; not measured.
+PRIOR_SIGMAS = np.array([0.2, 0.2, 0.1])
+# Metres; if a scan is farther than this from an even motion between its neighbours, it is matched there as well.
+# Origin: chosen, beyond the error of tracking; not measured.
+MAX_UNEVEN_OFFSET = 0.2
 
-NOTHING = np.zeros((0, 2))
+# Points of an empty tile. Origin: definition.
+NO_POINTS = np.zeros((0, 2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Alignment:
-    """How a scan lies on the map. `astray` is whether odometry had put it clearly in the wrong place."""
+class FullMapMatch:
+    """Match of a scan to the whole map.
+
+    plausible       False if the scan does not fit the map
+    odometry_wrong  True if the scan fits clearly better on an even motion between its neighbours
+    """
 
     registration: Registration
-    believable: bool
+    plausible: bool
     odometry_wrong: bool
 
 
-class PoseFix:
-    """The map that scans are laid over: landmarks and keyframes at `poses` (k, 3), with all their points."""
+class FullMapMatcher:
+    """Landmarks, and the points of all keyframes at `poses` (k, 3), to which scans are matched.
+
+    roughness  variance of the walls' roughness, square metres
+    """
 
     def __init__(self, history: ScanHistory, landmarks: Landmarks, poses: Floats, roughness: float) -> None:
-        self._drive, self._landmarks, self._poses, self._flatness = history, landmarks, poses, roughness
+        self._history, self._landmarks, self._poses, self._roughness = history, landmarks, poses, roughness
         self._tile: tuple[int, int] | None = None
         self._fields: dict[int, LikelihoodField] = {}
         self._prior = np.diag(PRIOR_SIGMAS**-2)
 
     def local_map(self, row: int, pose: se2.Pose) -> LocalMap:
-        """The landmarks that a sighting may show from `pose`: those that were there then."""
-        reach = REACH_MARGIN + self._drive.scans[row].features.segments.reach()
-        keyframe = int(np.searchsorted(self._drive.keyframes, row, side="right")) - 1
+        """Return the landmarks that a scan may observe from `pose`: those that existed at that time."""
+        reach = LOCAL_MAP_MARGIN + self._history.scans[row].features.segments.reach()
+        keyframe = int(np.searchsorted(self._history.keyframes, row, side="right")) - 1
         return landmarks_around(self._landmarks, pose, reach, keyframe=keyframe)
 
-    def match(self, row: int, poses: Floats, local_map: LocalMap) -> Alignment:
-        """Lay a sighting over the map near where it is, and where the even course between its neighbours has it, if
-        that is somewhere else; `poses` (n, 3) are those of all sightings."""
-        scan = self._drive.scans[row].features
-        around = MatchTarget(local_map, self._field(int(self._drive.anchors[row])), self._flatness)
-        fit = around.match(scan, poses[row], self._prior, NEAR_STARTS[:1])
-        course = self._even_course(row, poses)
+    def match(self, row: int, poses: Floats, local_map: LocalMap) -> FullMapMatch:
+        """Match the scan `row`, given the poses (n, 3) of all scans and the landmarks around it.
+
+        If an even motion between its neighbours predicts a different pose, that is tried as well.
+        """
+        scan = self._history.scans[row].features
+        target = MatchTarget(local_map, self._field(int(self._history.anchors[row])), self._roughness)
+        match = target.match(scan, poses[row], self._prior, NEAR_STARTS[:1])
+        interpolated = self._interpolate(row, poses)
         odometry_wrong = False
-        if np.hypot(*(course - poses[row])[:2]) > ASTRAY:
-            other = around.match(scan, course, self._prior, NEAR_STARTS[:1])
-            odometry_wrong = other.both > fit.both + CLEARLY_LIKER
-            fit = other if odometry_wrong else fit
-        return Alignment(fit.registration, fit.believable, odometry_wrong)
+        if np.hypot(*(interpolated - poses[row])[:2]) > MAX_UNEVEN_OFFSET:
+            other = target.match(scan, interpolated, self._prior, NEAR_STARTS[:1])
+            odometry_wrong = other.score > match.score + MIN_SEARCH_GAIN
+            match = other if odometry_wrong else match
+        return FullMapMatch(match.registration, match.plausible, odometry_wrong)
 
     def covariance(self, registration: Registration) -> Floats:
-        """(3, 3) of a pose found by laying a sighting over the map, in the base's frame."""
+        """Return the covariance (3, 3) of a matched pose, in the base's frame."""
         information = registration.information + registration.point_information + self._prior
         return np.asarray(np.linalg.inv(information))
 
-    def _even_course(self, row: int, poses: Floats) -> se2.Pose:
-        """Where a sighting is if the base moved evenly from the one before to the one after it."""
+    def _interpolate(self, row: int, poses: Floats) -> se2.Pose:
+        """Return a scan's pose if the base moved evenly from the previous scan to the next one."""
         if not 0 < row < len(poses) - 1:
             return np.asarray(poses[row], dtype=np.float64)
-        before, now, after = (self._drive.scans[r].stamp for r in (row - 1, row, row + 1))
-        part = (now - before) / (after - before) if after > before else 0.5
-        return se2.compose(poses[row - 1], part * se2.between(poses[row - 1], poses[row + 1]))
+        before, now, after = (self._history.scans[r].stamp for r in (row - 1, row, row + 1))
+        fraction = (now - before) / (after - before) if after > before else 0.5
+        return se2.compose(poses[row - 1], fraction * se2.between(poses[row - 1], poses[row + 1]))
 
     def _field(self, keyframe: int) -> LikelihoodField:
-        """The points around a keyframe, of every other one: a scan would not leave its place if its own were there."""
+        """Return the likelihood field around a keyframe, of every second keyframe and without itself.
+
+        With its own points in the field a scan would stay where it is.
+        """
         tile = (int(self._poses[keyframe, 0] // TILE), int(self._poses[keyframe, 1] // TILE))
         if tile != self._tile:
             self._tile, self._fields = tile, {}
-        half = 1 - keyframe % 2
-        if half not in self._fields:
-            self._fields[half] = self._make_field((np.array(tile) + 0.5) * TILE, half)
-        return self._fields[half]
+        parity = 1 - keyframe % 2
+        if parity not in self._fields:
+            self._fields[parity] = self._build_field((np.array(tile) + 0.5) * TILE, parity)
+        return self._fields[parity]
 
-    def _make_field(self, centre: Floats, half: int) -> LikelihoodField:
-        near = np.flatnonzero(np.hypot(*(self._poses[:, :2] - centre).T) < NEAR)
-        near = near[near % 2 == half]
-        near = near[:: max(1, -(-len(near) // MOST_KEYFRAMES))]
-        scans = [self._drive.scans[self._drive.keyframes[k]].features.points for k in near]
-        everything = _moved([scan.all for scan in scans], self._poses[near])
-        return make_field(everything, _moved([scan.loose for scan in scans], self._poses[near]), centre)
+    def _build_field(self, centre: Floats, parity: int) -> LikelihoodField:
+        """Build the likelihood field around `centre` from the keyframes with even (0) or odd (1) indices."""
+        near = np.flatnonzero(np.hypot(*(self._poses[:, :2] - centre).T) < FIELD_RADIUS)
+        near = near[near % 2 == parity]
+        near = near[:: max(1, -(-len(near) // MAX_FIELD_KEYFRAMES))]
+        scans = [self._history.scans[self._history.keyframes[k]].features.points for k in near]
+        points = _to_map([scan.all for scan in scans], self._poses[near])
+        return build_likelihood_field(points, _to_map([scan.clutter for scan in scans], self._poses[near]), centre)
 
 
-def _moved(points: Sequence[Floats], poses: Floats) -> Floats:
-    """Points of several scans, each in the frame of its pose, in the map (m, 2)."""
-    return np.concatenate([se2.transform(pose, some) for pose, some in zip(poses, points, strict=True)] or [NOTHING])
+def _to_map(points: Sequence[Floats], poses: Floats) -> Floats:
+    """Transform the points of several scans, each in the frame of its pose, to the map (m, 2)."""
+    return np.concatenate([se2.transform(pose, own) for pose, own in zip(poses, points, strict=True)] or [NO_POINTS])

@@ -1,4 +1,4 @@
-"""One round of refinement: everything associated again with the map as it is, and solved in batch."""
+"""One iteration of refinement: associate all keyframes again with the present map, and solve in batch."""
 
 from __future__ import annotations
 
@@ -11,33 +11,35 @@ from drivers import se2
 
 from ...geometry.segments import Floats
 from ...mapping.data_association import associate
-from ...mapping.keyframes import LandmarkIds, Motion
+from ...mapping.keyframes import KeyframeMotion, LandmarkIds
 from ...mapping.landmark_ids import assign_landmark_ids
 from ...mapping.mapper import Mapper
-from ...mapping.wall_merging import merge_everywhere
+from ...mapping.wall_merging import merge_duplicate_walls
 from ...matching.line_matcher import Registration
-from ...odometry.error_model import OdometryModel, fused_motion
-from .full_map_matcher import PoseFix
-from .landmark_recount import measure, recount
+from ...odometry.error_model import OdometryModel, fuse_motion
+from .full_map_matcher import FullMapMatcher
+from .landmark_recount import recompute_covariances, recount_observations
 from .scan_history import ScanHistory
 
-# Metres, metres, radians: how well a sighting that passed a familiar place is known relative to a keyframe there.
+# Metres, metres, radians: standard deviations of the pose, relative to its keyframe, of a scan in a familiar place.
+# Origin: chosen, more than the error of tracking; not measured.
 PASSING_SIGMAS = np.array([0.02, 0.02, 0.01])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Round:
-    """What came of a round.
+class IterationResult:
+    """Result of one iteration.
 
-    mapper    the map, solved
-    motions   (k) to each keyframe from an earlier one
-    astray    (n,) sightings that odometry had put in the wrong place
-    merged    walls that were found to be another
-    changed   features of keyframes that were given to another landmark than before
+    mapper          the solved map
+    motions         k motions to each keyframe from an earlier one; None for the first
+    poses           (k, 3) of the keyframes
+    odometry_wrong  (n,) true for scans at which odometry was found to be wrong
+    merged          number of walls merged into others
+    changed         number of features associated with another landmark than before
     """
 
     mapper: Mapper
-    motions: list[Motion | None]
+    motions: list[KeyframeMotion | None]
     poses: Floats
     odometry_wrong: NDArray[np.bool_]
     merged: int
@@ -46,88 +48,96 @@ class Round:
 
 def refine_once(
     old: Mapper, history: ScanHistory, model: OdometryModel, poses: Floats, odometry_wrong: NDArray[np.bool_]
-) -> Round:
-    """Associate what every keyframe of the drive saw with the landmarks of `old`, and solve all from there.
+) -> IterationResult:
+    """Associate the features of all keyframes with the landmarks of `old`, and solve in batch.
 
-    `poses` (k, 3) are those of the keyframes; `astray` (n,) says which sightings are already known to be.
+    poses           (k, 3) of the keyframes
+    odometry_wrong  (n,) true for scans at which odometry is already known to be wrong
     """
-    new = Mapper.on(old)
-    merged = merge_everywhere(new.landmarks, old.graph, new.roughness.variance, new.landmarks.absorb)
-    laid, landmark_ids, found_astray = _associate(new, history, poses)
-    odometry_wrong = odometry_wrong | found_astray
-    placed = np.array([registration.pose for registration in laid])
-    placed[0] = poses[0]  # defines the map's frame
-    recount(new.landmarks, history, landmark_ids, placed)
-    motions: list[Motion | None] = [None]
+    new = Mapper.with_landmarks_of(old)
+    merged = merge_duplicate_walls(new.landmarks, old.graph, new.roughness.variance, new.landmarks.merge_walls)
+    registrations, landmark_ids, newly_wrong = _associate(new, history, poses)
+    odometry_wrong = odometry_wrong | newly_wrong
+    matched = np.array([registration.pose for registration in registrations])
+    matched[0] = poses[0]  # defines the map's frame
+    recount_observations(new.landmarks, history, landmark_ids, matched)
+    motions: list[KeyframeMotion | None] = [None]
     motions += [
-        motion_to(k, history, model, placed, laid[k].point_information, odometry_wrong)
+        motion_to_keyframe(k, history, model, matched, registrations[k].point_information, odometry_wrong)
         for k in range(1, len(history.keyframes))
     ]
     for k, row in enumerate(history.keyframes):
-        seen = history.scans[row].features
-        new.extend(placed[k], motions[k], seen.segments, seen.corners, landmark_ids[k])
+        features = history.scans[row].features
+        new.add_keyframe_with_ids(matched[k], motions[k], features.segments, features.corners, landmark_ids[k])
     new.solve()
     solved = new.graph.keyframe_poses(len(history.keyframes))
-    measure(new.landmarks, history, landmark_ids, solved, new.roughness.variance)
-    return Round(new, motions, solved, odometry_wrong, merged, _changed(old, new))
+    recompute_covariances(new.landmarks, history, landmark_ids, solved, new.roughness.variance)
+    return IterationResult(new, motions, solved, odometry_wrong, merged, _count_changes(old, new))
 
 
 def _associate(
     mapper: Mapper, history: ScanHistory, poses: Floats
 ) -> tuple[list[Registration], list[LandmarkIds], NDArray[np.bool_]]:
-    """How each keyframe lies on the mapper's landmarks, what it sees of them, and the sightings that were astray."""
-    place = PoseFix(history, mapper.landmarks, poses, mapper.roughness.variance)
-    everywhere = history.poses(poses)
-    laid, landmark_ids, odometry_wrong = [], [], np.zeros(len(history), dtype=bool)
+    """Match each keyframe to the mapper's landmarks and associate its features.
+
+    Returns the registrations and landmark ids of the keyframes, and a mask (n,) of scans with wrong odometry.
+    """
+    matcher = FullMapMatcher(history, mapper.landmarks, poses, mapper.roughness.variance)
+    scan_poses = history.scan_poses(poses)
+    registrations, landmark_ids, odometry_wrong = [], [], np.zeros(len(history), dtype=bool)
     for k, row in enumerate(history.keyframes):
-        seen = history.scans[row].features
-        around = place.local_map(int(row), poses[k])
-        result = place.match(int(row), everywhere, around)
-        registration = result.registration
+        features = history.scans[row].features
+        local_map = matcher.local_map(int(row), poses[k])
+        match = matcher.match(int(row), scan_poses, local_map)
+        registration = match.registration
         association = associate(
             registration.pose,
-            place.covariance(registration),
-            seen.segments,
-            seen.corners,
-            around,
+            matcher.covariance(registration),
+            features.segments,
+            features.corners,
+            local_map,
             mapper.roughness.variance,
         )
-        laid.append(registration)
-        odometry_wrong[row] = result.odometry_wrong
+        registrations.append(registration)
+        odometry_wrong[row] = match.odometry_wrong
         landmark_ids.append(
             assign_landmark_ids(
-                mapper.landmarks, k, registration.pose, seen.segments, seen.corners, association, around
+                mapper.landmarks, k, registration.pose, features.segments, features.corners, association, local_map
             )
         )
-    return laid, landmark_ids, odometry_wrong
+    return registrations, landmark_ids, odometry_wrong
 
 
-def motion_to(
+def motion_to_keyframe(
     keyframe: int,
     history: ScanHistory,
     model: OdometryModel,
-    placed: Floats,
+    poses: Floats,
     point_information: Floats,
     odometry_wrong: NDArray[np.bool_],
-) -> Motion:
-    """The motion to a keyframe from an earlier one, when keyframes are placed at (k, 3)."""
-    start, row = history.start_of(keyframe), int(history.keyframes[keyframe])
+) -> KeyframeMotion:
+    """Return the motion to a keyframe from an earlier one: odometry, fused with the points of the match.
+
+    poses              (k, 3) of the keyframes, matched to the map
+    point_information  (3, 3) of the match's points, in the keyframe's frame
+    """
+    start, row = history.odometry_start(keyframe), int(history.keyframes[keyframe])
     anchor, relative = int(history.anchors[start]), history.relative[start]
-    claimed, covariance = history.motion(start, row, model, odometry_wrong)
+    motion, covariance = history.motion(start, row, model, odometry_wrong)
     correlated_drift = history.correlated_drift(start, row, model, odometry_wrong)
-    found = se2.between(se2.compose(placed[anchor], relative), placed[keyframe])
-    claimed, covariance = fused_motion(claimed, covariance, found, point_information)
+    matched = se2.between(se2.compose(poses[anchor], relative), poses[keyframe])
+    motion, covariance = fuse_motion(motion, covariance, matched, point_information)
     if start != history.keyframes[keyframe - 1]:
-        carry = se2.adjoint(se2.inverse(claimed))
-        covariance = covariance + carry @ np.diag(PASSING_SIGMAS**2) @ carry.T
-    return Motion(anchor, se2.compose(relative, claimed), covariance, correlated_drift)
+        adjoint = se2.adjoint(se2.inverse(motion))
+        covariance = covariance + adjoint @ np.diag(PASSING_SIGMAS**2) @ adjoint.T
+    return KeyframeMotion(anchor, se2.compose(relative, motion), covariance, correlated_drift)
 
 
-def _changed(old: Mapper, new: Mapper) -> int:
-    """Features that the keyframes of two mappers give to different landmarks."""
-    kept = new.landmarks.walls.rows["merged_into"]
+def _count_changes(old: Mapper, new: Mapper) -> int:
+    """Count the features that the keyframes of two mappers associate with different landmarks."""
+    merged_into = new.landmarks.walls.rows["merged_into"]
     count = 0
     for before, after in zip(old.landmark_ids, new.landmark_ids, strict=True):
-        spoken_for = np.where(before.walls >= 0, kept[before.walls], before.walls)
-        count += int((spoken_for != after.walls).sum() + (before.corners != after.corners).sum())
+        walls = np.where(before.walls >= 0, merged_into[before.walls], before.walls)
+        count += int((walls != after.walls).sum() + (before.corners != after.corners).sum())
     return count

@@ -1,4 +1,4 @@
-"""What a round of refinement makes of the landmarks: each is what keyframes see of it now, and no more."""
+"""Recompute extents, counts and covariances of landmarks from the present observations of the keyframes."""
 
 from __future__ import annotations
 
@@ -11,65 +11,55 @@ from drivers import se2
 from ...geometry.segments import Floats
 from ...mapping.keyframes import LandmarkIds
 from ...mapping.landmarks import Landmarks
-from ...mapping.wall_roughness import uneven
+from ...mapping.wall_roughness import add_roughness
 from .scan_history import ScanHistory
 
-GONE = -1  # stands for the wall that speaks for one which nobody sees any more
 
+def recount_observations(
+    landmarks: Landmarks, history: ScanHistory, landmark_ids: Sequence[LandmarkIds], poses: Floats
+) -> None:
+    """Recompute the extents and counts of all landmarks from the observations of keyframes at `poses` (k, 3).
 
-def recount(landmarks: Landmarks, history: ScanHistory, landmark_ids: Sequence[LandmarkIds], poses: Floats) -> None:
-    """Take the extents and counts of all landmarks from what keyframes at `poses` (k, 3) see of them by `names`.
-
-    What no keyframe sees is no landmark any more. Identities stay.
+    `landmark_ids` (k) associate their features. Unobserved landmarks are removed; ids do not change.
     """
-    walls, corners = landmarks.walls.rows, landmarks.corners.rows
-    walls["observations"], walls["last_seen"], walls["first_seen"] = 0, GONE, len(poses)
-    walls["low"], walls["high"], walls["in_graph"] = np.inf, -np.inf, False
-    landmarks.covered = [frozenset()] * len(walls)
-    corners["observations"], corners["last_seen"], corners["in_graph"] = 0, GONE, False
-    for k, (row, seen_as) in enumerate(zip(history.keyframes, landmark_ids, strict=True)):
-        seen = history.scans[row].features
-        frames = se2.compose(poses[k], seen.segments.frame).reshape(-1, 3)
-        for i in np.flatnonzero(seen_as.walls >= 0):
-            wall = int(seen_as.walls[i])
-            landmarks.see_wall(wall, frames[i], seen.segments.half_length[i], k)
-            walls["first_seen"][wall] = min(walls["first_seen"][wall], k)
-        for i in np.flatnonzero(seen_as.corners >= 0):
-            landmarks.see_corner(int(seen_as.corners[i]), se2.wrap(seen.corners.headings[i] + poses[k, 2]), k)
-    for wall in landmarks.opened:
-        landmarks.shorten(wall)
-    unseen = (walls["observations"] == 0) & (walls["merged_into"] == np.arange(len(walls)))
-    walls["merged_into"][unseen] = GONE
-    walls["merged_into"][(walls["merged_into"] >= 0) & np.isin(walls["merged_into"], np.flatnonzero(unseen))] = GONE
-    walls["first_seen"][walls["observations"] == 0] = walls["last_seen"][walls["observations"] == 0] = 0
-    corners["position"][corners["observations"] == 0] = np.nan  # is near nothing
+    landmarks.reset_observations()
+    for k, (row, ids) in enumerate(zip(history.keyframes, landmark_ids, strict=True)):
+        features = history.scans[row].features
+        frames = se2.compose(poses[k], features.segments.frame).reshape(-1, 3)
+        for i in np.flatnonzero(ids.walls >= 0):
+            landmarks.observe_wall(int(ids.walls[i]), frames[i], features.segments.half_length[i], k)
+        for i in np.flatnonzero(ids.corners >= 0):
+            landmarks.observe_corner(int(ids.corners[i]), se2.wrap(features.corners.headings[i] + poses[k, 2]), k)
+    landmarks.drop_unobserved()
 
 
-def measure(
+def recompute_covariances(
     landmarks: Landmarks, history: ScanHistory, landmark_ids: Sequence[LandmarkIds], poses: Floats, roughness: float
 ) -> None:
-    """Set the covariances of all landmarks to what the keyframes that see them leave uncertain, at their `poses`.
+    """Recompute the covariances of all landmarks from the observations of keyframes at `poses` (k, 3).
 
-    As seen from around there, that is; what all of them have in common is left out. A wall's unevenness does not
-    average out: every look at one place of it meets the same.
+    They are relative to the keyframes nearby; errors of the poses are not included. `roughness` (square metres) is
+    added again at the end: it does not average out, since all observations of a piece of wall share it.
     """
     walls, corners = landmarks.walls.rows, landmarks.corners.rows
-    of_walls, of_corners = np.zeros((len(walls), 2, 2)), np.zeros((len(corners), 2, 2))
-    for k, (row, seen_as) in enumerate(zip(history.keyframes, landmark_ids, strict=True)):
-        seen = history.scans[row].features
-        known = np.flatnonzero(seen_as.walls >= 0)
-        named, segments = seen_as.walls[known], seen.segments
-        frames = se2.compose(poses[k], segments.frame[known]).reshape(-1, 3)
-        carry = np.tile(np.eye(2), (len(known), 1, 1))
-        carry[:, 0, 1] = se2.between(frames, walls["frame"][named]).reshape(-1, 3)[:, 0]
-        covariance = uneven(segments.covariance[known], segments.half_length[known], roughness)
-        np.add.at(of_walls, named, np.linalg.inv(carry @ covariance @ carry.transpose(0, 2, 1)))
-        known = np.flatnonzero(seen_as.corners >= 0)
+    wall_information, corner_information = np.zeros((len(walls), 2, 2)), np.zeros((len(corners), 2, 2))
+    for k, (row, ids) in enumerate(zip(history.keyframes, landmark_ids, strict=True)):
+        features = history.scans[row].features
+        associated = np.flatnonzero(ids.walls >= 0)
+        observed, segments = ids.walls[associated], features.segments
+        frames = se2.compose(poses[k], segments.frame[associated]).reshape(-1, 3)
+        to_wall = np.tile(np.eye(2), (len(associated), 1, 1))
+        to_wall[:, 0, 1] = se2.between(frames, walls["frame"][observed]).reshape(-1, 3)[:, 0]
+        covariance = add_roughness(segments.covariance[associated], segments.half_length[associated], roughness)
+        np.add.at(wall_information, observed, np.linalg.inv(to_wall @ covariance @ to_wall.transpose(0, 2, 1)))
+        associated = np.flatnonzero(ids.corners >= 0)
         c, s = np.cos(poses[k, 2]), np.sin(poses[k, 2])
         rotation = np.array([[c, -s], [s, c]])
-        spread = seen.corners.covariance[known] + roughness * np.eye(2)
-        np.add.at(of_corners, seen_as.corners[known], np.linalg.inv(rotation @ spread @ rotation.T))
-    seen_walls, seen_corners = walls["observations"] > 0, corners["observations"] > 0
-    half_length = 0.5 * (walls["high"] - walls["low"])[seen_walls]
-    walls["covariance"][seen_walls] = uneven(np.asarray(np.linalg.inv(of_walls[seen_walls])), half_length, roughness)
-    corners["covariance"][seen_corners] = np.linalg.inv(of_corners[seen_corners]) + roughness * np.eye(2)
+        covariance = features.corners.covariance[associated] + roughness * np.eye(2)
+        np.add.at(corner_information, ids.corners[associated], np.linalg.inv(rotation @ covariance @ rotation.T))
+    observed_walls, observed_corners = np.flatnonzero(walls["observations"]), np.flatnonzero(corners["observations"])
+    half_length = 0.5 * (walls["high"] - walls["low"])[observed_walls]
+    wall_covariance = np.asarray(np.linalg.inv(wall_information[observed_walls]))
+    landmarks.set_wall_covariances(observed_walls, add_roughness(wall_covariance, half_length, roughness))
+    corner_covariance = np.asarray(np.linalg.inv(corner_information[observed_corners])) + roughness * np.eye(2)
+    landmarks.set_corner_covariances(observed_corners, corner_covariance)

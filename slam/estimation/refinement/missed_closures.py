@@ -1,4 +1,4 @@
-"""Loops that the first look missed: the whole drive once more, on the map as it is known now."""
+"""Search the whole session again, on the refined map, for loops that were missed online, and close them."""
 
 from __future__ import annotations
 
@@ -10,92 +10,77 @@ import numpy as np
 from drivers import se2
 
 from ...geometry.segments import Integers
-from ...loop_closure.closer import (
-    CARRYING_SIGMAS,
-    LEAST_MERGED,
-    LoopCloser,
-    LoopDecision,
-    misassociated_walls,
-    together,
-)
-from ...mapping.keyframes import Motion
+from ...loop_closure.closing import LOOP_FACTOR_SIGMAS, MIN_COINCIDING_SHARE, find_misassociated_walls, walls_coincide
+from ...loop_closure.decision import LoopDecision
+from ...loop_closure.loop_search import LoopSearch
+from ...loop_closure.loop_status import LoopStatus
+from ...mapping.keyframes import KeyframeMotion
+from ...mapping.map_replay import replay
 from ...mapping.mapper import Mapper
 from .scan_history import ScanHistory
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Missed:
-    """A closure that was missed, and the `strangers` (n,): walls that the pass `since` a keyframe took for others."""
+class MissedLoop:
+    """A loop that was not closed.
+
+    misassociated  (n,) ids of old walls with which keyframes from `since` on were wrongly associated
+    """
 
     decision: LoopDecision
-    strangers: Integers
+    misassociated: Integers
     since: int
 
 
-def missed_closure(mapper: Mapper, history: ScanHistory) -> Missed | None:
-    """The first loop along the drive that two looks agree on and that is not closed on this map."""
-    past, closer = Mapper.on(mapper), LoopCloser()
-    past.graph, past.correlated_drift = mapper.graph, mapper.correlated_drift
-    walls = past.landmarks.walls.rows
-    confirmed = walls["in_graph"].copy()
-    walls["in_graph"], walls["observations"], walls["first_seen"], walls["last_seen"] = False, 0, 0, 0
-    for k, (row, landmark_ids) in enumerate(zip(history.keyframes, mapper.landmark_ids, strict=True)):
-        seen = np.unique(landmark_ids.walls[landmark_ids.walls >= 0])
-        walls["first_seen"][seen] = np.where(walls["observations"][seen] == 0, k, walls["first_seen"][seen])
-        walls["observations"][seen] += 1
-        walls["last_seen"][seen] = k
-        walls["in_graph"][seen] = confirmed[seen] & (walls["observations"][seen] > 1)
-        past.keyframe_count, past.keyframe_poses, past.travelled = (
-            k + 1,
-            mapper.keyframe_poses[: k + 1],
-            mapper.travelled[: k + 1],
-        )
-        past.views.append((k, history.scans[row].features.segments))
-        decision = closer.search(past)
-        if decision is not None and decision.status == "agreed":
-            return Missed(decision, *misassociated_walls(past, decision))
+def find_missed_loop(mapper: Mapper, history: ScanHistory) -> MissedLoop | None:
+    """Return the first confirmed loop of the session that is not closed on this map."""
+    search = LoopSearch()
+    for past in replay(mapper, (history.scans[row].features.segments for row in history.keyframes)):
+        decision = search.search(past)
+        if decision is not None and decision.status == LoopStatus.CONFIRMED:
+            return MissedLoop(decision, *find_misassociated_walls(past, decision))
     return None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Closed:
-    """The map with a loop closed, and the decision that did it."""
+class ClosedLoop:
+    """The map after a loop closure, and the decision."""
 
     mapper: Mapper
     decision: LoopDecision
 
 
-def carried_over(
-    mapper: Mapper, history: ScanHistory, motions: Sequence[Motion | None], missed: Missed
-) -> Closed | None:
-    """The map with a loop closed: its last keyframe brought to where the decision has it, and walls made one.
+def close_missed_loop(
+    mapper: Mapper, history: ScanHistory, motions: Sequence[KeyframeMotion | None], missed: MissedLoop
+) -> ClosedLoop | None:
+    """Close a loop: solve with a loop factor for its last keyframe, and merge the walls that coincide then.
 
-    None where too few of them come together. What drift has confused since the robot came to the place is left out;
-    the next round associates it anew, and holds the map together without the relative pose that brought it there.
+    Returns None if too few of them coincide. Observations of misassociated walls are left out; the next iteration
+    associates them again and needs no loop factor, because the walls are merged.
     """
     decision, poses = missed.decision, mapper.keyframe_poses
     last = decision.keyframe
     relative = se2.between(poses[decision.old], se2.compose(decision.hypothesis.motion, poses[last]))
-    new = Mapper.on(mapper)
-    new.landmarks.walls.rows["in_graph"] = new.landmarks.corners.rows["in_graph"] = False
+    new = Mapper.with_landmarks_of(mapper)
+    new.landmarks.unconfirm_all()
     for k, (row, landmark_ids) in enumerate(zip(history.keyframes, mapper.landmark_ids, strict=True)):
-        strange = np.isin(landmark_ids.walls, missed.strangers) & (missed.since <= k <= last)
-        seen = history.scans[row].features
-        new.extend(
+        misassociated = np.isin(landmark_ids.walls, missed.misassociated) & (missed.since <= k <= last)
+        features = history.scans[row].features
+        new.add_keyframe_with_ids(
             poses[k],
             motions[k],
-            seen.segments,
-            seen.corners,
-            replace(landmark_ids, walls=np.where(strange, -1, landmark_ids.walls)),
+            features.segments,
+            features.corners,
+            replace(landmark_ids, walls=np.where(misassociated, -1, landmark_ids.walls)),
         )
-    new.graph.tie_keyframes(decision.old, last, relative, CARRYING_SIGMAS)
+    new.graph.add_loop(decision.old, last, relative, LOOP_FACTOR_SIGMAS)
     new.solve()
     rows = new.landmarks.walls.rows
-    joined = [(old, recent) for old, recent in decision.pairs if together(rows[old], rows[recent])]
-    if len(joined) < LEAST_MERGED * len(decision.pairs):
+    merged = [(old, recent) for old, recent in decision.pairs if walls_coincide(rows[old], rows[recent])]
+    if len(merged) < MIN_COINCIDING_SHARE * len(decision.pairs):
         return None
-    for old, recent in joined:
+    for old, recent in merged:
         if rows["merged_into"][old] == old and rows["merged_into"][recent] == recent:
-            new.landmarks.absorb(old, recent)
+            new.landmarks.merge_walls(old, recent)
     shift = float(np.hypot(*(new.keyframe_poses[last] - poses[last])[:2]))
-    return Closed(new, replace(decision, status="accepted", merged=tuple(joined), shift=shift))
+    return ClosedLoop(new, replace(decision, status=LoopStatus.ACCEPTED, merged=tuple(merged), shift=shift))

@@ -1,4 +1,4 @@
-"""The path on the finished map: every scan laid over it, and odometry between them."""
+"""Estimate the trajectory on the refined map: match every scan, and smooth with odometry between them."""
 
 from __future__ import annotations
 
@@ -9,38 +9,40 @@ from ...geometry.segments import Floats
 from ...graph.chain import smooth_chain
 from ...mapping.mapper import Mapper
 from ...odometry.error_model import OdometryModel
-from .full_map_matcher import PoseFix
+from .full_map_matcher import FullMapMatcher
 from .scan_history import ScanHistory
 
-# Of the information that a scan's placement claims: scans beside it share the errors of the walls that it is laid over.
-# On recordings a third is best by a little, a tenth and all of it are as good as each other.
-CLAIMED_SHARE = 0.3
+# Factor of the information of a scan's match: neighbouring scans share the errors of the walls they are matched to.
+# Origin: measured, on recordings a third is slightly better than a tenth or all of it, which are equally good.
+INFORMATION_SCALE = 0.3
 
 
-def refine_path(
+def smooth_trajectory(
     mapper: Mapper, history: ScanHistory, model: OdometryModel, poses: Floats, odometry_wrong: NDArray[np.bool_]
 ) -> tuple[Floats, Floats]:
-    """Poses (n, 3) of all sightings, and the share (n,) of its wall that the map explains of each.
+    """Return the poses (n, 3) of all scans and their overlap ratios (n,).
 
-    `poses` (k, 3) are those of the keyframes; `astray` (n,) says which sightings are already known to be. A sighting of
-    which nothing was kept stays where it is, as firmly as it was placed there.
+    poses           (k, 3) of the keyframes
+    odometry_wrong  (n,) true for scans at which odometry is known to be wrong
+
+    A scan whose features were not stored keeps its pose, with the information of its online match.
     """
-    place = PoseFix(history, mapper.landmarks, poses, mapper.roughness.variance)
-    placed, odometry_wrong = history.poses(poses), odometry_wrong.copy()
+    matcher = FullMapMatcher(history, mapper.landmarks, poses, mapper.roughness.variance)
+    matched, odometry_wrong = history.scan_poses(poses), odometry_wrong.copy()
     informations = history.informations.copy()
     overlap_ratio = np.full(len(history), np.nan)
-    for row in np.flatnonzero(history.kept).tolist():
-        laid = place.match(row, placed, place.local_map(row, placed[row]))
-        overlap_ratio[row] = laid.registration.overlap_ratio
+    for row in np.flatnonzero(history.has_features).tolist():
+        match = matcher.match(row, matched, matcher.local_map(row, matched[row]))
+        overlap_ratio[row] = match.registration.overlap_ratio
         informations[row] = 0.0
-        if laid.believable:
-            placed[row] = laid.registration.pose
-            informations[row] = laid.registration.held_by
-        odometry_wrong[row] |= laid.odometry_wrong
+        if match.plausible:
+            matched[row] = match.registration.pose
+            informations[row] = match.registration.total_information
+        odometry_wrong[row] |= match.odometry_wrong
     motions = [history.motion(row, row + 1, model, odometry_wrong) for row in range(len(history) - 1)]
     smoothed = smooth_chain(
-        placed,
-        CLAIMED_SHARE * informations,
+        matched,
+        INFORMATION_SCALE * informations,
         np.array([motion for motion, _ in motions]).reshape(-1, 3),
         np.array([covariance for _, covariance in motions]).reshape(-1, 3, 3),
     )
