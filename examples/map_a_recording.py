@@ -1,4 +1,4 @@
-"""Make a map of a recording, or of a simulated drive, and print what is in it.
+"""Map a recording, or a simulated drive, and print the longest walls.
 
 python examples/map_a_recording.py intel.clf
 python examples/map_a_recording.py "sim:office?duration=60"
@@ -13,21 +13,21 @@ from slam import Slam
 
 recording = sys.argv[1] if len(sys.argv) > 1 else "sim:room?duration=10"
 
-# Anything that `drivers.open` reads yields scans and odometry in the order of time. `Slam` takes them one by one.
+# `drivers.open` returns a source of scans and odometry in time order. `Slam` processes them one by one.
 slam = Slam()
 for message in drivers.open(recording):
     slam.add(message)
 
-# The result has the path at every odometry stamp, and walls and corners with covariances.
+# The result contains a pose for every odometry stamp, and walls and corners with covariances.
 result = slam.finish()
 x, y, heading = result.poses[-1]
 print(f"{recording}: {len(result.stamps)} poses, the last at {x:.2f} m, {y:.2f} m, {np.degrees(heading):.1f} degrees")
 
-# A wall is a frame with x along it, known from `low` to `high`; its covariance is of (offset across it, heading) there.
+# A wall is a frame with x along the wall, observed from `low` to `high`; its covariance is of (offset across, heading).
 lengths = result.lines.high - result.lines.low
 for k in np.argsort(-lengths)[:5]:
     across, turn = np.sqrt(np.diag(result.lines.covariance[k]))
     print(
-        f"wall {result.lines.identity[k]}: {lengths[k]:.2f} m, known to {1000 * across:.1f} mm across and "
+        f"wall {result.lines.identity[k]}: {lengths[k]:.2f} m, standard deviations {1000 * across:.1f} mm across and "
         f"{np.degrees(turn):.2f} degrees, seen from {result.lines.observations[k]} keyframes"
     )

@@ -1,11 +1,11 @@
-"""Wheel bases: their protocols, and the odometry that follows from their readings. Bytes in and out, no ports."""
+"""Wheel bases: their serial protocols, and odometry from their encoder readings. Works on bytes, opens no ports."""
 
 from __future__ import annotations
 
 from .arduino_bridge import ArduinoBridge, ArduinoBridgeDevice
 from .create2 import Create2, Create2Device
 from .interface import Poll, Request, Reset, Stream, Velocity, WheelBase, WheelDevice, WheelReading
-from .kinematics import DifferentialDrive, Noise
+from .kinematics import DifferentialDrive, OdometryNoise
 from .kobuki import Kobuki, KobukiDevice
 from .odometer import Odometer
 from .wheel_line import WheelLine, WheelLineDevice
@@ -18,8 +18,8 @@ __all__ = [
     "DifferentialDrive",
     "Kobuki",
     "KobukiDevice",
-    "Noise",
     "Odometer",
+    "OdometryNoise",
     "Poll",
     "Request",
     "Reset",

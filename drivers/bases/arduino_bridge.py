@@ -1,8 +1,8 @@
-r"""ros_arduino_bridge: lines of text without checksum or time; the base only answers.
+r"""Protocol of ros_arduino_bridge: lines of text without checksum or time; the base only responds to requests.
 
-`e\r` is answered with `<left> <right>\r\n`, counts of 32 bits; `r\r` sets them to zero; `m <left> <right>\r` drives so
-many counts in each frame of the base's control loop, for two seconds. Opening the port restarts most boards: they take
-a second or two to answer. The time of a reading is best taken in the middle of request and answer.
+The response to `e\r` is `<left> <right>\r\n`, counts of 32 bits; `r\r` sets them to zero; `m <left> <right>\r` drives
+at this many counts per period of the base's control loop, for two seconds. Opening the port restarts most boards, which
+takes a second or two. The best estimate of a reading's time is the middle between request and response.
 """
 
 from __future__ import annotations
@@ -10,22 +10,22 @@ from __future__ import annotations
 import re
 from typing import ClassVar
 
-from .framing import Lines
-from .interface import Counters, Poll, Request, Reset, Velocity, WheelReading, signed
+from .framing import LineParser
+from .interface import ParserCounters, Poll, Request, Reset, Velocity, WheelReading, to_signed
 from .kinematics import DifferentialDrive
 
 CONTROL_RATE = 30
-"""Frames a second of the base's control loop."""
-LONGEST = 64
-"""Bytes in a line; two counts take 23."""
+"""Rate of the base's control loop, Hz."""
+MAX_LINE_LENGTH = 64
+"""Bytes; a reading has at most 23."""
 READING = re.compile(rb"(-?[0-9]{1,10}) (-?[0-9]{1,10})\r")
 MOTORS = re.compile(rb"m (-?[0-9]{1,5}) (-?[0-9]{1,5})")
-ANSWERS = (b"OK\r", b"57600\r")
-"""What other requests are answered with."""
+OTHER_RESPONSES = (b"OK\r", b"57600\r")
+"""Responses to other requests."""
 
 
 class ArduinoBridge:
-    """The host's side; see `WheelBase`. There is no usual drive: its measures are the builder's."""
+    """Host's side of the protocol, see `WheelBase`. The dimensions of the drive are those of the user's robot."""
 
     name: ClassVar[str] = "arduino_bridge"
     baud: ClassVar[int] = 57600
@@ -34,55 +34,54 @@ class ArduinoBridge:
     poll_period: ClassVar[float | None] = 0.02
 
     def __init__(self, wheels: DifferentialDrive) -> None:
-        self.wheels, self.counters = wheels, Counters()
-        self._lines = Lines(b"\n", LONGEST, self.counters)
+        self.wheels, self.counters = wheels, ParserCounters()
+        self._lines = LineParser(b"\n", MAX_LINE_LENGTH, self.counters)
 
     def start(self) -> bytes:
-        """An end of line, which ends what another program may have left half said."""
+        """Return a line terminator, which completes a line that another program may have left unfinished."""
         return b"\r"
 
     def poll(self) -> bytes:
-        """Ask for the counts."""
+        """Return the request for the counts."""
         return b"e\r"
 
     def drive(self, velocity: Velocity) -> bytes:
-        """The wheels' speeds in counts a frame."""
+        """Return the command with the wheels' speeds in counts per control period."""
         left, right = self.wheels.wheel_speeds(velocity.speed, velocity.turn_rate)
         counts = (left / self.wheels.left / CONTROL_RATE, right / self.wheels.right / CONTROL_RATE)
         return b"m %d %d\r" % (round(counts[0]), round(counts[1]))
 
     def stop(self) -> bytes:
-        """Stand."""
+        """Return the command to stop."""
         return self.drive(Velocity(0.0, 0.0))
 
     def feed(self, chunk: bytes) -> list[WheelReading]:
-        """The readings that a chunk completes."""
+        """Return the readings that a chunk completes."""
         readings = []
         for line in self._lines.feed(chunk):
             counts = [int(count) for count in match.groups()] if (match := READING.fullmatch(line)) else []
-            if counts and all(signed(count, 32) == count for count in counts):
+            if counts and all(to_signed(count, 32) == count for count in counts):
                 self.counters.good += 1
                 readings.append(WheelReading(*counts))
-            elif line not in ANSWERS:
-                self.counters.bad += 1
-                self.counters.skipped += len(line) + 1
+            elif line not in OTHER_RESPONSES:
+                self._lines.reject(line)
         return readings
 
 
 class ArduinoBridgeDevice:
-    """The base's side; see `WheelDevice`."""
+    """Device's side of the protocol, see `WheelDevice`."""
 
     def __init__(self, wheels: DifferentialDrive) -> None:
-        self.counters = Counters()
+        self.counters = ParserCounters()
         self._wheels = wheels
-        self._lines = Lines(b"\r", LONGEST, self.counters)
+        self._lines = LineParser(b"\r", MAX_LINE_LENGTH, self.counters)
 
     def encode(self, reading: WheelReading) -> bytes:
-        """The answer to one poll."""
-        return b"%d %d\r\n" % (signed(reading.left, 32), signed(reading.right, 32))
+        """Return the response to one poll."""
+        return b"%d %d\r\n" % (to_signed(reading.left, 32), to_signed(reading.right, 32))
 
     def feed(self, chunk: bytes) -> list[Request]:
-        """The requests that a chunk completes."""
+        """Return the requests that a chunk completes."""
         requests: list[Request] = []
         for line in self._lines.feed(chunk):
             if line == b"e":
@@ -92,8 +91,7 @@ class ArduinoBridgeDevice:
             elif match := MOTORS.fullmatch(line):
                 requests.append(self._velocity(*(int(count) for count in match.groups())))
             elif line:
-                self.counters.bad += 1
-                self.counters.skipped += len(line) + 1
+                self._lines.reject(line)
                 continue
             self.counters.good += bool(line)
         return requests

@@ -1,23 +1,23 @@
-"""Cutting a stream of bytes into frames or lines, and finding the next ones after damage."""
+"""Parsers that split a byte stream into frames or lines and resynchronise after damage."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from .interface import Counters
+from .interface import ParserCounters
 
 
-class Frames:
-    """Finds binary frames that begin with a header and say how long they are.
+class FrameParser:
+    """Parser for binary frames that begin with a header and have a known length.
 
-    header    the bytes that every frame begins with
-    size      the length in bytes of the frame that a buffer begins with: 0 where more bytes are needed to tell,
-              negative where none can begin so
-    valid     whether a complete frame is undamaged
-    counters  damaged frames and skipped bytes are added to it
+    header    bytes at the beginning of every frame
+    size      returns the length in bytes of the frame at the beginning of a buffer: 0 if more bytes are needed to
+              determine it, negative if no frame can begin like this
+    valid     returns true if a complete frame is undamaged
+    counters  counters of damaged frames and skipped bytes
 
-    Behind a damaged frame the search goes on at its second byte: a frame may begin within what only looked like one.
-    Keeps no more bytes than the longest `size`.
+    After a damaged frame the search continues at its second byte, since a frame may begin within it. The buffer is not
+    longer than the largest `size`.
     """
 
     def __init__(
@@ -25,13 +25,13 @@ class Frames:
         header: bytes,
         size: Callable[[bytearray], int],
         valid: Callable[[bytes], bool],
-        counters: Counters,
+        counters: ParserCounters,
     ) -> None:
         self._header, self._size, self._valid, self._counters = header, size, valid, counters
         self._buffer = bytearray()
 
     def feed(self, chunk: bytes) -> Iterator[bytes]:
-        """The undamaged frames that a chunk completes. The bytes before one are counted as skipped when it comes."""
+        """Yield the undamaged frames that a chunk completes."""
         self._buffer += chunk
         while self._seek():
             size = self._size(self._buffer)
@@ -46,11 +46,11 @@ class Frames:
                 self._skip(1)
 
     def _seek(self) -> bool:
-        """Bring the next header to the buffer's start; without one keep what may be the beginning of one."""
+        """Discard bytes up to the next header; if there is none, up to a possible beginning of one. True if found."""
         found = self._buffer.find(self._header)
         if found < 0:
-            kept = next(n for n in range(len(self._header) - 1, -1, -1) if self._buffer.endswith(self._header[:n]))
-            self._skip(len(self._buffer) - kept)
+            keep = next(n for n in range(len(self._header) - 1, -1, -1) if self._buffer.endswith(self._header[:n]))
+            self._skip(len(self._buffer) - keep)
             return False
         self._skip(found)
         return True
@@ -60,28 +60,27 @@ class Frames:
         del self._buffer[:count]
 
 
-class Lines:
-    """Finds lines of text.
+class LineParser:
+    """Parser for lines of text.
 
-    end       what ends a line
-    limit     the most bytes in a line without its end; what is longer is skipped up to the next end and counted bad
-    counters  overlong lines are added to it
+    end       line terminator
+    limit     maximum length of a line in bytes, without its terminator; longer lines are skipped and counted as bad
+    counters  counters of bad lines and skipped bytes
     """
 
-    def __init__(self, end: bytes, limit: int, counters: Counters) -> None:
+    def __init__(self, end: bytes, limit: int, counters: ParserCounters) -> None:
         self._end, self._limit, self._counters = end, limit, counters
         self._buffer = bytearray()
         self._overlong = False
 
     def feed(self, chunk: bytes) -> Iterator[bytes]:
-        """The lines that a chunk completes, without their ends."""
+        """Yield the lines that a chunk completes, without their terminators."""
         self._buffer += chunk
         while (found := self._buffer.find(self._end)) >= 0:
             line = bytes(self._buffer[:found])
             del self._buffer[: found + len(self._end)]
             if self._overlong or found > self._limit:
-                self._counters.bad += 1
-                self._counters.skipped += found + len(self._end)
+                self.reject(line)
                 self._overlong = False
             else:
                 yield line
@@ -90,3 +89,8 @@ class Lines:
             self._overlong = True
             self._counters.skipped += surplus
             del self._buffer[:surplus]
+
+    def reject(self, line: bytes) -> None:
+        """Count a line as bad, and its bytes as skipped."""
+        self._counters.bad += 1
+        self._counters.skipped += len(line) + len(self._end)

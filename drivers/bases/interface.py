@@ -1,4 +1,4 @@
-"""What wheel bases tell and are told, whatever their protocol; bytes in and out, no ports, no clocks, no threads."""
+"""Common interface of all wheel base protocols: readings, requests, and parsers on bytes without ports or threads."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from .kinematics import DifferentialDrive
 
 @dataclass(frozen=True, slots=True)
 class WheelReading:
-    """One reading of both wheels.
+    """Reading of both wheel encoders.
 
-    left, right  encoder counts as they were sent, signed or not, wrapping as the encoders do
-    time         when it was measured, in units of the base's `tick` and wrapping at its `wraps_at`; None where the
-                 protocol carries no time
-    heading      of a gyro, radians counter-clockwise from wherever it started, wrapped to [-pi, pi); None without
-    battery      volts; None where the protocol does not tell
+    left, right  encoder counts as sent, signed or unsigned, wrapping as the encoders do
+    time         time of measurement in units of the base's `tick`, wrapping at its `wraps_at`; None if the protocol has
+                 no time
+    heading      gyro heading, radians counter-clockwise from an arbitrary start, in [-pi, pi); None if there is no gyro
+    battery      volts; None if the protocol does not contain it
     """
 
     left: int
@@ -27,14 +27,14 @@ class WheelReading:
 
 
 @dataclass(slots=True)
-class Counters:
-    """What a parser has seen.
+class ParserCounters:
+    """Counters of a parser.
 
-    good      readings, or requests on the device's side
-    bad       frames or lines that were complete but damaged or not understood
-    skipped   bytes that belong to nothing, the damaged frames' and lines' included
-    lost      readings that the device numbered and that never came
-    restarts  times when a device began to number from elsewhere
+    good      valid readings (host's side) or requests (device's side)
+    bad       complete frames or lines that were damaged or unknown
+    skipped   bytes outside of valid frames and lines
+    lost      readings that are missing according to the device's numbering
+    restarts  number of times that the device's numbering restarted
     """
 
     good: int = 0
@@ -46,7 +46,7 @@ class Counters:
 
 @dataclass(frozen=True, slots=True)
 class Velocity:
-    """Drive at a speed (m/s, forwards) and a turn rate (rad/s, counter-clockwise)."""
+    """Request to drive at a speed (m/s, forwards) and a turn rate (rad/s, counter-clockwise)."""
 
     speed: float
     turn_rate: float
@@ -54,32 +54,33 @@ class Velocity:
 
 @dataclass(frozen=True, slots=True)
 class Poll:
-    """Send one reading."""
+    """Request for one reading."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """Send readings from now on, or no longer."""
+    """Request to start or stop sending readings continuously."""
 
     on: bool
 
 
 @dataclass(frozen=True, slots=True)
 class Reset:
-    """Set the counts of both wheels to zero."""
+    """Request to set the counts of both wheels to zero."""
 
 
 Request: TypeAlias = Velocity | Poll | Stream | Reset
 
 
 class WheelBase(Protocol):
-    """The host's side of a protocol.
+    """Host's side of a wheel base protocol.
 
-    baud         bits a second, 8N1
-    tick         seconds per unit of a reading's time, wraps_at units after which it begins again; None: no time
-    poll_period  seconds between polls of a base that only answers; None: it sends by itself
-    wheels       the drive's measures
-    counters     what was seen so far
+    baud         bits per second, 8N1
+    tick         seconds per unit of a reading's time; None if the protocol has no time
+    wraps_at     units at which a reading's time wraps to zero; None if it does not
+    poll_period  seconds between polls of a base that only responds to requests; None if it sends without them
+    wheels       dimensions of the drive
+    counters     counters of the parser
     """
 
     name: ClassVar[str]
@@ -88,46 +89,47 @@ class WheelBase(Protocol):
     wraps_at: ClassVar[int | None]
     poll_period: ClassVar[float | None]
     wheels: DifferentialDrive
-    counters: Counters
+    counters: ParserCounters
 
     def start(self) -> bytes:
-        """What to send so that readings come and velocities are obeyed; may be empty."""
+        """Return the bytes that start readings and enable driving; may be empty."""
         ...
 
     def poll(self) -> bytes:
-        """What to send for one reading; empty for a base that sends by itself."""
+        """Return the bytes that request one reading; empty for a base that sends without requests."""
         ...
 
     def drive(self, velocity: Velocity) -> bytes:
-        """What to send to drive. Too fast a velocity is slowed down along the same arc."""
+        """Return the bytes of a drive command. A velocity beyond the top speed is reduced along the same arc."""
         ...
 
     def stop(self) -> bytes:
-        """What to send so that the wheels stand and, where it can be had, the base falls silent."""
+        """Return the bytes that stop the wheels and, if the protocol supports it, the readings."""
         ...
 
     def feed(self, chunk: bytes) -> list[WheelReading]:
-        """The readings that a chunk completes. The same bytes give the same readings however they are cut into
-        chunks; damaged ones are skipped and counted.
+        """Return the readings that a chunk completes, independent of the division of the stream into chunks.
+
+        Damaged readings are skipped and counted.
         """
         ...
 
 
 class WheelDevice(Protocol):
-    """The base's own side of a protocol, for an emulator of it."""
+    """Device's side of a wheel base protocol, for emulators."""
 
-    counters: Counters
+    counters: ParserCounters
 
     def encode(self, reading: WheelReading) -> bytes:
-        """The bytes by which the base tells a reading; counts are wrapped as the base's are."""
+        """Return the bytes of a reading; its counts are wrapped as the base's."""
         ...
 
     def feed(self, chunk: bytes) -> list[Request]:
-        """The requests that a chunk from the host completes."""
+        """Return the requests that a chunk from the host completes."""
         ...
 
 
-def signed(value: int, bits: int) -> int:
-    """A count of any size as the number of so many bits in two's complement that it wraps to."""
+def to_signed(value: int, bits: int) -> int:
+    """Return a count wrapped to a signed integer (two's complement) of this many bits."""
     half = 1 << (bits - 1)
     return (value + half) % (1 << bits) - half

@@ -1,10 +1,10 @@
-"""Dead reckoning of two wheels on one axle, along exact arcs, with covariance.
+"""Dead reckoning of a differential drive along exact arcs, with covariance.
 
-While both wheels turn steadily the base drives an arc of length ds and angle dth,
+If both wheels turn at constant speed, the base drives an arc of length ds and angle dth,
 
     ds = (dr + dl) / 2,   dth = (dr - dl) / track,
 
-whose chord is c = ds sinc(dth / 2) long, sinc(x) = sin(x) / x, and points to the middle of the old and the new heading:
+whose chord has the length c = ds sinc(dth / 2), sinc(x) = sin(x) / x, and the mean of the old and new heading:
 
     x' = x + c cos(th + dth / 2),   y' = y + c sin(th + dth / 2),   th' = th + dth.
 """
@@ -22,12 +22,12 @@ from ..se2 import Pose, wrap
 
 @dataclass(frozen=True, slots=True)
 class DifferentialDrive:
-    """The measures of a base with two driven wheels.
+    """Dimensions of a base with two driven wheels.
 
-    left, right  metres that each wheel rolls per encoder count; negative where an encoder counts backwards
-    track        metres between the points where the wheels touch the ground
-    bits         of the encoders' counters, which wrap
-    top_speed    metres per second of a wheel
+    left, right  metres that each wheel rolls per encoder count; negative if an encoder counts backwards
+    track        metres between the wheels' contact points
+    bits         size of the encoders' counters, which wrap
+    top_speed    maximum speed of a wheel, m/s
     """
 
     left: float
@@ -37,22 +37,22 @@ class DifferentialDrive:
     top_speed: float
 
     def wheel_speeds(self, speed: float, turn_rate: float) -> tuple[float, float]:
-        """The left and the right wheel's speed (m/s) that drive at a speed (m/s) and a turn rate (rad/s).
+        """Return the left and right wheel's speed (m/s) for a speed (m/s) and a turn rate (rad/s).
 
-        Where a wheel would have to be faster than it can, both are slowed down alike: the arc remains.
+        If a wheel would exceed its top speed, both are reduced by the same factor, which keeps the arc.
         """
         half = turn_rate * self.track / 2
         left, right = speed - half, speed + half
-        slower = min(1.0, self.top_speed / max(abs(left), abs(right), self.top_speed))
-        return left * slower, right * slower
+        factor = min(1.0, self.top_speed / max(abs(left), abs(right), self.top_speed))
+        return left * factor, right * factor
 
 
 @dataclass(frozen=True, slots=True)
-class Noise:
-    """How wrong wheels and gyro are; what is systematic is calibrated, not covered by this.
+class OdometryNoise:
+    """Random errors of wheels and gyro. Systematic errors are removed by calibration.
 
     wheel  variance of a wheel's travel per metre it rolls, m^2 per m: slip and roughness of the ground
-    gyro   variance of a gyro's heading per second, rad^2 per s: a MEMS gyro's noise of 0.02 degrees per root second
+    gyro   variance of a gyro's heading per second, rad^2 per s: 0.02 degrees per root second for a MEMS gyro
     """
 
     wheel: float = 1e-5
@@ -60,32 +60,35 @@ class Noise:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Motion:
-    """An arc: its length (metres), its angle (radians) and the covariance (2, 2) of both."""
+class ArcMotion:
+    """Arc: its length (metres), its angle (radians) and the covariance (2, 2) of both."""
 
     distance: float
     turn: float
     covariance: Floats
 
 
-def wheel_motion(left: float, right: float, track: float, noise: Noise) -> Motion:
-    """The arc that the wheels' travel (metres) tells, their errors independent of each other."""
+def motion_from_wheels(left: float, right: float, track: float, noise: OdometryNoise) -> ArcMotion:
+    """Return the arc from the wheels' travel (metres), with independent errors of the wheels."""
     variance_left, variance_right = noise.wheel * abs(left), noise.wheel * abs(right)
     both, difference = variance_right + variance_left, variance_right - variance_left
     covariance = np.array([[both / 4, difference / (2 * track)], [difference / (2 * track), both / track**2]])
-    return Motion((right + left) / 2, (right - left) / track, covariance)
+    return ArcMotion((right + left) / 2, (right - left) / track, covariance)
 
 
-def gyro_motion(left: float, right: float, turn: float, duration: float, noise: Noise) -> Motion:
-    """The arc whose length the wheels' travel (metres) tells, and whose angle (radians) a gyro does, in seconds."""
+def motion_from_gyro(left: float, right: float, turn: float, duration: float, noise: OdometryNoise) -> ArcMotion:
+    """Return the arc with its length from the wheels' travel (metres) and its angle (radians) from a gyro.
+
+    duration  of the arc, seconds; the gyro's variance is proportional to it
+    """
     variance = noise.wheel * (abs(left) + abs(right)) / 4
-    return Motion((right + left) / 2, turn, np.diag([variance, noise.gyro * duration]))
+    return ArcMotion((right + left) / 2, turn, np.diag([variance, noise.gyro * duration]))
 
 
-def advance(pose: Pose, covariance: Floats, motion: Motion) -> tuple[Pose, Floats]:
-    """Drive an arc: the pose [x, y, heading] and its covariance (3, 3) at its end.
+def advance(pose: Pose, covariance: Floats, motion: ArcMotion) -> tuple[Pose, Floats]:
+    """Return the pose [x, y, heading] and its covariance (3, 3) at the end of an arc.
 
-    P' = F P F' + G Q G', with F the derivative of the new pose by the old one and G that by the arc's length and angle.
+    P' = F P F^T + G Q G^T with the Jacobians F by the old pose and G by the arc's length and angle.
     """
     ds, half = motion.distance, motion.turn / 2
     chord, chord_slope = _sinc(half), _sinc_slope(half)
@@ -100,17 +103,17 @@ def advance(pose: Pose, covariance: Floats, motion: Motion) -> tuple[Pose, Float
             [0.0, 1.0],
         ]
     )
-    grown = F @ covariance @ F.T + G @ motion.covariance @ G.T
-    return new, (grown + grown.T) / 2
+    propagated = F @ covariance @ F.T + G @ motion.covariance @ G.T
+    return new, (propagated + propagated.T) / 2
 
 
-SMALL = 1e-4
-"""Radians below which series stand in for quotients; the first neglected terms are below 1e-9 of the value."""
+SERIES_LIMIT = 1e-4
+"""Radians below which Taylor series replace quotients; the neglected terms are below 1e-9 of the value."""
 
 
 def _sinc(x: float) -> float:
-    return math.sin(x) / x if abs(x) > SMALL else 1.0 - x * x / 6
+    return math.sin(x) / x if abs(x) > SERIES_LIMIT else 1.0 - x * x / 6
 
 
 def _sinc_slope(x: float) -> float:
-    return (math.cos(x) - math.sin(x) / x) / x if abs(x) > SMALL else -x / 3
+    return (math.cos(x) - math.sin(x) / x) / x if abs(x) > SERIES_LIMIT else -x / 3

@@ -1,4 +1,4 @@
-"""Readings of wheels in, poses out: encoders that wrap or start again, readings that cannot be, gyros."""
+"""Odometry from wheel readings: handles encoders that wrap or restart, impossible readings, and gyros."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..messages import Floats, Odometry
-from .interface import WheelReading, signed
-from .kinematics import DifferentialDrive, Motion, Noise, advance, gyro_motion, wheel_motion
+from .interface import WheelReading, to_signed
+from .kinematics import ArcMotion, DifferentialDrive, OdometryNoise, advance, motion_from_gyro, motion_from_wheels
 
-HASTE = 1.5
-"""Times its top speed that a wheel may turn: what a base states is what it drives, downhill it can be faster."""
-SLACK = 0.05
-"""Seconds by which two stamps may be nearer to each other than the readings were."""
+MAX_SPEED_RATIO = 1.5
+"""Factor on the stated top speed of a wheel: downhill it can be faster."""
+STAMP_TOLERANCE = 0.05
+"""Seconds by which the interval of two stamps may be shorter than that of the readings."""
 
 
 @dataclass(slots=True)
 class OdometerCounters:
-    """What the odometer met.
+    """Counters of the odometer.
 
-    readings    taken up
-    resets      times when the counts went on from elsewhere, as after a restart of the base
-    jumps       single readings that no wheel could have turned to; left out, and the next reading makes up for them
-    gaps        pauses so long that the encoders may have wrapped unseen
-    gyro_jumps  headings that no base could have turned to; the wheels' turn was taken instead
-    disordered  readings not later than the one before; left out
+    readings    accepted readings
+    resets      restarts of the counts at other values, as after a restart of the base
+    jumps       single readings that no wheel can have reached; omitted, the next reading covers their motion
+    gaps        pauses in which the encoders may have wrapped
+    gyro_jumps  headings that the base cannot have reached; the wheels' turn was used instead
+    disordered  readings not later than the previous one; omitted
     """
 
     readings: int = 0
@@ -38,17 +38,17 @@ class OdometerCounters:
 
 
 class Odometer:
-    """Dead reckoning from [0, 0, 0], where the first reading is.
+    """Dead reckoning from [0, 0, 0] at the first reading.
 
     pose        [x, y, heading] in the odometry's frame
-    covariance  (3, 3) of it, zero at the start
+    covariance  (3, 3) of the pose, zero at the start
 
-    What was driven across a reset or a gap is unknown. The pose stays as it was, and the covariance grows as if any way
-    at the top speed had been equally likely.
+    The motion during a reset or a gap is unknown: the pose is kept, and the covariance grows by that of a uniform
+    distribution of the travel up to the top speed.
     """
 
-    def __init__(self, wheels: DifferentialDrive, noise: Noise | None = None) -> None:
-        self.wheels, self.noise = wheels, noise or Noise()
+    def __init__(self, wheels: DifferentialDrive, noise: OdometryNoise | None = None) -> None:
+        self.wheels, self.noise = wheels, noise or OdometryNoise()
         self.pose: Floats = np.zeros(3)
         self.covariance: Floats = np.zeros((3, 3))
         self.counters = OdometerCounters()
@@ -56,76 +56,79 @@ class Odometer:
         self._suspect: tuple[WheelReading, float] | None = None
 
     def add(self, reading: WheelReading, stamp: float) -> Odometry | None:
-        """Take up a reading that was measured at a stamp (seconds); None where it does not count, or not yet."""
+        """Add a reading measured at a stamp (seconds) and return the odometry; None if it is omitted or suspect."""
         if self._last is None:
-            return self._take(reading, stamp)
+            return self._accept(reading, stamp)
         if stamp <= (self._suspect or self._last)[1]:
             self.counters.disordered += 1
             return None
         if self._may_have_wrapped(stamp - self._last[1]):
             self.counters.gaps += 1
-            return self._begin_again(reading, stamp)
-        if self._possible(self._last, reading, stamp):
-            self._forget_suspect()
+            return self._restart(reading, stamp)
+        if self._is_possible(self._last, reading, stamp):
+            self._drop_suspect()
             return self._step(self._last, reading, stamp)
-        if self._suspect is not None and self._possible(self._suspect, reading, stamp):
+        if self._suspect is not None and self._is_possible(self._suspect, reading, stamp):
             suspect, self._suspect = self._suspect, None
             self.counters.resets += 1
-            self._begin_again(*suspect)
+            self._restart(*suspect)
             return self._step(suspect, reading, stamp)
-        self._forget_suspect()
+        self._drop_suspect()
         self._suspect = (reading, stamp)
         return None
 
-    def _take(self, reading: WheelReading, stamp: float) -> Odometry:
+    def _accept(self, reading: WheelReading, stamp: float) -> Odometry:
         self._last = (reading, stamp)
         self.counters.readings += 1
         return Odometry(stamp, self.pose.copy())
 
     def _step(self, last: tuple[WheelReading, float], reading: WheelReading, stamp: float) -> Odometry:
-        motion = self._motion(last[0], reading, stamp - last[1])
+        motion = self._arc(last[0], reading, stamp - last[1])
         self.pose, self.covariance = advance(self.pose, self.covariance, motion)
-        return self._take(reading, stamp)
+        return self._accept(reading, stamp)
 
-    def _begin_again(self, reading: WheelReading, stamp: float) -> Odometry:
-        """Count from this reading on; the way to it is unknown, uniformly within what the wheels can do."""
+    def _restart(self, reading: WheelReading, stamp: float) -> Odometry:
+        """Continue from this reading; the travel to it is unknown, uniformly distributed up to the top speed."""
         assert self._last is not None
-        self._forget_suspect()
-        way = self.wheels.top_speed * (stamp - self._last[1])
-        turn = min(2 * way / self.wheels.track, math.pi)
-        self.covariance = self.covariance + np.diag([way**2, way**2, turn**2]) / 3
-        return self._take(reading, stamp)
+        self._drop_suspect()
+        travel = self.wheels.top_speed * (stamp - self._last[1])
+        turn = min(2 * travel / self.wheels.track, math.pi)
+        self.covariance = self.covariance + np.diag([travel**2, travel**2, turn**2]) / 3
+        return self._accept(reading, stamp)
 
-    def _forget_suspect(self) -> None:
+    def _drop_suspect(self) -> None:
         self.counters.jumps += self._suspect is not None
         self._suspect = None
 
     def _travel(self, last: WheelReading, reading: WheelReading) -> tuple[float, float]:
-        """Metres that the left and the right wheel rolled, across a wrap of the counters."""
+        """Return the travel (metres) of the left and the right wheel, with wraps of the counters resolved."""
         wheels = self.wheels
-        left, right = signed(reading.left - last.left, wheels.bits), signed(reading.right - last.right, wheels.bits)
+        left, right = (
+            to_signed(reading.left - last.left, wheels.bits),
+            to_signed(reading.right - last.right, wheels.bits),
+        )
         return left * wheels.left, right * wheels.right
 
-    def _farthest(self, duration: float) -> float:
-        """Metres that a wheel can have rolled."""
-        return HASTE * self.wheels.top_speed * (duration + SLACK)
+    def _max_travel(self, duration: float) -> float:
+        """Return the largest possible travel of a wheel, metres."""
+        return MAX_SPEED_RATIO * self.wheels.top_speed * (duration + STAMP_TOLERANCE)
 
     def _may_have_wrapped(self, duration: float) -> bool:
         finest = min(abs(self.wheels.left), abs(self.wheels.right))
-        return self._farthest(duration) >= finest * (1 << (self.wheels.bits - 1))
+        return self._max_travel(duration) >= finest * (1 << (self.wheels.bits - 1))
 
-    def _possible(self, last: tuple[WheelReading, float], reading: WheelReading, stamp: float) -> bool:
+    def _is_possible(self, last: tuple[WheelReading, float], reading: WheelReading, stamp: float) -> bool:
         left, right = self._travel(last[0], reading)
-        return max(abs(left), abs(right)) <= self._farthest(stamp - last[1])
+        return max(abs(left), abs(right)) <= self._max_travel(stamp - last[1])
 
-    def _motion(self, last: WheelReading, reading: WheelReading, duration: float) -> Motion:
+    def _arc(self, last: WheelReading, reading: WheelReading, duration: float) -> ArcMotion:
         left, right = self._travel(last, reading)
-        by_wheels = wheel_motion(left, right, self.wheels.track, self.noise)
+        by_wheels = motion_from_wheels(left, right, self.wheels.track, self.noise)
         if last.heading is None or reading.heading is None:
             return by_wheels
         turn = reading.heading - last.heading
         turn += 2 * math.pi * round((by_wheels.turn - turn) / (2 * math.pi))
-        if abs(turn) > 2 * self._farthest(duration) / self.wheels.track:
+        if abs(turn) > 2 * self._max_travel(duration) / self.wheels.track:
             self.counters.gyro_jumps += 1
             return by_wheels
-        return gyro_motion(left, right, turn, duration, self.noise)
+        return motion_from_gyro(left, right, turn, duration, self.noise)

@@ -1,4 +1,4 @@
-"""The same short drive as a recording of every kind that can be read."""
+"""Fixtures: one short drive as a recording in every supported format."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from drivers.timestamps import to_nanoseconds
 
 @pytest.fixture(scope="session")
 def drive() -> list[Message]:
-    """Three seconds in a room, with a lidar that sees half a turn or more in 180 beams, off-centre and turned."""
+    """Three seconds in a room with a lidar of 180 beams that is mounted off-centre and rotated."""
     lidar = LidarModel(beams=180, dropouts=0.05)
     return list(Simulation("room", seed=7, duration=3.0, lidar=lidar, mount=(0.1, -0.05, 0.3)))
 
@@ -51,7 +51,7 @@ Stored = tuple[str, str, int, bytes]
 
 
 def ros_entries(messages: list[Message], encoder: RosEncoder) -> list[Stored]:
-    """Topic, type, receive time and CDR of a robot's usual topics."""
+    """Return topic, type, time of reception and CDR bytes of a robot's usual topics."""
     entries: list[Stored] = []
     for message in messages:
         received = to_nanoseconds(message.stamp) + 1_000_000
@@ -90,7 +90,7 @@ def write_bag2(path: Path, entries: list[Stored], plugin: StoragePlugin) -> None
 
 @pytest.fixture(scope="session")
 def write_bag() -> Callable[[Path, list[Stored]], Path]:
-    """Writes a ROS 1 bag, or a ROS 2 bag into a directory, by the path's name."""
+    """Function that writes a ROS 1 bag, or a ROS 2 bag into a directory, depending on the path's name."""
 
     def write(path: Path, entries: list[Stored]) -> Path:
         if path.suffix == ".bag":
@@ -104,7 +104,7 @@ def write_bag() -> Callable[[Path, list[Stored]], Path]:
 
 @pytest.fixture(scope="session")
 def recordings(drive: list[Message], carmen_text: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """What to give `drivers.open`, by the kind of source."""
+    """Arguments for `drivers.open` by kind of source."""
     folder = tmp_path_factory.mktemp("recordings")
     entries = ros_entries(drive, RosEncoder())
     (folder / "drive.clf").write_text(carmen_text)
@@ -127,7 +127,7 @@ def recordings(drive: list[Message], carmen_text: str, tmp_path_factory: pytest.
 
 
 def difference(one: Message, other: Message) -> str | None:
-    """What is not the same bit for bit in two messages."""
+    """Return a description of the first difference of two messages, bit for bit; None if they are equal."""
     if type(one) is not type(other) or one.stamp != other.stamp:
         return f"{one} is not {other}"
     if isinstance(one, Odometry | GroundTruth):
@@ -148,7 +148,7 @@ def difference(one: Message, other: Message) -> str | None:
 
 @pytest.fixture(scope="session")
 def assert_same() -> Callable[[list[Message], list[Message]], None]:
-    """Fails where two lists of messages are not the same bit for bit."""
+    """Function that fails if two lists of messages are not equal bit for bit."""
 
     def check(one: list[Message], other: list[Message]) -> None:
         assert len(one) == len(other)

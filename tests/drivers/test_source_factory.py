@@ -1,4 +1,4 @@
-"""From what a user types to a source, or one line that says what is wrong."""
+"""Opening sources from paths and specifications; errors are one line of text."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from drivers import RecordingError
 from drivers.simulation import Simulation
 
 
-def test_simulation_with_options() -> None:
+def test_options_of_a_simulation_are_parsed() -> None:
     source = drivers.open("sim:room?seed=3&duration=12.5&mount=0.1,0.2,-0.5")
     assert isinstance(source, Simulation)
     assert (source.seed, source.duration) == (3, 12.5)
     assert np.array_equal(source.mount, [0.1, 0.2, -0.5])
     assert source.name == "sim:room"
-    worse = drivers.open("sim:room?lidar=short&odometry=bad")
-    assert isinstance(worse, Simulation)
-    assert worse.lidar.range_max < source.lidar.range_max
-    assert worse.wheels.scale_bias > source.wheels.scale_bias
+    low_cost = drivers.open("sim:room?lidar=short&odometry=bad")
+    assert isinstance(low_cost, Simulation)
+    assert low_cost.lidar.range_max < source.lidar.range_max
+    assert low_cost.wheels.scale_bias > source.wheels.scale_bias
 
 
-def test_directory_whose_recorder_was_killed(tmp_path: Path, recordings: dict[str, str]) -> None:
+def test_directory_without_metadata_is_read_if_it_has_one_file(tmp_path: Path, recordings: dict[str, str]) -> None:
     for file in Path(recordings["ros2-mcap"]).glob("*.mcap"):
         (tmp_path / file.name).write_bytes(file.read_bytes())
     assert sum(isinstance(message, drivers.Scan) for message in drivers.open(tmp_path)) == 29
@@ -47,7 +47,9 @@ def test_directory_whose_recorder_was_killed(tmp_path: Path, recordings: dict[st
         ("sim:room?odometry=", "no odometry ''; choose one of good, bad"),
     ],
 )
-def test_what_cannot_be_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, spec: str, reason: str) -> None:
+def test_invalid_specifications_are_one_line_errors(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, spec: str, reason: str
+) -> None:
     (tmp_path / "a.xyz").write_text("x")
     (tmp_path / "plain").write_text("x")
     (tmp_path / "folder").mkdir()
@@ -61,7 +63,7 @@ def test_what_cannot_be_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
         assert ".mcap" in text
 
 
-def test_importing_loads_no_heavy_library() -> None:
+def test_importing_drivers_loads_no_heavy_library() -> None:
     heavy = {"numba", "rosbags", "mcap", "pydantic", "gtsam", "rerun"}
     code = f"import sys, drivers; sys.exit(bool({heavy} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,4 +1,4 @@
-"""Odometry from encoders that wrap, restart and tell nonsense."""
+"""Odometry from encoders that wrap, restart and send wrong readings."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FINE = DifferentialDrive(left=1e-5, right=1.2e-5, track=0.3, bits=32, top_speed=
 
 
 def drive(wheels: DifferentialDrive, count: int = 200) -> list[tuple[int, int]]:
-    """Counts of a drive along bends at up to 0.4 m/s, from zero."""
+    """Return counts, from zero, of a drive along bends at up to 0.4 m/s."""
     t = np.arange(count) * PERIOD
     left = np.cumsum(0.3 + 0.1 * np.sin(t)) * PERIOD / wheels.left
     right = np.cumsum(0.3 - 0.1 * np.cos(2 * t)) * PERIOD / wheels.right
@@ -36,7 +36,7 @@ def run(wheels: DifferentialDrive, counts: list[tuple[int, int]]) -> Odometer:
 @pytest.mark.parametrize("wheels", [CREATE2, KOBUKI, FINE], ids=["create2", "kobuki", "fine"])
 @settings(max_examples=40, deadline=None)
 @given(left=st.integers(0, (1 << 32) - 1), right=st.integers(0, (1 << 32) - 1), as_signed=st.booleans())
-def test_wraps_anywhere_make_no_difference(wheels: DifferentialDrive, left: int, right: int, as_signed: bool) -> None:
+def test_wraps_do_not_change_the_odometry(wheels: DifferentialDrive, left: int, right: int, as_signed: bool) -> None:
     counts = drive(wheels, 60)
     size = 1 << wheels.bits
     shift = size // 2 if as_signed else 0
@@ -48,7 +48,7 @@ def test_wraps_anywhere_make_no_difference(wheels: DifferentialDrive, left: int,
     assert across.counters.readings == len(counts)
 
 
-def test_wrap_of_16_bits() -> None:
+def test_counts_of_16_bits_wrap() -> None:
     odometer = Odometer(CREATE2)
     odometer.add(WheelReading(65530, 65530), 0.0)
     message = odometer.add(WheelReading(4, 4), 0.015)
@@ -56,14 +56,14 @@ def test_wrap_of_16_bits() -> None:
     assert_allclose(message.pose, [10 * CREATE2.left, 0, 0], atol=1e-12)
 
 
-def test_backwards_across_zero() -> None:
+def test_counts_wrap_backwards() -> None:
     odometer = run(CREATE2, [(4, 4), (65534, 65532)])
     assert odometer.pose[0] == pytest.approx(-7 * CREATE2.left, rel=1e-4)
 
 
 @settings(max_examples=40, deadline=None)
 @given(at=st.integers(1, 57))
-def test_reset_costs_the_way_between_two_readings_and_is_counted(at: int) -> None:
+def test_reset_loses_the_travel_between_two_readings_and_is_counted(at: int) -> None:
     counts = [(a + 100_000, b + 200_000) for a, b in drive(FINE, 60)]
     first = counts[at]
     restarted = counts[:at] + [(a - first[0], b - first[1]) for a, b in counts[at:]]
@@ -72,32 +72,34 @@ def test_reset_costs_the_way_between_two_readings_and_is_counted(at: int) -> Non
     assert odometer.counters.jumps == 0
     missing = (counts[at][0] - counts[at - 1][0]) * FINE.left, (counts[at][1] - counts[at - 1][1]) * FINE.right
     turn = abs(missing[1] - missing[0]) / FINE.track
-    assert np.hypot(*(odometer.pose - whole.pose)[:2]) < max(missing) + turn  # behind it lies less than a metre
+    assert (
+        np.hypot(*(odometer.pose - whole.pose)[:2]) < max(missing) + turn
+    )  # the rest of the drive is shorter than a metre
     assert odometer.pose[2] - whole.pose[2] == pytest.approx(-(missing[1] - missing[0]) / FINE.track, abs=1e-9)
     assert np.all(np.diag(odometer.covariance) > np.diag(whole.covariance))
 
 
 @settings(max_examples=40, deadline=None)
 @given(at=st.integers(1, 58), left=st.integers(50_000, 1 << 30), right=st.integers(-(1 << 30), 1 << 30))
-def test_single_nonsense_costs_nothing(at: int, left: int, right: int) -> None:
+def test_a_single_wrong_reading_changes_nothing(at: int, left: int, right: int) -> None:
     counts = drive(FINE, 60)
     damaged = [*counts]
     damaged[at] = (left, right)
     odometer = run(FINE, damaged)
     assert odometer.counters.jumps == 1
     assert odometer.counters.resets == 0
-    # one arc across the reading that was left out is nearly the two that it replaces
+    # one arc across the omitted reading is nearly equal to the two that it replaces
     assert_allclose(odometer.pose, run(FINE, counts).pose, atol=1e-3)
 
 
-def test_a_held_reading_gives_no_message() -> None:
+def test_a_suspect_reading_yields_no_message() -> None:
     odometer = run(FINE, drive(FINE, 10))
     assert odometer.add(WheelReading(10**8, 10**8), 10 * PERIOD) is None
     assert odometer.add(WheelReading(10**8 + 100, 10**8 + 100), 11 * PERIOD) is not None
     assert odometer.counters.resets == 1
 
 
-def test_a_pause_in_which_the_encoders_may_have_wrapped_is_unknown() -> None:
+def test_travel_in_a_pause_with_possible_wraps_is_unknown() -> None:
     odometer = Odometer(KOBUKI)
     odometer.add(WheelReading(0, 0), 0.0)
     message = odometer.add(WheelReading(20000, 20000), 3.0)
@@ -112,7 +114,7 @@ def test_a_pause_in_which_the_encoders_may_have_wrapped_is_unknown() -> None:
     assert short.counters.gaps == 0
 
 
-def test_readings_out_of_order_are_left_out() -> None:
+def test_readings_out_of_order_are_omitted() -> None:
     odometer = run(FINE, [(0, 0), (10, 10)])
     assert odometer.add(WheelReading(20, 20), PERIOD) is None
     assert odometer.counters.disordered == 1
@@ -122,20 +124,20 @@ def test_readings_out_of_order_are_left_out() -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(start=st.floats(-math.pi, math.pi), slip=st.floats(0.5, 1.5))
-def test_the_gyro_s_turn_is_taken(start: float, slip: float) -> None:
-    """Wheels that slip in a bend; the gyro's heading wraps somewhere on two and a half turns."""
+def test_the_turn_is_that_of_the_gyro(start: float, slip: float) -> None:
+    """The wheels slip in a bend; the gyro's heading wraps during two and a half turns."""
     odometer = Odometer(KOBUKI)
     for i in range(201):
         turned = 5 * math.pi * i / 200
-        way = round(slip * turned * KOBUKI.track / 2 / KOBUKI.left)
+        count = round(slip * turned * KOBUKI.track / 2 / KOBUKI.left)
         heading = math.remainder(start + turned, 2 * math.pi)
-        odometer.add(WheelReading(-way % 65536, way, None, heading), i * PERIOD)
+        odometer.add(WheelReading(-count % 65536, count, None, heading), i * PERIOD)
     assert abs(math.remainder(odometer.pose[2] - 5 * math.pi, 2 * math.pi)) < 1e-9
     assert odometer.counters.gyro_jumps == 0
     assert odometer.covariance[2, 2] == pytest.approx(200 * PERIOD * odometer.noise.gyro)
 
 
-def test_a_gyro_that_jumps_is_not_believed() -> None:
+def test_a_jump_of_the_gyro_is_ignored() -> None:
     odometer = Odometer(KOBUKI)
     for i, heading in enumerate([1.0, 1.0, -2.0, -2.0]):
         odometer.add(WheelReading(100 * i, 100 * i, None, heading), i * PERIOD)
@@ -143,7 +145,7 @@ def test_a_gyro_that_jumps_is_not_believed() -> None:
     assert odometer.pose[2] == 0.0
 
 
-def test_readings_without_a_heading_among_others_use_the_wheels() -> None:
+def test_the_wheels_are_used_if_a_reading_has_no_heading() -> None:
     odometer = Odometer(KOBUKI)
     turn = 20 * KOBUKI.left / KOBUKI.track
     for i, heading in enumerate([0.5, None, 0.5, 0.5]):

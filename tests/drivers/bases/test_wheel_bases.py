@@ -1,4 +1,4 @@
-"""The wheel bases' protocols: known bytes, round trips between host and device, and what damage does to them."""
+"""Protocols of the wheel bases: known bytes, round trips between host and device, damaged streams."""
 
 from __future__ import annotations
 
@@ -53,10 +53,10 @@ BASES = sorted(HOSTS)
 
 
 def readings(name: str, count: int = 40) -> list[WheelReading]:
-    """A drive whose readings hold every byte that could be taken for a frame's beginning, as the base sends them."""
+    """Return readings whose bytes include all that may be mistaken for the beginning of a frame."""
     bits = 16 if name in ("create2", "kobuki") else 32
     start = 0x1306 if name == "create2" else 0xAA55
-    made = []
+    result = []
     for i in range(count):
         left, right = start + 43 * i, (1 << (bits - 1)) - 20 + 3 * i
         if bits == 16:
@@ -65,7 +65,7 @@ def readings(name: str, count: int = 40) -> list[WheelReading]:
             right = (right + (1 << 31)) % (1 << 32) - (1 << 31)
         time = {"create2": i, "kobuki": (65000 + 20 * i) % 65536, "wheel_line": (2**32 - 99 + 20000 * i) % 2**32}
         heading = math.radians((i - 20) * 7.25)
-        made.append(
+        result.append(
             WheelReading(
                 left,
                 right,
@@ -74,7 +74,7 @@ def readings(name: str, count: int = 40) -> list[WheelReading]:
                 (100 + i) / 10 if name == "kobuki" else None,
             )
         )
-    return made
+    return result
 
 
 def chunks(data: bytes, cuts: list[int]) -> list[bytes]:
@@ -85,7 +85,7 @@ def chunks(data: bytes, cuts: list[int]) -> list[bytes]:
 # Known bytes
 
 
-def test_create2_vectors() -> None:
+def test_create2_encodes_and_decodes_known_bytes() -> None:
     assert Create2().start().endswith(bytes.fromhex("94 02 2B 2C"))
     frame = bytes.fromhex("13 06 2B 01 00 2C FF F8 98")
     assert Create2().feed(frame) == [WheelReading(256, 65528, 0)]
@@ -94,18 +94,18 @@ def test_create2_vectors() -> None:
     assert Create2().drive(Velocity(-0.1, 1.2)) == bytes.fromhex("91 00 29 FF 0F")
 
 
-def test_create2_takes_the_sum_without_the_first_byte_and_keeps_to_it() -> None:
+def test_create2_accepts_either_checksum_and_expects_it_from_then_on() -> None:
     other = [bytes([*body, -sum(body[1:]) % 256]) for body in ([19, 6, 43, 1, i, 44, 2, 7] for i in range(8))]
     usual = [Create2Device().encode(WheelReading(i, i)) for i in range(8)]
     base = Create2()
     assert len(base.feed(other[0])) == 1
     assert base.feed(usual[0] + usual[1] + other[1]) == [WheelReading(257, 519, 3)]
     assert base.counters.bad == 2
-    assert len(base.feed(b"".join(usual))) == 6  # the third in a row is believed
+    assert len(base.feed(b"".join(usual))) == 6  # the third in a row is accepted
     assert not base.feed(other[0])
 
 
-def test_create2_counts_lost_frames_by_the_bytes_between() -> None:
+def test_create2_estimates_lost_frames_from_the_skipped_bytes() -> None:
     device, base = Create2Device(), Create2()
     stream = [device.encode(reading) for reading in readings("create2", 10)]
     damaged = (
@@ -116,14 +116,14 @@ def test_create2_counts_lost_frames_by_the_bytes_between() -> None:
     assert base.counters.lost == 2
 
 
-def test_kobuki_vectors() -> None:
+def test_kobuki_encodes_and_decodes_known_bytes() -> None:
     frame = bytes.fromhex("AA 55 11 01 0F E8 03 00 00 00 34 12 F0 FF 00 00 00 00 A4 00 79")
     assert Kobuki().feed(frame) == [WheelReading(4660, 65520, 1000, None, 16.4)]
     assert KobukiDevice().encode(WheelReading(4660, -16, 1000, None, 16.4)) == frame
     assert Kobuki().drive(Velocity(0.1, 0.0)) == bytes.fromhex("AA 55 06 01 04 64 00 00 00 67")
 
 
-def test_kobuki_heading_is_the_gyro_s() -> None:
+def test_kobuki_heading_is_that_of_the_gyro() -> None:
     part = bytes.fromhex("04 07 28 23 9C FF 00 00 00")  # 90 degrees, -1 degree per second
     core = bytes.fromhex("01 0F E8 03 00 00 00 34 12 F0 FF 00 00 00 00 A4 00")
     body = bytes([len(core + part)]) + core + part
@@ -134,7 +134,7 @@ def test_kobuki_heading_is_the_gyro_s() -> None:
     assert reading.heading == pytest.approx(math.pi / 2)
 
 
-def test_kobuki_packets_without_the_core_tell_no_reading() -> None:
+def test_kobuki_packets_without_the_core_part_contain_no_reading() -> None:
     base = Kobuki()
     body = bytes([6, 0x0A, 4, 1, 2, 3, 4])
     checksum = 0
@@ -144,7 +144,7 @@ def test_kobuki_packets_without_the_core_tell_no_reading() -> None:
     assert base.counters.bad == base.counters.skipped == 0
 
 
-def test_arduino_bridge_vectors() -> None:
+def test_arduino_bridge_encodes_and_decodes_known_bytes() -> None:
     base = ArduinoBridge(DRIVE)
     assert base.poll() == b"e\r"
     assert base.feed(b"1024 -998\r\n") == [WheelReading(1024, -998)]
@@ -166,11 +166,11 @@ def test_arduino_bridge_vectors() -> None:
     assert ArduinoBridgeDevice(DRIVE).encode(WheelReading(1024, -998)) == b"1024 -998\r\n"
 
 
-def test_arduino_bridge_drives_in_counts_a_frame() -> None:
+def test_arduino_bridge_drives_in_counts_per_control_period() -> None:
     assert ArduinoBridge(DRIVE).drive(Velocity(0.33, 0.0)) == b"m 110 100\r"
 
 
-def test_wheel_line_vectors() -> None:
+def test_wheel_line_encodes_and_decodes_known_bytes() -> None:
     line = b"O,1,20000,10,-5*55\n"
     assert WheelLine(DRIVE).feed(line) == [WheelReading(10, -5, 20000)]
     assert WheelLine(DRIVE).drive(Velocity(0.25, -0.5)) == b"V,250,-500*79\n"
@@ -181,7 +181,7 @@ def test_wheel_line_vectors() -> None:
 @pytest.mark.parametrize(
     "text", [b"O,65536,0,0,0", b"O,0,4294967296,0,0", b"O,0,0,2147483648,0", b"O,0,0,0", b"V,1,2", b""]
 )
-def test_wheel_line_refuses_sealed_nonsense(text: bytes) -> None:
+def test_wheel_line_rejects_invalid_readings_with_correct_checksums(text: bytes) -> None:
     checksum = 0
     for byte in text:
         checksum ^= byte
@@ -199,11 +199,11 @@ def test_wheel_line_counts_lost_lines_and_restarts() -> None:
     assert base.counters.restarts == 1
 
 
-# Every base
+# All bases
 
 
 @pytest.mark.parametrize("name", BASES)
-def test_what_the_device_tells_the_host_reads(name: str) -> None:
+def test_the_host_decodes_the_readings_of_the_device(name: str) -> None:
     device, base = DEVICES[name](), HOSTS[name]()
     sent = readings(name)
     got = base.feed(b"".join(device.encode(reading) for reading in sent))
@@ -220,7 +220,7 @@ def test_what_the_device_tells_the_host_reads(name: str) -> None:
 @given(speed=st.floats(-2.0, 2.0), turn_rate=st.floats(-10.0, 10.0))
 @example(speed=0.007, turn_rate=5.0)  # an arc of 1.4 mm
 @example(speed=-0.007, turn_rate=5.0)
-def test_what_the_host_orders_the_device_drives(name: str, speed: float, turn_rate: float) -> None:
+def test_the_device_decodes_the_commands_of_the_host(name: str, speed: float, turn_rate: float) -> None:
     device, base = DEVICES[name](), HOSTS[name]()
     device.feed(base.start())
     (got,) = device.feed(base.drive(Velocity(speed, turn_rate)))
@@ -228,20 +228,21 @@ def test_what_the_host_orders_the_device_drives(name: str, speed: float, turn_ra
     left, right = base.wheels.wheel_speeds(speed, turn_rate)
     half = got.turn_rate * base.wheels.track / 2
     assert max(abs(got.speed - half), abs(got.speed + half)) <= base.wheels.top_speed + 0.004
-    # speeds are sent in mm/s and mrad/s, in counts a frame (3.3 mm/s), and as radii in mm, of which 1 is a spin's
+    # Speeds are sent in mm/s and mrad/s, in counts per control period (3.3 mm/s), or as radii in mm, of which 1 means
+    # turning on the spot.
     turns = (right - left) / base.wheels.track
     assert got.speed == pytest.approx((left + right) / 2, abs=0.004 + 0.001 * abs(turns))
     assert got.turn_rate == pytest.approx(turns, abs=0.03 + 0.005 * abs(turns))
 
 
 @pytest.mark.parametrize("name", BASES)
-def test_stop_stops(name: str) -> None:
+def test_stop_sends_zero_velocity(name: str) -> None:
     device, base = DEVICES[name](), HOSTS[name]()
     device.feed(base.start())
     assert device.feed(base.stop())[0] == Velocity(0.0, 0.0)
 
 
-def test_create2_device_obeys_only_when_started() -> None:
+def test_create2_device_drives_only_after_the_start() -> None:
     device, base = Create2Device(), Create2()
     assert device.feed(base.drive(Velocity(0.1, 0.0))) == []
     assert device.feed(base.start()) == [Stream(True)]
@@ -249,7 +250,7 @@ def test_create2_device_obeys_only_when_started() -> None:
     assert device.feed(base.drive(Velocity(0.1, 0.0))) == []
 
 
-def test_arduino_bridge_device_answers() -> None:
+def test_arduino_bridge_device_decodes_requests() -> None:
     requests: list[Request] = ArduinoBridgeDevice(DRIVE).feed(b"\re\rr\rhello\r")
     assert requests == [Poll(), Reset()]
 
@@ -257,7 +258,7 @@ def test_arduino_bridge_device_answers() -> None:
 @pytest.mark.parametrize("name", BASES)
 @given(data=st.data())
 @settings(max_examples=60, deadline=None)
-def test_chunks_make_no_difference(name: str, data: st.DataObject) -> None:
+def test_readings_do_not_depend_on_the_chunks(name: str, data: st.DataObject) -> None:
     device = DEVICES[name]()
     stream = bytearray(b"".join(device.encode(reading) for reading in readings(name, 12)))
     for place in data.draw(st.lists(st.integers(0, len(stream) - 1), max_size=4)):
@@ -284,7 +285,7 @@ HOSTILE = st.lists(
 @pytest.mark.parametrize("name", BASES)
 @given(noise=HOSTILE)
 @settings(max_examples=80, deadline=None)
-def test_any_bytes_are_borne(name: str, noise: list[bytes]) -> None:
+def test_parsers_resynchronise_after_arbitrary_bytes(name: str, noise: list[bytes]) -> None:
     base, device = HOSTS[name](), DEVICES[name]()
     for chunk in noise:
         base.feed(chunk)
@@ -292,13 +293,13 @@ def test_any_bytes_are_borne(name: str, noise: list[bytes]) -> None:
     total = sum(map(len, noise))
     assert base.counters.skipped <= total
     assert base.counters.good <= total / 5
-    # whatever came before, the base is understood again once what it began with has run out
+    # after any bytes, readings are decoded again once the unfinished frame has ended
     found = base.feed(b"".join(DEVICES[name]().encode(reading) for reading in readings(name, 40)))
     assert [r.left for r in found][-5:] == [r.left for r in readings(name, 40)][-5:]
 
 
 @pytest.mark.parametrize("name", BASES)
-def test_parsers_do_not_grow(name: str) -> None:
+def test_memory_of_the_parsers_is_bounded(name: str) -> None:
     parsers: list[WheelBase | WheelDevice] = [HOSTS[name](), DEVICES[name]()]
     random = np.random.default_rng(1)
     for parser in parsers:
@@ -311,7 +312,7 @@ def test_parsers_do_not_grow(name: str) -> None:
 
 
 def damaged(stream: bytes, place: int) -> list[tuple[str, bytes]]:
-    """The stream with one byte dropped, inserted or flipped at a place, in every way or a good sample of them."""
+    """Return (kind, stream) with one byte dropped, inserted or flipped at a place: all flips, several insertions."""
     before, here, after = stream[:place], stream[place], stream[place + 1 :]
     flipped = [("flip", before + bytes([here ^ (1 << bit)]) + after) for bit in range(8)]
     inserted = [
@@ -321,33 +322,33 @@ def damaged(stream: bytes, place: int) -> list[tuple[str, bytes]]:
 
 
 @pytest.mark.parametrize("name", ["create2", "kobuki", "wheel_line"])
-def test_a_damaged_byte_costs_two_readings_at_most_and_makes_hardly_a_wrong_one(name: str) -> None:
+def test_a_damaged_byte_loses_at_most_two_readings_and_rarely_changes_one(name: str) -> None:
     sent = readings(name, 16)
     device = DEVICES[name]()
     frames = [device.encode(reading) for reading in sent]
-    stream, rest = b"".join(frames[:8]), b"".join(frames[8:])  # what only looks like a frame takes some of the rest
-    told = {(reading.left, reading.right) for reading in sent}
+    stream, rest = b"".join(frames[:8]), b"".join(frames[8:])  # a false frame consumes a part of the rest
+    expected = {(reading.left, reading.right) for reading in sent}
     wrong = {"drop": 0, "insert": 0, "flip": 0}
     tried = 0
     for place in range(len(stream)):
         for kind, bytes_ in damaged(stream, place):
             got = HOSTS[name]().feed(bytes_ + rest)
-            wrong[kind] += not {(reading.left, reading.right) for reading in got} <= told
+            wrong[kind] += not {(reading.left, reading.right) for reading in got} <= expected
             assert len(got) >= len(sent) - 2, (place, kind)
             tried += 1
     assert wrong["flip"] == 0
-    # sums and exclusive ors do not see that a byte is gone where the next frame's first byte stands in for it
+    # a sum or an exclusive or does not detect a lost byte if the next frame's first byte replaces it
     assert sum(wrong.values()) <= (0 if name == "wheel_line" else 0.003 * tried)
 
 
-def test_commands_keep_their_arc_when_they_are_too_fast() -> None:
+def test_commands_beyond_the_top_speed_keep_their_arc() -> None:
     left, right = WHEELS.wheel_speeds(2.0, 1.0)
     assert right == WHEELS.top_speed
     assert (right + left) / (right - left) * WHEELS.track / 2 == pytest.approx(2.0)
 
 
 def noisy(stream: bytes, share: float, random: np.random.Generator) -> bytes:
-    """The stream with a share of its bytes dropped, doubled by another, or flipped in one bit."""
+    """Return the stream with a share of its bytes dropped, followed by a random byte, or flipped in one bit."""
     out = bytearray()
     for byte, fault, value in zip(
         stream, random.random(len(stream)), random.integers(256, size=len(stream)), strict=True
@@ -362,7 +363,7 @@ def noisy(stream: bytes, share: float, random: np.random.Generator) -> bytes:
 
 
 @pytest.mark.parametrize("name", BASES)
-def test_a_drive_over_a_bad_wire_ends_where_it_would(name: str) -> None:
+def test_odometry_over_a_noisy_line_ends_at_the_same_pose(name: str) -> None:
     random = np.random.default_rng(11)
     base, device = HOSTS[name](), DEVICES[name]()
     count, period = 2000, 0.02
@@ -372,19 +373,19 @@ def test_a_drive_over_a_bad_wire_ends_where_it_would(name: str) -> None:
         np.round(np.cumsum(speed + side * turn_rate * base.wheels.track / 2) * period / metres).astype(int).tolist()
         for side, metres in ((-1, base.wheels.left), (1, base.wheels.right))
     )
-    through, clean = Odometer(base.wheels), Odometer(base.wheels)
-    farthest = 0.0
+    noisy_odometer, clean = Odometer(base.wheels), Odometer(base.wheels)
+    max_error = 0.0
     for i in range(count):
         reading = WheelReading(left[i], right[i], 20 * i)
-        wanted = clean.add(reading, t[i])
-        assert wanted is not None
+        expected = clean.add(reading, t[i])
+        assert expected is not None
         for got in base.feed(noisy(device.encode(reading), 1e-3, random)):
-            message = through.add(got, t[i])
+            message = noisy_odometer.add(got, t[i])
             if message is not None:
-                farthest = max(farthest, float(np.hypot(*(message.pose - wanted.pose)[:2])))
-    # readings that come late, behind what only looked like a frame, are a few periods old
-    assert farthest < 0.06
-    assert_allclose(through.pose, clean.pose, atol=0.01)
-    assert through.counters.resets == 0
+                max_error = max(max_error, float(np.hypot(*(message.pose - expected.pose)[:2])))
+    # readings that are delayed by a false frame are a few periods old
+    assert max_error < 0.06
+    assert_allclose(noisy_odometer.pose, clean.pose, atol=0.01)
+    assert noisy_odometer.counters.resets == 0
     assert base.counters.bad > 0
     assert base.counters.good > 0.95 * count

@@ -1,4 +1,4 @@
-"""The Arduino sketch, compiled for this machine against a made-up board: two motors, two encoders, a serial port."""
+"""Arduino sketch, compiled for the host with a simulated board: two motors, two encoders, a serial port."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from drivers.bases import DifferentialDrive, Odometer, Velocity, WheelLine
 
 SKETCH = Path(drivers.bases.__file__).parent / "arduino" / "wheel_line" / "wheel_line.ino"
 DRIVE = DifferentialDrive(left=1 / 5000, right=1 / 5000, track=0.30, bits=32, top_speed=0.6)
-STARTS = (1 << 32) - 1_000_000
-"""Microseconds on the board's clock when it starts: the clock wraps within the run."""
+START_TIME = (1 << 32) - 1_000_000
+"""Microseconds on the board's clock at the start: the clock wraps during the run."""
 
 BOARD = r"""
 #include <cmath>
@@ -79,9 +79,9 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if compiler is None:
         pytest.skip("no C++ compiler is installed")
     folder = tmp_path_factory.mktemp("board")
-    heads = re.findall(r"^\w[\w ]* \w+\([^;{]*\)(?= \{$)", SKETCH.read_text(), re.MULTILINE)
-    prototypes = "struct Wheel;\n" + "".join(f"{head.replace('IN_INTERRUPT ', '')};\n" for head in heads)
-    source = BOARD % {"starts": STARTS, "prototypes": prototypes, "sketch": SKETCH}
+    signatures = re.findall(r"^\w[\w ]* \w+\([^;{]*\)(?= \{$)", SKETCH.read_text(), re.MULTILINE)
+    prototypes = "struct Wheel;\n" + "".join(f"{signature.replace('IN_INTERRUPT ', '')};\n" for signature in signatures)
+    source = BOARD % {"starts": START_TIME, "prototypes": prototypes, "sketch": SKETCH}
     (folder / "board.cpp").write_text(source)
     subprocess.run(
         [compiler, "-std=c++11", "-Wall", "-Wextra", "-Werror", "-o", folder / "board", folder / "board.cpp"],
@@ -91,22 +91,22 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(board: Path, commands: list[tuple[float, bytes]]) -> bytes:
-    """Three seconds of the board, with bytes sent to it at times (seconds)."""
+    """Run the board for three seconds with bytes sent to it at times (seconds); return its output."""
     script = b"".join(b"%d %b;" % (round(at * 1e6), command) for at, command in commands)
     return subprocess.run([board], input=script, stdout=subprocess.PIPE, check=True).stdout
 
 
-def test_the_sketch_tells_its_counts_on_time(board: Path) -> None:
+def test_the_sketch_sends_its_counts_on_time(board: Path) -> None:
     base = WheelLine(DRIVE)
     readings = base.feed(run(board, []))
     assert len(readings) == 150
     assert base.counters.bad == base.counters.lost == base.counters.skipped == 0
     times = [reading.time for reading in readings if reading.time is not None]
-    assert times == [(STARTS + 20_000 * i) % (1 << 32) for i in range(150)]
+    assert times == [(START_TIME + 20_000 * i) % (1 << 32) for i in range(150)]
     assert {(reading.left, reading.right) for reading in readings} == {(0, 0)}
 
 
-def test_the_sketch_drives_as_told_and_stops_when_nothing_is_heard(board: Path) -> None:
+def test_the_sketch_drives_as_commanded_and_stops_without_commands(board: Path) -> None:
     base = WheelLine(DRIVE)
     readings = base.feed(run(board, [(1.0, base.start() + base.drive(Velocity(0.25, -0.5)))]))
     odometer = Odometer(DRIVE)
@@ -116,17 +116,17 @@ def test_the_sketch_drives_as_told_and_stops_when_nothing_is_heard(board: Path) 
     assert poses[80] is not None
     assert not poses[49].pose.any()
     assert (readings[80].left, readings[80].right) == (readings[-1].left, readings[-1].right)
-    way = (readings[-1].left + readings[-1].right) / 2 * DRIVE.left
-    assert way == pytest.approx(0.25 * 0.5, rel=0.1)
+    distance = (readings[-1].left + readings[-1].right) / 2 * DRIVE.left
+    assert distance == pytest.approx(0.25 * 0.5, rel=0.1)
     assert poses[80].pose[2] == pytest.approx(-0.5 * 0.5, rel=0.1)
 
 
 @pytest.mark.parametrize(
-    "spoiled", [b"V,250,-500*78\n", b"V,250,-50079\n", b"V,250*66\n", b"x" * 300 + b"\n", b"*\n", b"\n"]
+    "damaged", [b"V,250,-500*78\n", b"V,250,-50079\n", b"V,250*66\n", b"x" * 300 + b"\n", b"*\n", b"\n"]
 )
-def test_the_sketch_obeys_whole_commands_only(board: Path, spoiled: bytes) -> None:
-    assert not spoiled.endswith(WheelLine(DRIVE).drive(Velocity(0.25, -0.5)))
-    pieces = [(0.5 + 0.01 * i, spoiled[150 * i : 150 * (i + 1)]) for i in range(len(spoiled) // 150 + 1)]
+def test_the_sketch_ignores_damaged_commands(board: Path, damaged: bytes) -> None:
+    assert not damaged.endswith(WheelLine(DRIVE).drive(Velocity(0.25, -0.5)))
+    pieces = [(0.5 + 0.01 * i, damaged[150 * i : 150 * (i + 1)]) for i in range(len(damaged) // 150 + 1)]
     readings = WheelLine(DRIVE).feed(run(board, [piece for piece in pieces if piece[1]]))
     assert (readings[-1].left, readings[-1].right) == (0, 0)
     assert len(readings) == 150

@@ -1,4 +1,4 @@
-"""The simulator: repeatable, as noisy as it says, and in worlds that a robot can drive through."""
+"""The simulator is repeatable, its noise has the stated statistics, and its worlds can be driven through."""
 
 from __future__ import annotations
 
@@ -37,25 +37,25 @@ def truth_of(messages: list[Message]) -> dict[float, Floats]:
 
 
 def square(size: float = 10.0) -> World:
-    """A square room around the origin in which the robot turns and drives a little."""
+    """Return a square room around the origin with a short drive that turns once."""
     h = size / 2
     walls = np.array([[-h, -h, h, -h], [h, -h, h, h], [h, h, -h, h], [-h, h, -h, -h]])
     return World("square", "square", walls, np.zeros((0, 3)), np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]), 0.5)
 
 
-def test_same_seed_same_messages(assert_same: Callable[[list[Message], list[Message]], None]) -> None:
+def test_equal_seeds_give_equal_messages(assert_same: Callable[[list[Message], list[Message]], None]) -> None:
     assert_same(list(Simulation("room", seed=3, duration=2)), list(Simulation("room", seed=3, duration=2)))
     one, other = (scans_of(list(Simulation("room", seed=seed, duration=1)))[0] for seed in (3, 4))
     assert not np.array_equal(one.ranges, other.ranges, equal_nan=True)
 
 
-def test_noise_of_the_lidar_does_not_change_the_wheels() -> None:
+def test_noise_of_the_lidar_does_not_change_the_odometry() -> None:
     noisy, quiet = Simulation("room", duration=2), Simulation("room", duration=2, lidar=QUIET)
     poses = [[m.pose for m in source if isinstance(m, Odometry)] for source in (noisy, quiet)]
     assert np.array_equal(poses[0], poses[1])
 
 
-def test_rates_and_truth_at_every_stamp() -> None:
+def test_rates_are_as_stated_and_every_stamp_has_a_ground_truth() -> None:
     messages = list(Simulation("room", duration=10.0, wheels=WheelModel(rate=50.0)))
     truth = truth_of(messages)
     assert len(scans_of(messages)) == 99
@@ -65,7 +65,7 @@ def test_rates_and_truth_at_every_stamp() -> None:
 
 
 @pytest.mark.parametrize("mount", [(0.0, 0.0, 0.0), (0.3, -0.2, 2.0)])
-def test_beams_end_on_the_walls_when_each_is_placed_at_its_own_time(mount: tuple[float, float, float]) -> None:
+def test_deskewed_beams_end_on_the_walls(mount: tuple[float, float, float]) -> None:
     simulation = Simulation(square(), duration=8.0, lidar=QUIET, wheels=PERFECT, mount=mount)
     for scan in scans_of(list(simulation))[::10]:
         poses = simulation.trajectory.poses_at(scan.stamp + scan.time_offsets)
@@ -74,14 +74,14 @@ def test_beams_end_on_the_walls_when_each_is_placed_at_its_own_time(mount: tuple
         assert np.abs(placed).max(axis=1) == pytest.approx(5.0, abs=1e-5)
 
 
-def test_perfect_wheels_tell_the_truth() -> None:
+def test_odometry_without_errors_equals_the_ground_truth() -> None:
     messages = list(Simulation(square(), duration=8.0, wheels=PERFECT))
     truth = truth_of(messages)
     start = truth[0.0]
     for message in messages:
         if isinstance(message, Odometry):
             error = se2.between(se2.compose(start, message.pose), truth[message.stamp])
-            assert np.abs(error).max() < 1e-3  # odometry takes an arc for what is a few shorter ones
+            assert np.abs(error).max() < 1e-3  # odometry approximates a few short arcs by one
 
 
 def test_range_noise_is_white_and_as_stated() -> None:
@@ -92,13 +92,13 @@ def test_range_noise_is_white_and_as_stated() -> None:
     n = noise.size
     assert np.std(noise) == pytest.approx(0.02, rel=4 / np.sqrt(2 * n))
     assert abs(noise.mean()) < 4 * 0.02 / np.sqrt(n)
-    assert np.mean((noise / 0.02) ** 4) == pytest.approx(3.0, abs=4 * np.sqrt(96 / n))  # a Gaussian's
+    assert np.mean((noise / 0.02) ** 4) == pytest.approx(3.0, abs=4 * np.sqrt(96 / n))  # kurtosis of a Gaussian
     for a, b in ((noise[:, :-1], noise[:, 1:]), (noise[:-1], noise[1:])):  # between beams, between scans
         assert abs(np.corrcoef(a.ravel(), b.ravel())[0, 1]) < 4 / np.sqrt(n)
 
 
 def test_bearing_noise_is_as_stated() -> None:
-    """On a wall seen at a slant a turned beam changes its range by r tan(incidence) times the angle."""
+    """On an inclined wall a bearing error changes the range by r tan(incidence) times the error."""
     still = replace(square(), speed=1e-6)
     sigma = 0.002
     noisy = Simulation(still, duration=15.0, mount=(0, 0, 0), lidar=replace(QUIET, sigma_bearing=sigma))
@@ -107,13 +107,13 @@ def test_bearing_noise_is_as_stated() -> None:
     scaled = []
     for a, b in pairs:
         incidence = np.abs((b.angles + np.pi / 4) % (np.pi / 2) - np.pi / 4)
-        slanted = (incidence > 0.3) & (incidence < 0.7)  # not too near the corners
+        slanted = (incidence > 0.3) & (incidence < 0.7)  # not near the corners
         scaled.append(((a.ranges - b.ranges) / (b.ranges * np.tan(incidence)))[slanted])
     values = np.concatenate(scaled)
     assert np.std(values) == pytest.approx(sigma, rel=0.02)
 
 
-def test_dropouts_are_as_many_as_stated() -> None:
+def test_the_share_of_dropouts_is_as_stated() -> None:
     scans = scans_of(list(Simulation(square(), duration=15.0, lidar=replace(QUIET, dropouts=0.05))))
     invalid = np.isnan([scan.ranges for scan in scans])
     assert invalid.mean() == pytest.approx(0.05, abs=4 * np.sqrt(0.05 / invalid.size))
@@ -153,15 +153,15 @@ def test_slip_is_as_stated_and_biases_are_drawn_per_seed() -> None:
         last = [message for message in messages if isinstance(message, Odometry)][-1]
         truth = truth_of(messages)
         finals.append(se2.between(truth[0.0], truth[last.stamp])[0] - last.pose[0])
-    way = np.hypot(*np.diff(simulation.trajectory.poses[:, :2], axis=0).T).sum()
-    # The mean of two wheels, each with a variance of slip^2 per metre.
-    assert np.std(finals) == pytest.approx(0.01 * np.sqrt(way / 2), rel=0.25)
+    distance = np.hypot(*np.diff(simulation.trajectory.poses[:, :2], axis=0).T).sum()
+    # Mean of two wheels, each with a variance of slip^2 per metre.
+    assert np.std(finals) == pytest.approx(0.01 * np.sqrt(distance / 2), rel=0.25)
     left = [Simulation("room", seed=seed).biases.left for seed in range(200)]
     assert np.std(left) == pytest.approx(0.02, rel=0.25)
     assert len(set(left)) == 200
 
 
-def test_parameters_say_everything() -> None:
+def test_parameters_are_complete() -> None:
     parameters = Simulation("room", seed=9).parameters
     assert parameters["seed"] == 9
     assert set(parameters) == {"world", "seed", "duration", "lidar", "wheels", "mount", "biases"}
@@ -171,21 +171,21 @@ def test_parameters_say_everything() -> None:
 def test_worlds_can_be_driven_through(name: str) -> None:
     simulation = Simulation(name)
     poses = simulation.trajectory.poses[::5]
-    for since, until in [(0.0, np.inf), *((thing.since, thing.until) for thing in simulation.world.temporary)]:
+    for since, until in [(0.0, np.inf), *((shapes.since, shapes.until) for shapes in simulation.world.temporary)]:
         times = 5 * TIME_STEP * np.arange(len(poses))
-        way = poses[(times >= since) & (times < until), :2]
+        path = poses[(times >= since) & (times < until), :2]
         walls, circles = simulation.world.shapes_at(since)
         start, along = walls[:, :2], walls[:, 2:] - walls[:, :2]
-        share = np.clip(((way[:, None] - start) * along).sum(-1) / (along**2).sum(-1), 0, 1)
-        gaps = np.linalg.norm(way[:, None] - start - share[..., None] * along, axis=-1)
+        share = np.clip(((path[:, None] - start) * along).sum(-1) / (along**2).sum(-1), 0, 1)
+        gaps = np.linalg.norm(path[:, None] - start - share[..., None] * along, axis=-1)
         assert gaps.min() > ROBOT_RADIUS
         if len(circles):
-            gaps = np.linalg.norm(way[:, None] - circles[:, :2], axis=-1) - circles[:, 2]
+            gaps = np.linalg.norm(path[:, None] - circles[:, :2], axis=-1) - circles[:, 2]
             assert gaps.min() > ROBOT_RADIUS
     assert poses[-1, :2] == pytest.approx(simulation.world.waypoints[-1], abs=0.1)
 
 
-def test_a_scan_shows_what_stands_there_at_its_time() -> None:
+def test_a_scan_shows_the_shapes_of_its_time() -> None:
     screen = TemporaryShapes(2.0, 4.0, np.array([[-1.0, 2.0, 1.0, 2.0]]), np.zeros((0, 3)))
     still = replace(square(), speed=1e-6, temporary=(screen,))
     scans = scans_of(list(Simulation(still, duration=6.0, lidar=QUIET, mount=(0, 0, 0))))
@@ -194,14 +194,14 @@ def test_a_scan_shows_what_stands_there_at_its_time() -> None:
         assert distance == pytest.approx(2.0 if 2.0 <= stamp < 4.0 else 5.0, abs=1e-3)
 
 
-def test_office_is_a_real_drive() -> None:
+def test_office_has_a_realistic_length_and_duration() -> None:
     simulation = Simulation("office")
-    way = np.hypot(*np.diff(simulation.trajectory.poses[:, :2], axis=0).T).sum()
-    assert 100 < way < 150
+    distance = np.hypot(*np.diff(simulation.trajectory.poses[:, :2], axis=0).T).sum()
+    assert 100 < distance < 150
     assert 200 < simulation.trajectory.duration < 320
 
 
-def test_simulates_faster_than_real_time() -> None:
+def test_simulation_is_faster_than_real_time() -> None:
     warm_up()
     simulation = Simulation("office", duration=20.0)
     start = time.perf_counter()
@@ -209,7 +209,7 @@ def test_simulates_faster_than_real_time() -> None:
     assert time.perf_counter() - start < 4.0
 
 
-def test_long_durations_go_round_again() -> None:
+def test_way_points_are_repeated_for_long_durations() -> None:
     simulation = Simulation("room", duration=120.0)
     assert simulation.trajectory.duration == pytest.approx(120.0)
     assert np.hypot(*np.diff(simulation.trajectory.poses[:, :2], axis=0).T).sum() > 35
@@ -233,17 +233,17 @@ def test_long_durations_go_round_again() -> None:
         {"wheels": WheelModel(rate=0.0)},
     ],
 )
-def test_impossible_arguments_are_refused(arguments: dict[str, object]) -> None:
+def test_invalid_arguments_are_rejected(arguments: dict[str, object]) -> None:
     with pytest.raises(RecordingError) as caught:
         Simulation(**arguments)  # type: ignore[arg-type]
     assert "\n" not in str(caught.value)
 
 
-def test_way_points_on_top_of_each_other_do_not_hang() -> None:
+def test_coinciding_way_points_do_not_block_the_simulation() -> None:
     world = replace(square(), waypoints=np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.0], [0.0, 0.0]]))
     assert Simulation(world, duration=5.0).trajectory.duration == pytest.approx(5.0)
     assert Simulation(world).trajectory.duration < 10.0
 
 
-def test_world_comes_from_its_file() -> None:
+def test_named_world_is_read_from_its_file() -> None:
     assert load_world("room").segments.shape == (8, 4)

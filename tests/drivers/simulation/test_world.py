@@ -1,4 +1,4 @@
-"""The files that describe worlds."""
+"""World files."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ def world(folder: Path, text: str) -> World:
     return load_world(file)
 
 
-def test_thin_wall_is_a_line(tmp_path: Path) -> None:
+def test_thin_wall_is_one_segment(tmp_path: Path) -> None:
     assert world(tmp_path, PATH + "[[walls]]\nfrom = [0, 1]\nto = [4, 1]\n").segments.tolist() == [[0, 1, 4, 1]]
 
 
-def test_door_leaves_two_pieces(tmp_path: Path) -> None:
+def test_door_splits_a_wall_in_two(tmp_path: Path) -> None:
     segments = world(tmp_path, PATH + "[[walls]]\nfrom = [0, 1]\nto = [4, 1]\ndoors = [[1, 0.9]]\n").segments
     assert segments == pytest.approx(np.array([[0, 1, 1, 1], [1.9, 1, 4, 1]]))
 
@@ -36,7 +36,7 @@ def test_thick_wall_has_two_faces_and_jambs(tmp_path: Path) -> None:
     assert set(np.round(segments[:, [0, 2]].ravel(), 9)) == {-0.1, 1.0, 1.9, 4.1}
 
 
-def test_boxes_and_columns(tmp_path: Path) -> None:
+def test_boxes_and_columns_are_read(tmp_path: Path) -> None:
     text = PATH + "[[boxes]]\nat = [2, 3]\nsize = [2, 1]\nturn = 90\n[[columns]]\nat = [5, 5]\nradius = 0.3\n"
     here = world(tmp_path, text)
     assert here.segments[:, [0, 2]].min() == pytest.approx(1.5)
@@ -57,7 +57,7 @@ def test_boxes_and_columns(tmp_path: Path) -> None:
         (PATH + "[[columns]]\nat = [0, 0]\nradius = -1", "radius"),
     ],
 )
-def test_wrong_files_are_refused_in_one_line(tmp_path: Path, text: str, reason: str) -> None:
+def test_invalid_files_are_one_line_errors(tmp_path: Path, text: str, reason: str) -> None:
     with pytest.raises(RecordingError, match=reason) as caught:
         world(tmp_path, text)
     assert "\n" not in str(caught.value)
@@ -68,7 +68,7 @@ def test_an_unknown_world_name_is_an_error() -> None:
         load_world("atlantis")
 
 
-def test_things_come_and_go(tmp_path: Path) -> None:
+def test_temporary_shapes_exist_from_since_to_until(tmp_path: Path) -> None:
     text = PATH + (
         "[[walls]]\nfrom = [0, 1]\nto = [4, 1]\n"
         "[[boxes]]\nat = [2, 3]\nsize = [2, 1]\nuntil = 5\n"
