@@ -319,7 +319,7 @@ class Slam:
         refined.mapper.recompute_pose_covariances()
         keyframes = {k: journal.scans[row] for k, row in enumerate(history.keyframes.tolist())}
         state.replace_map(
-            refined.mapper, refined.path, PoseFix(refined.poses[-1], journal.scans[-1].odometry), keyframes
+            refined.mapper, refined.trajectory, PoseFix(refined.poses[-1], journal.scans[-1].odometry), keyframes
         )
         self._publisher.publish_map(stamp, state.mapper)
         return {"refinement": refined.summary}

@@ -106,7 +106,7 @@ def test_kept_views_change_nothing_but_what_is_kept() -> None:
         slam = Slam(keep_views=keep_views)
         for message in laps:
             slam.add(message)
-        runs.append((slam.finish(), slam.session.drive().kept))
+        runs.append((slam.finish(), slam.session.scan_history().has_features))
     (first, some), (second, every) = runs
     assert every.all()
     assert not some.all()
@@ -126,9 +126,9 @@ def test_a_drive_from_an_unknown_place_is_found_on_the_map_and_makes_it_grow(
     assert error(finished, second, finished, first) < 0.01
     session = slam.session
     assert session.starts == [0, len(read_session(left).scans)]
-    drives = session.drive()
+    drives = session.scan_history()
     assert session.starts[1] in drives.kidnapped
-    poses = drives.poses(finished.keyframes)  # of all sightings, also before the place was known
+    poses = drives.scan_poses(finished.keyframes)  # of all sightings, also before the place was known
     there = aligned(finished, second)
     rows = [k for k, scan in enumerate(session.scans) if scan.stamp > LATER]
     truth = at_truth(replace(finished, stamps=drives.stamps[rows], poses=poses[rows]), second)

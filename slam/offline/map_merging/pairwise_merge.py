@@ -12,7 +12,7 @@ from drivers import se2
 
 from ...errors import MapError
 from ...estimation.refinement import build_scan_history
-from ...estimation.refinement.iteration import motion_to
+from ...estimation.refinement.iteration import motion_to_keyframe
 from ...estimation.refinement.scan_history import ScanHistory
 from ...estimation.slam_state import SlamState, TrackingCheckpoint
 from ...geometry.segments import Floats
@@ -87,7 +87,7 @@ def _merge_maps(
     odometry_wrong = np.zeros(len(history), dtype=bool)
     for k, (row, landmark_ids) in enumerate(zip(history.keyframes, merge_landmark_ids(first, second), strict=True)):
         features = history.scans[row].features
-        odometry = None if k == 0 else motion_to(k, history, model, poses, np.zeros((3, 3)), odometry_wrong)
+        odometry = None if k == 0 else motion_to_keyframe(k, history, model, poses, np.zeros((3, 3)), odometry_wrong)
         mapper.add_keyframe_with_ids(poses[k], odometry, features.segments, features.corners, landmark_ids)
     for member in consensus.members:
         nearest = _nearest_keyframe(first.keyframe_poses, member.relocalisation.pose)

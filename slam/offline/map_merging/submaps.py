@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...estimation.refinement.landmark_recount import measure, recount
+from ...estimation.refinement.landmark_recount import recompute_covariances, recount_observations
 from ...estimation.refinement.scan_history import ScanHistory
 from ...loop_closure.map_descriptor import describe_map
 from ...loop_closure.relocalisation import Submap
@@ -46,8 +46,8 @@ def _build_submap(mapper: Mapper, history: ScanHistory, keyframes: range) -> Sub
         for ids in mapper.landmark_ids[keyframes.start : keyframes.stop]
     ]
     part = replace(history, keyframes=rows)
-    recount(landmarks, part, landmark_ids, poses)
-    measure(landmarks, part, landmark_ids, poses, mapper.roughness.variance)
+    recount_observations(landmarks, part, landmark_ids, poses)
+    recompute_covariances(landmarks, part, landmark_ids, poses, mapper.roughness.variance)
     landmarks.confirm_observed(CONFIRMING_KEYFRAMES)
     views = [(pose, history.scans[row].features.segments) for pose, row in zip(poses, rows, strict=True)]
     return Submap(describe_map(landmarks, mapper.roughness.variance), poses[-1], views[-MAX_RECENT_SEGMENTS:])

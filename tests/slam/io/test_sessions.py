@@ -99,7 +99,7 @@ def test_what_was_sighted_is_read_back(left: tuple[StoredSession, Path]) -> None
     np.testing.assert_array_equal(again.keyframes, drive.keyframes)
     np.testing.assert_array_equal(again.anchors, drive.anchors)
     np.testing.assert_array_equal(again.relative, drive.relative)
-    np.testing.assert_array_equal(again.kept, drive.kept)
+    np.testing.assert_array_equal(again.has_features, drive.has_features)
     for before, after in zip(drive.scans, again.scans, strict=True):
         for some in (before.features, after.features):  # else what is compiled for the one would be compiled for the other anew
             arrays = some.segments.frame, some.segments.half_length, some.segments.covariance, some.corners.covariance
@@ -134,7 +134,7 @@ def test_what_was_not_kept_of_a_sighting_is_not_there_afterwards(tmp_path: Path)
     leave(tmp_path, session)
     again = read_session(tmp_path)
     assert again.scans[last].features is NO_FEATURES
-    assert again.scan_history().kept.sum() == last
+    assert again.scan_history().has_features.sum() == last
 
 
 def test_a_directory_of_an_older_version_says_so(tmp_path: Path) -> None:
