@@ -1,4 +1,4 @@
-"""Lines of a scan as segments: what (u, v) and its covariance say of a frame on the wall."""
+"""Conversion of lines and corners of a scan to the base's frame, with their covariances."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from slam.geometry.segments import Segments, corner_points, segments_from_lines
 
 
 def lines_of(frames: np.ndarray, half_length: np.ndarray, covariance: np.ndarray) -> Lines:
-    """Lines through segments whose frames (n, 3) have x along the wall and the lidar at y > 0."""
+    """Return lines through segments whose frames (n, 3) have x along the wall and the lidar at y > 0."""
     along = np.column_stack([np.cos(frames[:, 2]), np.sin(frames[:, 2])])
     normal = np.column_stack([along[:, 1], -along[:, 0]])  # away from the lidar
     distance = np.sum(normal * frames[:, :2], axis=1)
@@ -28,7 +28,7 @@ def lines_of(frames: np.ndarray, half_length: np.ndarray, covariance: np.ndarray
 
 
 def around(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Frames of walls all around the lidar, seen from their left, near and far, and their half lengths."""
+    """Return random frames of walls around the lidar, which is on their left, and their half lengths."""
     random = np.random.default_rng(seed)
     bearing, distance = random.uniform(-np.pi, np.pi, count), random.uniform(0.5, 8.0, count)
     slant = random.uniform(-1.2, 1.2, count)
@@ -38,14 +38,14 @@ def around(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 
 def uv_covariances(lines: Lines, seed: int = 1) -> np.ndarray:
-    """Covariances of (u, v) of about a percent, correlated."""
+    """Return correlated covariances of (u, v), with standard deviations of about one percent."""
     factor = 0.01 * np.random.default_rng(seed).normal(size=(len(lines), 2, 2))
     size = np.sum(lines.uv**2, axis=1)
     return size[:, None, None] * (factor @ factor.transpose(0, 2, 1) + 1e-6 * np.eye(2))
 
 
 def offset_and_heading(frame: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """(n, 2): how far lines uv (n, 2) pass beside the origin of a frame, along its y axis, and how they are turned."""
+    """Return (n, 2) the intersections of lines uv (n, 2) with the y axis of a frame, and their headings in it."""
     heading = np.arctan2(uv[:, 1], uv[:, 0]) + np.pi / 2
     normal = np.array([-np.sin(frame[2]), np.cos(frame[2])])
     return np.column_stack([(1.0 - uv @ frame[:2]) / (uv @ normal), se2.wrap(heading - frame[2])])
@@ -58,7 +58,7 @@ def walls() -> tuple[np.ndarray, Lines]:
     return frames, lines_of(frames, half, uv_covariances(lines))
 
 
-def test_the_frame_lies_on_the_wall_which_runs_with_the_lidar_on_its_left(walls: tuple[np.ndarray, Lines]) -> None:
+def test_the_frame_lies_on_the_wall_with_the_lidar_on_its_left(walls: tuple[np.ndarray, Lines]) -> None:
     frames, lines = walls
     segments = segments_from_lines(lines, np.zeros(3))
     np.testing.assert_allclose(segments.frame[:, :2], frames[:, :2], atol=1e-12)
@@ -66,7 +66,7 @@ def test_the_frame_lies_on_the_wall_which_runs_with_the_lidar_on_its_left(walls:
     assert (se2.transform(se2.inverse(segments.frame), np.zeros(2))[:, 1] > 0).all()
 
 
-def test_the_covariance_is_that_of_finite_differences(walls: tuple[np.ndarray, Lines]) -> None:
+def test_the_covariance_agrees_with_finite_differences(walls: tuple[np.ndarray, Lines]) -> None:
     frames, lines = walls
     segments = segments_from_lines(lines, np.zeros(3))
     for k, frame in enumerate(frames):
@@ -77,20 +77,20 @@ def test_the_covariance_is_that_of_finite_differences(walls: tuple[np.ndarray, L
         np.testing.assert_allclose(segments.covariance[k], expected, rtol=1e-6, atol=1e-15)
 
 
-def test_the_covariance_is_that_of_drawn_lines(walls: tuple[np.ndarray, Lines]) -> None:
+def test_the_covariance_agrees_with_sampled_lines(walls: tuple[np.ndarray, Lines]) -> None:
     frames, lines = walls
     segments = segments_from_lines(lines, np.zeros(3))
     random = np.random.default_rng(2)
     for k in range(0, 40, 8):
-        drawn = offset_and_heading(
+        sampled = offset_and_heading(
             frames[k], random.multivariate_normal(lines.uv[k], 0.01 * lines.covariance[k], 20_000)
         )
-        whitened = np.linalg.solve(np.linalg.cholesky(0.01 * segments.covariance[k]), drawn.T)
+        whitened = np.linalg.solve(np.linalg.cholesky(0.01 * segments.covariance[k]), sampled.T)
         np.testing.assert_allclose(np.cov(whitened), np.eye(2), atol=0.05)
 
 
 @pytest.mark.parametrize("mount", [(0.0, 0.0, np.radians(100.0)), (0.4, -0.2, 0.0), (-0.3, 0.25, np.radians(-170.0))])
-def test_the_mount_moves_frames_and_leaves_covariances(
+def test_the_mount_transforms_frames_but_not_covariances(
     walls: tuple[np.ndarray, Lines], mount: tuple[float, float, float]
 ) -> None:
     _, lines = walls
@@ -103,7 +103,7 @@ def test_the_mount_moves_frames_and_leaves_covariances(
     np.testing.assert_allclose(se2.wrap(back[:, 2] - plain.frame[:, 2]), 0.0, atol=1e-12)
 
 
-def test_corners_turn_with_the_mount() -> None:
+def test_corners_are_transformed_by_the_mount() -> None:
     frames, half = around(4)
     segments = segments_from_lines(lines_of(frames, half, np.tile(np.eye(2), (4, 1, 1))), np.zeros(3))
     mount = np.array([0.4, -0.2, np.radians(100.0)])
@@ -119,7 +119,7 @@ def test_corners_turn_with_the_mount() -> None:
     np.testing.assert_array_equal(moved.headings[0], segments.frame[[0, 2], 2])
 
 
-def test_no_lines_are_no_segments() -> None:
+def test_no_lines_give_no_segments() -> None:
     nothing = lines_of(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2)))
     segments = segments_from_lines(nothing, np.array([0.1, 0.0, 1.0]))
     assert len(segments) == 0
@@ -131,6 +131,6 @@ def test_no_lines_are_no_segments() -> None:
     assert corners.headings.shape == (0, 2)
 
 
-def test_the_reach_is_that_of_the_farthest_end() -> None:
+def test_the_reach_bounds_the_distance_of_the_farthest_end() -> None:
     segments = Segments(np.array([[3.0, 4.0, 0.0], [1.0, 0.0, 0.0]]), np.array([0.5, 2.0]), np.zeros((2, 2, 2)))
     assert segments.reach() == pytest.approx(5.5)

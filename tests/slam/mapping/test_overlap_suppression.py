@@ -1,4 +1,4 @@
-"""A map shows one wall along each stretch, where the estimate has several lines for it."""
+"""The published map has one wall along each stretch, even if the estimate has several landmarks there."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from slam.mapping.overlap_suppression import MAX_DEPTH, MIN_RUN_CELLS, suppress_
 
 
 def landmarks_of(*walls: tuple[list[float], float, int]) -> Landmarks:
-    """Confirmed walls: each a frame, half a length, and how often it was seen."""
+    """Return confirmed walls, each with a frame, half length, and number of observations."""
     landmarks = Landmarks()
     for frame, half_length, observations in walls:
         wall = landmarks.add_wall(np.array(frame), half_length, 0)
@@ -26,18 +26,18 @@ def landmarks_of(*walls: tuple[list[float], float, int]) -> Landmarks:
 
 
 def shown_pieces(landmarks: Landmarks) -> dict[int, Floats]:
-    """The stretches of the walls that a map shows."""
+    """Return the pieces of the walls on the published map."""
     shown = suppress_overlapping_walls(landmarks)
     return {int(wall): shown.pieces(int(wall)) for wall in np.flatnonzero(shown.active())}
 
 
-def test_of_two_lines_on_one_wall_the_one_seen_most_often_is_left() -> None:
+def test_of_two_overlapping_walls_the_one_with_more_observations_remains() -> None:
     pieces = shown_pieces(landmarks_of(([0.5, 0.03, 0.01], 1.0, 2), ([0.0, 0.0, 0.0], 2.0, 9)))
     assert list(pieces) == [1]
     np.testing.assert_allclose(pieces[1], [[-2.0, 2.0]])
 
 
-def test_what_one_line_shows_beyond_another_stays() -> None:
+def test_the_part_beyond_the_overlap_remains() -> None:
     pieces = shown_pieces(landmarks_of(([0.0, 0.0, 0.0], 2.0, 9), ([2.0, 0.03, 0.0], 2.0, 2)))
     np.testing.assert_allclose(pieces[0], [[-2.0, 2.0]])
     assert pieces[1][0] == pytest.approx([0.0, 2.0], abs=2 * WALL_CELL)  # along the second, whose frame is at 2
@@ -46,19 +46,19 @@ def test_what_one_line_shows_beyond_another_stays() -> None:
 @pytest.mark.parametrize(
     "other",
     [
-        [0.0, 0.04, np.pi],  # the other side of a thin wall
+        [0.0, 0.04, np.pi],  # the other face of a thin wall
         [0.0, MAX_DEPTH + 0.02, 0.0],  # a bay
-        [0.0, 0.0, np.pi / 2],  # across
+        [0.0, 0.0, np.pi / 2],  # perpendicular
         [4.5, 0.02, 0.0],  # farther along
     ],
 )
-def test_what_is_another_wall_stays(other: list[float]) -> None:
+def test_other_walls_remain(other: list[float]) -> None:
     landmarks = landmarks_of(([0.0, 0.0, 0.0], 2.0, 9), (other, 2.0, 2))
     pieces = shown_pieces(landmarks)
     assert {wall: p.tolist() for wall, p in pieces.items()} == {w: landmarks.pieces(w).tolist() for w in (0, 1)}
 
 
-def test_walls_that_meet_at_a_blunt_angle_end_about_where_they_meet() -> None:
+def test_walls_that_meet_at_an_obtuse_angle_end_near_the_intersection() -> None:
     turn = np.radians(8.0)
     bent = [2.0 + 1.5 * np.cos(turn), 1.5 * np.sin(turn), turn]
     pieces = shown_pieces(landmarks_of(([0.0, 0.0, 0.0], 2.4, 9), (bent, 1.5, 5)))
@@ -66,7 +66,7 @@ def test_walls_that_meet_at_a_blunt_angle_end_about_where_they_meet() -> None:
     assert pieces[1][0] == pytest.approx([-1.5 + 0.4, 1.5], abs=2 * WALL_CELL)
 
 
-def test_walls_that_are_not_confirmed_or_not_there_any_more_hide_nothing() -> None:
+def test_unconfirmed_and_removed_walls_suppress_nothing() -> None:
     landmarks = landmarks_of(([0.0, 0.0, 0.0], 2.0, 9), ([0.0, 0.01, 0.0], 2.0, 8), ([0.0, 0.02, 0.0], 1.0, 2))
     landmarks.remove_wall(0, 5)
     landmarks.walls.rows["in_graph"][1] = False
@@ -74,7 +74,7 @@ def test_walls_that_are_not_confirmed_or_not_there_any_more_hide_nothing() -> No
     assert shown.covered == landmarks.covered
 
 
-def test_corners_go_to_the_wall_that_stands_for_theirs() -> None:
+def test_a_fully_overlapped_wall_is_merged_on_the_copy_only() -> None:
     landmarks = landmarks_of(
         ([0.0, 0.0, 0.0], 2.0, 9),
         ([0.0, 0.03, 0.0], 1.0, 5),
@@ -84,7 +84,7 @@ def test_corners_go_to_the_wall_that_stands_for_theirs() -> None:
     landmarks.walls.rows["merged_into"][2] = 1  # merged before
     shown = suppress_overlapping_walls(landmarks)
     assert shown.walls.rows["merged_into"].tolist() == [0, 0, 0, 3]
-    assert landmarks.walls.rows["merged_into"].tolist() == [0, 1, 1, 3]  # the estimate is left alone
+    assert landmarks.walls.rows["merged_into"].tolist() == [0, 1, 1, 3]  # the estimate is unchanged
 
 
 @given(
@@ -96,7 +96,7 @@ def test_corners_go_to_the_wall_that_stands_for_theirs() -> None:
         max_size=8,
     )
 )
-def test_no_stretch_is_shown_twice_and_none_is_lost(walls: list[tuple[float, float, float, float, int]]) -> None:
+def test_no_stretch_appears_twice_and_none_is_lost(walls: list[tuple[float, float, float, float, int]]) -> None:
     landmarks = landmarks_of(*(([x, y, turn], half, seen) for x, y, turn, half, seen in walls))
     shown = suppress_overlapping_walls(landmarks)
     before, after = heights(landmarks), heights(shown)
@@ -107,7 +107,7 @@ def test_no_stretch_is_shown_twice_and_none_is_lost(walls: list[tuple[float, flo
 
 
 def heights(landmarks: Landmarks) -> Floats:
-    """(n, p): the y of each wall where it was seen, at an x every CELL; NaN elsewhere."""
+    """Return (n, p) the y of each wall at positions x every WALL_CELL, NaN where it is not covered."""
     at = np.arange(-6.0, 6.0, WALL_CELL)
     rows = landmarks.walls.rows
     found = np.full((len(rows), len(at)), np.nan)
@@ -119,5 +119,5 @@ def heights(landmarks: Landmarks) -> Floats:
 
 
 def longest(flags: NDArray[np.bool_]) -> int:
-    """How many in a row are set at most."""
+    """Return the length of the longest run of True."""
     return max((len(run) for run in "".join("x" if flag else " " for flag in flags).split()), default=0)

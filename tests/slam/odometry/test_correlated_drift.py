@@ -1,4 +1,4 @@
-"""Where nothing holds the robot, along a corridor, odometry carries it: the map stays whole, its uncertainty honest."""
+"""Correlated drift: along a bare corridor the map stays connected, and its covariances cover the error of odometry."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from slam import Slam
 from slam.odometry.correlated_drift import embed_position_covariance, rotate_covariance
 
 LENGTH = 60.0  # metres
-BEND = 0.01  # metres: standard deviation of where a wall stands every 3 m
+BEND = 0.01  # metres: standard deviation of the walls' positions, every 3 m
 
 
 def bent_corridor(folder: Path, seed: int) -> Path:
-    """A corridor with a pillar every 17 m between two walls that are not quite straight."""
+    """Write a world of a corridor with slightly bent walls and a pillar every 17 m."""
     random = np.random.default_rng(seed)
     walls = [f"{{ from = [{x}, -1.2], to = [{x}, 1.2] }}" for x in (-2.0, LENGTH + 1.0)]
     walls += [f"{{ from = [{x}, 0.95], to = [{x}, 1.2] }}" for x in np.arange(12.0, LENGTH, 17.0)]
@@ -36,7 +36,7 @@ def bent_corridor(folder: Path, seed: int) -> Path:
 
 
 @pytest.mark.parametrize("seed", [3, 5])
-def test_walls_that_are_not_quite_straight_do_not_tear_a_corridor(tmp_path: Path, seed: int) -> None:
+def test_slightly_bent_walls_do_not_tear_a_corridor_apart(tmp_path: Path, seed: int) -> None:
     simulation = Simulation(bent_corridor(tmp_path, seed), seed=seed, lidar=LIDAR_MODELS["short"])
     slam, truth = Slam(), []
     for message in simulation:
@@ -46,7 +46,7 @@ def test_walls_that_are_not_quite_straight_do_not_tear_a_corridor(tmp_path: Path
     finished = slam.finish()
     assert np.hypot(*np.diff(finished.keyframes[:, :2], axis=0).T).max() < 0.6
     error = se2.between(se2.between(truth[0], truth[-1]), finished.poses[-1])
-    assert abs(error[0]) < 0.02 * LENGTH  # what the wheels get wrong
+    assert abs(error[0]) < 0.02 * LENGTH  # the wheels' error
     sigma = np.sqrt(slam.keyframe_covariance(len(finished.keyframes) - 1)[0, 0])
     assert 0.3 * abs(error[0]) < sigma < 5.0
     across = np.sqrt(slam.keyframe_covariance(len(finished.keyframes) - 1)[1, 1])
@@ -57,15 +57,15 @@ numbers = st.floats(-2.0, 2.0)
 
 
 @given(root=st.tuples(numbers, numbers, numbers), angle=st.floats(-10.0, 10.0))
-def test_covariances_are_turned_with_their_axes(root: tuple[float, float, float], angle: float) -> None:
+def test_a_covariance_is_rotated_with_its_axes(root: tuple[float, float, float], angle: float) -> None:
     factor = np.array([[root[0], 0.0], [root[1], root[2]]])
     covariance = embed_position_covariance(factor @ factor.T)
     np.testing.assert_allclose(covariance[:2, :2], factor @ factor.T, atol=1e-9)
     assert not covariance[2].any()
-    axis = np.array([np.cos(angle), np.sin(angle), 0.0])  # the old first axis, seen in turned axes
+    axis = np.array([np.cos(angle), np.sin(angle), 0.0])  # the first axis, rotated
     assert axis @ rotate_covariance(covariance, angle) @ axis == pytest.approx(covariance[0, 0], abs=1e-9)
     np.testing.assert_allclose(rotate_covariance(rotate_covariance(covariance, angle), -angle), covariance, atol=1e-9)
 
 
-def test_what_would_be_below_zero_in_some_direction_is_not() -> None:
+def test_negative_eigenvalues_are_clamped_to_zero() -> None:
     np.testing.assert_allclose(embed_position_covariance(np.diag([1.0, -0.5])), np.diag([1.0, 0.0, 0.0]), atol=1e-12)

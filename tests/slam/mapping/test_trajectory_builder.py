@@ -1,0 +1,54 @@
+"""Trajectory: odometry between the scans, and the scans moving with their keyframes."""
+
+import numpy as np
+
+from drivers import se2
+from drivers.messages import Odometry
+from slam.mapping.trajectory_builder import TrajectoryBuilder
+from slam.odometry.history import OdometryHistory
+
+from ..odometry.circle import SPEED, TURN_RATE, circle_history, pose_on_circle
+
+
+def test_the_trajectory_passes_through_the_scans_without_jumps() -> None:
+    odometry, random = circle_history(100, 0.04), np.random.default_rng(1)
+    trajectory, keyframes = TrajectoryBuilder(), []
+    stamps = np.arange(0.11, 3.5, 0.25)
+    for k, stamp in enumerate(stamps):  # odometry drifts, in a frame of its own
+        true = se2.compose([5.0, -2.0, 2.5], pose_on_circle(stamp) + np.array([0.02 * stamp, 0.0, 0.01 * stamp]))
+        keyframes.append(se2.compose(true, random.normal(0, 0.1, 3)))
+        trajectory.add(float(stamp), k, se2.between(keyframes[k], true), np.eye(3))
+    at, poses = trajectory.at_odometry(np.array(keyframes), odometry)
+    np.testing.assert_array_equal(at, odometry.stamps)
+    scan_stamps, scan_poses = trajectory.at_scans(np.array(keyframes))
+    headings = np.unwrap(poses[:, 2])
+    for stamp, pose in zip(scan_stamps, scan_poses, strict=True):
+        interpolated = [
+            np.interp(stamp, at, poses[:, 0]),
+            np.interp(stamp, at, poses[:, 1]),
+            np.interp(stamp, at, headings),
+        ]
+        np.testing.assert_allclose(interpolated[:2], pose[:2], atol=2e-3)
+        assert abs(se2.wrap(interpolated[2] - pose[2])) < 2e-3
+    assert np.hypot(*np.diff(poses[:, :2], axis=0).T).max() < 1.5 * SPEED * 0.04
+    assert np.abs(np.diff(headings)).max() < 1.5 * TURN_RATE * 0.04
+
+
+def test_the_error_of_odometry_is_distributed_over_the_wheel_travel() -> None:
+    odometry, trajectory = OdometryHistory(), TrajectoryBuilder()
+    for k in range(21):  # stands for a second, then drives at 0.5 m/s
+        odometry.add(Odometry(0.1 * k, np.array([max(0.0, 0.05 * (k - 10)), 0.0, 0.0])))
+    trajectory.add(0.0, 0, np.zeros(3), np.eye(3))
+    trajectory.add(2.0, 0, np.array([0.6, 0.0, 0.2]), np.eye(3))
+    _, poses = trajectory.at_odometry(np.zeros((1, 3)), odometry)
+    np.testing.assert_allclose(poses[:11], 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.diff(poses[10:], axis=0), np.tile([0.06, 0.0, 0.02], (10, 1)), atol=1e-12)
+
+
+def test_a_single_scan_places_all_readings() -> None:
+    odometry, trajectory = circle_history(), TrajectoryBuilder()
+    trajectory.add(0.55, 0, np.array([1.0, 0.0, 0.0]), np.eye(3))
+    _, poses = trajectory.at_odometry(np.array([[1.0, 1.0, np.pi / 2]]), odometry)
+    there = se2.compose([1.0, 2.0, np.pi / 2], se2.between(odometry.at(0.55), odometry.at(0.0)))
+    np.testing.assert_allclose(poses[0], there, atol=1e-9)
+    assert len(poses) == 20

@@ -1,0 +1,102 @@
+"""De-skewing: the beams of a sweep are corrected for the robot's motion, and the uncertainty of it is propagated."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from drivers import se2
+from drivers.messages import Odometry, Scan
+from drivers.simulation import LidarModel, Simulation, WheelModel, World
+from features import Extractor, Noise
+from slam.config import OdometryConfig
+from slam.geometry.segments import corner_points, segments_from_lines
+from slam.odometry.error_model import OdometryModel
+from slam.odometry.history import OdometryHistory
+from slam.preprocessing.deskew import add_motion_uncertainty, deskew, sweep_middle
+
+from ..odometry.circle import circle_history, pose_on_circle
+
+
+def spinning() -> Simulation:
+    """Return a drive with a perfect lidar and perfect odometry in a square room, turning at 1 rad/s at a corner."""
+    corners = np.array([[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]])
+    walls = np.hstack([corners, np.roll(corners, -1, axis=0)])
+    path = np.array([[-1.0, 0.0], [0.5, 0.0], [0.5, 1.0], [-1.0, 1.0], [-1.0, 0.0]])
+    world = World("square", "square", walls, np.zeros((0, 3)), path, 0.5)
+    wheels = WheelModel(slip=0.0, encoder=0.0, scale_bias=0.0, difference_bias=0.0, wheelbase_bias=0.0)
+    lidar = LidarModel(sigma_range=0.0, sigma_bearing=0.0, dropouts=0.02, mixed=0.0)
+    return Simulation(world, duration=8.0, lidar=lidar, wheels=wheels)
+
+
+def test_walls_stay_straight_and_in_place_while_the_robot_turns() -> None:
+    simulation = spinning()
+    messages = list(simulation)
+    history = OdometryHistory()
+    for message in messages:
+        if isinstance(message, Odometry):
+            history.add(message)
+    scans = [message for message in messages if isinstance(message, Scan)]
+    poses = simulation.trajectory.poses_at(np.array([scan.stamp for scan in scans]))
+    turning = [k for k, (a, b) in enumerate(pairwise(poses)) if abs(se2.wrap(b[2] - a[2])) > 0.08][:12]
+    assert len(turning) > 5
+    skewed = []
+    for k in turning:
+        sweep = deskew(scans[k], history, simulation.mount)
+        lidar = se2.compose(simulation.trajectory.poses_at(np.array([sweep.stamp]))[0], simulation.mount)
+        local = np.column_stack([sweep.ranges * np.cos(sweep.bearings), sweep.ranges * np.sin(sweep.bearings)])
+        points = se2.transform(lidar, local[np.isfinite(sweep.ranges)])
+        assert np.abs(np.abs(points).max(axis=1) - 3.0).max() < 0.003
+        assert (np.isnan(sweep.ranges) == np.isnan(scans[k].ranges)).all()
+        assert (np.diff(sweep.bearings) > 0).all()
+        raw = scans[k].ranges[:, None] * np.column_stack([np.cos(scans[k].angles), np.sin(scans[k].angles)])
+        skewed.append(np.nanmax(np.abs(np.abs(se2.transform(lidar, raw)).max(axis=1) - 3.0)))
+    assert min(skewed) > 0.05  # without de-skewing
+
+
+def test_an_instantaneous_sweep_is_unchanged() -> None:
+    scan = Scan(1.0, np.array([1.0, np.nan, 2.0]), np.array([0.0, 0.1, 0.2]), np.zeros(3), 0.1, 10.0)
+    sweep = deskew(scan, circle_history(), np.zeros(3))
+    np.testing.assert_array_equal(sweep.ranges, scan.ranges)
+    np.testing.assert_array_equal(sweep.bearings, scan.angles)
+    assert sweep.stamp == sweep_middle(scan) == 1.0
+    assert not sweep.travel.any()
+    empty = Scan(1.0, np.zeros(0), np.zeros(0), np.zeros(0), 0.1, 10.0)
+    assert len(deskew(empty, circle_history(), np.zeros(3)).ranges) == 0
+
+
+def test_the_jitter_of_a_reading_does_not_rotate_the_scan() -> None:
+    random, history, stamps = np.random.default_rng(2), OdometryHistory(), np.arange(0.0, 40.0, 0.04)
+    for stamp in stamps:
+        history.add(Odometry(stamp, pose_on_circle(stamp) + np.array([0.0, 0.0, random.normal(0.0, 5e-4)])))
+    errors = []
+    for stamp in np.arange(1.0, 39.0, 0.1):
+        scan = Scan(stamp, np.full(9, 2.0), np.linspace(-1, 1, 9), np.linspace(0.0, 0.1, 9), 0.1, 10.0)
+        sweep = deskew(scan, history, np.zeros(3))
+        true = pose_on_circle(sweep.stamp)
+        errors.append([se2.wrap(pose[2] - true[2]) for pose in (sweep.odometry, history.at(sweep.stamp))])
+    smoothed, read = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert smoothed < 0.8 * read
+
+
+def test_a_change_of_speed_is_not_smoothed_as_jitter() -> None:
+    history = OdometryHistory()
+    for stamp in np.arange(0.0, 2.0, 0.01):  # stands, then turns suddenly
+        history.add(Odometry(stamp, np.array([0.0, 0.0, 2.0 * max(0.0, stamp - 1.0)])))
+    scan = Scan(0.95, np.full(9, 2.0), np.linspace(-1, 1, 9), np.linspace(0.0, 0.1, 9), 0.1, 10.0)
+    assert abs(deskew(scan, history, np.zeros(3)).odometry[2]) < 1e-3  # the mean over the sweep would be 25 mrad
+
+
+def test_a_longer_sweep_increases_the_covariances() -> None:
+    angles = np.linspace(-np.pi, np.pi, 360, endpoint=False)
+    ranges = 2.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))
+    noise, variances = OdometryModel(OdometryConfig()), []
+    for duration in (0.0, 0.1, 0.4):
+        scan = Scan(0.5, ranges, angles, np.linspace(0.0, duration, 360), 0.1, 10.0)
+        sweep = deskew(scan, circle_history(), np.zeros(3))
+        features = Extractor(Noise(0.01, 0.001)).extract(ranges, angles)
+        segments = segments_from_lines(features.lines, np.zeros(3))
+        corners = corner_points(features.corners, segments, np.zeros(3))
+        segments, corners = add_motion_uncertainty(segments, corners, features.lines, sweep, noise)
+        assert np.linalg.eigvalsh(segments.covariance).min() > 0
+        variances.append([segments.covariance[:, 0, 0].sum(), np.trace(corners.covariance, axis1=1, axis2=2).sum()])
+    assert (np.diff(variances, axis=0) > 0).all()
