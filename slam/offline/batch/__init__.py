@@ -1,21 +1,22 @@
-"""Many recordings, each mapped into a directory of its own, by the processes of a Dask cluster.
+"""Map many recordings in parallel with the workers of a Dask cluster, each into a directory of its own.
 
-What is done with one recording is for the caller to say; here is in which directory, by which worker, whether again,
-and what came of it. Dask is imported here and nowhere else.
+How a recording is mapped is a function that the caller provides. This package names the directories, skips what is
+complete, assigns recordings to workers, retries after crashes, and records the outcome of each. Dask is imported by
+this package only, when a cluster is used: it belongs to the extra "batch".
 """
 
-from .jobs import Job, Request, completed, fingerprint, jobs_for, remove_leftovers
-from .table import Row, Status, row_of, write_table
+from .jobs import Job, JobOptions, fingerprint, make_jobs, read_completed_summary, remove_leftovers
+from .table import Row, Status, make_row, write_table
 
 __all__ = [
     "Job",
-    "Request",
+    "JobOptions",
     "Row",
     "Status",
-    "completed",
     "fingerprint",
-    "jobs_for",
+    "make_jobs",
+    "make_row",
+    "read_completed_summary",
     "remove_leftovers",
-    "row_of",
     "write_table",
 ]

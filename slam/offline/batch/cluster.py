@@ -1,4 +1,4 @@
-"""Workers: those of this computer, started for the purpose, or those of a cluster that is there."""
+"""Provide workers: start them on this computer, or connect to an existing Dask cluster."""
 
 from __future__ import annotations
 
@@ -6,16 +6,20 @@ import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from tempfile import TemporaryDirectory
-
-import dask
-from distributed import Client, LocalCluster
+from typing import TYPE_CHECKING
 
 from ...errors import ClusterError
+from ...extras import require_extra
 
-__all__ = ["Client", "local_workers", "workers_of"]
+if TYPE_CHECKING:
+    from distributed import Client as Client  # re-exported for annotations: this package alone imports Dask
 
-HERE = "127.0.0.1"  # what is sent to workers is code: nobody else may
-CONNECTING, STARTING = 10.0, 30.0  # seconds to wait for an existing scheduler and its first worker
+LOCALHOST = "127.0.0.1"
+"""Interface of local workers: they execute any code that is sent to them, so no other computer may reach them."""
+CONNECTION_TIMEOUT = 10.0
+"""Seconds to wait for an existing scheduler."""
+WORKER_TIMEOUT = 30.0
+"""Seconds to wait for its first worker."""
 CONFIGURATION = {
     "distributed.scheduler.allowed-failures": 0,
     "distributed.scheduler.http.routes": [],
@@ -25,22 +29,26 @@ CONFIGURATION = {
 
 
 @contextmanager
-def local_workers(count: int) -> Iterator[Client]:
-    """`count` processes of one thread each, reached from this computer only, without a dashboard.
+def start_local_workers(count: int) -> Iterator[Client]:
+    """Start `count` processes of one thread each, reachable from this computer only, without a dashboard.
 
-    Killed ones come back; their task has failed. Leaving the context ends what they are doing, by force after some
-    seconds.
+    A killed worker is restarted; its task has failed. Leaving the context ends running tasks, after some seconds by
+    force. Raises MissingExtraError.
     """
+    require_extra("batch")
+    import dask
+    from distributed import Client, LocalCluster
+
     with TemporaryDirectory(prefix="wclm-") as scratch, dask.config.set(CONFIGURATION):
         cluster = LocalCluster(
             n_workers=count,
             threads_per_worker=1,
             processes=True,
-            host=HERE,
-            dashboard_address=f"{HERE}:0",
+            host=LOCALHOST,
+            dashboard_address=f"{LOCALHOST}:0",
             scheduler_kwargs={"dashboard": False},
-            silence_logs=logging.CRITICAL,  # what matters is in the recordings' logs and in the table
-            memory_limit=0,  # of its own a worker near its limit would pause, and nothing it holds could be given back
+            silence_logs=logging.CRITICAL,  # errors are in the logs of the recordings and in the table
+            memory_limit=0,  # near a limit a worker would pause, although it holds no data that it could release
             local_directory=scratch,
             preload=["slam.offline.batch.worker_setup"],
         )
@@ -52,19 +60,22 @@ def local_workers(count: int) -> Iterator[Client]:
 
 
 @contextmanager
-def workers_of(address: str) -> Iterator[Client]:
-    """The workers of the scheduler at `address`, such as "tcp://10.0.0.1:8786".
+def connect_to_workers(address: str) -> Iterator[Client]:
+    """Connect to the scheduler at `address`, such as "tcp://10.0.0.1:8786".
 
-    Raises ClusterError where there is no scheduler, or no worker comes.
+    Raises ClusterError if there is no scheduler or no worker appears, and MissingExtraError.
     """
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what matters of it is in the rows
+    require_extra("batch")
+    from distributed import Client
+
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # errors are in the table
     try:
-        client = Client(address, timeout=CONNECTING)
+        client = Client(address, timeout=CONNECTION_TIMEOUT)
     except (OSError, ValueError) as error:
         raise ClusterError(f"{address}: no Dask scheduler answers there ({_first_line(error)})") from error
     with client:
         try:
-            client.wait_for_workers(1, timeout=STARTING)
+            client.wait_for_workers(1, timeout=WORKER_TIMEOUT)
         except TimeoutError as error:
             raise ClusterError(
                 f"{address}: the scheduler has no workers; start one with: dask worker {address}"

@@ -1,4 +1,4 @@
-"""What is to be done: a directory for each recording, and whether it holds just that already."""
+"""Jobs of a batch: a directory for each recording, and the check if it is complete already."""
 
 from __future__ import annotations
 
@@ -19,18 +19,20 @@ from drivers.source_factory import CARMEN_SUFFIXES
 from ...config import Config
 from ...errors import OutputError, RecordingError
 from ...io.output_dir import KEYFRAMES, MAP, PICTURE, REPORT, REVIEW, SESSION, SUMMARY, TRAJECTORY
+from ...io.recordings import SIMULATION, absolute_recording
 
-SIMULATION, PLAYED = "sim:", "replay:"
+REPLAY = "replay:"
+"""Prefix of a recording that is replayed in real time."""
 FINGERPRINT = "fingerprint"
-"""Key of the summary under which the fingerprint of what a directory was made of stands."""
+"""Key of the fingerprint in `summary.json`."""
 LOGS = "logs"
-"""Directory of the logs, beside those of the results."""
-SUFFIXES = (*CARMEN_SUFFIXES, ".mcap", ".bag", ".db3")
+"""Name of the directory of the logs, beside those of the results."""
+RECORDING_SUFFIXES = (*CARMEN_SUFFIXES, ".mcap", ".bag", ".db3")
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
-    """What is wanted of every recording, as options of `wclm run`."""
+class JobOptions:
+    """Options of `wclm run` for every recording of a batch."""
 
     config: Config
     refine: bool = False
@@ -38,55 +40,58 @@ class Request:
     picture: bool = False
 
     def results(self) -> tuple[str, ...]:
-        """What a complete directory holds at least."""
-        asked = [name for name, wanted in ((REVIEW, self.review), (PICTURE, self.picture)) if wanted]
-        return (TRAJECTORY, MAP, KEYFRAMES, SUMMARY, REPORT, SESSION, *asked)
+        """Return the names of the files in a complete directory."""
+        optional = [name for name, wanted in ((REVIEW, self.review), (PICTURE, self.picture)) if wanted]
+        return (TRAJECTORY, MAP, KEYFRAMES, SUMMARY, REPORT, SESSION, *optional)
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One recording, as `drivers.open` takes it from any directory, and where its results and its log go.
+    """Recording to map.
 
-    `overwrite` asks to replace whatever results are there.
+    name       unique within the batch
+    recording  argument of `drivers.open` that does not depend on the working directory
+    directory  for the results; `log` is the file of its log
+    overwrite  True to replace results of any recording
     """
 
     name: str
     recording: str
     directory: Path
     log: Path
-    request: Request
+    options: JobOptions
     overwrite: bool = False
 
 
-def jobs_for(recordings: Sequence[str], out: Path, request: Request, *, overwrite: bool = False) -> list[Job]:
-    """A job for each recording, without those given twice, in the order given.
+def make_jobs(recordings: Sequence[str], out: Path, options: JobOptions, *, overwrite: bool = False) -> list[Job]:
+    """Return a job for each recording, in the given order without duplicates.
 
-    A directory has the recording's name; where several have the same, as much of their paths as tells them apart.
-    Raises RecordingError for what cannot be read twice, a device, and where no names tell recordings apart.
+    A directory has the recording's name; if several have the same, as much of their paths as makes them unique. Raises
+    RecordingError for devices and replays, which cannot be read twice, and if two directories would have the same name.
     """
     out = out.resolve()
-    specs = list(dict.fromkeys(_lasting(recording) for recording in recordings))
+    specs = list(dict.fromkeys(_absolute(recording) for recording in recordings))
     return [
-        Job(name, spec, out / name, out / LOGS / f"{name}.log", request, overwrite)
+        Job(name, spec, out / name, out / LOGS / f"{name}.log", options, overwrite)
         for name, spec in zip(_names(specs), specs, strict=True)
     ]
 
 
-def _lasting(recording: str) -> str:
-    """What opens the same recording from another directory, too."""
-    if recording.startswith(PLAYED) or is_device_spec(recording):
-        raise RecordingError(recording, None, "is no recording; a batch takes files, bags and simulations")
-    return recording if recording.startswith(SIMULATION) else str(Path(recording).resolve())
+def _absolute(recording: str) -> str:
+    if recording.startswith(REPLAY) or is_device_spec(recording):
+        raise RecordingError(recording, None, "is not a recording; a batch maps files, bags and simulations")
+    return absolute_recording(recording)
 
 
 def _names(specs: Sequence[str]) -> list[str]:
-    names = [_plain(_stem(spec)) for spec in specs]
-    alike = [k for k, name in enumerate(names) if names.count(name) > 1 or name == LOGS]
-    files = [k for k in alike if not specs[k].startswith(SIMULATION)]
+    """Return a unique name for each recording. Raises RecordingError if that is not possible."""
+    names = [_directory_name(_stem(spec)) for spec in specs]
+    ambiguous = [k for k, name in enumerate(names) if names.count(name) > 1 or name == LOGS]
+    files = [k for k in ambiguous if not specs[k].startswith(SIMULATION)]
     if files:
         common = os.path.commonpath([str(Path(specs[k]).parent) for k in files])
         for k in files:
-            names[k] = _plain(str(Path(specs[k]).relative_to(common)))
+            names[k] = _directory_name(str(Path(specs[k]).relative_to(common)))
     for k, name in enumerate(names):
         if name in names[:k]:
             other = specs[names.index(name)]
@@ -95,35 +100,36 @@ def _names(specs: Sequence[str]) -> list[str]:
 
 
 def _stem(spec: str) -> str:
+    """Return the file name without the suffixes of recordings; a simulation unchanged."""
     if spec.startswith(SIMULATION):
         return spec
     name = Path(spec).name
-    while Path(name).suffix.lower() in SUFFIXES:
+    while Path(name).suffix.lower() in RECORDING_SUFFIXES:
         name = Path(name).stem
     return name
 
 
-def _plain(text: str) -> str:
-    """`text` as the name of a directory that no shell minds."""
+def _directory_name(text: str) -> str:
+    """Return `text` as a name without characters that are special in a shell."""
     return re.sub(r"[^\w.=-]+", "-", text).strip("-.") or "recording"
 
 
 def fingerprint(job: Job) -> str:
-    """What the results depend on in one number: the recording's files (by size and time of change), what is wanted, and
-    the version of this program.
+    """Return a hash of what the results depend on: recording (size and modification time of its files), settings,
+    options, and version of this program.
     """
-    told = {
+    data = {
         "recording": job.recording,
         "files": _files(job.recording),
-        "config": job.request.config.model_dump(mode="json"),
-        "options": [job.request.refine, job.request.review, job.request.picture],
+        "config": job.options.config.model_dump(mode="json"),
+        "options": [job.options.refine, job.options.review, job.options.picture],
         "version": metadata.version("wclm-slam"),
     }
-    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:32]
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:32]
 
 
 def _files(recording: str) -> list[tuple[str, int, int]]:
-    """Name, size and time of change of each file; of a simulation, of its world if that is one."""
+    """Return name, size and modification time of each file of a recording, or of a simulation's world file."""
     path = Path(recording.removeprefix(SIMULATION).partition("?")[0] if _is_simulation(recording) else recording)
     files = sorted(path.rglob("*")) if path.is_dir() and not _is_simulation(recording) else [path]
     return [
@@ -135,28 +141,28 @@ def _is_simulation(recording: str) -> bool:
     return recording.startswith(SIMULATION)
 
 
-def completed(job: Job) -> dict[str, Any] | None:
-    """The summary of the results if they are there, complete, and of just this job; else None.
+def read_completed_summary(job: Job) -> dict[str, Any] | None:
+    """Return the summary of the results if they are complete and made by the same job; else None.
 
-    Raises OutputError where results of another recording are in the way.
+    Raises OutputError if the directory contains results of another recording.
     """
     try:
         summary = json.loads((job.directory / SUMMARY).read_text(encoding="utf-8"))
-        made_of, found = summary["recording_path"], summary.get(FINGERPRINT)
+        recording, found = summary["recording_path"], summary.get(FINGERPRINT)
     except (OSError, UnicodeDecodeError, json.JSONDecodeError, KeyError, TypeError):
-        return None  # whatever it is, it is not complete; the run refuses what is not its own
-    if made_of != job.recording:
-        raise OutputError(f"{job.directory}: holds the results of {made_of}; choose another --out or add --overwrite")
-    whole = all((job.directory / name).exists() for name in job.request.results())
-    return summary if whole and found == fingerprint(job) else None
+        return None  # not complete; the run refuses to overwrite other files
+    if recording != job.recording:
+        raise OutputError(
+            f"{job.directory}: contains the results of {recording}; choose another --out or add --overwrite"
+        )
+    complete = all((job.directory / name).exists() for name in job.options.results())
+    return summary if complete and found == fingerprint(job) else None
 
 
 def remove_leftovers(job: Job) -> None:
-    """Remove the unfinished directories that killed workers left, and only those: what `OutputDirectory` makes has
-    eight characters after the name.
-    """
-    ours = re.compile(rf"\.{re.escape(job.directory.name)}-[a-z0-9_]{{8}}(-old)?")
+    """Remove the temporary directories of `OutputDirectory` (eight characters after the name) of killed workers."""
+    temporary = re.compile(rf"\.{re.escape(job.directory.name)}-[a-z0-9_]{{8}}(-old)?")
     if job.directory.parent.is_dir():
         for entry in job.directory.parent.iterdir():
-            if ours.fullmatch(entry.name):
+            if temporary.fullmatch(entry.name):
                 shutil.rmtree(entry, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""What came of the recordings, as rows: for a Parquet file, which programs read."""
+"""Status and results of the recordings of a batch as rows of a Parquet file."""
 
 from __future__ import annotations
 
@@ -17,24 +17,27 @@ from .jobs import Job
 
 
 class Status(StrEnum):
-    """How far a recording has come."""
+    """Status of a recording in a batch."""
 
     WAITING = "waiting"
     RUNNING = "running"
     DONE = "done"
-    KEPT = "kept"  # was complete before
+    KEPT = "kept"
+    """Complete before the batch started."""
     FAILED = "failed"
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A recording, and what came of it; None where there is nothing to tell.
+    """Status and results of a recording; None if unknown.
 
-    duration     seconds of the recording; path_length metres driven
-    loops        closures that stayed
-    seconds      that it took; memory MiB at most, of the worker's process
-    error_rmse   metres from the true path, where the recording knows that
-    error        why it failed
+    duration     seconds of the recording
+    path_length  travelled distance, metres
+    loops        loop closures that were accepted and not retracted
+    seconds      computing time
+    memory       largest memory of the worker's process, MiB
+    error_rmse   root mean square error of the positions, metres, if the recording has ground truth
+    error        reason of a failure
     """
 
     name: str
@@ -61,8 +64,8 @@ SCHEMA = pa.schema(
 )
 
 
-def row_of(job: Job, status: Status, summary: dict[str, Any] | None = None, error: str | None = None) -> Row:
-    """The row of a job, with figures from the summary of its run where there is one."""
+def make_row(job: Job, status: Status, summary: dict[str, Any] | None = None, error: str | None = None) -> Row:
+    """Return the row of a job, with figures from the summary of its run if there is one."""
     log = str(job.log) if job.log.exists() else None
     if summary is None:
         return Row(job.name, job.recording, status, error=error, log=log)
@@ -85,6 +88,6 @@ def row_of(job: Job, status: Status, summary: dict[str, Any] | None = None, erro
 
 
 def write_table(path: Path, rows: Iterable[Row]) -> None:
-    """Write rows as a Parquet file, which replaces an older one at once. Raises OutputError."""
+    """Write rows as a Parquet file, which replaces an older one atomically. Raises OutputError."""
     with unfinished_file(path, overwrite=True) as unfinished:
         pq.write_table(pa.Table.from_pylist([asdict(row) for row in rows], SCHEMA), unfinished)

@@ -1,6 +1,6 @@
-"""What a worker of a local cluster starts with: Ctrl-C is for the process that started it, which ends its workers.
+"""Set up a worker of a local cluster (Dask preload module): ignore Ctrl-C.
 
-A terminal sends it to all of them.
+A terminal sends SIGINT to all processes. Only the process that started the workers handles it, and ends them.
 """
 
 from __future__ import annotations
@@ -9,5 +9,5 @@ import signal
 
 
 def dask_setup(worker: object) -> None:
-    """Called by Dask in the worker's process before it takes work."""
+    """Ignore SIGINT; called by Dask in the worker's process before it takes work."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)

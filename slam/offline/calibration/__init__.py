@@ -1,1 +1,1 @@
-"""Estimate the lidar's mount and range bias from a recording."""
+"""Calibrate the lidar's mount and range bias, and the odometry's scales, from a recording."""

@@ -1,15 +1,16 @@
-"""The lidar's mount and the wheels' errors, from a drive: what the scans say of the motion against what the wheels say.
+"""Calibrate the lidar's mount and the odometry's systematic errors from a drive.
 
-What all ranges are too long by comes first, from the scans alone (see `range_bias`).
+The range bias is estimated first, from the scans alone (see `range_bias`).
 
-Each scan is registered against the map, so the lidar's motion M from one keyframe to the next is known without the
-wheels. The base's motion B is what the wheels told, set right by three factors: for each small motion of length ds and
-turn dth that they told,
+Each scan is registered against the map, so the lidar's motion M from one keyframe to the next is known independently of
+the odometry. The base's motion B is that of the odometry with three corrections: for each small motion of length ds and
+turn dth that odometry reports,
 
-    ds' = distance ds,    dth' = turn dth + pull ds.
+    ds' = distance_scale ds,    dth' = turn_scale dth + curvature_bias ds.
 
-The mount T takes one to the other, M = T^-1 B T. The six unknowns are estimated by least squares over all pairs of
-keyframes. A mount that is far wrong spoils the registration, so the drive is mapped again with the estimate.
+The mount T relates the two, M = T^-1 B T. The six unknowns are estimated by robust least squares over all pairs of
+consecutive keyframes. A mount with a large error degrades the registration, so the drive is mapped again with the
+estimate.
 """
 
 from __future__ import annotations
@@ -31,53 +32,55 @@ from .range_bias import estimate_range_bias
 
 ROUNDS = 3
 """Times that the drive is mapped; the third changes the estimate by less than its standard errors."""
-FEWEST = 20
-"""Pairs of keyframes for an estimate; six unknowns with fewer are no better than a ruler."""
-LEAST_TURN = 3.0
-"""Radians turned in all, without which x and y of the mount and the turn's factor are guesses."""
-OUTLIER = 3.0
-"""Standard deviations beyond which a residual counts less: a scan may be registered wrongly, a wheel may slip."""
+MIN_PAIRS = 20
+"""Pairs of keyframes, and odometry readings, for an estimate of six unknowns; fewer are no better than a ruler."""
+MIN_TOTAL_TURN = 3.0
+"""Radians turned in total; with less, x and y of the mount and the scale of turns are undetermined."""
+ROBUST_SIGMAS = 3.0
+"""Standard deviations from which on residuals are down-weighted: a scan may be registered wrongly, a wheel may slip."""
 NORMAL_MAD = 1.4826
-"""Standard deviation of a normal distribution by its median absolute deviation."""
+"""Standard deviation of a normal distribution divided by its median absolute deviation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Wheels:
-    """What is to be made of the motions that odometry tells.
+class OdometryCorrection:
+    """Correction of the odometry's systematic errors.
 
-    distance  true metres per metre told
-    turn      true radians per radian told
-    pull      radians turned per metre told, which odometry does not tell: the wheels differ
+    distance_scale  true metres per metre of odometry
+    turn_scale      true radians per radian of odometry
+    curvature_bias  radians turned per metre of odometry that odometry does not report, since the wheels differ
     """
 
-    distance: float = 1.0
-    turn: float = 1.0
-    pull: float = 0.0
+    distance_scale: float = 1.0
+    turn_scale: float = 1.0
+    curvature_bias: float = 0.0
 
-    def corrected(self, told: Floats) -> Floats:
-        """The path (n, 3) that the told poses (n, 3) stand for, from the same start."""
-        motion = se2.between(told[:-1], told[1:])
-        straight = np.sinc(motion[:, 2] / (2 * np.pi))  # the chord of an arc by its length
-        length = np.copysign(np.hypot(motion[:, 0], motion[:, 1]), motion[:, 0]) / straight
-        turn = self.turn * motion[:, 2] + self.pull * length
-        chord = self.distance * length * np.sinc(turn / (2 * np.pi))
-        heading = told[0, 2] + np.concatenate([[0.0], np.cumsum(turn)])
+    def apply(self, poses: Floats) -> Floats:
+        """Return the corrected odometry poses (n, 3), with the same first pose and unwrapped headings."""
+        motion = se2.between(poses[:-1], poses[1:])
+        chord_ratio = np.sinc(motion[:, 2] / (2 * np.pi))  # of an arc's chord to its length
+        length = np.copysign(np.hypot(motion[:, 0], motion[:, 1]), motion[:, 0]) / chord_ratio
+        turn = self.turn_scale * motion[:, 2] + self.curvature_bias * length
+        chord = self.distance_scale * length * np.sinc(turn / (2 * np.pi))
+        heading = poses[0, 2] + np.concatenate([[0.0], np.cumsum(turn)])
         steps = chord[:, None] * np.column_stack([np.cos(heading[:-1] + turn / 2), np.sin(heading[:-1] + turn / 2)])
-        return np.column_stack([told[0, :2] + np.vstack([np.zeros(2), np.cumsum(steps, axis=0)]), heading])
+        return np.column_stack([poses[0, :2] + np.vstack([np.zeros(2), np.cumsum(steps, axis=0)]), heading])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """mount   [x, y, heading] of the lidar on the base
-    wheels  see `Wheels`
-    sigma   (6,) standard errors of x, y, heading, distance, turn, pull
-    pairs   of keyframes that were used
-    turned  radians turned in all
-    range_bias  metres by which all ranges are too long, and its standard error
+    """Result of a calibration.
+
+    mount       (3,) [x, y, heading] of the lidar on the base
+    odometry    correction of the odometry
+    sigma       (6,) standard errors of x, y, heading, distance_scale, turn_scale, curvature_bias
+    pairs       number of pairs of keyframes used
+    turned      radians turned in total
+    range_bias  range bias and its standard error, metres
     """
 
     mount: se2.Pose
-    wheels: Wheels
+    odometry: OdometryCorrection
     sigma: Floats
     pairs: int
     turned: float
@@ -85,67 +88,69 @@ class Calibration:
 
 
 def calibrate(messages: Iterable[Message], config: Config | None = None) -> Calibration:
-    """Estimate from a drive; it should turn both ways, on the spot, too, and go straight for some metres.
+    """Calibrate from a drive with turns in both directions, turns on the spot, and some metres straight ahead.
 
-    The mount of the configuration, else of the scans, is where the search begins; its heading should be right to 20
-    degrees. Raises MapError where there is no map, or not enough motion.
+    The search starts from the mount of the configuration, else from that of the scans; its heading must be right to 20
+    degrees. Raises MapError if there is no map or too little motion.
     """
     drive = [message for message in messages if not isinstance(message, GroundTruth)]
     config = config or Config()
-    mount = _first_mount(drive, config)
-    wheels = Wheels()
+    mount = _initial_mount(drive, config)
+    correction = OdometryCorrection()
     bias = estimate_range_bias(drive, config)
     for _ in range(ROUNDS):
         lidar = config.lidar.model_copy(update={"mount": tuple(mount.tolist()), "range_bias": bias[0]})
-        result = _estimate(drive, config.model_copy(update={"lidar": lidar}), mount, wheels)
-        mount, wheels = result.mount, result.wheels
+        result = _estimate(drive, config.model_copy(update={"lidar": lidar}), mount, correction)
+        mount, correction = result.mount, result.odometry
     return replace(result, range_bias=bias)
 
 
-def _first_mount(drive: Sequence[Message], config: Config) -> se2.Pose:
-    stated = next((message.mount for message in drive if isinstance(message, Scan)), None)
-    known = config.lidar.mount if config.lidar.mount is not None else stated
-    return np.zeros(3) if known is None else np.array(known, dtype=np.float64)
+def _initial_mount(drive: Sequence[Message], config: Config) -> se2.Pose:
+    of_scans = next((message.mount for message in drive if isinstance(message, Scan)), None)
+    mount = config.lidar.mount if config.lidar.mount is not None else of_scans
+    return np.zeros(3) if mount is None else np.array(mount, dtype=np.float64)
 
 
-def _estimate(drive: Sequence[Message], config: Config, mount: se2.Pose, wheels: Wheels) -> Calibration:
-    """One round: map the drive with the odometry as it is believed to be, and compare with what was told."""
-    told = [message for message in drive if isinstance(message, Odometry)]
-    if len(told) < FEWEST:
-        raise MapError(f"{len(told)} odometry readings are too few to calibrate anything")
-    stamps, poses = np.array([reading.stamp for reading in told]), np.array([reading.pose for reading in told])
+def _estimate(drive: Sequence[Message], config: Config, mount: se2.Pose, correction: OdometryCorrection) -> Calibration:
+    """Run one round: map the drive with corrected odometry, then fit the six unknowns to the original odometry."""
+    readings = [message for message in drive if isinstance(message, Odometry)]
+    if len(readings) < MIN_PAIRS:
+        raise MapError(f"{len(readings)} odometry readings are too few to calibrate from")
+    stamps, poses = np.array([r.stamp for r in readings]), np.array([r.pose for r in readings])
     slam = Slam(config)
-    for message in _with_odometry(drive, wheels.corrected(poses)):
+    for message in _replace_odometry(drive, correction.apply(poses)):
         slam.add(message)
     finished = slam.finish()
     lidar = se2.compose(finished.keyframes, mount)
-    seen = se2.between(lidar[:-1], lidar[1:])
-    if len(seen) < FEWEST:
-        raise MapError(f"{len(seen)} pairs of keyframes are too few to calibrate anything; drive for longer")
-    turned = float(np.abs(seen[:, 2]).sum())
-    if turned < LEAST_TURN:
-        raise MapError(f"the robot turned by {turned:.1f} rad in all, which is too little; drive some curves")
+    observed = se2.between(lidar[:-1], lidar[1:])
+    if len(observed) < MIN_PAIRS:
+        raise MapError(f"{len(observed)} pairs of keyframes are too few to calibrate from; drive for longer")
+    turned = float(np.abs(observed[:, 2]).sum())
+    if turned < MIN_TOTAL_TURN:
+        raise MapError(f"the robot turned by {turned:.1f} rad in total, which is too little; drive some curves")
 
-    def difference(unknown: Floats) -> Floats:
-        path = _at(Wheels(*unknown[3:]).corrected(poses), stamps, finished.keyframe_stamps)
-        at_lidar = se2.compose(path, unknown[:3])
-        gap = se2.between(seen, se2.between(at_lidar[:-1], at_lidar[1:]))
-        gap[:, 2] = se2.wrap(gap[:, 2])
-        return gap
+    def residuals(unknowns: Floats) -> Floats:
+        path = _interpolate(OdometryCorrection(*unknowns[3:]).apply(poses), stamps, finished.keyframe_stamps)
+        at_lidar = se2.compose(path, unknowns[:3])
+        difference = se2.between(observed, se2.between(at_lidar[:-1], at_lidar[1:]))
+        difference[:, 2] = se2.wrap(difference[:, 2])
+        return difference
 
-    def scaled(unknown: Floats, spread: Floats) -> Floats:
-        return np.asarray((difference(unknown) / spread).ravel())
+    def scaled_residuals(unknowns: Floats, sigma: Floats) -> Floats:
+        return np.asarray((residuals(unknowns) / sigma).ravel())
 
-    fit = least_squares(scaled, [*mount, wheels.distance, wheels.turn, wheels.pull], args=(np.ones(3),))
-    spread = NORMAL_MAD * np.median(np.abs(difference(fit.x)), axis=0)  # the noise is what is left
-    fit = least_squares(scaled, fit.x, loss="soft_l1", f_scale=OUTLIER, args=(spread,))
+    start = [*mount, correction.distance_scale, correction.turn_scale, correction.curvature_bias]
+    fit = least_squares(scaled_residuals, start, args=(np.ones(3),))
+    noise = NORMAL_MAD * np.median(np.abs(residuals(fit.x)), axis=0)
+    fit = least_squares(scaled_residuals, fit.x, loss="soft_l1", f_scale=ROBUST_SIGMAS, args=(noise,))
     x, y, heading, *factors = fit.x.tolist()
     sigma = np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)))
-    return Calibration(np.array([x, y, float(se2.wrap(heading))]), Wheels(*factors), sigma, len(seen), turned)
+    mount = np.array([x, y, float(se2.wrap(heading))])
+    return Calibration(mount, OdometryCorrection(*factors), sigma, len(observed), turned)
 
 
-def _with_odometry(drive: Sequence[Message], poses: Floats) -> Iterator[Message]:
-    """The messages with other poses (n, 3) for their odometry readings."""
+def _replace_odometry(drive: Sequence[Message], poses: Floats) -> Iterator[Message]:
+    """Yield the messages, with `poses` (n, 3) in the n odometry readings."""
     row = 0
     for message in drive:
         if isinstance(message, Odometry):
@@ -155,6 +160,6 @@ def _with_odometry(drive: Sequence[Message], poses: Floats) -> Iterator[Message]
             yield message
 
 
-def _at(path: Floats, stamps: Floats, wanted: Floats) -> Floats:
-    """A path (n, 3) with unwrapped headings, between its readings: (m, 3)."""
+def _interpolate(path: Floats, stamps: Floats, wanted: Floats) -> Floats:
+    """Return (m, 3) a path (n, 3) with unwrapped headings at the stamps `wanted` (m,)."""
     return np.column_stack([np.interp(wanted, stamps, path[:, column]) for column in range(3)])

@@ -1,13 +1,13 @@
-"""An error that all ranges of a lidar have in common, from what it does to walls.
+"""Estimate the range bias, an error common to all ranges of a lidar, from how it bends walls.
 
-Ranges that are too long by b put a wall at distance d farther away by b where it is met head-on, and by less where it
-is met at an angle: the wall comes out bent. Its residuals r_i, in 1/range, follow b through dr_i/db = -p_i^2 (p_i the
-predicted 1/range), of which the fitted line has taken what a line can take. What is left, g_i, gives
+Ranges that are too long by b move a wall at distance d by b where a beam meets it at a right angle, and by less where
+it meets it at another angle: the wall is bent. Its residuals r_i in 1/range depend on b by dr_i/db = -p_i^2, with the
+predicted 1/range p_i. The fitted line absorbs part of that; with the remainder g_i,
 
     b = sum w_i g_i r_i / sum w_i g_i^2
 
-over all rays of all walls. Common to all rays of a scan, and of all scans, the error does not average out over rays: it
-is no noise of a wall, and belongs to the lidar's calibration.
+over all beams of all walls. The bias is common to all beams and scans and does not average out, so it is calibrated
+instead of being part of a wall's noise.
 """
 
 from __future__ import annotations
@@ -26,40 +26,40 @@ from ...odometry.history import OdometryHistory
 from ...preprocessing.deskew import deskew, lidar_mount
 from ...preprocessing.extraction import build_extractor
 
-FEWEST_RAYS = 15
-"""Of a wall that is asked; shorter ones cannot show how they are bent."""
-GATE = 16.0
-"""Largest squared normalised residual of a ray that is asked: four standard deviations."""
-FEWEST_SCANS = 20
-"""For an estimate with a standard error."""
+MIN_BEAMS = 15
+"""Beams on a wall that is used; shorter walls do not show how they are bent."""
+MAX_SQUARED_RESIDUAL = 16.0
+"""Squared normalised residual of a beam that is used: four standard deviations."""
+MIN_SCANS = 20
+"""Scans for an estimate with a standard error."""
 ROUNDS = 2
-"""Times that a drive is looked at; at first the gate leaves out rays of walls that are bent much against the noise."""
+"""Passes over a drive: in the first, the limit on residuals excludes beams of walls that are strongly bent."""
 
 
-class RangeBias:
-    """Gathers what scans say of the common error of their ranges."""
+class RangeBiasEstimator:
+    """Estimator of the range bias from any number of scans."""
 
     def __init__(self) -> None:
         self._scans: list[tuple[float, float]] = []  # of each scan: sum w g r and sum w g^2
 
     def add(self, ranges: Floats, bearings: Floats, features: Features) -> None:
-        """Take a scan: ranges (n,) in metres and bearings (n,) in radians, and what was extracted from them."""
+        """Add a scan: ranges (n,) in metres, bearings (n,) in radians, and the features extracted from them."""
         lines = features.lines
         score = information = 0.0
         for uv, first, last, count, curved in zip(
             lines.uv, lines.first, lines.last, lines.count, lines.curved, strict=True
         ):
-            if count < FEWEST_RAYS or curved:
+            if count < MIN_BEAMS or curved:
                 continue
-            rays = np.arange(first + 1, last + (len(ranges) if last < first else 0)) % len(ranges)
-            of_line = self._of_line(ranges[rays], bearings[rays], uv, features)
+            beams = np.arange(first + 1, last + (len(ranges) if last < first else 0)) % len(ranges)
+            of_line = self._sums_of_line(ranges[beams], bearings[beams], uv, features)
             score, information = score + of_line[0], information + of_line[1]
         if information > 0.0:
             self._scans.append((score, information))
 
     @staticmethod
-    def _of_line(ranges: Floats, bearings: Floats, uv: Floats, features: Features) -> tuple[float, float]:
-        """Sum w g r and sum w g^2 of one wall's rays."""
+    def _sums_of_line(ranges: Floats, bearings: Floats, uv: Floats, features: Features) -> tuple[float, float]:
+        """Return sum w g r and sum w g^2 over the beams of one wall."""
         noise = features.noise
         valid = np.isfinite(ranges) & (ranges > 0.0)
         design = np.column_stack([np.cos(bearings[valid]), np.sin(bearings[valid])])
@@ -67,20 +67,20 @@ class RangeBias:
         predicted, slope = design @ uv, design @ np.array([uv[1], -uv[0]])
         residual = inverse * (1.0 - (noise.sigma_range * inverse) ** 2) - predicted
         weight = 1.0 / ((noise.sigma_range * predicted**2) ** 2 + (noise.sigma_bearing * slope) ** 2)
-        weight[weight * residual**2 > GATE] = 0.0
-        if np.count_nonzero(weight) < FEWEST_RAYS:
+        weight[weight * residual**2 > MAX_SQUARED_RESIDUAL] = 0.0
+        if np.count_nonzero(weight) < MIN_BEAMS:
             return 0.0, 0.0
         weighted = design * weight[:, None]
-        bent = -(predicted**2)
-        bent -= design @ np.linalg.solve(weighted.T @ design, weighted.T @ bent)
-        return float(weight @ (bent * residual)), float(weight @ bent**2)
+        bending = -(predicted**2)
+        bending -= design @ np.linalg.solve(weighted.T @ design, weighted.T @ bending)
+        return float(weight @ (bending * residual)), float(weight @ bending**2)
 
     def estimate(self) -> tuple[float, float]:
-        """The error in metres, positive where ranges are long, and its standard error as scans scatter.
+        """Return the bias in metres, positive if ranges are too long, and its standard error from the scans' scatter.
 
-        Raises MapError where too few scans show walls.
+        Raises MapError if too few scans have walls.
         """
-        if len(self._scans) < FEWEST_SCANS:
+        if len(self._scans) < MIN_SCANS:
             raise MapError(f"{len(self._scans)} scans with walls are too few to calibrate the ranges")
         score, information = np.array(self._scans).T
         bias = score.sum() / information.sum()
@@ -89,9 +89,9 @@ class RangeBias:
 
 
 def estimate_range_bias(drive: Sequence[Message], config: Config) -> tuple[float, float]:
-    """The error of all ranges of a drive, metres, and its standard error; the configured one is where it begins.
+    """Return the range bias of a drive and its standard error, metres, starting from the configured bias.
 
-    Raises MapError where too few scans show walls.
+    Raises MapError if too few scans have walls.
     """
     history = OdometryHistory()
     for message in drive:
@@ -99,11 +99,11 @@ def estimate_range_bias(drive: Sequence[Message], config: Config) -> tuple[float
             history.add(message)
     bias, sigma = config.lidar.range_bias, float("nan")
     for _ in range(ROUNDS):
-        gathered, extractor = RangeBias(), build_extractor(config)
+        estimator, extractor = RangeBiasEstimator(), build_extractor(config)
         for message in drive:
             if isinstance(message, Scan):
                 sweep = deskew(message, history, lidar_mount(message, config.lidar), bias)
-                gathered.add(sweep.ranges, sweep.bearings, extractor.extract(sweep.ranges, sweep.bearings))
-        found, sigma = gathered.estimate()
+                estimator.add(sweep.ranges, sweep.bearings, extractor.extract(sweep.ranges, sweep.bearings))
+        found, sigma = estimator.estimate()
         bias += found
     return bias, sigma

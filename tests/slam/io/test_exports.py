@@ -1,4 +1,4 @@
-"""`wclm map`: the formats, read back by readers of their own, and what is said when something is missing."""
+"""Export formats, read back with independent readers, and errors of `wclm map`."""
 
 import json
 import re
@@ -15,27 +15,27 @@ import pytest
 from slam.config import Config
 from slam.events import Finished
 from slam.io.exports import write_dxf, write_geojson, write_svg
-from slam.io.run_results import RunResults, read_run_results
 from slam.io.keyframes_csv import read_keyframes
 from slam.io.output_dir import write_json, write_results
+from slam.io.run_results import RunResults, read_run_results
 
 FORMATS = ("pgm", "geojson", "svg", "dxf", "ply")
 
 
 @pytest.fixture
-def session(tmp_path: Path, finished: Finished) -> RunResults:
-    """The room with one wall in two pieces, as a run leaves it."""
+def results(tmp_path: Path, finished: Finished) -> RunResults:
+    """Return the results of a run in a room in which one wall has two pieces."""
     folder = tmp_path / "room"
     folder.mkdir()
     write_results(folder, finished, Config(), {"recording": "room.mcap"})
     return read_run_results(folder)
 
 
-# The formats of the map
+# Formats
 
 
 def read_dxf(path: Path) -> tuple[set[str], dict[str, list[dict[int, list[str]]]]]:
-    """The layers, and the entities by kind, each as its values by code. Structure that is not R12's fails."""
+    """Return the layers, and the entities by kind as values by group code; assert the structure of R12."""
     lines = path.read_bytes().decode("ascii").split("\r\n")
     assert lines.pop() == ""
     assert len(lines) % 2 == 0
@@ -75,28 +75,28 @@ def point(entity: dict[int, list[str]], number: int = 0) -> list[float]:
     return [float(entity[code + number][0]) for code in (10, 20)]
 
 
-def test_dxf_has_walls_as_lines_on_layers(session: RunResults, tmp_path: Path) -> None:
-    write_dxf(tmp_path / "a.dxf", session)
+def test_dxf_has_walls_as_lines_on_layers(results: RunResults, tmp_path: Path) -> None:
+    write_dxf(tmp_path / "a.dxf", results)
     layers, entities = read_dxf(tmp_path / "a.dxf")
     assert layers == {"WALLS", "CORNERS", "PATH"}
     assert set(entities) == {"LINE", "POINT", "POLYLINE", "VERTEX", "SEQEND"}
     assert {e[8][0] for e in entities["LINE"]} == {"WALLS"}
     walls = np.array([[point(e), point(e, 1)] for e in entities["LINE"]])
-    np.testing.assert_allclose(walls, session.lines.piece_points()[0], atol=1e-6)
+    np.testing.assert_allclose(walls, results.lines.piece_points()[0], atol=1e-6)
     assert len(walls) == 5  # four walls, one with a door
     corners = [point(e) for e in entities["POINT"]]
-    np.testing.assert_allclose(corners, session.corners.position, atol=1e-6)
+    np.testing.assert_allclose(corners, results.corners.position, atol=1e-6)
     path = np.array([point(e) for e in entities["VERTEX"]])
-    np.testing.assert_allclose(path[[0, -1]], session.trajectory.poses[[0, -1], :2], atol=1e-6)
+    np.testing.assert_allclose(path[[0, -1]], results.trajectory.poses[[0, -1], :2], atol=1e-6)
     assert len(entities["POLYLINE"]) == len(entities["SEQEND"]) == 1
 
 
-def test_geojson_has_pieces_of_walls_and_what_is_known_of_them(session: RunResults, tmp_path: Path) -> None:
-    write_geojson(tmp_path / "a.geojson", session)
-    told = json.loads((tmp_path / "a.geojson").read_text())
-    assert (told["type"], told["frame"], told["units"]) == ("FeatureCollection", "map", "m")
+def test_geojson_has_pieces_of_walls_and_standard_deviations(results: RunResults, tmp_path: Path) -> None:
+    write_geojson(tmp_path / "a.geojson", results)
+    collection = json.loads((tmp_path / "a.geojson").read_text())
+    assert (collection["type"], collection["frame"], collection["units"]) == ("FeatureCollection", "map", "m")
     kinds = defaultdict(list)
-    for feature in told["features"]:
+    for feature in collection["features"]:
         assert feature["type"] == "Feature"
         kinds[feature["properties"]["kind"]].append(feature)
     assert [len(kinds[kind]) for kind in ("wall", "corner", "path")] == [4, 2, 1]
@@ -110,8 +110,8 @@ def test_geojson_has_pieces_of_walls_and_what_is_known_of_them(session: RunResul
     assert len(kinds["path"][0]["geometry"]["coordinates"]) > 10
 
 
-def test_svg_is_true_to_scale_with_y_up(session: RunResults, tmp_path: Path) -> None:
-    write_svg(tmp_path / "a.svg", session)
+def test_svg_is_true_to_scale_with_y_up(results: RunResults, tmp_path: Path) -> None:
+    write_svg(tmp_path / "a.svg", results)
     root = ElementTree.parse(tmp_path / "a.svg").getroot()
     space = {"s": "http://www.w3.org/2000/svg"}
     left, top, width, height = (float(word) for word in root.attrib["viewBox"].split())
@@ -122,25 +122,25 @@ def test_svg_is_true_to_scale_with_y_up(session: RunResults, tmp_path: Path) -> 
     assert walls[0].attrib["d"] == "M0.000,0.000L6.000,0.000"
     assert walls[3].attrib["d"].count("M") == 2
     assert "M6.000,-4.000" in walls[2].attrib["d"]
-    assert "known to 3.2 mm across" in walls[0][0].text
-    assert "known" not in walls[3][0].text
+    assert "standard deviation 3.2 mm across" in walls[0][0].text
+    assert "standard deviation" not in walls[3][0].text
     corners = root.findall("s:g[@class='corners']/s:ellipse", space)
     assert len(corners) == 1
     assert float(corners[0].attrib["rx"]) == pytest.approx(3 * np.sqrt(4.414e-5), abs=1e-4)
 
 
-# The command
+# Command
 
 
 @pytest.fixture
 def ran(wclm: Any, fake_slam: type) -> Path:
-    """A directory as `wclm run` leaves it."""
+    """Return the output directory of `wclm run`."""
     assert wclm("run", "sim:room?duration=3&seed=4", "--out", "out", "--no-review").exit_code == 0
     return Path("out")
 
 
 @pytest.mark.parametrize("form", FORMATS)
-def test_every_format_is_written_once_and_replaced_when_asked_for(wclm: Any, ran: Path, form: str) -> None:
+def test_existing_export_is_replaced_only_with_overwrite(wclm: Any, ran: Path, form: str) -> None:
     before = {file.name for file in ran.iterdir()}
     name = "points.ply" if form == "ply" else f"map.{form}"
     result = wclm("map", ran, "--format", form)
@@ -153,28 +153,28 @@ def test_every_format_is_written_once_and_replaced_when_asked_for(wclm: Any, ran
     assert Path(f"elsewhere.{form}").read_bytes() == (ran / name).read_bytes()
     wclm.refuses("map", ran, "--format", form, "--out", "a.b", because=["a.b: the name of a", f"end with .{form}"])
     assert wclm("run", "sim:room?duration=3", "--out", ran, "--no-review", "--overwrite").exit_code == 0
-    assert not (ran / name).exists()  # it was of the older run
+    assert not (ran / name).exists()  # it belonged to the older run
 
 
-def test_a_yaml_in_the_way_keeps_the_picture_from_being_written(wclm: Any, ran: Path) -> None:
+def test_no_picture_is_written_if_its_yaml_file_exists(wclm: Any, ran: Path) -> None:
     (ran / "map.yaml").write_text("mine")
     wclm.refuses("map", ran, "--format", "pgm", because=["out/map.yaml: exists already"])
     assert (ran / "map.yaml").read_text() == "mine"
     assert not list(ran.glob("*.pgm"))
 
 
-def test_the_picture_shows_the_scans_at_the_poses_of_the_path(wclm: Any, ran: Path) -> None:
+def test_picture_shows_the_scans_on_the_trajectory(wclm: Any, ran: Path) -> None:
     result = wclm("map", ran, "--format", "pgm", "--resolution", "0.1")
     header, pixels = re.fullmatch(rb"(P5\n\d+ \d+\n255\n)(.*)", (ran / "map.pgm").read_bytes(), re.DOTALL).groups()
     width, height = (int(word) for word in header.split()[1:3])
     assert f"{width} x {height} cells of 0.1 m" in result.stdout
     picture = np.frombuffer(pixels, np.uint8).reshape(height, width)
     assert set(np.unique(picture)) == {0, 205, 254}
-    assert 6.4 / 0.1 <= width <= 6.9 / 0.1  # the room, and an outlier or two
+    assert 6.4 / 0.1 <= width <= 6.9 / 0.1  # the room and few outliers
     assert 4.2 / 0.1 <= height <= 4.7 / 0.1
 
 
-def test_the_point_cloud_holds_every_return(wclm: Any, ran: Path) -> None:
+def test_point_cloud_contains_all_returns(wclm: Any, ran: Path) -> None:
     result = wclm("map", ran, "--format", "ply")
     header, body = (ran / "points.ply").read_bytes().split(b"end_header\n", 1)
     lines = header.decode("ascii").splitlines()
@@ -189,12 +189,12 @@ def test_the_point_cloud_holds_every_return(wclm: Any, ran: Path) -> None:
     assert not points[:, 2].any()
 
 
-def test_a_recording_that_is_gone_is_one_line_and_another_can_be_named(wclm: Any, fake_slam: type) -> None:
+def test_missing_recording_is_an_error_and_can_be_replaced(wclm: Any, fake_slam: type) -> None:
     assert wclm("simulate", "room", "a.mcap", "--duration", "2").exit_code == 0
     assert wclm("run", "a.mcap", "--out", "out", "--no-review").exit_code == 0
     Path("a.mcap").rename("b.mcap")
     for form in ("pgm", "ply"):
-        wclm.refuses("map", "out", "--format", form, because=["a.mcap is not there any more", "--recording FILE"])
+        wclm.refuses("map", "out", "--format", form, because=["a.mcap does not exist any more", "--recording FILE"])
         assert wclm("map", "out", "--format", form, "--recording", "b.mcap").exit_code == 0
     assert wclm("map", "out", "--format", "dxf").exit_code == 0  # needs no recording
     assert wclm("simulate", "room", "late.mcap", "--duration", "2").exit_code == 0
@@ -206,7 +206,7 @@ def test_a_recording_that_is_gone_is_one_line_and_another_can_be_named(wclm: Any
     wclm.refuses(*other[:-1], "nowhere.mcap", because=["nowhere.mcap: no such file"])
 
 
-def test_an_older_session_that_does_not_tell_its_recording_is_one_line(wclm: Any, ran: Path) -> None:
+def test_summary_without_recording_is_an_error(wclm: Any, ran: Path) -> None:
     summary = json.loads((ran / "summary.json").read_text())
     del summary["recording_path"], summary["recordings"]
     write_json(ran / "summary.json", summary)
@@ -217,13 +217,13 @@ def test_an_older_session_that_does_not_tell_its_recording_is_one_line(wclm: Any
 
 
 @pytest.mark.parametrize("command", ["map {} --format svg", "map {} --format pgm", "report {}"])
-def test_what_is_no_session_is_one_line(wclm: Any, ran: Path, command: str) -> None:
-    def refuses(where: str, *because: str) -> None:
-        wclm.refuses(*command.format(where).split(), because=because)
+def test_invalid_directory_is_refused(wclm: Any, ran: Path, command: str) -> None:
+    def refuses(directory: str, *because: str) -> None:
+        wclm.refuses(*command.format(directory).split(), because=because)
 
     refuses("nowhere", "nowhere: is not a directory")
     Path("empty").mkdir()
-    refuses("empty", "empty: holds no map.json; a session is what `wclm run --out DIR` leaves")
+    refuses("empty", "empty: has no map.json; expected the output directory of `wclm run`")
     (ran / "report.html").unlink()
     for name, broken, words in (
         ("summary.json", "{", "summary.json: is not JSON"),
@@ -232,13 +232,13 @@ def test_what_is_no_session_is_one_line(wclm: Any, ran: Path, command: str) -> N
         ("keyframes.csv", "a,b\n", "keyframes.csv:1: the header is not stamp,x,y"),
         ("trajectory.tum", "1 2 3\n", "trajectory.tum:1: expected 8 numbers"),
     ):
-        kept = (ran / name).read_bytes()
+        content = (ran / name).read_bytes()
         (ran / name).write_text(broken)
         refuses("out", words)
-        (ran / name).write_bytes(kept)
+        (ran / name).write_bytes(content)
 
 
-def test_thresholds_that_contradict_each_other_are_wrong_usage(wclm: Any, ran: Path) -> None:
+def test_contradictory_thresholds_are_a_usage_error(wclm: Any, ran: Path) -> None:
     result = wclm("map", ran, "--format", "pgm", "--free", "0.5", "--occupied", "0.4")
     assert result.exit_code == 2
     assert "must be less than --occupied" in result.stderr

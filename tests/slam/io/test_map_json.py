@@ -16,7 +16,7 @@ def written(path: Path, finished: Finished) -> dict[str, Any]:
     return json.loads(path.read_text())
 
 
-def test_what_is_written_is_read_back(tmp_path: Path, finished: Finished) -> None:
+def test_map_is_read_back_as_written(tmp_path: Path, finished: Finished) -> None:
     write_map(tmp_path / "map.json", finished.lines, finished.corners)
     back = read_map(tmp_path / "map.json")
     for ours, theirs in ((back.lines, finished.lines), (back.corners, finished.corners)):
@@ -30,7 +30,7 @@ def test_what_is_written_is_read_back(tmp_path: Path, finished: Finished) -> Non
         np.testing.assert_allclose(piece, expected, atol=1e-9)
 
 
-def test_a_map_of_the_first_version_is_still_read(tmp_path: Path, finished: Finished) -> None:
+def test_map_of_version_1_is_read(tmp_path: Path, finished: Finished) -> None:
     data = written(tmp_path / "map.json", finished)
     data["version"] = 1
     for line in data["lines"]:
@@ -40,7 +40,7 @@ def test_a_map_of_the_first_version_is_still_read(tmp_path: Path, finished: Fini
     np.testing.assert_allclose(np.concatenate(lines.pieces), np.column_stack([lines.low, lines.high]))
 
 
-def test_an_empty_map_is_read_back(tmp_path: Path, finished: Finished) -> None:
+def test_empty_map_is_read_back(tmp_path: Path, finished: Finished) -> None:
     none = slice(0, 0)
     lines = replace(finished.lines, **{f.name: getattr(finished.lines, f.name)[none] for f in fields(finished.lines)})
     empty = {f.name: getattr(finished.corners, f.name)[none] for f in fields(finished.corners)}
@@ -51,7 +51,7 @@ def test_an_empty_map_is_read_back(tmp_path: Path, finished: Finished) -> None:
     assert back.corners.covariance.shape == (0, 2, 2)
 
 
-def test_the_file_says_what_it_is_and_has_no_nan(tmp_path: Path, finished: Finished) -> None:
+def test_file_states_format_version_and_units_and_has_no_nan(tmp_path: Path, finished: Finished) -> None:
     data = written(tmp_path / "map.json", finished)
     assert (data["format"], data["version"], data["frame"]) == ("wclm-slam map", 2, "map")
     assert data["units"] == {"length": "m", "angle": "rad"}
@@ -68,7 +68,7 @@ def test_equal_maps_give_equal_bytes(tmp_path: Path, finished: Finished) -> None
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
 
 
-def test_a_map_that_is_not_finite_is_not_written(tmp_path: Path, finished: Finished) -> None:
+def test_map_with_values_that_are_not_finite_is_not_written(tmp_path: Path, finished: Finished) -> None:
     finished.lines.frame[2, 0] = np.nan
     with pytest.raises(MapError, match=r"cannot be written: frame\.0: input should be a finite number"):
         write_map(tmp_path / "map.json", finished.lines, finished.corners)
@@ -97,7 +97,7 @@ def test_another_format_or_version_is_refused(
     assert message in str(caught.value)
 
 
-def test_a_value_that_is_not_a_number_is_named(tmp_path: Path, finished: Finished) -> None:
+def test_key_of_an_invalid_value_is_named(tmp_path: Path, finished: Finished) -> None:
     data = written(tmp_path / "map.json", finished)
     data["corners"][1]["position"][0] = "left"
     (tmp_path / "map.json").write_text(json.dumps(data))
@@ -106,12 +106,12 @@ def test_a_value_that_is_not_a_number_is_named(tmp_path: Path, finished: Finishe
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[1, 2]", b"\xff\xfe", b"null"])
-def test_what_is_not_a_map_is_refused(tmp_path: Path, content: bytes) -> None:
+def test_file_that_is_not_a_map_is_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "map.json").write_bytes(content)
     with pytest.raises(MapError, match=r"map\.json: is not"):
         read_map(tmp_path / "map.json")
 
 
-def test_a_missing_map_is_named(tmp_path: Path) -> None:
+def test_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(MapError, match=r"map\.json: No such file"):
         read_map(tmp_path / "map.json")

@@ -1,4 +1,4 @@
-"""Occupancy grids, and their pictures as map_server understands them."""
+"""Occupancy grids, and their pictures as map_server reads them."""
 
 from pathlib import Path
 from random import Random
@@ -14,19 +14,19 @@ from drivers.messages import GroundTruth
 from slam.config import LidarConfig
 from slam.errors import MapError
 from slam.io.exports import Occupancy, OccupancyGrid, PlacedScan, Thresholds, place_scans, write_pgm, write_pgm_yaml
-from slam.io.exports.occupancy import FREE, OCCUPIED, UNKNOWN, trace
+from slam.io.exports.occupancy import FREE, OCCUPIED, UNKNOWN, trace_beams
 from slam.io.tum import Trajectory
 
-ROOM = np.array([[-1.033, -0.527], [2.987, 0.964]])  # lowest and highest x, y: nothing is symmetric, nor on an edge
+ROOM = np.array([[-1.033, -0.527], [2.987, 0.964]])  # lowest and highest x, y: not symmetric, not on cell edges
 ORIGIN = np.array([0.31, 0.17])
 
 
-def rays(count: int = 3600, origin: np.ndarray = ORIGIN) -> PlacedScan:
-    """A scan of the room, which ends on its walls."""
+def room_scan(count: int = 3600, origin: np.ndarray = ORIGIN) -> PlacedScan:
+    """Return a scan of the room whose beams end on its walls."""
     angles = np.linspace(-np.pi, np.pi, count, endpoint=False) + 1e-4
-    heading = np.column_stack([np.cos(angles), np.sin(angles)])
-    ahead = np.where(heading > 0, ROOM[1] - origin, ROOM[0] - origin) / heading
-    return PlacedScan(0.0, origin, origin + ahead.min(axis=1)[:, None] * heading)
+    direction = np.column_stack([np.cos(angles), np.sin(angles)])
+    distance = np.where(direction > 0, ROOM[1] - origin, ROOM[0] - origin) / direction
+    return PlacedScan(0.0, origin, origin + distance.min(axis=1)[:, None] * direction)
 
 
 def occupancy(*scans: PlacedScan, resolution: float = 0.05) -> Occupancy:
@@ -36,8 +36,8 @@ def occupancy(*scans: PlacedScan, resolution: float = 0.05) -> Occupancy:
 
 
 @pytest.mark.parametrize("resolution", [0.05, 0.02, 0.1])
-def test_map_server_finds_walls_where_they_are(tmp_path: Path, map_server: Any, resolution: float) -> None:
-    drawn = occupancy(rays(), resolution=resolution)
+def test_map_server_reads_walls_at_their_positions(tmp_path: Path, map_server: Any, resolution: float) -> None:
+    drawn = occupancy(room_scan(), resolution=resolution)
     write_pgm(tmp_path / "map.pgm", drawn)
     write_pgm_yaml(tmp_path / "map.yaml", drawn, image="map.pgm")
     served = map_server(tmp_path / "map.yaml")
@@ -48,7 +48,7 @@ def test_map_server_finds_walls_where_they_are(tmp_path: Path, map_server: Any, 
         assert served.at(x, ROOM[0, 1]) == served.at(x, ROOM[1, 1]) == 100
 
 
-def test_what_no_beam_reached_is_unknown_to_map_server(tmp_path: Path, map_server: Any) -> None:
+def test_cells_that_no_beam_reached_are_unknown_to_map_server(tmp_path: Path, map_server: Any) -> None:
     drawn = occupancy(PlacedScan(0.0, np.zeros(2), np.array([[2.0, 0.01], [0.01, 1.0]])))
     write_pgm(tmp_path / "map.pgm", drawn)
     write_pgm_yaml(tmp_path / "map.yaml", drawn, image="map.pgm")
@@ -60,7 +60,7 @@ def test_what_no_beam_reached_is_unknown_to_map_server(tmp_path: Path, map_serve
     assert served.at(1.5, 0.5) == -1
 
 
-def test_a_cell_that_most_beams_pass_is_free_and_one_in_between_unknown() -> None:
+def test_state_of_a_cell_depends_on_the_share_of_beams_that_end_in_it() -> None:
     far, near = np.array([[1.02, 0.02]]), np.array([[0.52, 0.02]])
     for passed, state in ((1, OCCUPIED), (3, OCCUPIED), (5, UNKNOWN), (12, FREE)):
         scan = PlacedScan(0.0, np.array([0.02, 0.02]), np.concatenate([near, np.repeat(far, passed, axis=0)]))
@@ -74,27 +74,27 @@ coordinate = st.floats(0.0, 19.999)
 
 
 @given(st.tuples(coordinate, coordinate), st.tuples(coordinate, coordinate))
-def test_a_beam_passes_the_cells_that_it_crosses(start: tuple[float, float], end: tuple[float, float]) -> None:
+def test_beam_is_counted_in_the_cells_that_it_crosses(start: tuple[float, float], end: tuple[float, float]) -> None:
     ended, passed = np.zeros((20, 20), np.int32), np.zeros((20, 20), np.int32)
-    trace(ended, passed, np.zeros(2, dtype=np.int64), np.array(start), np.array([end]))
+    trace_beams(ended, passed, np.zeros(2, dtype=np.int64), np.array(start), np.array([end]))
     (row, column), first = np.argwhere(ended)[0], np.floor(start).astype(int)
     assert ended.sum() == 1
     assert (column, row) == tuple(np.floor(end).astype(int))
     assert passed.sum() == abs(row - first[1]) + abs(column - first[0])
     assert passed.max() <= 1
-    for y, x in np.argwhere(passed):  # the middle of the cell is no farther from the beam than its corners
+    for y, x in np.argwhere(passed):  # the cell's centre is no farther from the beam than its corners
         direction = np.subtract(end, start)
-        middle = np.array([x + 0.5, y + 0.5]) - start
-        along = np.clip(middle @ direction / max(direction @ direction, 1e-12), 0, 1)
-        assert np.linalg.norm(middle - along * direction) <= np.sqrt(0.5) + 1e-9
+        centre = np.array([x + 0.5, y + 0.5]) - start
+        along = np.clip(centre @ direction / max(direction @ direction, 1e-12), 0, 1)
+        assert np.linalg.norm(centre - along * direction) <= np.sqrt(0.5) + 1e-9
 
 
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.tuples(st.floats(-9, 9), st.floats(-9, 9)), min_size=1, max_size=6), st.randoms())
-@example([(8.999999999999998, 0.0)], Random(0))  # ends between two cells but for rounding
+@example([(8.999999999999998, 0.0)], Random(0))  # ends on the edge of two cells except for rounding
 @example([(8.999999999999998, 0.0)], Random(1))
-def test_the_grid_grows_to_the_same_in_any_order(places: list[tuple[float, float]], random: object) -> None:
-    scans = [rays(60, ORIGIN), *(PlacedScan(0.0, np.array(p), np.array(p) + np.eye(2)) for p in places)]
+def test_grid_does_not_depend_on_the_order_of_scans(places: list[tuple[float, float]], random: object) -> None:
+    scans = [room_scan(60, ORIGIN), *(PlacedScan(0.0, np.array(p), np.array(p) + np.eye(2)) for p in places)]
     shuffled = list(scans)
     random.shuffle(shuffled)  # type: ignore[attr-defined]
     one, other = occupancy(*scans, resolution=0.3), occupancy(*shuffled, resolution=0.3)
@@ -102,9 +102,9 @@ def test_the_grid_grows_to_the_same_in_any_order(places: list[tuple[float, float
     np.testing.assert_array_equal(one.origin, other.origin)
 
 
-def test_a_grid_that_fits_no_memory_is_one_line() -> None:
+def test_too_large_or_empty_grid_is_an_error() -> None:
     with pytest.raises(MapError, match=r"cells of 0\.0001 m make a grid of more than 400 million; make them larger"):
-        OccupancyGrid(1e-4).add(rays(60))
+        OccupancyGrid(1e-4).add(room_scan(60))
     with pytest.raises(MapError, match="a resolution of 0 m is not possible"):
         OccupancyGrid(0.0)
     with pytest.raises(MapError, match="no beam of any scan hit anything"):
@@ -112,8 +112,8 @@ def test_a_grid_that_fits_no_memory_is_one_line() -> None:
 
 
 @pytest.mark.parametrize("mount", ["0.1,0,0", "-0.2,0.15,2.5"])
-def test_scans_lie_on_the_walls_wherever_the_lidar_is_mounted(mount: str) -> None:
-    """With the true path, straightened scans fit the world to the noise of a range."""
+def test_placed_scans_lie_on_the_walls_for_any_mount(mount: str) -> None:
+    """On the true trajectory, de-skewed scans fit the world up to the noise of the ranges."""
     source = drivers.open(f"sim:room?duration=6&mount={mount}")
     messages = list(source)
     truth = [message for message in messages if isinstance(message, GroundTruth)]

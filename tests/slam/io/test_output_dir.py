@@ -29,7 +29,7 @@ def contents(folder: Path) -> dict[str, str]:
     return {file.name: file.read_text() for file in folder.iterdir()}
 
 
-def test_results_appear_when_all_is_written(tmp_path: Path, finished: Finished) -> None:
+def test_directory_appears_when_all_results_are_written(tmp_path: Path, finished: Finished) -> None:
     out = tmp_path / "a" / "out"
     with OutputDirectory(out) as directory:
         write_results(directory, finished, Config(), {"scans": 3})
@@ -42,7 +42,7 @@ def test_results_appear_when_all_is_written(tmp_path: Path, finished: Finished) 
     assert json.loads((out / SUMMARY).read_text()) == {"scans": 3}
 
 
-def test_the_directory_has_the_permissions_of_any_other(tmp_path: Path) -> None:
+def test_directory_has_default_permissions(tmp_path: Path) -> None:
     with OutputDirectory(tmp_path / "out"):
         pass
     (tmp_path / "other").mkdir()
@@ -68,13 +68,13 @@ def test_nothing_changes_on_an_error(tmp_path: Path, error: type[BaseException],
     assert not present or contents(out) == {SUMMARY: "old"}
 
 
-def test_a_full_disk_is_an_output_error(tmp_path: Path) -> None:
+def test_full_disk_is_an_output_error(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="out: cannot be written: No space left"), OutputDirectory(tmp_path / "out"):
         raise OSError(28, "No space left on device")
     assert not list(tmp_path.iterdir())
 
 
-def test_existing_results_are_replaced_only_when_asked_for(tmp_path: Path) -> None:
+def test_existing_results_are_replaced_only_with_overwrite(tmp_path: Path) -> None:
     out = tmp_path / "out"
     for text in ("old", "new"):
         with OutputDirectory(out, overwrite=text == "new") as directory:
@@ -87,7 +87,7 @@ def test_existing_results_are_replaced_only_when_asked_for(tmp_path: Path) -> No
         OutputDirectory(out).__enter__()
 
 
-SAVES = """
+SAVE_REPEATEDLY = """
 import sys
 from pathlib import Path
 from slam.io.output_dir import SUMMARY, TRAJECTORY, OutputDirectory
@@ -101,11 +101,11 @@ for number in range(10**9):
 """
 
 
-def test_killed_at_any_moment_the_results_are_there_and_whole(tmp_path: Path) -> None:
-    """Saved again and again, and killed at random moments."""
+def test_results_are_complete_if_the_process_is_killed_at_any_time(tmp_path: Path) -> None:
+    """A process that saves repeatedly is killed at random times."""
     out, random = tmp_path / "out", np.random.default_rng(1)
     for _ in range(5):
-        with subprocess.Popen([sys.executable, "-c", SAVES, out], stdout=subprocess.PIPE) as process:
+        with subprocess.Popen([sys.executable, "-c", SAVE_REPEATEDLY, out], stdout=subprocess.PIPE) as process:
             assert process.stdout is not None
             assert process.stdout.readline() == b"saved\n"
             time.sleep(random.uniform(0.0, 0.05))
@@ -114,7 +114,7 @@ def test_killed_at_any_moment_the_results_are_there_and_whole(tmp_path: Path) ->
         assert saved[SUMMARY] == saved[TRAJECTORY] != ""
 
 
-def test_where_directories_cannot_be_exchanged_the_older_steps_aside(
+def test_results_are_replaced_if_directories_cannot_be_swapped_atomically(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("slam.io.output_dir.swap_directories", lambda *_: False)
@@ -125,20 +125,20 @@ def test_where_directories_cannot_be_exchanged_the_older_steps_aside(
     assert [entry.name for entry in tmp_path.iterdir()] == ["out"]
 
 
-def test_an_empty_directory_is_taken(tmp_path: Path) -> None:
+def test_empty_directory_is_replaced(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     with OutputDirectory(tmp_path / "out") as directory:
         (directory / SUMMARY).write_text("new")
     assert contents(tmp_path / "out") == {SUMMARY: "new"}
 
 
-def test_a_directory_with_anything_else_in_it_is_never_overwritten(tmp_path: Path) -> None:
+def test_directory_with_other_files_is_never_overwritten(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(OutputError, match=r"contains thesis\.tex, which is not a result of a run; not overwritten"):
         OutputDirectory(tmp_path, overwrite=True).__enter__()
 
 
-def test_a_file_in_the_way_is_refused(tmp_path: Path) -> None:
+def test_file_in_place_of_the_directory_is_refused(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("x")
     with pytest.raises(OutputError, match="out: is a file"):
         OutputDirectory(tmp_path / "out", overwrite=True).__enter__()
@@ -146,7 +146,7 @@ def test_a_file_in_the_way_is_refused(tmp_path: Path) -> None:
         OutputDirectory(tmp_path / "out" / "deeper").__enter__()
 
 
-def test_results_are_kept_when_somebody_took_the_place_meanwhile(tmp_path: Path) -> None:
+def test_results_are_kept_if_the_directory_was_created_meanwhile(tmp_path: Path) -> None:
     out = tmp_path / "out"
     directory = OutputDirectory(out)
     work = directory.__enter__()
@@ -160,7 +160,7 @@ def test_results_are_kept_when_somebody_took_the_place_meanwhile(tmp_path: Path)
     assert str(work) in str(caught.value)
 
 
-def test_an_unfinished_file_appears_at_the_end_or_not_at_all(tmp_path: Path) -> None:
+def test_unfinished_file_appears_at_the_end_or_not_at_all(tmp_path: Path) -> None:
     file = tmp_path / "a.mcap"
 
     def write_and_interrupt() -> None:
@@ -183,7 +183,7 @@ def test_an_unfinished_file_appears_at_the_end_or_not_at_all(tmp_path: Path) -> 
         pass
 
 
-def test_plain_data_is_what_json_knows() -> None:
+def test_data_is_converted_to_json_types() -> None:
     data = {"a": np.float64(1.5), "b": np.arange(2), "c": float("nan"), 3: (np.bool_(True), None), "p": Path("x")}
     expected = {"a": 1.5, "b": [0, 1], "c": None, "3": [True, None], "p": "x"}
     assert to_json_types(data) == expected

@@ -1,4 +1,4 @@
-"""Many recordings on a few workers: names, what is complete, what a killed worker costs, and who is blamed for it."""
+"""Batches: names of directories, detection of complete results, and crashes of workers."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from slam.config import load_config
 from slam.errors import OutputError, RecordingError
 from slam.offline.batch import (
     Job,
-    Request,
+    JobOptions,
     Row,
     Status,
-    completed,
     fingerprint,
-    jobs_for,
+    make_jobs,
+    make_row,
+    read_completed_summary,
     remove_leftovers,
-    row_of,
     write_table,
 )
-from slam.offline.batch.cluster import local_workers
+from slam.offline.batch.cluster import start_local_workers
 from slam.offline.batch.dispatch import dispatch
 
-PLAIN = Request(load_config(), review=False)
+PLAIN = JobOptions(load_config(), review=False)
 RETRIES = 1
 
 
 def names(*recordings: str) -> list[str]:
-    return [job.name for job in jobs_for(recordings, Path("out"), PLAIN)]
+    return [job.name for job in make_jobs(recordings, Path("out"), PLAIN)]
 
 
 # Directories
@@ -51,12 +51,12 @@ def test_a_directory_is_named_after_its_recording() -> None:
         "bag",
         "sim-office-seed=3-duration=2",
     ]
-    job = jobs_for(["a/intel.clf"], Path("out"), PLAIN)[0]
+    job = make_jobs(["a/intel.clf"], Path("out"), PLAIN)[0]
     assert job.recording == str(Path("a/intel.clf").resolve())
     assert job.directory == Path("out/intel").resolve()
 
 
-def test_recordings_of_one_name_are_told_apart_by_their_paths() -> None:
+def test_recordings_with_the_same_name_get_parts_of_their_paths() -> None:
     found = names("data/monday/drive.mcap", "data/tuesday/drive.mcap", "data/tuesday/other.mcap")
     assert found == ["monday-drive.mcap", "tuesday-drive.mcap", "other"]
 
@@ -66,59 +66,59 @@ def test_a_recording_given_twice_is_mapped_once() -> None:
 
 
 @pytest.mark.parametrize("spec", ["rplidar:/dev/ttyUSB0 + create2:/dev/ttyUSB1", "replay:a.clf?speed=2"])
-def test_what_cannot_be_read_twice_is_refused(spec: str) -> None:
-    with pytest.raises(RecordingError, match="is no recording"):
+def test_devices_and_replays_are_refused(spec: str) -> None:
+    with pytest.raises(RecordingError, match="is not a recording"):
         names(spec)
 
 
-def test_recordings_that_no_name_tells_apart_are_refused() -> None:
+def test_recordings_whose_directories_would_have_the_same_name_are_refused() -> None:
     with pytest.raises(RecordingError, match="would have the same directory"):
         names("a-b/drive.clf", "a/b-drive.clf", "a/b/drive.clf")
 
 
-# What is complete
+# Complete results
 
 
 @pytest.fixture
 def job(tmp_path: Path) -> Job:
     (tmp_path / "a.clf").write_text("a recording")
-    return jobs_for([str(tmp_path / "a.clf")], tmp_path / "out", PLAIN)[0]
+    return make_jobs([str(tmp_path / "a.clf")], tmp_path / "out", PLAIN)[0]
 
 
-def pretend_mapped(job: Job, **summary: Any) -> None:
+def write_fake_results(job: Job, **values: Any) -> None:
     job.directory.mkdir(parents=True, exist_ok=True)
-    for name in job.request.results():
+    for name in job.options.results():
         (job.directory / name).write_text("x")
-    told = {"recording_path": job.recording, "fingerprint": fingerprint(job), **summary}
-    (job.directory / "summary.json").write_text(json.dumps(told))
+    summary = {"recording_path": job.recording, "fingerprint": fingerprint(job), **values}
+    (job.directory / "summary.json").write_text(json.dumps(summary))
 
 
 def test_results_are_complete_with_all_files_of_the_same_recording_and_request(job: Job) -> None:
-    assert completed(job) is None
-    pretend_mapped(job, scans=3)
-    assert (completed(job) or {})["scans"] == 3
+    assert read_completed_summary(job) is None
+    write_fake_results(job, scans=3)
+    assert (read_completed_summary(job) or {})["scans"] == 3
     (job.directory / "report.html").unlink()
-    assert completed(job) is None
+    assert read_completed_summary(job) is None
 
 
-@pytest.mark.parametrize("change", ["content", "config", "refine", "log wanted"])
-def test_what_was_made_otherwise_is_not_complete(job: Job, change: str) -> None:
-    pretend_mapped(job)
-    request = job.request
+@pytest.mark.parametrize("change", ["content", "config", "refine", "review log"])
+def test_results_of_another_recording_or_request_are_not_complete(job: Job, change: str) -> None:
+    write_fake_results(job)
+    options = job.options
     if change == "content":
         Path(job.recording).write_text("another recording")
     elif change == "config":
-        request = replace(request, config=load_config(None, ["lidar.sigma_range=0.02"]))
+        options = replace(options, config=load_config(None, ["lidar.sigma_range=0.02"]))
     else:
-        request = replace(request, refine=change == "refine", review=change == "log wanted")
-    assert completed(replace(job, request=request)) is None
+        options = replace(options, refine=change == "refine", review=change == "review log")
+    assert read_completed_summary(replace(job, options=options)) is None
 
 
-def test_a_change_of_one_file_of_a_bag_shows(tmp_path: Path) -> None:
+def test_change_of_one_file_of_a_bag_changes_the_fingerprint(tmp_path: Path) -> None:
     (tmp_path / "bag").mkdir()
     for name in ("metadata.yaml", "a.db3"):
         (tmp_path / "bag" / name).write_text("x")
-    job = jobs_for([str(tmp_path / "bag")], tmp_path / "out", PLAIN)[0]
+    job = make_jobs([str(tmp_path / "bag")], tmp_path / "out", PLAIN)[0]
     before = fingerprint(job)
     assert fingerprint(job) == before
     (tmp_path / "bag" / "a.db3").write_text("xx")
@@ -126,16 +126,16 @@ def test_a_change_of_one_file_of_a_bag_shows(tmp_path: Path) -> None:
 
 
 def test_results_of_another_recording_are_not_replaced(job: Job) -> None:
-    pretend_mapped(job, recording_path="/elsewhere/a.clf")
-    with pytest.raises(OutputError, match=r"holds the results of /elsewhere/a\.clf"):
-        completed(job)
+    write_fake_results(job, recording_path="/elsewhere/a.clf")
+    with pytest.raises(OutputError, match=r"contains the results of /elsewhere/a\.clf"):
+        read_completed_summary(job)
 
 
 @pytest.mark.parametrize("content", ["", "[]", "{}", '"text"', "null", '{"recording_path": 3', "\x00"])
-def test_a_summary_of_whatever_is_not_complete(job: Job, content: str) -> None:
-    pretend_mapped(job)
+def test_directory_with_an_invalid_summary_is_not_complete(job: Job, content: str) -> None:
+    write_fake_results(job)
     (job.directory / "summary.json").write_text(content)
-    assert completed(job) is None
+    assert read_completed_summary(job) is None
 
 
 def test_leftovers_of_killed_workers_are_removed_and_nothing_else(job: Job) -> None:
@@ -149,7 +149,7 @@ def test_leftovers_of_killed_workers_are_removed_and_nothing_else(job: Job) -> N
 # The table
 
 
-def test_the_table_tells_of_every_recording(job: Job, tmp_path: Path) -> None:
+def test_table_has_a_row_for_every_recording(job: Job, tmp_path: Path) -> None:
     summary = {
         "duration": 60.0,
         "scans": 600,
@@ -159,8 +159,12 @@ def test_the_table_tells_of_every_recording(job: Job, tmp_path: Path) -> None:
         "truth": None,
         "slam": {"loops": {"accepted": 3, "retracted": 1}},
     }
-    rows = [row_of(job, Status.DONE, summary), row_of(job, Status.FAILED, error="why"), row_of(job, Status.WAITING)]
-    for _ in range(2):  # replaces the older one
+    rows = [
+        make_row(job, Status.DONE, summary),
+        make_row(job, Status.FAILED, error="why"),
+        make_row(job, Status.WAITING),
+    ]
+    for _ in range(2):  # the second replaces the first
         write_table(tmp_path / "batch.parquet", rows)
     read = pq.read_table(tmp_path / "batch.parquet").to_pylist()
     assert [row["status"] for row in read] == ["done", "failed", "waiting"]
@@ -175,12 +179,12 @@ def test_the_table_tells_of_every_recording(job: Job, tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def client() -> Iterator[Client]:
     cloudpickle.register_pickle_by_value(sys.modules[__name__])  # workers cannot import the tests
-    with local_workers(2) as client:
+    with start_local_workers(2) as client:
         yield client
 
 
 def work(job: Job) -> Row:
-    """Does what the recording's name says; tries are counted in the log."""
+    """Die, raise or succeed, according to the recording's name; the log counts the tries."""
     with job.log.open("a") as log:
         log.write("try\n")
     tries = len(job.log.read_text().splitlines())
@@ -188,34 +192,34 @@ def work(job: Job) -> Row:
         os.kill(os.getpid(), signal.SIGKILL)
     if job.name.startswith("broken") or (job.name.startswith("shaky") and tries == 1):
         raise OSError("the disk went away")
-    return row_of(job, Status.DONE)
+    return make_row(job, Status.DONE)
 
 
-@pytest.mark.filterwarnings("default")  # of the machinery around a worker that is killed
-def test_a_worker_that_dies_takes_nothing_with_it(client: Client, tmp_path: Path) -> None:
+@pytest.mark.filterwarnings("default")  # from Dask, about the killed worker
+def test_crash_of_a_worker_affects_only_its_recording(client: Client, tmp_path: Path) -> None:
     recordings = ["good-1", "deadly", "broken", "good-2", "killed-once", "shaky", *(f"good-{k}" for k in range(3, 9))]
-    jobs = jobs_for(recordings, tmp_path, PLAIN)
+    jobs = make_jobs(recordings, tmp_path, PLAIN)
     (tmp_path / "logs").mkdir()
-    told: dict[str, list[Status]] = {name: [] for name in recordings}
+    statuses: dict[str, list[Status]] = {name: [] for name in recordings}
     errors = {}
     for row in dispatch(jobs, work, client, RETRIES):
-        told[row.name].append(row.status)
+        statuses[row.name].append(row.status)
         errors[row.name] = row.error
     for name in recordings:
         end = Status.FAILED if name in ("deadly", "broken") else Status.DONE
         tries = 1 if name.startswith("good") else 2
-        assert told[name] == [*[Status.RUNNING] * tries, end], name
+        assert statuses[name] == [*[Status.RUNNING] * tries, end], name
         assert len((tmp_path / "logs" / f"{name}.log").read_text().splitlines()) == tries
-    assert errors["deadly"] == "the worker dies of it"
+    assert errors["deadly"] == "the worker process died while mapping it"
     assert errors["broken"] == "OSError: the disk went away"
 
 
-def test_workers_have_one_thread_and_are_reached_from_here_only(client: Client) -> None:
+def test_local_workers_have_one_thread_and_are_reachable_from_this_computer_only(client: Client) -> None:
     client.wait_for_workers(2, timeout=30)
-    told = client.scheduler_info(n_workers=-1)
-    assert told["address"].startswith("tcp://127.0.0.1:")
-    assert len(told["workers"]) == 2
-    for address, worker in told["workers"].items():
+    info = client.scheduler_info(n_workers=-1)
+    assert info["address"].startswith("tcp://127.0.0.1:")
+    assert len(info["workers"]) == 2
+    for address, worker in info["workers"].items():
         assert address.startswith("tcp://127.0.0.1:")
         assert worker["nthreads"] == 1
     environments = client.run(lambda: {name: os.environ.get(name) for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS")})

@@ -1,4 +1,4 @@
-"""Mount and wheels are found from a drive, as exactly as is claimed."""
+"""Mount and odometry corrections are estimated from a drive as accurately as the standard errors state."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from drivers.messages import Odometry, Scan
 from drivers.simulation import Simulation
 from slam.config import Config, LidarConfig
 from slam.errors import MapError
-from slam.offline.calibration.extrinsics import Calibration, Wheels, calibrate
+from slam.offline.calibration.extrinsics import Calibration, OdometryCorrection, calibrate
 
 MOUNT = np.array([0.15, -0.05, 0.3])
 GUESS = Config(lidar=LidarConfig(mount=(0.1, 0.0, 0.2)))
-"""What a ruler and an eye give."""
+"""Initial mount, as measured with a ruler and by eye."""
 
 
 def true_values(simulation: Simulation) -> np.ndarray:
-    """(6,): mount, and the factors that undo what the simulation does to its wheels."""
+    """Return (6,) the mount, and the factors that undo the simulated errors of the wheels."""
     biases = simulation.biases
     left, right = 1 / biases.left, 1 / biases.right
     mean = (left + right) / 2
@@ -28,10 +28,12 @@ def true_values(simulation: Simulation) -> np.ndarray:
 
 
 def values(found: Calibration) -> np.ndarray:
-    return np.array([*found.mount, found.wheels.distance, found.wheels.turn, found.wheels.pull])
+    return np.array(
+        [*found.mount, found.odometry.distance_scale, found.odometry.turn_scale, found.odometry.curvature_bias]
+    )
 
 
-def test_a_drive_tells_the_mount_and_the_wheels() -> None:
+def test_mount_and_odometry_correction_are_found_from_a_drive() -> None:
     simulation = Simulation("office", seed=3, duration=45.0, mount=MOUNT)
     found = calibrate(simulation, GUESS)
     error = values(found) - true_values(simulation)
@@ -40,7 +42,7 @@ def test_a_drive_tells_the_mount_and_the_wheels() -> None:
 
 
 @pytest.mark.slow
-def test_the_standard_errors_are_honest() -> None:
+def test_standard_errors_are_consistent() -> None:
     scaled = []
     for seed in range(10):
         simulation = Simulation("office", seed=seed, duration=90.0, mount=MOUNT)
@@ -51,22 +53,22 @@ def test_the_standard_errors_are_honest() -> None:
     assert np.all(spread > 0.2)
 
 
-def test_corrections_undo_wrong_wheels() -> None:
+def test_correction_undoes_wrong_wheels() -> None:
     steps = np.array([[0.1, 0.0, 0.0], [0.1, 0.01, 0.2], [-0.1, 0.01, -0.2], [0.0, 0.0, 0.3]])
-    wheels = Wheels(distance=1.02, turn=0.95, pull=0.01)
-    told = np.zeros((5, 3))
+    correction = OdometryCorrection(distance_scale=1.02, turn_scale=0.95, curvature_bias=0.01)
+    poses = np.zeros((5, 3))
     for k, (length, _, turn) in enumerate(steps):
-        heading = told[k, 2]
+        heading = poses[k, 2]
         chord = length * np.sinc(turn / (2 * np.pi))
-        told[k + 1] = told[k] + [chord * np.cos(heading + turn / 2), chord * np.sin(heading + turn / 2), turn]
-    path = wheels.corrected(told)
+        poses[k + 1] = poses[k] + [chord * np.cos(heading + turn / 2), chord * np.sin(heading + turn / 2), turn]
+    path = correction.apply(poses)
     assert np.diff(path[:, 2]) == pytest.approx(0.95 * steps[:, 2] + 0.01 * steps[:, 0])
     lengths = np.hypot(*np.diff(path[:, :2], axis=0).T) / np.sinc(np.diff(path[:, 2]) / (2 * np.pi))
     assert lengths == pytest.approx(1.02 * np.abs(steps[:, 0]))
-    assert Wheels().corrected(told) == pytest.approx(told)
+    assert OdometryCorrection().apply(poses) == pytest.approx(poses)
 
 
-def test_too_little_is_said() -> None:
+def test_too_little_data_is_an_error() -> None:
     with pytest.raises(MapError, match="too few to calibrate"):
         calibrate([])
     simulation = Simulation("office", duration=3.0)
@@ -74,7 +76,7 @@ def test_too_little_is_said() -> None:
         calibrate([message for message in simulation if isinstance(message, Scan | Odometry)])
 
 
-def test_the_command_tells_what_to_write(wclm: Any) -> None:
+def test_command_prints_the_corrected_options(wclm: Any) -> None:
     result = wclm("calibrate", "sim:room?duration=45&seed=1", "--wheel-radius", "0.033", "--track", "0.35")
     assert result.exit_code == 0, result.output
     simulation = Simulation("room", seed=1, duration=45.0)
