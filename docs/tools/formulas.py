@@ -1,7 +1,7 @@
-"""Formulas as pictures within the page: mkdocs calls this for every page; nothing is fetched when it is read.
+"""MkDocs hook that renders formulas as SVG within the page, so that a reader's browser fetches nothing.
 
-Markdown has them between dollar signs, as GitHub shows them too. What matplotlib's mathtext draws of them has no
-colour of its own, so that it is readable on light and on dark ground.
+In Markdown formulas stand between dollar signs, which GitHub renders as well. Matplotlib's mathtext draws them without
+a colour, so that they are readable on light and dark backgrounds.
 """
 
 from __future__ import annotations
@@ -13,27 +13,27 @@ from io import StringIO
 from typing import Any
 
 FORMULA = re.compile(r'<(?P<tag>span|div) class="arithmatex">\\[(\[](?P<tex>.*?)\\[)\]]</(?P=tag)>', re.DOTALL)
-POINTS = 10.0  # size that is drawn with; the page scales it
-NOT_IN_A_PAGE = re.compile(
-    r'<\?xml.*?<svg|<metadata>.*?</metadata>|<!--.*?-->|<style.*?</style>| id="\w+_1"', re.DOTALL
-)
+POINTS = 10.0
+"""Font size of the drawing; the page scales it."""
+UNWANTED = re.compile(r'<\?xml.*?<svg|<metadata>.*?</metadata>|<!--.*?-->|<style.*?</style>| id="\w+_1"', re.DOTALL)
+"""Parts of the SVG file that do not belong into a page."""
 
 
 def on_page_content(html: str, **_: Any) -> str:
-    """Replace the formulas of a page; a formula that mathtext does not understand is an error of the build."""
-    return FORMULA.sub(_picture, html)
+    """Replace the formulas of a page; a formula that mathtext cannot parse is a build error."""
+    return FORMULA.sub(_render, html)
 
 
-def _picture(match: re.Match[str]) -> str:
+def _render(match: re.Match[str]) -> str:
     tag, tex = match["tag"], " ".join(unescape(match["tex"]).split())
-    svg, height, depth = _drawn(tex.replace(r"\frac", r"\dfrac") if tag == "div" else tex)
+    svg, height, depth = _draw(tex.replace(r"\frac", r"\dfrac") if tag == "div" else tex)
     style = f"height:{height / POINTS:.3f}em;vertical-align:{-depth / POINTS:.3f}em"
     return f'<{tag} class="formula" role="img" aria-label="{escape(tex)}"><svg style="{style}" {svg}</{tag}>'
 
 
 @cache
-def _drawn(tex: str) -> tuple[str, float, float]:
-    """What follows `<svg`, and the height and the part of it below the line in points."""
+def _draw(tex: str) -> tuple[str, float, float]:
+    """Return the SVG after `<svg`, its height, and its depth below the baseline in points."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
     from matplotlib.font_manager import FontProperties
@@ -46,4 +46,4 @@ def _drawn(tex: str) -> tuple[str, float, float]:
         figure.text(0, depth / height, f"${tex}$", fontproperties=size)
         file = StringIO()
         figure.savefig(file, format="svg", transparent=True, metadata={"Date": None})
-    return NOT_IN_A_PAGE.sub("", file.getvalue()).strip(), height, depth
+    return UNWANTED.sub("", file.getvalue()).strip(), height, depth

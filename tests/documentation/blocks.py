@@ -1,4 +1,4 @@
-"""The documentation's blocks of code, and what each needs to be run."""
+"""Code blocks of the documentation and their requirements."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ BLOCK = re.compile(
 )
 MENTION = re.compile(r"`(wclm [a-z][^`]*)`")
 NEEDS = {"network", "robot", "emulator", "viewer", "cluster", "drives", "time"}
-"""What a block may need that a quick test does not have: a package index, a lidar and a base, a second terminal with an
-emulated robot, a display, other computers, several drives through one building, minutes."""
+"""Requirements of a block that a quick test does not meet: a package index, a lidar and a base, a second terminal with
+an emulated robot, a display, other computers, several drives through one building, minutes of time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """A block of a page: its number there, its language, what it needs (empty: nothing), and its text."""
+    """A code block: page, number on the page, language, requirement (empty: none), and text."""
 
     page: str
     number: int
@@ -34,13 +34,13 @@ class Block:
         return f"{self.page}-{self.number}"
 
     def commands(self) -> list[list[str]]:
-        """The words of each line, comments left out."""
+        """Return the words of each line, without comments."""
         lines = [shlex.split(line, comments=True) for line in self.text.splitlines()]
         return [words for words in lines if words]
 
 
 def blocks() -> list[Block]:
-    """All blocks of shell commands and Python of all pages."""
+    """Return all blocks of shell commands and Python of all pages."""
     return [
         Block(name, number, match["language"], match["needs"] or "", match["text"])
         for name, page in PAGES.items()
@@ -49,7 +49,7 @@ def blocks() -> list[Block]:
 
 
 def mentions() -> list[tuple[str, list[str]]]:
-    """Pages and the words of each command that stands within a sentence."""
+    """Return the page and the words of each command within a sentence."""
     return [
         (name, shlex.split(match[1]))
         for name, page in PAGES.items()

@@ -1,4 +1,4 @@
-"""A place like that of a reader of the documentation: recordings and results under the names that the pages use."""
+"""Directory of a reader of the documentation: recordings and results under the names that the pages use."""
 
 from __future__ import annotations
 
@@ -13,15 +13,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from drivers import se2
+from drivers import se2, simulation
 from drivers.messages import GroundTruth, Odometry, Scan, Source
-from drivers.simulation import simulator
 from slam.cli.app import app
 from slam.io.tum import Trajectory, read_tum, write_tum
 
-SECONDS = 12.0
-"""Of any simulated drive: more than a hundred scans."""
-FEW_BEAMS = simulator.Lidar(beams=240)
+DURATION = 12.0
+"""Duration of simulated drives, seconds; more than a hundred scans."""
+FEW_BEAMS = simulation.LidarModel(beams=240)
 WORLD = """\
 title = "a room to calibrate in"
 speed = 0.9
@@ -60,8 +59,8 @@ def wclm(*words: str) -> Result:
 
 @contextlib.contextmanager
 def simulations_of(seconds: float) -> Iterator[None]:
-    """Simulations are short, and their lidar is quick to work on."""
-    whole = simulator.Simulation
+    """Limit the duration of simulations and the number of their beams."""
+    whole = simulation.Simulation
 
     def short(
         world: Any = "office",
@@ -75,7 +74,7 @@ def simulations_of(seconds: float) -> Iterator[None]:
         return whole(world, seed, min(duration or seconds, seconds), FEW_BEAMS, drive, *rest, **more)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(simulator, "Simulation", short)
+        patch.setattr(simulation, "Simulation", short)
         patch.setenv("COLUMNS", "200")
         patch.delenv("DISPLAY", raising=False)
         patch.delenv("WAYLAND_DISPLAY", raising=False)
@@ -84,40 +83,43 @@ def simulations_of(seconds: float) -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the pages take for granted: a recording, what a run made of it, the truth, a benchmark, a pose graph."""
-    place = tmp_path_factory.mktemp("given")
-    with simulations_of(SECONDS):
-        fill(place)
-    return place
+    """Files that the pages presuppose: recording, output directory, ground truth, relations, pose graph."""
+    directory = tmp_path_factory.mktemp("given")
+    with simulations_of(DURATION):
+        fill(directory)
+    return directory
 
 
-def fill(place: Path) -> None:
-    """Write everything that is given into a directory; the recording is named as `drive.mcap` and as `intel.clf`."""
-    world = place / "room.toml"
+def fill(directory: Path) -> None:
+    """Write the presupposed files; the recording is both `drive.mcap` and `intel.clf`."""
+    world = directory / "room.toml"
     world.write_text(WORLD, encoding="ascii")
-    for words in (f"simulate {world} {place}/drive.mcap", f"run {place}/drive.mcap --out {place}/map --no-review"):
+    for words in (
+        f"simulate {world} {directory}/drive.mcap",
+        f"run {directory}/drive.mcap --out {directory}/map --no-review",
+    ):
         result = wclm(*words.split())
         assert result.exit_code == 0, result.output
-    source = simulator.Simulation(world)
-    _write_carmen(place / "intel.clf", source)
+    source = simulation.Simulation(world)
+    _write_carmen(directory / "intel.clf", source)
     truth = [message for message in source if isinstance(message, GroundTruth)]
     stamps, poses = np.array([m.stamp for m in truth]), np.array([m.pose for m in truth])
-    write_tum(place / "truth.tum", Trajectory(stamps, poses))
+    write_tum(directory / "truth.tum", Trajectory(stamps, poses))
     motion = se2.between(poses[0], poses[-1])
-    (place / "intel.relations").write_text(
+    (directory / "intel.relations").write_text(
         f"{stamps[0]:.6f} {stamps[-1]:.6f} {motion[0]} {motion[1]} 0 0 0 {motion[2]}\n", encoding="ascii"
     )
     for folder in ("monday", "tuesday"):
-        (place / folder).mkdir()
-        shutil.copy(place / "drive.mcap", place / folder / f"{folder}.mcap")
+        (directory / folder).mkdir()
+        shutil.copy(directory / "drive.mcap", directory / folder / f"{folder}.mcap")
     for folder in ("intel", "out"):
-        shutil.copytree(place / "map", place / folder)
-        assert len(read_tum(place / folder / "trajectory.tum")) > 1
-    (place / "graph.g2o").write_text(GRAPH, encoding="ascii")
+        shutil.copytree(directory / "map", directory / folder)
+        assert len(read_tum(directory / folder / "trajectory.tum")) > 1
+    (directory / "graph.g2o").write_text(GRAPH, encoding="ascii")
 
 
 def _write_carmen(path: Path, source: Source) -> None:
-    """A CARMEN log of a lidar that sits in the middle and looks half around, as the benchmark's do."""
+    """Write a CARMEN log of a centred lidar with a field of view of 180 degrees, as in the benchmark."""
     lines, pose = [], np.zeros(3)
     for message in source:
         if isinstance(message, Odometry):
@@ -127,19 +129,21 @@ def _write_carmen(path: Path, source: Source) -> None:
         elif isinstance(message, Scan):
             ahead = message.ranges[(message.angles >= -np.pi / 2) & (message.angles < np.pi / 2)]
             ranges = " ".join(f"{r:.3f}" for r in np.nan_to_num(ahead, nan=81.83))
-            place = f"{pose[0]:.6f} {pose[1]:.6f} {pose[2]:.6f}"
-            lines.append(f"FLASER {len(ahead)} {ranges} {place} {place} {message.stamp:.6f} host {message.stamp:.6f}")
+            position = f"{pose[0]:.6f} {pose[1]:.6f} {pose[2]:.6f}"
+            lines.append(
+                f"FLASER {len(ahead)} {ranges} {position} {position} {message.stamp:.6f} host {message.stamp:.6f}"
+            )
     path.write_text("\n".join(lines) + "\n", encoding="ascii")
 
 
 class Reader:
-    """Types a page's commands one after the other, in a directory where what the page takes for granted is there."""
+    """Runs the commands of a page one after the other in a directory with the presupposed files."""
 
     def __init__(self, given: Path) -> None:
         self._given = {path.name for path in given.iterdir()}
 
-    def types(self, words: list[str]) -> None:
-        """Run a command; what it writes may replace what was given, but nothing that the page has made itself."""
+    def run(self, words: list[str]) -> None:
+        """Run a command; it may replace presupposed files, but no results of earlier commands."""
         outputs = [after for word, after in pairwise(words) if word == "--out"]
         outputs += words[3:4] if words[1] == "simulate" else []
         for path in map(Path, self._given.intersection(outputs)):
@@ -152,7 +156,7 @@ class Reader:
 
 
 def _expanded(word: str) -> list[str]:
-    """What a shell makes of a word."""
+    """Return a word with wildcards expanded."""
     return [str(path) for path in sorted(Path().glob(word))] if "*" in word else [word]
 
 

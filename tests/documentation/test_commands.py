@@ -1,4 +1,4 @@
-"""Every command in the README and the documentation is there, takes the options that its page says, and runs."""
+"""Every command in the README and the documentation exists, accepts its options, and runs."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from .conftest import Reader, fill, simulations_of
 
 PLACEHOLDERS = {"FILE", "FORMAT", "WORLD", "SESSION", "DIR", "RECORDING", "GRAPH"}
 OTHER_PROGRAMS = {"make", "pip", "python3", "sudo", ".", "rerun", "dask"}
-"""Commands that are not ours; those of `make` must be targets."""
+"""Other commands; those of `make` must be targets."""
 SHORTER = {"--seeds": "1", "--runs": "2", "--count": "5", "--laps": "1"}
-"""Of benchmarks, which take as long as they are told to."""
+"""Smaller values for options that determine the duration of benchmarks."""
 WITH_BLOCKS = sorted({block.page for block in blocks()})
 
 
-def understood(words: list[str]) -> None:
-    """Parse a command without running it, with its devices' specs; raises what a user would be told."""
+def parse_command(words: list[str]) -> None:
+    """Parse a command and its device specs without running it; raises the errors of the command line."""
     command: Any = get_command(app)
     context = typer.Context(command, info_name="wclm")
     while hasattr(command, "commands") and words:
@@ -42,7 +42,7 @@ def understood(words: list[str]) -> None:
                 parse_devices(spec)
 
 
-def test_needs_are_known_and_every_page_is_read() -> None:
+def test_requirements_are_known_and_all_blocks_are_found() -> None:
     assert {block.needs for block in blocks()} <= NEEDS | {""}
     assert "README.md" in WITH_BLOCKS
     for name, page in PAGES.items():
@@ -52,20 +52,20 @@ def test_needs_are_known_and_every_page_is_read() -> None:
 
 
 @pytest.mark.parametrize("block", [block for block in blocks() if block.language == "sh"], ids=str)
-def test_commands_are_there(block: Block) -> None:
+def test_commands_in_blocks_exist(block: Block) -> None:
     targets = {line.split(":")[0] for line in (ROOT / "Makefile").read_text().splitlines() if line[:1].isalpha()}
     for words in block.commands():
         if words[0] == "wclm":
             if words[1:] not in (["--help"], ["--version"]):
-                understood(words[1:])
+                parse_command(words[1:])
         else:
             assert words[0] in OTHER_PROGRAMS, words
             assert words[0] != "make" or words[1] in targets
-            assert block.needs not in ("", "emulator", "time"), f"{block}: nothing runs {words[0]} here"
+            assert block.needs not in ("", "emulator", "time"), f"{block}: {words[0]} cannot be run by a test"
 
 
 @pytest.mark.parametrize(("page", "words"), mentions())
-def test_commands_within_sentences_are_there(page: str, words: list[str]) -> None:
+def test_commands_in_sentences_exist(page: str, words: list[str]) -> None:
     command: Any = get_command(app)
     rest = words[1:]
     while hasattr(command, "commands") and rest:
@@ -78,7 +78,7 @@ def test_commands_within_sentences_are_there(page: str, words: list[str]) -> Non
 
 
 @pytest.mark.parametrize("page", WITH_BLOCKS)
-def test_blocks_run_in_their_order(page: str, reader: Reader) -> None:
+def test_blocks_run_in_order(page: str, reader: Reader) -> None:
     with simulations_of(12.0):
         for block in blocks():
             if block.page != page or block.needs:
@@ -87,24 +87,24 @@ def test_blocks_run_in_their_order(page: str, reader: Reader) -> None:
                 exec(compile(block.text, str(block), "exec"), {"__name__": "__main__"})
             else:
                 for words in block.commands():
-                    reader.types(words)
+                    reader.run(words)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("block", [block for block in blocks() if block.needs == "time"], ids=str)
-def test_blocks_that_take_their_time(block: Block, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_slow_blocks_run(block: Block, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     with simulations_of(100.0):
         fill(tmp_path)
     for words in block.commands():
         shorter = [SHORTER.get(before, word) for before, word in zip(["", *words], words, strict=False)]
-        Reader(tmp_path).types(shorter)
+        Reader(tmp_path).run(shorter)
 
 
 @pytest.mark.slow
-def test_a_robot_in_another_terminal(tmp_path: Path) -> None:
-    """The blocks that need the emulator: the first starts it, the others use it, for some seconds."""
+def test_blocks_with_an_emulated_robot_run(tmp_path: Path) -> None:
+    """The first block starts the emulator, the others use it for some seconds."""
     (start,), *others = [
         block.commands()
         for block in blocks()

@@ -1,4 +1,4 @@
-"""The documentation as a whole: nothing in it is broken, out of date, or fetched from elsewhere."""
+"""The documentation builds, is up to date, and fetches nothing from other hosts."""
 
 from __future__ import annotations
 
@@ -29,25 +29,25 @@ def _tool(name: str) -> ModuleType:
 
 
 @pytest.mark.parametrize("page", ["commands.md", "configuration.md"])
-def test_what_is_written_from_the_code_is_up_to_date(page: str) -> None:
+def test_generated_pages_are_up_to_date(page: str) -> None:
     written = _tool("reference").PAGES[page]()
     assert (ROOT / "docs" / page).read_text(encoding="utf-8") == written, "run `make reference`"
 
 
-def test_every_setting_and_every_device_is_told_of() -> None:
+def test_configuration_page_lists_settings_and_devices() -> None:
     text = (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8")
     for words in ("| `sigma_range` | `0.01` | > 0, < 1 |", "`wclm-ml`, `wclm`", "| `wheels` |", "| `dtr` | bases |"):
         assert words in text
 
 
-def test_links_of_the_readme_lead_somewhere() -> None:
+def test_links_of_the_readme_exist() -> None:
     targets = [match[1] for match in LINK.finditer((ROOT / "README.md").read_text(encoding="utf-8"))]
     assert len(targets) > 10
     for target in targets:
         assert target.startswith("https://") or (ROOT / target).exists(), target
 
 
-def test_pictures_are_small_and_all_of_them_are_shown() -> None:
+def test_pictures_are_small_and_all_are_used() -> None:
     from slam.cli.commands.demo_pictures import RECORDINGS, picture_sets
 
     made = {file for pictures in picture_sets(None) for file in pictures.files} | {f"{name}.png" for name in RECORDINGS}
@@ -61,7 +61,7 @@ def test_pictures_are_small_and_all_of_them_are_shown() -> None:
 
 
 class _Page(HTMLParser):
-    """What a browser fetches by itself to show a page, and the formulas that are drawn in it."""
+    """Parser for the resources that a browser fetches with a page, and for its formulas."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -78,7 +78,7 @@ class _Page(HTMLParser):
             self.formulas.append(given.get("aria-label") or "")
 
 
-def test_the_site_is_built_and_asks_no_other_host(tmp_path: Path) -> None:
+def test_site_builds_and_refers_to_no_other_host(tmp_path: Path) -> None:
     answer = subprocess.run(
         [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", tmp_path / "site"],
         cwd=ROOT,
@@ -90,14 +90,14 @@ def test_the_site_is_built_and_asks_no_other_host(tmp_path: Path) -> None:
     assert answer.returncode == 0, answer.stderr
     assert answer.stdout + answer.stderr == ""
     pages = list((tmp_path / "site").glob("*.html"))
-    assert len(pages) >= len(PAGES)  # the README is no page of the site, but 404.html is
+    assert len(pages) >= len(PAGES)  # the site has no README, but 404.html
     formulas = []
     for path in pages:
         text = path.read_text(encoding="utf-8")
         page = _Page()
         page.feed(text)
         assert not [url for url in page.fetched if url.startswith(("http", "//"))], path.name
-        assert "arithmatex" not in text, f"{path.name} has a formula that was not drawn"
+        assert "arithmatex" not in text, f"{path.name} has a formula that was not rendered"
         formulas += page.formulas
     assert r"u \cos\theta + v \sin\theta = \frac{1}{\rho} ." in formulas
     assert not (tmp_path / "site" / "tools").exists()

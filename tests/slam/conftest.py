@@ -1,4 +1,4 @@
-"""What several tests need: a small map, a pipeline that finds it, and a way to run commands."""
+"""Fixtures of several tests: a small map, a replacement of the pipeline, commands, and a review log."""
 
 import time
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ from .corridor import Corridor
 
 @pytest.fixture
 def finished() -> Finished:
-    """A room of 6 m by 4 m, seen from inside, and a path through it."""
+    """Result of a run in a room of 6 m by 4 m."""
     frames = np.array([[3, 0, 0], [6, 2, np.pi / 2], [3, 4, np.pi], [0, 2, -np.pi / 2]], float)
     half = np.array([3.0, 2.0, 3.0, 2.0])
     lines = MapWalls(
@@ -51,7 +51,7 @@ def finished() -> Finished:
 
 @pytest.fixture
 def fake_slam(monkeypatch: pytest.MonkeyPatch, finished: Finished) -> type:
-    """A pipeline that believes odometry and finds a known room, so that failures can be had at will."""
+    """Replacement of the pipeline that returns odometry and a fixed map, and fails on demand."""
 
     class FakeSlam:
         fails: BaseException | None = None
@@ -79,26 +79,26 @@ def fake_slam(monkeypatch: pytest.MonkeyPatch, finished: Finished) -> type:
         def finish(self) -> Finished:
             for k in range(self.notices):
                 for sink in self.sinks:
-                    sink.handle(Notice(float(k), f"oddity number {k}"))
+                    sink.handle(Notice(float(k), f"notice number {k}"))
             return replace(
                 finished,
                 stamps=np.array([o.stamp for o in self.odometry]),
                 poses=np.array([o.pose for o in self.odometry]),
             )
 
-    monkeypatch.setattr("slam.warmup.warm_up", lambda: None)  # first, as it imports the real pipeline
+    monkeypatch.setattr("slam.warmup.warm_up", lambda: None)  # first, as importing it imports the real pipeline
     monkeypatch.setattr("slam.pipeline.Slam", FakeSlam)
     return FakeSlam
 
 
 class Wclm:
-    """Runs commands in this process, in an empty directory."""
+    """Commands run in this process, in an empty directory."""
 
     def __call__(self, *arguments: object) -> Result:
         return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
     def refuses(self, *arguments: object, because: Sequence[str]) -> None:
-        """One line on stderr with these words, exit status 2, nothing on stdout."""
+        """Assert that a command fails with one line on stderr that contains `because`, and exit status 2."""
         result = self(*arguments)
         assert result.exit_code == 2, result.output
         assert isinstance(result.exception, SystemExit)
@@ -119,29 +119,29 @@ def wclm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Wclm:
 
 
 class MapServer:
-    """Reads a map as nav2_map_server and map_server do, from their documentation, and tells what is at a place."""
+    """Occupancy map read as nav2_map_server and map_server read it, according to their documentation."""
 
     def __init__(self, yaml: Path) -> None:
-        told = YAML(typ="safe").load(yaml.read_text())
-        assert set(told) == {"image", "mode", "resolution", "origin", "negate", "occupied_thresh", "free_thresh"}
-        assert told["mode"] == "trinary"
-        self.resolution, self.origin = told["resolution"], told["origin"]
-        magic, size, most, pixels = (yaml.parent / told["image"]).read_bytes().split(b"\n", 3)
-        assert (magic, most) == (b"P5", b"255")
+        settings = YAML(typ="safe").load(yaml.read_text())
+        assert set(settings) == {"image", "mode", "resolution", "origin", "negate", "occupied_thresh", "free_thresh"}
+        assert settings["mode"] == "trinary"
+        self.resolution, self.origin = settings["resolution"], settings["origin"]
+        magic, size, maximum, pixels = (yaml.parent / settings["image"]).read_bytes().split(b"\n", 3)
+        assert (magic, maximum) == (b"P5", b"255")
         self.width, self.height = (int(word) for word in size.split())
         picture = np.frombuffer(pixels, np.uint8).reshape(self.height, self.width)
         shade = picture / 255.0
-        occupied = shade if told["negate"] else 1.0 - shade
+        occupied = shade if settings["negate"] else 1.0 - shade
         trinary = np.full(picture.shape, -1)
-        trinary[occupied > told["occupied_thresh"]] = 100
-        trinary[occupied < told["free_thresh"]] = 0
+        trinary[occupied > settings["occupied_thresh"]] = 100
+        trinary[occupied < settings["free_thresh"]] = 0
         self.data = np.empty(self.width * self.height, int)
-        for row in range(self.height):  # data begins with the lowest y, the picture with the highest
+        for row in range(self.height):  # data starts with the lowest y, the picture with the highest
             start = (self.height - row - 1) * self.width
             self.data[start : start + self.width] = trinary[row]
 
     def occupied(self) -> np.ndarray:
-        """(n, 2): the middles of the cells that are occupied, metres."""
+        """Return the centres (n, 2) of the occupied cells, metres."""
         rows, columns = np.nonzero(self.data.reshape(self.height, self.width) == 100)
         return np.column_stack([columns + 0.5, rows + 0.5]) * self.resolution + self.origin[:2]
 

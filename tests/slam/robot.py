@@ -1,4 +1,4 @@
-"""An emulated robot and a live run on it, each a process of its own, as two terminals are."""
+"""An emulated robot and a live run on it, each in a process of its own."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from typing import Any, Self
 
 WCLM = [sys.executable, "-W", "error", "-c", "from slam.cli import main; main()"]
 MOUNT = "0.1,0,0"
-"""Of the emulated lidar."""
-COMPILING = 200.0
-"""Seconds that the first start after a change may take."""
+"""Mount of the emulated lidar: x, y, heading."""
+COMPILATION_TIMEOUT = 200.0
+"""Seconds that the first start after a change may take, with compilation."""
 
 
 class Robot:
-    """`wclm emulate` in a directory; it ends when the context is left.
+    """Context that runs `wclm emulate` in a directory.
 
-    truth  the file with its true path
-    specs  how `wclm live` is told of it
+    truth  file with the true trajectory
+    specs  options of `wclm live` for its devices
     """
 
     def __init__(self, folder: Path, world: str = "office", *options: str) -> None:
@@ -49,7 +49,7 @@ class Robot:
         self.stop()
 
     def stop(self) -> dict[str, Any]:
-        """End it, if it has not ended yet; what it says that happened."""
+        """End the emulator if it still runs; return its report."""
         self._process.terminate()
         self._process.wait(20.0)
         report: dict[str, Any] = json.loads(self._report.read_text())
@@ -57,64 +57,64 @@ class Robot:
 
 
 class LiveRun:
-    """`wclm live` on a robot.
+    """`wclm live` on an emulated robot.
 
-    out        its directory of results
-    processor  seconds of processor time that it took, all its processes; once it has ended
+    out          output directory
+    cpu_seconds  CPU time of all its processes, once it has ended
     """
 
     def __init__(self, robot: Robot, out: Path, *options: str, **how: Any) -> None:
         self.out = out
-        self.processor = math.nan
-        self._told, self._complained = out.with_name("stdout"), out.with_name("stderr")
-        self._before = processor_time()
-        with self._told.open("w") as stdout, self._complained.open("w") as stderr:
+        self.cpu_seconds = math.nan
+        self._stdout, self._stderr = out.with_name("stdout"), out.with_name("stderr")
+        self._before = children_cpu_seconds()
+        with self._stdout.open("w") as stdout, self._stderr.open("w") as stderr:
             command = [*WCLM, "live", *robot.specs, "--out", str(out), *options]
             self.process = subprocess.Popen(command, stdout=stdout, stderr=stderr, **how)
 
     def line(self, beginning: str) -> str:
-        """Wait for a line on stderr that begins like that; the rest of it."""
+        """Wait for a line on stderr with this beginning; return the rest of it."""
 
         def found() -> list[str]:
-            lines = self._complained.read_text().splitlines()
+            lines = self._stderr.read_text().splitlines()
             return [line.removeprefix(beginning) for line in lines if line.startswith(beginning)]
 
         wait_for(found, self.process)
         return found()[0]
 
-    def end(self, how: signal.Signals = signal.SIGINT, patience: float = 60.0) -> tuple[int, str, str]:
-        """Tell it to end; status, stdout and stderr."""
+    def end(self, how: signal.Signals = signal.SIGINT, timeout: float = 60.0) -> tuple[int, str, str]:
+        """Send a signal and wait; return exit status, stdout and stderr."""
         self.process.send_signal(how)
-        return self.wait(patience)
+        return self.wait(timeout)
 
-    def wait(self, patience: float = 60.0) -> tuple[int, str, str]:
-        """Wait until it ends by itself; status, stdout and stderr."""
-        status = self.process.wait(patience)
-        self.processor = processor_time() - self._before
-        return status, self._told.read_text(), self._complained.read_text()
+    def wait(self, timeout: float = 60.0) -> tuple[int, str, str]:
+        """Wait until it ends; return exit status, stdout and stderr."""
+        status = self.process.wait(timeout)
+        self.cpu_seconds = children_cpu_seconds() - self._before
+        return status, self._stdout.read_text(), self._stderr.read_text()
 
     @property
     def summary(self) -> dict[str, Any]:
-        """What it left in summary.json."""
+        """Content of summary.json."""
         summary: dict[str, Any] = json.loads((self.out / "summary.json").read_text())
         return summary
 
     def counters(self, device: int) -> dict[str, int]:
-        """Of the lidar (0) or the base (1)."""
+        """Return the counters of the lidar (0) or the base (1)."""
         counters: dict[str, int] = self.summary["devices"][device]["counters"]
         return counters
 
 
-def processor_time() -> float:
-    """Seconds of processor time of all children that have ended, and of theirs."""
+def children_cpu_seconds() -> float:
+    """Return the CPU time of all children that have ended, and of their children, seconds."""
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     return usage.ru_utime + usage.ru_stime
 
 
-def wait_for(condition: Any, process: subprocess.Popen[Any], patience: float = COMPILING) -> None:
-    """Until it holds, as long as the process lives."""
-    end = time.monotonic() + patience
+def wait_for(condition: Any, process: subprocess.Popen[Any], timeout: float = COMPILATION_TIMEOUT) -> None:
+    """Wait until the condition is true. Fails if the process ends before, or after the timeout."""
+    end = time.monotonic() + timeout
     while not condition():
-        assert process.poll() is None, f"it ended: {process.returncode}"
-        assert time.monotonic() < end, "it did not come"
+        assert process.poll() is None, f"the process ended: {process.returncode}"
+        assert time.monotonic() < end, f"no result after {timeout:g} s"
         time.sleep(0.05)

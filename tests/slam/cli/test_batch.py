@@ -1,4 +1,4 @@
-"""`wclm batch` with real workers: results as of `wclm run`, whatever happens to one recording or to the batch."""
+"""`wclm batch` with worker processes: results equal those of `wclm run`, also after failures and interruptions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ WCLM = """
 import signal
 from slam.cli import main
 if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # which shells take from what runs in the background
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # SIGINT is ignored in the background of a shell
     main()
 """
 SHORT = ("sim:room?duration=3", "sim:room?duration=4")
@@ -32,7 +32,7 @@ def unfinished(out: Path) -> list[Path]:
     return list(out.glob(".*"))
 
 
-def test_a_batch_maps_what_it_can_and_goes_on_where_it_was(wclm: Any, tmp_path: Path) -> None:
+def test_batch_maps_valid_recordings_and_keeps_complete_results(wclm: Any, tmp_path: Path) -> None:
     out = tmp_path / "out"
     (tmp_path / "garbage.clf").write_bytes(bytes(range(256)) * 8)
     batch = ("batch", *SHORT, "garbage.clf", "missing.mcap", "--out", "out", "--no-review", "--workers", 2)
@@ -65,31 +65,31 @@ def test_a_batch_maps_what_it_can_and_goes_on_where_it_was(wclm: Any, tmp_path: 
     assert (out / "sim-room-duration=3" / "summary.json").stat() == before
 
 
-def test_what_is_asked_for_wrongly_is_one_line(wclm: Any, tmp_path: Path) -> None:
+def test_invalid_arguments_are_one_line_errors(wclm: Any, tmp_path: Path) -> None:
     wclm.refuses("batch", "rplidar:/dev/ttyUSB0", "--out", "out", because=["is no recording"])
     wclm.refuses("batch", *SHORT, "--out", "out", "--set", "lidar.x=1", because=["lidar.x"])
     (tmp_path / "file").write_text("x")
-    wclm.refuses("batch", *SHORT, "--out", "file", because=["file: cannot be made"])
+    wclm.refuses("batch", *SHORT, "--out", "file", because=["file: cannot be created"])
     wclm.refuses("batch", *SHORT, "--out", "out", "--scheduler", "nowhere", because=["nowhere: no Dask scheduler"])
     both = wclm("batch", *SHORT, "--out", "out", "--scheduler", "tcp://127.0.0.1:1", "--workers", 2)
     assert both.exit_code == 2
 
 
-def test_an_interrupted_batch_keeps_what_is_complete_and_leaves_nothing_else(tmp_path: Path) -> None:
+def test_an_interrupted_batch_keeps_only_complete_results(tmp_path: Path) -> None:
     out = tmp_path / "out"
     recordings = [SHORT[0], "sim:office?duration=300", "sim:office?duration=301"]
-    process = _started(tmp_path, recordings, "out", 2)
-    deadline = time.monotonic() + 200  # compiling may come first
+    process = start_batch(tmp_path, recordings, "out", 2)
+    deadline = time.monotonic() + 200  # includes compilation
     while len(unfinished(out)) < 2 or not (out / "sim-room-duration=3").exists():
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < deadline
         time.sleep(0.05)
     assert table(out)["sim-office-duration=300"]["status"] == "running"
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers, too
-    printed, said = process.communicate(timeout=60)
-    assert process.returncode == 130, said
-    assert "interrupted; 1 of 3 are complete" in said
-    assert "Traceback" not in said
+    os.killpg(process.pid, signal.SIGINT)  # as in a terminal, to the workers as well
+    printed, messages = process.communicate(timeout=60)
+    assert process.returncode == 130, messages
+    assert "interrupted; 1 of 3 recordings are complete" in messages
+    assert "Traceback" not in messages
     assert printed == ""
     assert [row["status"] for row in table(out).values()] == ["done", "waiting", "waiting"]
     assert not unfinished(out)
@@ -97,18 +97,18 @@ def test_an_interrupted_batch_keeps_what_is_complete_and_leaves_nothing_else(tmp
 
 
 @pytest.mark.slow
-def test_two_workers_are_nearly_twice_as_fast_as_one_and_one_may_be_killed(tmp_path: Path) -> None:
+def test_two_workers_are_nearly_twice_as_fast_and_a_killed_one_is_replaced(tmp_path: Path) -> None:
     recordings = [f"sim:office?seed={seed}&duration=60" for seed in range(24)]
     took = {}
     for workers in (1, 2):
         started = time.perf_counter()
-        process = _started(tmp_path, recordings, f"with-{workers}", workers)
-        assert _ended(process, 1000) == 0
+        process = start_batch(tmp_path, recordings, f"with-{workers}", workers)
+        assert wait_for_end(process, 1000) == 0
         took[workers] = time.perf_counter() - started
     assert took[1] / took[2] >= 1.7, took
 
     out = tmp_path / "killed"
-    process = _started(tmp_path, recordings[:4], "killed", 2)
+    process = start_batch(tmp_path, recordings[:4], "killed", 2)
     log = out / "logs" / "sim-office-seed=0-duration=60.log"
     while not list(out.glob(".sim-office-seed=0*")):
         assert process.poll() is None
@@ -116,7 +116,7 @@ def test_two_workers_are_nearly_twice_as_fast_as_one_and_one_may_be_killed(tmp_p
     found = re.search(r"process (\d+)", log.read_text())
     assert found is not None
     os.kill(int(found[1]), signal.SIGKILL)
-    assert _ended(process, 200) == 0
+    assert wait_for_end(process, 200) == 0
     assert {row["status"] for row in table(out).values()} == {"done"}
     assert log.read_text().count("started by process") == 2
     assert not unfinished(out)
@@ -125,8 +125,8 @@ def test_two_workers_are_nearly_twice_as_fast_as_one_and_one_may_be_killed(tmp_p
         assert len({path.read_bytes() for path in same}) == 1
 
 
-def _started(directory: Path, recordings: list[str], out: str, workers: int) -> subprocess.Popen[str]:
-    """The command in a process, and a group of processes, of its own."""
+def start_batch(directory: Path, recordings: list[str], out: str, workers: int) -> subprocess.Popen[str]:
+    """Start the command in a process and a process group of its own."""
     (directory / "wclm.py").write_text(WCLM)
     options = ["--out", out, "--no-review", "--workers", str(workers)]
     return subprocess.Popen(
@@ -140,6 +140,6 @@ def _started(directory: Path, recordings: list[str], out: str, workers: int) -> 
     )
 
 
-def _ended(process: subprocess.Popen[str], timeout: float) -> int:
+def wait_for_end(process: subprocess.Popen[str], timeout: float) -> int:
     process.communicate(timeout=timeout)
     return process.returncode

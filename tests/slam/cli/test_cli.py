@@ -1,4 +1,4 @@
-"""`wclm` as a whole: help, run and demo, and what is left behind when they fail."""
+"""`wclm`: help, `run` and `demo`, and the files that remain after a failure."""
 
 import json
 import os
@@ -52,7 +52,7 @@ ESCAPES = re.compile(r"\x1b\[[0-9;]*m")
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_explains_itself(wclm: Any, command: str) -> None:
+def test_every_command_has_usage_and_example(wclm: Any, command: str) -> None:
     result = wclm(*command.split(), "--help")
     text = ESCAPES.sub("", result.stdout)
     assert result.exit_code == 0
@@ -60,13 +60,13 @@ def test_every_command_explains_itself(wclm: Any, command: str) -> None:
     assert command == "bench" or f"Example: wclm {command}" in text
 
 
-def test_version(wclm: Any) -> None:
+def test_version_prints_all_versions(wclm: Any) -> None:
     result = wclm("--version")
     assert result.exit_code == 0
     assert re.match(r"wclm-slam \d+\.\d+\.\d+, numpy ", result.stdout)
 
 
-def test_help_loads_nothing_heavy() -> None:
+def test_help_imports_no_heavy_package() -> None:
     code = (
         "import sys; sys.argv = ['wclm', '--help']\nimport slam.cli\n"
         "try: slam.cli.main()\nexcept SystemExit: pass\n"
@@ -74,7 +74,8 @@ def test_help_loads_nothing_heavy() -> None:
         "print(sorted(heavy & set(sys.modules)), file=sys.stderr)"
     )
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert "Commands" in answer.stdout
+    assert "Usage: wclm" in answer.stdout
+    assert "Mapping" in answer.stdout
     assert answer.stderr.strip() == "[]"
 
 
@@ -88,7 +89,7 @@ def test_wrong_usage_has_exit_status_2(wclm: Any) -> None:
 # run
 
 
-def test_run_writes_everything_and_says_where(wclm: Any, fake_slam: type, tmp_path: Path) -> None:
+def test_run_writes_all_results_and_prints_the_directory(wclm: Any, fake_slam: type, tmp_path: Path) -> None:
     result = wclm("run", SHORT, "--out", "a/out", "--no-review", "--plot", "--set", "lidar.sigma_range=0.02")
     assert result.exit_code == 0, result.output
     assert result.stderr == ""
@@ -106,14 +107,14 @@ def test_run_writes_everything_and_says_where(wclm: Any, fake_slam: type, tmp_pa
     for words in (
         "sim:room: 29 scans in 3.0 s",
         "4 walls, 2 corners",
-        "from the true path",
+        "error of the path",
         "a/out: config.toml, keyframes.csv, map",
     ):
         assert words in text
     assert "rerun" not in text
 
 
-def test_a_simulated_room_is_really_mapped_and_equally_each_time(wclm: Any, tmp_path: Path) -> None:
+def test_mapping_a_simulated_room_is_accurate_and_repeatable(wclm: Any, tmp_path: Path) -> None:
     for name in ("a", "b"):
         result = wclm("run", "sim:room?duration=8", "--out", name, "--no-review")
         assert result.exit_code == 0, result.output
@@ -126,42 +127,42 @@ def test_a_simulated_room_is_really_mapped_and_equally_each_time(wclm: Any, tmp_
 
 
 @pytest.mark.parametrize("options", [[], ["--refine"]])
-def test_a_second_look_is_taken_when_asked_for(wclm: Any, fake_slam: Any, options: list[str]) -> None:
+def test_refine_option_is_passed_to_the_pipeline(wclm: Any, fake_slam: Any, options: list[str]) -> None:
     assert wclm("run", "sim:room", "--out", "out", "--no-review", *options).exit_code == 0
     assert fake_slam.refined == bool(options)
 
 
-def test_the_log_is_written_and_how_to_open_it_is_said(wclm: Any, fake_slam: type, tmp_path: Path) -> None:
+def test_review_log_is_written_and_its_command_is_printed(wclm: Any, fake_slam: type, tmp_path: Path) -> None:
     result = wclm("run", SHORT, "--out", "out")
     assert result.exit_code == 0, result.output
     assert (tmp_path / "out" / "review.rrd").stat().st_size > 0
     assert "wclm review out" in result.stdout
 
 
-def test_warnings_are_shown_but_not_without_end(wclm: Any, fake_slam: Any) -> None:
+def test_number_of_printed_warnings_is_limited(wclm: Any, fake_slam: Any) -> None:
     fake_slam.notices = 10
     result = wclm("run", SHORT, "--out", "out", "--no-review")
-    assert "oddity number 3 (at 3.00 s)" in result.stdout
-    assert "oddity number 4" not in result.stdout
+    assert "notice number 3 (at 3.00 s)" in result.stdout
+    assert "notice number 4" not in result.stdout
     assert "6 more warnings" in result.stdout
 
 
-def test_existing_results_are_refused_before_the_work_and_replaced_when_asked_for(wclm: Any, fake_slam: Any) -> None:
+def test_existing_results_are_refused_before_mapping_and_replaced_with_overwrite(wclm: Any, fake_slam: Any) -> None:
     assert wclm("run", SHORT, "--out", "out", "--no-review").exit_code == 0
-    fake_slam.fails = AssertionError("the work began")
+    fake_slam.fails = AssertionError("mapping started")
     wclm.refuses("run", SHORT, "--out", "out", because=["out: exists already", "--overwrite"])
     fake_slam.fails = None
     assert wclm("run", SHORT, "--out", "out", "--no-review", "--overwrite").exit_code == 0
 
 
 @pytest.mark.parametrize("review", ["--review", "--no-review"])
-def test_nothing_is_left_of_a_run_that_fails(wclm: Any, fake_slam: Any, tmp_path: Path, review: str) -> None:
+def test_a_failed_run_leaves_no_files(wclm: Any, fake_slam: Any, tmp_path: Path, review: str) -> None:
     fake_slam.fails = MapError("the map is lost")
     wclm.refuses("run", SHORT, "--out", "out", review, because=["wclm: sim:room: the map is lost"])
     assert not list(tmp_path.iterdir())
 
 
-def test_after_ctrl_c_there_is_one_line_and_nothing_else(wclm: Any, fake_slam: Any, tmp_path: Path) -> None:
+def test_ctrl_c_prints_one_line_and_leaves_no_files(wclm: Any, fake_slam: Any, tmp_path: Path) -> None:
     fake_slam.fails = KeyboardInterrupt()
     result = wclm("run", SHORT, "--out", "out")
     assert result.exit_code == 130
@@ -169,7 +170,7 @@ def test_after_ctrl_c_there_is_one_line_and_nothing_else(wclm: Any, fake_slam: A
     assert not list(tmp_path.iterdir())
 
 
-def test_a_bug_shows_itself(wclm: Any, fake_slam: Any, tmp_path: Path) -> None:
+def test_an_unexpected_exception_is_raised(wclm: Any, fake_slam: Any, tmp_path: Path) -> None:
     fake_slam.fails = ZeroDivisionError("a bug")
     result = wclm("run", SHORT, "--out", "out")
     assert isinstance(result.exception, ZeroDivisionError)
@@ -190,7 +191,7 @@ def test_a_bug_shows_itself(wclm: Any, fake_slam: Any, tmp_path: Path) -> None:
         ("noextension", b"x", "noextension: a file without extension is not supported"),
     ],
 )
-def test_bad_recordings_are_one_line(
+def test_invalid_recordings_are_one_line_errors(
     wclm: Any, fake_slam: type, tmp_path: Path, command: str, name: str, content: bytes | None, words: str
 ) -> None:
     if content is not None:
@@ -200,19 +201,19 @@ def test_bad_recordings_are_one_line(
     assert sorted(tmp_path.iterdir()) == before
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
-def test_an_unreadable_recording_is_one_line(wclm: Any, tmp_path: Path) -> None:
+@pytest.mark.skipif(os.geteuid() == 0, reason="root can read every file")
+def test_an_unreadable_recording_is_a_one_line_error(wclm: Any, tmp_path: Path) -> None:
     (tmp_path / "a.clf").write_text("x")
     (tmp_path / "a.clf").chmod(0)
     wclm.refuses("run", "a.clf", "--out", "out", because=["a.clf: cannot be read: Permission denied"])
 
 
-def test_an_empty_directory_is_no_recording(wclm: Any, tmp_path: Path) -> None:
+def test_an_empty_directory_is_refused_as_recording(wclm: Any, tmp_path: Path) -> None:
     (tmp_path / "bag").mkdir()
     wclm.refuses("run", "bag", "--out", "out", because=["bag: the directory is not a ROS 2 bag"])
 
 
-def test_wrong_settings_are_one_line(wclm: Any, tmp_path: Path) -> None:
+def test_invalid_settings_are_one_line_errors(wclm: Any, tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text("[lidar]\nsigma_rang = 1\n")
     run = ("run", SHORT, "--out", "out")
     wclm.refuses(*run, "--config", "a.toml", because=["a.toml: lidar.sigma_rang: no such setting"])
@@ -222,14 +223,14 @@ def test_wrong_settings_are_one_line(wclm: Any, tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_an_output_in_the_way_is_one_line(wclm: Any, tmp_path: Path) -> None:
+def test_a_file_as_output_directory_is_a_one_line_error(wclm: Any, tmp_path: Path) -> None:
     (tmp_path / "out").write_text("x")
     wclm.refuses("run", SHORT, "--out", "out", "--overwrite", because=["out: is a file"])
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_process_told_to_stop_leaves_nothing(tmp_path: Path, number: signal.Signals) -> None:
-    # Where the tests run in a shell's background, SIGINT is ignored, and children inherit that.
+def test_an_interrupted_process_leaves_no_files(tmp_path: Path, number: signal.Signals) -> None:
+    # In the background of a shell SIGINT is ignored, which child processes inherit.
     program = (
         "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from slam.cli import main; main()"
     )
@@ -239,7 +240,7 @@ def test_a_process_told_to_stop_leaves_nothing(tmp_path: Path, number: signal.Si
         stderr=subprocess.PIPE,
         text=True,
     )
-    deadline = time.monotonic() + 200  # compiling may come first
+    deadline = time.monotonic() + 200  # includes compilation
     while not list(tmp_path.glob(".out-*/review.rrd")) and time.monotonic() < deadline:
         time.sleep(0.05)
     process.send_signal(number)
@@ -252,7 +253,7 @@ def test_a_process_told_to_stop_leaves_nothing(tmp_path: Path, number: signal.Si
 # demo
 
 
-def test_the_demo_works_without_a_display(wclm: Any, fake_slam: type, tmp_path: Path, short_demo: None) -> None:
+def test_demo_runs_without_a_display(wclm: Any, fake_slam: type, tmp_path: Path, short_demo: None) -> None:
     result = wclm("demo", "--seed", "5")
     assert result.exit_code == 0, result.output
     assert {file.name for file in (tmp_path / "demo").iterdir()} == RESULTS
@@ -261,7 +262,7 @@ def test_the_demo_works_without_a_display(wclm: Any, fake_slam: type, tmp_path: 
     wclm.refuses("demo", because=["demo: exists already"])
 
 
-def test_the_demo_opens_the_viewer_where_there_is_a_display(
+def test_demo_opens_the_viewer_if_there_is_a_display(
     wclm: Any, fake_slam: type, short_demo: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     opened: list[list[str]] = []
@@ -281,6 +282,6 @@ def short_demo(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(simulation, "Simulation", lambda world, seed: whole(world, seed=seed, duration=3.0))
 
 
-def test_a_viewer_that_cannot_be_started_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_viewer_that_cannot_be_started_is_a_one_line_message(capsys: pytest.CaptureFixture[str]) -> None:
     viewer.open_viewer(["/nowhere/rerun"])
     assert capsys.readouterr().err.startswith("wclm: the viewer cannot be started: ")

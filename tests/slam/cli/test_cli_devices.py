@@ -1,4 +1,4 @@
-"""`wclm devices`, `record` and `replay` where no device is needed; with devices see tests/drivers/devices."""
+"""`wclm devices`, `record` and `replay` without devices; with devices see tests/drivers/devices."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from drivers.devices.supervisor import DeviceState, DeviceStatus
 from slam.cli.device_monitor import DeviceMonitor
 
 
-def test_replay_takes_as_long_as_the_recording(wclm: Any) -> None:
+def test_replay_takes_the_duration_of_the_recording(wclm: Any) -> None:
     assert wclm("simulate", "room", "a.mcap", "--duration", "3").exit_code == 0
     begun = time.monotonic()
     result = wclm("replay", "a.mcap", "--speed", "3")
@@ -23,7 +23,7 @@ def test_replay_takes_as_long_as_the_recording(wclm: Any) -> None:
     assert 0.95 < took < 3.0
 
 
-def test_a_replayed_recording_is_the_recording(wclm: Any) -> None:
+def test_replay_yields_the_messages_of_the_recording(wclm: Any) -> None:
     assert wclm("simulate", "room", "a.mcap", "--duration", "3").exit_code == 0
     source = drivers.open("replay:a.mcap?speed=1000")
     assert len(source) == len(drivers.open("a.mcap"))
@@ -34,7 +34,7 @@ def test_a_replayed_recording_is_the_recording(wclm: Any) -> None:
     wclm.refuses("info", "replay:b.mcap", because=["b.mcap: no such file"])
 
 
-def test_wrong_devices_are_refused(wclm: Any, tmp_path: Path) -> None:
+def test_invalid_devices_are_refused(wclm: Any, tmp_path: Path) -> None:
     record = ("record", "a.mcap")
     wclm.refuses(*record, "--lidar", "lidar:/dev/a", because=["lidar:/dev/a: not a device; there are rplidar:PORT"])
     wclm.refuses(*record, "--lidar", "rplidar:/dev/nothing", because=["/dev/nothing: no such port"])
@@ -45,21 +45,21 @@ def test_wrong_devices_are_refused(wclm: Any, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_an_existing_recording_stays(wclm: Any, tmp_path: Path) -> None:
+def test_an_existing_recording_is_not_overwritten_without_the_option(wclm: Any, tmp_path: Path) -> None:
     (tmp_path / "a.mcap").write_text("precious")
     wclm.refuses("record", "a.mcap", "--lidar", "ld06:/dev/nothing", because=["a.mcap: exists already"])
     wclm.refuses("record", "a.mcap", "--lidar", "ld06:/dev/nothing", "--overwrite", because=["no such port"])
     assert (tmp_path / "a.mcap").read_text() == "precious"
 
 
-def test_no_port_is_said(wclm: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_devices_without_a_port_prints_a_message(wclm: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivers.devices.ports.serial_ports", lambda: [])
     result = wclm("devices")
     assert (result.exit_code, result.stdout) == (0, "")
-    assert result.stderr == "wclm: no serial port is there; is an adapter plugged in?\n"
+    assert result.stderr == "wclm: no serial port found; is an adapter connected?\n"
 
 
-def test_what_changes_is_said_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+def test_device_monitor_prints_changes_without_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     from drivers.devices.acquisition import Snapshot
 
     def snapshot(state: DeviceState, problem: str = "") -> Snapshot:
@@ -75,5 +75,5 @@ def test_what_changes_is_said_where_there_is_no_terminal(capsys: pytest.CaptureF
     assert printed.out == ""
     assert printed.err.splitlines() == [
         "wclm: ld06:/dev/a lost: /dev/a: connection lost",
-        "wclm: ld06:/dev/a is back on /dev/a",
+        "wclm: ld06:/dev/a connected again on /dev/a",
     ]

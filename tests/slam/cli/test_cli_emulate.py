@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 
-def test_a_robot_is_emulated_for_a_while(wclm: Any, tmp_path: Path) -> None:
+def test_emulate_runs_for_a_duration(wclm: Any, tmp_path: Path) -> None:
     ports = ("--ports", "ports", "--duration", "0.3", "--lidar", "ld06", "--base", "kobuki")
     priority = os.sched_getscheduler(0), os.sched_getparam(0)
     result = wclm(
@@ -30,7 +30,7 @@ def test_a_robot_is_emulated_for_a_while(wclm: Any, tmp_path: Path) -> None:
     assert report["base"]["readings"] >= 13
 
 
-def test_wrong_robots_are_refused(wclm: Any) -> None:
+def test_invalid_robots_are_refused(wclm: Any) -> None:
     wclm.refuses("emulate", "moon", because=["moon: no such world"])
     wclm.refuses("emulate", "room", "--lidar", "eyes", because=["no lidar 'eyes'; there are rplidar-a1"])
     wclm.refuses("emulate", "room", "--unplug", "lidar@3", because=["--unplug lidar@3: say it as lidar@20:3"])
@@ -39,8 +39,8 @@ def test_wrong_robots_are_refused(wclm: Any) -> None:
 
 
 @pytest.mark.parametrize(("how", "status"), [(signal.SIGINT, 0), (signal.SIGTERM, 128 + signal.SIGTERM)])
-def test_it_stops_cleanly(tmp_path: Path, how: signal.Signals, status: int) -> None:
-    # Where the tests run in a shell's background, SIGINT is ignored, and children inherit that.
+def test_emulate_cleans_up_on_signals(tmp_path: Path, how: signal.Signals, status: int) -> None:
+    # In the background of a shell SIGINT is ignored, which child processes inherit.
     program = (
         "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from slam.cli import main; main()"
     )

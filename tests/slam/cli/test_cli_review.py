@@ -1,4 +1,4 @@
-"""`wclm review`: opened, served, summed up; whole logs, old ones, and those of runs that were killed."""
+"""`wclm review`: viewer, browser and summary, for complete logs, old logs and logs of killed runs."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ WCLM = "from slam.cli import main; main()"
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A short run, as it is left."""
+    """Output directory of a short run."""
     out = tmp_path_factory.mktemp("session") / "room"
     done = subprocess.run([sys.executable, "-c", WCLM, "run", "sim:room?duration=12", "--out", str(out)], timeout=200)
     assert done.returncode == 0
@@ -57,25 +57,25 @@ def running(*arguments: object) -> Iterator[subprocess.Popen[str]]:
 # --- the summary
 
 
-def test_a_summary_needs_no_viewer(wclm: Any, session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_summary_starts_no_viewer(wclm: Any, session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(subprocess, "Popen", None)
     result = wclm("review", session, "--summary")
     assert result.exit_code == 0, result.output
-    told = json.loads((session / SUMMARY).read_text())
-    assert f"{told['keyframes']} keyframes, {told['walls']} walls" in result.stdout
+    summary = json.loads((session / SUMMARY).read_text())
+    assert f"{summary['keyframes']} keyframes, {summary['walls']} walls" in result.stdout
     assert "health" in result.stdout
     assert "loops" in result.stdout
     assert "residuals   the worst at keyframe" in result.stdout
     assert "d² = " in result.stdout
 
 
-def test_a_summary_tells_the_closures_of_the_log(wclm: Any, logged_loop: Path) -> None:
-    text = wclm("review", logged_loop, "--summary").stdout
+def test_summary_lists_the_loop_closures_of_the_log(wclm: Any, loop_log: Path) -> None:
+    text = wclm("review", loop_log, "--summary").stdout
     assert "1 accepted" in text
     assert "accepted  x100 at x3, moved by 1.80 m, 1 walls merged" in text
 
 
-def test_a_session_without_a_log_is_summed_up_from_what_there_is(wclm: Any, session: Path, tmp_path: Path) -> None:
+def test_summary_works_without_a_log(wclm: Any, session: Path, tmp_path: Path) -> None:
     shutil.copytree(session, tmp_path / "bare")
     (tmp_path / "bare" / REVIEW).unlink()
     text = wclm("review", "bare", "--summary").stdout
@@ -84,14 +84,14 @@ def test_a_session_without_a_log_is_summed_up_from_what_there_is(wclm: Any, sess
 
 
 @pytest.fixture
-def logged_loop(corridor: tuple[Path, list[Event]], tmp_path: Path) -> Path:
+def loop_log(corridor: tuple[Path, list[Event]], tmp_path: Path) -> Path:
     return write(tmp_path / "loop.rrd", with_closure(corridor[1]))
 
 
-# --- what is refused
+# --- errors
 
 
-def test_what_is_no_log_is_refused_in_a_line(wclm: Any, tmp_path: Path) -> None:
+def test_files_that_are_no_log_are_refused(wclm: Any, tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("nothing")
     (tmp_path / "broken.rrd").write_bytes(b"RRF2" + bytes(200))
     wclm.refuses("review", "nowhere", "--web", because=["nowhere", "no such session"])
@@ -99,14 +99,14 @@ def test_what_is_no_log_is_refused_in_a_line(wclm: Any, tmp_path: Path) -> None:
     wclm.refuses("review", "broken.rrd", "--summary", because=["broken.rrd", "not a review log"])
 
 
-def test_without_a_display_it_says_what_else_there_is(wclm: Any, session: Path) -> None:
+def test_without_a_display_the_error_names_the_alternatives(wclm: Any, session: Path) -> None:
     wclm.refuses("review", session, because=["no display", "--web", "--summary"])
 
 
 # --- the viewer
 
 
-def test_the_native_viewer_listens_to_this_computer_alone(
+def test_native_viewer_accepts_local_connections_only(
     wclm: Any, session: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     kept = tmp_path / "arguments"
@@ -119,11 +119,11 @@ def test_the_native_viewer_listens_to_this_computer_alone(
     assert result.exit_code == 0, result.output
     log, *options = kept.read_text().split()
     assert options == ["--bind", "127.0.0.1", "--port", "auto"]
-    assert not Path(log).exists()  # what was made for the viewer is gone with it
+    assert not Path(log).exists()  # the temporary log is removed
 
 
 def listening(process: psutil.Process) -> set[tuple[str, int]]:
-    """Addresses and ports at which a process and those it started take connections."""
+    """Return the addresses and ports on which a process and its children listen."""
     found = set()
     for one in [process, *process.children(recursive=True)]:
         for connection in one.net_connections("inet"):
@@ -132,7 +132,7 @@ def listening(process: psutil.Process) -> set[tuple[str, int]]:
     return found
 
 
-def test_a_browser_is_served_at_this_computer_alone(session: Path) -> None:
+def test_web_viewer_accepts_local_connections_only(session: Path) -> None:
     with running("review", session, "--web") as process:
         assert process.stdout is not None
         page = process.stdout.readline().strip()
@@ -146,21 +146,21 @@ def test_a_browser_is_served_at_this_computer_alone(session: Path) -> None:
         assert not any(server.is_running() and server.status() != psutil.STATUS_ZOMBIE for server in servers)
 
 
-def test_a_port_that_is_taken_is_named(wclm: Any, session: Path) -> None:
-    with taken_port() as port:
+def test_error_names_a_port_that_is_in_use(wclm: Any, session: Path) -> None:
+    with occupied_port() as port:
         wclm.refuses("review", session, "--web", "--port", port, because=["127.0.0.1", str(port)])
 
 
 @contextmanager
-def taken_port() -> Iterator[int]:
+def occupied_port() -> Iterator[int]:
     with socket.create_server(("127.0.0.1", 0)) as server:
         yield server.getsockname()[1]
 
 
-# --- logs that are old, and logs of runs that were killed
+# --- old logs, and logs of killed runs
 
 
-def test_an_old_log_gets_todays_layout_and_keeps_its_rows(tmp_path: Path) -> None:
+def test_an_old_log_is_shown_with_the_current_layout(tmp_path: Path) -> None:
     old = rr.RecordingStream("wclm-slam", recording_id="old")
     old.save(tmp_path / "old.rrd", default_blueprint=rr.blueprint.Blueprint(rr.blueprint.TextDocumentView(name="old")))
     old.set_time("keyframe", sequence=3)
@@ -178,19 +178,19 @@ def test_an_old_log_gets_todays_layout_and_keeps_its_rows(tmp_path: Path) -> Non
     assert "old" not in names
 
 
-def test_a_log_that_was_cut_off_opens_as_far_as_it_goes(
+def test_a_truncated_log_opens_up_to_its_end(
     corridor: tuple[Path, list[Event]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rrd_writer, "FLUSH_PERIOD", 0.02)  # the log of a second is written as that of an hour
+    monkeypatch.setattr(rrd_writer, "FLUSH_PERIOD", 0.02)  # several chunks within one second
     whole = write(tmp_path / "whole.rrd", corridor[1]).read_bytes()
-    for share in (0.5, 0.77):  # in the middle of a message
+    for share in (0.5, 0.77):  # within a chunk
         cut = tmp_path / "cut.rrd"
         cut.write_bytes(whole[: int(share * len(whole))])
         write_combined_log([find_log(cut)], ["cut"], tmp_path / "ready.rrd")
         assert len(keyframes_in(tmp_path / "ready.rrd")) > 0.3 * share * 136
 
 
-def test_the_log_of_a_run_that_was_killed_is_found_and_opens(wclm: Any, tmp_path: Path) -> None:
+def test_the_log_of_a_killed_run_is_found_and_opens(wclm: Any, tmp_path: Path) -> None:
     out = tmp_path / "office"
     with running("run", "sim:office", "--out", out) as process:
         deadline = time.monotonic() + 120

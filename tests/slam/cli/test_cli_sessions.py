@@ -1,4 +1,4 @@
-"""The commands that go on from a session: run --continue and --localize, optimize, map --format g2o."""
+"""Commands on sessions: `run --continue` and `--localize`, `optimize`, `map --format g2o`."""
 
 import json
 import shutil
@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from slam.io.recordings import open_recording
 
 from drivers import se2
 from drivers.recordings.mcap import McapWriter
@@ -15,17 +14,18 @@ from drivers.simulation import Simulation
 from slam.graph.pose_graph import optimise, read_pose_graph
 from slam.io.map_json import read_map
 from slam.io.output_dir import MAP, RESULTS, SESSION, SUMMARY, TRAJECTORY
+from slam.io.recordings import open_recording
 from slam.io.run_results import read_run_results
 from slam.io.sessions import read_session
 from slam.io.tum import read_tum
 
 DRIVES = {"first": (1, 0.0, 20.0), "second": (2, 10.0, 22.0)}
-"""Seed, begin and end of drives through the office, by the recordings' names."""
+"""Seed, start and end time (seconds) of drives through the office, by the name of the recording."""
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Recordings of the drives, each with a clock of its own that begins at zero."""
+    """Directory with recordings of the drives; the stamps of each start at the beginning of its simulation."""
     folder = tmp_path_factory.mktemp("recordings")
     for name, (seed, begin, end) in DRIVES.items():
         messages = list(Simulation("office", seed=seed, duration=end))
@@ -38,7 +38,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def session(wclm: Any, folder: Path, tmp_path: Path, request: pytest.FixtureRequest) -> Path:
-    """What `wclm run` leaves of the first drive; made once."""
+    """Copy of the output directory of the first drive, which is mapped once."""
     made = folder / "out"
     if not made.exists():
         result = wclm("run", folder / "first.mcap", "--out", made, "--no-review")
@@ -46,7 +46,7 @@ def session(wclm: Any, folder: Path, tmp_path: Path, request: pytest.FixtureRequ
     return Path(shutil.copytree(made, tmp_path / "out"))
 
 
-def test_a_run_is_gone_on_with(wclm: Any, folder: Path, session: Path) -> None:
+def test_continue_extends_the_map(wclm: Any, folder: Path, session: Path) -> None:
     result = wclm("run", folder / "second.mcap", "--continue", session, "--out", "both", "--plot")
     assert result.exit_code == 0, result.output
     assert {file.name for file in Path("both").iterdir()} == RESULTS
@@ -68,7 +68,7 @@ def test_a_run_is_gone_on_with(wclm: Any, folder: Path, session: Path) -> None:
     assert len(json.loads(Path("both", SUMMARY).read_text())["recordings"]) == 3
 
 
-def test_a_run_is_localised(wclm: Any, folder: Path, session: Path) -> None:
+def test_localize_leaves_the_map_unchanged(wclm: Any, folder: Path, session: Path) -> None:
     result = wclm("run", folder / "second.mcap", "--localize", session, "--out", "there", "--no-review")
     assert result.exit_code == 0, result.output
     assert SESSION not in {file.name for file in Path("there").iterdir()}
@@ -77,22 +77,22 @@ def test_a_run_is_localised(wclm: Any, folder: Path, session: Path) -> None:
     np.testing.assert_allclose(after.frame, before.frame, atol=1e-5)
     assert wclm("map", "there", "--format", "ply").exit_code == 0
     wclm.refuses(
-        "run", folder / "second.mcap", "--localize", "there", "--out", "x", because=["there: holds no session"]
+        "run", folder / "second.mcap", "--localize", "there", "--out", "x", because=["there: has no session"]
     )
     wclm.refuses("run", "sim:room", "--localize", session, "--out", "x", because=["sim:room", "nowhere on the map"])
     assert not Path("x").exists()
 
 
-def test_one_or_the_other(wclm: Any, session: Path) -> None:
+def test_continue_and_localize_exclude_each_other(wclm: Any, session: Path) -> None:
     result = wclm("run", "sim:room", "--localize", session, "--continue", session, "--out", "x")
     assert result.exit_code == 2
-    assert "either the map grows or it stays as it is" in result.stderr
+    assert "only one of the two can be given" in result.stderr
 
 
-def test_a_session_is_optimised(wclm: Any, session: Path) -> None:
+def test_optimize_refines_a_session(wclm: Any, session: Path) -> None:
     result = wclm("optimize", session, "--out", "better", "--plot")
     assert result.exit_code == 0, result.output
-    for words in ("before", "after", "closures   0 added, 0 removed", "median, most of all"):
+    for words in ("before", "after", "loops      0 added, 0 removed", "(median), at most by"):
         assert words in result.stdout
     assert {file.name for file in Path("better").iterdir()} == RESULTS
     summary = json.loads(Path("better", SUMMARY).read_text())
@@ -102,24 +102,24 @@ def test_a_session_is_optimised(wclm: Any, session: Path) -> None:
     wclm.refuses("optimize", session, "--out", "better", because=["better: exists already"])
 
 
-def test_a_recording_is_mapped_and_optimised(wclm: Any) -> None:
+def test_optimize_maps_and_refines_a_recording(wclm: Any) -> None:
     result = wclm("optimize", "sim:room?duration=5", "--out", "room", "--no-review")
     assert result.exit_code == 0, result.output
     assert wclm("run", "sim:room?duration=5", "--continue", "room", "--out", "more", "--no-review").exit_code == 0
     wclm.refuses("optimize", "nowhere.txt", "--out", "x", because=["nowhere.txt"])
 
 
-def test_what_cannot_be_gone_on_from_is_refused(wclm: Any, session: Path) -> None:
-    shutil.rmtree(session / SESSION)  # as an older version left it
+def test_an_output_directory_without_session_is_refused(wclm: Any, session: Path) -> None:
+    shutil.rmtree(session / SESSION)  # as in output directories of older versions
     for command in (("optimize", session), ("run", "sim:room", "--continue", session)):
-        wclm.refuses(*command, "--out", "x", because=["holds no session/session.json", "cannot be gone on from"])
-    wclm.refuses("map", session, "--format", "g2o", because=["holds no session/session.json"])
+        wclm.refuses(*command, "--out", "x", because=["has no session/session.json", "cannot be continued or refined"])
+    wclm.refuses("map", session, "--format", "g2o", because=["has no session/session.json"])
     assert wclm("map", session, "--format", "svg").exit_code == 0
     assert wclm("report", session, "--overwrite").exit_code == 0
 
 
 @pytest.mark.parametrize("optimised", [False, True])
-def test_the_graph_has_its_optimum_where_the_session_has_it(wclm: Any, session: Path, optimised: bool) -> None:
+def test_exported_graph_has_the_optimum_of_the_session(wclm: Any, session: Path, optimised: bool) -> None:
     if optimised:
         assert wclm("optimize", session, "--out", "better", "--no-review").exit_code == 0
         session = Path("better")
@@ -128,8 +128,8 @@ def test_the_graph_has_its_optimum_where_the_session_has_it(wclm: Any, session: 
     graph = read_pose_graph(session / "map.g2o").graph
     map_ = read_map(session / MAP)
     stored = read_session(session).slam_state.mapper
-    stored.converge()  # walls that are one are tied
-    assert graph.edge_count == stored.graph.factor_count - 1  # the first keyframe's prior; it is fixed instead
+    stored.converge()  # joins merged walls
+    assert graph.edge_count == stored.graph.factor_count - 1  # the prior of the first keyframe, which is fixed instead
     assert set(1_000_000 + map_.lines.identity) <= set(graph.pose_ids)
     assert set(2_000_000 + map_.corners.identity) == set(graph.landmark_ids)
     solved = optimise(graph)
@@ -137,7 +137,7 @@ def test_the_graph_has_its_optimum_where_the_session_has_it(wclm: Any, session: 
     moved = se2.between(graph.poses, solved.graph.poses)
     keyframes = graph.pose_ids < 1_000_000
     assert np.abs(moved[keyframes, :2]).max() < 2e-3
-    assert np.abs(moved[~keyframes, 1]).max() < 2e-3  # along a wall its frame may stand anywhere
+    assert np.abs(moved[~keyframes, 1]).max() < 2e-3  # the position along a wall is not determined
     assert np.degrees(np.abs(moved[keyframes, 2])).max() < 0.05
-    assert np.degrees(np.abs(moved[~keyframes, 2])).max() < 0.2  # walls of decimetres are known to a degree
+    assert np.degrees(np.abs(moved[~keyframes, 2])).max() < 0.2  # the heading of short walls is uncertain
     assert np.abs(solved.graph.landmarks - graph.landmarks).max() < 2e-3

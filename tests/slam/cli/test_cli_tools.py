@@ -10,25 +10,25 @@ import pytest
 SHORT = "sim:room?duration=3"
 
 
-def test_a_simulation_is_recorded_and_looked_into(wclm: Any, tmp_path: Path) -> None:
+def test_simulate_writes_a_recording_that_info_describes(wclm: Any, tmp_path: Path) -> None:
     result = wclm("simulate", "room", "a.mcap", "--duration", "3", "--seed", "2")
     assert result.exit_code == 0, result.output
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.mcap"]
     text = wclm("info", "a.mcap").stdout
-    for words in ("29, 10 a second", "76, 25 a second", "920 from -180.0 to 179.6 degrees", "at x 0.100 m"):
+    for words in ("29, 10 per second", "76, 25 per second", "920 from -180.0 to 179.6 degrees", "at x 0.100 m"):
         assert words in text
     wclm.refuses("simulate", "room", "a.mcap", "--duration", "3", because=["a.mcap: exists already"])
     assert wclm("simulate", "room", "a.mcap", "--duration", "3", "--overwrite").exit_code == 0
 
 
-def test_wrong_simulations_are_refused(wclm: Any, tmp_path: Path) -> None:
+def test_invalid_simulations_are_refused(wclm: Any, tmp_path: Path) -> None:
     wclm.refuses("simulate", "moon", "a.mcap", because=["moon: no such world; choose one of "])
     wclm.refuses("simulate", "room", "a.mcap", "--duration", "-1", because=["duration must be positive"])
     assert wclm("simulate", "room", "a.bag").exit_code == 2
     assert not list(tmp_path.iterdir())
 
 
-def test_info_tells_what_is_wrong(wclm: Any, tmp_path: Path) -> None:
+def test_info_reports_problems(wclm: Any, tmp_path: Path) -> None:
     (tmp_path / "a.clf").write_text(
         "".join(f"ODOM {0.1 * k} 0 0 0 0 0 {1e9 + k / 10} host {k / 10}\n" for k in range(50) if not 10 < k < 40)
     )
@@ -38,13 +38,13 @@ def test_info_tells_what_is_wrong(wclm: Any, tmp_path: Path) -> None:
     assert "1 gap in the odometry" in text
 
 
-def test_features_of_a_scan(wclm: Any, tmp_path: Path) -> None:
+def test_features_prints_and_plots_one_scan(wclm: Any, tmp_path: Path) -> None:
     result = wclm("features", "sim:room?duration=3", "--scan", "7", "--plot", "scan.png")
     assert result.exit_code == 0, result.output
     assert "sim:room, scan 7 at 0.713 s" in result.stdout
     assert re.search(r"^ +0 +\d+ +\d+\.\d{3} ", result.stdout, re.MULTILINE)
     assert (tmp_path / "scan.png").stat().st_size > 10_000
-    wclm.refuses("features", SHORT, "--scan", "29", because=["has 29 scans, counted from 0; there is no scan 29"])
+    wclm.refuses("features", SHORT, "--scan", "29", because=["has 29 scans, from 0; there is no scan 29"])
     assert wclm("features", SHORT, "--scan", "-1").exit_code == 2
 
 
@@ -56,7 +56,7 @@ def scored(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("scored")
-def test_relations_are_scored(wclm: Any, tmp_path: Path) -> None:
+def test_eval_scores_relations(wclm: Any, tmp_path: Path) -> None:
     score = ("eval", "a.tum", "--relations", "a.relations")
     result = wclm(*score, "--json", "--plot", "a.png")
     assert result.exit_code == 0, result.output
@@ -67,7 +67,7 @@ def test_relations_are_scored(wclm: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("scored")
-def test_relations_outside_the_trajectory_make_exit_status_1(wclm: Any, tmp_path: Path) -> None:
+def test_eval_has_exit_status_1_for_relations_outside_the_trajectory(wclm: Any, tmp_path: Path) -> None:
     with (tmp_path / "a.relations").open("a") as file:
         file.write("18 25 7 0 0 0 0 0\n")
     result = wclm("eval", "a.tum", "--relations", "a.relations", "--json")
@@ -77,7 +77,7 @@ def test_relations_outside_the_trajectory_make_exit_status_1(wclm: Any, tmp_path
 
 
 @pytest.mark.usefixtures("scored")
-def test_a_reference_is_compared_with(wclm: Any, tmp_path: Path) -> None:
+def test_eval_scores_against_a_reference(wclm: Any, tmp_path: Path) -> None:
     result = wclm("eval", "a.tum", "--reference", "truth.tum", "--json", "--plot", "a.png")
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["ate_rmse"] == pytest.approx(0.005, rel=0.01)
@@ -86,11 +86,11 @@ def test_a_reference_is_compared_with(wclm: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("scored")
-def test_wrong_files_for_eval_are_one_line(wclm: Any, tmp_path: Path) -> None:
+def test_invalid_files_for_eval_are_one_line_errors(wclm: Any, tmp_path: Path) -> None:
     (tmp_path / "bad.tum").write_text("1 2 3\n")
     (tmp_path / "empty.tum").write_text("")
     wclm.refuses("eval", "bad.tum", "--reference", "truth.tum", because=["bad.tum:1: expected 8 numbers"])
-    wclm.refuses("eval", "empty.tum", "--relations", "a.relations", because=["empty.tum: holds no line"])
+    wclm.refuses("eval", "empty.tum", "--relations", "a.relations", because=["empty.tum: has no line"])
     wclm.refuses("eval", "none.tum", "--relations", "a.relations", because=["none.tum: No such file"])
     wclm.refuses("eval", "a.tum", "--relations", "bad.tum", because=["bad.tum:1: expected 8 numbers (t1 t2"])
     assert wclm("eval", "a.tum").exit_code == 2

@@ -1,4 +1,4 @@
-"""`wclm live` on an emulated robot, the two joined by pseudo terminals as by two cables."""
+"""`wclm live` on an emulated robot, connected by pseudo terminals."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from drivers.devices.acquisition import Snapshot
 from drivers.devices.supervisor import DeviceState, DeviceStatus
 from drivers.messages import Odometry, Scan
 from drivers.recordings.mcap import McapReader
-from slam.cli.console import EXIT_USER_ERROR
 from slam.cli.commands.live_dashboard import LiveDashboard
+from slam.cli.console import EXIT_USER_ERROR
 from slam.errors import OutputError
 from slam.evaluation.metrics import score_reference
 from slam.events import Notice, ScanTracked, StateChanged
@@ -35,52 +35,52 @@ from slam.visualisation.rerun_log import ViewerServer
 
 from ..robot import LiveRun, Robot, wait_for
 
-DRIVING = 12.0
-"""Seconds."""
-FEW = 3
-"""Keyframes, of a robot that has hardly begun."""
+DURATION = 12.0
+"""Duration of the live run, seconds."""
+FIRST_KEYFRAMES = 3
+"""Number of keyframes that the first viewer must exceed."""
 
 
 @dataclass
-class Driven:
-    """A run that was ended with Ctrl-C, and what came of it.
+class LiveSession:
+    """A live run that was ended with Ctrl-C, and its results.
 
-    looks      the keyframes that two viewers were sent, one that came early and went, one that came late
-    elsewhere  whether anything answered at another address than 127.0.0.1
+    views   keyframes that an early and a late viewer received
+    foreign_address_answers  True if an address other than 127.0.0.1 accepted a connection
+    ended   exit status, stdout and stderr
+    report  report of the emulator
     """
 
     run: LiveRun
     truth: Path
     recording: Path
-    looks: list[set[int]]
-    elsewhere: bool
+    views: list[set[int]]
+    foreign_address_answers: bool
     ended: tuple[int, str, str]
     report: dict[str, Any]
 
 
 @pytest.fixture(scope="module")
-def driven(tmp_path_factory: pytest.TempPathFactory) -> Driven:
-    """Twelve seconds in the office."""
+def live_session(tmp_path_factory: pytest.TempPathFactory) -> LiveSession:
+    """Live run of DURATION seconds in the office."""
     folder = tmp_path_factory.mktemp("live")
     with Robot(folder) as robot:
         run = LiveRun(robot, folder / "map", "--record", str(folder / "drive.mcap"))
-        url = run.line("wclm: look on with: ").split()[-1]
+        url = run.line("wclm: view with: ").split()[-1]
         begun = time.monotonic()
-        time.sleep(DRIVING / 3)
-        looks = [keyframes_sent(url, folder / "early.rrd", more_than=FEW)]
-        elsewhere = answers("127.0.0.2", int(url.split(":")[-1].split("/")[0]))
-        time.sleep(max(0.0, begun + DRIVING - time.monotonic()))
-        looks.append(keyframes_sent(url, folder / "late.rrd", more_than=len(looks[0])))
+        time.sleep(DURATION / 3)
+        views = [keyframes_sent(url, folder / "early.rrd", more_than=FIRST_KEYFRAMES)]
+        foreign_address_answers = accepts_connection("127.0.0.2", int(url.split(":")[-1].split("/")[0]))
+        time.sleep(max(0.0, begun + DURATION - time.monotonic()))
+        views.append(keyframes_sent(url, folder / "late.rrd", more_than=len(views[0])))
         ended = run.end()
         report = robot.stop()
-    return Driven(run, robot.truth, folder / "drive.mcap", looks, elsewhere, ended, report)
+    return LiveSession(run, robot.truth, folder / "drive.mcap", views, foreign_address_answers, ended, report)
 
 
-def keyframes_sent(url: str, file: Path, more_than: int, patience: float = 60.0) -> set[int]:
-    """What a viewer gets that comes now and goes after a while; on a busy computer it may have to come again until it
-    gets more than a few.
-    """
-    end = time.monotonic() + patience
+def keyframes_sent(url: str, file: Path, more_than: int, timeout: float = 60.0) -> set[int]:
+    """Return the keyframes that a viewer receives; repeat until there are `more_than` or the timeout is over."""
+    end = time.monotonic() + timeout
     found = watch(url, file)
     while len(found) <= more_than and time.monotonic() < end:
         file.unlink()
@@ -89,7 +89,7 @@ def keyframes_sent(url: str, file: Path, more_than: int, patience: float = 60.0)
 
 
 def watch(url: str, file: Path, watching: float = 1.5) -> set[int]:
-    """A short look by a viewer that saves what it is sent instead of showing it; the keyframes that it was sent."""
+    """Run a viewer for a short time, which saves what it receives; return the received keyframes."""
     with socket.create_server(("127.0.0.1", 0)) as probe:
         own_port = str(probe.getsockname()[1])
     program = Path(rerun_cli.__file__).with_name("rerun")
@@ -103,7 +103,7 @@ def watch(url: str, file: Path, watching: float = 1.5) -> set[int]:
 
 
 def keyframes_in(file: Path) -> set[int]:
-    """The keyframes whose pose is in a log."""
+    """Return the keyframes whose pose is in a log."""
     found: set[int] = set()
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "RRD file has no footer")
@@ -114,7 +114,7 @@ def keyframes_in(file: Path) -> set[int]:
     return found
 
 
-def answers(address: str, port: int) -> bool:
+def accepts_connection(address: str, port: int) -> bool:
     try:
         socket.create_connection((address, port), 1.0).close()
     except OSError:
@@ -122,61 +122,61 @@ def answers(address: str, port: int) -> bool:
     return True
 
 
-def test_it_ends_with_everything_saved(driven: Driven) -> None:
-    status, out, err = driven.ended
+def test_ctrl_c_saves_all_results(live_session: LiveSession) -> None:
+    status, out, err = live_session.ended
     assert status == 0, err
-    assert {file.name for file in driven.run.out.iterdir()} == RESULTS - {PICTURE}
-    assert err.splitlines()[-1] == "wclm: stopping; the map is saved. Ctrl-C again throws it away"
-    assert f"results    {driven.run.out}" in out
-    assert driven.run.summary["walls"] > 20
+    assert {file.name for file in live_session.run.out.iterdir()} == RESULTS - {PICTURE}
+    assert err.splitlines()[-1] == "wclm: stopping and saving the map; Ctrl-C again discards it"
+    assert f"results    {live_session.run.out}" in out
+    assert live_session.run.summary["walls"] > 20
 
 
-def test_it_knows_where_it_was(driven: Driven) -> None:
-    figures = score_reference(read_tum(driven.run.out / TRAJECTORY), read_tum(driven.truth)).figures()
-    assert figures["poses"] > 40 * DRIVING
+def test_path_is_accurate(live_session: LiveSession) -> None:
+    figures = score_reference(read_tum(live_session.run.out / TRAJECTORY), read_tum(live_session.truth)).figures()
+    assert figures["poses"] > 40 * DURATION
     assert figures["ate_rmse"] < 0.05
 
 
-def test_nothing_was_lost(driven: Driven) -> None:
-    summary = driven.run.summary
+def test_no_measurement_is_lost(live_session: LiveSession) -> None:
+    summary = live_session.run.summary
     assert (summary["skipped"]["messages"], summary["warnings"]) == (0, [])
-    assert summary["scans"] >= 9 * DRIVING
+    assert summary["scans"] >= 9 * DURATION
     for device in (0, 1):
-        counters = driven.run.counters(device)
+        counters = live_session.run.counters(device)
         for name in ("losses", "silences", "pauses", "checksum_failures", "bad", "resets", "jumps", "gaps"):
             assert counters.get(name, 0) == 0, name
-    lidar, base = driven.run.counters(0), driven.run.counters(1)
+    lidar, base = live_session.run.counters(0), live_session.run.counters(1)
     assert (lidar["messages"], base["messages"]) == (summary["scans"], summary["odometry"])
-    assert driven.report["lidar"]["overrun"] == driven.report["base"]["overrun"] == 0
+    assert live_session.report["lidar"]["overrun"] == live_session.report["base"]["overrun"] == 0
     revolution = lidar["samples"] / lidar["revolutions"]
-    assert driven.report["lidar"]["samples"] - lidar["samples"] < revolution  # what was on its way at the end
-    assert lidar["samples"] / revolution - lidar["revolutions"] < 2  # the first and the last are not whole
-    assert driven.report["base"]["readings"] - base["good"] < 10
+    assert live_session.report["lidar"]["samples"] - lidar["samples"] < revolution  # the last packets
+    assert lidar["samples"] / revolution - lidar["revolutions"] < 2  # the first and the last revolution are incomplete
+    assert live_session.report["base"]["readings"] - base["good"] < 10
 
 
-def test_the_recording_gives_the_same_path_every_time(driven: Driven, wclm: Any) -> None:
-    live = (driven.run.out / TRAJECTORY).read_bytes()
-    assert {type(message) for message in McapReader(driven.recording)} == {Scan, Odometry}
+def test_mapping_the_recording_gives_the_same_path(live_session: LiveSession, wclm: Any) -> None:
+    live = (live_session.run.out / TRAJECTORY).read_bytes()
+    assert {type(message) for message in McapReader(live_session.recording)} == {Scan, Odometry}
     for out in ("first", "second"):
-        result = wclm("run", driven.recording, "--out", out, "--no-review")
+        result = wclm("run", live_session.recording, "--out", out, "--no-review")
         assert result.exit_code == 0, result.output
         assert Path(out, TRAJECTORY).read_bytes() == live
 
 
-def test_viewers_come_late_and_see_everything(driven: Driven) -> None:
-    early, late = driven.looks
-    everything = set(range(driven.run.summary["keyframes"]))
+def test_viewers_that_connect_late_get_all_keyframes(live_session: LiveSession) -> None:
+    early, late = live_session.views
+    everything = set(range(live_session.run.summary["keyframes"]))
     assert early == set(range(len(early)))
-    assert FEW < len(early) < len(late)
+    assert FIRST_KEYFRAMES < len(early) < len(late)
     assert late == set(range(len(late)))
-    assert keyframes_in(driven.run.out / REVIEW) == everything
+    assert keyframes_in(live_session.run.out / REVIEW) == everything
 
 
-def test_viewers_of_other_computers_are_not_let_in(driven: Driven) -> None:
-    assert not driven.elsewhere
+def test_viewers_are_served_on_the_local_address_only(live_session: LiveSession) -> None:
+    assert not live_session.foreign_address_answers
 
 
-def test_viewers_get_a_port_of_their_own() -> None:
+def test_each_viewer_server_has_its_own_port() -> None:
     with ViewerServer() as first, ViewerServer() as second, ViewerServer("0.0.0.0") as public:
         assert len({first.port, second.port, public.port}) == 3
         assert second.url == f"rerun+http://127.0.0.1:{second.port}/proxy"
@@ -187,7 +187,7 @@ def test_viewers_get_a_port_of_their_own() -> None:
         ViewerServer(port=second.port).release()
 
 
-def test_devices_that_break_down_cost_nothing_that_was_measured(tmp_path: Path) -> None:
+def test_a_failure_of_the_reader_process_keeps_earlier_measurements(tmp_path: Path) -> None:
     with Robot(tmp_path) as robot:
         run = LiveRun(robot, tmp_path / "map", "--no-review", "--record", str(tmp_path / "drive.mcap"))
         wait_until_recorded(run, tmp_path / "drive.mcap")
@@ -202,7 +202,7 @@ def test_devices_that_break_down_cost_nothing_that_was_measured(tmp_path: Path) 
     assert len(list(McapReader(tmp_path / "drive.mcap"))) == run.summary["scans"] + run.summary["odometry"]
 
 
-def test_a_full_disk_ends_the_recording_and_not_the_map(tmp_path: Path) -> None:
+def test_a_full_disk_ends_the_recording_but_not_the_mapping(tmp_path: Path) -> None:
     limit = 200_000
 
     def limit_files() -> None:
@@ -212,9 +212,9 @@ def test_a_full_disk_ends_the_recording_and_not_the_map(tmp_path: Path) -> None:
         run = LiveRun(
             robot, tmp_path / "map", "--no-review", "--record", str(tmp_path / "drive.mcap"), preexec_fn=limit_files
         )
-        said = run.line(f"wclm: {tmp_path / 'drive.mcap'}: cannot be written: File too large")
+        message = run.line(f"wclm: {tmp_path / 'drive.mcap'}: cannot be written: File too large")
         status, _, err = run.end(signal.SIGTERM)
-    assert said == "; the recording ends here and can be read, mapping goes on"
+    assert message == "; the recording ends here and is readable, mapping continues"
     assert (status, "Traceback" in err) == (0, False)
     assert run.summary["recorded"]["problem"] == "cannot be written: File too large"
     recorded = list(McapReader(tmp_path / "drive.mcap"))
@@ -225,7 +225,7 @@ def wait_until_recorded(run: LiveRun, path: Path, size: int = 300_000) -> None:
     wait_for(lambda: path.exists() and path.stat().st_size > size, run.process)
 
 
-def test_what_cannot_be_is_refused_before_anything_turns(wclm: Any, tmp_path: Path) -> None:
+def test_invalid_arguments_are_refused_before_devices_start(wclm: Any, tmp_path: Path) -> None:
     devices = ("--lidar", "ld06:/dev/nothing", "--base", "kobuki:/dev/void")
     run = ("live", *devices, "--out", "map")
     wclm.refuses(*run, because=["no such port"])
@@ -243,7 +243,7 @@ def test_what_cannot_be_is_refused_before_anything_turns(wclm: Any, tmp_path: Pa
     wclm.refuses(*run, because=["map: exists already"])
 
 
-def test_the_terminal_shows_where_the_robot_is_and_how_its_devices_do(capsys: pytest.CaptureFixture[str]) -> None:
+def test_dashboard_shows_pose_status_and_device_counters(capsys: pytest.CaptureFixture[str]) -> None:
     dashboard = LiveDashboard()
     pose = np.array([1.25, -0.5, np.pi / 2])
     dashboard.handle(ScanTracked(time.time() - 0.25, pose, pose, 0.93, 7))
@@ -268,4 +268,4 @@ def test_the_terminal_shows_where_the_robot_is_and_how_its_devices_do(capsys: py
     ):
         assert words in shown
     assert "bad" not in shown
-    assert capsys.readouterr().err == "wclm: the robot's place: LOST\n"
+    assert capsys.readouterr().err == "wclm: localisation status: LOST\n"

@@ -1,4 +1,4 @@
-"""Minutes of driving at the devices' true pace, without faults and with them."""
+"""Live runs of minutes in real time, with and without faults."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from ..robot import LiveRun, Robot
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
 FIVE_MINUTES = 300.0
-"""Seconds."""
-DAMAGE = 1e-4 / 3
-"""Of bytes dropped, of bytes inserted and of bytes flipped: together one in ten thousand."""
+"""Duration in seconds."""
+CORRUPTION = 1e-4 / 3
+"""Share of bytes dropped, inserted and flipped each: one in ten thousand together."""
 
 
 def drive(folder: Path, seconds: float, *faults: str) -> tuple[LiveRun, dict[str, Any], float]:
-    """The run, what the emulator says that happened, and the error (metres, ATE RMSE)."""
+    """Return the run, the report of the emulator, and the error of the path (metres, ATE RMSE)."""
     with Robot(folder, "office", *faults) as robot:
         recording = str(folder / "drive.mcap")
         run = LiveRun(robot, folder / "map", "--record", recording, "--duration", str(seconds), "--no-serve")
@@ -37,36 +37,38 @@ def drive(folder: Path, seconds: float, *faults: str) -> tuple[LiveRun, dict[str
     return run, report, figures["ate_rmse"]
 
 
-def test_five_minutes_in_the_office(tmp_path: Path) -> None:
+def test_five_minutes_without_faults(tmp_path: Path) -> None:
     run, report, error = drive(tmp_path, FIVE_MINUTES)
     assert error < 0.05
-    assert run.processor < 0.6 * FIVE_MINUTES
+    assert run.cpu_seconds < 0.6 * FIVE_MINUTES
     lidar, base = run.counters(0), run.counters(1)
-    beginnings = np.array([message.stamp for message in McapReader(tmp_path / "drive.mcap") if isinstance(message, Scan)])
-    assert np.diff(beginnings).max() < 0.15  # of revolutions of 0.1 s none is missing
-    assert len(beginnings) == lidar["revolutions"] == run.summary["scans"]
+    scan_stamps = np.array(
+        [message.stamp for message in McapReader(tmp_path / "drive.mcap") if isinstance(message, Scan)]
+    )
+    assert np.diff(scan_stamps).max() < 0.15  # no revolution of 0.1 s is missing
+    assert len(scan_stamps) == lidar["revolutions"] == run.summary["scans"]
     assert report["lidar"]["samples"] - lidar["samples"] < lidar["samples"] / lidar["revolutions"]
     assert report["base"]["readings"] - base["good"] < 10
     assert run.summary["skipped"]["messages"] == 0
 
 
-def test_damage_an_unplugged_lidar_and_one_that_restarts(tmp_path: Path) -> None:
-    damage = [text for kind in ("drop", "insert", "flip") for text in (f"--{kind}", str(DAMAGE))]
-    run, report, error = drive(tmp_path, 180.0, *damage, "--unplug", "lidar@60:3", "--restart", "lidar@120")
+def test_corrupted_bytes_an_unplugged_and_a_restarted_lidar(tmp_path: Path) -> None:
+    corruption = [text for kind in ("drop", "insert", "flip") for text in (f"--{kind}", str(CORRUPTION))]
+    run, report, error = drive(tmp_path, 180.0, *corruption, "--unplug", "lidar@60:3", "--restart", "lidar@120")
     assert error < 0.10
     lidar, base = run.counters(0), run.counters(1)
     assert (report["lidar"]["unplugs"], report["lidar"]["restarts"]) == (1, 1)
     assert (lidar["connections"], lidar["losses"]) == (3, 2)
-    # A fault damages one packet, seldom two; and two faults may damage the same one.
+    # A fault corrupts one packet, rarely two; two faults can corrupt the same packet.
     damaged = sum(report["lidar"][kind] for kind in ("dropped", "inserted", "flipped"))
     assert 0.9 * damaged < lidar["checksum_failures"] < 1.1 * damaged
-    spoilt = sum(report["base"][kind] for kind in ("dropped", "inserted", "flipped"))
-    assert 0.5 * spoilt <= report["base"]["readings"] - base["good"] <= 1.5 * spoilt + 5
-    assert base["bad"] + base["lost"] >= 0.5 * spoilt
+    corrupted = sum(report["base"][kind] for kind in ("dropped", "inserted", "flipped"))
+    assert 0.5 * corrupted <= report["base"]["readings"] - base["good"] <= 1.5 * corrupted + 5
+    assert base["bad"] + base["lost"] >= 0.5 * corrupted
     assert base["losses"] == 0
 
 
-def test_an_unplugged_base(tmp_path: Path) -> None:
+def test_an_unplugged_base_is_connected_again(tmp_path: Path) -> None:
     run, report, error = drive(tmp_path, 90.0, "--unplug", "base@60:3")
     assert error < 0.10
     assert report["base"]["unplugs"] == run.counters(1)["losses"] == 1

@@ -1,0 +1,35 @@
+"""Messages of commands on stderr."""
+
+import threading
+
+import pytest
+
+from slam.cli.console import print_if_slow, print_message
+
+
+def wait_for_timers() -> None:
+    """Wait until all timers have run or were cancelled."""
+    for thread in threading.enumerate():
+        if isinstance(thread, threading.Timer):
+            thread.join(30.0)
+            assert not thread.is_alive()
+
+
+def test_a_message_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    print_message("two\n  lines")
+    assert capsys.readouterr().err == "wclm: two lines\n"
+
+
+def test_a_fast_block_prints_nothing(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("slam.cli.console.SLOW_SECONDS", 120.0)
+    with print_if_slow("compiling"):
+        pass
+    wait_for_timers()
+    assert capsys.readouterr().err == ""
+
+
+def test_a_slow_block_prints_a_message(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("slam.cli.console.SLOW_SECONDS", 0.0)
+    with print_if_slow("compiling"):
+        wait_for_timers()
+    assert capsys.readouterr().err == "wclm: compiling\n"
