@@ -1,4 +1,4 @@
-"""No wrong loop closure is ever accepted: in worlds whose places look alike, and where false candidates are forced."""
+"""No wrong loop closure is accepted in worlds of similar-looking places, nor if false hypotheses are forced."""
 
 from __future__ import annotations
 
@@ -8,56 +8,56 @@ from typing import Any
 
 import numpy as np
 import pytest
+from slam.evaluation.benchmarks.witness import Decided
 
 from drivers import se2
 from slam.evaluation.benchmarks import false_closures
 from slam.evaluation.benchmarks.false_closures import Adversary
 from slam.evaluation.benchmarks.lookalike import WORLDS, Drive, condense, drive, run
-from slam.evaluation.benchmarks.witness import Decided
 from slam.loop_closure.loop_status import LoopStatus
-from slam.loop_closure.proposal import distinct, propose
-from slam.loop_closure.recent_walls import recent_and_reference
+from slam.loop_closure.proposal import are_distinct, propose
+from slam.loop_closure.recent_walls import select_recent_and_reference
 from slam.mapping.landmarks import Landmarks
 
 from ...recordings import recording_folder
 
 
-def decided(status: str, error: float, turn: float = 0.0, reason: str = "all tests passed") -> Decided:
+def decided(status: str, error: float, turn: float = 0.0, reason: str = "all checks passed") -> Decided:
     return Decided(10, status, reason, error, turn)
 
 
-def a_drive(*decisions: Decided, drift: float = 2.0, joined: bool = True, found: tuple[float, ...] = ()) -> Drive:
+def build_drive(*decisions: Decided, drift: float = 2.0, joined: bool = True, found: tuple[float, ...] = ()) -> Drive:
     return Drive("here", 0, decisions, drift, joined, doubled=0, ate=0.1, found=found)
 
 
-def test_only_accepted_closures_can_be_wrong() -> None:
-    assert not a_drive(
+def test_only_accepted_closures_count_as_wrong() -> None:
+    assert not build_drive(
         decided(LoopStatus.PENDING, 3.0), decided(LoopStatus.REJECTED, 3.0), decided(LoopStatus.ACCEPTED, 0.2)
     ).wrong
-    assert a_drive(decided(LoopStatus.ACCEPTED, 0.6)).wrong
-    assert a_drive(decided(LoopStatus.ACCEPTED, 0.1, np.radians(11.0))).wrong
+    assert build_drive(decided(LoopStatus.ACCEPTED, 0.6)).wrong
+    assert build_drive(decided(LoopStatus.ACCEPTED, 0.1, np.radians(11.0))).wrong
 
 
-def test_a_row_counts_what_was_needed_and_found() -> None:
-    mended, open_ = (
-        a_drive(decided(LoopStatus.ACCEPTED, 0.1)),
-        a_drive(decided(LoopStatus.REJECTED, 2.0, reason="7.1 m of wall < 8 m"), joined=False),
+def test_row_counts_needed_and_found_closures() -> None:
+    closed, missed = (
+        build_drive(decided(LoopStatus.ACCEPTED, 0.1)),
+        build_drive(decided(LoopStatus.REJECTED, 2.0, reason="7.1 m of wall < 8 m"), joined=False),
     )
-    unneeded = a_drive(decided(LoopStatus.REJECTED, 0.0, reason="6.4 m of wall < 8 m"), drift=0.1)
-    (row,) = condense([mended, open_, unneeded])
+    unneeded = build_drive(decided(LoopStatus.REJECTED, 0.0, reason="6.4 m of wall < 8 m"), drift=0.1)
+    (row,) = condense([closed, missed, unneeded])
     assert (row.drives, row.needed, row.found) == (3, 2, 1)
     assert (row.proposed, row.accepted, row.rejected, row.pending, row.wrong) == (3, 1, 2, 0, 0)
     assert row.reasons == {"m of wall m": 2}
 
 
-def test_a_row_counts_robots_found_in_wrong_places_and_drives_that_end_off() -> None:
-    twice, once = a_drive(found=(0.02, 18.7)), replace(a_drive(found=(0.4,)), last=1.2)
-    (row,) = condense([twice, once, a_drive()])
+def test_row_counts_wrong_relocalisations_and_drives_with_wrong_final_pose() -> None:
+    twice, once = build_drive(found=(0.02, 18.7)), replace(build_drive(found=(0.4,)), last=1.2)
+    (row,) = condense([twice, once, build_drive()])
     assert (row.relocated, row.misplaced, row.ended_off) == (3, 1, 1)
     assert (twice.misplaced, once.misplaced) == (1, 0)
 
 
-def test_a_loop_that_drift_left_open_is_closed_where_it_should_be() -> None:
+def test_needed_loop_is_closed_at_the_right_place() -> None:
     result = drive("large_loop", 0)
     assert result.needed
     assert result.joined
@@ -66,18 +66,18 @@ def test_a_loop_that_drift_left_open_is_closed_where_it_should_be() -> None:
 
 
 @pytest.mark.parametrize(("world", "seed"), [("moved_furniture", 9), ("equal_offices", 18)])
-def test_no_wrong_closure_where_places_look_alike(world: str, seed: int) -> None:
+def test_no_wrong_closure_is_accepted_between_similar_places(world: str, seed: int) -> None:
     result = drive(world, seed)
     convincing = [
         d for d in result.decided if d.error > 0.5 and (d.status == LoopStatus.PENDING or "deviations" in d.reason)
     ]
-    assert convincing, "nothing wrong looked right: this proves nothing"
+    assert convincing, "no wrong candidate passed the checks: the test proves nothing"
     assert not result.wrong
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_robot_that_was_not_carried_is_not_found_where_it_only_looks_alike(seed: int) -> None:
-    """Out of a court that is too wide to see across it comes into what looks like the corridor that it left by."""
+def test_robot_is_not_relocalised_at_similar_place_unless_kidnapped(seed: int) -> None:
+    """The robot leaves a court too wide to see across by a corridor that looks like the one it came from."""
     result = drive("symmetric_room", seed)
     assert result.misplaced == 0
     assert not result.wrong
@@ -86,7 +86,7 @@ def test_a_robot_that_was_not_carried_is_not_found_where_it_only_looks_alike(see
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-def test_no_wrong_closure_in_any_look_alike_world() -> None:
+def test_no_wrong_closure_is_accepted_in_any_world() -> None:
     drives = list(run(processes=2))
     rows = {row.world: row for row in condense(drives)}
     assert [(d.world, d.seed, d.wrong) for d in drives if d.wrong] == []
@@ -98,10 +98,10 @@ def test_no_wrong_closure_in_any_look_alike_world() -> None:
     assert sum(row.needed > 0 for row in rows.values()) >= 6
 
 
-def test_the_bench_prints_a_row_a_world(wclm: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_benchmark_prints_one_row_per_world(wclm: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     outcomes = {
-        0: a_drive(decided(LoopStatus.ACCEPTED, 0.1)),
-        1: replace(a_drive(decided(LoopStatus.ACCEPTED, 3.0)), seed=1),
+        0: build_drive(decided(LoopStatus.ACCEPTED, 0.1)),
+        1: replace(build_drive(decided(LoopStatus.ACCEPTED, 3.0)), seed=1),
     }
     monkeypatch.setattr("slam.warmup.warm_up", lambda: None)
     monkeypatch.setattr(
@@ -119,19 +119,19 @@ def test_the_bench_prints_a_row_a_world(wclm: Any, monkeypatch: pytest.MonkeyPat
     ]
     result = wclm(*options, "--seeds", "2")
     assert result.exit_code == 1
-    assert "wrong closures in square seed 1, large_loop seed 1" in result.stderr
-    outcomes[1] = replace(a_drive(found=(18.7,)), seed=1)
+    assert "wrong loop closures in square seed 1, large_loop seed 1" in result.stderr
+    outcomes[1] = replace(build_drive(found=(18.7,)), seed=1)
     result = wclm(*options, "--seeds", "2")
     assert result.exit_code == 1
-    assert "found in wrong places in square seed 1, large_loop seed 1" in result.stderr
+    assert "wrong relocalisations in square seed 1, large_loop seed 1" in result.stderr
     assert wclm("bench", "lookalike", "--worlds", "moon").exit_code == 2
 
 
-# False candidates
+# False hypotheses
 
 
 def two_rooms() -> tuple[Landmarks, np.ndarray[Any, Any]]:
-    """An old room, and the room seen again as if it were half a metre off."""
+    """Return a room mapped twice, the second time half a metre off, and the robot's pose."""
     room = np.array(
         [[3.0, 0.0, 0.0], [6.0, 2.0, np.pi / 2], [3.0, 4.0, np.pi], [0.0, 2.0, -np.pi / 2], [2.0, 2.5, 0.3]]
     )
@@ -144,9 +144,9 @@ def two_rooms() -> tuple[Landmarks, np.ndarray[Any, Any]]:
     return landmarks, np.array([3.0, 2.0, 0.0])
 
 
-def test_the_adversary_proposes_a_wrong_place_and_forges_every_other_score() -> None:
+def test_adversary_proposes_wrong_places_and_forges_every_other_score() -> None:
     landmarks, pose = two_rooms()
-    recent, old = recent_and_reference(landmarks, pose, np.array([0.0, 80.0]))
+    recent, old = select_recent_and_reference(landmarks, pose, np.array([0.0, 80.0]))
     honest = propose(recent, old, pose)
     adversary = Adversary(at=frozenset({1, 2}))
     assert len(adversary(recent, old, pose)) == len(honest)
@@ -155,13 +155,13 @@ def test_the_adversary_proposes_a_wrong_place_and_forges_every_other_score() -> 
     assert len(adversary.forced) == 2
     assert forged.overlap_ratio == 1.0
     assert forged.length > max(hypothesis.length for hypothesis in honest)
-    assert all(distinct(forged.motion, other.motion, pose) for other in honest[:2])
+    assert all(are_distinct(forged.motion, other.motion, pose) for other in honest[:2])
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("name", ["intel", "fr079", "csail"])
-def test_false_candidates_change_nothing(name: str) -> None:
+def test_false_hypotheses_do_not_change_the_accuracy(name: str) -> None:
     folder = recording_folder(name, "clf", "relations")
     outcome = false_closures.run(folder / f"{name}.clf", folder / f"{name}.relations")
     assert outcome.forced == min(50, outcome.looks)

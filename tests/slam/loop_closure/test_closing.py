@@ -1,0 +1,101 @@
+"""Closing of a loop: the pose is corrected and walls are merged, or the closure is rejected."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+
+from drivers import se2
+from slam.geometry.segments import CornerPoints, Floats, Segments
+from slam.loop_closure.closing import close_loop
+from slam.loop_closure.decision import LoopDecision
+from slam.loop_closure.loop_status import LoopStatus
+from slam.loop_closure.proposal import Hypothesis
+from slam.loop_closure.verification import Verdict
+from slam.mapping.data_association import UNMATCHED, Association
+from slam.mapping.keyframes import KeyframeMotion
+from slam.mapping.local_map import empty_local_map
+from slam.mapping.mapper import Mapper
+
+from .rooms import INSIDE, ROOM
+
+
+def observe(mapper: Mapper, pose: se2.Pose, motion: se2.Pose, walls: Floats, known: list[int] | None) -> list[int]:
+    """Add a keyframe that sees all walls, as new ones or as the `known` ids; return their ids."""
+    frames = se2.between(pose, walls[:, :3])
+    segments = Segments(frames, walls[:, 3], np.tile(np.diag([0.01, 0.01]) ** 2, (len(walls), 1, 1)))
+    corners = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)))
+    rows = np.full(len(walls), UNMATCHED) if known is None else np.arange(len(walls))
+    local = empty_local_map()
+    if known is not None:
+        local = type(local)(**{**{name: getattr(local, name) for name in local.__slots__}, "walls": np.array(known)})
+    none = np.zeros(0)
+    nobody = np.zeros(0, dtype=int)
+    association = Association(rows, np.zeros(len(walls)), rows, nobody, none, nobody)
+    covariance = np.diag([0.05, 0.05, 0.03]) ** 2
+    first = mapper.keyframe_count == 0
+    step = None if first else KeyframeMotion(mapper.keyframe_count - 1, motion, covariance)
+    view = mapper.add_keyframe(pose, step, segments, corners, association, local)
+    mapper.refresh(view)
+    return [int(wall) for wall in view.association.walls]
+
+
+def drifted_mapper(drift: se2.Pose) -> tuple[Mapper, list[int], list[int]]:
+    """Map the room twice, the second time after odometry has drifted by `drift`; return the ids of both passes."""
+    mapper = Mapper()
+    first = observe(mapper, INSIDE, np.zeros(3), ROOM, None)
+    step = np.array([0.05, 0.0, 0.0])
+    pose = se2.compose(INSIDE, step)
+    observe(mapper, pose, step, ROOM, first)
+    none = ROOM[:0]
+    for _ in range(8):  # sees nothing
+        motion = se2.between(pose, se2.compose(pose, np.array([drift[0] / 8, drift[1] / 8, drift[2] / 8])))
+        pose = se2.compose(pose, motion)
+        observe(mapper, pose, motion, none, None)
+    there = se2.between(se2.compose(INSIDE, step), pose)
+    moved = np.column_stack(
+        [se2.compose(se2.compose(pose, se2.inverse(se2.compose(INSIDE, step))), ROOM[:, :3]), ROOM[:, 3]]
+    )
+    second = observe(mapper, pose, np.zeros(3), moved, None)
+    observe(mapper, pose, np.zeros(3), moved, second)
+    assert np.hypot(*there[:2]) > 0.5
+    return mapper, first, second
+
+
+def confirmed_decision(motion: se2.Pose, first: list[int], second: list[int]) -> LoopDecision:
+    """Return a confirmed decision that the walls `second` are the walls `first` after the motion."""
+    hypothesis = Hypothesis(motion, 1.0, 20.0, 1.0, np.eye(3), np.arange(len(ROOM)))
+    verdict = Verdict(True, "all checks passed", 1.0, len(ROOM), 0.0, 0.01, 0.0, True, False, False)
+    return LoopDecision(
+        1, 9, 1, np.zeros(3), verdict, LoopStatus.CONFIRMED, hypothesis, tuple(zip(first, second, strict=True))
+    )
+
+
+def test_closing_corrects_pose_and_merges_walls() -> None:
+    mapper, first, second = drifted_mapper(np.array([1.6, -1.0, 0.2]))
+    back = se2.compose(INSIDE, np.array([0.05, 0.0, 0.0]))
+    motion = se2.compose(back, se2.inverse(mapper.pose))
+    factors = mapper.graph.factor_count
+    closed = close_loop(mapper, confirmed_decision(motion, first, second))
+    assert closed.status is LoopStatus.ACCEPTED
+    assert len(closed.merged) == len(ROOM)
+    np.testing.assert_allclose(mapper.pose, back, atol=0.01)
+    merged_into = mapper.landmarks.walls.rows["merged_into"]
+    assert [merged_into[wall] for wall in second] == first
+    assert mapper.graph.factor_count == factors + len(ROOM)  # the wall equalities; the loop factor is removed
+
+
+def test_closure_is_rejected_if_walls_do_not_coincide() -> None:
+    mapper, first, second = drifted_mapper(np.array([1.6, -1.0, 0.2]))
+    before, factors = mapper.graph.keyframe_poses(mapper.keyframe_count), mapper.graph.factor_count
+    wrong = se2.compose(np.array([0.0, 3.0, 0.9]), mapper.pose)
+    trial = copy.deepcopy(mapper)
+    rejected = close_loop(trial, confirmed_decision(se2.compose(wrong, se2.inverse(mapper.pose)), first, second))
+    assert rejected.status is LoopStatus.REJECTED
+    assert not rejected.verdict.accepted
+    assert rejected.merged == ()
+    # closing on a copy does not change the original
+    np.testing.assert_allclose(mapper.graph.keyframe_poses(mapper.keyframe_count), before, atol=1e-12)
+    assert mapper.graph.factor_count == factors
+    assert list(mapper.landmarks.walls.rows["merged_into"][second]) == second
