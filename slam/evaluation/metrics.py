@@ -162,7 +162,9 @@ def score_reference(trajectory: Trajectory, reference: Trajectory, step: float =
     """
     own, other = pair_by_time(trajectory, reference)
     if len(own) < MIN_ALIGNED_PAIRS:
-        raise MapError(f"trajectory and reference share {len(own)} times (within {MAX_TIME_DIFFERENCE} s), two are needed")
+        raise MapError(
+            f"trajectory and reference share {len(own)} times (within {MAX_TIME_DIFFERENCE} s), two are needed"
+        )
     poses, truth = trajectory.poses[own], reference.poses[other]
     alignment = align(poses[:, :2], truth[:, :2])
     aligned = se2.compose(alignment, poses)
@@ -176,7 +178,9 @@ def score_reference(trajectory: Trajectory, reference: Trajectory, step: float =
     )
 
 
-def pair_by_time(first: Trajectory, second: Trajectory, tolerance: float = MAX_TIME_DIFFERENCE) -> tuple[Indices, Indices]:
+def pair_by_time(
+    first: Trajectory, second: Trajectory, tolerance: float = MAX_TIME_DIFFERENCE
+) -> tuple[Indices, Indices]:
     """Return indices (m,), (m,) of paired poses: each of the sparser trajectory with the nearest of the other.
 
     Poses without a partner within `tolerance` seconds are left out.

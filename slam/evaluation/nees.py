@@ -30,8 +30,8 @@ Floats = NDArray[np.float64]
 class Consistency:
     """Mean of `count` NEES values of `dimensions` degrees of freedom, and its confidence band.
 
-    The band holds for independent values, i.e. from different runs, as in `run_consistency`. `standard_error` is that of
-    the mean, from the scatter of the values; NaN for a single value.
+    The band holds for independent values, i.e. from different runs, as in `run_consistency`. `standard_error` is that
+    of the mean, from the scatter of the values; NaN for a single value.
     """
 
     mean: float
@@ -95,7 +95,7 @@ def consistency(values: Floats, dimensions: int, probability: float = 0.95) -> C
 
 
 def run_consistency(runs: Sequence[Floats], dimensions: int, probability: float = 0.95) -> Consistency:
-    """Return the consistency of NEES values (n,) of several runs, each counted as one sample; NaN values are skipped."""
+    """Return the consistency of NEES values (n,) of several runs, each counted as one sample; NaN is skipped."""
     means = [float(np.nanmean(values)) for values in runs if np.isfinite(values).any()]
     return consistency(np.array(means), dimensions, probability)
 

@@ -1,1 +1,1 @@
-"""Measurements that anyone can repeat: what `wclm bench` runs."""
+"""Repeatable benchmarks, run by `wclm bench`."""

@@ -1,7 +1,7 @@
-"""Whether the covariances are honest, over many simulated drives that differ in all that is random.
+"""Test the consistency of covariances over many simulated drives with independent noise.
 
-Each drive has its own noise and its own wheels, and the lidar sits off the base's centre, turned: what holds only for a
-lidar in the middle looking ahead shows here.
+Each drive has its own sensor noise and its own wheel errors. The lidar is mounted off the base's centre and turned, to
+reveal errors that a centred lidar looking ahead would hide.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from ...offline.calibration.range_bias import estimate_range_bias
 from ..ground_truth import Nees, measure
 from ..nees import Consistency, run_consistency
 
-MOUNT = (0.2, -0.15, math.radians(100.0))  # of the lidar on the base: metres, metres, radians
-CALIBRATION_SEED = 1_000_000  # of the drive that calibrates; the others count from 0
-DURATION = 60.0  # seconds: 27 metres of way and 490 degrees of turning in the office
+MOUNT = (0.2, -0.15, math.radians(100.0))  # x, y, heading of the lidar on the base: metres, metres, radians
+CALIBRATION_SEED = 1_000_000  # of the calibration drive; the others count from 0
+DURATION = 60.0  # seconds: 27 m travelled and 490 degrees turned in the office
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
-    """What was compared with the truth, and how its errors compare with its covariances."""
+class ConsistencyRow:
+    """Consistency of one kind of estimate."""
 
     name: str
     consistency: Consistency
@@ -41,25 +41,32 @@ def simulate(
     range_bias: float = 0.0,
     config: Config | None = None,
 ) -> Iterator[Nees]:
-    """The NEES of one drive after the other; `duration` in seconds. All ranges are long by `range_bias`, metres."""
+    """Yield the NEES of one simulated drive per seed.
+
+    `duration` is in seconds; `range_bias` is added to all ranges, metres.
+    """
     lidar = LidarModel(range_bias=range_bias)
     for seed in seeds:
         yield measure(Simulation(world, seed=seed, duration=duration, lidar=lidar, mount=MOUNT), config)[0]
 
 
-def calibrated(range_bias: float, duration: float = DURATION, world: str = "office") -> tuple[Config, float]:
-    """A configuration that knows the lidar's error, as a drive apart from the others tells it; its standard error."""
-    drive = Simulation(world, seed=CALIBRATION_SEED, duration=duration, lidar=LidarModel(range_bias=range_bias), mount=MOUNT)
+def calibrated_config(range_bias: float, duration: float = DURATION, world: str = "office") -> tuple[Config, float]:
+    """Return a configuration with the range bias estimated from a separate drive, and its standard error."""
+    drive = Simulation(
+        world, seed=CALIBRATION_SEED, duration=duration, lidar=LidarModel(range_bias=range_bias), mount=MOUNT
+    )
     bias, sigma = estimate_range_bias(list(drive), Config())
     return Config(lidar=LidarConfig(range_bias=bias)), sigma
 
 
-def summarise(runs: Sequence[Nees]) -> list[Row]:
-    """The consistency of all poses, of each run's last pose alone, of walls and of corners. Raises MapError without
-    runs."""
+def summarise(runs: Sequence[Nees]) -> list[ConsistencyRow]:
+    """Return the consistency of all poses, of each run's last pose, of walls and of corners.
 
-    def row(name: str, values: Sequence[Floats], dimensions: int) -> Row:
-        return Row(name, run_consistency(values, dimensions))
+    Raises MapError without runs.
+    """
+
+    def row(name: str, values: Sequence[Floats], dimensions: int) -> ConsistencyRow:
+        return ConsistencyRow(name, run_consistency(values, dimensions))
 
     return [
         row("poses", [run.poses for run in runs], 3),
@@ -69,8 +76,8 @@ def summarise(runs: Sequence[Nees]) -> list[Row]:
     ]
 
 
-def table(rows: Sequence[Row]) -> list[str]:
-    """The lines that a person reads; all figures per degree of freedom, so that 1 is perfect."""
+def consistency_table(rows: Sequence[ConsistencyRow]) -> list[str]:
+    """Return the lines of a table; all figures are per degree of freedom, so that 1 is consistent."""
     lines = ["NEES per dimension   mean  std. error  95 % band      runs"]
     for row in rows:
         found = row.consistency

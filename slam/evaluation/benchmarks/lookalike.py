@@ -1,8 +1,7 @@
-"""Places that look alike: whether a wrong loop closure is ever accepted, how often a needed one is found, and whether a
-robot that gets lost is found where it is.
+"""Measure false and missed loop closures and relocalisations in worlds whose places look alike.
 
-The robot is short-sighted and its wheels are worn, so that it comes back to places it has seen with more drift than
-association bridges.
+The lidar has a short range and the wheels have large errors, so that the robot returns to known places with more drift
+than data association tolerates.
 """
 
 from __future__ import annotations
@@ -15,11 +14,12 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from drivers.simulation.simulator import DRIVES, LIDARS, Simulation
+from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, Simulation
 
 from ...errors import MapError
+from ...loop_closure.loop_status import LoopStatus
 from ...pipeline import Slam
-from .witness import Decided, Witness
+from .loop_scoring import LoopScorer, ScoredDecision
 
 WORLDS = (
     "large_loop",
@@ -31,75 +31,78 @@ WORLDS = (
     "mirrored_wing",
     "moved_furniture",
 )
-WRONG, WRONG_TURN = 0.5, np.radians(10.0)  # by which a closure misses the true motion when it is called wrong
-MISPLACED = 1.0  # metres: found so far off, the robot is in another place; ending so far off, the map is another one
-NEEDED = 0.5  # metres of drift at a place that is visited again: more than association bridges
-JOINED = 0.3  # metres that may be left between two visits to a place of which the final map has made one
-JOINED_SHARE = 0.9  # of all visits that must be joined
+MAX_ERROR, MAX_ANGLE_ERROR = 0.5, np.radians(10.0)  # metres, radians; a closure with a larger error is wrong
+MISPLACED = 1.0  # metres; a relocalisation with a larger error, or a run that ends with one, is in a wrong place
+MIN_NEEDED_DRIFT = 0.5  # metres of drift at a revisited place: more than data association tolerates
+MAX_JOINED_ERROR = 0.3  # metres between two visits of one place that are joined in the final map
+MIN_JOINED_SHARE = 0.9  # of all revisits
 
 
 @dataclass(frozen=True, slots=True)
-class Drive:
-    """One drive through a world.
+class LookalikeRun:
+    """Result of one simulated drive through a world.
 
-    drift    metres by which the robot was off at most, relative to its earlier visit, when it came back to a place
-    joined   whether the final map has one place where there is one
-    doubled  walls that the final map has more than once
-    ate      metres, root mean square of the keyframes' errors after alignment
-    found    metres, for each time that the robot was lost and found: how far off, as seen from the keyframes around
-    last     metres by which the last keyframe is off, as seen from the first
-    failed   why there is no final map, where there is none
+    decisions              all loop decisions
+    drift                  largest error of a keyframe at a revisited place, relative to the earlier visit, metres
+    joined                 True if the final map has joined the visits of each place
+    doubled                number of walls that the final map contains more than once
+    ate                    RMS position error of the keyframes after alignment, metres
+    relocalisation_errors  of each relocalisation relative to the nearest keyframe, metres
+    last_error             position error of the last keyframe relative to the first, metres
+    failed                 reason if there is no final map
     """
 
     world: str
     seed: int
-    decided: tuple[Decided, ...]
+    decisions: tuple[ScoredDecision, ...]
     drift: float
     joined: bool
     doubled: int
     ate: float
-    found: tuple[float, ...] = ()
-    last: float = 0.0
+    relocalisation_errors: tuple[float, ...] = ()
+    last_error: float = 0.0
     failed: str = ""
 
     @property
     def needed(self) -> bool:
-        """Whether the map could be made one only by closing a loop."""
-        return self.drift > NEEDED
+        """True if a consistent map required a loop closure."""
+        return self.drift > MIN_NEEDED_DRIFT
 
     @property
-    def accepted(self) -> list[Decided]:
-        """The closures that were made."""
-        return [decided for decided in self.decided if decided.status == "accepted"]
+    def accepted(self) -> list[ScoredDecision]:
+        """Accepted loops."""
+        return [decided for decided in self.decisions if decided.status == LoopStatus.ACCEPTED]
 
     @property
-    def wrong(self) -> list[Decided]:
-        """Those that lead to another place than the one where the robot was."""
-        return [decided for decided in self.accepted if decided.error > WRONG or decided.turn > WRONG_TURN]
+    def wrong(self) -> list[ScoredDecision]:
+        """Accepted loops to a wrong place."""
+        return [
+            decided for decided in self.accepted if decided.error > MAX_ERROR or decided.angle_error > MAX_ANGLE_ERROR
+        ]
 
     @property
     def misplaced(self) -> int:
-        """How often the robot was found in another place than the one where it was."""
-        return sum(error > MISPLACED for error in self.found)
+        """Number of relocalisations in a wrong place."""
+        return sum(error > MISPLACED for error in self.relocalisation_errors)
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
-    """All drives through one world: counts; drift and ate are medians in metres.
+class WorldStatistics:
+    """Counts over all runs in one world; drift and ate are medians in metres.
 
-    needed, found  drives of which the map could be made one only by closing a loop, and those in which it was
-    relocated      how often a robot that was lost was found, `misplaced` of them in another place
-    ended_off      drives that ended more than MISPLACED from the truth, as seen from where they began: because of a
-                   wrong closure or place, or of drift that no loop took out
-    failed         drives that came to no map
-    reasons        why candidates were rejected, how often, without the figures
+    needed, found  runs whose consistent map required a loop closure, and those of them with a consistent map
+    relocated      relocalisations, `misplaced` of them in a wrong place
+    ended_off      runs that ended more than MISPLACED from the true position, relative to their start: because of a
+                   wrong closure or relocalisation, or of drift that no loop corrected
+    failed         runs without a final map
+    reasons        counts of the reasons of rejection, without the figures in them
     """
 
     world: str
     drives: int
     proposed: int
     rejected: int
-    held: int
+    pending: int
     accepted: int
     wrong: int
     drift: float
@@ -114,71 +117,77 @@ class Row:
     reasons: dict[str, int]
 
 
-def run(worlds: Sequence[str] = WORLDS, seeds: Sequence[int] = range(20), processes: int = 1) -> Iterator[Drive]:
-    """Drive through each world once with each seed; the drives come in that order, however many processes there are."""
+def run_worlds(
+    worlds: Sequence[str] = WORLDS, seeds: Sequence[int] = range(20), processes: int = 1
+) -> Iterator[LookalikeRun]:
+    """Simulate each world once with each seed, and yield the runs in that order."""
     jobs = [(world, seed) for world in worlds for seed in seeds]
     if processes == 1:
-        yield from (drive(*job) for job in jobs)
+        yield from (run_world(*job) for job in jobs)
         return
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(drive, *zip(*jobs, strict=True))
+        yield from pool.map(run_world, *zip(*jobs, strict=True))
 
 
-def drive(world: str, seed: int) -> Drive:
-    """Map a world with the truth looking on."""
-    simulation = Simulation(world, seed=seed, lidar=LIDARS["short"], drive=DRIVES["bad"])
-    witness = Witness(simulation)
-    slam = Slam(sinks=[witness])
+def run_world(world: str, seed: int) -> LookalikeRun:
+    """Run SLAM in a simulated world and score it against ground truth."""
+    simulation = Simulation(world, seed=seed, lidar=LIDAR_MODELS["short"], wheels=WHEEL_MODELS["bad"])
+    scorer = LoopScorer(simulation)
+    slam = Slam(sinks=[scorer])
     try:
         for message in simulation:
             slam.add(message)
         finished = slam.finish()
     except MapError as error:
-        found = tuple(witness.misplaced)
-        return Drive(world, seed, tuple(witness.decided), witness.drift, False, 0, np.nan, found, failed=str(error))
-    return Drive(
+        errors = tuple(scorer.relocalisation_errors)
+        return LookalikeRun(
+            world, seed, tuple(scorer.decisions), scorer.drift, False, 0, np.nan, errors, failed=str(error)
+        )
+    return LookalikeRun(
         world,
         seed,
-        tuple(witness.decided),
-        drift=witness.drift,
-        joined=witness.joined(finished, JOINED) >= JOINED_SHARE,
-        doubled=witness.doubled(finished.lines),
-        ate=witness.ate(finished),
-        found=tuple(witness.misplaced),
-        last=witness.last_error(finished),
+        tuple(scorer.decisions),
+        drift=scorer.drift,
+        joined=scorer.joined_share(finished, MAX_JOINED_ERROR) >= MIN_JOINED_SHARE,
+        doubled=scorer.doubled_walls(finished.lines),
+        ate=scorer.ate(finished),
+        relocalisation_errors=tuple(scorer.relocalisation_errors),
+        last_error=scorer.last_error(finished),
     )
 
 
-def condense(drives: Sequence[Drive]) -> list[Row]:
-    """A row for each world, in the order in which they come."""
-    return [_row(world, [d for d in drives if d.world == world]) for world in dict.fromkeys(d.world for d in drives)]
+def summarise_worlds(runs: Sequence[LookalikeRun]) -> list[WorldStatistics]:
+    """Return the statistics of each world, in the order of first appearance."""
+    return [_statistics(world, [r for r in runs if r.world == world]) for world in dict.fromkeys(r.world for r in runs)]
 
 
-def _row(world: str, drives: list[Drive]) -> Row:
-    decided = [decided for drive in drives for decided in drive.decided]
+def _statistics(world: str, runs: list[LookalikeRun]) -> WorldStatistics:
+    decided = [decided for run in runs for decided in run.decisions]
     statuses = Counter(d.status for d in decided)
-    needed = [drive for drive in drives if drive.needed]
-    return Row(
+    needed = [run for run in runs if run.needed]
+    return WorldStatistics(
         world=world,
-        drives=len(drives),
+        drives=len(runs),
         proposed=len(decided),
-        rejected=statuses["rejected"],
-        held=statuses["held"],
-        accepted=statuses["accepted"],
-        wrong=sum(len(drive.wrong) for drive in drives),
-        drift=float(np.median([drive.drift for drive in drives])),
+        rejected=statuses[LoopStatus.REJECTED],
+        pending=statuses[LoopStatus.PENDING],
+        accepted=statuses[LoopStatus.ACCEPTED],
+        wrong=sum(len(run.wrong) for run in runs),
+        drift=float(np.median([run.drift for run in runs])),
         needed=len(needed),
-        found=sum(drive.joined for drive in needed),
-        doubled=sum(drive.doubled for drive in drives),
-        ate=float(np.median([drive.ate for drive in drives if not drive.failed] or [np.nan])),
-        relocated=sum(len(drive.found) for drive in drives),
-        misplaced=sum(drive.misplaced for drive in drives),
-        ended_off=sum(drive.last > MISPLACED for drive in drives),
-        failed=sum(bool(drive.failed) for drive in drives),
-        reasons=dict(Counter(_kind(d.reason) for d in decided if d.status == "rejected").most_common()),
+        found=sum(run.joined for run in needed),
+        doubled=sum(run.doubled for run in runs),
+        ate=float(np.median([run.ate for run in runs if not run.failed] or [np.nan])),
+        relocated=sum(len(run.relocalisation_errors) for run in runs),
+        misplaced=sum(run.misplaced for run in runs),
+        ended_off=sum(run.last_error > MISPLACED for run in runs),
+        failed=sum(bool(run.failed) for run in runs),
+        reasons=dict(
+            Counter(_without_figures(d.reason) for d in decided if d.status == LoopStatus.REJECTED).most_common()
+        ),
     )
 
 
-def _kind(reason: str) -> str:
-    """A reason without its figures."""
+def _without_figures(reason: str) -> str:
+    """Return a reason without the figures in it."""
     return " ".join(word for word in reason.split() if not any(letter.isdigit() for letter in word) and word != "<")

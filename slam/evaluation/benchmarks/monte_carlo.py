@@ -1,4 +1,4 @@
-"""What covariances claim of a wall and of a corner, beside what thousands of noisy sweeps show."""
+"""Monte Carlo test of the covariances of lines and corners, for the documentation's plots."""
 
 from __future__ import annotations
 
@@ -12,17 +12,21 @@ from features.types import Floats
 
 TRIALS = 3000
 NOISE = Noise(sigma_range=0.02, sigma_bearing=float(np.radians(0.1)))
-BEAM = float(np.radians(0.5))
-"""Between neighbouring rays."""
+BEAM_SPACING = float(np.radians(0.5))
+"""Between neighbouring rays, radians."""
 FIT, CORNER, _ = ESTIMATORS["wclm-ml"]
-WITHIN_95 = 5.991
-"""Squared Mahalanobis distance within which 95 % of what has two dimensions lie."""
+CHI2_95 = 5.991
+"""Chi-square, 2 degrees of freedom, 95 %."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wall:
-    """A straight wall seen from the origin: its distance (metres), the direction of its normal, and the bearings
-    between which it is seen (radians)."""
+    """A straight wall observed from the origin.
+
+    distance   metres
+    normal     direction of the normal, radians
+    low, high  bearings between which the wall is observed, radians
+    """
 
     distance: float
     normal: float
@@ -31,41 +35,41 @@ class Wall:
 
     @property
     def bearings(self) -> Floats:
-        """(n,) of the rays that meet it, radians."""
-        return np.arange(self.low, self.high, BEAM)
+        """(n,) bearings of the rays on the wall, radians."""
+        return np.arange(self.low, self.high, BEAM_SPACING)
 
     def ranges(self, bearings: Floats) -> Floats:
-        """(n,) true ranges at these bearings, metres."""
+        """Return the true ranges (n,) at bearings (n,), metres."""
         return np.asarray(self.distance / np.cos(bearings - self.normal))
 
     def points(self, along: Floats) -> Floats:
-        """(n, 2) points of the wall, `along` (n,) metres from the one closest to the lidar."""
+        """Return points (n, 2) of the wall, `along` (n,) metres from the one closest to the lidar."""
         c, s = np.cos(self.normal), np.sin(self.normal)
         return np.asarray(self.distance * np.array([c, s]) + along[:, None] * np.array([-s, c]))
 
     @property
     def span(self) -> Floats:
-        """(2,) metres along the wall between which it is seen."""
+        """(2,) ends of the observed part, metres along the wall."""
         return np.asarray(self.distance * np.tan(self.bearings[[0, -1]] - self.normal))
 
     def measure(self, random: np.random.Generator, noise: Noise = NOISE) -> Floats:
-        """(n,) ranges as a noisy lidar tells them at its `bearings`; each ray goes a little beside its own."""
+        """Return noisy ranges (n,) at the nominal `bearings`, with range and bearing noise."""
         bearings = self.bearings
-        beside = bearings + random.normal(0.0, noise.sigma_bearing, len(bearings))
-        return np.asarray(self.ranges(beside) + random.normal(0.0, noise.sigma_range, len(bearings)))
+        actual = bearings + random.normal(0.0, noise.sigma_bearing, len(bearings))
+        return np.asarray(self.ranges(actual) + random.normal(0.0, noise.sigma_range, len(bearings)))
 
     def fit(self, random: np.random.Generator, noise: Noise = NOISE) -> LineFit:
-        """The line through one noisy sweep."""
+        """Fit a line to one noisy sweep."""
         return FIT(self.measure(random, noise), self.bearings, noise)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Deviations:
-    """How far fitted lines lie beside the true wall at places along it.
+    """Offsets of fitted lines from the true wall.
 
     along    (n,) metres from the point closest to the lidar
-    found    (TRIALS, n) metres across
-    claimed  (n,) metres: the standard deviation that the first of the fits claims
+    found    (TRIALS, n) offsets, metres
+    claimed  (n,) standard deviation of the offset by the first fit's covariance, metres
     """
 
     along: Floats
@@ -74,7 +78,7 @@ class Deviations:
 
 
 def deviations(wall: Wall, seed: int, *, beyond: float = 0.5, places: int = 41) -> Deviations:
-    """Fit the wall again and again; look at it from `beyond` times its length before it to as far behind it.
+    """Return the offsets of many fits, at `places` points up to `beyond` times the wall's length past its ends.
 
     The distance of a point p of the wall from the line (u, v) is (1 - p.(u, v)) / |(u, v)|, so its variance d^2 p' C p.
     """
@@ -91,8 +95,13 @@ def deviations(wall: Wall, seed: int, *, beyond: float = 0.5, places: int = 41) 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cloud:
-    """What was estimated again and again, and what one estimate claims: `found` (TRIALS, 2), `truth` (2,),
-    `covariance` (2, 2), and the share of the estimates within their own 95 % ellipse."""
+    """Many estimates of one quantity, and the covariance of one of them.
+
+    found       (TRIALS, 2) estimates
+    truth       (2,)
+    covariance  (2, 2) of the first estimate
+    within      share of the estimates within their own 95 % ellipse
+    """
 
     found: Floats
     truth: Floats
@@ -101,20 +110,22 @@ class Cloud:
 
 
 def line_parameters(wall: Wall, noise: Noise, seed: int) -> tuple[Cloud, Cloud]:
-    """The same lines by (u, v) and by distance and direction (d, alpha)."""
+    """Return many fits of one wall as (u, v), and as distance and direction (d, alpha)."""
     random = np.random.default_rng(seed)
     fits = [wall.fit(random, noise) for _ in range(TRIALS)]
     uv = np.array([np.cos(wall.normal), np.sin(wall.normal)]) / wall.distance
     polar = [polar_of_uv(fit.uv) for fit in fits]
-    carried = [covariance_through(jacobian, fit.covariance) for fit, (_, jacobian) in zip(fits, polar, strict=True)]
+    polar_covariances = [
+        covariance_through(jacobian, fit.covariance) for fit, (_, jacobian) in zip(fits, polar, strict=True)
+    ]
     return (
         _cloud([fit.uv for fit in fits], uv, [fit.covariance for fit in fits]),
-        _cloud([parameters for parameters, _ in polar], np.array([wall.distance, wall.normal]), carried),
+        _cloud([parameters for parameters, _ in polar], np.array([wall.distance, wall.normal]), polar_covariances),
     )
 
 
 def corner_positions(first: Wall, second: Wall, seed: int) -> Cloud:
-    """The corner of two walls, intersected again and again."""
+    """Return many estimates of the corner of two walls."""
     random = np.random.default_rng(seed)
     found = [CORNER(first.fit(random), second.fit(random)) for _ in range(TRIALS)]
     normals = np.array([[np.cos(wall.normal), np.sin(wall.normal)] for wall in (first, second)])
@@ -126,4 +137,4 @@ def _cloud(found: list[Floats], truth: Floats, covariances: list[Floats]) -> Clo
     values = np.array(found)
     error = values - truth
     squared = np.einsum("ni,ni->n", error, np.linalg.solve(np.array(covariances), error[..., None])[..., 0])
-    return Cloud(values, truth, covariances[0], float(np.mean(squared <= WITHIN_95)))
+    return Cloud(values, truth, covariances[0], float(np.mean(squared <= CHI2_95)))

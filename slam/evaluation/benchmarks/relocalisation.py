@@ -1,8 +1,8 @@
-"""How well places are recognised: pieces of a recording's second half looked for in the map of its first half.
+"""Measure precision and recall of relocalisation: submaps of a recording's second half in the map of its first half.
 
-The recording's truth is not known, so the pose of the uncut run stands for it, where both halves are one map. That map
-and the first half's differ by what was learnt later; so a pose is carried over by the nearest keyframe of the first
-half, which is in both.
+Ground truth is not available; the pose from mapping the whole recording takes its place. Its map and that of the first
+half differ by later corrections, so a pose is transferred relative to the nearest keyframe of the first half, which is
+in both.
 """
 
 from __future__ import annotations
@@ -23,163 +23,182 @@ from ...loop_closure.relocalisation import MapIndex, index_map, relocalise, subm
 from ...mapping.mapper import Mapper
 from ...pipeline import Slam
 
-WAYS = 2.0, 4.0, 6.0  # metres of driving that a fragment is mapped of
-WRONG, WRONG_TURN = 0.5, np.radians(10.0)  # metres and radians from which on an accepted pose is wrong
-KNOWN_WITHIN = 2.0  # metres from the way of the first half within which a place counts as known
-TURN_AS_METRES = 0.5  # metres that a radian counts as when the nearest keyframe is sought
-LATER = 0.5  # seconds of messages after a fragment's last scan, so that odometry covers its sweep
+SUBMAP_LENGTHS = 2.0, 4.0, 6.0  # metres travelled while a submap is built
+MAX_ERROR, MAX_ANGLE_ERROR = 0.5, np.radians(10.0)  # metres, radians; an accepted pose with a larger error is wrong
+KNOWN_DISTANCE = 2.0  # metres to the nearest keyframe of the first half within which a place counts as known
+METRES_PER_RADIAN = 0.5  # weight of the heading in the choice of the nearest keyframe
+ODOMETRY_MARGIN = 0.5  # seconds of odometry after a submap's last scan, to cover its sweep
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Known:
-    """A recording cut in two.
+class SplitRecording:
+    """A recording split in two halves.
 
-    index               the map of the first half
-    stamps, before      (k,) the first half's keyframes and (k, 3) their poses in its map
-    after               (k, 3) their poses in the uncut map
-    all_stamps, path    (m,), (m, 3) the uncut run
-    second_half         messages
+    index                     map of the first half
+    keyframes                 (k, 3) keyframe poses in the map of the first half
+    keyframes_in_full_map     (k, 3) the same keyframes in the map of the whole recording
+    stamps, path              (m,), (m, 3) path of the whole recording
+    second_half               messages
     """
 
     index: MapIndex
-    before: Floats
-    after: Floats
-    all_stamps: Floats
+    keyframes: Floats
+    keyframes_in_full_map: Floats
+    stamps: Floats
     path: Floats
     second_half: Sequence[Message]
 
 
 @dataclass(frozen=True, slots=True)
-class Query:
-    """One fragment: how far its place is from the first half's way (NaN: another building), seconds the search took,
-    whether a place was accepted, and by how much that was off (NaN where none was, or where all are wrong)."""
+class RelocalisationQuery:
+    """Result of searching for one submap.
+
+    distance            to the nearest keyframe of the first half, metres; NaN in the map of another building
+    seconds             search time
+    accepted            True if a pose was accepted
+    error, angle_error  of the accepted pose, metres and radians; NaN without one, or in another building
+    """
 
     distance: float
     seconds: float
     accepted: bool
     error: float
-    turn_error: float
+    angle_error: float
 
     @property
-    def right(self) -> bool:
-        """Whether a place was accepted that is the right one."""
-        return self.accepted and self.error <= WRONG and self.turn_error <= WRONG_TURN
+    def correct(self) -> bool:
+        """True if a correct pose was accepted."""
+        return self.accepted and self.error <= MAX_ERROR and self.angle_error <= MAX_ANGLE_ERROR
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
-    """Of fragments of `way` metres: queries, places accepted, right ones among them, places that are known and those of
-    them that were found, seconds a query."""
+class QueryStatistics:
+    """Counts over the queries with submaps of one length, and search times in seconds.
 
-    way: float
+    accepted, correct  queries with an accepted pose, and with a correct one
+    known, found       queries at known places, and those of them with a correct pose
+    """
+
+    submap_length: float
     queries: int
     accepted: int
-    right: int
+    correct: int
     known: int
     found: int
     median: float
     p95: float
 
 
-def cut(messages: Sequence[Message], config: Config) -> Known:
-    """Map the first half of a recording, and all of it."""
-    first_half, second_half = halves(messages)
-    slam = _mapped(first_half, config)
+def split_recording(messages: Sequence[Message], config: Config) -> SplitRecording:
+    """Map the first half of a recording, and the whole recording."""
+    first_half, second_half = split_halves(messages)
+    slam = _run_slam(first_half, config)
     half = slam.finish()
-    whole = _mapped(messages, config).finish()
+    whole = _run_slam(messages, config).finish()
     at = np.searchsorted(whole.stamps, half.keyframe_stamps).clip(0, len(whole.stamps) - 1)
-    return Known(
+    return SplitRecording(
         index=index_map(slam.slam_state.mapper),
-        before=half.keyframes,
-        after=whole.poses[at],
-        all_stamps=whole.stamps,
+        keyframes=half.keyframes,
+        keyframes_in_full_map=whole.poses[at],
+        stamps=whole.stamps,
         path=whole.poses,
         second_half=second_half,
     )
 
 
-def halves(messages: Sequence[Message]) -> tuple[list[Message], list[Message]]:
-    """What comes before the middle of a recording's time, and after. Raises MapError where there is nothing."""
+def split_halves(messages: Sequence[Message]) -> tuple[list[Message], list[Message]]:
+    """Return the messages before and after the middle of a recording's time. Raises MapError without messages."""
     if not messages:
-        raise MapError("nothing in it, so there are no halves to compare")
+        raise MapError("the recording is empty")
     middle = 0.5 * (messages[0].stamp + messages[-1].stamp)
     first = [message for message in messages if message.stamp < middle]
     return first, [message for message in messages if message.stamp >= middle]
 
 
 def index_of(messages: Sequence[Message], config: Config) -> MapIndex:
-    """The map of some messages, prepared."""
-    slam = _mapped(messages, config)
+    """Map messages and return the map prepared for relocalisation."""
+    slam = _run_slam(messages, config)
     slam.finish()
     return index_map(slam.slam_state.mapper)
 
 
-def run(
-    known: Known, way: float, count: int, config: Config, *, elsewhere: MapIndex | None = None, seed: int = 0
-) -> list[Query]:
-    """Look for `count` random fragments of `way` metres of the second half in the first half's map.
+def run_queries(
+    split: SplitRecording,
+    submap_length: float,
+    count: int,
+    config: Config,
+    *,
+    elsewhere: MapIndex | None = None,
+    seed: int = 0,
+) -> list[RelocalisationQuery]:
+    """Search for `count` random submaps of the second half in the map of the first half.
 
-    Or `elsewhere`, in the map of another building, where nothing may be found.
+    submap_length  metres travelled per submap
+    elsewhere      map of another building to search instead, where any accepted pose is wrong
     """
     queries = []
-    for stamp, mapper in _fragments(known.second_half, way, count, config, seed):
-        fragment = submap_of(mapper)
+    for stamp, mapper in _submaps(split.second_half, submap_length, count, config, seed):
+        submap = submap_of(mapper)
         start = time.perf_counter()
-        found = relocalise(fragment, known.index if elsewhere is None else elsewhere)
+        found = relocalise(submap, split.index if elsewhere is None else elsewhere)
         seconds = time.perf_counter() - start
         accepted = found is not None and found.verdict.accepted
         distance, error = np.nan, np.full(3, np.nan)
         if elsewhere is None:
-            pose, distance = _truth(known, stamp)
+            pose, distance = _reference_pose(split, stamp)
             if accepted and found is not None:
                 error = se2.between(pose, found.pose)
-        queries.append(Query(distance, seconds, accepted, float(np.hypot(*error[:2])), float(abs(error[2]))))
+        queries.append(
+            RelocalisationQuery(distance, seconds, accepted, float(np.hypot(*error[:2])), float(abs(error[2])))
+        )
     return queries
 
 
-def summary(way: float, queries: Sequence[Query]) -> Row:
-    """Count what was found; the times are NaN where there was no query."""
-    known = [query for query in queries if query.distance <= KNOWN_WITHIN]
+def summarise_queries(submap_length: float, queries: Sequence[RelocalisationQuery]) -> QueryStatistics:
+    """Return the counts and search times; the times are NaN without queries."""
+    known = [query for query in queries if query.distance <= KNOWN_DISTANCE]
     seconds = [query.seconds for query in queries] or [np.nan]
-    return Row(
-        way=way,
+    return QueryStatistics(
+        submap_length=submap_length,
         queries=len(queries),
         accepted=sum(query.accepted for query in queries),
-        right=sum(query.right for query in queries),
+        correct=sum(query.correct for query in queries),
         known=len(known),
-        found=sum(query.right for query in known),
+        found=sum(query.correct for query in known),
         median=float(np.median(seconds)),
         p95=float(np.quantile(seconds, 0.95)),
     )
 
 
-def _truth(known: Known, stamp: float) -> tuple[se2.Pose, float]:
-    """The pose at a time in the first half's map, and how far that is from the nearest keyframe there."""
-    pose = known.path[np.abs(known.all_stamps - stamp).argmin()]
-    relative = se2.between(known.after, pose).reshape(-1, 3)
+def _reference_pose(split: SplitRecording, stamp: float) -> tuple[se2.Pose, float]:
+    """Return the reference pose at a time in the map of the first half, and its distance to the nearest keyframe."""
+    pose = split.path[np.abs(split.stamps - stamp).argmin()]
+    relative = se2.between(split.keyframes_in_full_map, pose).reshape(-1, 3)
     distance = np.hypot(relative[:, 0], relative[:, 1])
-    nearest = int((distance + TURN_AS_METRES * np.abs(relative[:, 2])).argmin())
-    return se2.compose(known.before[nearest], relative[nearest]), float(distance[nearest])
+    nearest = int((distance + METRES_PER_RADIAN * np.abs(relative[:, 2])).argmin())
+    return se2.compose(split.keyframes[nearest], relative[nearest]), float(distance[nearest])
 
 
-def _fragments(
-    messages: Sequence[Message], way: float, count: int, config: Config, seed: int
+def _submaps(
+    messages: Sequence[Message], submap_length: float, count: int, config: Config, seed: int
 ) -> Iterable[tuple[float, Mapper]]:
-    """Small maps of the last `way` metres before random scans, with the stamps of their last keyframes."""
+    """Yield the stamp of the last keyframe and the map of the last metres before each of several random scans."""
     odometry = [message for message in messages if isinstance(message, Odometry)]
     if not odometry:
         return
     stamps = np.array([message.stamp for message in odometry])
     positions = np.array([message.pose[:2] for message in odometry])
-    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(positions, axis=0).T))])
+    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(positions, axis=0).T))])
     ends = np.array([message.stamp for message in messages if isinstance(message, Scan)])
-    ends = ends[np.interp(ends, stamps, driven) > way]
+    ends = ends[np.interp(ends, stamps, travelled) > submap_length]
     random = np.random.default_rng(seed)
     all_stamps = np.array([message.stamp for message in messages])
     for end in random.choice(ends, min(count, len(ends)), replace=False):
-        since = stamps[np.searchsorted(driven, np.interp(end, stamps, driven) - way, side="right") - 1]
+        since = stamps[np.searchsorted(travelled, np.interp(end, stamps, travelled) - submap_length, side="right") - 1]
         slam = Slam(config)
-        for message in messages[np.searchsorted(all_stamps, since) : np.searchsorted(all_stamps, end + LATER)]:
+        for message in messages[
+            np.searchsorted(all_stamps, since) : np.searchsorted(all_stamps, end + ODOMETRY_MARGIN)
+        ]:
             if message.stamp <= end or isinstance(message, Odometry):
                 slam.add(message)
         slam_state = slam.slam_state
@@ -187,7 +206,7 @@ def _fragments(
             yield slam_state.keyframe_stamps[-1], slam_state.mapper
 
 
-def _mapped(messages: Iterable[Message], config: Config) -> Slam:
+def _run_slam(messages: Iterable[Message], config: Config) -> Slam:
     slam = Slam(config)
     for message in messages:
         slam.add(message)

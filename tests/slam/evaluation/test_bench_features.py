@@ -1,4 +1,4 @@
-"""`wclm bench features` on its quick slice: it says what it was run on, and writes what it is told to."""
+"""`wclm bench features --quick`: provenance, tables, JSON and plot."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 
-def test_the_command_tells_all_and_writes_it(wclm: Any, tmp_path: Path) -> None:
+def test_the_command_prints_and_writes_all_figures(wclm: Any, tmp_path: Path) -> None:
     file, folder = tmp_path / "features.json", tmp_path / "pictures"
     result = wclm("bench", "features", "--quick", "--seed", "3", "--json", str(file), "--out", str(folder))
     assert result.exit_code == 0, result.output
@@ -23,7 +23,7 @@ def test_the_command_tells_all_and_writes_it(wclm: Any, tmp_path: Path) -> None:
     assert (folder / "features.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_place_that_cannot_be_written_is_said(wclm: Any, tmp_path: Path) -> None:
+def test_an_unwritable_directory_is_an_error_message(wclm: Any, tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("")
     result = wclm("bench", "features", "--quick", "--out", str(tmp_path / "taken"))
     assert result.exit_code == 2

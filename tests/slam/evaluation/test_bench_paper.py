@@ -208,4 +208,4 @@ def test_the_command_writes_tables_json_and_pictures(
 
 def test_the_command_says_where_it_cannot_write(wclm: Any) -> None:
     Path("file").touch()
-    wclm.refuses("bench", "paper", "--out", "file", because=["file", "cannot be made"])
+    wclm.refuses("bench", "paper", "--out", "file", because=["file", "cannot be created"])

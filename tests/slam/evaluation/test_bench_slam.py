@@ -1,4 +1,4 @@
-"""Whole drives measured, compared over versions, and held to what they came to before."""
+"""Benchmark of whole runs, comparison over versions, and regression checks."""
 
 from __future__ import annotations
 
@@ -10,40 +10,40 @@ from typing import Any
 import pytest
 
 from slam.errors import MapError
-from slam.evaluation.benchmarks import gate
-from slam.evaluation.benchmarks.drives import RECORDINGS, WORLDS, Case, cases, drive
-from slam.evaluation.benchmarks.gate import Check
-from slam.evaluation.benchmarks.versions import read_versions
-from slam.visualisation.plots.versions import plot_versions
+from slam.evaluation.benchmarks import regression_checks
+from slam.evaluation.benchmarks.regression_checks import Check
+from slam.evaluation.benchmarks.released_versions import read_versions
+from slam.evaluation.benchmarks.slam_runs import RECORDINGS, WORLDS, RunSpec, list_runs, run_once
+from slam.visualisation.plots.version_history import plot_versions
 
 
-def test_a_drive_is_judged_and_the_same_each_time() -> None:
-    case = Case("room", seed=2, seconds=8.0)
-    first, second = drive(case), drive(case)
-    assert first.judge == "true path"
+def test_a_run_is_scored_and_repeatable() -> None:
+    spec = RunSpec("room", seed=2, seconds=8.0)
+    first, second = run_once(spec), run_once(spec)
+    assert first.scored_by == "true path"
     assert 0.0 < first.error < 0.02
     assert first.scans == 79
     assert first.walls >= 4
     assert first.memory > 10
     assert first.scan_ms > 0
     assert first.by_reference > 0
-    clocked = {"scan_ms": 0.0, "by_reference": 0.0, "memory": 0.0}
-    assert replace(first, **clocked) == replace(second, **clocked)
+    timed = {"scan_ms": 0.0, "by_reference": 0.0, "memory": 0.0}
+    assert replace(first, **timed) == replace(second, **timed)
 
 
-def test_recordings_are_taken_where_they_are(tmp_path: Path) -> None:
-    assert [case.name for case in cases(None)] == list(WORLDS)
-    assert [case.name for case in cases(tmp_path)] == list(WORLDS)
+def test_recordings_are_listed_if_complete(tmp_path: Path) -> None:
+    assert [spec.name for spec in list_runs(None)] == list(WORLDS)
+    assert [spec.name for spec in list_runs(tmp_path)] == list(WORLDS)
     name = RECORDINGS[1]
     (tmp_path / name).mkdir()
     (tmp_path / name / f"{name}.clf").write_text("")
-    assert [case.name for case in cases(tmp_path)] == list(WORLDS)
+    assert [spec.name for spec in list_runs(tmp_path)] == list(WORLDS)
     (tmp_path / name / f"{name}.relations").write_text("")
-    assert cases(tmp_path) == [Case(name, tmp_path), *(Case(world) for world in WORLDS)]
-    assert all(case.folder is None and case.seconds for case in cases(tmp_path, quick=True))
+    assert list_runs(tmp_path) == [RunSpec(name, tmp_path), *(RunSpec(world) for world in WORLDS)]
+    assert all(spec.folder is None and spec.seconds for spec in list_runs(tmp_path, quick=True))
 
 
-def test_the_command_writes_figures_and_a_picture(wclm: Any, tmp_path: Path) -> None:
+def test_the_command_writes_figures_and_a_plot(wclm: Any, tmp_path: Path) -> None:
     before = {"name": "room", "error": 0.1, "by_reference": 90.0, "memory": 300.0}
     old = {"versions": {"wclm-slam": "0.0.9"}, "drives": [before]}
     (tmp_path / "old").mkdir()
@@ -62,28 +62,28 @@ def test_the_command_writes_figures_and_a_picture(wclm: Any, tmp_path: Path) -> 
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_versions_are_in_their_order(tmp_path: Path) -> None:
+def test_versions_are_sorted_by_number(tmp_path: Path) -> None:
     for version in ("0.10.0", "0.2.0", "0.9.1"):
         (tmp_path / f"{version}.json").write_text(json.dumps({"versions": {"wclm-slam": version}, "drives": []}))
     assert list(read_versions(tmp_path)) == ["0.2.0", "0.9.1", "0.10.0"]
     (tmp_path / "odd.json").write_text("[1]")
-    with pytest.raises(MapError, match=r"odd\.json: is not what"):
+    with pytest.raises(MapError, match=r"odd\.json: not written by"):
         read_versions(tmp_path)
 
 
-def test_a_version_may_lack_a_drive(tmp_path: Path) -> None:
+def test_a_version_may_lack_a_run(tmp_path: Path) -> None:
     one = {"name": "a", "error": 1.0, "by_reference": 2.0, "memory": 3.0}
     plot_versions(tmp_path / "x.png", {"1": [one], "2": [one | {"name": "b"}]})
     assert (tmp_path / "x.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_what_fell_back_fails(wclm: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_regression_is_an_exit_status(wclm: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     good, slow = Check("recall", 0.99, 0.9, floor=True), Check("time", 2.0, 1.5)
-    monkeypatch.setattr(gate, "checks", lambda: iter([good]))
+    monkeypatch.setattr(regression_checks, "run_checks", lambda: iter([good]))
     assert wclm("bench", "gate").exit_code == 0
-    monkeypatch.setattr(gate, "checks", lambda: iter([good, slow]))
+    monkeypatch.setattr(regression_checks, "run_checks", lambda: iter([good, slow]))
     result = wclm("bench", "gate")
     assert result.exit_code == 1
-    assert "FELL BACK" in result.output
+    assert "REGRESSION" in result.output
     assert not Check("recall", float("nan"), 0.9, floor=True).passed
     assert not Check("error", float("nan"), 0.9).passed

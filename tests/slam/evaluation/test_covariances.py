@@ -1,4 +1,4 @@
-"""Whether covariances are honest: errors in units of them, over simulated drives where the truth is known."""
+"""Consistency of the covariances over simulated drives with ground truth."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from drivers import se2
 from drivers.messages import Odometry, Scan
 from drivers.simulation import Simulation, World
-from slam.evaluation.benchmarks.consistency import simulate, summarise, table
+from slam.evaluation.benchmarks.consistency import consistency_table, simulate, summarise
 from slam.evaluation.ground_truth import Nees, TrueWalls, corner_nees, match_walls, measure, true_walls, wall_nees
 from slam.events import MapCorners, MapWalls
 from slam.odometry.history import OdometryHistory
@@ -25,7 +25,7 @@ def lines(*frames: tuple[float, float, float], half: float = 0.5) -> MapWalls:
 
 @pytest.fixture
 def world() -> TrueWalls:
-    """Two pieces of one wall with a door between them, another one across, seen from (1, 1) in the world."""
+    """Return two parts of one wall with a door between them and a perpendicular wall, in the frame at (1, 1)."""
     segments = np.array([[0.0, 0.0, 3.0, 0.0], [4.0, 0.0, 6.0, 0.0], [0.0, 0.0, 0.0, 5.0]])
     place = World("test", "test", segments, np.zeros((0, 3)), np.zeros((2, 2)), 1.0)
     return true_walls(place, np.array([1.0, 1.0, 0.0]))
@@ -36,12 +36,12 @@ def test_walls_are_matched_with_the_side_they_are_seen_from(world: TrueWalls) ->
     np.testing.assert_array_equal(match_walls(mapped, world), [0, 3, -1, -1, 5])
 
 
-def test_a_wall_mapped_across_a_door_is_that_wall(world: TrueWalls) -> None:
+def test_a_wall_mapped_across_a_door_is_matched(world: TrueWalls) -> None:
     assert match_walls(lines((2.0, -1.0, 0.0), half=2.5), world)[0] in (0, 1)
     assert match_walls(lines((2.5, -1.0, 0.0), half=0.4), world)[0] == -1  # in the door
 
 
-def test_errors_are_counted_in_standard_deviations(world: TrueWalls) -> None:
+def test_the_nees_is_the_squared_error_in_standard_deviations(world: TrueWalls) -> None:
     mapped = lines((0.5, -0.98, 0.0), (0.5, -1.0, 0.02), (9.0, 9.0, 0.0), (-1.02, 1.0, -np.pi / 2))
     np.testing.assert_allclose(wall_nees(mapped, world), [4.0, 4.0, np.nan, 4.0], atol=0.01)
     corners = MapCorners(
@@ -66,30 +66,30 @@ def test_short_drives_are_consistent_within_a_wide_band() -> None:
 @pytest.mark.timeout(1800)
 def test_a_hundred_drives_with_the_lidar_off_centre_and_turned_are_consistent() -> None:
     rows = summarise(list(simulate(range(100))))
-    assert all(row.consistency.consistent for row in rows), "\n".join(table(rows))
+    assert all(row.consistency.consistent for row in rows), "\n".join(consistency_table(rows))
 
 
-def test_the_table_says_what_is_not_honest() -> None:
+def test_the_table_marks_inconsistent_rows() -> None:
     random = np.random.default_rng(0)
     runs = [Nees(*(random.chisquare(k, 20) * share for k, share in ((3, 1.0), (2, 2.0), (2, 0.5)))) for _ in range(100)]
-    lines = table(summarise(runs))
+    lines = consistency_table(summarise(runs))
     verdicts = {line[:9].strip(): line.rsplit("  ", 1)[-1] for line in lines[1:]}
     assert verdicts["walls"] == "overconfident"
     assert verdicts["corners"] == "too cautious"
     assert verdicts["poses"].strip() == verdicts["last pose"].strip() == "100"
 
 
-def test_a_scan_taken_standing_is_not_bent_by_the_jitter_of_the_wheels() -> None:
+def test_deskewing_ignores_encoder_jitter_at_standstill() -> None:
     simulation = Simulation("office", seed=1, duration=1.0)
-    told = OdometryHistory()
+    odometry = OdometryHistory()
     messages = list(simulation)
     for message in messages:
         if isinstance(message, Odometry):
-            told.add(message)
-    assert np.ptp(told.poses[:, 2]) > 5e-4  # it does jitter
+            odometry.add(message)
+    assert np.ptp(odometry.poses[:, 2]) > 5e-4  # the encoders do jitter
     for message in messages:
         if isinstance(message, Scan) and message.stamp < 0.8:
-            sweep = deskew(message, told, simulation.mount)
+            sweep = deskew(message, odometry, simulation.mount)
             np.testing.assert_array_equal(sweep.bearings, message.angles)
             np.testing.assert_array_equal(sweep.ranges, message.ranges)
 

@@ -52,9 +52,9 @@ def write_relations(path: Path, relations: Relations) -> None:
     path.write_text("".join(f"{a:.6f} {b:.6f} {m[0]:.6f} {m[1]:.6f} 0 0 0 {m[2]:.6f}\n" for a, b, m in rows))
 
 
-def judged(trajectory: Path, relations: Path) -> dict[str, float]:
+def reference_scores(trajectory: Path, relations: Path) -> dict[str, float]:
     if not SCORER.exists():
-        pytest.skip(f"the benchmark's judge is not at {SCORER}; WCLM_SCORER says where")
+        pytest.skip(f"{SCORER} is missing; set WCLM_SCORER to the benchmark's scoring script")
     answer = subprocess.run(
         [sys.executable, str(SCORER), str(trajectory), str(relations), "--json"], capture_output=True, text=True
     )
@@ -95,7 +95,7 @@ def test_no_relation_inside_is_an_error() -> None:
 
 
 @pytest.mark.parametrize("every", [1, 3])
-def test_figures_are_the_judges(tmp_path: Path, every: int) -> None:
+def test_figures_equal_those_of_the_reference_scorer(tmp_path: Path, every: int) -> None:
     truth = wandering(600, seed=7)
     estimate = noisy(truth, seed=8)
     estimate = Trajectory(estimate.stamps[:500:every], estimate.poses[:500:every])
@@ -104,17 +104,17 @@ def test_figures_are_the_judges(tmp_path: Path, every: int) -> None:
     ours = score_relations(read_tum(tmp_path / "a.tum"), read_relations(tmp_path / "a.relations")).figures()
     assert ours["missing"] > 0
     assert (ours["interpolated"] > 0) == (every > 1)
-    assert ours == judged(tmp_path / "a.tum", tmp_path / "a.relations")
+    assert ours == reference_scores(tmp_path / "a.tum", tmp_path / "a.relations")
 
 
 @pytest.mark.parametrize("name", ["intel", "fr079", "csail"])
-def test_figures_are_the_judges_on_real_recordings(name: str) -> None:
+def test_figures_equal_those_of_the_reference_scorer_on_recordings(name: str) -> None:
     trajectory, relations = (recording_file(name, suffix) for suffix in ("gmapping.tum", "relations"))
     ours = score_relations(read_tum(trajectory), read_relations(relations)).figures()
-    assert ours == judged(trajectory, relations)
+    assert ours == reference_scores(trajectory, relations)
 
 
-def test_a_bad_relation_is_named_with_its_line(tmp_path: Path) -> None:
+def test_an_invalid_relation_is_reported_with_its_line(tmp_path: Path) -> None:
     (tmp_path / "a.relations").write_text("1 2 0 0 0 0 0 0\n1 2 3\n")
     with pytest.raises(MapError, match=r"a\.relations:2: expected 8 numbers \(t1 t2 x y z roll pitch yaw\), found 3"):
         read_relations(tmp_path / "a.relations")
@@ -130,7 +130,7 @@ def test_alignment_undoes_a_rigid_motion() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_absolute_and_relative_errors_are_evos(tmp_path: Path) -> None:
+def test_absolute_and_relative_errors_equal_those_of_evo(tmp_path: Path) -> None:
     from evo.core import metrics, sync
     from evo.tools import file_interface
 
@@ -142,8 +142,8 @@ def test_absolute_and_relative_errors_are_evos(tmp_path: Path) -> None:
     write_tum(tmp_path / "estimate.tum", estimate)
     score = score_reference(read_tum(tmp_path / "estimate.tum"), read_tum(tmp_path / "truth.tum"), step=2.0)
 
-    theirs = [file_interface.read_tum_trajectory_file(str(tmp_path / f"{n}.tum")) for n in ("truth", "estimate")]
-    reference, estimated = sync.associate_trajectories(*theirs, max_diff=0.01)
+    loaded = [file_interface.read_tum_trajectory_file(str(tmp_path / f"{n}.tum")) for n in ("truth", "estimate")]
+    reference, estimated = sync.associate_trajectories(*loaded, max_diff=0.01)
     estimated.align(reference)
     absolute = metrics.APE(metrics.PoseRelation.translation_part)
     absolute.process_data((reference, estimated))
@@ -159,7 +159,7 @@ def test_absolute_and_relative_errors_are_evos(tmp_path: Path) -> None:
     np.testing.assert_allclose(score.relative.rotation, [abs(np.arctan2(e[1, 0], e[0, 0])) for e in errors], atol=1e-6)
 
 
-def test_pairs_are_of_the_sparser_trajectory_and_close_in_time() -> None:
+def test_poses_of_the_sparser_trajectory_are_paired_within_the_time_tolerance() -> None:
     dense = wandering(100, seed=14)
     sparse = Trajectory(dense.stamps[5::10] + 0.004, dense.poses[5::10])
     far = Trajectory(dense.stamps[5::10] + 0.03, dense.poses[5::10])
@@ -172,7 +172,7 @@ def test_pairs_are_of_the_sparser_trajectory_and_close_in_time() -> None:
         score_reference(dense, far)
 
 
-def test_relative_errors_may_be_missing() -> None:
+def test_a_path_shorter_than_the_step_has_no_relative_errors() -> None:
     short = wandering(5, seed=15)
     figures = score_reference(short, short, step=10.0).figures()
     assert "rpe_trans_rmse" not in figures

@@ -15,7 +15,7 @@ from slam.evaluation.nees import (
 
 
 def draw(dimensions: int, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Errors and the covariances that they were drawn with."""
+    """Return errors and the covariances from which they were drawn."""
     generator = np.random.default_rng(seed)
     factors = 0.02 * generator.normal(size=(count, dimensions, dimensions))
     covariances = factors @ factors.transpose(0, 2, 1) + 1e-5 * np.eye(dimensions)
@@ -23,7 +23,7 @@ def draw(dimensions: int, count: int, seed: int) -> tuple[np.ndarray, np.ndarray
     return errors, covariances
 
 
-def test_honest_poses_are_consistent_and_others_are_not() -> None:
+def test_correct_pose_covariances_are_consistent_and_scaled_ones_are_not() -> None:
     errors, covariances = draw(3, 400, seed=1)
     estimates = np.random.default_rng(2).uniform(-3, 3, (400, 3))
     truth = se2.compose(estimates, errors)
@@ -33,13 +33,13 @@ def test_honest_poses_are_consistent_and_others_are_not() -> None:
     assert not consistency(pose_nees(estimates, covariances * 2, truth), 3).consistent
 
 
-def test_honest_points_are_consistent() -> None:
+def test_correct_point_covariances_are_consistent() -> None:
     errors, covariances = draw(2, 400, seed=3)
     truth = np.random.default_rng(4).uniform(-3, 3, (400, 2))
     assert consistency(point_nees(truth - errors, covariances, truth), 2).consistent
 
 
-def test_walls_are_compared_across_and_in_direction_wherever_the_true_frame_stands_on_the_wall() -> None:
+def test_the_nees_of_walls_is_independent_of_the_true_frames_position_along_the_wall() -> None:
     errors, covariances = draw(2, 400, seed=5)
     errors, covariances = 0.1 * errors, 0.01 * covariances
     frames = np.random.default_rng(6).uniform(-3, 3, (400, 3))
@@ -50,8 +50,8 @@ def test_walls_are_compared_across_and_in_direction_wherever_the_true_frame_stan
     np.testing.assert_allclose(line_nees(frames, covariances, se2.compose(wall, along)), expected, rtol=1e-6)
 
 
-def test_the_band_of_runs_holds_where_the_values_of_a_run_have_much_in_common() -> None:
-    """Errors of a run share a part; taken one by one they would leave their narrow band far too often."""
+def test_the_band_of_runs_holds_for_correlated_values_within_runs() -> None:
+    """Errors of a run have a common part; counted singly they would leave their narrow band far too often."""
     random, kept, narrow = np.random.default_rng(8), 0, 0
     for _ in range(200):
         shared = random.normal(size=(30, 1, 2))
@@ -72,13 +72,13 @@ def test_the_standard_error_is_that_of_the_mean() -> None:
 
 @pytest.mark.parametrize(("degrees", "tolerance"), [(10, 0.01), (30, 0.001), (300, 0.0001)])
 @pytest.mark.parametrize("probability", [0.025, 0.5, 0.975])
-def test_quantiles(degrees: int, tolerance: float, probability: float) -> None:
+def test_quantiles_agree_with_scipy(degrees: int, tolerance: float, probability: float) -> None:
     from scipy.stats import chi2  # comes with evo
 
     assert chi_square_quantile(probability, degrees) == pytest.approx(chi2.ppf(probability, degrees), rel=tolerance)
 
 
-def test_singular_covariances_and_empty_sets_are_errors() -> None:
+def test_singular_covariances_and_empty_sets_raise_an_error() -> None:
     with pytest.raises(MapError, match="singular"):
         nees(np.ones((1, 2)), np.zeros((1, 2, 2)))
     with pytest.raises(MapError, match="no NEES value"):

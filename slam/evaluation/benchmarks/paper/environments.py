@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.simulation.raycast import sweep
-from drivers.simulation.world import World, load_world
+from drivers.simulation import World, load_world
+from drivers.simulation.raycast import cast_beams
 from features import Noise, arras_siegwart
 from features.corner import MIN_SINE, intersect
 from features.types import Floats, Integers
@@ -94,8 +94,8 @@ def environment(name: str, world: str, *, beams: int, lost: int) -> Environment:
     `lost` of `beams` do not return, evenly spread over the revolution.
     """
     loaded = load_world(world)
-    ahead = loaded.path[1] - loaded.path[0]
-    sensor = np.array([*loaded.path[0], np.arctan2(ahead[1], ahead[0])])
+    ahead = loaded.waypoints[1] - loaded.waypoints[0]
+    sensor = np.array([*loaded.waypoints[0], np.arctan2(ahead[1], ahead[0])])
     gone = ((np.arange(lost) + 0.5) * beams / max(lost, 1)).astype(np.int64)
     angles = np.delete(-np.pi + 2 * np.pi / beams * (np.arange(beams) + 0.5), gone)
     ranges = _cast(loaded, sensor, angles)
@@ -116,7 +116,7 @@ def environment_b() -> Environment:
 
 def _cast(world: World, sensor: Floats, angles: Floats) -> Floats:
     still = np.zeros((1, 2))
-    return sweep(np.zeros(len(angles)), angles, np.zeros(3), sensor[None], still, world.segments, world.circles)
+    return cast_beams(np.zeros(len(angles)), angles, np.zeros(3), sensor[None], still, world.segments, world.circles)
 
 
 def _segments(world: World, sensor: Floats, angles: Floats, ranges: Floats) -> list[Segment]:

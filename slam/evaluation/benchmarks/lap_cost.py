@@ -1,4 +1,4 @@
-"""Whether cost is bounded: the same tour again and again must not cost more and more time or memory."""
+"""Measure time per scan and memory over repeated laps of one tour: both must stay bounded."""
 
 from __future__ import annotations
 
@@ -19,9 +19,14 @@ from ...warmup import warm_up
 
 
 @dataclass(frozen=True, slots=True)
-class Lap:
-    """One lap: the milliseconds of processor that a scan took (median, 99th percentile), the process's memory at its
-    end (megabytes, NaN where the system does not tell), and the sizes of graph and map by then."""
+class LapCost:
+    """Cost of one lap.
+
+    number      of the lap, from 1
+    median, p99  processor time per scan, milliseconds
+    memory      of the process at the end of the lap, megabytes; NaN if the system does not report it
+    keyframes, factors, walls  sizes of graph and map at the end of the lap
+    """
 
     number: int
     median: float
@@ -32,31 +37,31 @@ class Lap:
     walls: int
 
 
-def run(world: str, laps: int, config: Config, *, seed: int = 0) -> Iterator[Lap]:
-    """Drive a world's path `laps` times and measure each."""
+def measure_laps(world: str, laps: int, config: Config, *, seed: int = 0) -> Iterator[LapCost]:
+    """Simulate `laps` laps of a world's path and yield the cost of each."""
     warm_up()
-    lap = Simulation(world, seed=seed).trajectory.duration
+    lap_duration = Simulation(world, seed=seed).trajectory.duration
     slam = Slam(config)
     times: list[float] = []
     start: float | None = None
     number = 1
-    for message in Simulation(world, seed=seed, duration=laps * lap):
+    for message in Simulation(world, seed=seed, duration=laps * lap_duration):
         start = message.stamp if start is None else start
-        if message.stamp - start >= number * lap:
-            yield _measured(number, times, slam)
+        if message.stamp - start >= number * lap_duration:
+            yield _lap_cost(number, times, slam)
             number, times = number + 1, []
         before = time.process_time()
         slam.add(message)
         if isinstance(message, Scan):
             times.append(1e3 * (time.process_time() - before))
-        else:  # odometry sets off the scan that waits for it
+        else:  # odometry triggers the processing of the waiting scan
             times[-1:] = [sum(times[-1:]) + 1e3 * (time.process_time() - before)]
-    yield _measured(number, times, slam)
+    yield _lap_cost(number, times, slam)
 
 
-def _measured(number: int, times: list[float], slam: Slam) -> Lap:
+def _lap_cost(number: int, times: list[float], slam: Slam) -> LapCost:
     mapper = slam.slam_state.mapper
-    return Lap(
+    return LapCost(
         number=number,
         median=float(np.median(times)),
         p99=float(np.percentile(times, 99)),
@@ -68,7 +73,7 @@ def _measured(number: int, times: list[float], slam: Slam) -> Lap:
 
 
 def _memory() -> float:
-    """Megabytes that the process holds now; NaN where the system does not tell."""
+    """Return the current memory of the process, megabytes; NaN if the system does not report it."""
     if sys.platform != "linux":
         return float("nan")
     import resource

@@ -1,4 +1,4 @@
-"""The tables of `wclm bench features`."""
+"""Format the tables of `wclm bench features`."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from features.benchmark.timing import Row as Time
 
 
 def accuracy_table(rows: Sequence[Row]) -> Iterator[str]:
-    """How well walls and corners are found, by level of noise."""
+    """Yield the accuracy of walls and corners by noise level."""
     yield ""
-    yield "Rooms with recesses, cabinets and boxes. NEES of two dimensions: mean, ideal 2, / median, ideal 1.39"
+    yield "Rooms with recesses, cabinets and boxes. NEES of two dimensions: mean (expected 2) / median (expected 1.39)"
     for level, same in groupby(rows, key=_level):
         yield ""
         yield (
@@ -32,9 +32,9 @@ def accuracy_table(rows: Sequence[Row]) -> Iterator[str]:
 
 
 def curved_table(rows: Sequence[Row]) -> Iterator[str]:
-    """What becomes of arcs and columns, by level of noise."""
+    """Yield the features extracted on arcs and columns, by noise level."""
     yield ""
-    yield "Rooms with four round columns, one end of which is an arc: what stands for each curve"
+    yield "Rooms with four round columns and an arc: features per curve"
     for level, same in groupby(rows, key=_level):
         yield ""
         yield f"{level:<28} curves  lines each  corners each  walls found"
@@ -45,23 +45,23 @@ def curved_table(rows: Sequence[Row]) -> Iterator[str]:
 
 
 def time_table(rows: Sequence[Time], relative: tuple[float, float]) -> Iterator[str]:
-    """Times of a scan."""
+    """Yield the extraction times per scan; `relative` is the ratio to the reference and the reference, microseconds."""
     ratio, reference = relative
     yield ""
-    yield "Microseconds a scan, one core, warm. best: each scan's fastest call; compiled: without what Python adds"
+    yield "Microseconds per scan, one core, warm. best: fastest call of each scan; compiled: without Python's overhead"
     yield "method/estimator      beams  lines   median   99 %    best  compiled"
     for row in rows:
         yield (
             f"{row.name:<21} {row.beams:5d} {row.lines:6.1f} {row.median_us:8.1f} {row.p99_us:6.1f} "
             f"{row.best_us:7.1f} {row.compiled_us:9.1f}"
         )
-    yield f"920 beams cost {ratio:.2f} times a reference of {reference:.1f} us, both timed in turns"
+    yield f"920 beams take {ratio:.2f} times a reference of {reference:.1f} us, timed alternately"
 
 
 def start_table(rows: Sequence[Start]) -> Iterator[str]:
-    """What compilation costs and brings."""
+    """Yield the cost and benefit of compilation."""
     yield ""
-    yield "Seconds of processor        import  first scan  later scans us  memory MB  of it NumPy and Python"
+    yield "Processor seconds           import  first scan  later scans us  memory MB  of it NumPy and Python"
     for row in rows:
         yield (
             f"{row.name:<25} {row.import_s:8.2f} {row.first_scan_s:11.2f} {row.scan_us:15.1f} {row.memory_mb:10.0f} "
