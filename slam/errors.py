@@ -23,6 +23,13 @@ class ClusterError(SlamError):
     """The cluster of workers cannot be reached."""
 
 
+class MissingExtraError(SlamError):
+    """A package of an extra is not installed."""
+
+    def __init__(self, extra: str, package: str) -> None:
+        super().__init__(f"{package} is not installed; needs the extra '{extra}': pip install wclm-slam[{extra}]")
+
+
 class PoseGraphError(SlamError):
     """A pose graph cannot be read or written.
 
@@ -41,6 +48,7 @@ __all__ = [
     "ConfigurationError",
     "DriverError",
     "MapError",
+    "MissingExtraError",
     "OutputError",
     "PoseGraphError",
     "RecordingError",
