@@ -24,7 +24,7 @@ def true_values(simulation: Simulation) -> np.ndarray:
     biases = simulation.biases
     left, right = 1 / biases.left, 1 / biases.right
     mean = (left + right) / 2
-    return np.array([*MOUNT, mean, mean * biases.wheelbase, (right - left) / simulation.drive.wheelbase])
+    return np.array([*MOUNT, mean, mean * biases.wheelbase, (right - left) / simulation.wheels.wheelbase])
 
 
 def values(found: Calibration) -> np.ndarray:
