@@ -7,6 +7,16 @@ from typing import Annotated
 
 import typer
 
+from ..extras import require_extra
+
+
+def check_plots_extra(plot: bool) -> bool:
+    """Check before a run starts that plots can be drawn. Raises MissingExtraError."""
+    if plot:
+        require_extra("plots")
+    return plot
+
+
 RecordingArgument = Annotated[
     str,
     typer.Argument(
@@ -22,7 +32,9 @@ SetOption = Annotated[
 ConfigOption = Annotated[Path | None, typer.Option("--config", metavar="FILE.toml", help="Settings file.")]
 OutOption = Annotated[Path, typer.Option("--out", metavar="DIR", help="Output directory; created if missing.")]
 ReviewOption = Annotated[bool, typer.Option("--review/--no-review", help="Write the review log, review.rrd.")]
-PlotOption = Annotated[bool, typer.Option("--plot", help="Write a picture of the map, map.png.")]
+PlotOption = Annotated[
+    bool, typer.Option("--plot", callback=check_plots_extra, help="Write a picture of the map, map.png.")
+]
 DurationOption = Annotated[
     float | None,
     typer.Option("--duration", metavar="SECONDS", min=0.0, help="Duration in seconds; by default until Ctrl-C."),

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ..options import ConfigOption, OutOption, OverwriteOption, ReviewOption, SetOption
+from ..options import ConfigOption, OutOption, OverwriteOption, ReviewOption, SetOption, check_plots_extra
 
 POSE_GRAPHS = (".g2o", ".graph", ".toro")
 """Suffixes of pose graphs: g2o, and two for TORO."""
@@ -34,7 +34,12 @@ def optimize(
     settings: SetOption = None,
     review: ReviewOption = True,
     plot: Annotated[
-        bool, typer.Option("--plot", help="Write a picture of the map, or of the graph before and after.")
+        bool,
+        typer.Option(
+            "--plot",
+            callback=check_plots_extra,
+            help="Write a picture of the map, or of the graph before and after.",
+        ),
     ] = False,
 ) -> None:
     """Refine a session or a recording offline, or optimise a 2-D pose graph.

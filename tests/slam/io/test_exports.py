@@ -202,7 +202,7 @@ def test_missing_recording_is_an_error_and_can_be_replaced(wclm: Any, fake_slam:
     rows = [line.split(" ", 1) for line in trajectory.read_text().splitlines()]
     trajectory.write_text("".join(f"{float(stamp) + 1e6:.6f} {rest}\n" for stamp, rest in rows))
     other = ("map", "out", "--format", "pgm", "--overwrite", "--recording", "late.mcap")
-    wclm.refuses(*other, because=["late.mcap has no scan from the time of its path"])
+    wclm.refuses(*other, because=["late.mcap has no scan at the times of its path"])
     wclm.refuses(*other[:-1], "nowhere.mcap", because=["nowhere.mcap: no such file"])
 
 
