@@ -1,4 +1,4 @@
-"""The paper's tables, claims and figures, on a small slice of what `wclm bench paper` measures."""
+"""Tables, claims and plots of `wclm bench paper`, on a small part of its measurements."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from slam.evaluation.benchmarks.paper.tables import lines
 SMALL: dict[str, int] = {"sweeps": 3, "tracked": 1}
 COUNTS = {"A": (884, 54, 26), "B": (1112, 20, 8)}
 SIZES = {"A": (12.0, 8.0), "B": (5.0, 3.0)}
-"""Points, segments and corners that the paper states, and metres; doors are set back by a little."""
+"""Points, segments and corners stated in the paper, and sizes in metres; doors are slightly recessed."""
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +49,7 @@ def numbers(tree: Any) -> Iterator[float]:
 
 
 @pytest.mark.parametrize("name", ["A", "B"])
-def test_environments_are_what_the_paper_states(worlds: dict[str, Environment], name: str) -> None:
+def test_environments_have_the_stated_sizes_and_counts(worlds: dict[str, Environment], name: str) -> None:
     world = worlds[name]
     assert (len(world.angles), len(world.segments), len(world.corners)) == COUNTS[name]
     assert np.ptp(world.world.segments.reshape(-1, 2), axis=0) == pytest.approx(
@@ -65,7 +65,7 @@ def test_curved_cabinets_have_the_papers_corners(worlds: dict[str, Environment])
     assert curved == [6, 7, 8, 9, 13, 14]
 
 
-def test_measured_ranges_lie_on_the_walls_they_belong_to(worlds: dict[str, Environment]) -> None:
+def test_measured_ranges_lie_on_their_walls(worlds: dict[str, Environment]) -> None:
     for world in worlds.values():
         exact = world.measure(np.random.default_rng(0), Noise(0.0, 0.0))
         assert exact == pytest.approx(world.ranges, abs=1e-9)
@@ -90,7 +90,7 @@ def test_all_figures_are_finite_and_spreads_positive(measured: dict[str, Any], t
     assert min(numbers(times)) > 0.0
 
 
-def test_what_no_clock_is_involved_in_repeats(measured: dict[str, Any]) -> None:
+def test_measurements_without_times_are_repeatable(measured: dict[str, Any]) -> None:
     again, other = measure(3, **SMALL), measure(4, **SMALL)
     assert json.dumps(again) == json.dumps(measured)
     assert json.dumps(other) != json.dumps(measured)
@@ -104,7 +104,7 @@ def test_siadat_equals_arras_siegwart_for_the_same_weights(measured: dict[str, A
 
 
 @pytest.mark.parametrize("number", [4, 9, 20])
-def test_the_papers_notation_and_the_products_agree(worlds: dict[str, Environment], number: int) -> None:
+def test_the_papers_formulas_agree_with_the_compiled_estimators(worlds: dict[str, Environment], number: int) -> None:
     world = worlds["A"]
     ranges = world.measure(np.random.default_rng(1))
     walls = [(ranges[rays], world.angles[rays], PAPER_NOISE) for rays in world.rays_of_corner(number)]
@@ -115,8 +115,8 @@ def test_the_papers_notation_and_the_products_agree(worlds: dict[str, Environmen
         ("arras-siegwart", double, formulas.arras_siegwart_corner),
         ("siadat", formulas.siadat, formulas.siadat_corner),
     ):
-        product = ESTIMATORS[name]
-        expected = product.corner(*(product.fit(*wall) for wall in walls))
+        estimator = ESTIMATORS[name]
+        expected = estimator.corner(*(estimator.fit(*wall) for wall in walls))
         found = meet(*(fit(*wall) for wall in walls))
         assert found[0] == pytest.approx(expected[0], rel=1e-9)
         assert np.allclose(found[1], expected[1], rtol=1e-8, atol=0.0)
@@ -141,7 +141,7 @@ def test_equal_weights_have_exact_jacobians(worlds: dict[str, Environment], fit:
     assert np.abs(jacobian @ jacobian.T - covariance).max() < 1e-6 * np.abs(covariance).max()
 
 
-def test_all_that_is_timed_gives_one_corner(worlds: dict[str, Environment]) -> None:
+def test_all_timed_forms_compute_the_same_corner(worlds: dict[str, Environment]) -> None:
     walls = timing.half_each(worlds["B"], 4, 60)
     expected = worlds["B"].positions[3]
     for call in timing.numpy_calls(walls).values():
@@ -153,32 +153,32 @@ def test_all_that_is_timed_gives_one_corner(worlds: dict[str, Environment]) -> N
         assert [[cxx, cxy], [cxy, cyy]] == pytest.approx(covariance, rel=1e-8)
 
 
-def test_arras_siegwart_is_quadratic_as_printed_only(times: dict[str, Any]) -> None:
+def test_arras_siegwart_is_quadratic_only_with_double_sums(times: dict[str, Any]) -> None:
     first, last = times["B4"][0]["compiled"], times["B4"][-1]["compiled"]
     assert last["arras-siegwart, double sums"] > 5.0 * first["arras-siegwart, double sums"]
     assert last["arras-siegwart, double sums"] > 5.0 * last["arras-siegwart, single sums"]
 
 
-def test_wclm_claims_what_is_true(worlds: dict[str, Environment]) -> None:
+def test_wclm_covariances_are_consistent(worlds: dict[str, Environment]) -> None:
     for world in worlds.values():
-        honest = uncertainty.honesty(uncertainty.measure(world, 0, sweeps=40))
+        figures = uncertainty.consistency(uncertainty.measure(world, 0, sweeps=40))
         for method in ("wclm", "wclm-ml"):
-            assert 0.91 < honest[method]["within_95"] < 0.98
+            assert 0.91 < figures[method]["within_95"] < 0.98
 
 
-def test_claims_are_judged_by_what_came_out(measured: dict[str, Any], times: dict[str, Any]) -> None:
+def test_verdicts_follow_from_the_measurements(measured: dict[str, Any], times: dict[str, Any]) -> None:
     claims = judge(measured, times)
     verdicts = {claim.says.split()[0]: claim.verdict for claim in judge(measured, None)}
     assert len(claims) == len(verdicts) + 4
     assert {claim.verdict for claim in claims} <= {HOLDS, IN_PART, FAILS}
     assert verdicts["Siadat"] == FAILS
     assert verdicts["Lines"] == FAILS
-    twice = json.loads(json.dumps(measured))
-    for world in twice["environments"].values():
+    changed = json.loads(json.dumps(measured))
+    for world in changed["environments"].values():
         world["siadat with the same weights differs by"] = 0.3
-    for row in twice["tracking"]:
+    for row in changed["tracking"]:
         row["tracking"]["walls"] = 0.95
-    verdicts = {claim.says.split()[0]: claim.verdict for claim in judge(twice, None)}
+    verdicts = {claim.says.split()[0]: claim.verdict for claim in judge(changed, None)}
     assert verdicts["Siadat"] == HOLDS
     assert verdicts["Lines"] == HOLDS
 
@@ -191,7 +191,7 @@ def test_tables_are_printed_in_full(measured: dict[str, Any], times: dict[str, A
     assert "4757.09" in text
 
 
-def test_the_command_writes_tables_json_and_pictures(
+def test_the_command_writes_tables_json_and_plots(
     wclm: Any, monkeypatch: pytest.MonkeyPatch, measured: dict[str, Any], times: dict[str, Any]
 ) -> None:
     monkeypatch.setattr("slam.evaluation.benchmarks.paper.run.measure", lambda seed: measured | {"seed": seed})
@@ -206,6 +206,6 @@ def test_the_command_writes_tables_json_and_pictures(
     assert Path("pictures/tables.txt").read_text() == result.stdout
 
 
-def test_the_command_says_where_it_cannot_write(wclm: Any) -> None:
+def test_an_unwritable_directory_is_an_error_message(wclm: Any) -> None:
     Path("file").touch()
     wclm.refuses("bench", "paper", "--out", "file", because=["file", "cannot be created"])

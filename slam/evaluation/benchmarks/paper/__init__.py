@@ -1,1 +1,1 @@
-"""The claims of the WCLM paper (Prieto-Fernández et al. 2023), each tested: what `wclm bench paper` runs."""
+"""Test the claims of the WCLM paper (Prieto-Fernández et al. 2023); run by `wclm bench paper`."""

@@ -1,7 +1,7 @@
-"""The paper's two environments as simulated worlds, and one sweep of each with its walls and corners known.
+"""Simulate the paper's two environments: one sweep of each with known walls and corners.
 
-Which rays belong to which wall is taken from the world and not found by segmentation: the paper's tables compare
-line fits, and all of them get the same rays.
+The association of rays with walls is taken from the world, not from a segmentation: the paper's tables compare line
+fits, and all fits get the same rays.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ from features.corner import MIN_SINE, intersect
 from features.types import Floats, Integers
 
 PAPER_NOISE = Noise(sigma_range=0.05, sigma_bearing=float(np.radians(0.391 / 2)))
-"""What the paper takes from the RPLIDAR S1's data sheet as standard deviations (section V)."""
+"""Standard deviations that the paper takes from the RPLIDAR S1's data sheet (section V)."""
 
-FEWEST_RAYS = 5
-"""Rays from which on a run on one wall is a segment; jambs of doors show fewer."""
+MIN_RAYS = 5
+"""Of a segment; door jambs have fewer."""
 CHORDS = 3
-"""Straight segments that a curved wall is split into."""
-FARTHEST_BESIDE = 0.5
-"""Metres of range by which a corner may differ from the rays next to it."""
-BESIDE_STEPS = 1.5
-BESIDE_CURVE_STEPS = 3.5
-"""Steps of bearing by which a corner may lie outside the gap between its walls. The chord of a curve meets the wall at
-which the curve ends a little beside it."""
+"""Straight segments into which a curved wall is split."""
+MAX_RANGE_DIFFERENCE = 0.5
+"""Metres between the range of a corner and those of the adjacent rays."""
+MAX_STEPS_OUTSIDE = 1.5
+MAX_STEPS_OUTSIDE_CURVE = 3.5
+"""Bearing steps by which a corner may lie outside the gap between its walls; more for the chord of a curve, which
+intersects the next wall slightly beside the curve's end."""
 EXACT = Noise(1e-4, 1e-6)
-"""For fits to rays without noise, whose covariance is of no interest."""
+"""For fits to noise-free rays, whose covariance is not used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segment:
-    """A run of rays on one wall.
+    """Consecutive rays on one wall.
 
-    rays   (n,) their numbers, in order
+    rays   (n,) indices, in order
     wall   index of the world's segment, or -1 - index of its circle
     """
 
@@ -47,11 +47,11 @@ class Segment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Environment:
-    """What is seen of a world from one place, in the sensor's frame.
+    """View of a world from one pose, in the sensor's frame.
 
-    angles, ranges  (n,) the rays that return, radians and metres without noise
+    angles, ranges  (n,) of the rays that return, radians and metres, without noise
     segments        in the order of their bearings
-    corners         (m, 2) the segments before and after each corner; corner k of the paper's count is row k - 1
+    corners         (m, 2) segments before and after each corner; row k - 1 is the paper's corner k
     positions       (m, 2) of the corners, metres
     sensor          x, y, heading in the world
     """
@@ -66,38 +66,41 @@ class Environment:
     positions: Floats
 
     def rays_of_corner(self, number: int) -> tuple[Integers, ...]:
-        """The rays of the two walls of corner `number` (from 1), each in order of their distance from the corner."""
+        """Return the rays of both walls of corner `number` (from 1), sorted by their distance to the corner."""
         before, after = self.corners[number - 1]
         return self.segments[before].rays[::-1], self.segments[after].rays
 
     def measure(self, random: np.random.Generator, noise: Noise = PAPER_NOISE) -> Floats:
-        """Ranges (n,) with noise, each ray on the wall it belongs to: a bearing that errs past the wall's end meets
-        the wall's continuation, since the association of rays with walls is given."""
+        """Return noisy ranges (n,), each ray on its own wall.
+
+        A ray whose bearing noise exceeds the wall's end hits the continuation of the wall, because the association of
+        rays with walls is given.
+        """
         bearing_noise, range_noise = random.standard_normal((2, len(self.angles)))
         directions = self.angles + noise.sigma_bearing * bearing_noise
         ranges = self.ranges.copy()
         for segment in self.segments:
-            at = directions[segment.rays] + self.sensor[2]
-            ranges[segment.rays] = _onto(self.world, segment.wall, self.sensor, at)
+            bearings = directions[segment.rays] + self.sensor[2]
+            ranges[segment.rays] = _ranges_to_wall(self.world, segment.wall, self.sensor, bearings)
         return np.asarray(ranges + noise.sigma_range * range_noise)
 
     def sweep(self, random: np.random.Generator, noise: Noise) -> Floats:
-        """Ranges (n,) with noise as a sensor has them, whichever wall a ray meets."""
+        """Return noisy ranges (n,) to whichever wall each ray hits, as a real sensor does."""
         bearing_noise, range_noise = random.standard_normal((2, len(self.angles)))
         exact = _cast(self.world, self.sensor, self.angles + noise.sigma_bearing * bearing_noise)
         return np.asarray(exact + noise.sigma_range * range_noise)
 
 
 def environment(name: str, world: str, *, beams: int, lost: int) -> Environment:
-    """What is seen from the first point of the world's path, looking along it.
+    """Return the view from the first waypoint of a world, in the direction of the second.
 
-    `lost` of `beams` do not return, evenly spread over the revolution.
+    `lost` of `beams` are no-returns, evenly spread over the revolution.
     """
     loaded = load_world(world)
     ahead = loaded.waypoints[1] - loaded.waypoints[0]
     sensor = np.array([*loaded.waypoints[0], np.arctan2(ahead[1], ahead[0])])
-    gone = ((np.arange(lost) + 0.5) * beams / max(lost, 1)).astype(np.int64)
-    angles = np.delete(-np.pi + 2 * np.pi / beams * (np.arange(beams) + 0.5), gone)
+    no_returns = ((np.arange(lost) + 0.5) * beams / max(lost, 1)).astype(np.int64)
+    angles = np.delete(-np.pi + 2 * np.pi / beams * (np.arange(beams) + 0.5), no_returns)
     ranges = _cast(loaded, sensor, angles)
     segments = _segments(loaded, sensor, angles, ranges)
     corners, positions = _corners(segments, angles, ranges, 2 * np.pi / beams)
@@ -105,12 +108,12 @@ def environment(name: str, world: str, *, beams: int, lost: int) -> Environment:
 
 
 def environment_a() -> Environment:
-    """Environment A: 920 beams a revolution, 0.391 degrees apart, of which 884 return."""
+    """Return environment A: 920 beams per revolution, 0.391 degrees apart, of which 884 return."""
     return environment("A", "paper-a", beams=920, lost=36)
 
 
 def environment_b() -> Environment:
-    """Environment B: 1112 beams a revolution, as the sensor has when it turns slower; all return."""
+    """Return environment B: 1112 beams per revolution, from a slower rotation; all return."""
     return environment("B", "paper-b", beams=1112, lost=0)
 
 
@@ -120,7 +123,10 @@ def _cast(world: World, sensor: Floats, angles: Floats) -> Floats:
 
 
 def _segments(world: World, sensor: Floats, angles: Floats, ranges: Floats) -> list[Segment]:
-    """Runs of rays on one wall, those on curves split, short ones left out; one over the last ray is one segment."""
+    """Return the segments: consecutive rays on one wall, split on curves; short ones are left out.
+
+    A segment that spans the first and the last ray is not split.
+    """
     wall = _walls(world, sensor, angles, ranges)
     start = int(np.flatnonzero(wall != np.roll(wall, 1))[0])
     order = np.roll(np.arange(len(angles)), -start)
@@ -128,13 +134,13 @@ def _segments(world: World, sensor: Floats, angles: Floats, ranges: Floats) -> l
     for run in np.split(order, np.flatnonzero(np.diff(wall[order])) + 1):
         index = int(wall[run[0]])
         found += [Segment(part, index) for part in np.array_split(run, 1 if index >= 0 else CHORDS)]
-    return [segment for segment in found if len(segment.rays) >= FEWEST_RAYS]
+    return [segment for segment in found if len(segment.rays) >= MIN_RAYS]
 
 
 def _walls(world: World, sensor: Floats, angles: Floats, ranges: Floats) -> Integers:
-    """(n,) the wall that each ray ends on: the nearest to its end point."""
-    at = angles + sensor[2]
-    points = sensor[:2] + ranges[:, None] * np.stack([np.cos(at), np.sin(at)], axis=1)
+    """Return the wall (n,) of each ray: the nearest to its end point."""
+    bearings = angles + sensor[2]
+    points = sensor[:2] + ranges[:, None] * np.stack([np.cos(bearings), np.sin(bearings)], axis=1)
     starts, along = world.segments[:, :2], world.segments[:, 2:] - world.segments[:, :2]
     share = np.einsum("nmk,mk->nm", points[:, None] - starts, along) / np.sum(along**2, axis=1)
     feet = starts + share.clip(0.0, 1.0)[..., None] * along
@@ -145,8 +151,8 @@ def _walls(world: World, sensor: Floats, angles: Floats, ranges: Floats) -> Inte
     return np.asarray(np.where(nearest < count, nearest, count - 1 - nearest), dtype=np.int64)
 
 
-def _onto(world: World, wall: int, sensor: Floats, bearings: Floats) -> Floats:
-    """Distances (n,) at which rays along world bearings (n,) meet a wall or its straight continuation, or a circle."""
+def _ranges_to_wall(world: World, wall: int, sensor: Floats, bearings: Floats) -> Floats:
+    """Return the ranges (n,) along world bearings (n,) to a wall or its straight continuation, or to a circle."""
     directions = np.stack([np.cos(bearings), np.sin(bearings)], axis=1)
     if wall >= 0:
         start, along = world.segments[wall, :2] - sensor[:2], world.segments[wall, 2:] - world.segments[wall, :2]
@@ -160,7 +166,7 @@ def _onto(world: World, wall: int, sensor: Floats, bearings: Floats) -> Floats:
 
 
 def _corners(segments: list[Segment], angles: Floats, ranges: Floats, step: float) -> tuple[Integers, Floats]:
-    """Where neighbouring segments meet: pairs (m, 2) and positions (m, 2), in the order of bearings from -pi."""
+    """Return the corners of adjacent segments: pairs (m, 2) and positions (m, 2), sorted by bearing from -pi."""
     lines = [arras_siegwart.fit(ranges[s.rays], angles[s.rays], EXACT).uv for s in segments]
     unknown = np.zeros((2, 2))
     found = []
@@ -174,8 +180,8 @@ def _corners(segments: list[Segment], angles: Floats, ranges: Floats, step: floa
         gap = (angles[first] - angles[last]) % (2 * np.pi)
         beyond = (np.arctan2(y, x) - angles[last] + np.pi) % (2 * np.pi) - np.pi
         straight = min(segments[before].wall, second.wall) >= 0
-        margin = (BESIDE_STEPS if straight else BESIDE_CURVE_STEPS) * step
-        near = np.abs(np.hypot(x, y) - ranges[[last, first]]).max() < FARTHEST_BESIDE
+        margin = (MAX_STEPS_OUTSIDE if straight else MAX_STEPS_OUTSIDE_CURVE) * step
+        near = np.abs(np.hypot(x, y) - ranges[[last, first]]).max() < MAX_RANGE_DIFFERENCE
         if near and -margin <= beyond <= gap + margin:
             found.append((float(np.arctan2(y, x)), before, after, x, y))
     found.sort()

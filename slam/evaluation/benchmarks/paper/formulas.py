@@ -1,9 +1,9 @@
-"""The paper's three methods in its own notation and in plain NumPy, with weights w = 1 / rho^k.
+"""Implement the paper's three methods in its notation and in plain NumPy, with weights w = 1 / rho^k.
 
-The product's estimators (`features`) are the same mathematics in other variables, compiled. These stand beside them for
-what the product has no use for: the double sums that the paper times, other weights, and guesses at what else the paper
-may have computed. `power` is k: 2 gives the weights of eq. (17), 0 equal ones. All Jacobians are exact, so they hold
-that the weights follow the measured ranges.
+The estimators of `features` are the same mathematics in other variables, compiled. These versions cover what the
+project itself does not need: the double sums that the paper times, other weights, and variants that the paper may have
+used. `power` is k: 2 gives the weights of eq. (17), 0 equal ones. All Jacobians are exact, including the dependence of
+the weights on the measured ranges.
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ Corner = Callable[[Line, Line], tuple[Floats, Floats]]
 
 
 def wclm(ranges: Floats, angles: Floats, noise: Noise) -> Line:
-    """(x_Q, y_Q) by eqs. (18)-(19) with the covariance (22)-(25).
+    """Fit (x_Q, y_Q) by eqs. (18)-(19) with the covariance (22)-(25).
 
-    The prefactor of eq. (23) and M = mean(x^2) mean(y^2) - mean(x y)^2 are read such that the derivatives are exact.
+    The prefactor of eq. (23) and M = mean(x^2) mean(y^2) - mean(x y)^2 are interpreted such that the derivatives are
+    exact.
     """
     x, y = ranges * np.cos(angles), ranges * np.sin(angles)
     w = ranges**-2.0
@@ -44,11 +45,11 @@ def wclm(ranges: Floats, angles: Floats, noise: Noise) -> Line:
     c, d = r * (y * myy + x * mxy) + ranges**2 * my, r * (x * mxx + y * mxy) + ranges**2 * mx
     by_range = w / (m * ranges) * np.stack([-a, b])
     by_bearing = -w / m * np.stack([c, d])
-    return Line(np.array([xq, yq]), _propagated(by_range, by_bearing, noise))
+    return Line(np.array([xq, yq]), _propagate(by_range, by_bearing, noise))
 
 
 def wclm_corner(first: Line, second: Line) -> tuple[Floats, Floats]:
-    """Position (2,) and covariance (2, 2) of the corner by eqs. (36)-(38)."""
+    """Return position (2,) and covariance (2, 2) of the corner by eqs. (36)-(38)."""
     (x1, y1), (x2, y2) = first.parameters, second.parameters
     determinant = x1 * y2 - y1 * x2
     position = np.array([y2 - y1, x2 - x1]) / determinant
@@ -59,8 +60,10 @@ def wclm_corner(first: Line, second: Line) -> tuple[Floats, Floats]:
 
 
 def double_sums(p: Floats, angles: Floats) -> tuple[float, float, Floats, Floats]:
-    """The double sums of eq. (27) over p_i p_j sin(theta_i) cos(theta_j) (twice that) and p_i p_j cos(theta_i +
-    theta_j), and of their derivatives' inner sums over j of p_j sin(theta_i + theta_j) and p_j cos(theta_i + theta_j).
+    """Return the double sums of eq. (27) and the inner sums of their derivatives.
+
+    The sums are 2 p_i p_j sin(theta_i) cos(theta_j) and p_i p_j cos(theta_i + theta_j) over i and j; the inner sums
+    are p_j sin(theta_i + theta_j) and p_j cos(theta_i + theta_j) over j.
     """
     sines = np.sin(angles[:, None] + angles)
     cosines = np.cos(angles[:, None] + angles)
@@ -70,7 +73,7 @@ def double_sums(p: Floats, angles: Floats) -> tuple[float, float, Floats, Floats
 
 
 def single_sums(p: Floats, angles: Floats) -> tuple[float, float, Floats, Floats]:
-    """The same four as products of single sums, in O(n)."""
+    """Return the same four values as products of single sums, in O(n)."""
     c, s = np.cos(angles), np.sin(angles)
     x, y = float(p @ c), float(p @ s)
     return 2.0 * x * y, x * x - y * y, s * x + c * y, c * x - s * y
@@ -79,7 +82,7 @@ def single_sums(p: Floats, angles: Floats) -> tuple[float, float, Floats, Floats
 def arras_siegwart(
     ranges: Floats, angles: Floats, noise: Noise, *, power: int = 2, sums: Literal["double", "single"] = "single"
 ) -> Line:
-    """(r, alpha) by eqs. (26)-(28) with the covariance (29)-(30), the sums as printed or multiplied out."""
+    """Fit (r, alpha) by eqs. (26)-(28) with the covariance (29)-(30), with the printed double sums or factorised."""
     w, dw = ranges**-power, -power * ranges ** -(power + 1.0)
     p, dp = ranges ** (1.0 - power), (1.0 - power) * ranges**-power
     q, dq = ranges ** (2.0 - power), (2.0 - power) * ranges ** (1.0 - power)
@@ -102,13 +105,13 @@ def arras_siegwart(
     r_range = (dp * ahead - r * dw) / total + k * alpha_range
     r_bearing = -p * aside / total + k * alpha_bearing
     by_range, by_bearing = np.stack([r_range, alpha_range]), np.stack([r_bearing, alpha_bearing])
-    return Line(np.array([r, alpha]), _propagated(by_range, by_bearing, noise))
+    return Line(np.array([r, alpha]), _propagate(by_range, by_bearing, noise))
 
 
 def arras_siegwart_corner(first: Line, second: Line) -> tuple[Floats, Floats]:
-    """Position (2,) and covariance (2, 2) of the corner by eqs. (39)-(43)."""
+    """Return position (2,) and covariance (2, 2) of the corner by eqs. (39)-(43)."""
     (r1, a1), (r2, a2) = first.parameters, second.parameters
-    return _meet(
+    return _intersect(
         np.array([[np.cos(a1), np.sin(a1)], [np.cos(a2), np.sin(a2)]]),
         np.array([r1, r2]),
         [np.array([[0.0, -np.sin(a)], [0.0, np.cos(a)], [-1.0, 0.0]]) for a in (a1, a2)],
@@ -117,7 +120,7 @@ def arras_siegwart_corner(first: Line, second: Line) -> tuple[Floats, Floats]:
 
 
 def siadat(ranges: Floats, angles: Floats, noise: Noise, *, power: int = 2) -> Line:
-    """(a, b, c) by eq. (31) under a^2 + b^2 = 1, the smallest eigenvector of the scatter, with the covariance (33)."""
+    """Fit (a, b, c) by eq. (31) under a^2 + b^2 = 1, the smallest eigenvector of the scatter, with covariance (33)."""
     w, dw = ranges**-power, -power * ranges ** -(power + 1.0)
     points = ranges * np.stack([np.cos(angles), np.sin(angles)])
     by_range, by_bearing = points / ranges, np.stack([-points[1], points[0]])
@@ -135,25 +138,25 @@ def siadat(ranges: Floats, angles: Floats, noise: Noise, *, power: int = 2) -> L
         phi = -(w * (qt * dn + qn * dt) + change * qn * qt) / gap
         c = -(w * dn + change * qn) / total - (along @ mean) * phi
         columns.append(np.stack([along[0] * phi, along[1] * phi, c]))
-    return Line(np.array([*normal, -normal @ mean]), _propagated(columns[0], columns[1], noise))
+    return Line(np.array([*normal, -normal @ mean]), _propagate(columns[0], columns[1], noise))
 
 
 def siadat_corner(first: Line, second: Line) -> tuple[Floats, Floats]:
-    """Position (2,) and covariance (2, 2) of the corner by eqs. (44)-(48)."""
+    """Return position (2,) and covariance (2, 2) of the corner by eqs. (44)-(48)."""
     normals = np.stack([first.parameters[:2], second.parameters[:2]])
     distances = -np.array([first.parameters[2], second.parameters[2]])
-    return _meet(normals, distances, [np.eye(3), np.eye(3)], (first, second))
+    return _intersect(normals, distances, [np.eye(3), np.eye(3)], (first, second))
 
 
 def without_correlations(line: Line) -> Line:
-    """The same line with nothing but the variances in its covariance."""
+    """Return the line with the off-diagonal elements of its covariance set to zero."""
     return Line(line.parameters, np.diag(np.diag(line.covariance)))
 
 
-def _meet(
+def _intersect(
     normals: Floats, distances: Floats, jacobians: list[Floats], lines: tuple[Line, Line]
 ) -> tuple[Floats, Floats]:
-    """The corner of two lines n . p = d, with the Jacobians of (n, -d) in the lines' parameters."""
+    """Return the corner of two lines n . p = d; `jacobians` are those of (n, -d) by the lines' parameters."""
     inverse = np.linalg.inv(normals)
     position = inverse @ distances
     covariance = np.zeros((2, 2))
@@ -163,7 +166,7 @@ def _meet(
     return position, covariance
 
 
-def _propagated(by_range: Floats, by_bearing: Floats, noise: Noise) -> Floats:
-    """Covariance (k, k) by the Jacobians (k, n) in ranges and bearings."""
+def _propagate(by_range: Floats, by_bearing: Floats, noise: Noise) -> Floats:
+    """Return the covariance (k, k) from the Jacobians (k, n) by ranges and bearings."""
     spread = noise.sigma_range**2 * (by_range @ by_range.T) + noise.sigma_bearing**2 * (by_bearing @ by_bearing.T)
     return np.asarray(spread)

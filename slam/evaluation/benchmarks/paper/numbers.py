@@ -1,4 +1,4 @@
-"""What the paper prints: Tables I to IV, and the figures that its text states."""
+"""Figures printed in the paper: Tables I to IV, and values from its text."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ TABLE_1 = np.array(
         (26, 28.9, 55.67, 24.3, 56.57, 49.24, 74.57),
     ]
 )
-"""Corner of environment A; standard deviations in x and y by WCLM, Arras-Siegwart, Siadat, millimetres."""
+"""Environment A: corner; standard deviations in x and y by WCLM, Arras-Siegwart, Siadat, millimetres."""
 
 TABLE_2 = np.array(
     [
@@ -48,7 +48,7 @@ TABLE_2 = np.array(
         (8, 11.1, 10.06, 10.73, 9.17, 33.09, 30.38),
     ]
 )
-"""The same of environment B."""
+"""The same for environment B."""
 
 TABLE_3 = np.array(
     [
@@ -99,8 +99,8 @@ TABLE_4 = np.array(
 """The same for corner 4 of environment B."""
 
 STATED_MEANS = {"x": (56.0, 68.0), "y": (65.0, 85.0)}
-"""Section V: mean standard deviation of corners by WCLM and Arras-Siegwart alike, and by Siadat, millimetres."""
+"""Section V: mean standard deviation of corners by WCLM and Arras-Siegwart together, and by Siadat, millimetres."""
 STATED_RATIO = (10.0, 15.0)
-"""Section V: what the ratio of the times of Arras-Siegwart and WCLM reaches up to."""
+"""Section V: range of the largest ratio of the times of Arras-Siegwart and WCLM."""
 THRESHOLD = 0.02
-"""Section V: largest distance, metres, of a point from the line that tracking adds it to."""
+"""Section V: largest distance of a point from the line to which tracking adds it, metres."""

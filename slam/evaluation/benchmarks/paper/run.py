@@ -1,4 +1,4 @@
-"""All measurements as plain data, which JSON, tables and pictures are made from."""
+"""Run all measurements of the paper benchmark and return plain data for JSON, tables and plots."""
 
 from __future__ import annotations
 
@@ -21,14 +21,15 @@ FIGURE_5 = (("A", 20), ("A", 22), ("B", 1), ("B", 4))
 
 
 def environments() -> dict[str, Environment]:
-    """A and B."""
+    """Return the environments A and B."""
     return {"A": environment_a(), "B": environment_b()}
 
 
 def measure(seed: int = 0, *, sweeps: int = uncertainty.SWEEPS, tracked: int = tracking.SWEEPS) -> dict[str, Any]:
-    """All that no clock is involved in: the same seed gives the same, bit for bit.
+    """Run all measurements except timings; the result depends on the seed only, bit for bit.
 
-    `sweeps` are simulated for the errors of corners, `tracked` of each noise for the segmentations.
+    sweeps   simulated for the errors of corners
+    tracked  sweeps per noise level for the segmentations
     """
     worlds = environments()
     return {
@@ -42,7 +43,7 @@ def measure(seed: int = 0, *, sweeps: int = uncertainty.SWEEPS, tracked: int = t
 
 
 def measure_times(rounds: int = timing.ROUNDS) -> dict[str, Any]:
-    """Microseconds for the corners of Figure 5, which has those of Tables III and IV."""
+    """Return the times, microseconds, for the corners of Figure 5, which include those of Tables III and IV."""
     worlds = environments()
     return {
         f"{name}{corner}": timing.times(worlds[name], corner, _points(worlds[name], corner), rounds)
@@ -52,7 +53,7 @@ def measure_times(rounds: int = timing.ROUNDS) -> dict[str, Any]:
 
 def _points(environment: Environment, corner: int) -> list[int]:
     table = TABLE_3 if environment.name == "A" else TABLE_4
-    return timing.available(environment, corner, int(table[-1, 0]))
+    return timing.point_counts(environment, corner, int(table[-1, 0]))
 
 
 def _by_points(environment: Environment, corner: int) -> dict[str, Any]:
@@ -68,7 +69,7 @@ def _uncertainties(environment: Environment, printed: Floats, seed: int, sweeps:
         "points": len(environment.angles),
         "segments": len(environment.segments),
         "table": uncertainty.table(environment, found, printed),
-        "honesty": uncertainty.honesty(found),
+        "consistency": uncertainty.consistency(found),
         "wclm over arras-siegwart": {
             "paper": uncertainty.ratios(printed[:, 1:3], printed[:, 3:5]),
             "ours": uncertainty.ratios(claimed["wclm"], claimed["arras-siegwart"]),

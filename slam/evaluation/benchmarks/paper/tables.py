@@ -1,4 +1,4 @@
-"""The measurements as tables to read."""
+"""Format the measurements of the paper benchmark as text tables."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LONG = {**SHORT, "arras-siegwart": "Arras-Siegwart", EQUAL_WEIGHTS: "Arras-Siegw
 
 
 def lines(measured: dict[str, Any], times: dict[str, Any] | None, claims: Sequence[Claim]) -> Iterator[str]:
-    """All tables, a line at a time."""
+    """Yield the lines of all tables."""
     yield from heading("Claims")
     for claim in claims:
         yield from textwrap.wrap(f"{claim.verdict.upper()}: {claim.says}", WIDTH)
@@ -29,26 +29,26 @@ def lines(measured: dict[str, Any], times: dict[str, Any] | None, claims: Sequen
             claim.why, WIDTH, initial_indent="    ", subsequent_indent="    ", break_on_hyphens=False
         )
     for number, name in (("I", "A"), ("II", "B")):
-        yield from uncertainties(number, name, measured["environments"][name])
+        yield from uncertainty_table(number, name, measured["environments"][name])
     if times is not None:
-        yield from of_times("III", "A20", "corner 20 of environment A", times["A20"])
-        yield from of_times("IV", "B4", "corner 4 of environment B", times["B4"])
-    yield from by_points(measured["figure_5"])
-    yield from of_tracking(measured["tracking"])
+        yield from times_table("III", "A20", "corner 20 of environment A", times["A20"])
+        yield from times_table("IV", "B4", "corner 4 of environment B", times["B4"])
+    yield from figure_5_table(measured["figure_5"])
+    yield from tracking_table(measured["tracking"])
 
 
 def heading(text: str) -> Iterator[str]:
-    """A title with a line under it."""
+    """Yield a title and a rule below it."""
     yield from ("", text, "-" * len(text))
 
 
-def uncertainties(number: str, name: str, world: dict[str, Any]) -> Iterator[str]:
-    """Table I or II: per corner the paper's and our standard deviations, and what is true."""
+def uncertainty_table(number: str, name: str, world: dict[str, Any]) -> Iterator[str]:
+    """Yield Table I or II: standard deviations per corner by the paper and here, and true errors."""
     yield from heading(f"Table {number}: corners of environment {name}, standard deviations in x / y, mm")
     width, depth = world["size"]
     yield (
         f"{width:.0f} x {depth:.0f} m, {world['points']} points, {world['segments']} segments, "
-        f"{len(PRINTED[name])} corners; the plan is ours, so corners compare by size and by ratio, not one by one"
+        f"{len(PRINTED[name])} corners; the floor plan is reconstructed: compare sizes and ratios, not single corners"
     )
     yield "                 | the paper's                                 | ours, from one sweep"
     yield (
@@ -68,16 +68,16 @@ def uncertainties(number: str, name: str, world: dict[str, Any]) -> Iterator[str
         yield f"  {'WCLM, ' + who:<42} {_quantiles(ratio)}"
     for who, ratio in world["siadat over arras-siegwart"].items():
         yield f"  {'Siadat, ' + who:<42} {_quantiles(ratio)}"
-    yield "squared errors over what is claimed (NEES; median 1.39 is ideal), errors within the 95 % ellipse:"
-    for method, honest in world["honesty"].items():
-        yield f"  {LONG[method]:<30} {honest['median_nees']:6.2f} {100 * honest['within_95']:6.1f} %"
+    yield "NEES (expected median 1.39), errors within the 95 % ellipse:"
+    for method, figures in world["consistency"].items():
+        yield f"  {LONG[method]:<30} {figures['median_nees']:6.2f} {100 * figures['within_95']:6.1f} %"
 
 
-def of_times(number: str, key: str, where: str, rows: Sequence[dict[str, Any]]) -> Iterator[str]:
-    """Table III or IV: microseconds by number of points."""
+def times_table(number: str, key: str, where: str, rows: Sequence[dict[str, Any]]) -> Iterator[str]:
+    """Yield Table III or IV: microseconds by number of points."""
     yield from heading(f"Table {number}: microseconds for {where}, by number of points (two lines, half of them each)")
-    yield "the paper's: MATLAB on an i9-9900K, where each point costs; NumPy pays by the call, whatever the points;"
-    yield "compiled: without sines and cosines, and 'AS double' with single sums in the Jacobians"
+    yield "the paper's: MATLAB on an i9-9900K, cost per point; NumPy: cost per call, nearly independent of the points;"
+    yield "compiled: without sines and cosines; 'AS double' with single sums in the Jacobians"
     short = ("WCLM", "AS double", "AS single", "Siadat")
     yield "       | the paper's (MATLAB)        | NumPy" + " " * 41 + "| compiled"
     names = " ".join(f"{name:>9}" for name in short)
@@ -90,8 +90,8 @@ def of_times(number: str, key: str, where: str, rows: Sequence[dict[str, Any]]) 
         yield f"{row['points']:6d} | {printed[1]:9.2f} {printed[2]:9.2f} {printed[3]:7.2f} | {sides[0]}  | {sides[1]}"
 
 
-def by_points(curves: dict[str, Any]) -> Iterator[str]:
-    """Figure 5's left axes, thinned out."""
+def figure_5_table(curves: dict[str, Any]) -> Iterator[str]:
+    """Yield some values of Figure 5's left axes."""
     yield from heading("Figure 5: standard deviations of corners in x / y, mm, by number of points")
     yield "corner points   " + " ".join(f"{SHORT[method]:>14}" for method in OURS)
     for name, curve in curves.items():
@@ -100,9 +100,9 @@ def by_points(curves: dict[str, Any]) -> Iterator[str]:
             yield f"{name:>6} {curve['points'][k]:6d}   {values}"
 
 
-def of_tracking(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
-    """What the paper's tracking and the product's segmentation find, by noise."""
-    yield from heading("Tracking with 20 mm against the product's segmentation: walls and corners found, %")
+def tracking_table(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
+    """Yield walls and corners found by the paper's tracking and by this project's segmentation, by noise."""
+    yield from heading("Tracking with 20 mm and this project's segmentation: walls and corners found, %")
     yield "range noise mm  bearing noise deg |  tracking: walls  corners |  splitting: walls  corners"
     for row in rows:
         found = [100 * row[method][what] for method in ("tracking", "split") for what in ("walls", "corners")]

@@ -1,7 +1,7 @@
-"""Tables III and IV and Figure 5: the time and the uncertainty of one corner by the number of its points.
+"""Measure time and uncertainty of one corner by the number of its points (Tables III and IV, Figure 5).
 
-The time is that of the whole way from ranges to a corner with its covariance: two lines, half of the points each. It is
-measured for plain NumPy, an interpreter's arrays as the paper's MATLAB has them, and for compiled loops.
+The time is that of the whole computation from ranges to a corner with its covariance: two lines, with half of the
+points each. It is measured for plain NumPy, comparable to the paper's MATLAB, and for compiled loops.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from .formulas import Corner, Fit
 
 FORMS = ("wclm", "arras-siegwart, double sums", "arras-siegwart, single sums", "siadat")
 ROUNDS = 30
-"""Each time is the least of so many, taken in turns: whatever else the machine does only makes times longer."""
-LEAST = 3e-4
-"""Seconds a round takes at least; shorter calls are repeated."""
+"""Number of alternating rounds, of which the minimum counts: other load on the machine only makes times longer."""
+MIN_ROUND_TIME = 3e-4
+"""Seconds; shorter calls are repeated within a round."""
 MICROSECONDS = 1e6
 
 Call = Callable[[], object]
@@ -37,117 +37,117 @@ CornerFive = tuple[float, float, float, float, float]
 
 
 def half_each(environment: Environment, corner: int, points: int) -> list[tuple[Floats, Floats]]:
-    """(ranges, angles) without noise of the points/2 rays of either wall that are nearest to the corner."""
+    """Return noise-free (ranges, angles) of each wall's points/2 rays nearest to the corner."""
     walls = [rays[: points // 2] for rays in environment.rays_of_corner(corner)]
     return [(environment.ranges[rays], environment.angles[rays]) for rays in walls]
 
 
-def available(environment: Environment, corner: int, at_most: int) -> list[int]:
-    """10, 20, ... points, as many as the corner's shorter wall allows for."""
+def point_counts(environment: Environment, corner: int, at_most: int) -> list[int]:
+    """Return the tested numbers of points, 10, 20, ..., limited by the corner's shorter wall."""
     shorter = min(len(rays) for rays in environment.rays_of_corner(corner))
     return list(range(10, min(2 * shorter, at_most) + 1, 10))
 
 
 def numpy_calls(walls: Sequence[tuple[Floats, Floats]], noise: Noise = PAPER_NOISE) -> dict[str, Call]:
-    """The whole way to the corner by each form in plain NumPy."""
+    """Return a function per form that computes the corner from ranges in plain NumPy."""
 
-    def way(fit: Fit, corner: Corner) -> Call:
+    def corner_call(fit: Fit, corner: Corner) -> Call:
         return lambda: corner(fit(*walls[0], noise), fit(*walls[1], noise))
 
     def double(ranges: Floats, angles: Floats, noise: Noise) -> formulas.Line:
         return formulas.arras_siegwart(ranges, angles, noise, sums="double")
 
-    ways = (
-        way(formulas.wclm, formulas.wclm_corner),
-        way(double, formulas.arras_siegwart_corner),
-        way(formulas.arras_siegwart, formulas.arras_siegwart_corner),
-        way(formulas.siadat, formulas.siadat_corner),
+    calls = (
+        corner_call(formulas.wclm, formulas.wclm_corner),
+        corner_call(double, formulas.arras_siegwart_corner),
+        corner_call(formulas.arras_siegwart, formulas.arras_siegwart_corner),
+        corner_call(formulas.siadat, formulas.siadat_corner),
     )
-    return dict(zip(FORMS, ways, strict=True))
+    return dict(zip(FORMS, calls, strict=True))
 
 
 def compiled_calls(walls: Sequence[tuple[Floats, Floats]], noise: Noise = PAPER_NOISE) -> dict[str, Call]:
-    """The same compiled, from inverse ranges, sines and cosines on, which all forms need alike.
+    """Return the same functions compiled, starting from inverse ranges, sines and cosines, which all forms need.
 
-    The double sums have them too and spare the double sums of the Jacobians: this is the least that they cost.
+    The double sums also start from these and omit the double sums of the Jacobians: a lower bound of their cost.
     """
     first, second = (np.stack(rays_of(*wall)) for wall in walls)
     sigmas = noise.sigma_range, noise.sigma_bearing
-    ways: tuple[Call, ...] = (
+    calls: tuple[Call, ...] = (
         lambda: _by_code(WCLM, first, second, *sigmas),
         lambda: _polar(True, first, second, *sigmas),
         lambda: _polar(False, first, second, *sigmas),
         lambda: _by_code(SIADAT, first, second, *sigmas),
     )
-    return dict(zip(FORMS, ways, strict=True))
+    return dict(zip(FORMS, calls, strict=True))
 
 
 def times(environment: Environment, corner: int, points: Sequence[int], rounds: int = ROUNDS) -> list[dict[str, Any]]:
-    """For each number of points the microseconds by form, in plain NumPy and compiled."""
+    """Return the microseconds by form, in plain NumPy and compiled, for each number of points."""
     calls: dict[tuple[int, str, str], Call] = {}
     for count in points:
         walls = half_each(environment, corner, count)
         for language, forms in (("numpy", numpy_calls(walls)), ("compiled", compiled_calls(walls))):
             calls |= {(count, language, form): call for form, call in forms.items()}
-    least = fastest(list(calls.values()), rounds)
+    microseconds_by_call = fastest(list(calls.values()), rounds)
     rows: dict[int, dict[str, Any]] = {count: {"points": count, "numpy": {}, "compiled": {}} for count in points}
-    for (count, language, form), microseconds in zip(calls, least, strict=True):
+    for (count, language, form), microseconds in zip(calls, microseconds_by_call, strict=True):
         rows[count][language][form] = microseconds
     return list(rows.values())
 
 
 def fastest(calls: Sequence[Call], rounds: int) -> list[float]:
-    """Microseconds of each call: the least mean of `rounds` rounds, in each of which all have their turn."""
+    """Return the microseconds of each call: the smallest mean of `rounds` rounds, each of which times all calls."""
     repeats = []
     for call in calls:
-        call()  # compiles, or loads, what it needs
+        call()  # compiles or loads its functions
         start = time.perf_counter()
         call()
-        repeats.append(max(1, math.ceil(LEAST / max(time.perf_counter() - start, 1e-7))))
-    least = [math.inf] * len(calls)
+        repeats.append(max(1, math.ceil(MIN_ROUND_TIME / max(time.perf_counter() - start, 1e-7))))
+    fastest_times = [math.inf] * len(calls)
     for _ in range(rounds):
         for k, (call, count) in enumerate(zip(calls, repeats, strict=True)):
             start = time.perf_counter()
             for _ in range(count):
                 call()
-            least[k] = min(least[k], (time.perf_counter() - start) / count)
-    return [MICROSECONDS * seconds for seconds in least]
+            fastest_times[k] = min(fastest_times[k], (time.perf_counter() - start) / count)
+    return [MICROSECONDS * seconds for seconds in fastest_times]
 
 
 def uncertainty_by_points(environment: Environment, corner: int, points: Sequence[int]) -> dict[str, list[list[float]]]:
-    """By method, for each number of points the corner's standard deviations in x and y, millimetres.
+    """Return by method the corner's standard deviations in x and y, millimetres, for each number of points.
 
-    Propagated at the true ranges, so that the curves show the number of points and not one draw of the noise.
+    They are propagated at the true ranges, so that the curves do not depend on one noise sample.
     """
     maximum_likelihood = ESTIMATORS["wclm-ml"]
-    ways: dict[str, tuple[Callable[..., Any], Callable[..., tuple[Floats, Floats]]]] = {
+    methods: dict[str, tuple[Callable[..., Any], Callable[..., tuple[Floats, Floats]]]] = {
         "wclm": (formulas.wclm, formulas.wclm_corner),
         "arras-siegwart": (formulas.arras_siegwart, formulas.arras_siegwart_corner),
         "siadat": (formulas.siadat, formulas.siadat_corner),
         "wclm-ml": (maximum_likelihood.fit, maximum_likelihood.corner),
     }
-    found: dict[str, list[list[float]]] = {name: [] for name in ways}
+    found: dict[str, list[list[float]]] = {name: [] for name in methods}
     for count in points:
         walls = half_each(environment, corner, count)
-        for name, (fit, meet) in ways.items():
+        for name, (fit, meet) in methods.items():
             covariance = meet(fit(*walls[0], PAPER_NOISE), fit(*walls[1], PAPER_NOISE))[1]
             found[name].append((1e3 * np.sqrt(np.diag(covariance))).tolist())
     return found
 
 
 def growth(points: Floats, microseconds: Floats, since: int = 60) -> float:
-    """The exponent k of time ~ points^k from `since` points on, where fixed costs matter less."""
+    """Return the exponent k of time ~ points^k from `since` points on, where fixed costs matter less."""
     late = points >= since
     return float(np.polyfit(np.log(points[late]), np.log(microseconds[late]), 1)[0])
 
 
-# Not kept on disk: what they call belongs to another package, whose changes such a cache would not notice.
+# Not cached on disk: the cache would not notice changes of the called functions of another package.
 _compiled = njit(error_model="numpy")
 
 
 @_compiled
 def _by_code(code: int, one: Floats, two: Floats, sr: float, sb: float) -> CornerFive:
-    """Two lines by one of the product's estimators, and eqs. (36)-(38)."""
+    """Fit two lines by one of this project's estimators, and intersect them by eqs. (36)-(38)."""
     covariances = np.empty((2, 2, 2))
     u1, v1, cuu1, cuv1, cvv1 = fit_by_code(code, one[0], one[1], one[2], sr, sb)
     u2, v2, cuu2, cuv2, cvv2 = fit_by_code(code, two[0], two[1], two[2], sr, sb)
@@ -158,7 +158,7 @@ def _by_code(code: int, one: Floats, two: Floats, sr: float, sb: float) -> Corne
 
 @_compiled
 def _polar(double: bool, one: Floats, two: Floats, sr: float, sb: float) -> CornerFive:
-    """Eqs. (26)-(30) and (39)-(43)."""
+    """Fit two lines by eqs. (26)-(30), and intersect them by eqs. (39)-(43)."""
     if double:
         n1, d1 = direction_by_double_sums(one[0], one[1], one[2])
         n2, d2 = direction_by_double_sums(two[0], two[1], two[2])

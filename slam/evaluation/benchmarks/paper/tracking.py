@@ -1,4 +1,4 @@
-"""Whether tracking with a threshold of 20 mm can go with ranges whose standard deviation is 5 cm."""
+"""Test if tracking with a threshold of 20 mm works with a range noise of 5 cm."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from features.types import Integers
 from .environments import PAPER_NOISE, Environment
 
 SIGMAS = (0.001, 0.002, 0.005, 0.007, 0.010, 0.020, 0.050)
-"""Standard deviations of range to try, metres; the last is the paper's."""
+"""Tested standard deviations of range, metres; the last is the paper's."""
 BEARINGS = (0.0, PAPER_NOISE.sigma_bearing)
-"""And of bearing, radians: none, and the paper's."""
+"""Tested standard deviations of bearing, radians: none, and the paper's."""
 SWEEPS = 20
-"""Sweeps of each environment with each noise."""
+"""Per environment and noise level."""
 METHODS: tuple[Literal["tracking", "split"], ...] = ("tracking", "split")
-"""The paper's segmentation and the product's."""
-FEWEST_RAYS, SHORTEST = 10, 0.3
-"""Rays and metres from which on a straight wall counts as one to be found."""
-OVERLAP = 0.5
-"""Of the rays of a wall and of a line found, the share that both have, from which on the wall is found."""
-NEAR, NEAR_SIGMAS = 0.10, 3.0
-"""Metres, and standard deviations of range besides, within which a corner is found."""
+"""The paper's segmentation and this project's."""
+MIN_RAYS, MIN_LENGTH = 10, 0.3
+"""Rays and metres of a straight wall that should be found."""
+MIN_OVERLAP = 0.5
+"""Common rays / all rays of a wall and an extracted line, from which the wall counts as found."""
+MAX_CORNER_DISTANCE, CORNER_SIGMAS = 0.10, 3.0
+"""Largest distance of a found corner: metres, plus a multiple of the range noise."""
 
 
 def measure(environments: Sequence[Environment], seed: int, sweeps: int = SWEEPS) -> list[dict[str, Any]]:
-    """For each noise and method: the shares of walls and of corners found.
+    """Return the shares of walls and corners found for each noise level and method.
 
-    Either method knows the noise; the threshold of tracking is the paper's. Corners count where both walls do.
+    Both methods are given the noise; the threshold of tracking is the paper's. A corner counts if both walls do.
     """
     rows = []
     for sigma_bearing in BEARINGS:
@@ -53,22 +53,22 @@ def measure(environments: Sequence[Environment], seed: int, sweeps: int = SWEEPS
 
 
 def score(environment: Environment, found: Features, noise: Noise) -> Integers:
-    """Walls found, walls there, corners found, corners there."""
+    """Return the numbers of found walls, all walls, found corners and all corners."""
     counting = [counts_as_wall(environment, k) for k in range(len(environment.segments))]
     walls = [set(s.rays.tolist()) for s, counts in zip(environment.segments, counting, strict=True) if counts]
     beams = len(environment.angles)
     lines = [_beams(first, last, beams) for first, last in zip(found.lines.first, found.lines.last, strict=True)]
-    matched = sum(any(_overlap(wall, line) >= OVERLAP for line in lines) for wall in walls)
+    matched = sum(any(_overlap(wall, line) >= MIN_OVERLAP for line in lines) for wall in walls)
     known = environment.positions[[counting[before] and counting[after] for before, after in environment.corners]]
     distances = np.linalg.norm(known[:, None] - found.corners.position, axis=2)
-    near = distances.min(axis=1, initial=np.inf) <= NEAR + NEAR_SIGMAS * noise.sigma_range
+    near = distances.min(axis=1, initial=np.inf) <= MAX_CORNER_DISTANCE + CORNER_SIGMAS * noise.sigma_range
     return np.array([matched, len(walls), int(near.sum()), len(known)])
 
 
 def counts_as_wall(environment: Environment, segment: int) -> bool:
-    """Whether a segment is straight, and seen well enough to be asked for."""
+    """Return True if a segment is straight and observed well enough to be found."""
     rays, wall = environment.segments[segment].rays, environment.segments[segment].wall
-    return wall >= 0 and len(rays) >= FEWEST_RAYS and _length(environment, rays) >= SHORTEST
+    return wall >= 0 and len(rays) >= MIN_RAYS and _length(environment, rays) >= MIN_LENGTH
 
 
 def _length(environment: Environment, rays: Integers) -> float:
@@ -85,7 +85,7 @@ def _overlap(one: set[int], other: set[int]) -> float:
 
 
 def largest_usable(rows: Sequence[dict[str, Any]], sigma_bearing: float, share: float = 0.9) -> float:
-    """The largest standard deviation of range, metres, up to which tracking finds so many of the walls; 0: none."""
+    """Return the largest range noise, metres, up to which tracking finds this share of the walls; 0 if none."""
     largest = 0.0
     for row in rows:
         if row["sigma_bearing"] == sigma_bearing:

@@ -1,4 +1,4 @@
-"""Tables I and II: standard deviations of corners by three methods, against the paper's and against true errors."""
+"""Measure the standard deviations of corners by three methods, and their true errors (Tables I and II)."""
 
 from __future__ import annotations
 
@@ -20,28 +20,27 @@ METHODS = ("wclm", "arras-siegwart", "siadat")
 """In the order of the paper's tables."""
 OURS = (*METHODS, "wclm-ml")
 EQUAL_WEIGHTS = "arras-siegwart, equal weights"
-WAYS: dict[str, tuple[Callable[..., Any], Callable[..., tuple[Floats, Floats]]]] = {
+ESTIMATOR_FUNCTIONS: dict[str, tuple[Callable[..., Any], Callable[..., tuple[Floats, Floats]]]] = {
     **{name: (ESTIMATORS[name].fit, ESTIMATORS[name].corner) for name in OURS},
     EQUAL_WEIGHTS: (partial(formulas.arras_siegwart, power=0), formulas.arras_siegwart_corner),
 }
-"""How each fits a line and intersects two."""
+"""Functions of each method to fit a line and to intersect two."""
 MILLIMETRES = 1e3
 SWEEPS = 200
-"""Repetitions with new noise."""
-WITHIN = 5.991
-"""95 % quantile of chi-square with two degrees of freedom."""
+"""Number of sweeps with independent noise."""
+CHI2_95 = 5.991
+"""Chi-square, 2 degrees of freedom, 95 %."""
 CLEAR = 60.0
-"""Millimetres, both axes together. Corners below it show what the paper's Siadat columns have more than the others; in
-larger ones that drowns."""
+"""Millimetres, both axes together. Only corners below it clearly show the excess of the paper's Siadat columns."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Uncertainties:
-    """What the methods make of one environment's m corners.
+    """Uncertainties of one environment's m corners by method.
 
-    claimed   (m, 2) standard deviations in x and y by method, millimetres, from one sweep
-    nees      (SWEEPS, m) squared errors over what the covariance claims, by method
-    errors    (m, 2) by method: half the range that holds the middle 68 % of the errors, millimetres
+    claimed   (m, 2) standard deviations in x and y from one sweep, millimetres
+    nees      (SWEEPS, m) normalised estimation errors squared
+    errors    (m, 2) half of the central 68 % interval of the errors, millimetres
     """
 
     claimed: dict[str, Floats]
@@ -50,16 +49,16 @@ class Uncertainties:
 
 
 def measure(environment: Environment, seed: int, sweeps: int = SWEEPS) -> Uncertainties:
-    """Fit all corners to `sweeps` sweeps with noise of their own; the first is what the tables show.
+    """Estimate all corners from `sweeps` independent sweeps; the tables show the first.
 
-    An error is the distance from what the same method makes of rays without noise: chords of curves differ by method.
+    Errors are relative to the same method's result without noise, because chords of curves differ by method.
     """
     random = np.random.default_rng(seed)
-    drawn = [environment.measure(random) for _ in range(sweeps)]
+    noisy_ranges = [environment.measure(random) for _ in range(sweeps)]
     claimed, nees, errors = {}, {}, {}
-    for name, (fit, meet) in WAYS.items():
+    for name, (fit, meet) in ESTIMATOR_FUNCTIONS.items():
         truth = corners(environment, environment.ranges, fit, meet)[0]
-        found = [corners(environment, ranges, fit, meet) for ranges in drawn]
+        found = [corners(environment, ranges, fit, meet) for ranges in noisy_ranges]
         error = np.stack([positions for positions, _ in found]) - truth
         covariance = np.stack([spread for _, spread in found])
         claimed[name] = MILLIMETRES * np.sqrt(np.diagonal(covariance[0], axis1=1, axis2=2))
@@ -75,14 +74,14 @@ def corners(
     fit: Callable[..., Any],
     meet: Callable[..., tuple[Floats, Floats]],
 ) -> tuple[Floats, Floats]:
-    """Positions (m, 2) and covariances (m, 2, 2) of all corners; all rays of a segment are used."""
+    """Return positions (m, 2) and covariances (m, 2, 2) of all corners, from all rays of their segments."""
     fits = [fit(ranges[s.rays], environment.angles[s.rays], PAPER_NOISE) for s in environment.segments]
     found = [meet(fits[before], fits[after]) for before, after in environment.corners]
     return np.stack([position for position, _ in found]), np.stack([covariance for _, covariance in found])
 
 
 def table(environment: Environment, uncertainties: Uncertainties, printed: Floats) -> list[dict[str, Any]]:
-    """A row for each corner: what the paper prints, what ours claims, and the true errors, (x, y) in millimetres."""
+    """Return a row per corner: the paper's and our standard deviations and the true errors, (x, y) in millimetres."""
     return [
         {
             "corner": number + 1,
@@ -95,36 +94,38 @@ def table(environment: Environment, uncertainties: Uncertainties, printed: Float
     ]
 
 
-def honesty(uncertainties: Uncertainties) -> dict[str, dict[str, float]]:
-    """By method: median NEES (1.386 is ideal) and the share of errors within the 95 % ellipse."""
+def consistency(uncertainties: Uncertainties) -> dict[str, dict[str, float]]:
+    """Return by method the median NEES (expected 1.386) and the share of errors within the 95 % ellipse."""
     return {
-        name: {"median_nees": float(np.median(nees)), "within_95": float(np.mean(nees <= WITHIN))}
+        name: {"median_nees": float(np.median(nees)), "within_95": float(np.mean(nees <= CHI2_95))}
         for name, nees in uncertainties.nees.items()
     }
 
 
 def ratios(numerator: Floats, denominator: Floats) -> dict[str, float]:
-    """Quantiles of the ratio of two sets of standard deviations."""
+    """Return quantiles of the ratio of two sets of standard deviations."""
     low, middle, high = np.quantile(numerator / denominator, (0.1, 0.5, 0.9))
     return {"10 %": float(low), "median": float(middle), "90 %": float(high)}
 
 
 def siadat_variants(environment: Environment, seed: int) -> dict[str, dict[str, float]]:
-    """Siadat's standard deviations over Arras and Siegwart's with the weights (17), were something done differently."""
+    """Return the ratios of Siadat's to Arras-Siegwart's standard deviations for variants of Siadat's method."""
     ranges = environment.measure(np.random.default_rng(seed))
-    reference = _spread(environment, ranges, formulas.arras_siegwart, formulas.arras_siegwart_corner)
+    reference = _standard_deviations(environment, ranges, formulas.arras_siegwart, formulas.arras_siegwart_corner)
     variants: dict[str, Fit] = {
         "the same weights": formulas.siadat,
         "equal weights for Siadat only": partial(formulas.siadat, power=0),
         "correlations of (a, b, c) left out": lambda r, a, n: formulas.without_correlations(formulas.siadat(r, a, n)),
     }
-    found = {name: _spread(environment, ranges, fit, formulas.siadat_corner) for name, fit in variants.items()}
-    found["one reading's range noise added"] = np.sqrt(reference**2 + _one_reading(environment))
+    found = {
+        name: _standard_deviations(environment, ranges, fit, formulas.siadat_corner) for name, fit in variants.items()
+    }
+    found["one reading's range noise added"] = np.sqrt(reference**2 + _single_range_variance(environment))
     return {name: ratios(spread, reference) for name, spread in found.items()}
 
 
 def siadat_excess(printed: Floats) -> dict[str, float]:
-    """What the paper's Siadat columns have more than its Arras-Siegwart columns, in quadrature over both axes, mm."""
+    """Return the excess of the paper's Siadat columns over its Arras-Siegwart columns, in quadrature, mm."""
     spread = printed[:, 1:].reshape(-1, len(METHODS), 2)
     total = np.sum(spread**2, axis=2)
     clear = np.sqrt(total[:, 1]) < CLEAR
@@ -138,9 +139,9 @@ def siadat_excess(printed: Floats) -> dict[str, float]:
 
 
 def difference_of_equals(environment: Environment, seed: int) -> float:
-    """Largest relative difference of Siadat's and Arras-Siegwart's corner covariances with the same weights.
+    """Return the largest relative difference of Siadat's and Arras-Siegwart's corner covariances with equal weighting.
 
-    Over the weights of eq. (17) and equal ones.
+    Both the weights of eq. (17) and uniform ones are compared.
     """
     ranges = environment.measure(np.random.default_rng(seed))
     worst = 0.0
@@ -153,11 +154,11 @@ def difference_of_equals(environment: Environment, seed: int) -> float:
     return worst
 
 
-def _spread(environment: Environment, ranges: Floats, fit: Fit, meet: Corner) -> Floats:
+def _standard_deviations(environment: Environment, ranges: Floats, fit: Fit, meet: Corner) -> Floats:
     return np.sqrt(np.diagonal(corners(environment, ranges, fit, meet)[1], axis1=1, axis2=2))
 
 
-def _one_reading(environment: Environment) -> Floats:
-    """(m, 2) variances in x and y of a single reading's range, at the corners' bearings."""
+def _single_range_variance(environment: Environment) -> Floats:
+    """Return the variances (m, 2) in x and y of a single range at the corners' bearings."""
     directions = environment.positions / np.linalg.norm(environment.positions, axis=1)[:, None]
     return np.asarray((PAPER_NOISE.sigma_range * directions) ** 2)
