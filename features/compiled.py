@@ -1,4 +1,4 @@
-"""How the inner loops are compiled: once, kept on disk, and with IEEE arithmetic instead of exceptions."""
+"""Decorators that compile functions with numba: once, cached on disk, with IEEE arithmetic instead of exceptions."""
 
 from __future__ import annotations
 
@@ -14,27 +14,28 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 class Decorator(Protocol):
-    """What leaves the type of a function as it is."""
+    """Decorator that does not change the type of a function."""
 
     def __call__(self, function: Function, /) -> Function:
-        """The same, compiled at its first call."""
+        """Return the function, to be compiled at its first call."""
 
 
 def discard_stale(package: Path) -> None:
-    """Delete the compiled functions in the package's cache if any source of the package changed since.
+    """Delete the cached functions of a package and its sub-packages if any of its sources has changed.
 
-    Numba checks the file of the cached function only, while the functions here are compiled into their callers in
-    other files. Without write access nothing is deleted: such a package is not being edited.
+    Numba compares the file of a cached function only, but it also compiles in constants and functions of other files.
+    Without write access nothing is deleted: such a package is not being edited.
     """
-    stats = [(source.name, source.stat()) for source in sorted(package.glob("*.py"))]
+    stats = [(source.relative_to(package).as_posix(), source.stat()) for source in sorted(package.rglob("*.py"))]
     stamp = hashlib.sha256(repr([(name, s.st_mtime_ns, s.st_size) for name, s in stats]).encode()).hexdigest()[:16]
     cache = package / "__pycache__"
     mark = cache / f"sources-{stamp}"
     if mark.exists():
         return
     with suppress(OSError):
-        for old in [*cache.glob("sources-*"), *cache.glob("*.nbi"), *cache.glob("*.nbc")]:
-            old.unlink(missing_ok=True)
+        for pattern in ("sources-*", "*.nbi", "*.nbc"):
+            for old in package.rglob(f"__pycache__/{pattern}"):
+                old.unlink(missing_ok=True)
         cache.mkdir(exist_ok=True)
         mark.touch()
 
@@ -44,13 +45,13 @@ discard_stale(Path(__file__).parent)
 compiled: Decorator = njit(  # type: ignore[call-overload]  # numba's stubs leave _nrt out
     cache=True, error_model="numpy", forceinline=True, _nrt=False
 )
-"""Division by zero gives infinity or NaN, which the tests on results reject.
+"""Decorator for scalar code. Division by zero gives infinity or NaN, which the checks of results reject.
 
-Without numba's run time for memory (NRT) they cannot allocate, and count no references to arrays: the caller holds them
-all. To count, at every view of an array, took a third of the time of a scan.
+Without numba's memory runtime (NRT) the functions cannot allocate, and do not count references to arrays: the caller
+holds all of them. Counting them at every view of an array took a third of the time of a scan.
 """
 
 vectorised: Decorator = njit(  # type: ignore[call-overload]
     cache=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz", "arcp"}, _nrt=False
 )
-"""For sums over rays. They may be reordered, so that they run on vector units; NaN and infinity keep their meaning."""
+"""Decorator for sums over rays. Sums may be reordered for vector units; NaN and infinity keep their meaning."""

@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from ..compiled import compiled
 from ..messages import Floats
 
 TIME_STEP = 0.01
 """Seconds. Speed and turn rate are constant for this long: the trajectory is a sequence of such arcs."""
 
 
-@njit(cache=True)
+@compiled
 def pose_at(time: float, poses: Floats, twists: Floats) -> tuple[float, float, float]:
     """Return the pose x, y, heading at a time (seconds) on a trajectory of arcs.
 
@@ -31,7 +31,7 @@ def pose_at(time: float, poses: Floats, twists: Floats) -> tuple[float, float, f
     return x + chord * math.cos(heading + half), y + chord * math.sin(heading + half), heading + turn
 
 
-@njit(cache=True)
+@compiled
 def poses_at(times: Floats, poses: Floats, twists: Floats) -> Floats:
     """Return the poses (n, 3) at times (n,) on the trajectory given by `poses` and `twists` (see `pose_at`)."""
     result = np.empty((times.shape[0], 3))
@@ -40,7 +40,7 @@ def poses_at(times: Floats, poses: Floats, twists: Floats) -> Floats:
     return result
 
 
-@njit(cache=True)
+@compiled
 def ray_distance(x: float, y: float, heading: float, segments: Floats, circles: Floats) -> float:
     """Return the distance (metres) along a ray from x, y to the first segment or circle; infinite if there is none.
 
@@ -70,7 +70,7 @@ def ray_distance(x: float, y: float, heading: float, segments: Floats, circles: 
     return nearest
 
 
-@njit(cache=True)
+@compiled
 def cast_beams(
     times: Floats,
     bearings: Floats,

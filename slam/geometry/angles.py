@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from drivers.compiled import compiled
 
 
-@njit(cache=True)
+@compiled
 def wrap_angle(angle: float) -> float:
     """Return the same angle (radians) in [-pi, pi)."""
     return angle - 2 * math.pi * math.floor((angle + math.pi) / (2 * math.pi))

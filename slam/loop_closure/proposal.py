@@ -11,11 +11,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
 from drivers import se2
+from drivers.compiled import compiled
 
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import Floats
@@ -52,9 +52,9 @@ REFERENCE_END_MARGIN = 0.3
 # Origin: tuned on Intel, fr079, CSAIL, together with MIN_OVERLAP_RATIO.
 MAPPED_RADIUS = 1.0
 # Metres by which a hypothesis must move the robot to differ from the null hypothesis. Origin: chosen; not measured.
-MIN_SHIFT = 0.2
+MIN_HYPOTHESIS_SHIFT = 0.2
 # Radians, likewise; either suffices. Origin: chosen; not measured.
-MIN_TURN = math.radians(4.0)
+MIN_HYPOTHESIS_TURN = math.radians(4.0)
 # Metres between two robot positions from which on they are different places. Origin: chosen; not measured.
 DISTINCT_SHIFT = 0.5
 # Radians, likewise; either suffices. Origin: chosen; not measured.
@@ -106,7 +106,7 @@ def propose(recent: WallSet, reference: ReferenceMap, pose: se2.Pose) -> list[Hy
     found: list[Hypothesis] = []
     for start in starts:
         hypothesis = refine_hypothesis(start, recent, reference, pose)
-        if not are_distinct(hypothesis.motion, null.motion, pose, shift=MIN_SHIFT, turn=MIN_TURN):
+        if not are_distinct(hypothesis.motion, null.motion, pose, shift=MIN_HYPOTHESIS_SHIFT, turn=MIN_HYPOTHESIS_TURN):
             continue
         equal = [row for row, other in enumerate(found) if not are_distinct(hypothesis.motion, other.motion, pose)]
         if not equal:
@@ -150,7 +150,7 @@ def _about_origin(motion: se2.Pose, pose: se2.Pose) -> se2.Pose:
     return se2.compose(there, np.array([-pose[0], -pose[1], 0.0]))
 
 
-@njit(cache=True)
+@compiled
 def _vote(  # type: ignore[no-untyped-def]
     frames, halves, references, reference_halves, translations, rotations, centre, reach, turn
 ):
@@ -200,7 +200,7 @@ def _vote(  # type: ignore[no-untyped-def]
     return votes
 
 
-@njit(cache=True)
+@compiled
 def _refine(start, frames, halves, references, reference_halves, centre, first):  # type: ignore[no-untyped-def]
     """Run Gauss-Newton on [shift x, shift y, turn about centre].
 
@@ -250,7 +250,7 @@ def _refine(start, frames, halves, references, reference_halves, centre, first):
     return motion, information, matches, length, max(mapped, length), agreeing, constraining
 
 
-@njit(cache=True)
+@compiled
 def _match_wall(  # type: ignore[no-untyped-def]
     x, y, heading, half, references, reference_halves, cosines, sines, step, scoring
 ):

@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from drivers import se2
+from drivers.compiled import compiled
 
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import Floats, Integers
@@ -28,7 +28,7 @@ SAMPLE_SPACING = 0.1
 STRETCH_END_MARGIN = 0.15
 # Per square metre and per square radian: regularises the solution if the walls leave a direction undetermined.
 # Origin: numerical.
-MIN_INFORMATION = 1e-3
+ALIGNMENT_REGULARISATION = 1e-3
 # Metres by which Gauss-Newton may move the submap; bounds the walls that are considered.
 # Origin: chosen, three cells of the pose votes; not measured.
 MAX_ALIGNMENT_SHIFT = 1.5
@@ -105,7 +105,7 @@ def _count_corners(pose: se2.Pose, submap: MapDescriptor, descriptor: MapDescrip
     return int((near & (turned < SUBMAP_CORNER_TURN)).any(axis=1).sum())
 
 
-@njit(cache=True)
+@compiled
 def _align_submap(  # type: ignore[no-untyped-def]
     start, frames, halves, covariances, sample_walls, samples,
     walls, wall_halves, wall_covariances, stretches, first,
@@ -117,7 +117,7 @@ def _align_submap(  # type: ignore[no-untyped-def]
     near = _find_near_walls(start, frames, halves, walls, wall_halves)
     for step in range(len(SUBMAP_OFFSET_GATES)):
         last = step == len(SUBMAP_OFFSET_GATES) - 1
-        information, gradient = np.eye(3) * MIN_INFORMATION, np.zeros(3)
+        information, gradient = np.eye(3) * ALIGNMENT_REGULARISATION, np.zeros(3)
         c, s = math.cos(pose[2]), math.sin(pose[2])
         for i in range(len(frames)):
             lever = np.array([c * frames[i, 0] - s * frames[i, 1], s * frames[i, 0] + c * frames[i, 1]])
@@ -155,7 +155,7 @@ def _align_submap(  # type: ignore[no-untyped-def]
     return pose, information, matches, on_map
 
 
-@njit(cache=True)
+@compiled
 def _find_near_walls(start, frames, halves, walls, wall_halves):  # type: ignore[no-untyped-def]
     """Return the rows of the map's walls that a submap started at `start` may be matched with."""
     reach = MAX_ALIGNMENT_SHIFT
@@ -167,7 +167,7 @@ def _find_near_walls(start, frames, halves, walls, wall_halves):  # type: ignore
     return np.flatnonzero(near)
 
 
-@njit(cache=True)
+@compiled
 def _relative_covariance(own, at, other, there, length):  # type: ignore[no-untyped-def]
     """Return the covariance (2, 2) of offset and heading between two walls at the middle of their overlap.
 
@@ -180,7 +180,7 @@ def _relative_covariance(own, at, other, there, length):  # type: ignore[no-unty
     return np.array([[v00 + WALL_DIFFERENCE_SIGMA**2, v01], [v01, v11]])
 
 
-@njit(cache=True)
+@compiled
 def _mark_matched_samples(on_map, samples, begin, end, along, turned, stretches):  # type: ignore[no-untyped-def]
     """Mark the samples of a wall that lie on the stretches of a map's wall, whose frame is `along` metres away."""
     for k in range(begin, end):

@@ -12,7 +12,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from drivers.compiled import compiled
 
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import Floats, Integers
@@ -25,7 +26,7 @@ MIN_PAIR_SINE = 0.5
 # Origin: chosen; not measured.
 PAIR_ANGLE_TOLERANCE = math.radians(5.0)
 # Metres from where the lines of a pair meet to the nearer end of either wall. Origin: chosen; not measured.
-MAX_INTERSECTION_DISTANCE = 8.0
+MAX_PAIR_DISTANCE = 8.0
 # Metres: the heading of a shorter wall is too uncertain to vote. Origin: chosen; not measured.
 MIN_VOTING_LENGTH = 0.3
 # Longest walls of the submap that vote. Origin: chosen, for speed; not measured.
@@ -119,7 +120,7 @@ def _separate_cells(cells: Integers, order: Integers, max_count: int) -> Integer
     return np.array(chosen, dtype=np.int64)
 
 
-@njit(cache=True)
+@compiled
 def _find_pairs(frames, halves):  # type: ignore[no-untyped-def]
     """Return the pair table, unsorted."""
     count = 0
@@ -135,7 +136,7 @@ def _find_pairs(frames, halves):  # type: ignore[no-untyped-def]
             dx, dy = frames[b, 0] - frames[a, 0], frames[b, 1] - frames[a, 1]
             along_a = (dx * sb - dy * cb) / sine  # intersection, from the middle of the first wall
             along_b = (dx * sa - dy * ca) / sine
-            if max(abs(along_a) - halves[a], abs(along_b) - halves[b]) > MAX_INTERSECTION_DISTANCE:
+            if max(abs(along_a) - halves[a], abs(along_b) - halves[b]) > MAX_PAIR_DISTANCE:
                 continue
             if count == len(table):
                 larger = np.empty((2 * count, 8))
@@ -150,7 +151,7 @@ def _find_pairs(frames, halves):  # type: ignore[no-untyped-def]
     return table[:count]
 
 
-@njit(cache=True)
+@compiled
 def _vote_by_pairs(own, pairs):  # type: ignore[no-untyped-def]
     """Return votes (v, 4): position of the submap's origin, heading in [0, 2 pi), and weight in metres of wall."""
     count = 0
@@ -183,7 +184,7 @@ def _vote_by_pairs(own, pairs):  # type: ignore[no-untyped-def]
     return votes[:count]
 
 
-@njit(cache=True)
+@compiled
 def _vote_by_corners(corners, headings, others, other_headings):  # type: ignore[no-untyped-def]
     """Return the votes (v, 4) of corners, as `_vote_by_pairs`."""
     count = 0

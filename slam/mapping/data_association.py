@@ -11,9 +11,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from drivers import se2
+from drivers.compiled import compiled
 
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import CornerPoints, Floats, Integers, Segments
@@ -140,7 +140,7 @@ def _assign_greedily(distance: Floats, cost: Floats, low: Floats, high: Floats) 
     return rows
 
 
-@njit(cache=True)
+@compiled
 def _wall_distances(  # type: ignore[no-untyped-def]
     pose, pose_covariance, frames, halves, covariances, walls, lows, highs, wall_covariances, roughness
 ):
@@ -182,7 +182,7 @@ def _wall_distances(  # type: ignore[no-untyped-def]
     return distance, low, high
 
 
-@njit(cache=True)
+@compiled
 def _corner_distances(  # type: ignore[no-untyped-def]
     pose, pose_covariance, points, headings, covariances, corners, corner_headings, corner_covariances, roughness
 ):

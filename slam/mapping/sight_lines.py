@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from drivers import se2
+from drivers.compiled import compiled
 
 from ..geometry.segments import Floats, Integers
 from .landmarks import WALL_CELL, Landmarks
@@ -78,7 +78,7 @@ def walls_in_view(landmarks: Landmarks, pose: se2.Pose, points: Floats) -> Walls
     return WallsInView(walls, rows, first, ends, *trace_sight_lines(pose, points, rows["frame"].copy(), first, ends))
 
 
-@njit(cache=True)
+@compiled
 def _within_reach(frames, lows, highs, pose, reach):  # type: ignore[no-untyped-def]
     """Return (n,) which walls have a part within `reach` metres of a pose."""
     within = np.zeros(len(frames), dtype=np.bool_)
@@ -91,7 +91,7 @@ def _within_reach(frames, lows, highs, pose, reach):  # type: ignore[no-untyped-
     return within
 
 
-@njit(cache=True)
+@compiled
 def trace_sight_lines(pose, points, frames, first, ends):  # type: ignore[no-untyped-def]
     """Trace sight lines from a pose to points (p, 2), in its frame, through walls with frames (n, 3).
 
@@ -159,7 +159,7 @@ def cells_seen_through(
     return through
 
 
-@njit(cache=True)
+@compiled
 def _deep_enough(depth, first, frame, covariance, pose, drift):  # type: ignore[no-untyped-def]
     """Return (k,) which cells of a wall have a sufficient `depth` (k,) for the uncertainty of the wall at that cell.
 

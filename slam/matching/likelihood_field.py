@@ -11,25 +11,25 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from drivers import se2
+from drivers.compiled import compiled
 
 from ..geometry.segments import Floats
 
 # Keyframes whose points make the field: about four metres of driving. Origin: chosen; not measured.
-RECENT_KEYFRAMES = 15
+FIELD_KEYFRAMES = 15
 # Points of one scan that are kept; denser scans are subsampled. Origin: chosen, above the 361 beams of a half-circle
 # lidar with half-degree steps: a limit of 360 left out every other of them.
-MAX_POINTS = 400
+MAX_SCAN_POINTS = 400
 # Metres, side of a cell. Origin: chosen, the noise of usual lidars; not measured.
 FIELD_CELL = 0.05
 # Metres from the robot to each side of the field. Origin: chosen, a usual range indoors; not measured. In recorded
 # halls 27 to 36 % of the returns lie beyond.
 FIELD_HALF_WIDTH = 12.0
 # Metres from a cell within which its nearest point is stored. Origin: chosen, five cells; not measured.
-MAX_DISTANCE = 0.25
+MAX_FIELD_DISTANCE = 0.25
 # Metres, standard deviation of the likelihood: a point this far from the nearest one scores 0.6.
 # Origin: chosen, between lidar noise and the search step; not measured.
 LIKELIHOOD_SIGMA = 0.10
@@ -65,8 +65,8 @@ class LikelihoodField:
 
     origin   (2,) corner of the grids in the map
     points   (n, 2) clutter points in the map
-    nearest  (c, c) row of the clutter point nearest to the cell's centre, -1 if there is none within MAX_DISTANCE
-    squared  (c, c) squared distance (metres squared) to the nearest point of any kind, at most MAX_DISTANCE^2
+    nearest  (c, c) row of the clutter point nearest to the cell's centre, -1 if there is none within MAX_FIELD_DISTANCE
+    squared  (c, c) squared distance (metres squared) to the nearest point of any kind, at most MAX_FIELD_DISTANCE^2
     """
 
     origin: Floats
@@ -81,10 +81,10 @@ def subsample(points: Floats, max_count: int) -> Floats:
 
 
 class RecentPoints:
-    """Points of the last RECENT_KEYFRAMES keyframes, from which the field is built."""
+    """Points of the last FIELD_KEYFRAMES keyframes, from which the field is built."""
 
     def __init__(self) -> None:
-        self._scans: deque[tuple[int, ScanPoints]] = deque(maxlen=RECENT_KEYFRAMES)
+        self._scans: deque[tuple[int, ScanPoints]] = deque(maxlen=FIELD_KEYFRAMES)
 
     @property
     def keyframes(self) -> list[int]:
@@ -109,17 +109,17 @@ def build_likelihood_field(points: Floats, clutter: Floats, centre: Floats) -> L
     cells = int(2 * FIELD_HALF_WIDTH / FIELD_CELL)
     origin = np.floor((centre - FIELD_HALF_WIDTH) / FIELD_CELL) * FIELD_CELL
     nearest = np.full((cells, cells), -1, dtype=np.int32)
-    squared = np.full((cells, cells), MAX_DISTANCE**2, dtype=np.float32)
+    squared = np.full((cells, cells), MAX_FIELD_DISTANCE**2, dtype=np.float32)
     _enter_points(clutter, origin, squared, nearest)
-    squared[:] = MAX_DISTANCE**2
+    squared[:] = MAX_FIELD_DISTANCE**2
     _enter_points(points, origin, squared, np.empty((0, 0), dtype=np.int32))
     return LikelihoodField(origin, clutter, nearest, squared)
 
 
-@njit(cache=True)
+@compiled
 def _enter_points(points, origin, squared, nearest):  # type: ignore[no-untyped-def]
-    """Enter each point into the cells within MAX_DISTANCE to which it is the nearest so far."""
-    cells, span = len(squared), int(MAX_DISTANCE / FIELD_CELL)
+    """Enter each point into the cells within MAX_FIELD_DISTANCE to which it is the nearest so far."""
+    cells, span = len(squared), int(MAX_FIELD_DISTANCE / FIELD_CELL)
     for index in range(len(points)):
         x, y = points[index, 0] - origin[0], points[index, 1] - origin[1]
         row, column = math.floor(x / FIELD_CELL), math.floor(y / FIELD_CELL)
@@ -144,7 +144,7 @@ def likelihood_scores(field: LikelihoodField, points: Floats, poses: Floats) -> 
     """Return the likelihood scores (n,), 0 to 1, of a scan's points (p, 2) at each of the poses (n, 3).
 
     The score is the mean of exp(-d^2 / (2 LIKELIHOOD_SIGMA^2)) over at most MAX_SCORED_POINTS points, with d the
-    distance of each to the nearest point of the field, and 0 for points farther than MAX_DISTANCE or off the field.
+    distance of each to the nearest point of the field; points beyond MAX_FIELD_DISTANCE or off the field count 0.
     """
     return np.asarray(_likelihood_scores(field.squared, field.origin, subsample(points, MAX_SCORED_POINTS), poses))
 
@@ -163,7 +163,7 @@ def search_pose(field: LikelihoodField, points: Floats, prediction: se2.Pose) ->
     return poses[best], float(scores[best])
 
 
-@njit(cache=True)
+@compiled
 def _likelihood_scores(squared, origin, points, poses):  # type: ignore[no-untyped-def]
     scores = np.zeros(len(poses))
     cells = len(squared)
@@ -174,7 +174,13 @@ def _likelihood_scores(squared, origin, points, poses):  # type: ignore[no-untyp
         for p in range(len(points)):
             x, y = x0 + c * points[p, 0] - s * points[p, 1], y0 + s * points[p, 0] + c * points[p, 1]
             i, j = int(x / FIELD_CELL), int(y / FIELD_CELL)
-            if x > 0.0 and y > 0.0 and i < cells and j < cells and squared[i, j] < MAX_DISTANCE * MAX_DISTANCE:
+            if (
+                x > 0.0
+                and y > 0.0
+                and i < cells
+                and j < cells
+                and squared[i, j] < MAX_FIELD_DISTANCE * MAX_FIELD_DISTANCE
+            ):
                 total += math.exp(-squared[i, j] / (2 * LIKELIHOOD_SIGMA * LIKELIHOOD_SIGMA))
         scores[index] = total / max(1, len(points))
     return scores

@@ -1,29 +1,33 @@
-"""Compiled functions on disk do not outlive the sources that they were compiled from."""
+"""Cached compiled functions of `features` are deleted if a source changes."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from features.compiled import discard_stale
 
 
-def test_a_changed_source_discards_what_was_compiled(tmp_path: Path) -> None:
-    (tmp_path / "one.py").write_text("a = 1\n")
-    cache = tmp_path / "__pycache__"
+@pytest.mark.parametrize("folder", [".", "sub"])
+def test_changed_source_deletes_cached_functions(tmp_path: Path, folder: str) -> None:
+    (tmp_path / folder).mkdir(exist_ok=True)
+    (tmp_path / folder / "one.py").write_text("a = 1\n")
+    cache = tmp_path / folder / "__pycache__"
     cache.mkdir()
-    kept, dropped = cache / "one.cpython.pyc", cache / "one.f.nbc"
-    kept.touch()
+    bytecode, compiled = cache / "one.cpython.pyc", cache / "one.f.nbc"
+    bytecode.touch()
     discard_stale(tmp_path)
-    dropped.touch()
+    compiled.touch()
     discard_stale(tmp_path)
-    assert dropped.exists()
-    (tmp_path / "one.py").write_text("a = 123\n")
+    assert compiled.exists()
+    (tmp_path / folder / "one.py").write_text("a = 123\n")
     discard_stale(tmp_path)
-    assert kept.exists()
-    assert not dropped.exists()
+    assert bytecode.exists()
+    assert not compiled.exists()
 
 
-def test_a_read_only_package_is_left_alone(tmp_path: Path) -> None:
+def test_read_only_package_is_not_changed(tmp_path: Path) -> None:
     (tmp_path / "one.py").write_text("a = 1\n")
-    (tmp_path / "__pycache__").write_text("not a directory, so that nothing can be written in it")
+    (tmp_path / "__pycache__").write_text("a file instead of the folder, so that nothing can be written in it")
     discard_stale(tmp_path)

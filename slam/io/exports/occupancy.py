@@ -6,8 +6,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from drivers.compiled import compiled
 
 from ...errors import MapError
 from ...geometry.segments import Floats
@@ -120,7 +121,7 @@ class OccupancyGrid:
         return Occupancy(cells, origin.astype(np.float64), self._resolution)
 
 
-@njit(cache=True)
+@compiled
 def trace_beams(ended: Counts, passed: Counts, low: Cells, start: Floats, ends: Floats) -> None:
     """Count the beams from `start` (2,) to `ends` (n, 2), in cells, by the algorithm of Amanatides and Woo (1987).
 
