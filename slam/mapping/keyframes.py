@@ -42,7 +42,7 @@ class LandmarkIds:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyframeRecords:
-    """What a mapper stores of its k keyframes besides the factor graph; the attributes are those of `Mapper`."""
+    """Data of k keyframes besides the factor graph, as saved with a session; the attributes are those of `Mapper`."""
 
     keyframe_poses: Floats
     travelled: Sequence[float]

@@ -16,6 +16,7 @@ UNOBSERVED = -1
 # Rows for which memory is reserved at first; it doubles as needed. Origin: numerical.
 _INITIAL_CAPACITY = 256
 
+# Columns of the table of walls. Origin: definition.
 WALL_DTYPE = np.dtype(
     [
         ("frame", float, 3),  # in the map: x along the wall, which is seen from y > 0
@@ -32,6 +33,7 @@ WALL_DTYPE = np.dtype(
     ]
 )
 
+# Columns of the table of corners. Origin: definition.
 CORNER_DTYPE = np.dtype(
     [
         ("position", float, 2),  # in the map

@@ -28,7 +28,7 @@ from .wall_roughness import WallRoughness
 # Metres by which the local map reaches beyond what the last keyframe observed; the next scans are matched to it.
 # Origin: chosen, several times the distance between keyframes; not measured.
 LOCAL_MAP_MARGIN = 2.0
-# Keyframes that must have observed a wall before the scatter of observations about it tells of the wall roughness.
+# Keyframes that must have observed a wall before residuals about it are used for the wall roughness.
 # Origin: chosen, the wall's own error must be small; not measured.
 MIN_OBSERVATIONS_FOR_ROUGHNESS = 4
 # Keyframes whose segments are kept for verifying loop closures. Origin: chosen, some 8 m of driving; not measured.
@@ -110,7 +110,7 @@ class Mapper:
 
     @property
     def keyframe_records(self) -> KeyframeRecords:
-        """The data of the keyframes that must be saved besides the graph."""
+        """Data of the keyframes that must be saved besides the graph."""
         return KeyframeRecords(
             self.keyframe_poses, self.travelled, self.landmark_ids, self.pose_covariances, self.correlated_drift
         )

@@ -23,7 +23,7 @@ RANDOM_ERROR_SAMPLES = 200
 MAX_SAMPLES = 500
 # Motions that the configured values count for, in a geometric mean: they may be wrong by a factor, and with an
 # arithmetic mean a value five times too large would dominate even after a hundred motions.
-# Origin: chosen; measured in simulation to be better than the arithmetic mean (commit 87552d4), the number itself not.
+# Origin: chosen, so few that the first metres of driving correct a wrong value; not measured.
 PRIOR_SAMPLES = 10
 # Smallest variance of the random errors, square metres or square radians per metre: no wheels err by less than 0.1 mm
 # or 0.1 mrad in a metre. Origin: chosen, far below real wheels; not measured.
