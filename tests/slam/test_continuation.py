@@ -1,4 +1,4 @@
-"""A session is gone on from: where it was interrupted, from anywhere on its map, or with the map as it is."""
+"""Sessions can be continued: after an interruption, from anywhere in the map, or with the map frozen."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -26,7 +26,7 @@ LATER = 1000.0  # seconds until the next
 
 
 def drive(world: str, seed: int, begin: float, end: float, shift: float = 0.0) -> list[Message]:
-    """What is measured between two times after the start of a drive."""
+    """Return the messages between two times after the start of a simulated drive."""
     messages = list(Simulation(world, seed=seed, duration=end))
     return [
         replace(message, stamp=message.stamp + shift)
@@ -63,7 +63,7 @@ def mapped(first: list[Message], tmp_path_factory: pytest.TempPathFactory) -> tu
 
 
 def error(finished: Finished, messages: Sequence[Message], like: Finished, first: Sequence[Message]) -> float:
-    """Root mean square of the distance from the true positions, where `like` is aligned with those of `first`."""
+    """Return the RMS distance from the true positions after aligning `like` with those of `first`."""
     there = aligned(like, first)
     poses, truth = at_truth(finished, messages)
     return float(np.sqrt(np.mean(np.sum((se2.compose(there, poses)[:, :2] - truth[:, :2]) ** 2, axis=1))))
@@ -82,7 +82,7 @@ def at_truth(finished: Finished, messages: Sequence[Message]) -> tuple[np.ndarra
     return finished.poses[looked.covered], looked.poses[looked.covered]
 
 
-def test_interrupted_and_continued_is_uninterrupted(
+def test_a_continued_run_equals_an_uninterrupted_one(
     first: list[Message], mapped: tuple[Path, Finished], tmp_path: Path
 ) -> None:
     _, uninterrupted = mapped
@@ -99,8 +99,8 @@ def test_interrupted_and_continued_is_uninterrupted(
     assert slam.session.starts == [0]
 
 
-def test_kept_views_change_nothing_but_what_is_kept() -> None:
-    """A recording's run keeps them, a live one does not; the path is the same to the last bit."""
+def test_keeping_all_features_does_not_change_the_result() -> None:
+    """`wclm run` keeps them, `wclm live` does not; the trajectories are identical."""
     runs, laps = [], list(Simulation("room", seed=1, duration=75.0))  # two of them, and some more
     for keep_views in (False, True):
         slam = Slam(keep_views=keep_views)
@@ -113,13 +113,13 @@ def test_kept_views_change_nothing_but_what_is_kept() -> None:
     np.testing.assert_array_equal(first.poses, second.poses)
 
 
-def test_a_drive_from_an_unknown_place_is_found_on_the_map_and_makes_it_grow(
+def test_a_run_from_an_unknown_place_is_relocalised_and_extends_the_map(
     first: list[Message], mapped: tuple[Path, Finished], tmp_path: Path
 ) -> None:
     left, before = mapped
     second = drive("office", 2, 20.0, 40.0, LATER)
     slam, finished, notices = run(second, left)
-    assert notices == ["found again in the map"]
+    assert notices == ["relocalised in the map"]
     assert len(finished.lines) > len(before.lines)
     assert len(finished.keyframes) > len(before.keyframes)
     assert error(finished, first, finished, first) < 0.01
@@ -128,7 +128,7 @@ def test_a_drive_from_an_unknown_place_is_found_on_the_map_and_makes_it_grow(
     assert session.starts == [0, len(read_session(left).scans)]
     drives = session.scan_history()
     assert session.starts[1] in drives.kidnapped
-    poses = drives.scan_poses(finished.keyframes)  # of all sightings, also before the place was known
+    poses = drives.scan_poses(finished.keyframes)  # of all scans, also those before the relocalisation
     there = aligned(finished, second)
     rows = [k for k, scan in enumerate(session.scans) if scan.stamp > LATER]
     truth = at_truth(replace(finished, stamps=drives.stamps[rows], poses=poses[rows]), second)
@@ -138,11 +138,11 @@ def test_a_drive_from_an_unknown_place_is_found_on_the_map_and_makes_it_grow(
     assert [len(history) for history in again.odometry] == [len(history) for history in session.odometry]
 
 
-def test_on_a_frozen_map_only_the_path_is_new(first: list[Message], mapped: tuple[Path, Finished]) -> None:
+def test_on_a_frozen_map_only_the_trajectory_is_new(first: list[Message], mapped: tuple[Path, Finished]) -> None:
     left, before = mapped
     second = drive("office", 2, 12.0, 24.0, LATER)
     _, finished, notices = run(second, left, frozen=True)
-    assert notices == ["found again in the map"]
+    assert notices == ["relocalised in the map"]
     for name in ("frame", "covariance", "low", "high", "observations"):
         np.testing.assert_allclose(getattr(finished.lines, name), getattr(before.lines, name), rtol=1e-4, atol=1e-6)
     np.testing.assert_allclose(finished.keyframes, before.keyframes, atol=1e-6)
@@ -151,7 +151,7 @@ def test_on_a_frozen_map_only_the_path_is_new(first: list[Message], mapped: tupl
 
 
 @pytest.mark.parametrize("frozen", [False, True])
-def test_nothing_new_is_nothing_to_map(mapped: tuple[Path, Finished], frozen: bool) -> None:
+def test_a_continuation_without_scans_is_an_error(mapped: tuple[Path, Finished], frozen: bool) -> None:
     left, _ = mapped
     second = [m for m in drive("office", 2, 0.0, 1.0, LATER) if not isinstance(m, Scan)]
     for messages, missing in (([], "no laser scan"), (second, "no laser scan")):
@@ -159,28 +159,28 @@ def test_nothing_new_is_nothing_to_map(mapped: tuple[Path, Finished], frozen: bo
             run(messages, left, frozen=frozen)
 
 
-def test_a_robot_that_ends_lost_on_a_frozen_map_keeps_the_path_so_far(mapped: tuple[Path, Finished]) -> None:
-    """It is found, then carried to another building."""
+def test_a_robot_that_ends_lost_on_a_frozen_map_keeps_its_trajectory(mapped: tuple[Path, Finished]) -> None:
+    """It is relocalised, then kidnapped to another building."""
     left, before = mapped
     there = drive("office", 2, 12.0, 18.0, LATER)
     elsewhere = drive("room", 3, 0.0, 5.0, there[-1].stamp + 0.1)
     _, finished, notices = run([*there, *elsewhere], left, frozen=True)
-    assert notices[0] == "found again in the map"
+    assert notices[0] == "relocalised in the map"
     known = finished.stamps < there[-1].stamp
     poses = replace(finished, stamps=finished.stamps[known], poses=finished.poses[known])
     assert error(poses, there, poses, there) < 0.02
     assert len(finished.lines) == len(before.lines)
 
 
-def test_what_is_nowhere_on_the_map_is_left_alone(mapped: tuple[Path, Finished]) -> None:
+def test_a_run_in_another_building_is_mapped_alone(mapped: tuple[Path, Finished]) -> None:
     left, _ = mapped
     elsewhere = drive("room", 3, 0.0, 6.0, LATER)
     slam, finished, notices = run(elsewhere, left)
     assert len(notices) == 1
-    assert "left alone" in notices[0]
+    assert "left out of the results" in notices[0]
     assert finished.stamps[0] >= LATER
     assert slam.session.starts == [0]
     assert all(scan.stamp >= LATER for scan in slam.session.scans)
     assert error(finished, elsewhere, finished, elsewhere) < 0.02
-    with pytest.raises(MapError, match="nowhere on the map"):
+    with pytest.raises(MapError, match="never relocalised in the map"):
         run(elsewhere, left, frozen=True)

@@ -1,9 +1,11 @@
-"""The whole pipeline on simulated drives, and on messages that are late, missing, empty or strange."""
+"""The whole pipeline on simulated drives, and with late, missing, empty or damaged messages."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import nullcontext
 from dataclasses import replace
+from typing import NoReturn
 
 import numpy as np
 import pytest
@@ -12,10 +14,12 @@ from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry, Scan
 from drivers.simulation import Simulation
 from slam import Config, Slam
-from slam.errors import MapError
+from slam.errors import MapError, SlamError
 from slam.evaluation.metrics import score_reference
 from slam.events import Finished, GroundTruthReceived, KeyframeAdded, MapUpdated, ScanTracked
 from slam.io.tum import Trajectory
+from slam.loop_closure.loop_search import LoopSearch
+from slam.mapping.mapper import Mapper
 
 from .listeners import EventCollector
 
@@ -28,13 +32,13 @@ def run(messages: Iterable[Message], config: Config | None = None, listener: Eve
 
 
 def error(finished: Finished, messages: Iterable[Message]) -> float:
-    """Root mean square distance from the true path, metres."""
+    """Return the RMS distance from the true trajectory, metres."""
     truth = [message for message in messages if isinstance(message, GroundTruth)]
     reference = Trajectory(np.array([t.stamp for t in truth]), np.array([t.pose for t in truth]))
     return score_reference(Trajectory(finished.stamps, finished.poses), reference).figures()["ate_rmse"]
 
 
-def measured(messages: Iterable[Message]) -> list[Message]:
+def without_ground_truth(messages: Iterable[Message]) -> list[Message]:
     return [message for message in messages if not isinstance(message, GroundTruth)]
 
 
@@ -69,7 +73,7 @@ def test_a_room_has_its_walls_and_corners(drive_result: Finished) -> None:
     assert len(drive_result.corners) >= 4
 
 
-def test_events_tell_the_story_in_order(drive: list[Message]) -> None:
+def test_events_are_complete_and_in_order(drive: list[Message]) -> None:
     listener = EventCollector()
     finished = run(drive, listener=listener)
     scans = [message for message in drive if isinstance(message, Scan)]
@@ -94,7 +98,7 @@ def test_events_tell_the_story_in_order(drive: list[Message]) -> None:
     assert set(finished.lines.identity) <= seen
 
 
-def test_listening_and_repeating_change_nothing(drive: list[Message], drive_result: Finished) -> None:
+def test_repeated_runs_with_and_without_sinks_are_identical(drive: list[Message], drive_result: Finished) -> None:
     again = run(drive, listener=EventCollector())
     assert again.poses.tobytes() == drive_result.poses.tobytes()
     assert again.lines.frame.tobytes() == drive_result.lines.frame.tobytes()
@@ -102,12 +106,12 @@ def test_listening_and_repeating_change_nothing(drive: list[Message], drive_resu
     assert again.corners.position.tobytes() == drive_result.corners.position.tobytes()
 
 
-def test_truth_is_not_looked_at(drive: list[Message], drive_result: Finished) -> None:
-    assert run(measured(drive)).poses.tobytes() == drive_result.poses.tobytes()
+def test_ground_truth_is_not_used(drive: list[Message], drive_result: Finished) -> None:
+    assert run(without_ground_truth(drive)).poses.tobytes() == drive_result.poses.tobytes()
 
 
 def test_scans_may_come_before_their_odometry(drive: list[Message], drive_result: Finished) -> None:
-    messages = measured(drive)
+    messages = without_ground_truth(drive)
     late = sorted(messages, key=lambda message: message.stamp + (0.15 if isinstance(message, Odometry) else 0.0))
     assert run(late).poses.tobytes() == drive_result.poses.tobytes()
 
@@ -121,12 +125,12 @@ def test_without_scans_or_odometry_there_is_no_map(drive: list[Message]) -> None
         run(message for message in drive if isinstance(message, Scan))
 
 
-def test_duplicate_stamps_do_no_harm(drive: list[Message]) -> None:
-    assert error(run(message for message in measured(drive) for _ in range(2)), drive) < 0.01
+def test_duplicate_messages_do_not_degrade_the_trajectory(drive: list[Message]) -> None:
+    assert error(run(message for message in without_ground_truth(drive) for _ in range(2)), drive) < 0.01
 
 
 @pytest.mark.parametrize("kind", ["no returns", "no beams", "one beam", "infinite", "behind the wall"])
-def test_strange_scans_in_between_do_no_harm(drive: list[Message], kind: str) -> None:
+def test_damaged_scans_do_not_degrade_the_trajectory(drive: list[Message], kind: str) -> None:
     def strange(scan: Scan) -> Scan:
         nothing = np.zeros(0)
         match kind:
@@ -166,10 +170,10 @@ def test_a_run_of_empty_scans_is_bridged_by_odometry(drive: list[Message]) -> No
     assert health["empty_scans"] == 15
 
 
-def test_only_empty_scans_leave_the_odometry(drive: list[Message]) -> None:
+def test_with_empty_scans_only_the_trajectory_is_odometry(drive: list[Message]) -> None:
     messages = [
         replace(message, ranges=np.full_like(message.ranges, np.nan)) if isinstance(message, Scan) else message
-        for message in measured(drive)
+        for message in without_ground_truth(drive)
     ]
     finished = run(messages)
     told = np.array([message.pose for message in messages if isinstance(message, Odometry)])
@@ -203,7 +207,7 @@ def test_the_mount_may_be_configured() -> None:
     assert error(finished, messages) < 0.01
 
 
-def test_the_map_can_be_looked_at_while_driving(drive: list[Message]) -> None:
+def test_map_and_pose_can_be_read_while_driving(drive: list[Message]) -> None:
     slam = Slam()
     assert len(slam.walls) == len(slam.corners) == 0
     np.testing.assert_array_equal(slam.pose, np.zeros(3))
@@ -215,3 +219,31 @@ def test_the_map_can_be_looked_at_while_driving(drive: list[Message]) -> None:
     pose[:] = 99.0
     assert np.abs(slam.pose).max() < 10.0
     assert slam.keyframe_covariance(3).shape == (3, 3)
+
+
+class ForbiddenSearch(LoopSearch):
+    """Loop search that must not be used."""
+
+    def search(self, mapper: Mapper) -> NoReturn:
+        raise AssertionError("searched for a loop")
+
+
+def test_loop_closure_can_be_switched_off(drive: list[Message]) -> None:
+    off = Config.model_validate({"loop_closure": {"enabled": False}})
+    for config in (Config(), off):
+        slam = Slam(config, loops=ForbiddenSearch())
+        with nullcontext() if config is off else pytest.raises(AssertionError, match="searched for a loop"):
+            for message in drive:
+                slam.add(message)
+
+
+def test_keyframes_are_as_far_apart_as_configured(drive: list[Message], drive_result: Finished) -> None:
+    wide = Config.model_validate({"mapping": {"keyframe_distance": 1.0, "keyframe_turn": 0.5}})
+    finished = run(drive, wide)
+    assert len(finished.keyframes) < 0.6 * len(drive_result.keyframes)
+    assert error(finished, drive) < 0.012
+
+
+def test_the_session_is_available_after_finish_only() -> None:
+    with pytest.raises(SlamError, match="after finish"):
+        _ = Slam().session

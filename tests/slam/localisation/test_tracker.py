@@ -1,4 +1,4 @@
-"""Keeping hold of the pose when odometry fails, and the search with raw points behind it."""
+"""The pose is tracked while odometry fails, by a search with the raw points."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import pytest
 
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry
-from drivers.simulation.simulator import Lidar, Simulation
+from drivers.simulation import LidarModel, Simulation
 from slam import Finished, Slam
 from slam.events import Notice
 from slam.geometry.segments import Floats
 from slam.matching.likelihood_field import (
-    CELL,
+    FIELD_CELL,
     SEARCH_STEP,
     SEARCH_TURN_STEP,
     RecentPoints,
     ScanPoints,
+    build_likelihood_field,
     likelihood_score,
-    make_field,
-    search,
+    search_pose,
 )
 
 from ..listeners import EventCollector
@@ -30,8 +30,8 @@ from ..outlines import outline
 ROOM = outline([(0, 0), (5, 0), (5, 2), (3.5, 2), (3.5, 4), (0, 4)])  # angular, without symmetry
 
 
-def test_points_seen_where_they_are_known_are_alike() -> None:
-    field = make_field(ROOM, np.zeros((0, 2)), np.array([2.0, 2.0]))
+def test_the_likelihood_is_high_only_at_the_true_pose() -> None:
+    field = build_likelihood_field(ROOM, np.zeros((0, 2)), np.array([2.0, 2.0]))
     pose = np.array([1.5, 1.5, 0.4])
     points = se2.transform(se2.inverse(pose), ROOM)
     assert likelihood_score(field, points, pose) > 0.9
@@ -42,22 +42,22 @@ def test_points_seen_where_they_are_known_are_alike() -> None:
 
 @pytest.mark.parametrize("off", [[1.0, -0.8, 0.9], [-1.3, 0.2, -1.2], [0.0, 0.0, 0.0]])
 def test_a_pose_is_found_far_from_its_prediction(off: list[float]) -> None:
-    field = make_field(ROOM, np.zeros((0, 2)), np.array([2.0, 2.0]))
+    field = build_likelihood_field(ROOM, np.zeros((0, 2)), np.array([2.0, 2.0]))
     pose = np.array([1.5, 1.5, 0.4])
-    found, like = search(field, se2.transform(se2.inverse(pose), ROOM), pose + off)
+    found, like = search_pose(field, se2.transform(se2.inverse(pose), ROOM), pose + off)
     assert like > 0.7
     assert np.abs(found - pose)[:2].max() < SEARCH_STEP
     assert abs(found[2] - pose[2]) < SEARCH_TURN_STEP
 
 
-def test_the_nearest_loose_point_is_kept_for_each_cell() -> None:
+def test_each_cell_has_its_nearest_loose_point() -> None:
     loose = np.array([[1.0, 1.0], [1.2, 1.0]])
-    field = make_field(np.zeros((0, 2)), loose, np.zeros(2))
-    at = np.floor((np.array([[1.01, 1.0], [1.19, 1.0], [3.0, 3.0]]) - field.origin) / CELL).astype(int)
+    field = build_likelihood_field(np.zeros((0, 2)), loose, np.zeros(2))
+    at = np.floor((np.array([[1.01, 1.0], [1.19, 1.0], [3.0, 3.0]]) - field.origin) / FIELD_CELL).astype(int)
     assert field.nearest[at[:, 0], at[:, 1]].tolist() == [0, 1, -1]
 
 
-def test_old_scans_are_forgotten() -> None:
+def test_only_recent_scans_are_kept() -> None:
     recent = RecentPoints()
     for keyframe in range(40):
         recent.add(keyframe, ScanPoints(np.zeros((3, 2)), np.zeros((0, 2))))
@@ -65,10 +65,10 @@ def test_old_scans_are_forgotten() -> None:
 
 
 class FailingOdometry:
-    """A simulation whose odometry stands still for a while, then goes on from there or makes up for what it missed."""
+    """Simulation whose odometry stands still for a while and then continues from there, or catches up (`makes_up`)."""
 
     def __init__(self, begin: float, end: float, *, makes_up: bool) -> None:
-        self.source = Simulation(world="office", seed=1, duration=45.0, lidar=Lidar(beams=360))
+        self.source = Simulation(world="office", seed=1, duration=45.0, lidar=LidarModel(beams=360))
         self.begin, self.end, self.makes_up = begin, end, makes_up
 
     def __iter__(self) -> Iterator[Message]:
@@ -97,7 +97,7 @@ class FailingOdometry:
 
 
 def drive(source: FailingOdometry) -> tuple[Finished, Floats, list[str]]:
-    """The result, the errors of the keyframes (k, 2) in metres and radians, and what was noticed."""
+    """Return the result, the errors of the keyframes (k, 2) in metres and radians, and the texts of notices."""
     listener, truth = EventCollector(), []
     slam = Slam(sinks=[listener])
     for message in source:
@@ -115,14 +115,14 @@ def drive(source: FailingOdometry) -> tuple[Finished, Floats, list[str]]:
 
 @pytest.mark.parametrize("makes_up", [True, False])
 @pytest.mark.parametrize("begin", [8.0, 22.0])
-def test_odometry_that_stands_still_for_two_seconds_does_no_harm(begin: float, makes_up: bool) -> None:
+def test_odometry_that_stands_still_for_two_seconds_is_corrected(begin: float, makes_up: bool) -> None:
     _, errors, _ = drive(FailingOdometry(begin, begin + 2.0, makes_up=makes_up))
     assert errors[:, 0].max() < 0.10  # of a keyframe while it stands still
     assert errors[-10:, 0].max() < 0.03
     assert errors[-10:, 1].max() < 0.005
 
 
-def test_nothing_is_noticed_where_nothing_fails() -> None:
+def test_no_notice_without_a_failure() -> None:
     _, errors, noticed = drive(FailingOdometry(1e6, 2e6, makes_up=False))
     assert errors[:, 0].max() < 0.03
     assert noticed == []
