@@ -15,7 +15,7 @@ import pytest
 
 
 class Peer:
-    """The running program: its terminals' paths, what it said, and how to tell it something."""
+    """The running program: paths of its terminals, its events, and its commands."""
 
     def __init__(self, directory: Path, *options: str) -> None:
         self.lidar, self.base = directory / "lidar", directory / "base"
@@ -34,22 +34,22 @@ class Peer:
     def spec(self) -> str:
         return f"rplidar:{self.lidar} + create2:{self.base}"
 
-    def tell(self, command: str) -> None:
+    def send_command(self, command: str) -> None:
         assert self.process.stdin is not None
         self.process.stdin.write(command + "\n")
         self.process.stdin.flush()
 
-    def wait_for(self, event: str, times: int = 1, timeout: float = 20.0) -> dict[str, Any]:
+    def wait_for(self, name: str, times: int = 1, timeout: float = 20.0) -> dict[str, Any]:
         end = time.monotonic() + timeout
         while time.monotonic() < end:
-            found = [said for said in list(self.events) if said["event"] == event]
+            found = [event for event in list(self.events) if event["event"] == name]
             if len(found) >= times:
                 return found[times - 1]
             time.sleep(0.01)
-        raise AssertionError(f"{event} did not come {times} times: {self.events}")
+        raise AssertionError(f"{name} did not occur {times} times: {self.events}")
 
     def scans_since_last_stop(self) -> bool:
-        kinds = [said["event"] for said in list(self.events) if said["event"] in ("stop", "scan")]
+        kinds = [event["event"] for event in list(self.events) if event["event"] in ("stop", "scan")]
         return bool(kinds) and kinds[-1] == "scan"
 
     def close(self) -> None:

@@ -1,12 +1,12 @@
-"""Far ends of serial cables, as a program: an RPLIDAR S1 and a Create 2 behind pseudo terminals, true in time.
+"""Emulated devices as a program: an RPLIDAR S1 and a Create 2 behind pseudo terminals, in real time.
 
     python peer.py DIRECTORY [--sick] [--deaf] [--noise]
 
-Links DIRECTORY/lidar and DIRECTORY/base to the terminals. Says on stdout what happens, one JSON object a line; obeys on
-stdin: `unplug lidar 2.0` (seconds), `stall base 1.5`, `restart lidar`, `garbage lidar`.
+Links DIRECTORY/lidar and DIRECTORY/base to the terminals. Prints events on stdout, one JSON object per line; executes
+commands from stdin: `unplug lidar 2.0` (seconds), `stall base 1.5`, `restart lidar`, `garbage lidar`.
 
-The lidar's ranges tell the number of the revolution, the base's counts the number of the reading, so that whoever reads
-them knows when they were measured.
+The lidar's ranges encode the number of the revolution, the base's counts the number of the reading, so that a reader
+knows when they were measured.
 """
 
 from __future__ import annotations
@@ -42,24 +42,24 @@ BANNER = b"RP S1 LIDAR System.\r\nFirmware Ver 1.29 - rc2, HW Ver 7\r\nModel: 97
 BASE_PERIOD, BASE_WIRE, BASE_COUNTS = 0.015, 9 * 10 / 115200, 10
 
 FROZEN = 0.3
-"""Seconds that this program was not run at all; then it was no true device."""
+"""Seconds that this program was not scheduled; the devices were not realistic then."""
 
 lock = threading.Lock()
 
 
-def say(**what: Any) -> None:
+def report_event(**what: Any) -> None:
     with lock:
         print(json.dumps(what), flush=True)
 
 
 class Terminal:
-    """One end of a pseudo terminal, the other end linked to a path; can be unplugged."""
+    """One end of a pseudo terminal, the other end linked to a path; it can be unplugged."""
 
     def __init__(self, link: Path) -> None:
         self.link, self.name = link, link.name
         self.noise = 1e-4 if "--noise" in sys.argv else 0.0
         self.faults, self.random = 0, random.Random(1)
-        self.until = 0.0  # unplugged, or stalled, until then
+        self.until = 0.0  # end of an unplugged or stalled state
         self.fd = -1
         self.plug()
 
@@ -76,20 +76,20 @@ class Terminal:
         os.close(self.fd)
         self.fd, self.until = -1, time.monotonic() + seconds
 
-    def look(self) -> None:
+    def replug_if_due(self) -> None:
         if self.fd < 0 and time.monotonic() > self.until:
             self.plug()
 
     def write(self, data: bytes) -> None:
-        data = self.noisy(data)
+        data = self.add_noise(data)
         try:
             if self.fd >= 0 and time.monotonic() > self.until:
                 os.write(self.fd, data)
         except OSError:
-            pass  # nobody is there, or does not read
+            pass  # no program has the terminal open, or does not read
 
-    def noisy(self, data: bytes) -> bytes:
-        """One byte in so many is dropped, inserted or flipped."""
+    def add_noise(self, data: bytes) -> bytes:
+        """Drop, insert or flip a small share of the bytes."""
         if not self.noise:
             return data
         out = bytearray()
@@ -107,8 +107,8 @@ class Terminal:
 
 
 class LidarPeer:
-    def __init__(self, terminal: Terminal, sick: bool) -> None:
-        self.terminal, self.sick = terminal, sick
+    def __init__(self, terminal: Terminal, reports_error: bool) -> None:
+        self.terminal, self.reports_error = terminal, reports_error
         self.requests = RequestReader()
         self.begun: float | None = None
         self.capsule = 0
@@ -126,32 +126,30 @@ class LidarPeer:
         self.terminal.write(dense.encode(heads, ranges[None], reset=self.capsule == 0))
         self.capsule += 1
 
-    def hear(self, data: bytes) -> None:
+    def receive(self, data: bytes) -> None:
         for request in self.requests.feed(data):
-            self.obey(request)
+            self.execute(request)
 
     def answer(self, kind: ResponseType, payload: bytes) -> None:
         self.terminal.write(Descriptor(len(payload), False, kind).packet() + payload)
 
-    def obey(self, request: Request) -> None:
+    def execute(self, request: Request) -> None:
         command = request.command
         if command == Command.STOP:
-            say(event="stop", scanning=self.begun is not None)
+            report_event(event="stop", scanning=self.begun is not None)
             self.begun = None
         elif command == Command.RESET:
-            say(event="reset")
+            report_event(event="reset")
             self.restart()
         elif command == Command.SET_MOTOR_SPEED:
-            say(event="motor", speed=int.from_bytes(request.payload, "little"))
+            report_event(event="motor", speed=int.from_bytes(request.payload, "little"))
         elif self.begun is not None:
             return
         elif command == Command.GET_INFO:
             self.answer(ResponseType.INFO, Info(0x61, (1, 29), 7, SERIAL).payload())
         elif command == Command.GET_HEALTH:
-            self.answer(
-                ResponseType.HEALTH,
-                Health(HealthStatus.ERROR if self.sick else HealthStatus.GOOD, 4 * self.sick).payload(),
-            )
+            health = Health(HealthStatus.ERROR, 4) if self.reports_error else Health(HealthStatus.GOOD, 0)
+            self.answer(ResponseType.HEALTH, health.payload())
         elif command == Command.GET_CONFIGURATION:
             payload = configuration_response(request, MODES)
             if payload is not None:
@@ -159,10 +157,10 @@ class LidarPeer:
         elif command == Command.EXPRESS_SCAN:
             self.terminal.write(descriptor_of(0x85).packet())
             self.begun, self.capsule = time.monotonic(), 0
-            say(event="scan", begun=self.begun)
+            report_event(event="scan", begun=self.begun)
 
     def restart(self) -> None:
-        self.begun, self.sick = None, False
+        self.begun, self.reports_error = None, False
         self.terminal.write(BANNER)
 
 
@@ -173,7 +171,7 @@ class BasePeer:
         self.begun: float | None = time.monotonic()
         self.streams = False
         self.reading = 0
-        say(event="base", begun=self.begun)
+        report_event(event="base", begun=self.begun)
 
     def due(self) -> float | None:
         return self.begun + self.reading * BASE_PERIOD + BASE_WIRE if self.begun is not None else None
@@ -184,17 +182,17 @@ class BasePeer:
             self.terminal.write(self.device.encode(WheelReading(count, count)))
         self.reading += 1
 
-    def hear(self, data: bytes) -> None:
+    def receive(self, data: bytes) -> None:
         for request in self.device.feed(data):
             if isinstance(request, Stream):
                 self.streams = request.on
-            say(event="base request", what=repr(request))
+            report_event(event="base request", what=repr(request))
 
     def restart(self) -> None:
         self.reading = 0
 
 
-def obey_stdin(peers: dict[str, Any]) -> None:
+def execute_stdin(peers: dict[str, Any]) -> None:
     for line in sys.stdin:
         verb, name, *rest = line.split()
         peer = peers[name]
@@ -206,7 +204,7 @@ def obey_stdin(peers: dict[str, Any]) -> None:
             peer.restart()
         elif verb == "garbage":
             peer.terminal.write(bytes(range(200)))
-    os._exit(0)  # whoever started this is no more
+    os._exit(0)  # the parent process has ended
 
 
 def main() -> None:
@@ -214,17 +212,17 @@ def main() -> None:
     lidar = LidarPeer(Terminal(directory / "lidar"), "--sick" in sys.argv)
     base = BasePeer(Terminal(directory / "base"))
     peers = {"lidar": lidar, "base": base}
-    threading.Thread(target=obey_stdin, args=(peers,), daemon=True).start()
-    say(event="ready")
+    threading.Thread(target=execute_stdin, args=(peers,), daemon=True).start()
+    report_event(event="ready")
     before = time.monotonic()
     while True:
         if time.monotonic() - before > FROZEN:
-            say(event="frozen", seconds=time.monotonic() - before)
+            report_event(event="frozen", seconds=time.monotonic() - before)
         before = time.monotonic()
         for peer in peers.values():
-            peer.terminal.look()
+            peer.terminal.replug_if_due()
             if (data := peer.terminal.read()) and "--deaf" not in sys.argv:
-                peer.hear(data)
+                peer.receive(data)
             while (due := peer.due()) is not None and due <= time.monotonic():
                 peer.send()
         dues = [due for peer in peers.values() if (due := peer.due()) is not None]

@@ -1,5 +1,5 @@
-"""Two devices read by a host that puts its programs aside at any moment, in simulated time: no message is lost, their
-order holds, and their stamps are right again as soon as the host comes to itself.
+"""Two devices read by a host that suspends its programs at random, in simulated time: no message is lost, their order
+is kept, and their stamps are right as soon as the host reads promptly again.
 """
 
 from __future__ import annotations
@@ -28,51 +28,53 @@ from drivers.transport.transport import read_promptly
 
 SECONDS, START = 5.0, 1000.0
 TURNS = 10.0
-"""Revolutions a second."""
-COUNTED = 10_000
-"""Samples after which the ranges, which count them in millimetres, begin again."""
-CALL = 2e-5
-"""Seconds that the host takes for a call of the system."""
+"""Revolutions per second."""
+RANGE_PERIOD = 10_000
+"""Samples after which the ranges, which count the samples in millimetres, repeat."""
+SYSTEM_CALL_DURATION = 2e-5
+"""Seconds of a system call."""
 
 
 class Sent(NamedTuple):
-    """What a device sends: packets of one size, and when each is through the line (n,), seconds."""
+    """Bytes of a device: packets of one size, and the times (n,) at which each is transmitted, seconds."""
 
     data: bytes
     size: int
     times: np.ndarray
 
 
-def dense_lidar() -> tuple[LidarStream, float, Sent]:
-    """One that tells no time; how it is understood, its samples a second, and what it sends."""
+def clockless_lidar() -> tuple[LidarStream, float, Sent]:
+    """Return a lidar stream without device time, its samples per second, and its bytes."""
     rate, baud, size = 9200.0, 256000.0, 84
     samples = np.arange(int(SECONDS * rate)).reshape(-1, 40)
     heads = 2 * np.pi * TURNS / rate * samples[:, 0]
-    data = dense.encode(heads, 1.0 + samples % COUNTED / 1e3, reset=True)
+    data = dense.encode(heads, 1.0 + samples % RANGE_PERIOD / 1e3, reset=True)
     stream = LidarStream(decoder_for(0x85, 1 / rate, baud, False), 40 / rate, size, (0.1, 40.0))
     return stream, rate, Sent(data, size, START + (samples[:, -1] + 1.5) / rate + size * 10 / baud)
 
 
-def telling_lidar() -> tuple[LidarStream, float, Sent]:
-    """One that tells its own time, on a clock that runs slow."""
+def clocked_lidar() -> tuple[LidarStream, float, Sent]:
+    """Return a lidar stream with device time, on a clock that runs slow, its samples per second, and its bytes."""
     rate, size = ld06.SAMPLE_RATE, ld06.LAYOUT.itemsize
     data, samples = b"", np.arange(int(SECONDS * rate)).reshape(-1, ld06.POINTS)
     for row in samples:
         bearings = 2 * np.pi * TURNS / rate * row[None, [0, -1]]
-        ranges, bright = 1.0 + row[None] % COUNTED / 1e3, np.full((1, ld06.POINTS), 200)
+        ranges, bright = 1.0 + row[None] % RANGE_PERIOD / 1e3, np.full((1, ld06.POINTS), 200)
         data += ld06.encode(bearings, ranges, bright, 2 * np.pi * TURNS, row[-1] / rate / 1.0001)
     stream = LidarStream(ld06.Ld06Decoder(), ld06.POINTS / rate, size, (0.1, 40.0))
     return stream, rate, Sent(data, size, START + samples[:, -1] / rate + size * 10 / ld06.BAUD)
 
 
-def counting_base() -> tuple[WheelBaseDevice, float, Sent]:
-    """One that tells no time; its seconds between readings, and what it sends."""
+def clockless_base() -> tuple[WheelBaseDevice, float, Sent]:
+    """Return a wheel base without device time, its seconds between readings, and its bytes."""
     frames = [Create2Device().encode(WheelReading(i, i)) for i in range(int(SECONDS / 0.015))]
     return WheelBaseDevice("create2", {}), 0.015, sent(frames, 0.015, create2.Create2.baud)
 
 
-def telling_base() -> tuple[WheelBaseDevice, float, Sent]:
-    """One that tells milliseconds, on a clock that wraps meanwhile and runs slow."""
+def clocked_base() -> tuple[WheelBaseDevice, float, Sent]:
+    """Return a wheel base that sends milliseconds, on a clock that wraps and runs slow, its seconds between readings,
+    and its bytes.
+    """
     first = kobuki.Kobuki.wraps_at - 2000
     times = [first + int(20 * i / 1.0001) for i in range(int(SECONDS / 0.02))]
     frames = [KobukiDevice().encode(WheelReading(i, i, time)) for i, time in enumerate(times)]
@@ -85,7 +87,7 @@ def sent(frames: list[bytes], period: float, baud: float) -> Sent:
 
 
 class PluggedLidar(LidarDevice):
-    """Found already."""
+    """A lidar that is already connected."""
 
     def __init__(self, stream: LidarStream) -> None:
         super().__init__({})
@@ -105,10 +107,10 @@ class PluggedLidar(LidarDevice):
 
 @dataclass
 class Host:
-    """What a thread has of the processor.
+    """Scheduling of a thread.
 
-    chance, longest  that it is put aside before the end of a call, and for how many seconds at most
-    frozen           when nothing runs on the whole computer, (n, 2) seconds
+    chance, longest  probability of being suspended before the end of a call, and maximum duration in seconds
+    frozen           (n, 2) intervals in seconds in which nothing runs on the whole computer
     """
 
     random: np.random.Generator
@@ -118,9 +120,9 @@ class Host:
     now: float = START
 
     def monotonic(self) -> float:
-        """The time, in place of the module's `time`."""
+        """Return the simulated time, in place of the module's `time`."""
         aside = self.random.uniform(0.0, self.longest) if self.random.random() < self.chance else 0.0
-        self.sleep(CALL + aside)
+        self.sleep(SYSTEM_CALL_DURATION + aside)
         return self.now
 
     def sleep(self, seconds: float) -> None:
@@ -131,7 +133,7 @@ class Host:
 
 
 def reads(number: int, device: Sent, host: Host, patch: pytest.MonkeyPatch) -> Iterator[tuple[float, int, Received]]:
-    """What a thread reads of a device of some number: when it can work on it (seconds), the number, and that."""
+    """Yield the reads of a thread: time of processing (seconds), number of the device, and received bytes."""
     byte_times = np.repeat(device.times, device.size).tolist()
     at = 0
 
@@ -149,8 +151,8 @@ def reads(number: int, device: Sent, host: Host, patch: pytest.MonkeyPatch) -> I
 
 
 @dataclass
-class Drive:
-    """What came of it: the messages given out, their errors (seconds), and how many there should be."""
+class Run:
+    """Result of a simulated run: the messages, their stamp errors (seconds), and the expected counts."""
 
     lidar: PluggedLidar
     base: WheelBaseDevice
@@ -161,13 +163,14 @@ class Drive:
     readings: int = 0
 
 
-def drive(robot: str, seed: int, chance: float, longest: float, freezes: int, patch: pytest.MonkeyPatch) -> Drive:
-    stream, rate, scanned = dense_lidar() if robot == "counting" else telling_lidar()
-    base, period, rolled = counting_base() if robot == "counting" else telling_base()
+def simulate_run(robot: str, seed: int, chance: float, longest: float, freezes: int, patch: pytest.MonkeyPatch) -> Run:
+    stream, rate, scanned = clockless_lidar() if robot == "clockless" else clocked_lidar()
+    base, period, rolled = clockless_base() if robot == "clockless" else clocked_base()
+    metres_per_count = (create2 if robot == "clockless" else kobuki).WHEELS.left
     random = np.random.default_rng(seed)
     begins = random.uniform(START + 1.0, START + SECONDS, freezes)
     frozen = np.stack([begins, begins + random.uniform(0.2, MAX_HOLD - 0.2, freezes)], axis=1)
-    result = Drive(PluggedLidar(stream), base, ReorderBuffer(2, 0.0))
+    result = Run(PluggedLidar(stream), base, ReorderBuffer(2, 0.0))
     hosts = [Host(child, chance, longest, frozen) for child in random.spawn(2)]
     threads = [reads(number, device, hosts[number], patch) for number, device in enumerate((scanned, rolled))]
     read = [START, START]
@@ -177,64 +180,64 @@ def drive(robot: str, seed: int, chance: float, longest: float, freezes: int, pa
         read[number] = received.time
         result.messages += result.buffer.pop(min(read), 0.0)
     result.messages += result.buffer.flush()
-    result.errors = np.array([error_of(message, rate, period, base) for message in result.messages])
+    result.errors = np.array([error_of(message, rate, period, metres_per_count) for message in result.messages])
     result.scans, result.readings = int(SECONDS * TURNS) - 1, len(rolled.times)
     return result
 
 
-def error_of(message: Message, rate: float, period: float, base: WheelBaseDevice) -> float:
-    """Seconds by which a stamp is later than the truth, which the devices tell in what they measure."""
+def error_of(message: Message, rate: float, period: float, metres_per_count: float) -> float:
+    """Return the seconds by which a stamp is later than the truth, which the devices encode in their measurements."""
     if isinstance(message, Scan):
         sample = round(1e3 * float(message.ranges[np.argmin(message.time_offsets)])) - 1000
-        again = COUNTED / rate
+        again = RANGE_PERIOD / rate
         return float((message.stamp - START - sample / rate + again / 2) % again - again / 2)
     assert isinstance(message, Odometry)
-    reading = round(float(message.pose[0]) / base._wheels.left)
+    reading = round(float(message.pose[0]) / metres_per_count)
     return message.stamp - START - reading * period
 
 
-def assert_in_order(driven: Drive) -> None:
-    stamps = np.array([message.stamp for message in driven.messages])
+def assert_in_order(run: Run) -> None:
+    stamps = np.array([message.stamp for message in run.messages])
     assert np.all(np.diff(stamps) >= 0.0)
-    assert (driven.buffer.late, driven.buffer.dropped) == (0, 0)
+    assert (run.buffer.late, run.buffer.dropped) == (0, 0)
 
 
-def assert_complete(driven: Drive) -> None:
-    scans = [message for message in driven.messages if isinstance(message, Scan)]
-    assert driven.scans - 1 <= len(scans) <= driven.scans  # the last one may not be whole
-    assert len(driven.messages) - len(scans) == driven.readings
+def assert_complete(run: Run) -> None:
+    scans = [message for message in run.messages if isinstance(message, Scan)]
+    assert run.scans - 1 <= len(scans) <= run.scans  # the last one may be incomplete
+    assert len(run.messages) - len(scans) == run.readings
     for before, after in pairwise(scans):
         assert before.stamp + before.duration <= after.stamp
-    lidar, base = driven.lidar.counters(), driven.base.counters()
+    lidar, base = run.lidar.counters(), run.base.counters()
     assert lidar["incomplete_revolutions"] == lidar["packets_lost"] == base["lost"] == base["disordered"] == 0
 
 
-@pytest.mark.parametrize("robot", ["counting", "telling"])
+@pytest.mark.parametrize("robot", ["clockless", "clocked"])
 @pytest.mark.parametrize(
     ("chance", "longest", "freezes"),
     [(0.0, 0.0, 0), (0.02, 0.04, 0), (0.1, 0.09, 0), (0.02, 0.2, 0), (0.01, 0.03, 2)],
     ids=["idle", "busy", "crowded", "stumbling", "freezing"],
 )
-def test_a_busy_host_loses_nothing_and_stamps_rightly(
+def test_stamps_and_messages_of_a_busy_host_are_right(
     robot: str, chance: float, longest: float, freezes: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for seed in range(3):
-        driven = drive(robot, seed, chance, longest, freezes, monkeypatch)
-        assert_in_order(driven)
-        assert_complete(driven)
-        settled = np.array([message.stamp for message in driven.messages]) > START + 1.0
-        assert np.quantile(np.abs(driven.errors[settled]), 0.99) < 0.002
-        assert driven.errors.min() > -0.002
-        assert driven.errors.max() < (0.02 if longest else 0.002)  # before the first prompt read nobody can know better
+        run = simulate_run(robot, seed, chance, longest, freezes, monkeypatch)
+        assert_in_order(run)
+        assert_complete(run)
+        settled = np.array([message.stamp for message in run.messages]) > START + 1.0
+        assert np.quantile(np.abs(run.errors[settled]), 0.99) < 0.002
+        assert run.errors.min() > -0.002
+        assert run.errors.max() < (0.02 if longest else 0.002)  # the delay is unknown before the first prompt read
 
 
-@pytest.mark.parametrize("robot", ["counting", "telling"])
+@pytest.mark.parametrize("robot", ["clockless", "clocked"])
 @pytest.mark.parametrize(("chance", "longest"), [(0.6, 0.1), (0.3, 1.0)])
-def test_the_order_holds_on_a_host_that_is_hardly_ever_prompt(
+def test_messages_stay_in_order_on_a_heavily_loaded_host(
     robot: str, chance: float, longest: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """There packets seem to be lost and clocks to jump, but no message comes late."""
+    """Packets seem to be lost and clocks to jump there, but no message is late."""
     for seed in range(6):
-        driven = drive(robot, seed, chance, longest, 1, monkeypatch)
-        assert_in_order(driven)
-        assert len(driven.messages) > 0.8 * (driven.scans + driven.readings)
+        run = simulate_run(robot, seed, chance, longest, 1, monkeypatch)
+        assert_in_order(run)
+        assert len(run.messages) > 0.8 * (run.scans + run.readings)

@@ -1,4 +1,4 @@
-"""What a user types for devices."""
+"""Device specs as typed by a user."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drivers.devices.registry import make_device
 from drivers.devices.wheel_base import drive_geometry
 
 
-def test_a_lidar_with_options() -> None:
+def test_options_of_a_lidar_are_converted() -> None:
     spec = parse_device("rplidar:/dev/ttyUSB0?baud=256000&mode=Dense%20Boost&mount=0.1,0,-1.5&upside_down=1&serial=0A")
     assert (spec.kind, spec.address, spec.is_lidar, spec.tcp) == ("rplidar", "/dev/ttyUSB0", True, None)
     np.testing.assert_array_equal(spec.options["mount"], [0.1, 0.0, -1.5])
@@ -27,7 +27,7 @@ def test_a_lidar_with_options() -> None:
     ("address", "tcp"),
     [("10.0.0.5:10940", ("10.0.0.5", 10940)), ("[::1]:80", ("::1", 80)), ("auto", None), ("tape:a.tape", None)],
 )
-def test_addresses(address: str, tcp: tuple[str, int] | None) -> None:
+def test_addresses_are_classified(address: str, tcp: tuple[str, int] | None) -> None:
     spec = parse_device(f"scip:{address}")
     assert spec.address == address
     assert spec.tcp == tcp
@@ -38,7 +38,7 @@ def test_several_devices_are_joined_by_a_plus_sign() -> None:
     assert [(spec.kind, spec.address) for spec in specs] == [("ld06", "/dev/a+b"), ("create2", "/dev/c")]
 
 
-def test_wheels_are_measured_by_their_radius_and_counts() -> None:
+def test_wheel_geometry_follows_from_radius_and_ticks() -> None:
     spec = parse_device("wheels:/dev/a?wheel_radius=0.03,0.031&ticks=1000,-1000&track=0.2")
     drive = drive_geometry(spec.kind, spec.options)
     assert drive.left == pytest.approx(2 * np.pi * 0.03 / 1000)
@@ -67,7 +67,7 @@ def test_wheels_are_measured_by_their_radius_and_counts() -> None:
         ("ld06:/dev/a + /dev/b", "/dev/b: not a device"),
     ],
 )
-def test_a_wrong_spec_says_what_would_be_right(text: str, because: str) -> None:
+def test_errors_of_specs_state_what_is_allowed(text: str, because: str) -> None:
     with pytest.raises(SpecError) as caught:
         parse_devices(text)
     assert because in str(caught.value)
@@ -75,7 +75,7 @@ def test_a_wrong_spec_says_what_would_be_right(text: str, because: str) -> None:
 
 
 @given(st.text(max_size=40), st.sampled_from(["", "ld06:", "rplidar:/dev/a?", "wheels:/dev/a?ticks="]))
-def test_any_text_is_devices_or_one_error(text: str, beginning: str) -> None:
+def test_any_text_gives_devices_or_one_error(text: str, beginning: str) -> None:
     try:
         specs = parse_devices(beginning + text)
     except SpecError:
@@ -84,7 +84,7 @@ def test_any_text_is_devices_or_one_error(text: str, beginning: str) -> None:
     assert all(spec.kind in DEVICE_KINDS and spec.address for spec in specs)
 
 
-def test_open_tells_devices_from_recordings() -> None:
+def test_open_distinguishes_devices_from_recordings() -> None:
     assert drivers.open("ld06:/dev/nothing").name == "ld06:/dev/nothing"
     assert len(drivers.open("ld06:/dev/nothing")) == 0
     assert not is_device_spec("drive.mcap")

@@ -1,4 +1,4 @@
-"""Every kind of device behind a pseudo terminal or a socket: identified, started, read, halted, by its own session."""
+"""Every kind of device behind a pseudo terminal or a socket: identified, started, read and halted by its supervisor."""
 
 from __future__ import annotations
 
@@ -46,26 +46,26 @@ WHEELS = "wheel_radius=0.05&ticks=1000&track=0.3"
 URG = scip.Parameters("URG-04LX", 0.02, 5.6, 1024, 44, 725, 384, 600.0)
 
 Behaviour = Callable[[bytes], bytes]
-"""What a device says, called often with what it hears."""
+"""Returns the bytes that a device sends; called often with the received bytes."""
 
 
 class Ld06Peer:
     def __init__(self) -> None:
         self.begun, self.packet = time.monotonic(), 0
 
-    def __call__(self, heard: bytes) -> bytes:
-        said = b""
+    def __call__(self, received: bytes) -> bytes:
+        sent = b""
         while (self.packet + 1) * 12 / 4500 < time.monotonic() - self.begun:
             bearings = 2 * np.pi * 10.0 / 4500 * (self.packet * 12 + np.array([[0, 11]]))
-            said += ld06.encode(
+            sent += ld06.encode(
                 bearings, np.full((1, 12), 1.5), np.full((1, 12), 200), 20 * np.pi, self.packet * 12 / 4500
             )
             self.packet += 1
-        return said
+        return sent
 
 
 class ScipPeer:
-    """One that streams already, and first speaks SCIP 1.1."""
+    """A lidar that is already streaming, and uses SCIP 1.1 at first."""
 
     def __init__(self) -> None:
         self.line = b""
@@ -73,16 +73,16 @@ class ScipPeer:
         self.measure: scip.MeasureRequest | None = scip.MeasureRequest(0, 9)
         self.begun, self.scan = time.monotonic(), 0
 
-    def __call__(self, heard: bytes) -> bytes:
-        said = b""
-        *lines, self.line = (self.line + heard).split(b"\n")
+    def __call__(self, received: bytes) -> bytes:
+        sent = b""
+        *lines, self.line = (self.line + received).split(b"\n")
         for line in filter(None, lines):
-            said += self.answer(line)
+            sent += self.answer(line)
         while self.measure and self.scan * 0.1 < time.monotonic() - self.begun:
             ranges = np.full(self.measure.count, 2.0)
-            said += scip_scan.encode(ranges, self.measure, round(self.scan * 100))
+            sent += scip_scan.encode(ranges, self.measure, round(self.scan * 100))
             self.scan += 1
-        return said
+        return sent
 
     def answer(self, line: bytes) -> bytes:
         lines: tuple[bytes, ...] = ()
@@ -105,27 +105,27 @@ class ScipPeer:
 
 
 class OldRplidar:
-    """An RPLIDAR with firmware that tells no scan modes: A1, or A2 on its USB board. 2 000 nodes a second."""
+    """An RPLIDAR with firmware without scan modes: A1, or A2 on its USB board. 2 000 nodes per second."""
 
     def __init__(self, model: int) -> None:
         self.model = model
         self.reader = requests.RequestReader()
-        self.heard: list[requests.Request] = []
+        self.received: list[requests.Request] = []
         self.begun: float | None = None
         self.node = 0
 
-    def __call__(self, heard: bytes) -> bytes:
-        said = b"".join(self.answer(request) for request in self.reader.feed(heard))
+    def __call__(self, received: bytes) -> bytes:
+        sent = b"".join(self.answer(request) for request in self.reader.feed(received))
         if self.begun is not None:
             due = int((time.monotonic() - self.begun) * 2000) - self.node
             turns = (self.node + np.arange(due)) * 5.5 / 2000 + 1e-9
             starts = np.diff(np.floor(turns), prepend=np.floor(turns[0] - 5.5 / 2000)) > 0 if due else np.empty(0, bool)
-            said += standard.encode(2 * np.pi * turns, np.full(due, 2.0), np.full(due, 20), starts)
+            sent += standard.encode(2 * np.pi * turns, np.full(due, 2.0), np.full(due, 20), starts)
             self.node += due
-        return said
+        return sent
 
     def answer(self, request: requests.Request) -> bytes:
-        self.heard.append(request)
+        self.received.append(request)
         answers = {
             Command.GET_INFO: (ResponseType.INFO, Info(self.model, (1, 20), 5, "AB" * 16).payload()),
             Command.GET_HEALTH: (ResponseType.HEALTH, Health(HealthStatus.WARNING, 1).payload()),
@@ -144,25 +144,25 @@ class OldRplidar:
 
 
 class BasePeer:
-    """A base that rolls straight on, its left and right counters growing by 10 in each period."""
+    """A wheel base that drives straight on; its left and right counters grow by 10 in each period."""
 
     def __init__(self, device: Any, unit: float = 1.0, polled: bool = False, period: float = 0.02) -> None:
         self.device, self.unit, self.polled, self.period = device, unit, polled, period
         self.begun, self.reading = time.monotonic(), 0
         self.requests: list[Any] = []
 
-    def __call__(self, heard: bytes) -> bytes:
-        said = b""
-        for request in self.device.feed(heard):
+    def __call__(self, received: bytes) -> bytes:
+        sent = b""
+        for request in self.device.feed(received):
             self.requests.append(request)
             if isinstance(request, Poll):
-                said += self.told(time.monotonic() - self.begun)
+                sent += self.encode_reading(time.monotonic() - self.begun)
         while not self.polled and self.reading * self.period < time.monotonic() - self.begun:
-            said += self.told(self.reading * self.period)
+            sent += self.encode_reading(self.reading * self.period)
             self.reading += 1
-        return said
+        return sent
 
-    def told(self, when: float) -> bytes:
+    def encode_reading(self, when: float) -> bytes:
         count = round(when / self.period * 10)
         return bytes(self.device.encode(WheelReading(count, count, round(when / self.unit), heading=0.0)))
 
@@ -185,11 +185,11 @@ def serving(write: Callable[[bytes], Any], read: Callable[[], bytes], behaviour:
 
     def serve() -> None:
         while not over.is_set():
-            heard = b""
+            received = b""
             with suppress(OSError):
-                heard = read()
+                received = read()
             with suppress(OSError):
-                write(behaviour(heard))
+                write(behaviour(received))
             time.sleep(0.004)
 
     thread = threading.Thread(target=serve)
@@ -203,7 +203,7 @@ def serving(write: Callable[[bytes], Any], read: Callable[[], bytes], behaviour:
 
 @contextmanager
 def plugged(behaviour: Behaviour) -> Iterator[str]:
-    """The path of a terminal with a device behind it."""
+    """Yield the path of a terminal with a device behind it."""
     ours, theirs = pty.openpty()
     tty.setraw(theirs)
     os.set_blocking(ours, False)
@@ -227,7 +227,7 @@ def run_supervisor(text: str, seconds: float = RUN) -> tuple[Supervisor, list[Me
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_kind_is_identified_and_read(kind: str) -> None:
+def test_every_kind_of_device_is_identified_and_read(kind: str) -> None:
     make, options, name, type_of_message = KINDS[kind]
     with plugged(make()) as path:
         before = time.monotonic()
@@ -248,30 +248,30 @@ def test_every_kind_is_identified_and_read(kind: str) -> None:
     assert np.median(np.diff(stamps)) == pytest.approx(period, rel=0.2)
 
 
-def test_a_device_counts_as_read_when_its_messages_were_put() -> None:
-    told: list[float] = []
+def test_read_until_advances_after_messages_were_put() -> None:
+    times: list[float] = []
 
     def put(messages: list[Message]) -> None:
-        told.extend((supervisor.read_until, time.monotonic()))
+        times.extend((supervisor.read_until, time.monotonic()))
         time.sleep(0.2)
-        told.append(supervisor.read_until)
+        times.append(supervisor.read_until)
 
     with plugged(Ld06Peer()) as path:
         supervisor = Supervisor(parse_device(f"ld06:{path}"), put)
         stop = threading.Event()
         thread = threading.Thread(target=supervisor.run, args=(stop,))
         thread.start()
-        wait_until(lambda: len(told) >= 9)
+        wait_until(lambda: len(times) >= 9)
         stop.set()
         thread.join()
-    for before, begun, while_putting in zip(told[::3], told[1::3], told[2::3], strict=True):
+    for before, begun, while_putting in zip(times[::3], times[1::3], times[2::3], strict=True):
         assert before == while_putting < begun
-    assert told[6] > told[1]
+    assert times[6] > times[1]
     assert supervisor.read_until == math.inf
 
 
 @pytest.mark.parametrize(("model", "duties"), [(0x18, []), (0x28, [660, 0])], ids=["A1", "A2"])
-def test_old_rplidars_scan_and_stop_their_motors_in_their_own_way(model: int, duties: list[int]) -> None:
+def test_old_rplidars_scan_and_stop_their_motors(model: int, duties: list[int]) -> None:
     peer = OldRplidar(model)
     with plugged(peer) as path:
         supervisor, messages = run_supervisor(f"rplidar:{path}", 2.0)
@@ -282,13 +282,13 @@ def test_old_rplidars_scan_and_stop_their_motors_in_their_own_way(model: int, du
     assert len(messages) >= 4
     stamps = np.array([message.stamp for message in messages])
     np.testing.assert_allclose(np.diff(stamps), 1 / 5.5, atol=0.01)
-    told = [int.from_bytes(r.payload, "little") for r in peer.heard if r.command == Command.SET_MOTOR_PWM]
-    assert told == duties
+    sent_duties = [int.from_bytes(r.payload, "little") for r in peer.received if r.command == Command.SET_MOTOR_PWM]
+    assert sent_duties == duties
     assert peer.begun is None
 
 
 @pytest.mark.parametrize("kind", ["kobuki", "wheels", "arduino"])
-def test_bases_are_left_standing(kind: str) -> None:
+def test_wheel_bases_are_stopped_at_the_end(kind: str) -> None:
     make, options, _, _ = KINDS[kind]
     peer = make()
     assert isinstance(peer, BasePeer)
@@ -298,15 +298,17 @@ def test_bases_are_left_standing(kind: str) -> None:
     assert [request for request in peer.requests if not isinstance(request, Poll)][-1] == Velocity(0.0, 0.0)
 
 
-def test_the_way_is_what_the_wheels_rolled() -> None:
+def test_odometry_has_the_speed_of_the_wheels() -> None:
     with plugged(KINDS["wheels"][0]()) as path:
         _, messages = run_supervisor(f"wheels:{path}?{WHEELS}")
-    ends = [message for message in messages if isinstance(message, Odometry)]
-    speed = (ends[-1].pose[0] - ends[0].pose[0]) / (ends[-1].stamp - ends[0].stamp)
+    odometry = [message for message in messages if isinstance(message, Odometry)]
+    distances = np.diff([message.pose[0] for message in odometry])
+    # The median, because a busy computer runs the emulated base late, and the first stamps follow its delays.
+    speed = np.median(distances / np.diff([message.stamp for message in odometry]))
     assert speed == pytest.approx(10 * DRIVE.left / 0.02, rel=0.01)
 
 
-def test_options_of_a_lidar_reach_its_scans() -> None:
+def test_options_of_a_lidar_are_applied_to_its_scans() -> None:
     with plugged(Ld06Peer()) as path:
         _, messages = run_supervisor(f"ld06:{path}?mount=0.1,0.2,0.3&range_max=1.0", 0.8)
     scan = messages[0]
@@ -316,7 +318,7 @@ def test_options_of_a_lidar_reach_its_scans() -> None:
     assert np.isnan(scan.ranges).all()
 
 
-def test_a_lidar_behind_tcp() -> None:
+def test_a_lidar_is_read_over_tcp() -> None:
     with ExitStack() as stack:
         server = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
         accepted: list[socket.socket] = []
@@ -381,7 +383,7 @@ def test_auto_finds_the_port(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) ->
     assert len(messages) > 3
 
 
-def test_no_port_at_all_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_search_without_ports_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ports, "serial_ports", lambda: [])
     supervisor, _ = run_supervisor("ld06:auto")
     assert isinstance(supervisor.failure, DriverError)
@@ -391,7 +393,7 @@ def test_no_port_at_all_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     "kind", [pytest.param(kind, marks=[] if kind == "ld06" else pytest.mark.slow) for kind in KINDS]
 )
-def test_a_probe_tells_who_answers(kind: str) -> None:
+def test_probing_identifies_the_device(kind: str) -> None:
     make, _, name, _ = KINDS[kind]
     peer = make()
     with plugged(peer) as path:
@@ -400,8 +402,8 @@ def test_a_probe_tells_who_answers(kind: str) -> None:
     assert found.endswith(f"->  {kind}:{path}")
 
 
-def test_a_tape_is_played_as_the_device_spoke(tmp_path: Path) -> None:
-    """The tape of a session that asks, behind a terminal and as an address of its own."""
+def test_a_byte_capture_replays_the_device(tmp_path: Path) -> None:
+    """The byte capture of a device with requests, replayed behind a terminal."""
     tape = tmp_path / "scip.tape"
     with plugged(ScipPeer()) as path:
         _, live = run_supervisor(f"scip:{path}?tape={tape}&baud=115200", 2.0)
@@ -419,7 +421,7 @@ def test_a_tape_is_played_as_the_device_spoke(tmp_path: Path) -> None:
         np.testing.assert_array_equal(before.angles, after.angles)
 
 
-def test_a_tape_ends_the_session(tmp_path: Path) -> None:
+def test_the_supervisor_ends_with_the_byte_capture(tmp_path: Path) -> None:
     tape = tmp_path / "ld06.tape"
     with plugged(Ld06Peer()) as path:
         run_supervisor(f"ld06:{path}?tape={tape}", 0.9)
@@ -429,14 +431,14 @@ def test_a_tape_ends_the_session(tmp_path: Path) -> None:
     assert len(messages) >= 2
 
 
-def test_a_tape_goes_on_over_a_new_connection(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_byte_capture_continues_over_a_new_connection(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(supervisor_module, "SILENCE_TIMEOUT", 0.1)
     tape, peer = tmp_path / "ld06.tape", Ld06Peer()
     pauses = 0.6
 
-    def pausing(heard: bytes) -> bytes:
-        said = peer(heard)
-        return said if not 0.5 < time.monotonic() - peer.begun < 0.5 + pauses else b""
+    def pausing(received: bytes) -> bytes:
+        sent = peer(received)
+        return sent if not 0.5 < time.monotonic() - peer.begun < 0.5 + pauses else b""
 
     with plugged(pausing) as path:
         one, _ = run_supervisor(f"ld06:{path}?tape={tape}", 2.5)
@@ -444,7 +446,7 @@ def test_a_tape_goes_on_over_a_new_connection(tmp_path: Path, monkeypatch: pytes
     assert tape.read_text().count("# /dev/") >= 2
 
 
-def test_a_tape_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
+def test_an_unwritable_byte_capture_is_an_error(tmp_path: Path) -> None:
     with plugged(Ld06Peer()) as path:
         supervisor, _ = run_supervisor(f"ld06:{path}?tape={tmp_path}/no/such")
     assert "cannot be written" in str(supervisor.failure)

@@ -1,4 +1,4 @@
-"""Stamps from the arrival of chunks: right whatever held them up, also where packets were lost."""
+"""Stamps from the arrival of chunks: right for any delay, also after lost packets."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ START = 1000.0
 
 
 def stream(kind: str) -> tuple[bytes, int, int]:
-    """Eight seconds of a lidar whose ranges count its samples modulo 10 000 in millimetres; bytes and samples of a
-    packet.
+    """Return eight seconds of a lidar whose ranges count its samples modulo 10 000 in millimetres, with the bytes and
+    samples of a packet.
     """
     samples = np.arange(round(SECONDS * RATE) // 40 * 40)
     turns = samples * TURNS / RATE
@@ -34,13 +34,13 @@ def stream(kind: str) -> tuple[bytes, int, int]:
 
 @pytest.mark.parametrize("kind", ["dense", "standard"])
 @pytest.mark.parametrize("lost", [0.0, 0.5])
-def test_samples_are_stamped_when_they_were_measured(kind: str, lost: float) -> None:
+def test_stamps_are_the_times_of_measurement(kind: str, lost: float) -> None:
     data, size, count = stream(kind)
     random = np.random.default_rng(3)
     answer = 0x85 if kind == "dense" else 0x81
     decoder = decoder_for(answer, 1 / RATE, BAUD, False)
     stamper = PacketStamper(count / RATE, size)
-    # A packet's last byte is there when its last sample was taken, filtered, and sent.
+    # A packet's last byte arrives when its last sample was measured, filtered and transmitted.
     filtered = 1.5 if kind == "dense" else decoder_delay()
     packets = len(data) // size
     byte_times = START + np.repeat((np.arange(packets) * count + count - 1 + filtered) / RATE + size * 10 / BAUD, size)
@@ -72,14 +72,14 @@ def test_samples_are_stamped_when_they_were_measured(kind: str, lost: float) -> 
 
 
 def decoder_delay() -> float:
-    """Sample periods that the standard decoder takes a node to be old when its last byte is sent."""
+    """Return the age of a node in sample periods, as the standard decoder assumes it, when its last byte is sent."""
     nodes = standard.encode(np.linspace(0.0, 0.1, 40), np.ones(40), np.full(40, 20), np.arange(40) == 0)
     offset = decoder_for(0x81, 1 / RATE, BAUD, False).feed(nodes).samples["offset"][0]
     return float((-offset - 5 * 10 / BAUD) * RATE)
 
 
 @given(st.lists(st.lists(st.floats(0.0, 1e6), max_size=8), max_size=8))
-def test_stamps_never_run_back(chunks: list[list[float]]) -> None:
+def test_stamps_increase_strictly(chunks: list[list[float]]) -> None:
     onward = MonotonicStamps()
     fitted = np.concatenate([np.empty(0), *chunks])
     stamps = np.concatenate([np.empty(0), *(onward.stamps(np.array(chunk, dtype=float)) for chunk in chunks)])
@@ -88,12 +88,12 @@ def test_stamps_never_run_back(chunks: list[list[float]]) -> None:
     assert np.all(stamps <= np.maximum.accumulate(fitted) + len(fitted) * MIN_SPACING)
 
 
-def test_stamps_in_order_are_left_as_they_are() -> None:
+def test_increasing_stamps_are_not_changed() -> None:
     fitted = 1e5 + np.cumsum(np.full(1000, 1 / 32000))
     np.testing.assert_allclose(MonotonicStamps().stamps(fitted), fitted, rtol=0.0, atol=1e-10)
 
 
-def test_a_late_clock_is_caught_up_with_at_once() -> None:
+def test_stamps_follow_a_corrected_clock_at_once() -> None:
     onward = MonotonicStamps()
     true = 1e5 + 0.01 * np.arange(100)
     stamps = np.concatenate([onward.stamps(true[:50] + 0.08), onward.stamps(true[50:])])
@@ -101,8 +101,8 @@ def test_a_late_clock_is_caught_up_with_at_once() -> None:
 
 
 @pytest.mark.parametrize("period", [0.0043, 0.015])
-def test_one_late_read_is_no_loss(period: float) -> None:
-    """Not even where its last packet becomes known only with the read after it."""
+def test_one_late_read_does_not_count_as_a_loss(period: float) -> None:
+    """Even if its last packet is decoded only with the next read."""
     clock = PacketCountClock(period)
     for count in range(200):
         arrived = START + count * period
@@ -112,11 +112,11 @@ def test_one_late_read_is_no_loss(period: float) -> None:
     assert (clock.lost, clock.clock.jumps) == (0, 0)
 
 
-def test_packets_that_are_lost_whole_are_noticed() -> None:
+def test_loss_of_whole_packets_is_detected() -> None:
     clock = PacketCountClock(0.015)
     for count in range(200):
         true = START + (count + (20 if count >= 100 else 0)) * 0.015
         stamp = clock.stamp(count, true)
-        if count != 100:  # which may have waited
+        if count != 100:  # this one may have been delayed
             assert stamp == pytest.approx(true, abs=1e-6)
     assert (clock.lost, clock.clock.jumps) == (20, 1)

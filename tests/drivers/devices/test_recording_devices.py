@@ -1,4 +1,4 @@
-"""`wclm record`: what is in the file when the recorder is killed, told to end, or the disk is full; `devices`."""
+"""`wclm record`: content of the file if the recorder is killed or stopped, or the disk is full; `wclm devices`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from drivers.recordings.mcap import McapReader, McapWriter
 
 WCLM = [sys.executable, "-c", "from slam.cli import main; main()"]
 LARGEST_DELAY = 0.3
-"""Seconds from a measurement to its place in the queue of the recorder: a revolution and what belongs to it."""
+"""Seconds from a measurement to the recorder's queue: a revolution and the messages measured during it."""
 
 
 def start(peer: Any, path: Path, **options: Any) -> subprocess.Popen[str]:
@@ -59,14 +59,14 @@ def test_a_killed_recorder_loses_the_last_second_at_most(peer: Any, tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_recorders_killed_at_random_times(peer: Any, tmp_path: Path) -> None:
+def test_recorders_killed_at_random_times_lose_the_last_second_at_most(peer: Any, tmp_path: Path) -> None:
     times = random.Random(4)
     for k in range(20):
         kill_and_read(peer, tmp_path / f"{k}.mcap", times.uniform(0.0, 3.0))
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
-def test_told_to_end_it_finishes_the_file(peer: Any, tmp_path: Path, number: int) -> None:
+def test_a_signal_ends_the_recording_with_a_complete_file(peer: Any, tmp_path: Path, number: int) -> None:
     path = tmp_path / "a.mcap"
     process = start(peer, path)
     wait_until_recording(path, process)
@@ -83,7 +83,7 @@ def test_told_to_end_it_finishes_the_file(peer: Any, tmp_path: Path, number: int
     assert b"DiagnosticArray" in path.read_bytes()
 
 
-def test_a_full_disk_ends_the_recording_and_keeps_it(peer: Any, tmp_path: Path) -> None:
+def test_a_full_disk_ends_the_recording_and_keeps_the_file(peer: Any, tmp_path: Path) -> None:
     path, limit = tmp_path / "a.mcap", 150_000
     process = start(peer, path, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)))
     out, err = process.communicate(timeout=30)
@@ -120,7 +120,7 @@ def test_the_writer_keeps_whole_chunks_on_a_full_disk(tmp_path: Path, monkeypatc
     writer.close()
 
 
-def test_nothing_is_left_of_a_recording_that_never_began(tmp_path: Path, make_peer: Callable[..., Any]) -> None:
+def test_a_recording_that_never_started_leaves_no_file(tmp_path: Path, make_peer: Callable[..., Any]) -> None:
     peer = make_peer()
     peer.lidar.unlink()
     process = start(peer, tmp_path / "a.mcap")
@@ -130,7 +130,7 @@ def test_nothing_is_left_of_a_recording_that_never_began(tmp_path: Path, make_pe
     assert not (tmp_path / "a.mcap").exists()
 
 
-def test_watching_ends_with_all_counters(peer: Any) -> None:
+def test_watching_devices_ends_with_all_counters(peer: Any) -> None:
     command = [*WCLM, "devices", f"rplidar:{peer.lidar}", f"create2:{peer.base}", "--watch", "--for", "0.8"]
     result = subprocess.run(command, capture_output=True, text=True, timeout=30)
     assert (result.returncode, result.stderr) == (0, "")
@@ -144,7 +144,7 @@ def test_watching_ends_with_all_counters(peer: Any) -> None:
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root can mount a small disk")
 @pytest.mark.slow
-def test_a_disk_that_is_really_full(peer: Any, tmp_path: Path) -> None:
+def test_a_small_disk_that_fills_up_ends_the_recording(peer: Any, tmp_path: Path) -> None:
     disk = tmp_path / "disk"
     disk.mkdir()
     if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=200k", "tmpfs", disk], capture_output=True).returncode:

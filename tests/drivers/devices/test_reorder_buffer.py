@@ -1,4 +1,4 @@
-"""The queue between devices and consumer: in the order of time, bounded, every loss counted."""
+"""The reorder buffer: messages in time order, bounded, every loss counted."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def pop_all(buffer: ReorderBuffer, read_until: float) -> list[float]:
     return stamps
 
 
-def test_a_scan_comes_before_the_odometry_that_was_measured_during_it() -> None:
+def test_a_scan_precedes_the_odometry_measured_during_it() -> None:
     buffer = ReorderBuffer(2, offset=100.0)
     buffer.put(0, [scan(0.0)])
     buffer.put(1, [odometry(0.05), odometry(0.15)])
@@ -36,7 +36,7 @@ def test_a_scan_comes_before_the_odometry_that_was_measured_during_it() -> None:
     assert [message.stamp for message in buffer.flush()] == [100.25]
 
 
-def test_a_silent_device_holds_the_others_back_for_a_while_only() -> None:
+def test_a_silent_device_delays_the_others_for_at_most_the_hold_time() -> None:
     buffer = ReorderBuffer(2, 0.0)
     buffer.put(1, [odometry(1.0), odometry(2.0)])
     assert pop_all(buffer, 1.0 + MAX_HOLD - 0.01) == []
@@ -46,8 +46,8 @@ def test_a_silent_device_holds_the_others_back_for_a_while_only() -> None:
     assert buffer.late == 1
 
 
-def test_a_device_that_was_not_read_is_waited_for() -> None:
-    """However long that takes: its messages are there, and only the computer was held up."""
+def test_messages_wait_for_a_device_that_was_not_read() -> None:
+    """For any duration: its messages exist, only the computer was held up."""
     buffer = ReorderBuffer(2, 0.0)
     buffer.put(0, [scan(0.0)])
     buffer.put(1, [odometry(stamp) for stamp in np.arange(0.0, 10.0, 0.5)])
@@ -57,7 +57,7 @@ def test_a_device_that_was_not_read_is_waited_for() -> None:
     assert buffer.late == 0
 
 
-def test_a_consumer_that_takes_nothing_and_a_device_that_sends_nothing_fill_no_memory() -> None:
+def test_memory_is_bounded_without_consumer_and_with_a_silent_device() -> None:
     buffer = ReorderBuffer(2, 0.0, capacity=10)
     for stamp in range(100):
         buffer.put(1, [odometry(float(stamp))])
@@ -74,7 +74,7 @@ def test_the_oldest_messages_are_dropped_and_counted() -> None:
 
 @settings(max_examples=50)
 @given(st.lists(st.tuples(st.integers(0, 1), st.floats(0.0, 0.3)), max_size=60))
-def test_whatever_comes_is_given_out_in_order_or_counted(steps: list[tuple[int, float]]) -> None:
+def test_all_messages_are_returned_in_order_or_counted(steps: list[tuple[int, float]]) -> None:
     buffer = ReorderBuffer(2, 0.0, capacity=20)
     clocks = [0.0, 0.0]
     given_out: list[float] = []

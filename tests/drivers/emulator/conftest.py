@@ -1,4 +1,4 @@
-"""An emulator under a clock of the test's own, with its ports opened as any program does."""
+"""An emulator with simulated time, with its ports opened like by any program."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PERFECT = WheelModel(slip=0.0, encoder=0.0, scale_bias=0.0, difference_bias=0.0,
 
 
 class Host:
-    """A program that has a port open; what it has read and when."""
+    """A program that has a port open; the bytes read and their times."""
 
     def __init__(self, bench: Bench, link: DeviceConnection, baud: int) -> None:
         self.bench, self.link = bench, link
@@ -42,12 +42,12 @@ class Host:
         self.data, self._chunks = b"", []
 
     def arrivals(self, ends: Any) -> Floats:
-        """When bytes up to `ends`, counted since the last `forget`, had come."""
+        """Return the arrival times of bytes up to `ends`, counted since the last `forget`."""
         counts, times = np.array(self._chunks).T
         return np.asarray(times[np.searchsorted(counts, ends)])
 
     def ask(self, request: Request, answer: ResponseReader, patience: float = 0.3) -> bytes | None:
-        """Send a request to an RPLIDAR; its answer's payload, None if none comes."""
+        """Send a request to an RPLIDAR; return the payload of its response, None if there is none."""
         self.port.write(request.packet())
         until = self.bench.time + patience
         while self.bench.time < until:
@@ -58,7 +58,7 @@ class Host:
 
 
 class Bench:
-    """Time passes when it is told to; everything that is open is read at every tick."""
+    """Advances the time step by step; all open ports are read at every tick."""
 
     def __init__(self, emulator: Emulator, opened: ExitStack) -> None:
         self.emulator, self.time, self.step = emulator, 0.0, 0.002
@@ -89,7 +89,7 @@ class Bench:
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Callable[..., Bench]]:
-    """Makes benches; the robot is in a room, its sensors exact unless it is said otherwise."""
+    """Create benches; the robot is in a room, with exact sensors unless stated otherwise."""
     with ExitStack() as opened:
 
         def make(**wanted: Any) -> Bench:

@@ -1,4 +1,4 @@
-"""Emulated wheel bases, heard through pyserial on pseudo terminals by the drivers' own protocols."""
+"""Emulated wheel bases, read through pyserial on pseudo terminals by the drivers' own protocols."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ PROTOCOLS: dict[str, Callable[[], WheelBase]] = {
 
 
 def started(bench: Bench, name: str) -> tuple[Host, WheelBase]:
-    """A base that has been started."""
+    """Return a wheel base that has been started."""
     protocol = PROTOCOLS[name]()
     host = bench.open("base", protocol.baud)
     bench.go(ARDUINO_BOOT_DURATION + 0.1)
@@ -43,7 +43,7 @@ def started(bench: Bench, name: str) -> tuple[Host, WheelBase]:
 
 
 def dead_reckon(bench: Bench, host: Host, protocol: WheelBase, seconds: float) -> tuple[Floats, Floats, Odometer]:
-    """Stamps (n,) and poses (n, 3) in the odometry's frame, on the way."""
+    """Return stamps (n,) and poses (n, 3) in the odometry's frame, and the odometer."""
     odometer = Odometer(protocol.wheels)
     stamps, poses = [], []
     until = bench.time + seconds
@@ -61,7 +61,7 @@ def dead_reckon(bench: Bench, host: Host, protocol: WheelBase, seconds: float) -
 
 
 @pytest.mark.parametrize("name", PROTOCOLS)
-def test_odometry_is_the_driven_path(bench: MakeBench, name: str) -> None:
+def test_odometry_follows_the_driven_path(bench: MakeBench, name: str) -> None:
     robot = bench(base=name)
     host, protocol = started(robot, name)
     stamps, poses, odometer = dead_reckon(robot, host, protocol, 12.0)
@@ -69,7 +69,7 @@ def test_odometry_is_the_driven_path(bench: MakeBench, name: str) -> None:
     begin, end = truth.poses(stamps[[0, -1]])
     travelled = between(begin, end)
     assert np.hypot(*travelled[:2]) > 2.0
-    # A reading is up to 25 ms old when it is taken up, which is 12 mm; a count is 0.44 mm, and 2 mrad of a turn.
+    # A reading is up to 25 ms old when it is processed, which is 12 mm; a count is 0.44 mm, and 2 mrad of a turn.
     assert poses[-1] == pytest.approx(travelled, abs=0.03)
     assert protocol.counters.skipped == protocol.counters.bad == protocol.counters.lost == 0
     assert odometer.counters.resets == odometer.counters.jumps == odometer.counters.gyro_jumps == 0
@@ -78,7 +78,7 @@ def test_odometry_is_the_driven_path(bench: MakeBench, name: str) -> None:
         assert len(stamps) == pytest.approx(12.0 / period, rel=0.02)
 
 
-def test_wheels_are_wrong_as_they_are_said_to_be(bench: MakeBench) -> None:
+def test_wheels_have_the_reported_biases(bench: MakeBench) -> None:
     robot = bench(base="create2", seed=3, drive="base", wheels=WheelModel(slip=0.0, encoder=0.0))
     host, protocol = started(robot, "create2")
     host.port.write(protocol.drive(Velocity(0.3, 0.0)))
@@ -87,7 +87,7 @@ def test_wheels_are_wrong_as_they_are_said_to_be(bench: MakeBench) -> None:
     travelled, _ = robot.emulator.motion.travelled(robot.time)
     distance = np.hypot(*np.diff(poses[:, :2], axis=0).T).sum()
     assert distance / travelled == pytest.approx((biases["left"] + biases["right"]) / 2, abs=0.01)
-    assert abs(biases["left"] - 1.0) > 0.015  # of this seed
+    assert abs(biases["left"] - 1.0) > 0.015  # with this seed
 
 
 @pytest.mark.parametrize("name", PROTOCOLS)
@@ -99,7 +99,7 @@ def test_velocities_are_driven(bench: MakeBench, name: str) -> None:
         host.port.write(protocol.drive(Velocity(0.2, 0.5)))
         robot.go(0.2)
     travelled, turned = robot.emulator.motion.travelled(robot.time)
-    assert travelled == pytest.approx(0.2 * (2.0 - 0.2 / 0.6 / 2), abs=0.02)  # it speeds up at 0.6 m/s^2
+    assert travelled == pytest.approx(0.2 * (2.0 - 0.2 / 0.6 / 2), abs=0.02)  # acceleration of 0.6 m/s^2
     assert turned == pytest.approx(0.5 * (2.0 - 0.5 / 4.0 / 2), abs=0.03)
     assert np.hypot(*between(start, robot.emulator.motion.poses(np.array([robot.time]))[0])[:2]) > 0.3
     host.port.write(protocol.stop())
@@ -109,7 +109,7 @@ def test_velocities_are_driven(bench: MakeBench, name: str) -> None:
     assert robot.emulator.motion.travelled(robot.time) == remainder
 
 
-def test_a_base_that_is_not_told_to_go_on_stops(bench: MakeBench) -> None:
+def test_a_base_without_new_commands_stops(bench: MakeBench) -> None:
     robot = bench(base="wheels", drive="base")
     host, protocol = started(robot, "wheels")
     host.port.write(protocol.drive(Velocity(0.2, 0.0)))
@@ -150,7 +150,7 @@ def test_a_create_is_silent_until_it_is_started_and_after_it_is_stopped(bench: M
 @pytest.mark.parametrize("name", ["arduino", "wheels"])
 def test_opening_the_port_restarts_an_arduino(bench: MakeBench, name: str) -> None:
     robot = bench(base=name)
-    robot.go(5.0)  # it has driven by now
+    robot.go(5.0)  # the robot has moved by now
     protocol = PROTOCOLS[name]()
     host = robot.open("base", protocol.baud)
     robot.go(ARDUINO_BOOT_DURATION - 0.1)
@@ -209,7 +209,7 @@ def test_keys_of_a_terminal_drive_the_robot(bench: MakeBench, monkeypatch: pytes
     os.close(keys)
 
 
-def test_the_motion_goes_on_smoothly_while_its_beginning_is_forgotten(bench: MakeBench) -> None:
+def test_the_motion_is_smooth_while_old_steps_are_discarded(bench: MakeBench) -> None:
     motion = bench().emulator.motion
     before = motion.poses(np.array([0.0]))[0]
     for moment in np.arange(0.0, 20.0, 0.05):

@@ -1,4 +1,4 @@
-"""Lines, ports and faults: what is injected is what is counted, and every byte is accounted for."""
+"""Lines, ports and faults: all faults are counted, and every byte is accounted for."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_a_line_carries_bytes_in_order_at_its_pace(sizes: list[int], baud: int, 
     assert line.due == np.inf
 
 
-def test_many_packets_are_sent_as_one_by_one() -> None:
+def test_packets_sent_together_and_singly_take_the_same_time() -> None:
     realtime_priority, singly = SerialLine(115200), SerialLine(115200)
     times = np.array([0.0, 1e-4, 1e-2, 1e-2, 2e-2])
     data = bytes(range(25))
@@ -69,10 +69,10 @@ def test_many_packets_are_sent_as_one_by_one() -> None:
         assert realtime_priority.read(float(moment)) == singly.read(float(moment))
 
 
-def test_what_a_slow_line_cannot_carry_is_lost_and_counted() -> None:
+def test_overflow_of_a_slow_line_is_counted() -> None:
     line, sent = SerialLine(9600), 0
     for i in range(2000):
-        line.send(bytes(10), i * 1e-3)  # ten times too much
+        line.send(bytes(10), i * 1e-3)  # ten times the line's capacity
         sent += 10
     came = len(line.read(1e9))
     assert came + line.overflow == sent
@@ -84,7 +84,7 @@ CHANCE = st.floats(0.0, 0.3)
 
 @given(st.binary(max_size=2000), CHANCE, CHANCE, CHANCE, st.lists(st.integers(0, 2000), max_size=5))
 @settings(max_examples=50, deadline=None)
-def test_damage_does_not_depend_on_chunks(
+def test_corruption_does_not_depend_on_chunks(
     data: bytes, drop: float, insert: float, flip: float, cuts: list[int]
 ) -> None:
     whole = Corruptor(drop, insert, flip, np.random.default_rng(1))
@@ -96,7 +96,7 @@ def test_damage_does_not_depend_on_chunks(
     assert len(damaged) == len(data) - whole.counts.dropped + whole.counts.inserted
 
 
-def test_each_kind_of_damage_is_what_it_says() -> None:
+def test_each_kind_of_corruption_is_counted() -> None:
     data = bytes(1000)
     flipper = Corruptor(0.0, 0.0, 0.1, np.random.default_rng(0))
     bits = np.unpackbits(np.frombuffer(flipper(data), np.uint8)).sum()
@@ -112,16 +112,16 @@ def test_each_kind_of_damage_is_what_it_says() -> None:
 # -- ports ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_port_keeps_its_name_and_takes_no_other_things(tmp_path: Path) -> None:
+def test_a_port_replaces_links_but_no_other_files(tmp_path: Path) -> None:
     link = tmp_path / "ports" / "lidar"
     link.parent.mkdir()
-    link.symlink_to("/dev/pts/none")  # left behind
+    link.symlink_to("/dev/pts/none")  # left by a killed program
     port = PtyPort(link)
     assert not port.is_open
     with_program = SerialPort(str(link), 256000)
     assert port.is_open
     assert port.baud == 256000
-    other = PtyPort(link)  # another emulator took the name
+    other = PtyPort(link)  # another emulator replaced the link
     port.unplug()
     assert link.exists()
     other.unplug()
@@ -138,7 +138,7 @@ def test_a_port_keeps_its_name_and_takes_no_other_things(tmp_path: Path) -> None
         PtyPort(link / "lidar")
 
 
-def test_nobody_listening_and_nobody_reading_are_told_apart(bench: MakeBench) -> None:
+def test_closed_and_unread_ports_are_counted_separately(bench: MakeBench) -> None:
     robot = bench(lidar="ld06")
     robot.go(3.0)
     counts = robot.emulator.lidar.counts
@@ -160,7 +160,7 @@ def test_nobody_listening_and_nobody_reading_are_told_apart(bench: MakeBench) ->
     robot.go(0.5)
     decoder = ld06.Ld06Decoder()
     decoder.feed(host.data)
-    assert decoder.counters.packets > 0.5 * 375 * 0.98  # it finds its way again
+    assert decoder.counters.packets > 0.5 * 375 * 0.98  # the decoder synchronises again
     assert len(host.data) == counts.sent
 
 
@@ -168,7 +168,7 @@ def test_nobody_listening_and_nobody_reading_are_told_apart(bench: MakeBench) ->
 
 
 def scanning(robot: Bench) -> Host:
-    """An S1's dense capsules."""
+    """Return the host of a scanning S1 with dense capsules."""
     host = robot.open("lidar", 256000)
     robot.go(0.6)
     assert host.ask(express_scan(1), ResponseReader(ResponseType.DENSE, multiple=True)) == b""
@@ -176,7 +176,7 @@ def scanning(robot: Bench) -> Host:
     return host
 
 
-def test_injected_faults_are_those_that_arrive(bench: MakeBench) -> None:
+def test_corrupted_bytes_arrive_as_counted(bench: MakeBench) -> None:
     streams = []
     for chances in ({}, {"drop": 2e-4, "insert": 2e-4, "flip": 2e-4}):
         robot = bench(lidar="ld06", seed=4, **chances)
@@ -186,15 +186,15 @@ def test_injected_faults_are_those_that_arrive(bench: MakeBench) -> None:
     counts = robot.emulator.lidar.report()
     clean, damaged = streams
     damage = [counts["dropped"], counts["inserted"], counts["flipped"]]
-    assert all(5 <= count <= 30 for count in damage)  # 14 of each are likely
+    assert all(5 <= count <= 30 for count in damage)  # 14 of each are expected
     assert len(damaged) == len(clean) - damage[0] + damage[1] == counts["sent"]
     decoder = ld06.Ld06Decoder()
     decoder.feed(damaged)
     lost = len(clean) // 47 - decoder.counters.packets
-    assert 0.8 * sum(damage) <= lost <= 1.1 * sum(damage)  # a fault costs the packet it hits, which two may share
+    assert 0.8 * sum(damage) <= lost <= 1.1 * sum(damage)  # a fault loses its packet; two faults may be in one packet
 
 
-def test_unplugging_and_coming_back(bench: MakeBench) -> None:
+def test_unplugged_devices_return(bench: MakeBench) -> None:
     events = (FaultEvent("unplug", "lidar", 3.0, 1.0), FaultEvent("unplug", "base", 3.0, 1.0))
     robot = bench(events=events)
     lidar, base = scanning(robot), robot.open("base")
@@ -211,15 +211,15 @@ def test_unplugging_and_coming_back(bench: MakeBench) -> None:
     robot.go(4.05 - robot.time)
     again, base_again = robot.open("lidar", 256000), robot.open("base")
     robot.go(1.0)
-    assert again.data.startswith(b"RP LIDAR System")  # it takes its power from the port, and has started again
-    assert len(base_again.data) == pytest.approx(1.0 / 0.015 * 9, abs=18)  # it has a battery, and never stopped
+    assert again.data.startswith(b"RP LIDAR System")  # powered by the port, so it has restarted
+    assert len(base_again.data) == pytest.approx(1.0 / 0.015 * 9, abs=18)  # powered by a battery, so it never stopped
     counts = [robot.emulator.lidar.counts, robot.emulator.base.counts]
     assert [c.unplugs for c in counts] == [1, 1]
     assert counts[1].unplugged == pytest.approx(1.0 / 0.015 * 9, abs=18)
     assert robot.emulator.lidar.report()["starts"] == 2
 
 
-def test_stalls_and_restarts(bench: MakeBench) -> None:
+def test_stalls_and_restarts_are_counted(bench: MakeBench) -> None:
     robot = bench(events=(FaultEvent("restart", "lidar", 4.0), FaultEvent("stall", "lidar", 2.5, 0.5)))
     host = scanning(robot)
     robot.go(2.49 - robot.time)
@@ -236,7 +236,7 @@ def test_stalls_and_restarts(bench: MakeBench) -> None:
     assert (counts.stalls, counts.restarts) == (1, 1)
     decoder = decoder_for(ResponseType.DENSE, 1 / 9200, 256000, triangulates=False)
     decoder.feed(host.data)
-    assert decoder.counters.checksum_failures <= 2  # where it was silent, and where it began again
+    assert decoder.counters.checksum_failures <= 2  # at the silence and at the restart
 
 
 def test_a_failed_lidar_does_not_scan(bench: MakeBench) -> None:
@@ -253,7 +253,7 @@ def test_a_failed_lidar_does_not_scan(bench: MakeBench) -> None:
     ("kind", "text"),
     [("unplug", "lidar@3"), ("stall", "lidar"), ("restart", "base@1:2"), ("fail", "head@2"), ("stall", "")],
 )
-def test_events_that_are_none(kind: str, text: str) -> None:
+def test_invalid_events_are_rejected(kind: str, text: str) -> None:
     with pytest.raises(DriverError, match=f"--{kind}"):
         FaultEvent.parse(kind, text)
     assert FaultEvent.parse("unplug", "lidar@20:3") == FaultEvent("unplug", "lidar", 20.0, 3.0)
@@ -272,7 +272,7 @@ def test_events_that_are_none(kind: str, text: str) -> None:
         ({"base_port": Path("a"), "lidar_port": Path("a")}, "different ports"),
     ],
 )
-def test_setups_that_cannot_be(wrong: dict[str, object], because: str) -> None:
+def test_invalid_settings_are_rejected(wrong: dict[str, object], because: str) -> None:
     with pytest.raises(DriverError, match=because):
         EmulatorSetup("room", **wrong)  # type: ignore[arg-type]
 
@@ -280,7 +280,7 @@ def test_setups_that_cannot_be(wrong: dict[str, object], because: str) -> None:
 # -- the whole ------------------------------------------------------------------------------------------------------
 
 
-def test_truth_and_report_are_left_behind(bench: MakeBench, tmp_path: Path) -> None:
+def test_ground_truth_and_report_are_written(bench: MakeBench, tmp_path: Path) -> None:
     ports = {"lidar_port": tmp_path / "lidar", "base_port": tmp_path / "base"}
     setup = EmulatorSetup("room", truth=tmp_path / "truth.tum", report=tmp_path / "report.json", **ports)
     with Emulator(setup, begun=1000.0) as emulator:
@@ -299,7 +299,7 @@ def test_truth_and_report_are_left_behind(bench: MakeBench, tmp_path: Path) -> N
     assert report["base"]["starts"] == 1
 
 
-def test_what_cannot_be_written_is_said(tmp_path: Path) -> None:
+def test_unwritable_files_are_errors(tmp_path: Path) -> None:
     ports = {"lidar_port": tmp_path / "lidar", "base_port": tmp_path / "base"}
     report = tmp_path / "report.json"
     setup = EmulatorSetup("room", truth=tmp_path, report=report, **ports)
@@ -313,7 +313,7 @@ def test_what_cannot_be_written_is_said(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_in_real_time_bytes_keep_their_pace(tmp_path: Path) -> None:
+def test_bytes_keep_their_pace_in_real_time(tmp_path: Path) -> None:
     setup = EmulatorSetup("room", noise=EXACT, lidar_port=tmp_path / "lidar", base_port=tmp_path / "base")
     with Emulator(setup) as emulator:
         running = threading.Thread(target=emulator.run, args=(3.0,))
@@ -332,7 +332,7 @@ def test_in_real_time_bytes_keep_their_pace(tmp_path: Path) -> None:
     assert np.ptp(times) > 0.5
     half = len(times) // 2
     paces = (samples[half:] - samples[:-half]) / (times[half:] - times[:-half])
-    assert np.median(paces) == pytest.approx(9200, rel=0.02)  # however long a busy machine kept some of them waiting
+    assert np.median(paces) == pytest.approx(9200, rel=0.02)  # for any delay of single reads on a busy computer
     assert decoder.counters.checksum_failures == 0
     assert emulator.lidar.counts.overrun == 0
     assert not os.path.lexists(tmp_path / "lidar")

@@ -1,4 +1,4 @@
-"""Emulated lidars, heard through pyserial on pseudo terminals by the drivers' own decoders."""
+"""Emulated lidars, read through pyserial on pseudo terminals by the drivers' own decoders."""
 
 from __future__ import annotations
 
@@ -35,11 +35,13 @@ RPLIDARS = [
     ("rplidar-s3", "typical"),
 ]
 QUANTA = {ResponseType.ULTRA: 0.009, ResponseType.ULTRA_DENSE: 0.003}
-"""Metres; half a millimetre where nothing else is said."""
+"""Resolution of the ranges in metres; half a millimetre for all other formats."""
 
 
 def started(bench: Bench, lidar: str, mode: str) -> tuple[Host, Decoder, float]:
-    """A lidar that scans, its decoder, and how finely it tells ranges; what it reads from now on are measurements."""
+    """Return a scanning lidar, its decoder, and the resolution of its ranges; all bytes read from now on are
+    measurements.
+    """
     if lidar == "ld06":
         return bench.open("lidar", ld06.BAUD), ld06.Ld06Decoder(), 0.0006
     if lidar == "scip":
@@ -70,16 +72,16 @@ def scans_of(measurements: Measurements, stamps: Floats, whole: bool = False) ->
 
 
 @pytest.mark.parametrize(("lidar", "mode"), [*RPLIDARS, ("ld06", ""), ("scip", "")])
-def test_what_is_decoded_is_what_is_there(bench: MakeBench, lidar: str, mode: str) -> None:
+def test_decoded_ranges_are_the_true_ranges(bench: MakeBench, lidar: str, mode: str) -> None:
     robot = bench(lidar=lidar)
-    robot.go(1.0)  # stands so long
+    robot.go(1.0)  # the robot stands still at first
     host, decoder, quantum = started(robot, lidar, mode)
     robot.go(2.0)
     measurements, stamps = measured(host, decoder)
     assert decoder.counters.checksum_failures == 0
     samples = measurements.samples
-    # Arrival is seen a tick late at most, and standard nodes come in small bursts. Directions are told to 1/64 degree,
-    # or corrected to 1/8 degree.
+    # Arrival times are at most one tick late, and standard nodes come in small bursts. Directions have a resolution of
+    # 1/64 degree, corrections of 1/8 degree.
     latest = robot.step + (BURST_DURATION if mode == "Standard" else 0.0)
     motion, mount = robot.emulator.motion, np.array(robot.emulator.setup.mount)
     cast = [
@@ -91,7 +93,7 @@ def test_what_is_decoded_is_what_is_there(bench: MakeBench, lidar: str, mode: st
     right = (samples["range"] > np.min(cast, axis=0) - quantum) & (samples["range"] < np.max(cast, axis=0) + quantum)
     assert np.count_nonzero(told) > 0.95 * len(samples)
     assert np.count_nonzero(right | ~told) >= 0.995 * len(samples)
-    assert np.ptp(motion.poses(np.array([stamps[0], stamps[-1]])), axis=0).max() > 0.1  # it drove meanwhile
+    assert np.ptp(motion.poses(np.array([stamps[0], stamps[-1]])), axis=0).max() > 0.1  # the robot was moving
 
 
 @pytest.mark.parametrize(
@@ -113,10 +115,10 @@ def test_lidars_turn_clockwise_at_their_rate(
     scans = scans_of(measurements, stamps)
     assert len(scans) >= 1.8 * turns
     assert np.diff([scan.stamp for scan in scans]).mean() == pytest.approx(1.0 / turns, rel=0.02)
-    assert all(scan.time_offsets[0] > scan.time_offsets[-1] for scan in scans)  # angles increase, times do not
+    assert all(scan.time_offsets[0] > scan.time_offsets[-1] for scan in scans)  # angles increase, times decrease
 
 
-def test_scip_turns_counter_clockwise_and_tells_the_time(bench: MakeBench) -> None:
+def test_scip_turns_counter_clockwise_and_sends_its_clock(bench: MakeBench) -> None:
     robot = bench(lidar="scip", lidar_drift=2000.0)
     host, decoder, _ = started(robot, "scip", "")
     robot.go(2.0)
@@ -124,7 +126,7 @@ def test_scip_turns_counter_clockwise_and_tells_the_time(bench: MakeBench) -> No
     scans = scans_of(measurements, stamps, whole=True)
     assert 19 <= len(scans) <= 20
     assert all(np.all(np.diff(scan.time_offsets) > 0.0) for scan in scans)
-    # Its clock is fast by 0.2 %, so its revolutions are shorter.
+    # The device's clock is fast by 0.2 %, so its revolutions are shorter.
     assert np.diff([scan.stamp for scan in scans]).mean() == pytest.approx(0.1 / 1.002, rel=2e-3)
     assert np.diff(measurements.packets["device_time"]) == pytest.approx(0.1, abs=1.1e-3)
 
@@ -139,7 +141,7 @@ def test_a_device_clock_drifts(bench: MakeBench) -> None:
 
 
 @pytest.mark.parametrize("lidar", RPLIDAR_VARIANTS)
-def test_an_rplidar_says_who_it_is(bench: MakeBench, lidar: str) -> None:
+def test_an_rplidar_reports_its_identity_health_and_modes(bench: MakeBench, lidar: str) -> None:
     robot, kind = bench(lidar=lidar), RPLIDAR_VARIANTS[lidar]
     host = robot.open("lidar", kind.baud)
     robot.go(0.6)
@@ -175,7 +177,7 @@ def test_an_rplidar_says_who_it_is(bench: MakeBench, lidar: str) -> None:
     assert told.choose().sample_period == pytest.approx(kind.modes.choose().sample_period, rel=1e-3)
 
 
-def test_only_the_right_speed_is_understood(bench: MakeBench) -> None:
+def test_only_the_right_baud_rate_is_understood(bench: MakeBench) -> None:
     robot = bench(lidar="rplidar-s1")
     robot.go(0.6)
     answered = []
@@ -188,12 +190,14 @@ def test_only_the_right_speed_is_understood(bench: MakeBench) -> None:
     assert robot.emulator.lidar.counts.garbled == 3 * len(requests.GET_INFO.packet())
 
 
-def test_a_scan_ends_when_it_is_told_to_and_a_reset_brings_the_banner(bench: MakeBench) -> None:
+def test_stop_ends_a_scan_and_reset_sends_the_banner(bench: MakeBench) -> None:
     robot = bench(lidar="rplidar-s1")
     host, _, _ = started(robot, "rplidar-s1", "DenseBoost")
     robot.go(1.5)
     assert len(host.data) > 5000
-    assert host.ask(requests.GET_INFO, ResponseReader(ResponseType.INFO, Info.SIZE)) is None  # not while it scans
+    assert (
+        host.ask(requests.GET_INFO, ResponseReader(ResponseType.INFO, Info.SIZE)) is None
+    )  # no response while scanning
     host.port.write(requests.STOP.packet())
     robot.go(0.1)
     host.forget()
@@ -201,12 +205,12 @@ def test_a_scan_ends_when_it_is_told_to_and_a_reset_brings_the_banner(bench: Mak
     assert host.data == b""
     host.port.write(requests.RESET.packet() + requests.GET_INFO.packet())
     robot.go(1.0)
-    assert host.data.startswith(b"RP LIDAR System")  # and nothing more: it did not hear what it was asked too early
+    assert host.data.startswith(b"RP LIDAR System")  # and nothing more: the early request was ignored
     assert host.data.count(b"\n") == 3
     assert robot.emulator.lidar.report()["starts"] == 2
 
 
-def test_motors_are_started_as_the_family_wants(bench: MakeBench) -> None:
+def test_an_a2_needs_pwm_to_turn(bench: MakeBench) -> None:
     robot = bench(lidar="rplidar-a2")
     host = robot.open("lidar", 115200)
     robot.go(0.6)
@@ -214,7 +218,7 @@ def test_motors_are_started_as_the_family_wants(bench: MakeBench) -> None:
     assert host.ask(requests.SCAN, ResponseReader(ResponseType.STANDARD, multiple=True)) == b""
     host.forget()
     robot.go(1.5)
-    assert host.data == b""  # the head stands
+    assert host.data == b""  # the head does not turn
     host.port.write(requests.set_motor_pwm(660).packet())
     robot.go(1.5)
     turning = len(host.data)
@@ -224,7 +228,7 @@ def test_motors_are_started_as_the_family_wants(bench: MakeBench) -> None:
     assert len(host.data) < turning + 100
 
 
-def test_an_inner_error_lasts_until_a_reset(bench: MakeBench) -> None:
+def test_an_internal_error_lasts_until_a_reset(bench: MakeBench) -> None:
     robot = bench(lidar="rplidar-s1")
     host, _, _ = started(robot, "rplidar-s1", "DenseBoost")
     robot.go(1.2)
@@ -238,9 +242,9 @@ def test_an_inner_error_lasts_until_a_reset(bench: MakeBench) -> None:
         robot.go(0.6)
 
 
-def test_scip_answers(bench: MakeBench) -> None:
+def test_scip_replies_to_all_commands(bench: MakeBench) -> None:
     robot = bench(lidar="scip")
-    host = robot.open("lidar", 19200)  # on USB any speed will do
+    host = robot.open("lidar", 19200)  # on USB any baud rate works
     replies = scip.ReplyParser()
 
     def ask(command: bytes) -> list[scip.Reply]:
@@ -260,7 +264,7 @@ def test_scip_answers(bench: MakeBench) -> None:
     assert ask(b"XX\n")[0].status == "0E"
     assert ask(b"MD0000999901000\n")[0].status == "04"
     once = ask(scip.MeasureRequest(100, 200, cluster=3, continuous=False, width=2).packet())
-    assert [(reply.status, len(reply.lines)) for reply in once] == [("00", 3)]  # the time, 68 characters
+    assert [(reply.status, len(reply.lines)) for reply in once] == [("00", 3)]  # the clock, 68 characters
     echoes = [reply.echo[-2:] for reply in ask(MEASURE.echo_prefix + b"02\n")]
     assert echoes == [b"02", b"01", b"00"]
     assert robot.emulator.lidar.device.unrecognised == 3

@@ -1,4 +1,4 @@
-"""The same few revolutions in a made-up room, as the bytes of every lidar."""
+"""The same few revolutions in a simulated room, as the bytes of every lidar."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from drivers.lidars.rplidar.decoding import decoder_for
 from drivers.lidars.rplidar.responses import ResponseType
 from drivers.messages import Floats
 
-RATE = 9.7  # revolutions a second
+RATE = 9.7  # revolutions per second
 URG = scip.Parameters("URG-04LX", 0.02, 5.6, 1024, 44, 725, 384, 600.0)
 MEASURE = scip.MeasureRequest(44, 725)
 
 
 @dataclass(frozen=True)
 class Stream:
-    """What a lidar sends in `revolutions`, how fast, and what understands it."""
+    """Bytes of a lidar over some revolutions, their duration, and their decoder."""
 
     data: bytes
     decoder: Callable[[], Decoder]
@@ -34,7 +34,7 @@ class Stream:
 
 
 def room(bearings: Floats, seed: int) -> Floats:
-    """Noisy ranges along directions: walls, things before them, beams that return nothing."""
+    """Return noisy ranges along directions: walls, objects in front of them, beams without return."""
     random = np.random.default_rng(seed)
     walls = 2.5 / np.maximum(np.abs(np.cos(bearings)), np.abs(np.sin(bearings)))
     things = np.where(np.mod(bearings * 5.0, 2 * np.pi) < 0.6, 0.5, 1.0)
@@ -49,7 +49,7 @@ def starts_of(bearings: Floats) -> np.ndarray:
 
 @cache
 def make_stream(kind: str, revolutions: float, seed: int = 1) -> Stream:
-    """The bytes of about so many revolutions."""
+    """Return the bytes of about `revolutions` revolutions."""
     if kind == "scip":
         scans = round(revolutions)
         steps = (MEASURE.first + np.arange(MEASURE.count) - URG.front) * 2 * np.pi / URG.steps

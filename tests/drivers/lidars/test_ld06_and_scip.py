@@ -1,4 +1,4 @@
-"""LD06 and Hokuyo's SCIP: known bytes, round trips, clocks that begin again."""
+"""LD06 and Hokuyo's SCIP: known bytes, round trips, unwrapped clocks."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ QUICK = settings(max_examples=20, deadline=None)
 
 
 class TestLd06:
-    def test_known_packet(self) -> None:
+    def test_a_known_packet_is_decoded(self) -> None:
         measurements = ld06.Ld06Decoder().feed(PACKET)
         samples = measurements.samples
         degrees = np.degrees(-samples["angle"]) % 360
@@ -32,20 +32,20 @@ class TestLd06:
         assert measurements.packets["device_time"] == pytest.approx(6.714)
         assert measurements.packets["end"].tolist() == [47]
 
-    def test_known_packet_is_encoded(self) -> None:
+    def test_a_known_packet_is_encoded(self) -> None:
         ranges = np.array([[224, 220, 217, 213, 211, 208, 205, 202, 199, 197, 194, 192]]) * 1e-3
         intensities = np.array([[228, 226, 229, 227, 228, 233, 228, 226, 233, 229, 229, 229]])
         angles = np.radians([[324.27, 334.70]])
         assert ld06.encode(angles, ranges, intensities, np.radians(2152), 6.714) == PACKET
 
-    def test_every_flipped_bit_is_seen(self) -> None:
+    def test_every_flipped_bit_is_detected(self) -> None:
         for at in range(47):
             for bit in range(8):
                 broken = bytearray(PACKET)
                 broken[at] ^= 1 << bit
                 assert not len(ld06.Ld06Decoder().feed(bytes(broken)))
 
-    def test_clock_goes_on_over_its_wrap(self) -> None:
+    def test_the_clock_is_unwrapped(self) -> None:
         decoder = ld06.Ld06Decoder()
         data = b"".join(
             ld06.encode(np.radians([[0.0, 9.0]]), np.ones((1, 12)), np.zeros((1, 12), int), np.radians(3600), t)
@@ -54,7 +54,7 @@ class TestLd06:
         times = np.concatenate([decoder.feed(data[i : i + 50]).packets["device_time"] for i in range(0, len(data), 50)])
         np.testing.assert_allclose(times, [29.990, 29.998, 30.006, 59.0, 61.0])
 
-    def test_packet_wider_than_its_speed_allows(self) -> None:
+    def test_a_packet_wider_than_its_speed_allows_is_rejected(self) -> None:
         decoder = ld06.Ld06Decoder()
         wide = ld06.encode(np.radians([[0.0, 32.0]]), np.ones((1, 12)), np.zeros((1, 12), int), np.radians(3600), 0.0)
         assert not len(decoder.feed(wide))
@@ -66,7 +66,7 @@ class TestLd06:
         intensities=arrays(np.int64, (2, 12), elements=st.integers(0, 255)),
         begin=st.floats(0.0, 360.0),
     )
-    def test_round_trip(self, ranges: np.ndarray, intensities: np.ndarray, begin: float) -> None:
+    def test_decoding_inverts_encoding(self, ranges: np.ndarray, intensities: np.ndarray, begin: float) -> None:
         angles = np.radians(begin + np.array([[0.0, 8.8], [9.6, 18.4]]))
         samples = ld06.Ld06Decoder().feed(ld06.encode(angles, ranges, intensities, 2 * np.pi * 10, 1.0)).samples
         np.testing.assert_allclose(samples["range"], ranges.ravel(), rtol=1e-12)
@@ -76,7 +76,7 @@ class TestLd06:
 
 
 class TestScipLanguage:
-    def test_known_sums_and_values(self) -> None:
+    def test_known_checksums_and_values_are_reproduced(self) -> None:
         assert scip.checksum(b"00") == b"P"
         assert scip.checksum(b"99") == b"b"
         assert scip.strip_checksum(b"1Dh1Dhj") == b"1Dh1Dh"
@@ -96,14 +96,14 @@ class TestScipLanguage:
         np.testing.assert_array_equal(got, values)
         assert good.all()
 
-    def test_parameters(self) -> None:
+    def test_parameters_are_encoded_and_parsed(self) -> None:
         reply = scip.Reply(b"PP", "00", URG.lines(), 0)
         assert b"DMIN:20;" in reply.packet()
         (got,) = scip.ReplyParser().feed(reply.packet())
         assert scip.Parameters.parse(got) == URG
         assert pytest.approx(0.1 / 1024) == URG.step_period
 
-    def test_parameters_that_make_no_sense(self) -> None:
+    def test_invalid_parameters_are_rejected(self) -> None:
         lines = list(URG.lines())
         with pytest.raises(DriverError, match="make no sense"):
             scip.Parameters.parse(scip.Reply(b"PP", "00", tuple(lines[:-1]), 0))
@@ -112,12 +112,12 @@ class TestScipLanguage:
             scip.Parameters.parse(scip.Reply(b"PP", "00", tuple(lines), 0))
 
     @given(st.lists(st.binary(max_size=20), max_size=10))
-    def test_parameters_of_any_lines(self, texts: list[bytes]) -> None:
+    def test_any_lines_are_parsed_or_rejected(self, texts: list[bytes]) -> None:
         lines = tuple(text + scip.checksum(text) for text in texts)
         with pytest.raises(DriverError):
             scip.Parameters.parse(scip.Reply(b"PP", "00", lines, 0))
 
-    def test_replies(self) -> None:
+    def test_replies_are_found_and_other_bytes_counted(self) -> None:
         reader = scip.ReplyParser()
         replies = reader.feed(b"noise\nQT\n00P\n\nQT\nE\n\nTM1\n00P\n00000\n\nMD\n99b\n")
         assert [(r.echo, r.status) for r in replies] == [(b"QT", "E"), (b"TM1", "00")]
@@ -130,8 +130,8 @@ class TestScipLanguage:
 
 
 class TestScipScan:
-    def test_known_lines(self) -> None:
-        """Two steps whose values and checksum stand in the manual, with the clock before them."""
+    def test_known_lines_are_decoded(self) -> None:
+        """Two steps whose values and checksum are from the manual, preceded by the clock."""
         measure = scip.MeasureRequest(383, 384)
         far = scip.Parameters("UTM-30LX", 0.02, 60.0, 1440, 0, 1080, 384, 2400.0)
         decoder = scip_scan.ScipDecoder(far, measure)
@@ -153,7 +153,7 @@ class TestScipScan:
         width=st.sampled_from([2, 3]),
         continuous=st.booleans(),
     )
-    def test_round_trip(self, ranges: np.ndarray, clock: int, width: int, continuous: bool) -> None:
+    def test_decoding_inverts_encoding(self, ranges: np.ndarray, clock: int, width: int, continuous: bool) -> None:
         measure = scip.MeasureRequest(44, 725, 3, continuous, width)
         assert measure.count == 228
         decoder = scip_scan.ScipDecoder(URG, measure)
@@ -163,7 +163,7 @@ class TestScipScan:
         assert measurements.samples["angle"][0] == pytest.approx((45 - 384) * 2 * np.pi / 1024)
         assert np.all(np.diff(measurements.samples["angle"]) > 0)
 
-    def test_clock_goes_on_over_its_wrap(self) -> None:
+    def test_the_clock_is_unwrapped(self) -> None:
         measure = scip.MeasureRequest(44, 725)
         decoder = scip_scan.ScipDecoder(URG, measure)
         clocks = [(1 << 24) - 100, 0, 100]
@@ -171,13 +171,13 @@ class TestScipScan:
         times = decoder.feed(data).packets["device_time"]
         np.testing.assert_allclose(np.diff(times), 0.1)
 
-    def test_error_codes_and_far_values_are_no_ranges(self) -> None:
+    def test_error_codes_and_out_of_range_values_become_nan(self) -> None:
         measure = scip.MeasureRequest(44, 53)
         ranges = np.array([0.0, 0.001, 0.019, 0.02, 1.0, 5.6, 5.601, 5.0, 0.006, 2.0])
         got = scip_scan.ScipDecoder(URG, measure).feed(scip_scan.encode(ranges, measure, 0)).samples["range"]
         np.testing.assert_array_equal(np.isnan(got), [1, 1, 1, 0, 0, 0, 1, 0, 1, 0])
 
-    def test_damaged_line_costs_its_beams_only(self) -> None:
+    def test_a_damaged_line_loses_only_its_beams(self) -> None:
         measure = scip.MeasureRequest(44, 725)
         data = bytearray(scip_scan.encode(np.full(682, 3.0), measure, 5))
         data[data.index(b"\n", 60) + 10] ^= 1
@@ -186,7 +186,7 @@ class TestScipScan:
         assert 21 <= np.count_nonzero(np.isnan(ranges)) <= 22
         assert decoder.counters.checksum_failures == 1
 
-    def test_replies_to_other_requests_are_passed_over(self) -> None:
+    def test_replies_to_other_requests_are_skipped(self) -> None:
         other, mine = scip.MeasureRequest(45, 725), scip.MeasureRequest(44, 725)
         decoder = scip_scan.ScipDecoder(URG, mine)
         assert not len(decoder.feed(scip_scan.encode(np.ones(681), other, 5)))

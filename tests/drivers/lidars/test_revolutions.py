@@ -1,4 +1,4 @@
-"""Scans out of measurements: their order, their times, what is missing, what is not complete."""
+"""Scans from measurements: order, times, gaps, completeness."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ RATE, BEAMS = 10.0, 360
 
 
 def turning(first: float, last: float, begin: float = 0.5) -> tuple[Measurements, np.ndarray]:
-    """Measurements of a lidar that turns clockwise from `first` to `last` revolutions, and their stamps."""
+    """Return measurements of a lidar that turns clockwise from `first` to `last` revolutions, and their stamps."""
     turns = np.arange(round(first * BEAMS), round(last * BEAMS)) / BEAMS
     samples = np.zeros(len(turns), SAMPLE)
     samples["angle"] = to_counter_clockwise(2 * np.pi * turns)
@@ -30,7 +30,7 @@ def without(measurements: Measurements, stamps: np.ndarray, keep: np.ndarray) ->
     return Measurements(measurements.samples[keep], measurements.packets), stamps[keep]
 
 
-def test_scan_of_a_revolution() -> None:
+def test_a_revolution_becomes_a_scan() -> None:
     assembler = RevolutionAssembler(0.1, 1.9, mount=np.array([0.1, 0.0, 0.2]))
     scans = assembler.add(*turning(0.4, 2.5))
     (scan,) = scans
@@ -47,7 +47,7 @@ def test_scan_of_a_revolution() -> None:
     assert assembler.counters.incomplete == 0
 
 
-def test_upside_down_mirrors() -> None:
+def test_upside_down_mirrors_the_angles() -> None:
     upright = RevolutionAssembler(0.1, 5.0).add(*turning(0, 1.1))[0]
     mirrored = RevolutionAssembler(0.1, 5.0, upside_down=True).add(*turning(0, 1.1))[0]
     np.testing.assert_allclose(mirrored.angles, -upright.angles[::-1])
@@ -57,7 +57,7 @@ def test_upside_down_mirrors() -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(cuts=st.lists(st.integers(0, 1500), max_size=12))
-def test_how_measurements_are_split_does_not_matter(cuts: list[int]) -> None:
+def test_scans_do_not_depend_on_how_measurements_are_split(cuts: list[int]) -> None:
     measurements, stamps = turning(0.2, 4.3)
     expected = RevolutionAssembler(0.1, 5.0).add(measurements, stamps)
     assembler, scans = RevolutionAssembler(0.1, 5.0), []
@@ -103,7 +103,7 @@ def test_lost_start_makes_two_revolutions_incomplete() -> None:
     assert assembler.counters.incomplete == 1
 
 
-def test_one_wild_angle_costs_no_revolution() -> None:
+def test_one_wrong_angle_does_not_lose_a_revolution() -> None:
     measurements, stamps = turning(0, 1.1)
     measurements.samples["angle"][100] -= 2.5
     (scan,) = RevolutionAssembler(0.1, 5.0).add(measurements, stamps)
@@ -111,7 +111,7 @@ def test_one_wild_angle_costs_no_revolution() -> None:
     assert len(scan.ranges) >= BEAMS - 1
 
 
-def test_of_beams_in_one_direction_the_one_that_returned_is_kept() -> None:
+def test_of_beams_in_one_direction_the_one_with_a_return_is_kept() -> None:
     measurements, stamps = turning(0, 0.1)
     samples = measurements.samples
     samples["angle"][5] = samples["angle"][4]
@@ -122,7 +122,7 @@ def test_of_beams_in_one_direction_the_one_that_returned_is_kept() -> None:
     assert np.all(np.diff(scan.angles) > 0)
 
 
-def test_without_starts_nothing_is_held() -> None:
+def test_memory_is_bounded_without_starts() -> None:
     measurements, stamps = turning(0, 20)
     measurements.samples["start"] = False
     assembler = RevolutionAssembler(0.1, 5.0)
@@ -134,13 +134,13 @@ def test_without_starts_nothing_is_held() -> None:
     assert assembler.counters.incomplete == 1
 
 
-def test_nothing_gives_nothing() -> None:
+def test_no_measurements_give_no_scans() -> None:
     assembler = RevolutionAssembler(0.1, 5.0)
     assert assembler.add(NO_MEASUREMENTS, np.empty(0)) == []
     assert len(NO_MEASUREMENTS.stamps(np.empty(0))) == 0
 
 
-def test_reset_forgets_the_revolution_under_way() -> None:
+def test_reset_discards_the_unfinished_revolution() -> None:
     assembler = RevolutionAssembler(0.1, 5.0)
     assembler.add(*turning(0, 0.5))
     assembler.reset()

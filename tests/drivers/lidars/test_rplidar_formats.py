@@ -1,4 +1,4 @@
-"""The layouts of an RPLIDAR's measurements: known bytes, and what an emulated device encodes is decoded again."""
+"""Formats of an RPLIDAR's measurements: known bytes, and encoded measurements decoded again."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def decoded(format: CapsuleFormat, data: bytes) -> StructuredArray:
 
 
 def clockwise(samples: StructuredArray) -> np.ndarray:
-    """The device's own angles in degrees."""
+    """Return the device's own angles in degrees."""
     return np.degrees(-samples["angle"]) % 360.0
 
 
 def sealed(body: bytes) -> bytes:
-    """A capsule with its sync nibbles and checksum, made by hand."""
+    """Return a capsule with its sync nibbles and checksum, computed independently."""
     checksum = reduce(xor, body)
     return bytes([0xA0 | (checksum & 15), 0x50 | (checksum >> 4)]) + body
 
@@ -50,7 +50,9 @@ class TestStandard:
             ("3E 9B 64 00 00", False, 15, 201.203125, np.nan),
         ],
     )
-    def test_nodes(self, node: str, start: bool, quality: int, degrees: float, millimetres: float) -> None:
+    def test_known_nodes_are_decoded(
+        self, node: str, start: bool, quality: int, degrees: float, millimetres: float
+    ) -> None:
         nodes = np.frombuffer(bytes.fromhex(node), standard.NODE)
         assert standard.check_bits_match(nodes).all()
         (sample,) = standard.decode_nodes(nodes)
@@ -59,7 +61,7 @@ class TestStandard:
         assert sample["range"] == pytest.approx(millimetres * 1e-3, nan_ok=True)
 
     @pytest.mark.parametrize("node", ["3C 61 00 71 17", "3F 61 00 71 17", "3D 60 00 71 17"])
-    def test_wrong_check_bits(self, node: str) -> None:
+    def test_wrong_check_bits_are_detected(self, node: str) -> None:
         assert not standard.check_bits_match(np.frombuffer(bytes.fromhex(node), standard.NODE)).any()
 
     @QUICK
@@ -69,7 +71,9 @@ class TestStandard:
         step=st.floats(0.1, 2.5),
         begin=st.floats(0.0, 6.28),
     )
-    def test_round_trip(self, ranges: np.ndarray, qualities: np.ndarray, step: float, begin: float) -> None:
+    def test_decoding_inverts_encoding(
+        self, ranges: np.ndarray, qualities: np.ndarray, step: float, begin: float
+    ) -> None:
         angles = begin + np.radians(step) * np.arange(60)
         starts = np.arange(60) == 20
         data = standard.encode(angles, ranges, qualities, starts)
@@ -84,7 +88,7 @@ class TestStandard:
 
 
 class TestExpress:
-    def test_known_capsules(self) -> None:
+    def test_known_capsules_are_decoded(self) -> None:
         first = capsule("AE 57 80 D7 A0 0F 02 00 84", bytes(75), 84)
         second = capsule("A2 58 80 02", bytes(80), 84)
         samples = decoded(express.FORMAT, first + second)
@@ -107,7 +111,7 @@ class TestExpress:
     def test_corrections_are_unsigned(
         self, cabin: str, degrees: tuple[float, float], millimetres: tuple[int, int]
     ) -> None:
-        """Cabins of a real lidar: what they say is what the geometry of the optics predicts, to its resolution."""
+        """Cabins of a real lidar: their corrections agree with the geometry of the optics, within the resolution."""
         capsules = np.zeros(1, express.LAYOUT)
         capsules["cabins"][0, 0] = np.frombuffer(bytes.fromhex(cabin), express.CABIN)[0]
         returns = express.decode(capsules, capsules)
@@ -123,7 +127,7 @@ class TestExpress:
         begin=st.floats(0.0, 6.28),
         step=st.floats(0.05, 0.3),
     )
-    def test_round_trip(self, ranges: np.ndarray, lag: np.ndarray, begin: float, step: float) -> None:
+    def test_decoding_inverts_encoding(self, ranges: np.ndarray, lag: np.ndarray, begin: float, step: float) -> None:
         heads = begin + step * np.arange(3)
         samples = decoded(express.FORMAT, express.encode(heads, ranges, np.radians(lag), reset=True))
         np.testing.assert_allclose(samples["range"], ranges[:2].ravel(), rtol=1e-12)
@@ -133,7 +137,7 @@ class TestExpress:
 
 
 class TestDense:
-    def test_known_capsules(self) -> None:
+    def test_known_capsules_are_decoded(self) -> None:
         words = struct.pack("<37H", *range(1003, 1040))
         first = bytes.fromhex("A2 5C 80 96 E8 03 D0 07 00 00") + words
         second = capsule("A9 51 00 19", bytes(80), 84)
@@ -147,7 +151,7 @@ class TestDense:
                 broken[at] ^= 1 << bit
                 assert not len(decoded(dense.FORMAT, bytes(broken) + second))
 
-    def test_turn_within_a_capsule(self) -> None:
+    def test_a_turn_within_a_capsule_starts_a_revolution(self) -> None:
         first = bytes.fromhex("A9 59 C0 59") + bytes.fromhex("F4 01") * 40
         second = bytes.fromhex("A2 50 00 02") + bytes.fromhex("F4 01") * 40
         samples = decoded(dense.FORMAT, first + second)
@@ -155,12 +159,12 @@ class TestDense:
         assert np.flatnonzero(samples["start"]).tolist() == [5]
         assert (samples["range"] == 0.5).all()
 
-    def test_turn_between_capsules(self) -> None:
+    def test_a_turn_between_capsules_starts_a_revolution(self) -> None:
         heads = np.radians([352.0, 0.0, 8.0])
         samples = decoded(dense.FORMAT, dense.encode(heads, np.ones((3, 40))))
         assert np.flatnonzero(samples["start"]).tolist() == [40]
 
-    def test_offsets_from_the_arrival_of_the_capsule_itself(self) -> None:
+    def test_offsets_refer_to_the_arrival_of_the_capsule_itself(self) -> None:
         data = dense.encode(np.radians([0.0, 4.0, 8.0]), np.ones((3, 40)))
         measurements = CapsuleDecoder(dense.FORMAT, 108.7e-6, 256000).feed(data)
         assert measurements.packets["end"].tolist() == [84, 168]
@@ -168,7 +172,7 @@ class TestDense:
         assert measurements.samples["offset"][39] == pytest.approx(-(line + 1.5 * 108.7e-6))
         assert measurements.samples["offset"][40] == pytest.approx(-(line + 40.5 * 108.7e-6))
 
-    def test_reset_of_the_angle_forgets_the_capsule_before(self) -> None:
+    def test_a_reset_of_the_angle_discards_the_previous_capsule(self) -> None:
         decoder = CapsuleDecoder(dense.FORMAT, PERIOD, 256000)
         before = dense.encode(np.radians([0.0, 4.0]), np.ones((2, 40)), reset=True)
         after = dense.encode(np.radians([100.0, 104.0]), np.ones((2, 40)), reset=True)
@@ -176,7 +180,7 @@ class TestDense:
         assert decoder.counters.discarded == 1
         assert clockwise(samples)[[0, 39, 40, 79]] == pytest.approx([0, 3.9, 100, 103.9], abs=0.01)
 
-    def test_head_that_turns_back_is_not_believed(self) -> None:
+    def test_a_head_that_turns_back_is_rejected(self) -> None:
         decoder = CapsuleDecoder(dense.FORMAT, PERIOD, 256000)
         assert not len(decoder.feed(dense.encode(np.radians([10.0, 9.9]), np.ones((2, 40)))))
         assert decoder.counters.implausible == 40
@@ -187,7 +191,7 @@ class TestDense:
         begin=st.floats(0.0, 6.28),
         step=st.floats(0.01, 0.9),
     )
-    def test_round_trip(self, ranges: np.ndarray, begin: float, step: float) -> None:
+    def test_decoding_inverts_encoding(self, ranges: np.ndarray, begin: float, step: float) -> None:
         heads = begin + step * np.arange(3)
         samples = decoded(dense.FORMAT, dense.encode(heads, ranges))
         np.testing.assert_allclose(samples["range"], ranges[:2].ravel(), rtol=1e-12)
@@ -196,7 +200,7 @@ class TestDense:
 
 
 class TestUltra:
-    def test_known_capsules(self) -> None:
+    def test_known_capsules_are_decoded(self) -> None:
         first = capsule("A4 50 80 16 0B 52 40 FF 19 F2 1F 80", bytes(120), 132)
         second = capsule("A9 51 00 19", bytes(128), 132)
         assert first == sealed(first[2:])
@@ -204,7 +208,7 @@ class TestUltra:
         assert len(samples) == 96
         assert samples["range"][:6] * 1e3 == pytest.approx([534, 544, 556, 562, np.nan, np.nan], nan_ok=True)
         expected = [84.574, 84.622, 84.670, 84.718, 82.917, 83.021]
-        assert clockwise(samples)[:6] == pytest.approx(expected, abs=1e-3)  # the correction is whole in 2^-16 rad
+        assert clockwise(samples)[:6] == pytest.approx(expected, abs=1e-3)  # the correction is quantised to 2^-16 rad
 
     @pytest.mark.parametrize(
         ("major", "value", "level"),
@@ -222,11 +226,11 @@ class TestUltra:
             (4095, 28656, 4),
         ],
     )
-    def test_majors(self, major: int, value: int, level: int) -> None:
+    def test_known_majors_are_decoded_and_encoded(self, major: int, value: int, level: int) -> None:
         assert [int(part[0]) for part in ultra.decode_majors(np.array([major]))] == [value, level]
         assert ultra.encode_majors(np.array([value]))[0] == major
 
-    def test_every_major_is_its_distance(self) -> None:
+    def test_every_major_is_decoded_and_encoded_again(self) -> None:
         majors = np.arange(4096)
         np.testing.assert_array_equal(ultra.encode_majors(ultra.decode_majors(majors)[0]), majors)
 
@@ -234,7 +238,7 @@ class TestUltra:
         ("millimetres", "degrees"),
         [(100, -5.84), (200, 1.16), (534, 5.43), (607, 5.76), (1000, 6.66), (2000, 7.33), (10000, 7.89), (49, 7.5)],
     )
-    def test_correction(self, millimetres: int, degrees: float) -> None:
+    def test_angle_corrections_have_known_values(self, millimetres: int, degrees: float) -> None:
         assert ultra.correction(np.array([millimetres]))[0] == pytest.approx(degrees, abs=0.006)
 
     @QUICK
@@ -243,8 +247,8 @@ class TestUltra:
         changes=arrays(np.float64, (3, 96), elements=st.floats(-0.1, 0.1)),
         lost=arrays(np.bool_, (3, 96)),
     )
-    def test_round_trip(self, base: float, changes: np.ndarray, lost: np.ndarray) -> None:
-        """Near its neighbours, a distance is told to half a step of its level, else not at all; never wrong."""
+    def test_decoding_inverts_encoding(self, base: float, changes: np.ndarray, lost: np.ndarray) -> None:
+        """Distances near their neighbours are encoded to half a step of their level, others not at all; never wrong."""
         ranges = np.where(lost & (changes > 0), np.nan, base + changes)
         got = decoded(ultra.FORMAT, ultra.encode(np.radians([10.0, 20.0, 30.0]), ranges))["range"]
         wanted = ranges[:2].ravel()
@@ -259,7 +263,7 @@ class TestUltra:
 
     @given(st.binary(min_size=128, max_size=128), st.binary(min_size=128, max_size=128))
     @QUICK
-    def test_what_was_decoded_is_encoded_to_the_same_ranges(self, one: bytes, other: bytes) -> None:
+    def test_decoded_ranges_are_encoded_again(self, one: bytes, other: bytes) -> None:
         data = sealed(struct.pack("<H", 640) + one) + sealed(struct.pack("<H", 1280) + other)
         ranges = decoded(ultra.FORMAT, data)["range"].reshape(1, 96)
         ahead = ultra.decode(*(np.frombuffer(data[132:], ultra.LAYOUT),) * 2).ranges[0, 0]
@@ -276,11 +280,11 @@ class TestUltraDense:
         ("word", "millimetres", "quality"),
         [(0xC87D0, 1000, 200), (0xC87D1, 3546, 200), (0xC87D2, 10187, 200), (0xA07D3, 27067, 160)],
     )
-    def test_words(self, word: int, millimetres: int, quality: int) -> None:
+    def test_known_words_are_unpacked_and_packed(self, word: int, millimetres: int, quality: int) -> None:
         assert [int(part[0]) for part in ultra_dense.unpack_words(np.array([word]))] == [millimetres, quality]
         assert ultra_dense.pack_words(np.array([millimetres]), np.array([quality]))[0] == word
 
-    def test_cabin(self) -> None:
+    def test_a_known_cabin_is_decoded(self) -> None:
         capsules = np.zeros(1, ultra_dense.LAYOUT)
         capsules["cabins"][0, 0] = np.frombuffer(bytes.fromhex("D0 87 D1 87 CC"), ultra_dense.CABIN)[0]
         returns = ultra_dense.decode(capsules, capsules)
@@ -293,7 +297,7 @@ class TestUltraDense:
         ranges=arrays(np.float64, (2, 64), elements=st.floats(0.02, 65.0) | st.just(np.nan)),
         qualities=arrays(np.int64, (2, 64), elements=st.integers(0, 255)),
     )
-    def test_round_trip(self, ranges: np.ndarray, qualities: np.ndarray) -> None:
+    def test_decoding_inverts_encoding(self, ranges: np.ndarray, qualities: np.ndarray) -> None:
         data = ultra_dense.encode(np.radians([350.0, 357.0]), ranges, qualities)
         assert len(data) == 340
         samples = decoded(ultra_dense.FORMAT, data)
@@ -308,7 +312,7 @@ class TestHq:
         body = b"\xa5" + struct.pack("<Q", 123456) + nodes
         return body + struct.pack("<I", 0x8B818E8A)
 
-    def test_known_packet(self) -> None:
+    def test_a_known_packet_is_decoded(self) -> None:
         packet = self.packet()
         assert len(packet) == 781
         assert hq.crc32_of(packet) == zlib.crc32(packet[:777] + bytes(3)) == 0x8B818E8A
@@ -319,13 +323,13 @@ class TestHq:
         assert np.isnan(samples["range"][1:]).all()
         assert not samples["start"][1:].any()
 
-    def test_encoded_packet(self) -> None:
+    def test_the_known_packet_is_encoded(self) -> None:
         zeros = np.zeros((1, 96))
         angles, ranges, qualities, starts = zeros.copy(), zeros.copy(), zeros.astype(int), zeros.astype(bool)
         angles[0, 0], ranges[0, 0], qualities[0, 0], starts[0, 0] = np.pi / 4, 1.0, 188, True
         assert hq.encode(angles, ranges, qualities, starts, 123456) == self.packet()
 
-    def test_damage_is_seen(self) -> None:
+    def test_damage_is_detected(self) -> None:
         packet = bytearray(self.packet())
         packet[400] ^= 4
         decoder = hq.HqDecoder(PERIOD, 1e6)

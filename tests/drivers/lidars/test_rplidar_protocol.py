@@ -1,4 +1,4 @@
-"""An RPLIDAR's requests and answers: known bytes, and both ends understanding each other."""
+"""Requests and responses of an RPLIDAR: known bytes, and both ends of the protocol together."""
 
 from __future__ import annotations
 
@@ -63,12 +63,12 @@ BANNER = b"RP LIDAR System.\r\nFirmware Ver 1.25 - rc2, HW Ver 5\r\nModel: 18\r\
 
 
 @pytest.mark.parametrize(("request_", "packet"), REQUESTS)
-def test_request_packets(request_: Request, packet: str) -> None:
+def test_requests_have_the_documented_bytes(request_: Request, packet: str) -> None:
     assert request_.packet() == bytes.fromhex(packet)
 
 
 @given(st.lists(st.sampled_from([r for r, _ in REQUESTS]), max_size=8), st.lists(st.integers(1, 9), min_size=1))
-def test_requests_are_read_in_any_chunks(sent: list[Request], sizes: list[int]) -> None:
+def test_requests_are_found_in_any_chunks(sent: list[Request], sizes: list[int]) -> None:
     data, reader, got = b"".join(request.packet() for request in sent), RequestReader(), []
     at = k = 0
     while at < len(data):
@@ -80,7 +80,7 @@ def test_requests_are_read_in_any_chunks(sent: list[Request], sizes: list[int]) 
 
 
 @given(st.lists(st.binary(max_size=100), max_size=8))
-def test_request_reader_takes_any_bytes(chunks: list[bytes]) -> None:
+def test_the_request_reader_accepts_any_bytes(chunks: list[bytes]) -> None:
     reader, whole = RequestReader(), RequestReader()
     got = [request for chunk in chunks for request in reader.feed(chunk)]
     assert got == whole.feed(b"".join(chunks))
@@ -88,7 +88,7 @@ def test_request_reader_takes_any_bytes(chunks: list[bytes]) -> None:
     assert reader.feed(requests.STOP.packet())[-1:] == [requests.STOP]
 
 
-def test_request_with_a_wrong_checksum_is_passed_over() -> None:
+def test_a_request_with_a_wrong_checksum_is_skipped() -> None:
     broken = bytearray(requests.set_motor_pwm(660).packet())
     broken[3] ^= 1
     reader = RequestReader()
@@ -110,7 +110,7 @@ def test_request_with_a_wrong_checksum_is_passed_over() -> None:
         ("A5 5A AA 00 00 40 86", 170, True, ResponseType.ULTRA_DENSE),
     ],
 )
-def test_descriptors(packet: str, size: int, multiple: bool, type: ResponseType) -> None:
+def test_descriptors_have_the_documented_bytes(packet: str, size: int, multiple: bool, type: ResponseType) -> None:
     descriptor = Descriptor.parse(bytes.fromhex(packet))
     assert descriptor == Descriptor(size, multiple, type)
     assert descriptor.packet() == bytes.fromhex(packet)
@@ -119,12 +119,12 @@ def test_descriptors(packet: str, size: int, multiple: bool, type: ResponseType)
 
 
 @pytest.mark.parametrize("packet", ["", "A5 5A 14 00 00 00", "A5 5B 14 00 00 00 04", "A5 5A 14 00 00 C0 04"])
-def test_what_is_no_descriptor(packet: str) -> None:
+def test_invalid_descriptors_are_rejected(packet: str) -> None:
     with pytest.raises(DriverError, match="no response descriptor"):
         Descriptor.parse(bytes.fromhex(packet))
 
 
-def test_identity() -> None:
+def test_the_identity_is_parsed_and_encoded() -> None:
     payload = bytes.fromhex("18 1D 01 07 92 D8 ED 93 C0 EA 98 C9 A5 E6 98 F2 07 06 46 69")
     info = Info.parse(payload)
     assert info == Info(24, (1, 29), 7, "92D8ED93C0EA98C9A5E698F207064669")
@@ -133,14 +133,14 @@ def test_identity() -> None:
     assert models.model_of(info.model) is models.A1
 
 
-def test_health() -> None:
+def test_the_health_is_parsed_and_encoded() -> None:
     assert Health.parse(bytes.fromhex("02 04 00")) == Health(HealthStatus.ERROR, 4)
     assert Health(HealthStatus.WARNING, 0x1234).payload() == bytes.fromhex("01 34 12")
     with pytest.raises(DriverError, match="health status 7"):
         Health.parse(bytes.fromhex("07 00 00"))
 
 
-def test_rates_and_boards() -> None:
+def test_sample_rates_and_motor_boards_are_parsed() -> None:
     assert SampleRate.parse(struct.pack("<HH", 476, 238)) == SampleRate(476e-6, 238e-6)
     assert SampleRate(476e-6, 238e-6).payload() == struct.pack("<HH", 476, 238)
     assert has_motor_pwm(bytes([1, 0, 0, 0]))
@@ -150,7 +150,7 @@ def test_rates_and_boards() -> None:
 
 
 @given(st.binary(max_size=40))
-def test_payloads_of_any_bytes(payload: bytes) -> None:
+def test_any_payload_is_parsed_or_rejected(payload: bytes) -> None:
     for parse in (Info.parse, Health.parse, SampleRate.parse, has_motor_pwm, Descriptor.parse):
         with suppress(DriverError):
             parse(payload)
@@ -168,7 +168,7 @@ def test_payloads_of_any_bytes(payload: bytes) -> None:
     ],
 )
 @given(sizes=st.lists(st.integers(1, 30), min_size=1, max_size=5))
-def test_answer_is_found_behind_anything(before: bytes, sizes: list[int]) -> None:
+def test_a_response_is_found_after_any_bytes(before: bytes, sizes: list[int]) -> None:
     payload = bytes(range(20))
     data = before + Descriptor(20, False, ResponseType.INFO).packet() + payload + b"rest"
     reader = ResponseReader(ResponseType.INFO, Info.SIZE)
@@ -182,14 +182,14 @@ def test_answer_is_found_behind_anything(before: bytes, sizes: list[int]) -> Non
     assert reader.bytes_skipped == len(before)
 
 
-def test_scan_begins_behind_its_descriptor() -> None:
+def test_the_remainder_begins_after_the_descriptor() -> None:
     reader = ResponseReader(ResponseType.DENSE, 84, multiple=True)
     assert reader.feed(b"noise\xa5\x5a\x54\x00\x00") is None
     assert reader.feed(b"\x40\x85first bytes") == b""
     assert reader.remainder == b"first bytes"
 
 
-def test_answer_to_another_question_is_passed_over() -> None:
+def test_a_response_to_another_request_is_skipped() -> None:
     asked = requests.get_configuration(ConfigEntry.COUNT)
     reader = ResponseReader(ResponseType.CONFIGURATION, prefix=modes.echo(asked))
     other = bytes.fromhex("7C 00 00 00 03 00")
@@ -200,7 +200,7 @@ def test_answer_to_another_question_is_passed_over() -> None:
 
 
 @given(st.lists(st.binary(max_size=200) | st.just(b"\xa5\x5a\x00\x02\x00\x00\x20"), max_size=20))
-def test_answer_reader_takes_any_bytes_and_holds_few(chunks: list[bytes]) -> None:
+def test_the_response_reader_accepts_any_bytes_and_holds_few(chunks: list[bytes]) -> None:
     reader = ResponseReader(ResponseType.CONFIGURATION, prefix=b"\x70\0\0\0")
     fed = 0
     for chunk in chunks:
@@ -211,7 +211,7 @@ def test_answer_reader_takes_any_bytes_and_holds_few(chunks: list[bytes]) -> Non
 
 
 def converse(known: Modes) -> Modes:
-    """Survey an emulated device."""
+    """Query the modes of an emulated device."""
     query_modes = modes.query_modes()
     request = next(query_modes)
     while True:
@@ -225,7 +225,7 @@ def converse(known: Modes) -> Modes:
             return found
 
 
-def test_modes_are_read_from_the_device() -> None:
+def test_modes_are_queried_from_the_device() -> None:
     found = converse(A1)
     assert found.typical == A1.typical
     for one, other in zip(found.modes, A1.modes, strict=True):
@@ -234,7 +234,7 @@ def test_modes_are_read_from_the_device() -> None:
         assert one.max_distance == pytest.approx(other.max_distance)
 
 
-def test_modes_are_chosen_by_name_or_as_typical() -> None:
+def test_modes_are_chosen_by_name_or_default_to_typical() -> None:
     assert A1.choose().name == "Sensitivity"
     assert A1.choose("boost").id == 2
     assert A1.choose("Standard").start() == requests.SCAN
@@ -247,7 +247,7 @@ def test_modes_are_chosen_by_name_or_as_typical() -> None:
     ("answer", "period"),
     [("71 00 00 00 00 FA 00 00", 250e-6), ("71 00 00 00 B2 6C 00 00", 108.695e-6)],
 )
-def test_sample_periods(answer: str, period: float) -> None:
+def test_sample_periods_are_converted_to_seconds(answer: str, period: float) -> None:
     query_modes = modes.query_modes()
     next(query_modes)
     query_modes.send(b"\x70\0\0\0\x01\0")
@@ -263,7 +263,7 @@ def test_sample_periods(answer: str, period: float) -> None:
 
 
 @given(st.lists(st.binary(max_size=12), min_size=1, max_size=10), st.booleans())
-def test_survey_of_a_mad_device(answers: list[bytes], echoed: bool) -> None:
+def test_any_response_to_a_mode_query_is_parsed_or_rejected(answers: list[bytes], echoed: bool) -> None:
     query_modes = modes.query_modes()
     request = next(query_modes)
     with suppress(DriverError, StopIteration):
@@ -280,7 +280,7 @@ def test_old_firmware_has_two_modes() -> None:
     assert old.choose("standard").start() == requests.SCAN
 
 
-def test_typical_of_old_firmware_is_standard() -> None:
+def test_the_typical_mode_of_old_firmware_is_standard() -> None:
     assert modes.legacy_modes(SampleRate(476e-6, 238e-6), 12.0).choose().response_type == ResponseType.STANDARD
 
 
@@ -298,7 +298,7 @@ def test_typical_of_old_firmware_is_standard() -> None:
         (0xF3, "RPLIDAR 0xF3", models.Motor.SPEED),
     ],
 )
-def test_models(number: int, name: str, motor: models.Motor) -> None:
+def test_models_follow_from_the_model_number(number: int, name: str, motor: models.Motor) -> None:
     model = models.model_of(number)
     assert models.name_of(number) == name
     assert model.motor is motor
@@ -306,7 +306,7 @@ def test_models(number: int, name: str, motor: models.Motor) -> None:
     assert model.triangulates == (number >> 4 <= 3)
 
 
-def test_unknown_measurements_are_refused() -> None:
+def test_unknown_response_types_are_rejected() -> None:
     with pytest.raises(DriverError, match="type 0x99"):
         decoding.decoder_for(0x99, 1e-4, 115200, False)
     with pytest.raises(DriverError, match="type 0x99"):

@@ -1,4 +1,4 @@
-"""What every decoder promises, whatever lidar it is for: damaged streams, any chunks, any bytes."""
+"""Properties of every decoder: damaged streams, any chunks, any bytes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ StreamOf = Callable[..., Any]
 
 
 def in_chunks(decoder: Decoder, data: bytes, sizes: list[int]) -> list[Measurements]:
-    """What a decoder gives for data in chunks of those sizes, over and over."""
+    """Decode data in chunks whose sizes repeat."""
     out, at, k = [], 0, 0
     while at < len(data):
         out.append(decoder.feed(data[at : at + sizes[k % len(sizes)]]))
@@ -29,7 +29,7 @@ def in_chunks(decoder: Decoder, data: bytes, sizes: list[int]) -> list[Measureme
 
 
 def flattened(parts: list[Measurements]) -> tuple[StructuredArray, StructuredArray]:
-    """All samples and packets, the samples' packets numbered throughout."""
+    """Return all samples and packets, with the samples' packets numbered consecutively."""
     packets = np.concatenate([part.packets for part in parts])
     firsts = np.cumsum([0, *(len(part.packets) for part in parts)])
     samples = np.concatenate([part.samples for part in parts])
@@ -38,7 +38,7 @@ def flattened(parts: list[Measurements]) -> tuple[StructuredArray, StructuredArr
 
 
 def held_bytes(value: object, seen: set[int]) -> int:
-    """About how much memory a decoder holds in buffers."""
+    """Return the approximate memory of a decoder's buffers."""
     if id(value) in seen:
         return 0
     seen.add(id(value))
@@ -52,7 +52,9 @@ def held_bytes(value: object, seen: set[int]) -> int:
 
 
 def damaged(data: bytes, rate: float, kinds: str, random: np.random.Generator) -> tuple[bytes, int]:
-    """Data in which a share of the bytes was dropped, had one inserted before, or a bit flipped; and how many."""
+    """Return data in which a share of the bytes was dropped, had one inserted before it, or had a bit flipped; and
+    their number.
+    """
     out, last = bytearray(), 0
     hits = np.flatnonzero(random.random(len(data)) < rate)
     for at in hits.tolist():
@@ -69,17 +71,17 @@ def damaged(data: bytes, rate: float, kinds: str, random: np.random.Generator) -
 
 
 def points(samples: StructuredArray) -> np.ndarray:
-    """Direction + i range of all that was measured; beams without a return are no points."""
+    """Return direction + i range of all samples with a return."""
     valid = samples[~np.isnan(samples["range"])]
     return valid["angle"] + 1j * valid["range"]
 
 
 def differences(clean: np.ndarray, got: np.ndarray) -> tuple[int, int]:
-    """How many points are wrong, and how many are missing."""
+    """Return the numbers of wrong and of missing points."""
     return np.count_nonzero(~np.isin(got, clean)), np.count_nonzero(~np.isin(clean, got))
 
 
-def test_clean_stream_loses_nothing(kind: str, stream_of: StreamOf) -> None:
+def test_a_clean_stream_is_decoded_without_loss(kind: str, stream_of: StreamOf) -> None:
     stream = stream_of(kind, 4)
     decoder = stream.decoder()
     measurements = decoder.feed(stream.data)
@@ -94,7 +96,7 @@ def test_clean_stream_loses_nothing(kind: str, stream_of: StreamOf) -> None:
 
 
 def test_samples_are_evenly_spaced_in_time(kind: str, stream_of: StreamOf) -> None:
-    """The packets leaving as their bytes do, the stamps of samples step by the sample period throughout."""
+    """If bytes arrive evenly, the stamps of samples increase by the sample period throughout."""
     stream = stream_of(kind, 4)
     measurements = stream.decoder().feed(stream.data)
     if stream.whole_packets:
@@ -109,7 +111,7 @@ def test_samples_are_evenly_spaced_in_time(kind: str, stream_of: StreamOf) -> No
 @FUZZ
 @given(sizes=st.lists(st.integers(1, 700), min_size=1, max_size=20), seed=st.integers(0, 99))
 @pytest.mark.parametrize("rate", [0.0, 1e-3])
-def test_chunks_do_not_matter(kind: str, stream_of: StreamOf, rate: float, sizes: list[int], seed: int) -> None:
+def test_chunks_do_not_change_samples(kind: str, stream_of: StreamOf, rate: float, sizes: list[int], seed: int) -> None:
     stream = stream_of(kind, 1)
     data = damaged(stream.data, rate, "dif", np.random.default_rng(seed))[0]
     whole, parts = stream.decoder(), stream.decoder()
@@ -127,7 +129,7 @@ def test_chunks_do_not_matter(kind: str, stream_of: StreamOf, rate: float, sizes
     cuts=st.lists(st.integers(0, 4000), min_size=8, max_size=8),
     sizes=st.lists(st.integers(1, 500), min_size=1, max_size=5),
 )
-def test_any_bytes_are_taken(
+def test_any_bytes_are_accepted(
     kind: str, stream_of: StreamOf, junk: list[bytes], cuts: list[int], sizes: list[int]
 ) -> None:
     stream = stream_of(kind, 1)
@@ -145,7 +147,7 @@ def test_any_bytes_are_taken(
 
 
 @pytest.mark.parametrize("pattern", ["random", "zeros", "marks", "lines", "endless line"])
-def test_nothing_grows(kind: str, stream_of: StreamOf, pattern: str) -> None:
+def test_memory_is_bounded_for_any_input(kind: str, stream_of: StreamOf, pattern: str) -> None:
     stream = stream_of(kind, 0.5 if kind != "scip" else 1)
     junk = {
         "random": np.random.default_rng(3).bytes(40_000),
@@ -160,13 +162,13 @@ def test_nothing_grows(kind: str, stream_of: StreamOf, pattern: str) -> None:
     for _ in range(3):
         decoder.feed(junk)
     assert held_bytes(decoder, set()) <= max(before, 40_000)
-    # and what comes afterwards is understood
+    # afterwards, a stream is decoded again
     got = sum(len(decoder.feed(part.data)) for part in [stream, stream, stream])
     assert got > stream.samples * (len(stream.data) // 4000)
 
 
 def cost_of_faults(stream: Any, kinds: str, least: int) -> tuple[float, float]:
-    """Wrong and missing points a fault, one byte in 10 000 being hit, over at least so many faults."""
+    """Return wrong and missing points per fault, with one fault in 10 000 bytes, over at least `least` faults."""
     random = np.random.default_rng(11)
     clean = points(stream.decoder().feed(stream.data).samples)
     faults = wrong = lost = 0
@@ -177,7 +179,7 @@ def cost_of_faults(stream: Any, kinds: str, least: int) -> tuple[float, float]:
     return wrong / faults, lost / faults
 
 
-def test_faults_cost_little_and_make_hardly_a_wrong_point(kind: str, stream_of: StreamOf) -> None:
+def test_faults_lose_few_points_and_make_hardly_any_wrong(kind: str, stream_of: StreamOf) -> None:
     standard = kind.startswith("standard")
     wrong, lost = cost_of_faults(stream_of(kind, 20), "dif", 150 if standard else 30)
     assert wrong <= (0.3 if standard else 0.02)
@@ -186,17 +188,17 @@ def test_faults_cost_little_and_make_hardly_a_wrong_point(kind: str, stream_of: 
 
 @pytest.mark.parametrize("kind", ["standard-a1", "standard-c1"])
 @pytest.mark.parametrize(("kinds", "bound"), [("d", 0.05), ("i", 0.15), ("f", 0.8)])
-def test_nodes_without_checksum_are_wrong_only_where_hit(
+def test_faults_do_not_spread_in_nodes_without_checksum(
     kind: str, stream_of: StreamOf, kinds: str, bound: float
 ) -> None:
-    """Flipped bits of a distance are a distance, which nothing tells; what shifts the nodes after it shows."""
+    """Flipped bits of a distance cannot be detected; shifts of the following nodes can."""
     wrong, lost = cost_of_faults(stream_of(kind, 20), kinds, 100)
     assert wrong <= bound
     assert lost <= 3
 
 
-def test_long_losses_and_bursts(kind: str, stream_of: StreamOf) -> None:
-    """What comes out after bytes were cut out or put in is a part of the truth."""
+def test_long_losses_and_bursts_create_no_wrong_points(kind: str, stream_of: StreamOf) -> None:
+    """After bytes were removed or inserted, the decoded points are a subset of the true ones."""
     stream = stream_of(kind, 12)
     clean = points(stream.decoder().feed(stream.data).samples)
     random = np.random.default_rng(5)
@@ -213,7 +215,7 @@ def test_long_losses_and_bursts(kind: str, stream_of: StreamOf) -> None:
     assert wrong <= 6
 
 
-def test_revolutions_of_a_clean_stream(kind: str, stream_of: StreamOf) -> None:
+def test_every_revolution_of_a_clean_stream_is_complete(kind: str, stream_of: StreamOf) -> None:
     stream = stream_of(kind, 6)
     decoder = stream.decoder()
     assembler = RevolutionAssembler(0.05, 40.0, whole_packets=stream.whole_packets)
@@ -230,16 +232,16 @@ def test_revolutions_of_a_clean_stream(kind: str, stream_of: StreamOf) -> None:
         assert scan.time_offsets.max() < 0.12
         assert np.ptp(scan.angles) > np.radians(350) or stream.whole_packets
         if kind in ("dense", "ultra-dense", "hq", "ld06", "standard-c1"):
-            assert np.all(np.diff(scan.time_offsets) < 0)  # they turn clockwise
+            assert np.all(np.diff(scan.time_offsets) < 0)  # the lidars turn clockwise
         walls = 2.5 / np.maximum(np.abs(np.cos(scan.angles)), np.abs(np.sin(scan.angles)))
-        # the room is the same from above and below, and nothing is farther than its walls
+        # the room is symmetric, so mirrored angles do not matter, and nothing is farther than its walls
         if kind not in ("ultra", "express", "standard-a1"):
             assert np.nanmax(scan.ranges - walls) < 0.1
     periods = np.diff([scan.stamp for scan in scans])
     np.testing.assert_allclose(periods, periods.mean(), atol=2.5e-3)
 
 
-def test_damaged_revolutions_are_scans_with_gaps_or_counted(stream_of: StreamOf) -> None:
+def test_damaged_revolutions_become_scans_or_are_counted(stream_of: StreamOf) -> None:
     stream = stream_of("dense", 60)
     data, _ = damaged(stream.data, 1e-4, "dif", np.random.default_rng(2))
     decoder, assembler = stream.decoder(), RevolutionAssembler(0.05, 40.0)
@@ -250,8 +252,8 @@ def test_damaged_revolutions_are_scans_with_gaps_or_counted(stream_of: StreamOf)
     assert len(scans) >= 55
 
 
-def test_a_second_of_data_costs_a_small_part_of_a_second(stream_of: StreamOf) -> None:
-    """32 000 points a second, decoded and assembled from chunks of 10 ms, in processor time."""
+def test_decoding_takes_less_than_a_tenth_of_real_time(stream_of: StreamOf) -> None:
+    """32 000 points per second, decoded and assembled from chunks of 10 ms, in processor time."""
     stream = stream_of("ultra-dense", 20)
     assert 30_000 < stream.samples * len(stream.data) / 170 / stream.seconds < 34_000
     chunk = int(len(stream.data) / stream.seconds * 0.01)

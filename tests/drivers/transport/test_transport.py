@@ -1,4 +1,4 @@
-"""Serial ports through pyserial on pseudo terminals, TCP on this host, tapes."""
+"""Serial ports through pyserial on pseudo terminals, TCP on this host, byte captures."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Peer:
 
 @pytest.fixture
 def terminal() -> Iterator[tuple[str, int]]:
-    """A pseudo terminal's path and its other end."""
+    """Yield a pseudo terminal's path and its other end."""
     ours, theirs = pty.openpty()
     tty.setraw(theirs)
     path = os.ttyname(theirs)
@@ -89,11 +89,11 @@ def read_all(transport: Transport, count: int) -> bytes:
 
 
 def write_much(transport: Transport) -> None:
-    for _ in range(100):  # the first bytes may still go into buffers
+    for _ in range(100):  # the first bytes may fit into buffers
         transport.write(b"hello" * 1000)
 
 
-def test_every_byte_goes_both_ways(pair: tuple[Transport, Peer]) -> None:
+def test_all_byte_values_are_transmitted_both_ways(pair: tuple[Transport, Peer]) -> None:
     transport, peer = pair
     peer.write(ALL_BYTES * 8)
     assert read_all(transport, 2048) == ALL_BYTES * 8
@@ -104,7 +104,7 @@ def test_every_byte_goes_both_ways(pair: tuple[Transport, Peer]) -> None:
     assert got == ALL_BYTES
 
 
-def test_read_takes_all_that_is_there_and_waits_no_longer(pair: tuple[Transport, Peer]) -> None:
+def test_read_returns_all_available_bytes_without_waiting_for_more(pair: tuple[Transport, Peer]) -> None:
     transport, peer = pair
     assert transport.read(0.01).data == b""
     peer.write(b"abc" * 100)
@@ -116,15 +116,15 @@ def test_read_takes_all_that_is_there_and_waits_no_longer(pair: tuple[Transport,
 
 
 @pytest.mark.parametrize("held_up", [0, 3, 1000])
-def test_a_host_that_is_held_up_between_bytes_and_clock_takes_what_came_meanwhile(
+def test_bytes_that_arrive_while_the_host_is_held_up_are_read_too(
     held_up: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """So that the last bytes have the time when they came, unless every look at the clock is late."""
+    """Then the time of the last bytes is right, unless every clock reading is late."""
     now, taken, calls = 100.0, 0, 0
 
     def take() -> bytes:
         nonlocal now, taken, calls
-        came = round((now - 100.0) * 1000)  # a byte a millisecond
+        came = round((now - 100.0) * 1000)  # one byte per millisecond
         data, taken, calls = bytes(came - taken), came, calls + 1
         now += 0.05 if calls <= held_up else 1e-5
         return data
@@ -137,8 +137,8 @@ def test_a_host_that_is_held_up_between_bytes_and_clock_takes_what_came_meanwhil
     assert arrived - (100.0 + len(data) / 1000) == pytest.approx(1e-5 if held_up < MAX_READS else 0.05)
 
 
-def test_reads_look_at_the_clock_promptly(pair: tuple[Transport, Peer], monkeypatch: pytest.MonkeyPatch) -> None:
-    """What comes while the host is held up after the first bytes belongs to the same read."""
+def test_a_late_clock_reading_extends_the_read(pair: tuple[Transport, Peer], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bytes that arrive while the host is held up after the first bytes belong to the same read."""
     connection, peer = pair
     looks = 0
 
@@ -155,7 +155,7 @@ def test_reads_look_at_the_clock_promptly(pair: tuple[Transport, Peer], monkeypa
     assert connection.read(5.0).data == b"somemore"
 
 
-def test_unplugging_is_a_typed_error(pair: tuple[Transport, Peer]) -> None:
+def test_unplugging_raises_connection_lost(pair: tuple[Transport, Peer]) -> None:
     transport, peer = pair
     threading.Timer(0.05, peer.close).start()
     with pytest.raises(ConnectionLostError) as caught:
@@ -174,7 +174,7 @@ def test_cancel_ends_a_waiting_read(pair: tuple[Transport, Peer]) -> None:
     assert time.monotonic() < before + 5.0
 
 
-def test_closed_is_closed(pair: tuple[Transport, Peer]) -> None:
+def test_a_closed_connection_raises_errors(pair: tuple[Transport, Peer]) -> None:
     transport, _ = pair
     transport.close()
     transport.close()
@@ -184,24 +184,24 @@ def test_closed_is_closed(pair: tuple[Transport, Peer]) -> None:
             use()
 
 
-def test_a_line_that_is_not_there(pair: tuple[Transport, Peer]) -> None:
+def test_set_dtr_returns_false_without_modem_line(pair: tuple[Transport, Peer]) -> None:
     transport, _ = pair
     assert transport.set_dtr(True) is False
 
 
-def test_missing_port(tmp_path: Path) -> None:
+def test_a_missing_port_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(PortError, match="no such port"):
         SerialPort(str(tmp_path / "ttyUSB9"), 115200)
 
 
-def test_a_file_is_no_port(tmp_path: Path) -> None:
+def test_a_file_as_port_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(PortError) as caught:
         SerialPort(str(tmp_path / "file"), 115200)
     assert isinstance(caught.value, DriverError)
 
 
-def test_a_port_is_opened_once(terminal: tuple[str, int]) -> None:
+def test_a_port_is_opened_exclusively(terminal: tuple[str, int]) -> None:
     first = SerialPort(terminal[0], 115200)
     with pytest.raises(PortError, match="in use"):
         SerialPort(terminal[0], 115200)
@@ -210,20 +210,20 @@ def test_a_port_is_opened_once(terminal: tuple[str, int]) -> None:
 
 
 @pytest.mark.parametrize("baud", [57600, 115200, 230400, 256000, 460800, 1000000])
-def test_baud_rates(terminal: tuple[str, int], baud: int) -> None:
+def test_all_baud_rates_can_be_set(terminal: tuple[str, int], baud: int) -> None:
     port = SerialPort(terminal[0], baud)
     os.write(terminal[1], b"ok")
     assert read_all(port, 2) == b"ok"
     port.close()
 
 
-def test_an_impossible_baud_rate(terminal: tuple[str, int]) -> None:
+def test_an_invalid_baud_rate_is_an_error(terminal: tuple[str, int]) -> None:
     with pytest.raises(PortError):
         SerialPort(terminal[0], -1)
 
 
-def test_modem_lines(terminal: tuple[str, int], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pseudo terminals have no such lines, so what pyserial would set is caught where it sets it."""
+def test_dtr_and_rts_are_set_before_opening(terminal: tuple[str, int], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pseudo terminals have no modem lines, so pyserial's methods that set them are recorded."""
     set_to: list[tuple[str, bool]] = []
     for line in ("dtr", "rts"):
 
@@ -240,14 +240,14 @@ def test_modem_lines(terminal: tuple[str, int], monkeypatch: pytest.MonkeyPatch)
 
 @pytest.fixture
 def lines(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pseudo terminals have modem lines, as far as anybody can see who sets them."""
+    """Make pseudo terminals seem to have modem lines."""
     for line in ("dtr", "rts"):
         monkeypatch.setattr(f"serial.Serial._update_{line}_state", lambda port: None)
 
 
 @pytest.mark.usefixtures("lines")
 @pytest.mark.parametrize("baud", [115200, 256000])
-def test_lines_stay_as_they_are_when_the_port_is_closed(baud: int) -> None:
+def test_modem_lines_keep_their_state_when_the_port_is_closed(baud: int) -> None:
     ours, theirs = pty.openpty()
     port = SerialPort(os.ttyname(theirs), baud)
     attributes = termios.tcgetattr(theirs)
@@ -261,7 +261,7 @@ def test_lines_stay_as_they_are_when_the_port_is_closed(baud: int) -> None:
 
 
 @pytest.mark.usefixtures("lines")
-def test_a_line_of_a_port_that_is_gone(terminal: tuple[str, int]) -> None:
+def test_set_dtr_raises_an_error_on_a_lost_port(terminal: tuple[str, int]) -> None:
     port = SerialPort(terminal[0], 115200)
     os.close(terminal[1])
     with pytest.raises(ConnectionLostError):
@@ -270,7 +270,7 @@ def test_a_line_of_a_port_that_is_gone(terminal: tuple[str, int]) -> None:
 
 
 @pytest.mark.parametrize("failure", [ValueError("no such flag"), NotImplementedError("not on this system")])
-def test_a_port_without_low_latency_is_opened(
+def test_a_port_without_low_latency_mode_can_be_opened(
     failure: Exception, terminal: tuple[str, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[bool] = []
@@ -284,7 +284,7 @@ def test_a_port_without_low_latency_is_opened(
     assert asked == [True]
 
 
-def test_a_port_that_fails_while_it_is_opened(terminal: tuple[str, int], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_while_opening_is_a_port_error(terminal: tuple[str, int], monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(port: object, wanted: bool) -> None:
         raise OSError(errno.EACCES, "refused")
 
@@ -293,7 +293,7 @@ def test_a_port_that_fails_while_it_is_opened(terminal: tuple[str, int], monkeyp
         SerialPort(terminal[0], 115200)
 
 
-def test_a_port_that_takes_nothing_is_lost(terminal: tuple[str, int], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_port_that_accepts_no_bytes_is_lost(terminal: tuple[str, int], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivers.transport.serial_port.WRITE_TIMEOUT", 0.05)
     port = SerialPort(terminal[0], 115200)
     with pytest.raises(ConnectionLostError):
@@ -301,7 +301,7 @@ def test_a_port_that_takes_nothing_is_lost(terminal: tuple[str, int], monkeypatc
     port.close()
 
 
-def test_nobody_listens() -> None:
+def test_a_refused_tcp_connection_is_an_error() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = server.getsockname()[:2]
     with pytest.raises(PortError, match="no connection"):
@@ -310,11 +310,11 @@ def test_nobody_listens() -> None:
         TcpConnection("127.0.0.1", 123456)
 
 
-# Tapes
+# Byte captures
 
 
 class Script:
-    """A transport that says what it is told to."""
+    """A transport with scripted chunks."""
 
     name = "script"
 
@@ -355,7 +355,7 @@ def play(player: ReplayTransport, timeout: float = 1e9) -> list[Received]:
     chunks=st.lists(st.tuples(st.binary(max_size=40), st.integers(0, 10**9)), max_size=20),
     timeout=st.floats(0.01, 1.0),
 )
-def test_what_a_tap_writes_a_player_plays(
+def test_a_byte_capture_is_replayed_exactly(
     tmp_path_factory: pytest.TempPathFactory, chunks: list[tuple[bytes, int]], timeout: float
 ) -> None:
     path = tmp_path_factory.mktemp("tape") / "tape"
@@ -372,9 +372,9 @@ def test_what_a_tap_writes_a_player_plays(
     assert play(ReplayTransport(path), timeout) == [chunk for chunk in script if chunk.data]
 
 
-def test_time_passes_on_an_unpaced_tape_only(tmp_path: Path) -> None:
+def test_unpaced_replay_does_not_wait(tmp_path: Path) -> None:
     path = tmp_path / "tape"
-    path.write_text("# a tape\n\n1.0 < 0102\n1.5 > ff\n100.0 < 03\n")
+    path.write_text("# a comment\n\n1.0 < 0102\n1.5 > ff\n100.0 < 03\n")
     player = ReplayTransport(path)
     player.write(b"whatever")
     before = time.monotonic()
@@ -386,7 +386,7 @@ def test_time_passes_on_an_unpaced_tape_only(tmp_path: Path) -> None:
     assert time.monotonic() < before + 5.0
 
 
-def test_a_paced_tape_takes_its_time(tmp_path: Path) -> None:
+def test_paced_replay_takes_the_original_time(tmp_path: Path) -> None:
     path = tmp_path / "tape"
     path.write_text("1.0 < 01\n1.1 < 02\n1.2 < 03\n")
     before = time.monotonic()
@@ -394,14 +394,14 @@ def test_a_paced_tape_takes_its_time(tmp_path: Path) -> None:
     assert time.monotonic() >= before + 0.2
 
 
-def test_a_torn_tape_plays_to_the_tear(tmp_path: Path) -> None:
+def test_an_incomplete_last_line_is_ignored(tmp_path: Path) -> None:
     path = tmp_path / "tape"
     path.write_text("1.0 < 0102\n1.1 < 03")
     assert [chunk.data for chunk in play(ReplayTransport(path))] == [b"\x01\x02"]
 
 
 @pytest.mark.parametrize("line", ["1.0 < 012", "1.0 = 01", "x < 01", "1.0 <", "nan < 00", "1.0 < 01 02", "ü"])
-def test_a_bad_line_is_named(tmp_path: Path, line: str) -> None:
+def test_an_invalid_line_is_an_error(tmp_path: Path, line: str) -> None:
     path = tmp_path / "tape"
     path.write_text(f"1.0 < 01\n{line}\n")
     with pytest.raises(RecordingError) as caught:
@@ -409,17 +409,17 @@ def test_a_bad_line_is_named(tmp_path: Path, line: str) -> None:
     assert str(caught.value).startswith(str(path))
 
 
-def test_a_missing_tape(tmp_path: Path) -> None:
+def test_a_missing_byte_capture_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(RecordingError):
         ReplayTransport(tmp_path / "none")
 
 
-def test_a_tape_that_cannot_be_begun(tmp_path: Path) -> None:
+def test_a_byte_capture_that_cannot_be_created_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(PortError, match="cannot be written"):
         CapturingTransport(Script([]), tmp_path / "none" / "tape")
 
 
-def test_a_full_disk_ends_the_tape_and_not_the_connection() -> None:
+def test_a_full_disk_ends_the_byte_capture_but_not_the_connection() -> None:
     script = Script([Received(b"abc", 1.0), Received(b"def", 2.0)])
     tap = CapturingTransport(script, "/dev/full")
     assert tap.read(1.0).data == b"abc"
