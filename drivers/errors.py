@@ -40,7 +40,7 @@ class ConnectionLostError(PortError):
 
 
 class EndOfCaptureError(ConnectionLostError):
-    """A tape of raw bytes was played to its end."""
+    """End of a byte capture that is played."""
 
 
 class NoResponseError(PortError):
