@@ -63,15 +63,17 @@ def batch(
     Example: [bold]wclm batch monday/*.mcap --out maps --workers 4[/bold]
     """
     from ...config import load_config
-    from ...offline.batch import Request, jobs_for, remove_leftovers
+    from ...extras import require_extra
+    from ...offline.batch import JobOptions, make_jobs, remove_leftovers
     from ...offline.batch.dispatch import dispatch
     from .batch_status import BatchStatus
     from .batch_worker import map_job
 
+    require_extra("batch")
     if scheduler is not None and workers is not None:
         raise typer.BadParameter("the number of workers of a cluster cannot be set", param_hint="--workers")
-    request = Request(load_config(config, settings or ()), refine=refine, review=review, picture=plot)
-    jobs = jobs_for(recordings, out, request, overwrite=overwrite)
+    options = JobOptions(load_config(config, settings or ()), refine=refine, review=review, picture=plot)
+    jobs = make_jobs(recordings, out, options, overwrite=overwrite)
     make_directory(out)
     status = BatchStatus(jobs, out / TABLE)
     waiting = status.waiting
@@ -94,9 +96,9 @@ def batch(
 
 
 def _cluster(scheduler: str | None, count: int) -> AbstractContextManager[Client]:
-    from ...offline.batch.cluster import local_workers, workers_of
+    from ...offline.batch.cluster import connect_to_workers, start_local_workers
 
     if scheduler is not None:
-        return workers_of(scheduler)
+        return connect_to_workers(scheduler)
     compile_all()  # once, here: the workers load the compiled functions from disk
-    return local_workers(count)
+    return start_local_workers(count)

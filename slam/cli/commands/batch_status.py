@@ -12,8 +12,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from ...errors import OutputError
-from ...offline.batch import Job, Row, Status, completed, row_of, write_table
-from ...visualisation.report_page.words import duration
+from ...offline.batch import Job, Row, Status, make_row, read_completed_summary, write_table
+from ...visualisation.report_page.formatting import duration
 
 FILE_WIDTH = 200
 """Width of the table if the output is not a terminal, columns."""
@@ -33,12 +33,12 @@ class BatchStatus:
     def _found(job: Job) -> Row:
         """Return the row of a job before the batch begins."""
         if job.overwrite:
-            return row_of(job, Status.WAITING)
+            return make_row(job, Status.WAITING)
         try:
-            summary = completed(job)
+            summary = read_completed_summary(job)
         except OutputError as error:
-            return row_of(job, Status.FAILED, error=str(error))
-        return row_of(job, Status.WAITING if summary is None else Status.KEPT, summary)
+            return make_row(job, Status.FAILED, error=str(error))
+        return make_row(job, Status.WAITING if summary is None else Status.KEPT, summary)
 
     @property
     def waiting(self) -> list[Job]:

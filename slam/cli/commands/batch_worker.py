@@ -15,7 +15,7 @@ from typing import Any, TextIO
 import drivers
 from drivers.errors import SlamError
 
-from ...offline.batch import Job, Row, Status, completed, fingerprint, remove_leftovers, row_of
+from ...offline.batch import Job, Row, Status, fingerprint, make_row, read_completed_summary, remove_leftovers
 from ...offline.batch.jobs import FINGERPRINT
 from ..run_input import RecordingInput
 from ..run_summary import format_summary
@@ -33,18 +33,19 @@ def map_job(job: Job) -> Row:
     """
     with _log(job.log) as log:
         try:
-            summary = None if job.overwrite else completed(job)  # by a worker that ended before it returned
+            # a worker that ended before it returned may have completed it
+            summary = None if job.overwrite else read_completed_summary(job)
             if summary is None:
                 remove_leftovers(job)
                 summary = _map(job, log)
         except SlamError as error:
             _write(log, f"failed: {error}")
-            return row_of(job, Status.FAILED, error=" ".join(str(error).split()))
+            return make_row(job, Status.FAILED, error=" ".join(str(error).split()))
         except Exception:
             _write(log, f"failed:\n{traceback.format_exc()}")
             raise
         _write(log, "done")
-        return row_of(job, Status.DONE, summary)
+        return make_row(job, Status.DONE, summary)
 
 
 class _FingerprintedInput(RecordingInput):
@@ -62,15 +63,15 @@ class _FingerprintedInput(RecordingInput):
 
 def _map(job: Job, log: TextIO) -> dict[str, Any]:
     _reset_peak_memory()
-    request = job.request
+    options = job.options
     result = run_slam(
         _FingerprintedInput(job),
-        request.config,
+        options.config,
         job.directory,
         overwrite=True,
-        review=request.review,
-        picture=request.picture,
-        refine=request.refine,
+        review=options.review,
+        picture=options.picture,
+        refine=options.refine,
     )
     for line in [*format_summary(result, job.directory), *result.summary["warnings"]]:
         log.write(f"{line}\n")

@@ -48,13 +48,13 @@ def calibrate(
 
 def _lines(result: Calibration) -> list[str]:
     x, y, heading = result.mount
-    wheels, sigma = result.wheels, result.sigma
+    wheels, sigma = result.odometry, result.sigma
     bias, bias_sigma = result.range_bias
     return [
         f"mount     {x:.4f} ± {sigma[0]:.4f} m, {y:.4f} ± {sigma[1]:.4f} m, {heading:.4f} ± {sigma[2]:.4f} rad",
-        f"distance  {wheels.distance:.4f} ± {sigma[3]:.4f} m per metre of odometry",
-        f"turn      {wheels.turn:.4f} ± {sigma[4]:.4f} rad per radian of odometry",
-        f"pull      {wheels.pull:.4f} ± {sigma[5]:.4f} rad to the left per metre, unmeasured by the odometry",
+        f"distance  {wheels.distance_scale:.4f} ± {sigma[3]:.4f} m per metre of odometry",
+        f"turn      {wheels.turn_scale:.4f} ± {sigma[4]:.4f} rad per radian of odometry",
+        f"pull      {wheels.curvature_bias:.4f} ± {sigma[5]:.4f} rad to the left per metre, unmeasured by the odometry",
         f"bias      {bias:.4f} ± {bias_sigma:.4f} m of the ranges",
         f"data      {result.pairs} motions between keyframes, {result.turned:.0f} rad of rotation",
         f"lidar: mount={x:.4f},{y:.4f},{heading:.4f}",
@@ -64,8 +64,8 @@ def _lines(result: Calibration) -> list[str]:
 
 def _options(result: Calibration, wheel_radius: float, track: float) -> str:
     """Return the corrected options of the base: the radius of each wheel and the track."""
-    wheels = result.wheels
-    true_track = track * wheels.distance / wheels.turn
-    half = wheels.pull * true_track / 2
-    left, right = wheel_radius * (wheels.distance - half), wheel_radius * (wheels.distance + half)
+    wheels = result.odometry
+    true_track = track * wheels.distance_scale / wheels.turn_scale
+    half = wheels.curvature_bias * true_track / 2
+    left, right = wheel_radius * (wheels.distance_scale - half), wheel_radius * (wheels.distance_scale + half)
     return f"base: wheel_radius={left:.5f},{right:.5f}&track={true_track:.4f}"

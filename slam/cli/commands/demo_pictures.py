@@ -114,12 +114,12 @@ def reduce_palette(path: Path) -> None:
 
 
 def _mathematics(directory: Path, scratch: Path) -> None:
-    from ...visualisation.plots import mathematics
+    from ...visualisation.plots import covariance_plots
 
-    mathematics.plot_inversion(directory / "inversion.png")
-    mathematics.plot_fit(directory / "fit.png")
-    mathematics.plot_parameters(directory / "parameters.png")
-    mathematics.plot_corners(directory / "corners.png")
+    covariance_plots.plot_inversion(directory / "inversion.png")
+    covariance_plots.plot_fit(directory / "fit.png")
+    covariance_plots.plot_parameters(directory / "parameters.png")
+    covariance_plots.plot_corners(directory / "corners.png")
 
 
 def _scan(directory: Path, scratch: Path) -> None:
@@ -139,18 +139,18 @@ def _scan(directory: Path, scratch: Path) -> None:
 
 def _office(directory: Path, scratch: Path) -> None:
     from ...io.keyframes_csv import read_keyframes
-    from ...visualisation.plots.drives import plot_honesty
+    from ...visualisation.plots.run_plots import plot_consistency
 
     recorder = _map(OFFICE, scratch / "out", title="A simulated office")
     (directory / "office.png").write_bytes((scratch / "out" / PICTURE).read_bytes())
     keyframes = read_keyframes(scratch / "out" / KEYFRAMES)
-    plot_honesty(
+    plot_consistency(
         directory / "honesty.png", keyframes, recorder.truth(), title="Errors in the office and their stated deviations"
     )
 
 
 def _loop(directory: Path, scratch: Path) -> None:
-    from ...visualisation.plots.drives import plot_closure
+    from ...visualisation.plots.run_plots import plot_closure
 
     recorder = _map(LOOP, scratch / "out")
     accepted = [event for event in recorder.of(LoopDecided) if event.status == LoopStatus.ACCEPTED]
@@ -171,13 +171,13 @@ def _loop(directory: Path, scratch: Path) -> None:
 
 def _corridors(directory: Path, scratch: Path) -> None:
     from ...io.keyframes_csv import read_keyframes
-    from ...visualisation.plots.drives import Corridor, plot_corridors
+    from ...visualisation.plots.run_plots import CorridorRun, plot_corridors
 
-    drives: list[Corridor] = []
+    drives: list[CorridorRun] = []
     for name, spec in CORRIDORS.items():
         out = scratch / str(len(drives))
         recorder = _map(spec, out)
-        drives.append(Corridor(name, read_keyframes(out / KEYFRAMES), recorder.truth(), recorder.of(StateChanged)))
+        drives.append(CorridorRun(name, read_keyframes(out / KEYFRAMES), recorder.truth(), recorder.of(StateChanged)))
     plot_corridors(directory / "corridors.png", drives, title="There and back: uncertainty along the corridor")
 
 

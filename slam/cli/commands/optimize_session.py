@@ -137,7 +137,7 @@ def _lines(summary: dict[str, Any], out: Path, *, review: bool) -> list[str]:
     head, first, _, *others = format_summary(RunResult(summary, review), out)
     rows = [
         ("before", f"cost {changed['cost_before']:.6g} of {changed['factors_before']} factors"),
-        ("after", f"cost {changed['cost_after']:.6g} of {changed['factors_after']}, {changed['rounds']} rounds"),
+        ("after", f"cost {changed['cost_after']:.6g} of {changed['factors_after']}, {changed['iterations']} iterations"),
         ("changed", f"{changed['associations_changed']} associations, {changed['walls_merged']} walls merged"),
         ("loops", f"{changed['closures_added']} added, {changed['closures_removed']} removed"),
         ("moved", _moved(changed)),

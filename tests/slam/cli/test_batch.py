@@ -66,7 +66,7 @@ def test_batch_maps_valid_recordings_and_keeps_complete_results(wclm: Any, tmp_p
 
 
 def test_invalid_arguments_are_one_line_errors(wclm: Any, tmp_path: Path) -> None:
-    wclm.refuses("batch", "rplidar:/dev/ttyUSB0", "--out", "out", because=["is no recording"])
+    wclm.refuses("batch", "rplidar:/dev/ttyUSB0", "--out", "out", because=["is not a recording"])
     wclm.refuses("batch", *SHORT, "--out", "out", "--set", "lidar.x=1", because=["lidar.x"])
     (tmp_path / "file").write_text("x")
     wclm.refuses("batch", *SHORT, "--out", "file", because=["file: cannot be created"])

@@ -30,7 +30,7 @@ def test_replay_yields_the_messages_of_the_recording(wclm: Any) -> None:
     for replayed, recorded in zip(source, drivers.open("a.mcap"), strict=True):
         assert type(replayed) is type(recorded)
         assert replayed.stamp == recorded.stamp
-    wclm.refuses("info", "replay:a.mcap?speed=0", because=["the one option is speed, a number above 0"])
+    wclm.refuses("info", "replay:a.mcap?speed=0", because=["the only option is speed, a positive number"])
     wclm.refuses("info", "replay:b.mcap", because=["b.mcap: no such file"])
 
 

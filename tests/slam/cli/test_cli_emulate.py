@@ -33,7 +33,13 @@ def test_emulate_runs_for_a_duration(wclm: Any, tmp_path: Path) -> None:
 def test_invalid_robots_are_refused(wclm: Any) -> None:
     wclm.refuses("emulate", "moon", because=["moon: no such world"])
     wclm.refuses("emulate", "room", "--lidar", "eyes", because=["no lidar 'eyes'; there are rplidar-a1"])
-    wclm.refuses("emulate", "room", "--unplug", "lidar@3", because=["--unplug lidar@3: say it as lidar@20:3"])
+    wclm.refuses(
+        "emulate",
+        "room",
+        "--unplug",
+        "lidar@3",
+        because=["--unplug lidar@3: expected the device (lidar or base) and seconds, for example lidar@20:3"],
+    )
     wclm.refuses("emulate", "room", "--ports", "p", "--drive", "keyboard", because=["no keyboard"])
     assert wclm("emulate", "room", "--drop", "2").exit_code == 2
 

@@ -65,7 +65,7 @@ def test_summary_starts_no_viewer(wclm: Any, session: Path, monkeypatch: pytest.
     assert f"{summary['keyframes']} keyframes, {summary['walls']} walls" in result.stdout
     assert "health" in result.stdout
     assert "loops" in result.stdout
-    assert "residuals   the worst at keyframe" in result.stdout
+    assert "residuals   worst factors at keyframe" in result.stdout
     assert "d² = " in result.stdout
 
 
@@ -79,7 +79,7 @@ def test_summary_works_without_a_log(wclm: Any, session: Path, tmp_path: Path) -
     shutil.copytree(session, tmp_path / "bare")
     (tmp_path / "bare" / REVIEW).unlink()
     text = wclm("review", "bare", "--summary").stdout
-    assert "residuals   not known: there is no log" in text
+    assert "residuals   unknown: there is no log" in text
     wclm.refuses("review", "bare", "--web", because=["contains no review.rrd", "--no-review"])
 
 

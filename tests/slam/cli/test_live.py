@@ -253,7 +253,7 @@ def test_dashboard_shows_pose_status_and_device_counters(capsys: pytest.CaptureF
     status = DeviceStatus("create2:/dev/a", False, DeviceState.LOST, "/dev/a", "Create 2", "unplugged", 0.1, counters)
     snapshot = Snapshot((status,), dropped=3, late=4)
     console = Console(width=120, record=True, file=io.StringIO())
-    console.print(dashboard.draw(snapshot, {("create2:/dev/a", "messages"): 66.7}))
+    console.print(dashboard.render(snapshot, {("create2:/dev/a", "messages"): 66.7}))
     shown = console.export_text()
     for words in (
         "1.25 m, -0.50 m, 90°",

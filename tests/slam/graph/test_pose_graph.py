@@ -287,7 +287,7 @@ def test_optimize_writes_a_graph_and_a_summary(wclm: Any, tmp_path: Path) -> Non
         "a.g2o: 160 poses, 5 landmarks",
         "before     chi2",
         "after      chi2",
-        f"left out   {false.sum()} edges",
+        f"rejected   {false.sum()} edges",
     ):
         assert words in result.stdout
     wclm.refuses("optimize", "a.g2o", "--out", "out", because=["out: exists already"])

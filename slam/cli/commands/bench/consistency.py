@@ -31,13 +31,13 @@ def bench_consistency(
     Example: [bold]wclm bench consistency --runs 20[/bold]
     """
     from ....config import Config
-    from ....evaluation.benchmarks.consistency import calibrated, simulate, summarise, table
+    from ....evaluation.benchmarks.consistency import calibrated_config, consistency_table, simulate, summarise
 
     config = Config()
     typer.echo("\n".join(heading(0)))
     if calibrate:
-        config, sigma = calibrated(range_bias, duration)
+        config, sigma = calibrated_config(range_bias, duration)
         typer.echo(f"range bias  {config.lidar.range_bias:.4f} ± {sigma:.4f} m, estimated")
     drives = simulate(range(runs), duration, range_bias=range_bias, config=config)
     found = list(progress(drives, runs, "drives"))
-    typer.echo("\n".join(table(summarise(found))))
+    typer.echo("\n".join(consistency_table(summarise(found))))

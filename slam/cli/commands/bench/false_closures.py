@@ -31,16 +31,17 @@ def bench_false_closures(
 
     Example: [bold]wclm bench false-closures intel.clf --relations intel.relations[/bold]
     """
-    from ....evaluation.benchmarks.false_closures import run
+    from ....evaluation.benchmarks.false_closures import run_with_false_hypotheses
     from ....io.host import versions
 
     compile_all()
-    result = run(recording, relations, count, seed)
+    result = run_with_false_hypotheses(recording, relations, count, seed)
     if as_json:
         typer.echo(json.dumps({"versions": versions(), "seed": seed, **asdict(result)}))
         return
     typer.echo(
-        f"hypotheses   {result.forced} false ones in {result.looks} searches (seed {seed}), {result.taken} accepted\n"
+        f"hypotheses   {result.injected} false ones in {result.searches} searches (seed {seed}), "
+        f"{result.false_accepted} accepted\n"
         f"closures     {result.accepted_clean} without them, {result.accepted} with them\n"
         f"translation  {result.translation_clean:.4f} m without them, {result.translation:.4f} m with them\n"
         f"rotation     {result.rotation_clean:.3f} degrees without them, {result.rotation:.3f} with them"

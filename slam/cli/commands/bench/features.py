@@ -32,11 +32,11 @@ def bench_features(
     Example: [bold]wclm bench features --quick[/bold]
     """
     from features import warm_up
-    from features.benchmark.accuracy import CURVED_LEVELS, SCANS, WAYS, measure
+    from features.benchmark.accuracy import CURVED_LEVELS, SCANS, METHODS, measure
     from features.benchmark.start import measure_starts
     from features.benchmark.timing import relative, run
 
-    from ....evaluation.benchmarks.features import accuracy_table, curved_table, start_table, time_table
+    from ....evaluation.benchmarks.feature_tables import accuracy_table, curved_table, start_table, time_table
 
     if out is not None:
         make_directory(out)
@@ -44,7 +44,7 @@ def bench_features(
         warm_up()
     scans = QUICK_SCANS if quick else SCANS
     straight = list(measure(scans=scans, seed=seed))
-    curved = list(measure(scans=scans, seed=seed, levels=CURVED_LEVELS, ways=WAYS[:1], curved=True))
+    curved = list(measure(scans=scans, seed=seed, levels=CURVED_LEVELS, ways=METHODS[:1], curved=True))
     times = run(scans=10, rounds=5) if quick else run()
     ratio = relative(rounds=20 if quick else 100)
     starts = [] if quick else measure_starts()
@@ -62,7 +62,7 @@ def bench_features(
         }
         write_text(as_json, json.dumps(content, indent=1))
     if out is not None:
-        from ....visualisation.plots.features import plot_features
+        from ....visualisation.plots.feature_benchmark import plot_features
 
         write_text(out / "tables.txt", "\n".join(text))
         plot_features(out / "features.png", straight, curved)

@@ -17,14 +17,14 @@ def bench_gate() -> None:
 
     Example: [bold]wclm bench gate[/bold]
     """
-    from ....evaluation.benchmarks.gate import checks, lines
+    from ....evaluation.benchmarks.regression_checks import format_checks, run_checks
 
     compile_all()
     typer.echo("\n".join(heading(0)))
     found = []
-    for check in checks():
+    for check in run_checks():
         found.append(check)
-        typer.echo("\n".join(lines([check])))
+        typer.echo("\n".join(format_checks([check])))
     if failed := [check.name for check in found if not check.passed]:
         print_message("regression: " + ", ".join(failed))
         raise typer.Exit(EXIT_REGRESSION)

@@ -17,9 +17,9 @@ def bench_laps(
     Example: [bold]wclm bench laps office --laps 10[/bold]
     """
     from ....config import Config
-    from ....evaluation.benchmarks.laps import run
+    from ....evaluation.benchmarks.lap_cost import measure_laps
 
     typer.echo("lap  median ms  99 % ms  memory MB  keyframes  factors  walls")
-    for lap in run(world, laps, Config(), seed=seed):
+    for lap in measure_laps(world, laps, Config(), seed=seed):
         sizes = f"{lap.keyframes:9d}  {lap.factors:7d}  {lap.walls:5d}"
         typer.echo(f"{lap.number:3d}  {lap.median:9.2f}  {lap.p99:7.2f}  {lap.memory:9.0f}  {sizes}")

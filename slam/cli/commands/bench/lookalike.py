@@ -13,7 +13,7 @@ from ...console import print_message, progress
 from .output import JsonOption
 
 if TYPE_CHECKING:
-    from ....evaluation.benchmarks.lookalike import Row
+    from ....evaluation.benchmarks.lookalike import WorldStatistics
 
 EXIT_WRONG_MAP = 1
 """Exit status if a wrong loop closure was accepted or the robot was relocalised in a wrong place."""
@@ -34,31 +34,31 @@ def bench_lookalike(
 
     Example: [bold]wclm bench lookalike --seeds 5[/bold]
     """
-    from ....evaluation.benchmarks.lookalike import WORLDS, condense, run
+    from ....evaluation.benchmarks.lookalike import WORLDS, run_worlds, summarise_worlds
     from ....io.host import versions
 
     chosen = WORLDS if worlds is None else tuple(worlds.split(","))
     if unknown := [world for world in chosen if world not in WORLDS]:
         raise typer.BadParameter(f"{unknown[0]}: no such world; known are {', '.join(WORLDS)}", param_hint="--worlds")
     compile_all()
-    drives = list(progress(run(chosen, range(seeds), processes), len(chosen) * seeds, "look-alike worlds"))
-    rows = condense(drives)
+    runs = list(progress(run_worlds(chosen, range(seeds), processes), len(chosen) * seeds, "look-alike worlds"))
+    rows = summarise_worlds(runs)
     if as_json:
         typer.echo(json.dumps({"versions": versions(), "seeds": seeds, "worlds": [asdict(row) for row in rows]}))
     else:
         typer.echo(f"seeds 0 to {seeds - 1}; " + ", ".join(f"{name} {version}" for name, version in versions().items()))
         _print_lookalikes(rows)
-    if wrong := [drive for drive in drives if drive.wrong]:
-        print_message("wrong loop closures in " + ", ".join(f"{drive.world} seed {drive.seed}" for drive in wrong))
-    if misplaced := [drive for drive in drives if drive.misplaced]:
+    if wrong := [run for run in runs if run.wrong]:
+        print_message("wrong loop closures in " + ", ".join(f"{run.world} seed {run.seed}" for run in wrong))
+    if misplaced := [run for run in runs if run.misplaced]:
         print_message(
-            "wrong relocalisations in " + ", ".join(f"{drive.world} seed {drive.seed}" for drive in misplaced)
+            "wrong relocalisations in " + ", ".join(f"{run.world} seed {run.seed}" for run in misplaced)
         )
     if wrong or misplaced:
         raise typer.Exit(EXIT_WRONG_MAP)
 
 
-def _print_lookalikes(rows: list[Row]) -> None:
+def _print_lookalikes(rows: list[WorldStatistics]) -> None:
     loops = "drift m  proposed  rejected  pending  accepted  wrong  found/needed  doubled  ATE m"
     typer.echo(f"{'world':<15} drives  {loops}  relocated  misplaced  ended off  failed")
     for row in rows:

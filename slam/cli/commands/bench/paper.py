@@ -41,7 +41,7 @@ def bench_paper(
         }
         write_text(as_json, json.dumps(content, indent=1))
     if out is not None:
-        from ....visualisation.plots.paper import plot_paper
+        from ....visualisation.plots.paper_benchmark import plot_paper
 
         write_text(out / "tables.txt", "\n".join(text))
         plot_paper(out, measured, times)

@@ -31,18 +31,25 @@ def bench_relocalisation(
     import drivers
 
     from ....config import Config
-    from ....evaluation.benchmarks.relocalisation import WAYS, cut, halves, index_of, run, summary
+    from ....evaluation.benchmarks.relocalisation import (
+        SUBMAP_LENGTHS,
+        index_of,
+        run_queries,
+        split_halves,
+        split_recording,
+        summarise_queries,
+    )
 
     config = Config()
     messages = list(drivers.open(recording))
-    other = None if elsewhere is None else index_of(halves(list(drivers.open(elsewhere)))[0], config)
-    known = cut(messages, config)
+    other = None if elsewhere is None else index_of(split_halves(list(drivers.open(elsewhere)))[0], config)
+    split = split_recording(messages, config)
     typer.echo("metres  places  accepted  right  precision  known  found  recall  median s  95 % s")
-    for way in WAYS:
-        row = summary(way, run(known, way, count, config, elsewhere=other, seed=seed))
-        precision = f"{row.right / row.accepted:.3f}" if row.accepted else "-"
+    for length in SUBMAP_LENGTHS:
+        row = summarise_queries(length, run_queries(split, length, count, config, elsewhere=other, seed=seed))
+        precision = f"{row.correct / row.accepted:.3f}" if row.accepted else "-"
         recall = f"{row.found / row.known:.3f}" if row.known else "-"
         typer.echo(
-            f"{row.way:6.0f}  {row.queries:6d}  {row.accepted:8d}  {row.right:5d}  {precision:>9}  {row.known:5d}  "
-            f"{row.found:5d}  {recall:>6}  {row.median:8.3f}  {row.p95:6.3f}"
+            f"{row.submap_length:6.0f}  {row.queries:6d}  {row.accepted:8d}  {row.correct:5d}  {precision:>9}  "
+            f"{row.known:5d}  {row.found:5d}  {recall:>6}  {row.median:8.3f}  {row.p95:6.3f}"
         )

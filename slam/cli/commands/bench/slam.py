@@ -39,19 +39,19 @@ def bench_slam(
 
     Example: [bold]wclm bench slam --datasets datasets --json 0.1.0.json[/bold]
     """
-    from ....evaluation.benchmarks.drives import as_data, cases, rows, run
+    from ....evaluation.benchmarks.slam_runs import list_runs, result_table, results_as_data, run_all
 
     compile_all()
-    chosen = cases(datasets, quick=quick, seed=seed)
-    results = list(progress(run(chosen), len(chosen), "drives"))
-    typer.echo("\n".join([*heading(seed), *rows(results)]))
-    content = provenance(seed) | {"drives": as_data(results)}
+    chosen = list_runs(datasets, quick=quick, seed=seed)
+    results = list(progress(run_all(chosen), len(chosen), "drives"))
+    typer.echo("\n".join([*heading(seed), *result_table(results)]))
+    content = provenance(seed) | {"drives": results_as_data(results)}
     if as_json is not None:
         make_directory(as_json.parent)
         write_text(as_json, json.dumps(content, indent=1))
     if plot is not None:
-        from ....evaluation.benchmarks.versions import read_versions
-        from ....visualisation.plots.versions import plot_versions
+        from ....evaluation.benchmarks.released_versions import read_versions
+        from ....visualisation.plots.version_history import plot_versions
 
         known = read_versions(versions) if versions is not None else {}
         plot_versions(plot, known | {content["versions"]["wclm-slam"]: content["drives"]})
