@@ -21,7 +21,7 @@ import drivers
 from drivers.messages import GroundTruth, Message, Scan
 from drivers.simulation import Simulation
 from features.arras_siegwart import direction_by_double_sums
-from features.fit import rays_of
+from features.line_fit import ray_arrays
 
 from ...errors import MapError
 from ...events import Finished
@@ -158,7 +158,7 @@ class MessageTimer:
         self.message_times: list[float] = []
         self.reference_times: list[float] = []
         self._started = 0.0
-        self._line = rays_of(2.0 / np.cos(REFERENCE_ANGLES), REFERENCE_ANGLES)
+        self._line = ray_arrays(2.0 / np.cos(REFERENCE_ANGLES), REFERENCE_ANGLES)
         direction_by_double_sums(*self._line)
 
     def __enter__(self) -> None:

@@ -18,7 +18,7 @@ from features import ESTIMATORS, Noise
 from features.arras_siegwart import direction_by_double_sums, direction_by_single_sums, polar_line
 from features.corner import intersect
 from features.estimators import SIADAT, WCLM, fit_by_code
-from features.fit import rays_of
+from features.line_fit import ray_arrays
 from features.types import Floats
 
 from . import formulas
@@ -71,7 +71,7 @@ def compiled_calls(walls: Sequence[tuple[Floats, Floats]], noise: Noise = PAPER_
 
     The double sums also start from these and omit the double sums of the Jacobians: a lower bound of their cost.
     """
-    first, second = (np.stack(rays_of(*wall)) for wall in walls)
+    first, second = (np.stack(ray_arrays(*wall)) for wall in walls)
     sigmas = noise.sigma_range, noise.sigma_bearing
     calls: tuple[Call, ...] = (
         lambda: _by_code(WCLM, first, second, *sigmas),
