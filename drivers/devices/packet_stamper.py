@@ -25,7 +25,7 @@ MIN_SPACING = 1e-6
 
 
 class MonotonicStamps:
-    """Keeps the stamps of a device strictly increasing over all its connections.
+    """Filter that keeps the stamps of a device strictly increasing over all its connections.
 
     A newly fitted clock may show that the last stamps were late, as they are when the host was busy. They have already
     been delivered. The stamps of the next measurements then follow as closely as possible until the clock has caught
@@ -81,7 +81,7 @@ class PacketCountClock:
 
 
 class PacketStamper:
-    """Stamps the packets of one stream.
+    """Stamps for the packets of one stream.
 
     period  seconds from packet to packet
     size    bytes of a packet

@@ -15,7 +15,7 @@ DIAGNOSTICS_PERIOD = 1.0
 
 
 class Recorder:
-    """Writes the messages of an acquisition, and once a second the status of its devices.
+    """Writer of an acquisition's messages and, once a second, of the status of its devices.
 
     scans, odometry  numbers of written messages
 

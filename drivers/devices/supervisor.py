@@ -91,7 +91,7 @@ class SilenceError(DriverError):
 
 
 class Supervisor:
-    """Runs a device in the thread that calls `run`.
+    """Control of one device, in the thread that calls `run`.
 
     spec             of the device
     put              receives its messages, stamped on the host's steady clock

@@ -20,7 +20,7 @@ LAG_TOLERANCE = 1e-3
 
 
 class BeamModel:
-    """Casts beams into the world, with a lidar's noise.
+    """Beams cast into the world, with a lidar's noise.
 
     mount  [x, y, heading] on the robot
     noise  of the beams, and the limits of range

@@ -45,7 +45,7 @@ class ConnectionCounts:
 
 
 class DeviceConnection:
-    """Steps a device and carries bytes between it and its port.
+    """Connection between a device and its port; it steps the device and carries the bytes.
 
     events     faults of the device
     corruptor  applied to bytes sent by the device

@@ -15,7 +15,7 @@ PERIOD = 0.02
 
 
 class GroundTruthWriter:
-    """Writes the true path as the robot drives. Raises RecordingError if the file cannot be written.
+    """Writer of the true path as the robot drives. Raises RecordingError if the file cannot be written.
 
     begun  wall-clock time (seconds since 1970) at the emulator's time zero
     """

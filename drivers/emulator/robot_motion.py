@@ -23,7 +23,7 @@ BRAKING_FACTOR = 3.0
 
 
 class Pilot(Protocol):
-    """Steers the robot."""
+    """Steering of the robot."""
 
     def steer(self, x: float, y: float, heading: float) -> tuple[float, float]:
         """Return speed (m/s) and turn rate (rad/s) for the next step from a pose."""
@@ -31,7 +31,7 @@ class Pilot(Protocol):
 
 
 class PathPilot:
-    """Follows a world's way points endlessly; see `driving.Steering`."""
+    """Pilot along a world's way points, without end; see `driving.Steering`."""
 
     def __init__(self, world: World) -> None:
         self._steering = WaypointFollower(world.waypoints, world.speed, endless=True)
@@ -42,7 +42,7 @@ class PathPilot:
 
 
 class CommandedPilot:
-    """Follows commanded velocities, and stops at walls.
+    """Pilot that follows commanded velocities, and stops at walls.
 
     target  last commanded velocity
     """

@@ -22,15 +22,15 @@ RETURN_QUALITY = 47
 class ScanInProgress:
     """A scan under way.
 
-    answer   the format of its packets
+    response_type  format of its packets
     period   seconds between samples, on the lidar's own clock
-    begun    when its first sample is due, on that clock
-    samples  measured so far
-    heads    (n,) radians clockwise of the head at the samples that are not sent yet, growing from turn to turn
+    start    time at which its first sample is due, on that clock
+    samples  number of samples measured so far
+    heads    (n,) radians clockwise of the head at the samples not sent yet, growing from turn to turn
     lags     (n,) radians by which their beams lag the head
-    ranges   (n,) metres that they found; NaN where nothing came back
-    packets  sent so far
-    before   where the head was at the last sample that was sent, radians; None before the first
+    ranges   (n,) metres; NaN for no return
+    packets  number of packets sent so far
+    before   angle of the head at the last sample sent, radians; None before the first one
     """
 
     response_type: int

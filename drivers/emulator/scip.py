@@ -37,7 +37,7 @@ class _MeasurementTask:
 
 
 class EmulatedScip(EmulatedDevice):
-    """Its head turns counter-clockwise; step 0 of revolution k is measured after k turns on its own clock."""
+    """A URG-04LX. Its head turns counter-clockwise; step 0 of revolution k is measured after k turns of its clock."""
 
     def __init__(self, name: str, line: SerialLine, drift: float, beams: BeamModel) -> None:
         super().__init__(name, line, drift, usb_powered=True)

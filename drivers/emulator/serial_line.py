@@ -25,7 +25,7 @@ class _Batch:
 
 
 class SerialLine:
-    """Transmits packets one after the other.
+    """A line that transmits packets one after the other.
 
     baud      bits per second; infinite for devices with native USB
     overflow  bytes lost because the line was too slow
@@ -92,8 +92,9 @@ class CorruptionCounts:
 
 
 class Corruptor:
-    """Corrupts bytes at random: a byte is dropped, gets a byte inserted before it, or has one bit flipped, each with a
-    probability. The result depends on the seed, not on the chunks.
+    """Random corruption of bytes: dropping, inserting a byte before, or flipping one bit, each with a probability.
+
+    The result depends on the seed, not on the chunks.
     """
 
     def __init__(self, drop: float, insert: float, flip: float, random: np.random.Generator) -> None:

@@ -90,10 +90,10 @@ class EmulatedWheelBase(EmulatedDevice):
         self.kind, self.encoders = kind, encoders
         self._gyro, self._on_velocity = has_gyro, on_velocity
         self._protocol = kind.protocol(kind.wheels)
-        self._unrecognised_before = 0  # by boards that have started again since
+        self._unrecognised_before = 0  # before the last restart of the board
         self._streaming = False
         self._next = 0  # number of the next reading
-        self._commanded: float | None = None  # when it was last told to drive
+        self._commanded: float | None = None  # time of the last velocity command
         self.readings = self.velocities = 0
 
     def switch_on(self, time: float) -> None:

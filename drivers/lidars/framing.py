@@ -21,7 +21,7 @@ def slices(data: bytes) -> Iterator[Bytes]:
 
 @dataclass(frozen=True, slots=True)
 class PacketLayout:
-    """Distinguishes a packet from other bytes.
+    """Marks and checksum that distinguish a packet from other bytes.
 
     size             bytes of a packet
     sync_marks       ((mask, value), ...) of the packet's first bytes: byte & mask == value
@@ -55,10 +55,10 @@ class PacketBatch:
 
 
 class PacketFramer:
-    """Finds the packets: if marks and checksum are right at the expected position, the packet is accepted; otherwise
-    one byte is skipped.
+    """Search for the packets.
 
-    The result does not depend on the chunks. At most a packet less one byte is held.
+    If marks and checksum are right at the expected position, the packet is accepted; otherwise one byte is skipped. The
+    result does not depend on the chunks. At most a packet less one byte is held.
     """
 
     def __init__(self, layout: PacketLayout, counters: DecoderCounters) -> None:

@@ -77,7 +77,7 @@ def checksums_match(packets: Bytes) -> Flags:
 
 
 class Ld06Decoder:
-    """Decodes the stream, as a `Decoder`. The device's clock, which wraps every 30 s, is unwrapped."""
+    """`Decoder` of the stream. The device's clock, which wraps every 30 s, is unwrapped."""
 
     def __init__(self, sample_rate: float = SAMPLE_RATE, baud: float = BAUD) -> None:
         self.counters = DecoderCounters()

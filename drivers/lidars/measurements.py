@@ -100,8 +100,10 @@ class DecoderCounters:
 
 
 class Decoder(Protocol):
-    """Converts bytes to measurements. It accepts any bytes in any chunks, never raises, and never holds more than a few
-    packets. The samples do not depend on the chunks.
+    """Conversion of bytes to measurements.
+
+    It accepts any bytes in any chunks, never raises, and never holds more than a few packets. The samples do not depend
+    on the chunks.
     """
 
     counters: DecoderCounters

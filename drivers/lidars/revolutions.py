@@ -57,7 +57,7 @@ def make_scan(
 
 
 class RevolutionAssembler:
-    """Collects measurements and returns scans.
+    """Assembly of measurements to scans.
 
     range_min, range_max, mount, upside_down  of the lidar, for the scans (see `make_scan`)
     whole_packets  if True, each packet is one scan, as with SCIP; otherwise a scan reaches from one start to the next,

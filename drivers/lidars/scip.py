@@ -44,8 +44,8 @@ def strip_checksum(line: bytes) -> bytes | None:
 
     Lines of parameters have a semicolon before the checksum, which is not summed.
     """
-    text, told = line[:-1], line[-1:]
-    if not text or told not in (checksum(text), checksum(text[:-1]) if text.endswith(b";") else b""):
+    text, stored = line[:-1], line[-1:]
+    if not text or stored not in (checksum(text), checksum(text[:-1]) if text.endswith(b";") else b""):
         return None
     return text
 
@@ -93,7 +93,7 @@ class Reply:
 
 
 class ReplyParser:
-    """Finds replies in bytes in any chunks. Bytes of replies that are too long or have no status are skipped and
+    """Search for replies in bytes, in any chunks. Bytes of replies that are too long or have no status are skipped and
     counted.
     """
 

@@ -27,7 +27,7 @@ DAMAGED = 0xFF
 
 
 class ScipDecoder:
-    """Decodes the replies to one measurement request, as a `Decoder`; each reply is a whole scan.
+    """`Decoder` of the replies to one measurement request; each reply is a whole scan.
 
     parameters  of the device
     request     that was sent

@@ -23,7 +23,7 @@ MAX_READ_SIZE = 4096
 
 
 class ReplayPort:
-    """Plays a byte capture from the device's side; a context manager.
+    """Player of a byte capture from the device's side; a context manager.
 
     name   path of the port to open
     speed  factor of the original speed

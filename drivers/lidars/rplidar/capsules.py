@@ -95,7 +95,7 @@ def new_capsules(format: CapsuleFormat, heads: Floats, reset: bool) -> Structure
 
 
 class CapsuleDecoder:
-    """Decodes a stream of capsules, as a `Decoder`.
+    """`Decoder` of a stream of capsules.
 
     format         of the capsules
     sample_period  seconds between samples, as the device reports for the scan mode

@@ -41,7 +41,7 @@ def checksums_match(packets: Bytes) -> Flags:
 
 
 class HqDecoder:
-    """Decodes packets of 96 nodes, as a `Decoder`.
+    """`Decoder` of packets of 96 nodes.
 
     sample_period  seconds between samples
     baud           of the port, bits per second

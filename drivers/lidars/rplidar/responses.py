@@ -36,7 +36,7 @@ class ResponseType(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Descriptor:
-    """Announces the following data: `size` bytes of `type`, once or, if `multiple`, repeatedly."""
+    """Announcement of the following data: `size` bytes of `type`, once or, if `multiple`, repeatedly."""
 
     size: int
     multiple: bool
@@ -56,7 +56,7 @@ class Descriptor:
 
 
 class ResponseReader:
-    """Finds one response in bytes that may begin with anything, such as a running scan or the banner after a reset.
+    """Search for one response in bytes that may begin with anything, such as a running scan or a banner.
 
     type      of the response
     size      of its payload, None if it varies

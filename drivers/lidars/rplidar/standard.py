@@ -68,7 +68,7 @@ def decode_nodes(nodes: StructuredArray) -> StructuredArray:
 
 
 class StandardDecoder:
-    """Decodes a stream of nodes, as a `Decoder`.
+    """`Decoder` of a stream of nodes.
 
     sample_period  seconds between samples
     baud           of the port, bits per second

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import drivers
@@ -74,6 +74,7 @@ def test_errors_of_specs_state_what_is_allowed(text: str, because: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+@settings(deadline=None)
 @given(st.text(max_size=40), st.sampled_from(["", "ld06:", "rplidar:/dev/a?", "wheels:/dev/a?ticks="]))
 def test_any_text_gives_devices_or_one_error(text: str, beginning: str) -> None:
     try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.devices.packet_stamper import LOSS_DELAY, MIN_SPACING, MonotonicStamps, PacketCountClock, PacketStamper
@@ -78,6 +78,7 @@ def decoder_delay() -> float:
     return float((-offset - 5 * 10 / BAUD) * RATE)
 
 
+@settings(deadline=None)
 @given(st.lists(st.lists(st.floats(0.0, 1e6), max_size=8), max_size=8))
 def test_stamps_increase_strictly(chunks: list[list[float]]) -> None:
     onward = MonotonicStamps()

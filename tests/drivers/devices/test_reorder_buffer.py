@@ -72,7 +72,7 @@ def test_the_oldest_messages_are_dropped_and_counted() -> None:
     assert buffer.dropped == 90
 
 
-@settings(max_examples=50)
+@settings(max_examples=50, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 1), st.floats(0.0, 0.3)), max_size=60))
 def test_all_messages_are_returned_in_order_or_counted(steps: list[tuple[int, float]]) -> None:
     buffer = ReorderBuffer(2, 0.0, capacity=20)

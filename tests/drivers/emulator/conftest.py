@@ -58,7 +58,7 @@ class Host:
 
 
 class Bench:
-    """Advances the time step by step; all open ports are read at every tick."""
+    """Test bench with simulated time; all open ports are read at every tick."""
 
     def __init__(self, emulator: Emulator, opened: ExitStack) -> None:
         self.emulator, self.time, self.step = emulator, 0.0, 0.002

@@ -89,10 +89,10 @@ def test_decoded_ranges_are_the_true_ranges(bench: MakeBench, lidar: str, mode: 
         for late in (0.0, 0.5 * latest, latest)
         for aside in np.radians([-0.08, -0.03, 0.0, 0.03, 0.08])
     ]
-    told = ~np.isnan(samples["range"])
+    has_return = ~np.isnan(samples["range"])
     right = (samples["range"] > np.min(cast, axis=0) - quantum) & (samples["range"] < np.max(cast, axis=0) + quantum)
-    assert np.count_nonzero(told) > 0.95 * len(samples)
-    assert np.count_nonzero(right | ~told) >= 0.995 * len(samples)
+    assert np.count_nonzero(has_return) > 0.95 * len(samples)
+    assert np.count_nonzero(right | ~has_return) >= 0.995 * len(samples)
     assert np.ptp(motion.poses(np.array([stamps[0], stamps[-1]])), axis=0).max() > 0.1  # the robot was moving
 
 
@@ -153,8 +153,8 @@ def test_an_rplidar_reports_its_identity_health_and_modes(bench: MakeBench, lida
     assert health is not None
     assert Health.parse(health).status == HealthStatus.GOOD
     if not kind.reports_modes:
-        asked = requests.get_configuration(modes.ConfigEntry.COUNT)
-        assert host.ask(asked, ResponseReader(ResponseType.CONFIGURATION)) is None
+        count_request = requests.get_configuration(modes.ConfigEntry.COUNT)
+        assert host.ask(count_request, ResponseReader(ResponseType.CONFIGURATION)) is None
         rate = host.ask(requests.GET_SAMPLE_RATE, ResponseReader(ResponseType.SAMPLE_RATE, SampleRate.SIZE))
         assert rate is not None
         assert SampleRate.parse(rate) == SampleRate(508e-6, 254e-6)
@@ -169,12 +169,12 @@ def test_an_rplidar_reports_its_identity_health_and_modes(bench: MakeBench, lida
             try:
                 request = steps.send(payload)
             except StopIteration as done:
-                told: modes.Modes = done.value
-                return told
+                found: modes.Modes = done.value
+                return found
 
-    told = query_modes()
-    assert [(m.name, m.response_type) for m in told.modes] == [(m.name, m.response_type) for m in kind.modes.modes]
-    assert told.choose().sample_period == pytest.approx(kind.modes.choose().sample_period, rel=1e-3)
+    found = query_modes()
+    assert [(m.name, m.response_type) for m in found.modes] == [(m.name, m.response_type) for m in kind.modes.modes]
+    assert found.choose().sample_period == pytest.approx(kind.modes.choose().sample_period, rel=1e-3)
 
 
 def test_only_the_right_baud_rate_is_understood(bench: MakeBench) -> None:

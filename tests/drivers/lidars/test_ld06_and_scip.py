@@ -89,6 +89,7 @@ class TestScipLanguage:
         assert scip.MeasureRequest(44, 725).packet() == b"MD0044072501000\n"
         assert scip.MeasureRequest(44, 725, continuous=False).packet() == b"GD0044072501\n"
 
+    @settings(deadline=None)
     @given(arrays(np.int64, st.integers(1, 50), elements=st.integers(0, (1 << 18) - 1)))
     def test_values_round_trip(self, values: np.ndarray) -> None:
         text = scip.encode_values(values, 3)
@@ -111,6 +112,7 @@ class TestScipLanguage:
         with pytest.raises(DriverError, match="damaged"):
             scip.Parameters.parse(scip.Reply(b"PP", "00", tuple(lines), 0))
 
+    @settings(deadline=None)
     @given(st.lists(st.binary(max_size=20), max_size=10))
     def test_any_lines_are_parsed_or_rejected(self, texts: list[bytes]) -> None:
         lines = tuple(text + scip.checksum(text) for text in texts)

@@ -6,7 +6,7 @@ import struct
 from contextlib import suppress
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers import DriverError
@@ -67,6 +67,7 @@ def test_requests_have_the_documented_bytes(request_: Request, packet: str) -> N
     assert request_.packet() == bytes.fromhex(packet)
 
 
+@settings(deadline=None)
 @given(st.lists(st.sampled_from([r for r, _ in REQUESTS]), max_size=8), st.lists(st.integers(1, 9), min_size=1))
 def test_requests_are_found_in_any_chunks(sent: list[Request], sizes: list[int]) -> None:
     data, reader, got = b"".join(request.packet() for request in sent), RequestReader(), []
@@ -79,6 +80,7 @@ def test_requests_are_found_in_any_chunks(sent: list[Request], sizes: list[int])
     assert reader.bytes_skipped == 0
 
 
+@settings(deadline=None)
 @given(st.lists(st.binary(max_size=100), max_size=8))
 def test_the_request_reader_accepts_any_bytes(chunks: list[bytes]) -> None:
     reader, whole = RequestReader(), RequestReader()
@@ -149,6 +151,7 @@ def test_sample_rates_and_motor_boards_are_parsed() -> None:
         SampleRate.parse(bytes(4))
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=40))
 def test_any_payload_is_parsed_or_rejected(payload: bytes) -> None:
     for parse in (Info.parse, Health.parse, SampleRate.parse, has_motor_pwm, Descriptor.parse):
@@ -167,6 +170,7 @@ def test_any_payload_is_parsed_or_rejected(payload: bytes) -> None:
         b"\xa5\x5a\x54\x00\x00\x40\x85" * 9,
     ],
 )
+@settings(deadline=None)
 @given(sizes=st.lists(st.integers(1, 30), min_size=1, max_size=5))
 def test_a_response_is_found_after_any_bytes(before: bytes, sizes: list[int]) -> None:
     payload = bytes(range(20))
@@ -190,8 +194,8 @@ def test_the_remainder_begins_after_the_descriptor() -> None:
 
 
 def test_a_response_to_another_request_is_skipped() -> None:
-    asked = requests.get_configuration(ConfigEntry.COUNT)
-    reader = ResponseReader(ResponseType.CONFIGURATION, prefix=modes.echo(asked))
+    request = requests.get_configuration(ConfigEntry.COUNT)
+    reader = ResponseReader(ResponseType.CONFIGURATION, prefix=modes.echo(request))
     other = bytes.fromhex("7C 00 00 00 03 00")
     wanted = bytes.fromhex("70 00 00 00 05 00")
     for payload in (other, wanted):
@@ -199,6 +203,7 @@ def test_a_response_to_another_request_is_skipped() -> None:
     assert got == wanted
 
 
+@settings(deadline=None)
 @given(st.lists(st.binary(max_size=200) | st.just(b"\xa5\x5a\x00\x02\x00\x00\x20"), max_size=20))
 def test_the_response_reader_accepts_any_bytes_and_holds_few(chunks: list[bytes]) -> None:
     reader = ResponseReader(ResponseType.CONFIGURATION, prefix=b"\x70\0\0\0")
@@ -212,14 +217,14 @@ def test_the_response_reader_accepts_any_bytes_and_holds_few(chunks: list[bytes]
 
 def converse(known: Modes) -> Modes:
     """Query the modes of an emulated device."""
-    query_modes = modes.query_modes()
-    request = next(query_modes)
+    query = modes.query_modes()
+    request = next(query)
     while True:
         assert request.command == requests.Command.GET_CONFIGURATION
         payload = modes.configuration_response(request, known)
         assert payload is not None
         try:
-            request = query_modes.send(payload)
+            request = query.send(payload)
         except StopIteration as end:
             found: Modes = end.value
             return found
@@ -248,27 +253,28 @@ def test_modes_are_chosen_by_name_or_default_to_typical() -> None:
     [("71 00 00 00 00 FA 00 00", 250e-6), ("71 00 00 00 B2 6C 00 00", 108.695e-6)],
 )
 def test_sample_periods_are_converted_to_seconds(answer: str, period: float) -> None:
-    query_modes = modes.query_modes()
-    next(query_modes)
-    query_modes.send(b"\x70\0\0\0\x01\0")
-    assert query_modes.send(b"\x7c\0\0\0\x00\0") == requests.get_configuration(ConfigEntry.SAMPLE_PERIOD, 0)
-    query_modes.send(bytes.fromhex(answer))
-    query_modes.send(b"\x74\0\0\0" + struct.pack("<I", 40 * 256))
-    query_modes.send(b"\x75\0\0\0\x85")
+    query = modes.query_modes()
+    next(query)
+    query.send(b"\x70\0\0\0\x01\0")
+    assert query.send(b"\x7c\0\0\0\x00\0") == requests.get_configuration(ConfigEntry.SAMPLE_PERIOD, 0)
+    query.send(bytes.fromhex(answer))
+    query.send(b"\x74\0\0\0" + struct.pack("<I", 40 * 256))
+    query.send(b"\x75\0\0\0\x85")
     with pytest.raises(StopIteration) as end:
-        query_modes.send(b"\x7f\0\0\0DenseBoost\0")
+        query.send(b"\x7f\0\0\0DenseBoost\0")
     (mode,) = end.value.value.modes
     assert (mode.name, mode.max_distance, mode.response_type) == ("DenseBoost", 40.0, ResponseType.DENSE)
     assert mode.sample_period == pytest.approx(period, rel=1e-5)
 
 
+@settings(deadline=None)
 @given(st.lists(st.binary(max_size=12), min_size=1, max_size=10), st.booleans())
 def test_any_response_to_a_mode_query_is_parsed_or_rejected(answers: list[bytes], echoed: bool) -> None:
-    query_modes = modes.query_modes()
-    request = next(query_modes)
+    query = modes.query_modes()
+    request = next(query)
     with suppress(DriverError, StopIteration):
         for answer in answers:
-            request = query_modes.send((modes.echo(request) if echoed else b"") + answer)
+            request = query.send((modes.echo(request) if echoed else b"") + answer)
 
 
 def test_old_firmware_has_two_modes() -> None:
