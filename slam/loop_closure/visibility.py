@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from drivers import se2
+from drivers.compiled import compiled
 
 from ..geometry.segments import Floats, Segments
 from .map_descriptor import MapDescriptor
@@ -76,8 +76,8 @@ def compare_visibility(
     for view_pose, segments in (views[k] for k in chosen):
         if not len(segments):
             continue
-        eye = se2.compose(pose, view_pose)
-        counts += _compare(eye, segments.frame, segments.half_length, ends, segments.reach())
+        viewpoint = se2.compose(pose, view_pose)
+        counts += _compare(viewpoint, segments.frame, segments.half_length, ends, segments.reach())
     return VisibilityCounts(*(int(count) for count in counts))
 
 
@@ -91,15 +91,16 @@ def _shortened_stretches(descriptor: MapDescriptor) -> Floats:
     return np.column_stack([frame[:, :2] + low[:, None] * direction, frame[:, :2] + high[:, None] * direction])
 
 
-@njit(cache=True)
-def _compare(eye, frames, halves, ends, reach):  # type: ignore[no-untyped-def]
+@compiled
+def _compare(viewpoint, frames, halves, ends, reach):  # type: ignore[no-untyped-def]
     """Count the rays of one view, (5,) in the order of `VisibilityCounts`."""
     counts = np.zeros(5, dtype=np.int64)
     near = np.empty((len(ends), 4))
     count = 0
-    c, s = math.cos(eye[2]), math.sin(eye[2])
+    c, s = math.cos(viewpoint[2]), math.sin(viewpoint[2])
     for k in range(len(ends)):  # stretches within reach, in the view's frame
-        ax, ay, bx, by = ends[k, 0] - eye[0], ends[k, 1] - eye[1], ends[k, 2] - eye[0], ends[k, 3] - eye[1]
+        ax, ay = ends[k, 0] - viewpoint[0], ends[k, 1] - viewpoint[1]
+        bx, by = ends[k, 2] - viewpoint[0], ends[k, 3] - viewpoint[1]
         half = 0.5 * math.hypot(bx - ax, by - ay)
         if math.hypot(0.5 * (ax + bx), 0.5 * (ay + by)) - half < reach + REACH_MARGIN:
             near[count] = np.array([c * ax + s * ay, c * ay - s * ax, c * bx + s * by, c * by - s * bx])
@@ -135,7 +136,7 @@ def _compare(eye, frames, halves, ends, reach):  # type: ignore[no-untyped-def]
     return counts
 
 
-@njit(cache=True)
+@compiled
 def _range_to_segment(rc, rs, ax, ay, bx, by):  # type: ignore[no-untyped-def]
     """Return the range along the ray (rc, rs) from the origin to the segment a-b, infinite if the ray misses it."""
     side_a, side_b = rc * ay - rs * ax, rc * by - rs * bx

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from drivers import se2
+from drivers.compiled import compiled
 
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import CornerPoints, Floats, Segments
@@ -151,7 +151,7 @@ def register(
     return Registration(pose, information, point_information, matched / total if total else 0.0)
 
 
-@njit(cache=True)
+@compiled
 def _register(  # type: ignore[no-untyped-def]
     prediction, prior, starts, min_gain, segments, corners, clutter, walls, map_corners, field, roughness
 ):
@@ -195,13 +195,13 @@ def _register(  # type: ignore[no-untyped-def]
     return best_pose, best_information, best_point_information, best_matched
 
 
-@njit(cache=True)
+@compiled
 def _add_walls(  # type: ignore[no-untyped-def]
     pose, segments, walls, roughness, offset_gate, heading_gate, information, gradient
 ):
     """Pair each segment with the nearest wall inside the gates and add its normal equations.
 
-    Returns the matched wall length in metres, weighted down by up to a quarter at the gates' edge.
+    Returns the matched wall length in metres, weighted down by up to a quarter of it near the gates' limits.
     """
     frames, halves, covariances = segments.frame, segments.half_length, segments.covariance
     c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -209,24 +209,9 @@ def _add_walls(  # type: ignore[no-untyped-def]
     for i in range(len(frames)):
         x = pose[0] + c * frames[i, 0] - s * frames[i, 1]
         y = pose[1] + s * frames[i, 0] + c * frames[i, 1]
-        best, match = np.inf, -1
-        overlap = offset = turn = along = 0.0
-        for j in range(len(walls.frame)):
-            angle = wrap_angle(pose[2] + frames[i, 2] - walls.frame[j, 2])
-            if abs(angle) > heading_gate:
-                continue
-            wc, ws = math.cos(walls.frame[j, 2]), math.sin(walls.frame[j, 2])
-            dx, dy = x - walls.frame[j, 0], y - walls.frame[j, 1]
-            across = -ws * dx + wc * dy
-            if abs(across) > offset_gate:
-                continue
-            at = wc * dx + ws * dy
-            shared = min(at + halves[i], walls.high[j] + MATCH_END_MARGIN) - max(
-                at - halves[i], walls.low[j] - MATCH_END_MARGIN
-            )
-            distance = (across / offset_gate) ** 2 + (angle / heading_gate) ** 2
-            if shared > 0.0 and distance < best:
-                best, match, overlap, offset, turn, along = distance, j, min(shared, 2 * halves[i]), across, angle, at
+        match, best, overlap, offset, turn, along = _match_segment(
+            x, y, pose[2] + frames[i, 2], halves[i], walls, offset_gate, heading_gate
+        )
         if match < 0:
             continue
         wall = walls.covariance[match]
@@ -259,7 +244,33 @@ def _add_walls(  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(cache=True)
+@compiled
+def _match_segment(x, y, heading, half, walls, offset_gate, heading_gate):  # type: ignore[no-untyped-def]
+    """Match a segment at (x, y, heading) in the map with the nearest wall inside the gates.
+
+    Returns the wall's row (-1 for none), the squared distance relative to the gates, the overlap in metres, the offset,
+    the heading difference, and the position along the wall.
+    """
+    best, match = np.inf, -1
+    overlap = offset = turn = along = 0.0
+    for j in range(len(walls.frame)):
+        angle = wrap_angle(heading - walls.frame[j, 2])
+        if abs(angle) > heading_gate:
+            continue
+        wc, ws = math.cos(walls.frame[j, 2]), math.sin(walls.frame[j, 2])
+        dx, dy = x - walls.frame[j, 0], y - walls.frame[j, 1]
+        across = -ws * dx + wc * dy
+        if abs(across) > offset_gate:
+            continue
+        at = wc * dx + ws * dy
+        shared = min(at + half, walls.high[j] + MATCH_END_MARGIN) - max(at - half, walls.low[j] - MATCH_END_MARGIN)
+        distance = (across / offset_gate) ** 2 + (angle / heading_gate) ** 2
+        if shared > 0.0 and distance < best:
+            best, match, overlap, offset, turn, along = distance, j, min(shared, 2 * half), across, angle, at
+    return match, best, overlap, offset, turn, along
+
+
+@compiled
 def _add_corners(  # type: ignore[no-untyped-def]
     pose, observed, corners, roughness, gate, information, gradient
 ):
@@ -296,7 +307,7 @@ def _add_corners(  # type: ignore[no-untyped-def]
         gradient += weight * (jacobian.T @ (weights @ residual))
 
 
-@njit(cache=True)
+@compiled
 def _add_points(pose, points, field, information, gradient):  # type: ignore[no-untyped-def]
     """Pair each clutter point with the nearest one of the likelihood field and add its normal equations."""
     known, nearest, origin = field.points, field.nearest, field.origin
