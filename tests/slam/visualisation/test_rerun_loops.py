@@ -138,8 +138,8 @@ def test_matched_walls_lie_on_the_reference_map_after_alignment(logged: Logged) 
 
 def test_a_retraction_is_in_the_text_log_and_on_the_map(logged: Logged) -> None:
     texts = [(row.keyframe, *row.values["TextLog:level"], *row.values["TextLog:text"]) for row in logged.rows("/log")]
-    (retracted,) = [row for row in texts if "retracted" in row[2]]
-    (accepted,) = [row for row in texts if "accepted" in row[2]]
+    (retracted,) = [row for row in texts if f" {LoopStatus.RETRACTED}: " in row[2]]
+    (accepted,) = [row for row in texts if f" {LoopStatus.ACCEPTED}: " in row[2]]
     assert retracted[1] == "ERROR"
     assert retracted[0] > accepted[0]
     (event,) = [event for event in decisions(logged) if event.status == LoopStatus.RETRACTED]
