@@ -8,13 +8,13 @@
         features = extractor.extract(ranges, angles)
         features.lines.uv, features.lines.covariance, features.corners.position
 
-The estimators of single lines and corners are in ESTIMATORS by name and in modules of their own: `wclm`,
-`arras_siegwart`, `siadat`, `corner`; other parametrisations of a line are in `conversions`.
+The estimators of single lines and corners are listed in ESTIMATORS and implemented in `wclm`, `arras_siegwart`,
+`siadat` and `corner`; `conversions` has other parametrisations of a line.
 """
 
 from .estimators import ESTIMATORS, Estimator
 from .extract import Extractor, warm_up
-from .fit import LineFit
+from .line_fit import LineFit
 from .types import Corners, Features, Lines, Noise
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""Line and corner after Arras and Siegwart, eqs. (26)-(30) and (39)-(43), with the weights of eq. (17).
+"""Line and corner by Arras and Siegwart, eqs. (26)-(30) and (39)-(43), with the weights of eq. (17).
 
 The line is x cos(alpha) + y sin(alpha) = r. With z = rho exp(i theta), W = sum w, Z1 = sum w z and the centred second
 moment Z = sum w z^2 - Z1^2 / W, eq. (28) reads alpha = arg(-Z) / 2: the double sums of eqs. (27)-(28) are products of
@@ -14,13 +14,13 @@ import numpy as np
 
 from .compiled import compiled, vectorised
 from .conversions import covariance_through, uv_of_polar
-from .fit import LineFit, rays_of
+from .line_fit import LineFit, ray_arrays
 from .types import Floats, Noise
 
 
 @vectorised
 def direction_by_single_sums(inverse: Floats, cos: Floats, sin: Floats) -> tuple[float, float]:
-    """Numerator and denominator of tan(2 alpha), eq. (27), with w = 1/rho^2: -Im Z and -Re Z."""
+    """Return numerator and denominator of tan(2 alpha), eq. (27), with w = 1/rho^2: -Im Z and -Re Z."""
     weight = x = y = xx = xy = 0.0
     for i in range(len(inverse)):
         weight += inverse[i] * inverse[i]
@@ -33,7 +33,7 @@ def direction_by_single_sums(inverse: Floats, cos: Floats, sin: Floats) -> tuple
 
 @compiled
 def direction_by_double_sums(inverse: Floats, cos: Floats, sin: Floats) -> tuple[float, float]:
-    """Numerator and denominator of tan(2 alpha) as eq. (27) writes them, O(n^2)."""
+    """Return numerator and denominator of tan(2 alpha) as printed in eq. (27), O(n^2)."""
     weight = numerator = denominator = single_sine = single_cosine = 0.0
     for i in range(len(inverse)):
         weight += inverse[i] * inverse[i]
@@ -56,14 +56,14 @@ def polar_line(
     sigma_range: float,
     sigma_bearing: float,
 ) -> tuple[float, float, float, float, float]:
-    """(r, alpha, Vr, Cra, Valpha) of eqs. (26), (28) and (29)-(30) from the direction's numerator and denominator.
+    """Return (r, alpha, Vr, Cra, Valpha) of eqs. (26) and (28)-(30) from the direction's numerator and denominator.
 
     With q = z - mean(z), k = Im(exp(-i alpha) mean(z)) and dz = exp(i theta) drho or i z dtheta, a ray contributes
 
         dalpha = Im(w q dz / Z) + Im(dw q^2 / Z) / 2
         dr     = Re(exp(-i alpha) (w dz + dw q)) / W + k dalpha
 
-    where dw = -2 w / rho drho, since the weights 1/rho^2 follow the range.
+    where dw = -2 w / rho drho, since the weights 1/rho^2 depend on the range.
     """
     alpha = 0.5 * math.atan2(numerator, denominator)
     ca, sa = math.cos(alpha), math.sin(alpha)
@@ -102,7 +102,7 @@ def polar_line(
 def fit_arras_siegwart(
     inverse: Floats, cos: Floats, sin: Floats, sigma_range: float, sigma_bearing: float
 ) -> tuple[float, float, float, float, float]:
-    """(u, v, Cuu, Cuv, Cvv) of the line, for the extractor."""
+    """Return (u, v, Cuu, Cuv, Cvv) of the line, for the extractor."""
     numerator, denominator = direction_by_single_sums(inverse, cos, sin)
     r, alpha, vr, vra, va = polar_line(inverse, cos, sin, numerator, denominator, sigma_range, sigma_bearing)
     c, s = math.cos(alpha), math.sin(alpha)
@@ -117,12 +117,12 @@ def fit_arras_siegwart(
 
 
 def fit(ranges: Floats, angles: Floats, noise: Noise, *, sums: Literal["single", "double"] = "single") -> LineFit:
-    """The line of eqs. (26)-(30); the fit's own parameters are (r, alpha), metres and radians.
+    """Fit the line of eqs. (26)-(30); the fit's own parameters are (r, alpha), metres and radians.
 
     `ranges` (n,) in metres and `angles` (n,) in radians are the rays of one wall, n >= 2, in the lidar's frame.
     `sums="double"` evaluates eq. (27) as printed, in O(n^2); the result is the same.
     """
-    inverse, cos, sin = rays_of(ranges, angles)
+    inverse, cos, sin = ray_arrays(ranges, angles)
     direction = direction_by_double_sums if sums == "double" else direction_by_single_sums
     numerator, denominator = direction(inverse, cos, sin)
     r, alpha, vr, vra, va = polar_line(
@@ -139,7 +139,7 @@ def fit(ranges: Floats, angles: Floats, noise: Noise, *, sums: Literal["single",
 
 
 def corner(first: LineFit, second: LineFit) -> tuple[Floats, Floats]:
-    """Position (2,) in metres and covariance (2, 2) of the corner of two (r, alpha) lines, eqs. (39)-(43)."""
+    """Return position (2,) in metres and covariance (2, 2) of the corner of two (r, alpha) lines, eqs. (39)-(43)."""
     (r1, a1), (r2, a2) = first.parameters, second.parameters
     sine = math.sin(a2 - a1)
     position = np.array([r1 * math.sin(a2) - r2 * math.sin(a1), r2 * math.cos(a1) - r1 * math.cos(a2)]) / sine

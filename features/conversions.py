@@ -1,6 +1,6 @@
-"""Other parametrisations of a line (u, v) and their Jacobians, for display, comparison and tests.
+"""Conversions between a line's (u, v) and other parametrisations, with Jacobians, for display and comparison.
 
-Covariances are carried in (u, v): the noise of a short or far wall is Gaussian there and is not in (d, alpha).
+Covariances are stored in (u, v): the noise of a short or distant wall is Gaussian there, but not in (d, alpha).
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from .types import Floats
 
 
 def covariance_through(jacobian: Floats, covariance: Floats) -> Floats:
-    """First-order covariance (m, m) of a function with the Jacobian (m, n) of arguments with covariance (n, n)."""
+    """Return the covariance (m, m) propagated through a Jacobian (m, n) from arguments with covariance (n, n)."""
     return np.asarray(jacobian @ covariance @ jacobian.T)
 
 
 def polar_of_uv(uv: Floats) -> tuple[Floats, Floats]:
-    """(d, alpha), distance in metres and bearing of the normal in radians, and the Jacobian (2, 2) in (u, v)."""
+    """Return (d, alpha), distance in metres and bearing of the normal in radians, and the Jacobian (2, 2) in (u, v)."""
     u, v = uv
     d, alpha = 1.0 / math.hypot(u, v), math.atan2(v, u)
     c, s = math.cos(alpha), math.sin(alpha)
@@ -26,26 +26,29 @@ def polar_of_uv(uv: Floats) -> tuple[Floats, Floats]:
 
 
 def uv_of_polar(polar: Floats) -> tuple[Floats, Floats]:
-    """(u, v) of the line x cos(alpha) + y sin(alpha) = d, and the Jacobian (2, 2) in (d, alpha)."""
+    """Return (u, v) of the line x cos(alpha) + y sin(alpha) = d, and the Jacobian (2, 2) in (d, alpha)."""
     d, alpha = polar
     c, s = math.cos(alpha), math.sin(alpha)
     return np.array([c, s]) / d, np.array([[-c / d, -s], [-s / d, c]]) / d
 
 
 def uv_of_implicit(abc: Floats) -> tuple[Floats, Floats]:
-    """(u, v) of the line a x + b y + c = 0, and the Jacobian (2, 3) in (a, b, c)."""
+    """Return (u, v) of the line a x + b y + c = 0, and the Jacobian (2, 3) in (a, b, c)."""
     a, b, c = abc
     return np.array([-a, -b]) / c, np.array([[-1.0, 0.0, a / c], [0.0, -1.0, b / c]]) / c
 
 
 def closest_point_of_uv(uv: Floats) -> tuple[Floats, Floats]:
-    """P (2,), metres, the point of the line closest to the origin, and the Jacobian (2, 2): d^2 times a reflection."""
+    """Return the line's point closest to the origin, (2,) in metres, and the Jacobian (2, 2) in (u, v)."""
     d2 = 1.0 / float(uv @ uv)
     return d2 * uv, d2 * (np.eye(2) - 2.0 * d2 * np.outer(uv, uv))
 
 
 def end_point(uv: Floats, bearing: float) -> tuple[Floats, Floats, Floats]:
-    """Where the ray of a bearing (radians) meets the line; Jacobian (2, 2) in (u, v), derivative (2,) in bearing."""
+    """Return the intersection (2,) of the ray at a bearing (radians) with the line.
+
+    Also returns its Jacobian (2, 2) in (u, v), and its derivative (2,) in the bearing.
+    """
     ray = np.array([math.cos(bearing), math.sin(bearing)])
     distance = 1.0 / float(ray @ uv)
     along = np.array([-uv[1], uv[0]])

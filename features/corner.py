@@ -1,4 +1,4 @@
-"""The corner of two lines, eqs. (36)-(38), and when two neighbouring walls have one."""
+"""Corner of two lines, eqs. (36)-(38)."""
 
 from __future__ import annotations
 
@@ -7,18 +7,21 @@ import math
 import numpy as np
 
 from .compiled import compiled
-from .fit import LineFit
+from .line_fit import LineFit
 from .types import Floats
 
+# Sine of the smallest angle between two walls that form a corner; the corner's variance grows as 1/sin^2.
+# Origin: chosen, 11.5 degrees; not measured.
 MIN_SINE = 0.2
-"""Sine of the smallest angle between two walls that form a corner; the corner's variance grows as 1/sin^2."""
 
 
 @compiled
 def intersect(
     u1: float, v1: float, first: Floats, u2: float, v2: float, second: Floats
 ) -> tuple[float, float, float, float, float]:
-    """(x, y, Cxx, Cxy, Cyy) of two lines with the covariances (2, 2) `first` and `second` of their (u, v).
+    """Return (x, y, Cxx, Cxy, Cyy) of the intersection of two lines; NaN if they are parallel.
+
+    `first` and `second` are the covariances (2, 2) of their (u, v).
 
     Equations (36)-(37) with x_Q = u and y_Q = -v. dp/d(u_k, v_k) = -m_k p', so that eq. (38) for independent lines is
     (p' C1 p) m1 m1' + (p' C2 p) m2 m2' with m1 = (v2, -u2) / det and m2 = (-v1, u1) / det.
@@ -40,7 +43,7 @@ def intersect(
 
 
 def corner(first: LineFit, second: LineFit) -> tuple[Floats, Floats]:
-    """Position (2,) in metres and covariance (2, 2) of the intersection of two lines fitted to different rays."""
+    """Return position (2,) in metres and covariance (2, 2) of the corner of two lines fitted to different rays."""
     (u1, v1), (u2, v2) = first.uv, second.uv
     x, y, cxx, cxy, cyy = intersect(u1, v1, first.covariance, u2, v2, second.covariance)
     return np.array([x, y]), np.array([[cxx, cxy], [cxy, cyy]])
@@ -48,5 +51,5 @@ def corner(first: LineFit, second: LineFit) -> tuple[Floats, Floats]:
 
 @compiled
 def parallel(u1: float, v1: float, u2: float, v2: float) -> bool:
-    """Whether two lines are too nearly parallel for a corner."""
+    """Return True if two lines are too close to parallel for a corner."""
     return not abs(u1 * v2 - u2 * v1) > MIN_SINE * math.sqrt((u1 * u1 + v1 * v1) * (u2 * u2 + v2 * v2))

@@ -1,7 +1,7 @@
-"""Whether two neighbouring lines are the chords of one curved surface, which has no corner between them.
+"""Test if two neighbouring lines are chords of one curved surface, which has no corner between them.
 
-About the point where the chords meet, with the x axis along both on average, a curved surface is y = a + b x + c x^2 as
-far as two chords reach: a circle departs from its parabola by a thousandth of its radius over 60 degrees.
+In a frame at the point where the chords meet, with x along their mean direction, a curved surface is approximately
+y = a + b x + c x^2 over two chords: a circle deviates from its parabola by a thousandth of its radius over 60 degrees.
 """
 
 from __future__ import annotations
@@ -10,23 +10,25 @@ import math
 from typing import NamedTuple
 
 from .compiled import compiled
-from .rays import Rays, wrap
+from .rays import Rays, wrap_index
 from .settings import Settings
 from .types import Flags, Floats, Integers
-from .wclm import GATE
+from .wclm import INLIER_GATE
 
-BULGE = 4.0 / 45.0
-"""Mean square distance of an arc from its chord's best line, in units of the squared height of the arc."""
+# Mean square distance of an arc from its best line, relative to the squared height of the arc. Origin: geometry.
+ARC_MEAN_SQUARE = 4.0 / 45.0
 
-UNSPLIT = 1.5
-"""Chi-square in units of the penalty by which an arc would have been divided further, noise or not."""
+# Chi-square, in units of the penalty, above which an arc would have been split further despite noise.
+# Origin: chosen; not measured.
+UNDIVIDED_FACTOR = 1.5
 
-BESIDE_A_CHORD = 8.0
-"""Chi-square by which one curve may be the worse explanation where another pair of lines has shown that it is one."""
+# Evidence against a curve that a corner needs if one of its lines is known to be a chord.
+# Origin: chosen; not measured.
+MIN_EVIDENCE_AT_CHORD = 8.0
 
 
 class Frame(NamedTuple):
-    """Where the two chords meet, and the unit vector along both on average; `rise` is the second one's slope there."""
+    """Point where two chords meet, and unit vector of their mean direction; `rise` is the slope of the second one."""
 
     x: float
     y: float
@@ -36,8 +38,8 @@ class Frame(NamedTuple):
 
 
 @compiled
-def frame_of(first: Floats, second: Floats) -> Frame:
-    """The frame between the end of the line `first` and the start of the line `second`."""
+def chord_frame(first: Floats, second: Floats) -> Frame:
+    """Return the frame between the end of the line `first` and the start of the line `second`."""
     ax, ay = first[8] - first[6], first[9] - first[7]
     bx, by = second[8] - second[6], second[9] - second[7]
     a, b = math.hypot(ax, ay), math.hypot(bx, by)
@@ -48,10 +50,10 @@ def frame_of(first: Floats, second: Floats) -> Frame:
 
 
 @compiled
-def local(
+def to_frame(
     distance: float, cos: float, sin: float, frame: Frame, rise: float, settings: Settings
 ) -> tuple[float, float, float]:
-    """x and y of a ray's end in the frame, and the variance of its y above a surface that rises by `rise` per x."""
+    """Return x, y of a ray's end in the frame, and the variance of its distance in y from a surface of slope `rise`."""
     ex = cos * frame.cos + sin * frame.sin
     ey = sin * frame.cos - cos * frame.sin
     x = distance * ex - frame.x * frame.cos - frame.y * frame.sin
@@ -65,13 +67,13 @@ def local(
 def fit_parabola(
     rays: Rays, count: int, begin: int, middle: int, end: int, frame: Frame, settings: Settings
 ) -> tuple[float, float, float]:
-    """(a, b, c) of y = a + b x + c x^2 through the rays begin..end-1, from `middle` on the second chord's."""
+    """Return (a, b, c) of y = a + b x + c x^2 through the rays begin..end-1; the second chord begins at `middle`."""
     s0 = s1 = s2 = s3 = s4 = p = q = r = 0.0
     distances, cosines, sines = rays.range, rays.cos, rays.sin
     for i in range(begin, end):
-        ray = wrap(i, count)
+        ray = wrap_index(i, count)
         rise = -frame.rise if i < middle else frame.rise
-        x, y, variance = local(distances[ray], cosines[ray], sines[ray], frame, rise, settings)
+        x, y, variance = to_frame(distances[ray], cosines[ray], sines[ray], frame, rise, settings)
         w = 1.0 / variance
         wx = w * x
         wxx = wx * x
@@ -88,7 +90,7 @@ def fit_parabola(
 
 
 @compiled
-def excess(
+def chi2_difference(
     rays: Rays,
     count: int,
     begin: int,
@@ -99,31 +101,31 @@ def excess(
     curve: tuple[float, float, float],
     settings: Settings,
 ) -> float:
-    """Chi-square of rays begin..end-1 about the curve less that about their line; each ray's at most the gate."""
+    """Return the chi-square of rays begin..end-1 about the curve minus that about their line, limited by the gate."""
     total = 0.0
     u, v = line[0], line[1]
     steepness = math.sqrt((1.0 + rise * rise) / (u * u + v * v))
     distances, cosines, sines = rays.range, rays.cos, rays.sin
     for i in range(begin, end):
-        ray = wrap(i, count)
+        ray = wrap_index(i, count)
         distance, cos, sin = distances[ray], cosines[ray], sines[ray]
-        x, y, variance = local(distance, cos, sin, frame, rise, settings)
+        x, y, variance = to_frame(distance, cos, sin, frame, rise, settings)
         above = y - curve[0] - x * (curve[1] + x * curve[2])
         beside = steepness * (1.0 - distance * (u * cos + v * sin))
-        total += min(above * above / variance, GATE) - min(beside * beside / variance, GATE)
+        total += min(above * above / variance, INLIER_GATE) - min(beside * beside / variance, INLIER_GATE)
     return total
 
 
 @compiled
-def bulge(line: Floats, count: int, curvature: float, settings: Settings) -> float:
-    """Chi-square by which an arc of that curvature would depart from this chord of it."""
+def arc_chi2(line: Floats, count: int, curvature: float, settings: Settings) -> float:
+    """Return the expected chi-square of an arc of the given curvature about this chord of it."""
     dx, dy = line[8] - line[6], line[9] - line[7]
     height = (dx * dx + dy * dy) * curvature / 8.0
-    return float(count * BULGE * height * height / (settings.sigma_range**2 + settings.roughness**2))
+    return float(count * ARC_MEAN_SQUARE * height * height / (settings.sigma_range**2 + settings.roughness**2))
 
 
 @compiled
-def evidence(
+def curve_evidence(
     rays: Rays,
     count: int,
     first: Floats,
@@ -134,48 +136,48 @@ def evidence(
     stop: int,
     settings: Settings,
 ) -> float:
-    """Chi-square by which one curve explains two lines' rays worse than the lines do; infinity where that is plain.
+    """Return the evidence against a curve: chi-square of two lines' rays about one curve minus that about the lines.
 
-    Line `first` has the rays begin..end-1 and `second` start..stop-1, which may count on over the end of a revolution.
-    Lines are rows as `condense.Found` has them.
+    It is infinite if an arc of that size would have been split further. Line `first` has the rays begin..end-1 and
+    `second` start..stop-1, which may extend beyond the end of a revolution. Lines are rows of `FeatureBuffers.lines`.
     """
-    frame = frame_of(first, second)
+    frame = chord_frame(first, second)
     lengths = math.hypot(first[8] - first[6], first[9] - first[7])
     lengths += math.hypot(second[8] - second[6], second[9] - second[7])
-    # an arc turns from the middle of one chord to the middle of the other by the angle between the two
+    # an arc turns by the angle between the chords from the middle of one to the middle of the other
     curvature = 4.0 * math.atan(abs(frame.rise)) / lengths
-    undivided = UNSPLIT * settings.penalty
-    if not (bulge(first, end - begin, curvature, settings) < undivided):
+    undivided = UNDIVIDED_FACTOR * settings.penalty
+    if not (arc_chi2(first, end - begin, curvature, settings) < undivided):
         return math.inf
-    if not (bulge(second, stop - start, curvature, settings) < undivided):
+    if not (arc_chi2(second, stop - start, curvature, settings) < undivided):
         return math.inf
     curve = fit_parabola(rays, count, begin, start, stop, frame, settings)
-    worse = excess(rays, count, begin, end, first, -frame.rise, frame, curve, settings)
-    worse += excess(rays, count, start, stop, second, frame.rise, frame, curve, settings)
-    return worse if math.isfinite(worse) else math.inf
+    evidence = chi2_difference(rays, count, begin, end, first, -frame.rise, frame, curve, settings)
+    evidence += chi2_difference(rays, count, start, stop, second, frame.rise, frame, curve, settings)
+    return evidence if math.isfinite(evidence) else math.inf
 
 
 @compiled
-def leave_out(corners: Floats, pairs: Integers, curved: Flags, made: int) -> int:
-    """Leave out the corners that are none, and mark the lines in `curved` that are chords; the number of corners left.
+def remove_curve_corners(corners: Floats, pairs: Integers, curved: Flags, corner_count: int) -> int:
+    """Remove corners on curves, mark lines that are chords in `curved`, and return the number of corners left.
 
-    The last column of `corners` is the evidence for each, as above. A line known to be a chord needs less of it that
-    the next one is too: curves seldom come in pairs of chords.
+    The last column of `corners` is the evidence against a curve. Next to a known chord a corner needs more evidence,
+    because curves rarely consist of only two chords.
     """
     marked = True
     while marked:
         marked = False
-        for k in range(made):
+        for k in range(corner_count):
             before, after = pairs[k, 0], pairs[k, 1]
             if curved[before] and curved[after]:
                 continue
-            if corners[k, -1] < (BESIDE_A_CHORD if curved[before] or curved[after] else 0.0):
+            if corners[k, -1] < (MIN_EVIDENCE_AT_CHORD if curved[before] or curved[after] else 0.0):
                 curved[before] = curved[after] = True
                 marked = True
     kept = 0
-    for k in range(made):
+    for k in range(corner_count):
         before, after = pairs[k, 0], pairs[k, 1]
-        if corners[k, -1] < (BESIDE_A_CHORD if curved[before] or curved[after] else 0.0):
+        if corners[k, -1] < (MIN_EVIDENCE_AT_CHORD if curved[before] or curved[after] else 0.0):
             continue
         for column in range(corners.shape[1]):
             corners[kept, column] = corners[k, column]

@@ -1,4 +1,4 @@
-"""The line estimators by name, with one interface."""
+"""Line estimators by name, with a common interface."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from . import arras_siegwart, corner, siadat, wclm
 from .compiled import compiled
-from .fit import LineFit
+from .line_fit import LineFit
 from .types import Floats, Noise
 
 MAXIMUM_LIKELIHOOD = 0
@@ -18,7 +18,7 @@ SIADAT = 3
 
 
 class Estimator(NamedTuple):
-    """A line fit, the corner of two such lines, and the code by which compiled functions know the estimator."""
+    """Line fit, corner of two such lines, and code of the estimator in compiled functions."""
 
     fit: Callable[[Floats, Floats, Noise], LineFit]
     corner: Callable[[LineFit, LineFit], tuple[Floats, Floats]]
@@ -37,7 +37,7 @@ ESTIMATORS = {
 def fit_by_code(
     code: int, inverse: Floats, cos: Floats, sin: Floats, sigma_range: float, sigma_bearing: float
 ) -> tuple[float, float, float, float, float]:
-    """(u, v, Cuu, Cuv, Cvv) by one of the estimators that see the rays once; NaN for any other code."""
+    """Return (u, v, Cuu, Cuv, Cvv) of one of the non-iterative estimators; NaN for any other code."""
     if code == WCLM:
         return wclm.fit_wclm(inverse, cos, sin, sigma_range, sigma_bearing)
     if code == ARRAS_SIEGWART:

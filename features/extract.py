@@ -1,4 +1,4 @@
-"""Lines and corners of one scan after the other."""
+"""Extractor of lines and corners, scan by scan."""
 
 from __future__ import annotations
 
@@ -7,43 +7,42 @@ from typing import Literal
 
 import numpy as np
 
-from . import pieces, rays, segmentation, tracking
-from .condense import Found, condense
+from . import line_tracking, rays, segmentation, segments
 from .estimators import ESTIMATORS
+from .kernel import FeatureBuffers, extract_features
 from .settings import Settings
 from .types import Corners, Features, Floats, Lines, Noise
 
+# Metres. Deviation of real walls, and of ranges along them, from a straight line beyond white noise.
+# Origin: chosen; not measured.
 ROUGHNESS = 0.01
-"""Metres by which a real wall, and ranges along it, stray from a straight line other than by white noise."""
-
-NOISE_FLOOR = 0.002
-"""Least range noise that adaptation may arrive at, metres; no lidar on a robot is better, and simulations often are."""
-
-NOISE_CEILING = 0.10
-"""Largest range noise that adaptation may arrive at, metres."""
-
+# Metres. Minimum of the adapted range noise; no lidar of a robot is better, simulations often are.
+# Origin: chosen; not measured.
+MIN_SIGMA_RANGE = 0.002
+# Metres. Maximum of the adapted range noise. Origin: chosen; not measured.
+MAX_SIGMA_RANGE = 0.10
+# Scans. Weight of the given range noise relative to observed scans. Origin: chosen; not measured.
 PRIOR_SCANS = 2.0
-"""Scans that the given range noise is worth against those seen."""
-
-SLOWEST_GAIN = 0.03
-"""Least weight of a new scan in the range variance, once many are seen: a memory of about 30 scans."""
+# Minimum weight of a new scan in the running mean of the range variance: a memory of about 30 scans.
+# Origin: chosen; not measured.
+MIN_GAIN = 0.03
 
 
 class Extractor:
-    """Condenses the scans of one lidar into lines and corners.
+    """Extractor of lines and corners from the scans of one lidar.
 
-    method          "split": recursive splitting, merging, bridging; "tracking": the paper's line tracking
-    estimator       of the lines, a name in ESTIMATORS
+    method          "split": recursive splitting, merging and bridging; "tracking": the paper's line tracking
+    estimator       line estimator, a name in ESTIMATORS
     noise           standard deviations of a ray's range (metres) and bearing (radians)
-    adapt_noise     learn the standard deviation of range from the residuals of long walls, scan by scan
-    range_min, range_max  metres; returns outside are ignored. Many lidars report "no return" as a range above 80 m.
-    minimum_count   rays of a line. Two parameters are fitted; five leave three degrees of freedom to tell a wall by.
-    minimum_length  metres of a line; shorter ones are furniture and door frames more than walls
-    maximum_gap     metres of opening in a wall beyond which its two parts stay two lines
-    roughness       metres by which real walls stray from straight lines; breaks must stand out from it
-    penalty         gain of chi-square that a further break must bring
+    adapt_noise     estimate the standard deviation of range from the residuals of long walls, scan by scan
+    range_min, range_max  metres; returns outside are ignored. Many lidars report a no-return as a range above 80 m.
+    minimum_count   rays of a line. Two parameters are fitted; five rays leave three degrees of freedom for its test.
+    minimum_length  metres of a line; shorter ones are furniture and door frames rather than walls
+    maximum_gap     metres; across wider openings the two parts of a wall stay two lines
+    penalty         decrease of chi-square that a further break must bring
+    roughness       metres by which real walls deviate from straight lines; breaks must exceed it
     tracking_distance  metres from a tracked line within which a ray belongs to it
-    known_from      scans that the given noise of ranges is worth against those seen
+    prior_scans     weight of the given range noise relative to observed scans
     """
 
     def __init__(
@@ -60,18 +59,18 @@ class Extractor:
         maximum_gap: float = 0.4,
         penalty: float = segmentation.PENALTY,
         roughness: float = ROUGHNESS,
-        tracking_distance: float = tracking.PAPER_DISTANCE,
-        known_from: float = PRIOR_SCANS,
+        tracking_distance: float = line_tracking.PAPER_DISTANCE,
+        prior_scans: float = PRIOR_SCANS,
     ) -> None:
         if estimator not in ESTIMATORS:
-            raise ValueError(f"no estimator {estimator!r}; there are {', '.join(ESTIMATORS)}")
+            raise ValueError(f"no estimator {estimator!r}; known: {', '.join(ESTIMATORS)}")
         if method not in ("split", "tracking"):
-            raise ValueError(f"no method {method!r}; there are split, tracking")
+            raise ValueError(f"no method {method!r}; known: split, tracking")
         if not (noise.sigma_range > 0.0 and noise.sigma_bearing >= 0.0):
-            raise ValueError(f"noise must be positive, is {noise}")
+            raise ValueError(f"noise must be positive, not {noise}")
         self._noise = noise
         self._adapt = adapt_noise
-        self._scans = known_from
+        self._scan_weight = prior_scans
         settings = Settings(
             sigma_range=float(noise.sigma_range),
             sigma_bearing=float(noise.sigma_bearing),
@@ -87,65 +86,67 @@ class Extractor:
         )
         self._settings = tuple(settings)
         self._capacity = 0
-        self._make_room(1)
+        self._allocate(1)
 
     @property
     def noise(self) -> Noise:
-        """What the next scan will be condensed with."""
+        """Noise assumed for the next scan."""
         return self._noise
 
     def extract(self, ranges: Floats, angles: Floats) -> Features:
-        """Lines and corners of one scan, in the lidar's frame.
+        """Extract the lines and corners of one scan, in the lidar's frame.
 
-        `ranges` (n,) metres, `angles` (n,) radians in increasing order, up to a full revolution or a little more; n may
-        change from scan to scan. Ranges that are not finite, not positive or out of limits are ignored.
+        ranges  (n,) metres; ranges that are not finite, not positive or out of limits are ignored
+        angles  (n,) radians in increasing order, up to a full revolution or slightly more
+
+        n may change from scan to scan. Raises ValueError if the lengths differ.
         """
         count = len(ranges)
         if len(angles) != count:
-            raise ValueError(f"{count} ranges and {len(angles)} angles; they must be as many")
+            raise ValueError(f"{count} ranges but {len(angles)} angles")
         if count != len(self._ranges):
-            self._make_room(count)
-        # copies, as a read-only or otherwise typed array would make the compiler start over
+            self._allocate(count)
+        # copied, because a read-only array or another data type would trigger a new compilation
         self._ranges[:] = ranges
         self._angles[:] = angles
         used = self._noise
-        lines, corners, variance = self.condense()
+        lines, corners, variance = self.run_kernel()
         if self._adapt and not math.isnan(variance):
-            self._learn(variance)
+            self._adapt_noise(variance)
         return Features(self._lines(lines), self._corners(corners), used)
 
-    def condense(self) -> tuple[int, int, float]:
-        """The compiled part of `extract`, on the last scan: numbers of lines and corners, range variance shown."""
-        return condense(self._ranges, self._angles, self._settings, self._memory, tuple(self._found))
+    def run_kernel(self) -> tuple[int, int, float]:
+        """Run the compiled part of `extract` on the last scan; return the kernel's result."""
+        return extract_features(self._ranges, self._angles, self._settings, self._memory, tuple(self._output))
 
-    def _make_room(self, beams: int) -> None:
-        """Memory for scans of `beams` beams; that of a larger scan stays."""
+    def _allocate(self, beams: int) -> None:
+        """Allocate memory for scans of `beams` beams; larger memory is kept."""
         self._ranges, self._angles = np.empty(beams), np.empty(beams)
         if beams <= self._capacity:
             return
         self._capacity = beams
-        self._memory = (*rays.allocate(beams), *pieces.allocate(beams))
-        self._found = Found(
+        self._memory = (*rays.allocate(beams), *segments.allocate(beams))
+        self._output = FeatureBuffers(
             lines=np.zeros((beams + 1, 12)),
             spans=np.zeros((beams + 1, 5), dtype=np.int64),
             curved=np.zeros(beams + 1, dtype=np.bool_),
             corners=np.zeros((beams + 1, 7)),
             pairs=np.zeros((beams + 1, 2), dtype=np.int64),
-            evidence=np.zeros(beams + 1),
+            range_variances=np.zeros(beams + 1),
         )
 
-    def _learn(self, variance: float) -> None:
-        """Take the range variance that a scan shows into the running mean, a geometric one: noise errs by factors."""
-        gain = max(1.0 / (self._scans + 1.0), SLOWEST_GAIN)
-        self._scans += 1.0
-        shown = min(max(variance, NOISE_FLOOR**2), NOISE_CEILING**2)
-        sigma = self._noise.sigma_range ** (1.0 - gain) * shown ** (0.5 * gain)
+    def _adapt_noise(self, variance: float) -> None:
+        """Update the geometric running mean of the range variance with that of a scan."""
+        gain = max(1.0 / (self._scan_weight + 1.0), MIN_GAIN)
+        self._scan_weight += 1.0
+        limited = min(max(variance, MIN_SIGMA_RANGE**2), MAX_SIGMA_RANGE**2)
+        sigma = self._noise.sigma_range ** (1.0 - gain) * limited ** (0.5 * gain)
         self._noise = Noise(sigma, self._noise.sigma_bearing)
         self._settings = (sigma, *self._settings[1:])
 
     def _lines(self, count: int) -> Lines:
-        rows = self._found.lines[:count].copy()
-        spans = self._found.spans[:count].copy()
+        rows = self._output.lines[:count].copy()
+        spans = self._output.spans[:count].copy()
         return Lines(
             rows[:, 0:2],  # uv
             rows[:, 2:6].reshape(count, 2, 2),  # covariance
@@ -155,17 +156,17 @@ class Extractor:
             spans[:, 1],  # last
             spans[:, 2],  # count
             rows[:, 10],  # chi2
-            self._found.curved[:count].copy(),
+            self._output.curved[:count].copy(),
         )
 
     def _corners(self, count: int) -> Corners:
-        rows = self._found.corners[:count].copy()
+        rows = self._output.corners[:count].copy()
         covariance = rows[:, 2:6].reshape(count, 2, 2)
-        return Corners(rows[:, 0:2], covariance, self._found.pairs[:count].copy())
+        return Corners(rows[:, 0:2], covariance, self._output.pairs[:count].copy())
 
 
 def warm_up() -> None:
-    """Compile, or load from the cache on disk, all that extraction needs, so that the first scan is as fast as any."""
+    """Compile the extraction, or load it from the cache on disk, so that the first scan is not delayed."""
     angles = np.linspace(-math.pi, math.pi, 90, endpoint=False)
     ranges = 2.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))
     Extractor(Noise(0.01, 0.001)).extract(ranges, angles)

@@ -1,7 +1,7 @@
-"""A scan made ready for segmentation: usable rays in order, their weights, prefix sums, and certain breaks.
+"""Prepare a scan for segmentation: usable rays in order, their weights, prefix sums, and certain breaks.
 
-Rays are numbered 0..n-1 counter-clockwise from the start that `select` chose; n + k means ray k one revolution later,
-so that a wall across the end of a full revolution is one interval like any other.
+Rays are numbered 0..n-1 counter-clockwise from the start that `select_rays` chooses; n + k is ray k one revolution
+later, so that a wall across the end of a full revolution is an interval like any other.
 """
 
 from __future__ import annotations
@@ -15,32 +15,32 @@ from .compiled import compiled, vectorised
 from .settings import Settings
 from .types import Floats, Integers
 
+# Radians of a full revolution. Origin: definition.
 TURN = 2.0 * math.pi
-
+# Radians. A larger gap between neighbouring usable rays is a break: nothing is known about what lies between them.
+# Origin: chosen; not measured.
 MAX_BEARING_GAP = 0.1
-"""Radians between neighbouring usable rays beyond which nothing is known about what lies between them: a break."""
-
+# Range per metre of arc on a wall seen at 5 degrees from grazing; a steeper step of range is a break.
+# Origin: geometry, 85 degrees of incidence.
 GRAZING_SLOPE = math.tan(math.radians(85.0))
-"""Range per metre of arc on a wall seen 5 degrees off grazing; a steeper step of range is a break, not a wall."""
-
-JUMP_SIGMAS = 5.0 * math.sqrt(2.0)
-"""Noise of a difference of two ranges, at five standard deviations, which a step must exceed besides."""
-
+# Standard deviations by which a step of range must exceed that limit: five, of the difference of two ranges.
+# Origin: chosen, no break by noise alone; not measured.
+RANGE_STEP_SIGMAS = 5.0 * math.sqrt(2.0)
+# Steps of the bearing grid between two usable rays above which beams count as missing; one lost beam is allowed.
+# Origin: definition.
 MISSING_STEPS = 2.5
-"""Steps of the bearing grid between two usable rays beyond which beams count as missing; one lost beam may be."""
-
+# Radians of bearing over which the slope of 1/range is computed: wide compared with bearing noise, narrow compared with
+# a wall. Origin: chosen; not measured.
 SLOPE_WINDOW = math.radians(2.4)
-"""Span of bearing over which the slope of 1/range is taken: wide against bearing noise, narrow against a wall."""
-
+# Maximum number of rays in that window. Origin: chosen; not measured.
 MAX_SLOPE_RAYS = 6
-"""Most rays that the window of the slope reaches."""
-
+# Maximum slope of 1/range in bearing, relative to 1/range; steeper slopes are those of a step.
+# Origin: geometry, tan 85 degrees.
 MAX_SLOPE = 11.0
-"""Largest slope of 1/range in bearing in units of 1/range: tan 85 degrees; beyond it the slope is a jump's."""
 
 
 class Rays(NamedTuple):
-    """The usable rays of one scan. Of the arrays, the first n entries are valid."""
+    """Usable rays of one scan; the first n entries of the arrays are valid."""
 
     range: Floats
     inverse: Floats
@@ -48,13 +48,13 @@ class Rays(NamedTuple):
     sin: Floats
     bearing: Floats  # radians, increasing, unwrapped
     beam: Integers  # index of the ray in the scan
-    broken: Integers  # 1 where no wall can continue from ray k - 1 to ray k
+    broken: Integers  # 1 if no wall can continue from ray k - 1 to ray k
     slope: Floats  # of 1/range in bearing before ray k, also for k a little beyond n (see find_slopes)
     prefix: Floats  # (6, n + 1) sums over rays before k of W, Re E, Im E, Re H, Im H, K (see wclm)
 
 
-class Part(NamedTuple):
-    """The rays of one piece side by side."""
+class RaySlice(NamedTuple):
+    """Rays of one segment in contiguous arrays."""
 
     inverse: Floats
     cos: Floats
@@ -62,7 +62,7 @@ class Part(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """Bearings of the last scan with their sines and cosines; the next scan mostly has the same."""
+    """Bearings of the last scan with their sines and cosines; the next scan usually has the same."""
 
     angle: Floats
     cos: Floats
@@ -74,14 +74,14 @@ INTEGER_ROWS = 2
 
 
 def allocate(beams: int) -> tuple[Floats, Integers]:
-    """Memory for scans of up to `beams` beams, twice as long: see `start_at`."""
+    """Allocate memory for scans of up to `beams` beams, twice as long: see `rotate_rays`."""
     size = 2 * beams + MAX_SLOPE_RAYS
     return np.full((FLOAT_ROWS, size), np.nan), np.zeros((INTEGER_ROWS, size), dtype=np.int64)
 
 
 @compiled
 def views(floats: Floats, integers: Integers) -> tuple[Grid, Rays]:
-    """The named parts of the memory that `allocate` gave."""
+    """Return the named parts of the memory from `allocate`."""
     grid = Grid(floats[0], floats[1], floats[2])
     rays = Rays(
         floats[3], floats[4], floats[5], floats[6], floats[7], integers[0], integers[1], floats[8], floats[9:15]
@@ -90,14 +90,14 @@ def views(floats: Floats, integers: Integers) -> tuple[Grid, Rays]:
 
 
 @compiled
-def wrap(k: int, count: int) -> int:
-    """The ray among 0..n-1, n = `count`, that k in 0..2n-1 stands for."""
+def wrap_index(k: int, count: int) -> int:
+    """Return the index 0..n-1, n = `count`, of the ray k in 0..2n-1."""
     return k - count if k >= count else k
 
 
 @compiled
 def update_grid(angles: Floats, grid: Grid) -> None:
-    """Sine and cosine of every bearing, computed only where the bearing differs from the last scan's."""
+    """Update sine and cosine of the bearings that differ from those of the last scan."""
     for i in range(len(angles)):
         if angles[i] != grid.angle[i]:
             grid.angle[i] = angles[i]
@@ -106,13 +106,13 @@ def update_grid(angles: Floats, grid: Grid) -> None:
 
 
 @compiled
-def select(ranges: Floats, range_min: float, range_max: float, grid: Grid, space: Rays) -> tuple[Rays, int]:
-    """The usable rays, from the start on, in the memory of `space`, and their number.
+def select_rays(ranges: Floats, range_min: float, range_max: float, grid: Grid, buffer: Rays) -> tuple[Rays, int]:
+    """Select the usable rays into `buffer`; return them from the start on, and their number.
 
-    A beam is usable if its range is within the limits and its bearing above that of the usable beam before; what
-    exceeds one revolution is left out. On a closed revolution the start is the farthest ray. The farthest visible
-    point is a vertex of what is seen, since the distance along a straight wall is convex, so that the start rarely
-    falls within a wall; and it does not depend on where the revolution began.
+    A beam is usable if its range is within the limits and its bearing above that of the previous usable beam; beams
+    beyond one revolution are ignored. On a closed revolution the start is the farthest ray: the distance along a
+    straight wall is convex, so the farthest visible point is a vertex of the outline and rarely lies within a wall, and
+    it does not depend on where the revolution began.
     """
     count = farthest = 0
     most = 0.0
@@ -125,57 +125,57 @@ def select(ranges: Floats, range_min: float, range_max: float, grid: Grid, space
             limit = angle + TURN - 1e-9
         if distance > most:
             most, farthest = distance, count
-        space.range[count], space.bearing[count], space.beam[count] = distance, angle, beam
-        space.cos[count], space.sin[count] = grid.cos[beam], grid.sin[beam]
+        buffer.range[count], buffer.bearing[count], buffer.beam[count] = distance, angle, beam
+        buffer.cos[count], buffer.sin[count] = grid.cos[beam], grid.sin[beam]
         last = angle
         count += 1
     if count == 0:
-        return space, 0
-    closed = space.bearing[0] + TURN - last < MAX_BEARING_GAP
-    return start_at(farthest if closed else 0, count, space), count
+        return buffer, 0
+    closed = buffer.bearing[0] + TURN - last < MAX_BEARING_GAP
+    return rotate_rays(farthest if closed else 0, count, buffer), count
 
 
 @compiled
-def start_at(start: int, count: int, space: Rays) -> Rays:
-    """The rays from ray `start` on; those before it are repeated after the last one, a revolution later."""
-    repeat(space.range, start, count, 0.0)
-    repeat(space.cos, start, count, 0.0)
-    repeat(space.sin, start, count, 0.0)
-    repeat(space.bearing, start, count, TURN)
-    repeat(space.beam, start, count, 0)
+def rotate_rays(start: int, count: int, buffer: Rays) -> Rays:
+    """Return the rays from ray `start` on; those before it are repeated after the last one, one revolution later."""
+    repeat_first(buffer.range, start, count, 0.0)
+    repeat_first(buffer.cos, start, count, 0.0)
+    repeat_first(buffer.sin, start, count, 0.0)
+    repeat_first(buffer.bearing, start, count, TURN)
+    repeat_first(buffer.beam, start, count, 0)
     end = start + count
-    invert(space.range[start:end], space.inverse)
+    invert_values(buffer.range[start:end], buffer.inverse)
     return Rays(
-        space.range[start:end],
-        space.inverse,
-        space.cos[start:end],
-        space.sin[start:end],
-        space.bearing[start:end],
-        space.beam[start:end],
-        space.broken,
-        space.slope,
-        space.prefix,
+        buffer.range[start:end],
+        buffer.inverse,
+        buffer.cos[start:end],
+        buffer.sin[start:end],
+        buffer.bearing[start:end],
+        buffer.beam[start:end],
+        buffer.broken,
+        buffer.slope,
+        buffer.prefix,
     )
 
 
 @vectorised
-def repeat(values: Floats | Integers, start: int, count: int, difference: float) -> None:
-    """Write the first `start` of `count` values after the last one, larger by `difference`."""
+def repeat_first(values: Floats | Integers, start: int, count: int, difference: float) -> None:
+    """Copy the first `start` of `count` values behind the last one, increased by `difference`."""
     source, target = values[:start], values[count : count + start]
     for k in range(start):
         target[k] = source[k] + difference
 
 
 @vectorised
-def invert(values: Floats, inverse: Floats) -> None:
-    """1/x of every value x."""
+def invert_values(values: Floats, inverse: Floats) -> None:
+    """Compute the inverse of every value."""
     for k in range(len(values)):
         inverse[k] = 1.0 / values[k]
 
 
 @compiled
-def spacing(angles: Floats, rays: Rays, count: int) -> float:
-    """Mean step of bearing from beam to beam; among usable rays only, where the scan's own bearings are unfit."""
+def bearing_step(angles: Floats, rays: Rays, count: int) -> float:
+    """Return the mean step of bearing between beams, or between usable rays if the bearings do not increase."""
     step = (angles[-1] - angles[0]) / (len(angles) - 1)
     if not 0.0 < step < TURN:
         step = (rays.bearing[count - 1] - rays.bearing[0]) / (count - 1)
@@ -184,10 +184,10 @@ def spacing(angles: Floats, rays: Rays, count: int) -> float:
 
 @compiled
 def mark_breaks(rays: Rays, count: int, step: float, settings: Settings) -> None:
-    """Flag every ray that cannot continue the wall of the ray before it; ray 0 comes after the last one.
+    """Mark every ray that cannot continue the wall of the previous ray; ray 0 follows the last one.
 
-    `step` is the grid's spacing of bearings. A break is a gap of bearing, a step of range that no wall up to 85
-    degrees of incidence explains, or missing beams over more than the widest gap in a wall.
+    A break is a gap of bearing, a step of range that no wall up to 85 degrees of incidence explains, or missing beams
+    across more than the widest gap in a wall. `step` is that of `bearing_step`.
     """
     for k in range(count):
         before = k - 1 if k > 0 else count - 1
@@ -196,7 +196,7 @@ def mark_breaks(rays: Rays, count: int, step: float, settings: Settings) -> None
             gap += TURN
         near, far = min(rays.range[k], rays.range[before]), max(rays.range[k], rays.range[before])
         noise = settings.sigma_range + 2.0 * settings.sigma_bearing * near
-        allowed = near * gap * GRAZING_SLOPE + JUMP_SIGMAS * noise
+        allowed = near * gap * GRAZING_SLOPE + RANGE_STEP_SIGMAS * noise
         broken = gap > MAX_BEARING_GAP or far - near > allowed
         if gap > MISSING_STEPS * step and distance_squared(rays, before, k) > settings.maximum_gap**2:
             broken = True
@@ -205,34 +205,37 @@ def mark_breaks(rays: Rays, count: int, step: float, settings: Settings) -> None
 
 @compiled
 def distance_squared(rays: Rays, first: int, second: int) -> float:
-    """Square of the distance between the end points of two rays, metres^2."""
+    """Return the squared distance between the end points of two rays, square metres."""
     dx = rays.range[first] * rays.cos[first] - rays.range[second] * rays.cos[second]
     dy = rays.range[first] * rays.sin[first] - rays.range[second] * rays.sin[second]
     return float(dx * dx + dy * dy)
 
 
 @compiled
-def part_of(rays: Rays, count: int, begin: int, end: int, room: Part) -> Part:
-    """Rays begin..end-1: where they are, or copied into `room` where they run over ray n."""
+def slice_rays(rays: Rays, count: int, begin: int, end: int, buffer: RaySlice) -> RaySlice:
+    """Return the rays begin..end-1, copied into `buffer` only if they extend beyond ray n."""
     if end <= count:
-        return Part(rays.inverse[begin:end], rays.cos[begin:end], rays.sin[begin:end])
+        return RaySlice(rays.inverse[begin:end], rays.cos[begin:end], rays.sin[begin:end])
     for k in range(begin, end):
-        ray = wrap(k, count)
-        room.inverse[k - begin] = rays.inverse[ray]
-        room.cos[k - begin] = rays.cos[ray]
-        room.sin[k - begin] = rays.sin[ray]
-    return head_of(room, end - begin)
+        ray = wrap_index(k, count)
+        buffer.inverse[k - begin] = rays.inverse[ray]
+        buffer.cos[k - begin] = rays.cos[ray]
+        buffer.sin[k - begin] = rays.sin[ray]
+    return first_rays(buffer, end - begin)
 
 
 @compiled
-def head_of(part: Part, size: int) -> Part:
-    """The first `size` rays."""
-    return Part(part.inverse[:size], part.cos[:size], part.sin[:size])
+def first_rays(part: RaySlice, size: int) -> RaySlice:
+    """Return the first `size` rays."""
+    return RaySlice(part.inverse[:size], part.cos[:size], part.sin[:size])
 
 
 @vectorised
 def find_slopes(rays: Rays, count: int, reach: int) -> None:
-    """Absolute slope of 1/range in bearing from ray k - `reach` to ray k, at k = 0..n+reach-1; infinite at the ends."""
+    """Compute the absolute slope of 1/range in bearing from ray k - `reach` to ray k, k = 0..n+reach-1.
+
+    It is infinite at both ends.
+    """
     for k in range(reach):
         rays.slope[k] = rays.slope[count + k] = math.inf
     slope, inverse, inverse_before = rays.slope[reach:count], rays.inverse[reach:count], rays.inverse[: count - reach]
@@ -242,11 +245,13 @@ def find_slopes(rays: Rays, count: int, reach: int) -> None:
 
 
 @vectorised
-def weigh(rays: Rays, count: int, reach: int, range_variance: float, bearing_variance: float, weights: Floats) -> None:
-    """Inverse variance of 1/range of every ray.
+def compute_weights(
+    rays: Rays, count: int, reach: int, range_variance: float, bearing_variance: float, weights: Floats
+) -> None:
+    """Compute the inverse variance of 1/range of every ray.
 
-    It needs the slope of 1/range in bearing. No line is known yet, so that is taken from the rays around: the smaller
-    one of forward and backward slope, as the other may lead around a corner.
+    It depends on the slope of 1/range in bearing. No line is known yet, so the slope is computed from neighbouring
+    rays: the smaller of forward and backward slope, as the other may lead around a corner.
     """
     inverse, backward, forward = rays.inverse[:count], rays.slope[:count], rays.slope[reach : count + reach]
     for k in range(len(inverse)):
@@ -256,8 +261,8 @@ def weigh(rays: Rays, count: int, reach: int, range_variance: float, bearing_var
 
 
 @vectorised
-def accumulate(rays: Rays, count: int, step: float, settings: Settings) -> None:
-    """Prefix sums of the weighted normal equations."""
+def accumulate_sums(rays: Rays, count: int, step: float, settings: Settings) -> None:
+    """Compute the prefix sums of the weighted normal equations."""
     range_variance = settings.sigma_range**2 + settings.roughness**2
     bearing_variance = settings.sigma_bearing**2
     reach = 2
@@ -265,8 +270,8 @@ def accumulate(rays: Rays, count: int, step: float, settings: Settings) -> None:
         reach += 1
     reach = min(reach, count - 1)
     find_slopes(rays, count, reach)
-    weights = rays.prefix[0, 1:]  # where their sums will be
-    weigh(rays, count, reach, range_variance, bearing_variance, weights)
+    weights = rays.prefix[0, 1:]  # overwritten by their sums below
+    compute_weights(rays, count, reach, range_variance, bearing_variance, weights)
     weight = er = ei = hr = hi = total = 0.0
     prefix = rays.prefix
     prefix[:, 0] = 0.0

@@ -1,4 +1,4 @@
-"""What scans are condensed with, as the compiled functions take it."""
+"""Settings of the extraction, as passed to compiled functions."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class Settings(NamedTuple):
-    """Lengths in metres, standard deviations in metres and radians; explained at Extractor."""
+    """Lengths in metres, standard deviations in metres and radians; described at Extractor."""
 
     sigma_range: float
     sigma_bearing: float
@@ -17,5 +17,5 @@ class Settings(NamedTuple):
     maximum_gap: float
     roughness: float
     penalty: float
-    tracking_distance: float  # 0: recursive splitting
+    tracking_distance: float  # 0 for recursive splitting
     estimator: int  # code, see estimators

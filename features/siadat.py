@@ -1,4 +1,4 @@
-"""Line and corner after Siadat et al., eqs. (31)-(33) and (44)-(48), with the weights of eq. (17).
+"""Line and corner by Siadat et al., eqs. (31)-(33) and (44)-(48), with the weights of eq. (17).
 
 The line is a x + b y + c = 0 with a^2 + b^2 = 1. The constrained minimum is the eigenvector (a, b) of the smaller
 eigenvalue of the weighted scatter about the weighted mean. For equal weights this is the line of Arras and Siegwart.
@@ -12,15 +12,15 @@ import numpy as np
 
 from .compiled import compiled, vectorised
 from .conversions import covariance_through, uv_of_implicit
-from .fit import LineFit, rays_of
+from .line_fit import LineFit, ray_arrays
 from .types import Floats, Noise
 
 
 @vectorised
 def implicit_line(inverse: Floats, cos: Floats, sin: Floats) -> tuple[float, float, float, float, float, float, float]:
-    """(a, b, c, mean x, mean y, W, G) with the weights 1/rho^2 of their sum W; (a, b) points away from the lidar.
+    """Return (a, b, c, mean x, mean y, W, G) with weights 1/rho^2 and their sum W; (a, b) points away from the lidar.
 
-    G is the difference of the eigenvalues of the scatter, by which the direction turns with the rays.
+    G is the difference of the eigenvalues of the scatter; the sensitivity of the direction is inverse to it.
     """
     weight = x = y = xx = xy = yy = 0.0
     for i in range(len(inverse)):
@@ -50,14 +50,14 @@ def implicit_covariance(
     sigma_range: float,
     sigma_bearing: float,
 ) -> tuple[float, float, float]:
-    """(V_phi, C_phi_c, V_c) of eqs. (32)-(33), phi the direction of (a, b): d(a, b) = (-b, a) dphi.
+    """Return (V_phi, C_phi_c, V_c) of eqs. (32)-(33), with phi the direction of (a, b): d(a, b) = (-b, a) dphi.
 
     With q_n, q_t a point's centred coordinates along n = (a, b) and t = (-b, a), and dn, dt its displacement,
 
         dphi = -(w (q_t dn + q_n dt) + dw q_n q_t) / G
         dc   = -(w dn + dw q_n) / W - (t . mean) dphi
 
-    where dw = -2 w / rho drho, since the weights 1/rho^2 follow the range.
+    where dw = -2 w / rho drho, since the weights 1/rho^2 depend on the range.
     """
     a, b, _, x, y, weight, gap = line
     offset = a * y - b * x
@@ -85,7 +85,7 @@ def implicit_covariance(
 def fit_siadat(
     inverse: Floats, cos: Floats, sin: Floats, sigma_range: float, sigma_bearing: float
 ) -> tuple[float, float, float, float, float]:
-    """(u, v, Cuu, Cuv, Cvv) of the line, for the extractor."""
+    """Return (u, v, Cuu, Cuv, Cvv) of the line, for the extractor."""
     line = implicit_line(inverse, cos, sin)
     vp, vpc, vc = implicit_covariance(inverse, cos, sin, line, sigma_range, sigma_bearing)
     a, b, c = line[0], line[1], line[2]
@@ -101,11 +101,11 @@ def fit_siadat(
 
 
 def fit(ranges: Floats, angles: Floats, noise: Noise) -> LineFit:
-    """The line of eqs. (31)-(33); the fit's own parameters are (a, b, c), of covariance rank 2.
+    """Fit the line of eqs. (31)-(33); the fit's own parameters are (a, b, c), of covariance rank 2.
 
     `ranges` (n,) in metres and `angles` (n,) in radians are the rays of one wall, n >= 2, in the lidar's frame.
     """
-    inverse, cos, sin = rays_of(ranges, angles)
+    inverse, cos, sin = ray_arrays(ranges, angles)
     line = implicit_line(inverse, cos, sin)
     vp, vpc, vc = implicit_covariance(inverse, cos, sin, line, noise.sigma_range, noise.sigma_bearing)
     a, b, c = line[:3]
@@ -122,7 +122,7 @@ def fit(ranges: Floats, angles: Floats, noise: Noise) -> LineFit:
 
 
 def corner(first: LineFit, second: LineFit) -> tuple[Floats, Floats]:
-    """Position (2,) in metres and covariance (2, 2) of the corner of two (a, b, c) lines, eqs. (44)-(48)."""
+    """Return position (2,) in metres and covariance (2, 2) of the corner of two (a, b, c) lines, eqs. (44)-(48)."""
     (a1, b1, c1), (a2, b2, c2) = first.parameters, second.parameters
     determinant = a1 * b2 - a2 * b1
     position = np.array([b1 * c2 - b2 * c1, a2 * c1 - a1 * c2]) / determinant

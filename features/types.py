@@ -1,4 +1,4 @@
-"""What a scan is condensed into: lines and corners with covariances, in the lidar's frame."""
+"""Lines and corners of a scan with covariances, in the lidar's frame."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ class Lines:
     """n fitted wall segments, in the order of their bearings.
 
     A line is u x + v y = 1, so (u, v) = P / |P|^2 with P its point closest to the lidar. Seen from the lidar the
-    segment runs counter-clockwise from `start` to `end`; the lidar is on its left, the side the wall is seen from.
+    segment runs counter-clockwise from `start` to `end`; the lidar is on its left.
 
     uv          (n, 2) 1/metres
     covariance  (n, 2, 2) of uv, propagated from the noise of the rays
     start, end  (n, 2) metres, the end points on the fitted line
-    first, last (n,) indices of the first and last ray; last < first where it runs over the end of a full revolution
+    first, last (n,) indices of the first and last ray; last < first if it crosses the end of a full revolution
     count       (n,) rays fitted
     chi2        (n,) weighted sum of squared residuals; count - 2 degrees of freedom
-    curved      (n,) whether it and a neighbour are chords of a curved surface, where a corner would seem to be
+    curved      (n,) true if the line and a neighbour are chords of a curved surface instead of meeting in a corner
     """
 
     uv: Floats
@@ -56,7 +56,7 @@ class Corners:
 
     position    (m, 2) metres
     covariance  (m, 2, 2)
-    lines       (m, 2) indices into Lines: the line before the corner and the line after it, counter-clockwise
+    lines       (m, 2) indices of the lines before and after the corner, counter-clockwise
     """
 
     position: Floats
@@ -69,7 +69,7 @@ class Corners:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Features:
-    """The lines and corners of one scan, and the noise they were computed with."""
+    """Lines and corners of one scan, and the noise assumed for it."""
 
     lines: Lines
     corners: Corners

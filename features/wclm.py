@@ -6,7 +6,7 @@ parameters are (u, v) = (x_Q, -y_Q): the line is u x + v y = 1, and a ray of bea
     u cos(theta) + v sin(theta) = 1 / rho,
 
 which is linear in (u, v). With the weights of eq. (17), w ~ 1/rho^2, the fit (18)-(19) is therefore ordinary least
-squares of 1/rho on (cos theta, sin theta), and six sums over the rays are all it needs, whatever the weights W:
+squares of 1/rho on (cos theta, sin theta), and needs only six sums over the rays, for any weights W:
 
     W = sum W      E = sum W exp(2 i theta)      H = sum W (1/rho) exp(i theta)      K = sum W (1/rho)^2
 """
@@ -18,20 +18,21 @@ import math
 import numpy as np
 
 from .compiled import vectorised
-from .fit import LineFit, rays_of
-from .sums import Sums, solve
+from .line_fit import LineFit, ray_arrays
+from .normal_equations import Sums, solve_line
 from .types import Floats, Noise
 
-GATE = 25.0
-"""Largest squared normalised residual of a ray that takes part in a fit: five standard deviations."""
+# Maximum squared normalised residual of an inlier. Origin: chosen, five standard deviations; not measured.
+INLIER_GATE = 25.0
 
-ITERATIONS = 2
-"""Reweightings of the maximum-likelihood fit; from a least-squares start the first lands within 1 % of the optimum."""
+# Number of reweightings of the maximum-likelihood fit. Origin: measured, from a least-squares fit the first one comes
+# within 1 % of the optimum.
+REWEIGHTINGS = 2
 
 
 @vectorised
 def least_squares(inverse: Floats, cos: Floats, sin: Floats) -> tuple[float, float, float, float, float, float]:
-    """(u, v, n, Er, Ei, D) of the unweighted fit to `inverse` = 1/rho: eqs. (18)-(19) with the weights (17)."""
+    """Return (u, v, n, Er, Ei, D) of the unweighted fit to `inverse` = 1/rho: eqs. (18)-(19) with the weights (17)."""
     er = ei = hr = hi = 0.0
     for i in range(len(inverse)):
         er += cos[i] * cos[i] - sin[i] * sin[i]
@@ -39,7 +40,7 @@ def least_squares(inverse: Floats, cos: Floats, sin: Floats) -> tuple[float, flo
         hr += inverse[i] * cos[i]
         hi += inverse[i] * sin[i]
     count = float(len(inverse))
-    u, v, determinant = solve(Sums(count, er, ei, hr, hi, math.nan))
+    u, v, determinant = solve_line(Sums(count, er, ei, hr, hi, math.nan))
     return u, v, count, er, ei, determinant
 
 
@@ -47,7 +48,7 @@ def least_squares(inverse: Floats, cos: Floats, sin: Floats) -> tuple[float, flo
 def fit_wclm(
     inverse: Floats, cos: Floats, sin: Floats, sigma_range: float, sigma_bearing: float
 ) -> tuple[float, float, float, float, float]:
-    """(u, v, Cuu, Cuv, Cvv): the fit (18)-(19) with the covariance (22)-(25).
+    """Return (u, v, Cuu, Cuv, Cvv) of the fit (18)-(19) with the covariance (22)-(25).
 
     With N^-1 z = a z + b conj(z), a = 2n/D and b = -2E/D, the derivatives of B = u + i v are exactly
 
@@ -55,7 +56,7 @@ def fit_wclm(
         dB/dtheta_i = a G_i + b conj(G_i)                                     G_i = i e_i (1/rho_i - e_i conj(B))
 
     They contain the dependence of the weights (17) on the range. Equations (23)-(25) are these derivatives in real
-    form: -w A/(M rho), +w B/(M rho) and -w C/M, -w D/M, where R_i comes into C and D only.
+    form: -w A/(M rho), +w B/(M rho) and -w C/M, -w D/M, where R_i appears in C and D only.
     """
     u, v, count, er, ei, determinant = least_squares(inverse, cos, sin)
     if not determinant > 0.0:
@@ -90,13 +91,15 @@ def reweighted(
     sigma_bearing: float,
     gate: float,
 ) -> tuple[float, float, float, float, float, float, int]:
-    """(u, v, Cuu, Cuv, Cvv, chi2, rays used): one reweighting of the maximum-likelihood fit from the line (u, v).
+    """Reweight the maximum-likelihood fit once, from the line (u, v).
+
+    Returns (u, v, Cuu, Cuv, Cvv, chi2, number of inliers).
 
     A ray's 1/rho has variance sigma_range^2 p^4 + sigma_bearing^2 t^2 with p = u cos + v sin its predicted 1/rho and
-    t = v cos - u sin the slope of p in bearing. The weight takes the predicted p: with the measured 1/rho, rays that
-    came out long would weigh more than rays that came out short, and the line would be biased.
+    t = v cos - u sin the slope of p in bearing. The weight uses the predicted p: with the measured 1/rho, rays measured
+    too long would have larger weights than rays measured too short, and the line would be biased.
 
-    Two free corrections make the sums unbiased: E[1/(rho + noise)] = eta + sigma_range^2 eta^3, and noise of the
+    Two corrections make the sums unbiased: E[1/(rho + noise)] = eta + sigma_range^2 eta^3, and noise of the
     bearings shrinks exp(i k theta) by exp(-k^2 sigma_bearing^2 / 2).
     """
     range_variance, bearing_variance = sigma_range * sigma_range, sigma_bearing * sigma_bearing
@@ -117,7 +120,7 @@ def reweighted(
         hi += w * eta * s
         k += w * eta * eta
     shrunk, halved = 1.0 + 2.0 * bearing_variance, 1.0 + 0.5 * bearing_variance
-    u, v, determinant = solve(Sums(total, shrunk * er, shrunk * ei, halved * hr, halved * hi, k))
+    u, v, determinant = solve_line(Sums(total, shrunk * er, shrunk * ei, halved * hr, halved * hi, k))
     if not determinant > 0.0:
         return math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, 0
     squares = 0.5 * (total * (u * u + v * v) + er * (u * u - v * v)) + ei * u * v
@@ -127,12 +130,12 @@ def reweighted(
 
 
 def fit(ranges: Floats, angles: Floats, noise: Noise) -> LineFit:
-    """The paper's line: eqs. (18)-(19), weights (17), covariance (20)-(25).
+    """Fit the paper's line: eqs. (18)-(19), weights (17), covariance (20)-(25).
 
     `ranges` (n,) in metres and `angles` (n,) in radians are the rays of one wall, n >= 2, in the lidar's frame. The
     fit's own parameters are (x_Q, y_Q) in 1/metres.
     """
-    inverse, cos, sin = rays_of(ranges, angles)
+    inverse, cos, sin = ray_arrays(ranges, angles)
     u, v, cuu, cuv, cvv = fit_wclm(inverse, cos, sin, noise.sigma_range, noise.sigma_bearing)
     return LineFit(
         uv=np.array([u, v]),
@@ -143,15 +146,15 @@ def fit(ranges: Floats, angles: Floats, noise: Noise) -> LineFit:
 
 
 def fit_maximum_likelihood(ranges: Floats, angles: Floats, noise: Noise) -> LineFit:
-    """The line of greatest likelihood (WCLM-ML): the fit (18)-(19), reweighted by each ray's own variance.
+    """Fit the maximum-likelihood line (WCLM-ML): the fit (18)-(19), reweighted by each ray's own variance.
 
-    Arguments as for `fit`. All rays take part. The fit's own parameters are (u, v); the covariance is that of the
+    Arguments as for `fit`. All rays are used. The fit's own parameters are (u, v); the covariance is that of the
     weighted normal equations.
     """
-    inverse, cos, sin = rays_of(ranges, angles)
+    inverse, cos, sin = ray_arrays(ranges, angles)
     u, v = least_squares(inverse, cos, sin)[:2]
     cuu = cuv = cvv = math.nan
-    for _ in range(ITERATIONS):
+    for _ in range(REWEIGHTINGS):
         u, v, cuu, cuv, cvv, _, _ = reweighted(
             inverse, cos, sin, u, v, noise.sigma_range, noise.sigma_bearing, math.inf
         )

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..estimators import ESTIMATORS
 from ..extract import Extractor
-from ..tracking import PAPER_DISTANCE
+from ..line_tracking import PAPER_DISTANCE
 from ..types import Noise
 from .rooms import RoomScan, simulate
 from .scoring import Score
@@ -46,7 +46,7 @@ CURVED_LEVELS = LEVELS[:5]
 """Of the rooms with columns and an arc."""
 
 
-class Way(NamedTuple):
+class Method(NamedTuple):
     """One way of extraction; `tracking_sigmas` sets the threshold of tracking by the range noise, 0 to the paper's."""
 
     method: Literal["split", "tracking"]
@@ -69,7 +69,7 @@ class Way(NamedTuple):
         )
 
 
-WAYS = (*(Way("split", name) for name in ESTIMATORS), Way("tracking", "wclm"), Way("tracking", "wclm", 3.0))
+METHODS = (*(Method("split", name) for name in ESTIMATORS), Method("tracking", "wclm"), Method("tracking", "wclm", 3.0))
 """The product's segmentation with every estimator; the paper's, with its threshold and with one to suit the noise."""
 
 
@@ -110,7 +110,7 @@ def measure(
     scans: int = SCANS,
     seed: int = 0,
     levels: Sequence[Level] = LEVELS,
-    ways: Sequence[Way] = WAYS,
+    ways: Sequence[Method] = METHODS,
     curved: bool = False,
 ) -> Iterator[Row]:
     """Every way on the scans of every level; rooms with an arc and columns instead of boxes where `curved`."""
@@ -123,7 +123,7 @@ def measure(
             yield _row(way, level, score)
 
 
-def _row(way: Way, level: Level, score: Score) -> Row:
+def _row(way: Method, level: Level, score: Score) -> Row:
     errors = np.array(score.corner_errors or [np.nan])
     corner, line = np.array(score.corner_nees or [np.nan]), np.array(score.line_nees or [np.nan])
     per_curve = np.array([score.curved_lines, score.curved_corners]) / max(score.curves, 1)

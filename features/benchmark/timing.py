@@ -11,7 +11,7 @@ import numpy as np
 from ..arras_siegwart import direction_by_double_sums
 from ..estimators import ESTIMATORS
 from ..extract import Extractor, warm_up
-from ..fit import rays_of
+from ..line_fit import ray_arrays
 from ..types import Floats, Noise
 
 NOISE = Noise(sigma_range=0.01, sigma_bearing=0.001)
@@ -74,7 +74,7 @@ def measure(
             start = time.perf_counter()
             extractor.extract(scan, angles)
             middle = time.perf_counter()
-            extractor.condense()
+            extractor.run_kernel()
             of_round[k], compiled[k] = middle - start, time.perf_counter() - middle
     median, p99 = np.percentile(times, (50, 99)) * 1e6
     best, within = (float(np.median(each.min(axis=0))) * 1e6 for each in (times, inside))
@@ -90,7 +90,7 @@ def relative(*, beams: int = 920, scans: int = 20, rounds: int = 100, seed: int 
     """
     angles, ranges = scans_of(beams, scans, seed)
     extractor = Extractor(NOISE, adapt_noise=False)
-    line = rays_of(ranges[0][:REFERENCE_RAYS], angles[:REFERENCE_RAYS])
+    line = ray_arrays(ranges[0][:REFERENCE_RAYS], angles[:REFERENCE_RAYS])
     direction_by_double_sums(*line)
     extractor.extract(ranges[0], angles)
     times, reference = np.empty((rounds, scans)), np.empty(rounds)

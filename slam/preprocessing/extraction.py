@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from features import Extractor, Noise
-from features.extract import PRIOR_SCANS, SLOWEST_GAIN
+from features.extract import MIN_GAIN, PRIOR_SCANS
 
 from ..config import Config
 
@@ -17,7 +17,7 @@ def build_extractor(config: Config, sigma_range: float | None = None) -> Extract
     learned = lidar.adapt_noise and sigma_range is not None
     return Extractor(
         Noise(sigma_range if learned and sigma_range is not None else lidar.sigma_range, lidar.sigma_bearing),
-        known_from=1.0 / SLOWEST_GAIN if learned else PRIOR_SCANS,
+        prior_scans=1.0 / MIN_GAIN if learned else PRIOR_SCANS,
         method=config.features.segmentation,
         estimator=config.features.estimator,
         adapt_noise=lidar.adapt_noise,

@@ -7,12 +7,12 @@ import pytest
 
 from features import warm_up
 from features.benchmark import timing
-from features.benchmark.accuracy import COARSE, FINE, WAYS, Level, Row, measure
+from features.benchmark.accuracy import COARSE, FINE, METHODS, Level, Row, measure
 from features.benchmark.rooms import NOTHING, simulate
 from features.benchmark.start import start_once
 from features.types import Noise
 
-OURS = WAYS[:1]
+OURS = METHODS[:1]
 
 
 def of(level: Level, *, curved: bool = False) -> Row:
@@ -47,7 +47,7 @@ def test_curves_are_no_fans_of_corners(sigma: float, corners: float) -> None:
 
 def test_the_same_seed_gives_the_same_figures() -> None:
     first, second, other = (
-        list(measure(scans=4, seed=seed, levels=[Level(0.01, FINE, 0.01)], ways=WAYS)) for seed in (0, 0, 1)
+        list(measure(scans=4, seed=seed, levels=[Level(0.01, FINE, 0.01)], ways=METHODS)) for seed in (0, 0, 1)
     )
     assert first == second
     assert first != other

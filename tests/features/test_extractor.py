@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from features import Extractor, Features, Noise
-from features.condense import END_RAYS
+from features.kernel import TRIMMED_RAYS
 
 NOISE = Noise(0.01, 0.001)
 
@@ -145,7 +145,7 @@ def test_more_than_a_revolution_counts_once() -> None:
     ranges = square_room(angles, noise=0.0)
     features = extract(ranges, angles)
     assert len(features.lines) == len(features.corners) == 4
-    assert features.lines.count.sum() == 720 - 4 * 2 * END_RAYS
+    assert features.lines.count.sum() == 720 - 4 * 2 * TRIMMED_RAYS
 
 
 def test_beam_count_may_change() -> None:
@@ -232,5 +232,5 @@ def test_wrong_settings_are_refused(wrong: dict[str, object]) -> None:
 
 
 def test_unequal_lengths_are_refused() -> None:
-    with pytest.raises(ValueError, match="as many"):
+    with pytest.raises(ValueError, match="10 ranges but 9 angles"):
         extract(np.ones(10), np.zeros(9))

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from features import Extractor, Features, Noise
-from features.condense import END_RAYS
-from features.splitting import largest
+from features.kernel import TRIMMED_RAYS
+from features.splitting import argmax_positive
 
 FINE = Noise(0.01, np.radians(0.05))
 COARSE = Noise(0.05, np.radians(0.196))
@@ -99,7 +99,7 @@ def test_one_wall_over_a_small_gap(opening: float) -> None:
     ranges[np.abs(3.0 * np.tan(angles) - 0.7) < opening / 2] = 6.0
     lines = extract(ranges, angles).lines
     assert len(lines) == 1
-    assert lines.count[0] > 115 - 2 * END_RAYS
+    assert lines.count[0] > 115 - 2 * TRIMMED_RAYS
 
 
 @pytest.mark.parametrize("behind", [3.4, 6.0, np.nan, np.inf, 100.0])
@@ -122,7 +122,7 @@ def test_spurious_returns_do_not_cut_a_wall() -> None:
         ranges[ray : ray + length] *= 0.6
     lines = extract(ranges, angles).lines
     assert len(lines) == 1
-    assert lines.count[0] == len(angles) - 7 - 2 * END_RAYS
+    assert lines.count[0] == len(angles) - 7 - 2 * TRIMMED_RAYS
 
 
 def test_a_wall_seen_at_grazing_incidence() -> None:
@@ -148,7 +148,7 @@ def test_a_wall_across_the_end_of_a_revolution() -> None:
     across = np.flatnonzero(lines.last < lines.first)
     assert list(across) == [3]
     np.testing.assert_allclose(lines.uv[3], [-0.5, 0.0], atol=0.005)
-    assert lines.count.sum() == 720 - 4 * 2 * END_RAYS
+    assert lines.count.sum() == 720 - 4 * 2 * TRIMMED_RAYS
     assert [3, 0] in features.corners.lines.tolist()
 
 
@@ -179,8 +179,8 @@ def test_the_best_split_is_the_first_of_the_largest_gains(gains: np.ndarray, dat
     low = data.draw(st.integers(0, len(gains) - 1))
     high = data.draw(st.integers(low, len(gains) - 1))
     positive = np.where(gains[low : high + 1] > 0.0, gains[low : high + 1], 0.0)
-    assert largest(gains, low, high) == (low + positive.argmax() if positive.any() else -1)
-    assert largest(np.array([1.0, -np.nan, np.nan, 2.0, 2.0]), 0, 4) == 3
+    assert argmax_positive(gains, low, high) == (low + positive.argmax() if positive.any() else -1)
+    assert argmax_positive(np.array([1.0, -np.nan, np.nan, 2.0, 2.0]), 0, 4) == 3
 
 
 def test_minimum_length_and_count(simulate: Callable[..., object]) -> None:

@@ -32,7 +32,7 @@ def bench_features(
     Example: [bold]wclm bench features --quick[/bold]
     """
     from features import warm_up
-    from features.benchmark.accuracy import CURVED_LEVELS, SCANS, METHODS, measure
+    from features.benchmark.accuracy import CURVED_LEVELS, METHODS, SCANS, measure
     from features.benchmark.start import measure_starts
     from features.benchmark.timing import relative, run
 

@@ -1,4 +1,4 @@
-"""What every line estimator returns, and the rays as every estimator wants them."""
+"""Result and input of the line estimators."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class LineFit:
     uv                    (2,) 1/metres: the line is u x + v y = 1
     covariance            (2, 2) of uv
     parameters            (k,) the estimator's own parameters of the line
-    parameter_covariance  (k, k) of those
+    parameter_covariance  (k, k) of parameters
     """
 
     uv: Floats
@@ -25,8 +25,11 @@ class LineFit:
     parameter_covariance: Floats
 
 
-def rays_of(ranges: Floats, angles: Floats) -> tuple[Floats, Floats, Floats]:
-    """(1/range, cos, sin) of n rays, contiguous float64, as the compiled functions take them."""
+def ray_arrays(ranges: Floats, angles: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return 1/range, cos and sin (n,) of n rays, contiguous float64, as input of the compiled functions.
+
+    Raises ValueError if the arguments are not two vectors of the same length.
+    """
     bearings = np.asarray(angles, dtype=np.float64)
     distances = np.asarray(ranges, dtype=np.float64)
     if distances.ndim != 1 or distances.shape != bearings.shape:

@@ -1,0 +1,334 @@
+"""Extract the lines and corners of one scan: the compiled function behind Extractor."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from .compiled import compiled, vectorised
+from .corner import intersect, parallel
+from .curves import curve_evidence, remove_curve_corners
+from .estimators import MAXIMUM_LIKELIHOOD, fit_by_code
+from .line_tracking import track_lines
+from .merging import remove_small_segments
+from .normal_equations import bearing_variance, get_column
+from .rays import (
+    MAX_BEARING_GAP,
+    TURN,
+    Rays,
+    RaySlice,
+    accumulate_sums,
+    bearing_step,
+    first_rays,
+    mark_breaks,
+    select_rays,
+    slice_rays,
+    update_grid,
+    wrap_index,
+)
+from .rays import views as ray_views
+from .segmentation import segment_rays
+from .segments import Segments, line
+from .segments import views as segment_views
+from .settings import Settings
+from .types import Flags, Floats, Integers
+from .wclm import INLIER_GATE, REWEIGHTINGS, reweighted
+
+# In units of the range noise: minimum range of a usable ray; the noise of 1/range of closer ones is far from Gaussian.
+# Origin: chosen, 20 % relative noise; not measured.
+MIN_RANGE_SIGMAS = 5.0
+# In units of the squared bearing noise: minimum variance of the bearings of a line's rays; noise alone explains less.
+# Origin: chosen; not measured.
+MIN_BEARING_VARIANCE = 10.0
+# Minimum share of a segment's rays that are inliers of its line; only few rays are bridged.
+# Origin: chosen; not measured.
+MIN_INLIER_SHARE = 0.6
+# Maximum chi-square per degree of freedom of a line: residuals of twice the noise. Clutter fits worse than walls.
+# Origin: chosen; not measured.
+MAX_CHI2 = 4.0
+# Beam steps by which a corner may lie outside the rays next to it.
+# Origin: tuned on simulated scans, confirmed on others.
+CORNER_STEPS = 1.5
+# Standard deviations of bearing that are added to that. Origin: as CORNER_STEPS.
+CORNER_SIGMAS = 3.0
+# Maximum range of a corner relative to the farther ray next to it. Origin: chosen; not measured.
+CORNER_RANGE = 1.3
+# Standard deviations of range that are added to that. Origin: chosen; not measured.
+CORNER_RANGE_SIGMAS = 6.0
+# Maximum number of rays between the two lines of a corner. Origin: chosen; not measured.
+MAX_CORNER_RAYS = 8
+# Metres. Maximum standard deviation of a corner's position; less certain corners are useless as landmarks.
+# Origin: chosen; not measured.
+MAX_CORNER_SIGMA = 0.3
+# Rays at each end of a segment that are excluded from the fit: they may lie half beside the wall, or on the jamb at its
+# edge, and always pull to the same side, so that no number of scans averages it out. Origin: geometry, the spot of one
+# beam crosses an edge.
+TRIMMED_RAYS = 1
+# Minimum number of rays of a line from which the range noise is estimated. Origin: chosen; not measured.
+MIN_ADAPT_RAYS = 15
+
+
+class FeatureBuffers(NamedTuple):
+    """Arrays for the extracted features, one row each.
+
+    lines            u, v, Cuu, Cuv, Cuv, Cvv, start x, y, end x, y, chi2, variance of the end's bearing
+    spans            first beam, last beam, rays used, first ray, last ray (see rays)
+    curved           true if a line is a chord of a curved surface
+    corners          x, y, Cxx, Cxy, Cxy, Cyy, evidence against a curve (see curves)
+    pairs            line before, line after
+    range_variances  estimates from long segments, sorted
+    """
+
+    lines: Floats
+    spans: Integers
+    curved: Flags
+    corners: Floats
+    pairs: Integers
+    range_variances: Floats
+
+
+@compiled
+def within_gate(inverse: float, cos: float, sin: float, u: float, v: float, settings: Settings) -> bool:
+    """Return True if a ray is within the inlier gate of the line; also if the line is NaN."""
+    p, t = u * cos + v * sin, v * cos - u * sin
+    residual = inverse - p
+    variance = (settings.sigma_range * p * p) ** 2 + (settings.sigma_bearing * t) ** 2
+    return not residual * residual > INLIER_GATE * variance
+
+
+@compiled
+def lies_on(rays: Rays, ray: int, u: float, v: float, settings: Settings) -> bool:
+    """Return True if the ray with index `ray` is within the inlier gate of the line."""
+    return within_gate(rays.inverse[ray], rays.cos[ray], rays.sin[ray], u, v, settings)
+
+
+@vectorised
+def estimate_range_variance(part: RaySlice, u: float, v: float, sigma_range: float, sigma_bearing: float) -> float:
+    """Estimate the range variance from the residuals of a line, by one scoring step on its likelihood.
+
+    A residual r has variance s p^4 + q with s the range variance and q = sigma_bearing^2 t^2 known. The likelihood is
+    stationary in s at sum w^2 p^4 (r^2 - q) / sum w^2 p^8; the line takes two of n degrees of freedom.
+    """
+    range_variance, bearing_variance = sigma_range * sigma_range, sigma_bearing * sigma_bearing
+    above = below = used = 0.0
+    for i in range(len(part.inverse)):
+        p, t = u * part.cos[i] + v * part.sin[i], v * part.cos[i] - u * part.sin[i]
+        residual = part.inverse[i] * (1.0 - range_variance * part.inverse[i] * part.inverse[i]) - p
+        quartic, known = p * p * p * p, bearing_variance * t * t
+        w = 1.0 / (range_variance * quartic + known)
+        inlier = 1.0 if w * residual * residual <= INLIER_GATE else 0.0
+        wq = inlier * w * w * quartic
+        above += wq * (residual * residual - known)
+        below += wq * quartic
+        used += inlier
+    return above / below * used / max(1.0, used - 2.0) if below > 0.0 else math.nan
+
+
+@compiled
+def select_inliers(part: RaySlice, u: float, v: float, settings: Settings, buffer: RaySlice) -> RaySlice:
+    """Return the rays within the inlier gate of the line, copied into `buffer`."""
+    kept = 0
+    for i in range(len(part.inverse)):
+        if within_gate(part.inverse[i], part.cos[i], part.sin[i], u, v, settings):
+            buffer.inverse[kept], buffer.cos[kept], buffer.sin[kept] = part.inverse[i], part.cos[i], part.sin[i]
+            kept += 1
+    return first_rays(buffer, kept)
+
+
+@compiled
+def fit_segment(
+    rays: Rays,
+    count: int,
+    segments: Segments,
+    segment: int,
+    buffer: RaySlice,
+    settings: Settings,
+    output: FeatureBuffers,
+    lines: int,
+) -> tuple[bool, float]:
+    """Fit a line to a segment and write it to row `lines`.
+
+    Returns True if it is accepted as a line, and its estimate of the range variance, or NaN.
+    """
+    begin, end = segments.begin[segment], segments.end[segment]
+    if end - begin < settings.minimum_count:
+        return False, math.nan
+    trimmed = min(TRIMMED_RAYS, (end - begin - settings.minimum_count) // 2)
+    part = slice_rays(rays, count, begin + trimmed, end - trimmed, buffer)
+    u, v = line(segments, segment)
+    cuu = cuv = cvv = chi2 = math.nan
+    used = 0
+    for _ in range(REWEIGHTINGS):
+        u, v, cuu, cuv, cvv, chi2, used = reweighted(
+            part.inverse, part.cos, part.sin, u, v, settings.sigma_range, settings.sigma_bearing, INLIER_GATE
+        )
+        if used < settings.minimum_count or used < MIN_INLIER_SHARE * len(part.inverse):
+            return False, math.nan
+    variance = math.nan
+    if used >= MIN_ADAPT_RAYS:
+        variance = estimate_range_variance(part, u, v, settings.sigma_range, settings.sigma_bearing)
+    bearing_spread = bearing_variance(get_column(segments.sums, segment))
+    if not (chi2 <= MAX_CHI2 * (used - 2) and bearing_spread >= MIN_BEARING_VARIANCE * settings.sigma_bearing**2):
+        return False, variance
+    while begin < end - 1 and not lies_on(rays, wrap_index(begin, count), u, v, settings):
+        begin += 1
+    while begin < end - 1 and not lies_on(rays, wrap_index(end - 1, count), u, v, settings):
+        end -= 1
+    if settings.estimator != MAXIMUM_LIKELIHOOD:
+        part = select_inliers(part, u, v, settings, buffer)
+        u, v, cuu, cuv, cvv = fit_by_code(
+            settings.estimator, part.inverse, part.cos, part.sin, settings.sigma_range, settings.sigma_bearing
+        )
+    cuu += segments.boundary_covariance[0, segment]
+    cuv += segments.boundary_covariance[1, segment]
+    cvv += segments.boundary_covariance[2, segment]
+    row = output.lines[lines]
+    row[0], row[1], row[2], row[3], row[4], row[5], row[10] = u, v, cuu, cuv, cuv, cvv, chi2
+    row[11] = segments.boundary_covariance[3, segment]
+    first, last = wrap_index(begin, count), wrap_index(end - 1, count)
+    for ray, column in ((first, 6), (last, 8)):
+        distance = 1.0 / (u * rays.cos[ray] + v * rays.sin[ray])
+        row[column], row[column + 1] = distance * rays.cos[ray], distance * rays.sin[ray]
+    span = output.spans[lines]
+    span[0], span[1], span[2], span[3], span[4] = rays.beam[first], rays.beam[last], used, begin, end - 1
+    output.curved[lines] = False
+    return math.hypot(row[8] - row[6], row[9] - row[7]) >= settings.minimum_length, variance
+
+
+@compiled
+def find_corner(
+    rays: Rays,
+    count: int,
+    step: float,
+    output: FeatureBuffers,
+    before: int,
+    after: int,
+    settings: Settings,
+    corners: int,
+) -> bool:
+    """Intersect line `before` with the next line `after`, and write row `corners`; return False if there is no corner.
+
+    The corner must lie between the last ray of the one and the first ray of the other line in bearing, and not much
+    farther than these. Occlusion acts in bearing, so this test accepts more corners than one on end point distances.
+    """
+    first, second = output.lines[before], output.lines[after]
+    if parallel(first[0], first[1], second[0], second[1]):
+        return False
+    last, following = wrap_index(output.spans[before, 4], count), wrap_index(output.spans[after, 3], count)
+    between = following - last - 1
+    if between < 0:
+        between += count
+    if between > MAX_CORNER_RAYS:
+        return False
+    x, y, cxx, cxy, cyy = intersect(
+        first[0], first[1], first[2:6].reshape(2, 2), second[0], second[1], second[2:6].reshape(2, 2)
+    )
+    distance = math.hypot(x, y)
+    reach = max(rays.range[last], rays.range[following])
+    if not distance < CORNER_RANGE * reach + CORNER_RANGE_SIGMAS * settings.sigma_range:
+        return False
+    across = (y * y * cxx - 2.0 * x * y * cxy + x * x * cyy) / distance**4
+    margin = CORNER_STEPS * step + CORNER_SIGMAS * (settings.sigma_bearing + math.sqrt(across + first[11]))
+    gap = (rays.bearing[following] - rays.bearing[last]) % TURN
+    bearing = (math.atan2(y, x) - rays.bearing[last] + math.pi) % TURN - math.pi
+    if gap > MAX_BEARING_GAP + step or not -margin <= bearing <= gap + margin:
+        return False
+    if cxx + cyy > MAX_CORNER_SIGMA**2:
+        return False
+    begin, end = output.spans[before, 3], output.spans[before, 4] + 1
+    start, stop = output.spans[after, 3], output.spans[after, 4] + 1
+    if start < begin:
+        start, stop = start + count, stop + count
+    row = output.corners[corners]
+    row[0], row[1], row[2], row[3], row[4], row[5] = x, y, cxx, cxy, cxy, cyy
+    row[6] = curve_evidence(rays, count, first, second, begin, end, start, stop, settings)
+    output.pairs[corners, 0], output.pairs[corners, 1] = before, after
+    return True
+
+
+@compiled
+def fit_segments(
+    rays: Rays,
+    count: int,
+    segments: Segments,
+    segment_count: int,
+    buffer: RaySlice,
+    settings: Settings,
+    output: FeatureBuffers,
+) -> tuple[int, float]:
+    """Fit lines to the segments in the order of their beams.
+
+    Returns the number of lines and the median of their estimates of the range variance, or NaN.
+    """
+    start = 0
+    for segment in range(1, segment_count):
+        if rays.beam[wrap_index(segments.begin[segment], count)] < rays.beam[wrap_index(segments.begin[start], count)]:
+            start = segment
+    lines = estimates = 0
+    for k in range(start, start + segment_count):
+        is_line, variance = fit_segment(
+            rays, count, segments, wrap_index(k, segment_count), buffer, settings, output, lines
+        )
+        if is_line:
+            lines += 1
+        if math.isfinite(variance):
+            insert_sorted(output.range_variances, estimates, variance)
+            estimates += 1
+    if estimates == 0:
+        return lines, math.nan
+    return lines, 0.5 * (output.range_variances[(estimates - 1) // 2] + output.range_variances[estimates // 2])
+
+
+@compiled
+def insert_sorted(values: Floats, count: int, value: float) -> None:
+    """Insert a value into the first `count` sorted values."""
+    k = count
+    while k > 0 and values[k - 1] > value:
+        values[k] = values[k - 1]
+        k -= 1
+    values[k] = value
+
+
+@compiled
+def extract_features(
+    ranges: Floats,
+    angles: Floats,
+    setting_values: tuple[Any, ...],
+    memory: tuple[Floats, Integers, Floats, Integers],
+    output_arrays: tuple[Any, ...],
+) -> tuple[int, int, float]:
+    """Extract the features of a scan.
+
+    ranges, angles  (n,) metres and radians
+    setting_values  fields of Settings; as a plain tuple, because passing a named one takes a microsecond longer
+    memory          results of `rays.allocate` and `segments.allocate`
+    output_arrays   fields of FeatureBuffers, as a plain tuple
+
+    Returns the numbers of lines and corners written to the output, and the estimate of the range variance, or NaN.
+    """
+    settings, output = Settings(*setting_values), FeatureBuffers(*output_arrays)
+    grid, ray_buffer = ray_views(memory[0], memory[1])
+    segments, gains, stack = segment_views(memory[2], memory[3])
+    update_grid(angles, grid)
+    range_min = max(settings.range_min, MIN_RANGE_SIGMAS * settings.sigma_range)
+    rays, count = select_rays(ranges, range_min, settings.range_max, grid, ray_buffer)
+    if count < settings.minimum_count:
+        return 0, 0, math.nan
+    step = bearing_step(angles, rays, count)
+    mark_breaks(rays, count, step, settings)
+    accumulate_sums(rays, count, step, settings)
+    if settings.tracking_distance > 0.0:
+        segment_count = remove_small_segments(segments, track_lines(rays, count, settings.tracking_distance, segments))
+        segments.boundary_covariance[:, :segment_count] = 0.0
+    else:
+        segment_count = segment_rays(rays, count, step, segments, gains, stack, settings)
+    # gains and prefix sums are not needed any more; their memory is used for the rays of one segment at a time
+    buffer = RaySlice(gains, rays.prefix[0], rays.prefix[1])
+    lines, variance = fit_segments(rays, count, segments, segment_count, buffer, settings, output)
+    corners = 0
+    for after in range(lines):
+        before = after - 1 if after > 0 else lines - 1
+        if before != after and find_corner(rays, count, step, output, before, after, settings, corners):
+            corners += 1
+    corners = remove_curve_corners(output.corners, output.pairs, output.curved, corners)
+    return lines, corners, variance
