@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -114,8 +113,3 @@ class InputStatistics:
     def duration(self) -> float:
         """Seconds from the first measurement to the last."""
         return max(0.0, self.last - self.first)
-
-
-def absolute_source(recording: str) -> str:
-    """Return the recording's absolute path, so that it opens from any directory; a simulation unchanged."""
-    return recording if recording.startswith("sim:") else str(Path(recording).resolve())

@@ -194,11 +194,12 @@ def _map(spec: str, out: Path, *, title: str | None = None) -> EventRecorder:
     import drivers
 
     from ...config import Config
-    from ..run_input import RecordingInput, absolute_source
+    from ...io.recordings import absolute_recording
+    from ..run_input import RecordingInput
     from ..slam_run import run_slam
 
     recorder = EventRecorder()
-    run_input = RecordingInput(drivers.open(spec), reopen=absolute_source(spec))
+    run_input = RecordingInput(drivers.open(spec), reopen=absolute_recording(spec))
     run_input.name, run_input.sinks = title or run_input.name, [recorder]
     run_slam(run_input, Config(), out, overwrite=False, review=False, picture=True)
     return recorder

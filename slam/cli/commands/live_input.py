@@ -69,9 +69,9 @@ class LiveInput:
     @property
     def reopen(self) -> str | None:
         """Path of the recording; None if there is none or it is incomplete."""
-        from ..run_input import absolute_source
+        from ...io.recordings import absolute_recording
 
-        return absolute_source(self._recorded["file"]) if self._recorded and not self._recorded["problem"] else None
+        return absolute_recording(self._recorded["file"]) if self._recorded and not self._recorded["problem"] else None
 
     def facts(self) -> dict[str, Any]:
         """Return the final state of the devices and of the recording."""

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 from ...config import Config, config_to_toml
 from ...io.host import peak_memory, versions
 from ...io.output_dir import PICTURE, REVIEW, OutputDirectory, write_results
+from ...io.recordings import absolute_recording
 from ..compilation import compile_all
 from ..console import print_if_slow
-from ..run_input import InputStatistics, RecordingInput, absolute_source
+from ..run_input import InputStatistics, RecordingInput
 from ..run_summary import RunResult, format_summary
 from ..slam_run import READING_SESSION, NoticeCollector, process_messages, write_report_page
 
@@ -72,7 +73,7 @@ def optimize_recording(
         from ...pipeline import Slam
 
         compile_all()
-        run_input = RecordingInput(drivers.open(recording), reopen=absolute_source(recording))
+        run_input = RecordingInput(drivers.open(recording), reopen=absolute_recording(recording))
         notices, statistics = NoticeCollector(), InputStatistics()
         started = time.perf_counter()
         with run_input.opened() as messages:
@@ -137,7 +138,10 @@ def _lines(summary: dict[str, Any], out: Path, *, review: bool) -> list[str]:
     head, first, _, *others = format_summary(RunResult(summary, review), out)
     rows = [
         ("before", f"cost {changed['cost_before']:.6g} of {changed['factors_before']} factors"),
-        ("after", f"cost {changed['cost_after']:.6g} of {changed['factors_after']}, {changed['iterations']} iterations"),
+        (
+            "after",
+            f"cost {changed['cost_after']:.6g} of {changed['factors_after']}, {changed['iterations']} iterations",
+        ),
         ("changed", f"{changed['associations_changed']} associations, {changed['walls_merged']} walls merged"),
         ("loops", f"{changed['closures_added']} added, {changed['closures_removed']} removed"),
         ("moved", _moved(changed)),

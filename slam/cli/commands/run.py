@@ -38,12 +38,13 @@ def run(
     """
     import drivers
 
-    from ..run_input import RecordingInput, absolute_source
+    from ...io.recordings import absolute_recording
+    from ..run_input import RecordingInput
     from ..run_summary import format_summary
     from ..slam_run import prepare_run, run_slam
 
     start = prepare_run(continued, localized, config, settings)
-    run_input = RecordingInput(drivers.open(recording), reopen=absolute_source(recording))
+    run_input = RecordingInput(drivers.open(recording), reopen=absolute_recording(recording))
     result = run_slam(
         run_input,
         start.config,
