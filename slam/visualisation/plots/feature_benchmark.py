@@ -55,11 +55,11 @@ def plot_features(path: Path, rooms: Sequence[Row], curved: Sequence[Row]) -> No
 def _by_level(axes: Axes, rows: Sequence[Row], value: Callable[[Row], float]) -> None:
     """Plot a point for every method at every level, side by side."""
     levels = list(dict.fromkeys(_level(row) for row in rows))
-    ways = list(dict.fromkeys(row.way for row in rows))
-    for k, way in enumerate(ways):
-        own = [row for row in rows if row.way == way]
-        places = np.array([levels.index(_level(row)) for row in own]) + 0.11 * (k - 0.5 * (len(ways) - 1))
-        axes.plot(places, [value(row) for row in own], "o", color=COLOURS[k % len(COLOURS)], markersize=5, label=way)
+    methods = list(dict.fromkeys(row.method for row in rows))
+    for k, method in enumerate(methods):
+        own = [row for row in rows if row.method == method]
+        places = np.array([levels.index(_level(row)) for row in own]) + 0.11 * (k - 0.5 * (len(methods) - 1))
+        axes.plot(places, [value(row) for row in own], "o", color=COLOURS[k % len(COLOURS)], markersize=5, label=method)
     _name_levels(axes, levels)
 
 

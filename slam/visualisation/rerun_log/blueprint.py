@@ -158,12 +158,12 @@ class _Panels:
         share = rrb.ScalarAxis(range=(0.0, 1.05), zoom_lock=True)
         typical = self._extent.typical_time
         times = None if typical is None else rrb.ScalarAxis(range=(0.0, 2 * typical))
-        first = [self._plot("error", "Error against ground truth")] if self._extent.truth else []
+        first = [self._plot("error", "Pose error")] if self._extent.truth else []
         return [
             [*first, self._plot("overlap_ratio", "Overlap ratio", axis=share)],
             [
                 self._plot("chi2", "chi² and loops"),
-                self._plot("fit", "Misfit by factor kind"),
+                self._plot("fit", "Misfit by kind"),
                 self._plot("association", "Largest d² of a match"),
             ],
             [
