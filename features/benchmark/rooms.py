@@ -1,4 +1,4 @@
-"""Simulated scans whose walls and corners are known: rooms with recesses, cabinets, boxes, and with round things."""
+"""Simulated scans with ground truth: rooms with recesses, cabinets and boxes, or with an arc and columns."""
 
 from __future__ import annotations
 
@@ -8,25 +8,27 @@ import numpy as np
 
 from ..types import Floats, Integers, Noise
 
+# Instead of the index of a surface: no return, or a spurious one.
 NOTHING = -1
-"""In place of a surface's index: no return, or one that no surface gave."""
 
+# Beams of a revolution and size of the room in metres, alternating: the two environments of the paper.
 SIZES = ((1112, (5.0, 3.0)), (884, (12.0, 8.0)))
-"""Beams of a revolution and metres of the room, in turns: the paper's two environments."""
 
+# Share of beams without a return.
 DROPPED = 0.01
-"""Share of the beams that have no return."""
 
-EDGE, MIXED = 0.2, 0.7
-"""Metres between neighbouring returns at an edge, and how often a ray there returns something between the two."""
+# Metres; difference of neighbouring ranges at an edge.
+EDGE = 0.2
+# Share of the rays at edges that return a mixed range.
+MIXED = 0.7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Room:
-    """What is in a room.
+    """Surfaces of a room.
 
     walls  (k, 4) x0 y0 x1 y1, metres
-    arcs   (m, 5) x y of the centre and radius, metres; where the arc begins and how far it goes on, radians
+    arcs   (m, 5) x y of the centre and radius, metres; begin and extent of the arc, radians
     """
 
     walls: Floats
@@ -35,11 +37,11 @@ class Room:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoomScan:
-    """One scan with the truth.
+    """One scan with ground truth.
 
-    ranges, angles  (n,) as measured; NaN where there was no return
+    ranges, angles  (n,) as measured; NaN for no-returns
     true_ranges     (n,) without noise
-    surface         (n,) index of what the beam hit, walls first and arcs after them; NOTHING where spurious or lost
+    surface         (n,) index of the surface that the beam hit, walls before arcs; NOTHING if spurious or lost
     walls           (k, 4) x0 y0 x1 y1 in the lidar's frame, metres
     """
 
@@ -51,19 +53,19 @@ class RoomScan:
 
 
 def polygon(points: Floats) -> Floats:
-    """Walls (k, 4) around the vertices (k, 2)."""
+    """Return the walls (k, 4) of a polygon with the vertices (k, 2)."""
     return np.hstack([points, np.roll(points, -1, axis=0)])
 
 
 def box(x: float, y: float, width: float, height: float, turn: float) -> Floats:
-    """The four walls of a box with a corner at (x, y), turned about it."""
+    """Return the four walls of a box with a corner at (x, y), rotated about it."""
     c, s = np.cos(turn), np.sin(turn)
     corners = np.array([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])
     return polygon(corners @ np.array([[c, s], [-s, c]]) + (x, y))
 
 
 def furnished_room(rng: np.random.Generator, width: float, height: float) -> Room:
-    """A room whose walls have a recess and a cabinet, and with two boxes in it."""
+    """Return a room with a recess and a cabinet at its walls, and two boxes in it."""
     recess, depth = rng.uniform(0.2, 0.5) * width, rng.uniform(0.15, 0.5)
     niche = rng.uniform(0.6, 1.2)
     cabinet, thickness = rng.uniform(0.1, 0.6) * width, rng.uniform(0.3, 0.5)
@@ -79,8 +81,8 @@ def furnished_room(rng: np.random.Generator, width: float, height: float) -> Roo
 
 
 def round_room(rng: np.random.Generator, width: float, height: float) -> Room:
-    """A room one end of which is an arc, with four round columns along its far wall."""
-    bulge = rng.uniform(0.15, 0.5) * height  # of the arc beyond the room's end; half the height makes it a semicircle
+    """Return a room with an arc at one end and four round columns along its far wall."""
+    bulge = rng.uniform(0.15, 0.5) * height  # of the arc beyond the room's end; a semicircle if half the height
     radius = (0.25 * height**2 + bulge**2) / (2.0 * bulge)
     opening = np.arcsin(0.5 * height / radius)
     end = (width + bulge - radius, 0.5 * height, radius, -opening, 2.0 * opening)
@@ -93,7 +95,7 @@ def round_room(rng: np.random.Generator, width: float, height: float) -> Room:
 
 
 def cast(room: Room, position: Floats, bearings: Floats) -> tuple[Floats, Integers]:
-    """Range (n,) to the nearest surface along every bearing and its index; infinity and NOTHING where there is none."""
+    """Return range (n,) and index (n,) of the nearest surface along every bearing; infinity and NOTHING if none."""
     direction = np.stack([np.cos(bearings), np.sin(bearings)], axis=1)
     start, along = room.walls[:, :2] - position, room.walls[:, 2:] - room.walls[:, :2]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -108,16 +110,16 @@ def cast(room: Room, position: Floats, bearings: Floats) -> tuple[Floats, Intege
 
 
 def _to_arcs(arcs: Floats, position: Floats, direction: Floats) -> Floats:
-    """Distances (n, m) to arcs along unit vectors (n, 2); infinity where an arc is missed."""
+    """Return distances (n, m) to arcs along unit vectors (n, 2); infinity if an arc is not hit."""
     nearest = np.full((len(direction), len(arcs)), np.inf)
     for k, (x, y, radius, begin, extent) in enumerate(arcs):
         centre = np.array([x, y]) - position
         along = direction @ centre
         inside = along**2 - centre @ centre + radius**2
-        for sign in (1.0, -1.0):  # the nearer of the two last, so that it overwrites
+        for sign in (1.0, -1.0):  # the nearer intersection last, so that it overwrites
             distance = along + sign * np.sqrt(inside)
-            where = direction * distance[:, None] - centre
-            turned = (np.arctan2(where[:, 1], where[:, 0]) - begin) % (2.0 * np.pi)
+            offset = direction * distance[:, None] - centre
+            turned = (np.arctan2(offset[:, 1], offset[:, 0]) - begin) % (2.0 * np.pi)
             hit = (inside > 0.0) & (distance > 0.0) & (turned <= extent)
             nearest[hit, k] = distance[hit]
     return nearest
@@ -132,19 +134,21 @@ def simulate(
     curved: bool = False,
     beams: int | None = None,
 ) -> RoomScan:
-    """One revolution from a random place in a random room, the rooms' two sizes in turns by `number`.
+    """Simulate one revolution at a random position in a random room.
 
-    `outliers` is the share of returns that come short; then rays at edges return something between the two sides too.
-    `beams` of the revolution go with the room's size where they are not given.
+    number    selects the size of the room, alternating
+    outliers  share of returns that are too short; if positive, rays at edges may return mixed ranges as well
+    curved    with an arc and columns instead of boxes
+    beams     of the revolution; by default those of the room's size
     """
-    usual, size = SIZES[number % len(SIZES)]
-    beams = usual if beams is None else beams
+    default_beams, size = SIZES[number % len(SIZES)]
+    beams = default_beams if beams is None else beams
     room = (round_room if curved else furnished_room)(rng, *size)
-    place = np.array([rng.uniform(0.25, 0.75) * size[0], rng.uniform(0.25, 0.45) * size[1]])
+    position = np.array([rng.uniform(0.25, 0.75) * size[0], rng.uniform(0.25, 0.45) * size[1]])
     heading = rng.uniform(-np.pi, np.pi)
     angles = np.linspace(-np.pi, np.pi, beams, endpoint=False)
     bearings = angles + rng.normal(0.0, noise.sigma_bearing, beams)
-    true_ranges, surface = cast(room, place, bearings + heading)
+    true_ranges, surface = cast(room, position, bearings + heading)
     ranges = np.asarray(true_ranges + rng.normal(0.0, noise.sigma_range, beams), dtype=np.float64)
     if outliers > 0.0:
         edges = np.flatnonzero(np.abs(np.diff(true_ranges)) > EDGE)
@@ -157,6 +161,6 @@ def simulate(
     lost = rng.random(beams) < DROPPED
     ranges[lost], surface[lost] = np.nan, NOTHING
     c, s = np.cos(heading), np.sin(heading)
-    turn = np.array([[c, -s], [s, c]])
-    walls = np.hstack([(room.walls[:, :2] - place) @ turn, (room.walls[:, 2:] - place) @ turn])
+    rotation = np.array([[c, -s], [s, c]])
+    walls = np.hstack([(room.walls[:, :2] - position) @ rotation, (room.walls[:, 2:] - position) @ rotation])
     return RoomScan(ranges, angles, true_ranges, surface, walls)

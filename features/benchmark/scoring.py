@@ -1,8 +1,8 @@
-"""Lines and corners of simulated scans compared with the walls that are there.
+"""Comparison of extracted lines and corners with the true walls of simulated scans.
 
-A wall counts from ten rays and 0.3 m on, as does a line. A line is a wall's if they share half of the rays that either
-has. A corner is there where two such walls follow each other and meet, and is found within 0.1 m and three standard
-deviations of range.
+Walls and lines count if they have at least ten rays and 0.3 m. A line is matched to a wall if they share half of the
+union of their rays. A true corner is where two such walls follow each other and meet; it is found if a corner lies
+within 0.1 m plus three standard deviations of range.
 """
 
 from __future__ import annotations
@@ -14,22 +14,32 @@ import numpy as np
 from ..types import Features, Flags, Floats, Integers
 from .rooms import NOTHING, RoomScan
 
-FEWEST_RAYS, SHORTEST = 10, 0.3
-OVERLAP = 0.5
-NEAR, NEAR_SIGMAS = 0.10, 3.0
-MEETING = 1e-9
-"""Metres within which two ends of walls are the same vertex."""
+# Minimum number of rays of a wall or line that counts.
+MIN_RAYS = 10
+# Metres; its minimum length.
+MIN_LENGTH = 0.3
+# Minimum share of common rays of a wall and its line.
+MIN_OVERLAP = 0.5
+# Metres, and standard deviations of range that are added: maximum distance of a corner from the true one.
+CORNER_DISTANCE = 0.10
+CORNER_DISTANCE_SIGMAS = 3.0
+# Metres within which two ends of walls are the same vertex.
+SAME_VERTEX = 1e-9
 
 
 @dataclass(slots=True)
 class Score:
-    """Sums over scans: walls there, found; lines given, right; corners likewise; errors against covariances.
+    """Counts of true, found, extracted and correct walls, lines and corners, and errors of the found ones.
 
-    curves          arcs seen with enough rays to count
-    curved_lines    lines most of whose rays lie on an arc
-    curved_corners  corners of such lines that are no vertex of the room: what an arc must not be taken for
-    line_nees, corner_nees  squared errors in units of their covariance, of what was found; two dimensions
-    corner_errors   metres
+    walls, walls_found            true walls that count, and those matched to a line
+    lines, lines_right            extracted lines that count, and those matched to a wall
+    corners, corners_found        true corners, and those near an extracted one
+    corners_given, corners_right  extracted corners, and those near a vertex of the room
+    curves                        arcs with enough rays to count
+    curved_lines                  lines with most of their rays on an arc
+    curved_corners                corners of such lines that are not vertices of the room
+    line_nees, corner_nees        squared errors in units of their covariance, of two dimensions
+    corner_errors                 metres
     """
 
     walls: int = 0
@@ -49,44 +59,46 @@ class Score:
 
     @property
     def precision(self) -> float:
-        """Share of the lines given that are walls."""
+        """Share of the extracted lines that are walls."""
         return _share(self.lines_right, self.lines)
 
     @property
     def recall(self) -> float:
-        """Share of the walls that were found."""
+        """Share of the true walls that were found."""
         return _share(self.walls_found, self.walls)
 
     @property
     def corner_recall(self) -> float:
-        """Share of the corners that were found."""
+        """Share of the true corners that were found."""
         return _share(self.corners_found, self.corners)
 
     @property
     def corner_precision(self) -> float:
-        """Share of the corners given that are vertices of the room."""
+        """Share of the extracted corners that are vertices of the room."""
         return _share(self.corners_right, self.corners_given)
 
     def add(self, scan: RoomScan, features: Features, sigma_range: float) -> None:
-        """Compare one scan."""
+        """Add the comparison of one scan."""
         lines, beams = features.lines, len(scan.ranges)
         runs = true_runs(scan)
-        sees = np.zeros((len(runs), beams), dtype=bool)
-        for mask, (_, rays) in zip(sees, runs, strict=True):
+        wall_rays = np.zeros((len(runs), beams), dtype=bool)
+        for mask, (_, rays) in zip(wall_rays, runs, strict=True):
             mask[rays] = True
-        has = np.zeros((len(lines), beams), dtype=bool)
-        for mask, first, last in zip(has, lines.first, lines.last, strict=True):
+        line_rays = np.zeros((len(lines), beams), dtype=bool)
+        for mask, first, last in zip(line_rays, lines.first, lines.last, strict=True):
             mask[np.arange(first, last + 1 + (beams if last < first else 0)) % beams] = True
-        shared = sees.astype(np.int64) @ has.T.astype(np.int64)
-        either = sees.sum(axis=1)[:, None] + has.sum(axis=1)[None, :] - shared
+        shared = wall_rays.astype(np.int64) @ line_rays.T.astype(np.int64)
+        either = wall_rays.sum(axis=1)[:, None] + line_rays.sum(axis=1)[None, :] - shared
         straight = np.array([surface < len(scan.walls) for surface, _ in runs], dtype=bool)
         seen_well = np.array([_counts(scan, rays) for _, rays in runs], dtype=bool)
-        is_wall = (shared >= OVERLAP * either) & straight[:, None]
+        is_wall = (shared >= MIN_OVERLAP * either) & straight[:, None]
         self._add_lines(scan, features, runs, straight & seen_well, is_wall)
-        on_arc = (has & (scan.surface >= len(scan.walls))).sum(axis=1) > OVERLAP * has.sum(axis=1)
+        on_arc = (line_rays & (scan.surface >= len(scan.walls))).sum(axis=1) > MIN_OVERLAP * line_rays.sum(axis=1)
         self.curves += int((seen_well & ~straight).sum())
         self.curved_lines += int(on_arc.sum())
-        self._add_corners(scan, features, runs, straight & seen_well, on_arc, NEAR + NEAR_SIGMAS * sigma_range)
+        self._add_corners(
+            scan, features, runs, straight & seen_well, on_arc, CORNER_DISTANCE + CORNER_DISTANCE_SIGMAS * sigma_range
+        )
 
     def _add_lines(
         self,
@@ -97,7 +109,7 @@ class Score:
         is_wall: Flags,
     ) -> None:
         lines = features.lines
-        large = (lines.count >= FEWEST_RAYS) & (np.hypot(*(lines.end - lines.start).T) >= SHORTEST)
+        large = (lines.count >= MIN_RAYS) & (np.hypot(*(lines.end - lines.start).T) >= MIN_LENGTH)
         self.walls += int(counted.sum())
         self.walls_found += int(is_wall[counted].any(axis=1).sum())
         self.lines += int(large.sum())
@@ -134,7 +146,7 @@ class Score:
 
 
 def true_runs(scan: RoomScan) -> list[tuple[int, Integers]]:
-    """(surface, its rays in order) of every uninterrupted sight; spurious and lost rays interrupt nothing."""
+    """Return (surface, its rays in order) of every uninterrupted view; spurious and lost rays do not interrupt one."""
     rays = np.flatnonzero(scan.surface != NOTHING)
     starts = np.flatnonzero(scan.surface[rays] != np.roll(scan.surface[rays], 1))
     if len(starts) == 0:
@@ -145,20 +157,20 @@ def true_runs(scan: RoomScan) -> list[tuple[int, Integers]]:
 
 
 def true_corners(scan: RoomScan, runs: list[tuple[int, Integers]], counted: Flags) -> Floats:
-    """Vertices (k, 2) at which two walls that count follow each other."""
+    """Return the vertices (k, 2) at which two walls that count follow each other."""
     found = []
     for k, (surface, _) in enumerate(runs):
         following = (k + 1) % len(runs)
         after = runs[following][0]
         if counted[k] and counted[following] and surface != after:
             ends, others = scan.walls[surface].reshape(2, 2), scan.walls[after].reshape(2, 2)
-            found += [p for p in ends for q in others if np.abs(p - q).max() < MEETING]
+            found += [p for p in ends for q in others if np.abs(p - q).max() < SAME_VERTEX]
     return np.array(found).reshape(-1, 2)
 
 
 def _counts(scan: RoomScan, rays: Integers) -> bool:
     ends = scan.true_ranges[rays[[0, -1]]] * np.exp(1j * scan.angles[rays[[0, -1]]])
-    return bool(len(rays) >= FEWEST_RAYS and abs(ends[1] - ends[0]) >= SHORTEST)
+    return bool(len(rays) >= MIN_RAYS and abs(ends[1] - ends[0]) >= MIN_LENGTH)
 
 
 def _uv(wall: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""What compilation costs and brings: the first start, the starts after it, memory, and the same without a compiler."""
+"""Time and memory of starting: the first start, which compiles, later starts, and without the compiler."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ angles, ranges = scans_of(920, int(sys.argv[1]), 0)
 row = measure("split", "wclm-ml", ranges, angles, int(sys.argv[2]))
 print(json.dumps([imported - numpy_only, ready - imported, row.best_us, before, status()]))
 """
-"""Run by an interpreter of its own, with the number of scans and of rounds as its arguments."""
+"""Program of a separate interpreter; its arguments are the numbers of scans and of rounds."""
 
 STATUS = """
 def status():
@@ -37,16 +37,16 @@ def status():
     import resource
     return pages * resource.getpagesize() / 1e6
 """
-"""Megabytes that a process holds, where the system tells."""
+"""Memory of a process in megabytes; NaN if the system does not provide it."""
 
 
 class Start(NamedTuple):
-    """One process from its start to its last scan.
+    """Measurements of one process.
 
-    import_s      seconds of processor to import the package, once numpy is there
-    first_scan_s  the same until the first scan is done: compiling, or loading what was compiled
-    scan_us       microseconds of a scan of 920 beams from then on (median over scans of the fastest call)
-    numpy_mb, memory_mb  megabytes that the process held before the package was imported, and at its end
+    import_s      CPU seconds to import the package, after numpy
+    first_scan_s  CPU seconds until the first scan is done: compilation, or loading from the cache
+    scan_us       microseconds of a later scan of 920 beams (median over scans of the fastest call)
+    numpy_mb, memory_mb  megabytes of the process before the package was imported, and at its end
     """
 
     name: str
@@ -58,18 +58,18 @@ class Start(NamedTuple):
 
 
 def measure_starts() -> list[Start]:
-    """A first start, with nothing compiled; a second one; and one with the compiler switched off."""
+    """Measure a first start with an empty cache, a second one, and one with the compiler switched off."""
     with tempfile.TemporaryDirectory() as cache:
-        kept = {"NUMBA_CACHE_DIR": cache}
+        cached = {"NUMBA_CACHE_DIR": cache}
         return [
-            start_once("first start", kept, 20, 20),
-            start_once("later starts", kept, 20, 20),
+            start_once("first start", cached, 20, 20),
+            start_once("later starts", cached, 20, 20),
             start_once("without numba's compiler", {"NUMBA_DISABLE_JIT": "1"}, 3, 3),
         ]
 
 
 def start_once(name: str, environment: dict[str, str], scans: int, rounds: int) -> Start:
-    """Start an interpreter in this environment, more than the present one, and have it measure itself."""
+    """Run the measurement in a new interpreter, with additional environment variables."""
     root = str(Path(__file__).parents[2])
     path = os.pathsep.join(part for part in (root, os.environ.get("PYTHONPATH")) if part)
     result = subprocess.run(

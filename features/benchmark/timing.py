@@ -1,4 +1,4 @@
-"""How long the extraction of features takes, on rooms made here."""
+"""Time of the extraction on simulated rooms."""
 
 from __future__ import annotations
 
@@ -16,19 +16,17 @@ from ..types import Floats, Noise
 
 NOISE = Noise(sigma_range=0.01, sigma_bearing=0.001)
 BEAMS = (180, 360, 920, 1100)
+# Metres; size of the rooms.
 SIZE = (7.0, 5.0)
-"""Of the rooms, metres."""
-
-
+# Number of rays of the reference: the most of a line in the environments of the paper.
 REFERENCE_RAYS = 230
-"""Of the reference: the most rays of a line in the paper's environments."""
 
 
 class Row(NamedTuple):
-    """One measurement: what was run, on how many beams, lines found per scan (mean), microseconds per scan.
+    """One measurement: method, number of beams, mean number of lines per scan, microseconds per scan.
 
-    The median and the 99th percentile are over all calls. `best_us` is the median over scans of each scan's fastest
-    call, which another user of the processor disturbs least, and `compiled_us` the same of the compiled call inside.
+    Median and 99th percentile are over all calls. `best_us` is the median over scans of the fastest call of each, which
+    is least affected by other processes, and `compiled_us` the same for the compiled function alone.
     """
 
     name: str
@@ -41,9 +39,9 @@ class Row(NamedTuple):
 
 
 def run(*, beams: Sequence[int] = BEAMS, scans: int = 100, rounds: int = 10, seed: int = 0) -> list[Row]:
-    """Time every estimator, and the paper's tracking, on `scans` scans, `rounds` times over; seeded, warmed up.
+    """Time every estimator, and the paper's tracking, on `scans` scans, `rounds` times each, after a warm-up.
 
-    The names read method/estimator. Times are of whole calls of Extractor.extract on one core.
+    Names are method/estimator. Times are of complete calls of Extractor.extract on one core.
     """
     warm_up()
     rows = []
@@ -56,7 +54,7 @@ def run(*, beams: Sequence[int] = BEAMS, scans: int = 100, rounds: int = 10, see
 
 
 def scans_of(beams: int, scans: int, seed: int) -> tuple[Floats, list[Floats]]:
-    """Bearings (n,), and ranges (n,) of `scans` rooms."""
+    """Return bearings (n,), and the ranges (n,) of `scans` rooms."""
     angles = np.linspace(-np.pi, np.pi, beams, endpoint=False)
     rng = np.random.default_rng(seed)
     return angles, [room_scan(rng, angles) for _ in range(scans)]
@@ -65,7 +63,7 @@ def scans_of(beams: int, scans: int, seed: int) -> tuple[Floats, list[Floats]]:
 def measure(
     method: Literal["split", "tracking"], estimator: str, ranges: list[Floats], angles: Floats, rounds: int
 ) -> Row:
-    """Time one way of extraction on scans of one grid of bearings."""
+    """Time one method on scans with the same bearings."""
     extractor = Extractor(NOISE, method=method, estimator=estimator)
     lines = [len(extractor.extract(scan, angles).lines) for scan in ranges]
     times, inside = np.empty((rounds, len(ranges))), np.empty((rounds, len(ranges)))
@@ -82,11 +80,11 @@ def measure(
 
 
 def relative(*, beams: int = 920, scans: int = 20, rounds: int = 100, seed: int = 0) -> tuple[float, float]:
-    """(ratio, microseconds): the time of a scan in units of a reference, and the reference.
+    """Return the time of a scan relative to a reference, and the reference in microseconds.
 
-    The reference is eq. (27) of the paper as it is printed, double sums over 230 rays: compiled scalar code that no
-    change of the extractor touches. Both are timed in turns and the fastest of each counts, so that neither a slower
-    processor nor other work on it changes the ratio much.
+    The reference is eq. (27) of the paper as printed, double sums over 230 rays: compiled scalar code, independent of
+    the extractor. Both are timed alternately and the fastest of each counts, so that neither a slower processor nor
+    its load changes the ratio much.
     """
     angles, ranges = scans_of(beams, scans, seed)
     extractor = Extractor(NOISE, adapt_noise=False)
@@ -107,7 +105,7 @@ def relative(*, beams: int = 920, scans: int = 20, rounds: int = 100, seed: int 
 
 
 def room_scan(rng: np.random.Generator, angles: Floats) -> Floats:
-    """Ranges (n,) from a random place in a room with a niche in one wall and a cabinet at another."""
+    """Return ranges (n,) at a random position in a room with a niche in one wall and a cabinet at another."""
     width, height = SIZE
     niche, cabinet = rng.uniform(0.15, 0.6, 2) * width
     outline = [(0, 0), (cabinet, 0), (cabinet, 0.4), (cabinet + 1, 0.4), (cabinet + 1, 0), (width, 0), (width, height)]

@@ -1,4 +1,4 @@
-"""Rooms to scan, and how well they are found."""
+"""Fixtures that simulate scans of rooms and score an extractor on them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from features.benchmark.scoring import Score
 def scan_room(
     seed: int, *, sigma_range: float = 0.01, sigma_bearing: float = np.radians(0.05), **options: float
 ) -> RoomScan:
-    """A scan from within a room, seeded, of the smaller size where not told otherwise."""
+    """Simulate a scan in a room; of the smaller size by default."""
     number = int(options.pop("number", 0))
     return simulate(np.random.default_rng(seed), Noise(sigma_range, sigma_bearing), number=number, **options)
 
@@ -27,7 +27,7 @@ def simulate_fixture() -> Callable[..., RoomScan]:
 
 @pytest.fixture
 def score_rooms() -> Callable[..., Score]:
-    """Score an extractor on `scans` rooms, half of them small and half large."""
+    """Return a function that scores an extractor on `scans` rooms, alternately small and large."""
 
     def run(extractor: Extractor, scans: int, **noise: float) -> Score:
         total = Score()

@@ -1,4 +1,4 @@
-"""What `wclm bench features` measures, on a slice: the same figures each time, and no worse than is claimed."""
+"""A part of `wclm bench features`: results are reproducible and as good as documented."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from features.benchmark.rooms import NOTHING, simulate
 from features.benchmark.start import start_once
 from features.types import Noise
 
-OURS = METHODS[:1]
+DEFAULT = METHODS[:1]
 
 
-def of(level: Level, *, curved: bool = False) -> Row:
-    return next(measure(scans=100, seed=1, levels=[level], ways=OURS, curved=curved))
+def evaluate(level: Level, *, curved: bool = False) -> Row:
+    return next(measure(scans=100, seed=1, levels=[level], methods=DEFAULT, curved=curved))
 
 
 @pytest.mark.parametrize(
@@ -27,9 +27,11 @@ def of(level: Level, *, curved: bool = False) -> Row:
         (Level(0.01, FINE, 0.01), 0.985, 0.993, 0.98),
     ],
 )
-def test_features_do_not_get_worse(level: Level, precision: float, recall: float, corner_recall: float) -> None:
-    """The full run is held to more; a hundred scans scatter by about half a per cent where not all are found."""
-    row = of(level)
+def test_features_are_as_accurate_as_documented(
+    level: Level, precision: float, recall: float, corner_recall: float
+) -> None:
+    """The limits of the full run are tighter; a hundred scans scatter by about half a per cent."""
+    row = evaluate(level)
     assert row.precision >= precision
     assert row.recall >= recall
     assert row.corner_recall >= corner_recall
@@ -37,28 +39,28 @@ def test_features_do_not_get_worse(level: Level, precision: float, recall: float
 
 
 @pytest.mark.parametrize(("sigma", "corners"), [(0.005, 0.06), (0.02, 0.15)])
-def test_curves_are_no_fans_of_corners(sigma: float, corners: float) -> None:
-    """Lines that do not know of curves make one to two corners of each."""
-    row = of(Level(sigma, FINE, 0.0), curved=True)
+def test_curves_have_few_false_corners(sigma: float, corners: float) -> None:
+    """Without the test for curves each one has one to two corners."""
+    row = evaluate(Level(sigma, FINE, 0.0), curved=True)
     assert row.curves > 300
     assert row.curved_corners < corners
     assert row.recall > 0.99
 
 
-def test_the_same_seed_gives_the_same_figures() -> None:
+def test_results_depend_on_the_seed_only() -> None:
     first, second, other = (
-        list(measure(scans=4, seed=seed, levels=[Level(0.01, FINE, 0.01)], ways=METHODS)) for seed in (0, 0, 1)
+        list(measure(scans=4, seed=seed, levels=[Level(0.01, FINE, 0.01)], methods=METHODS)) for seed in (0, 0, 1)
     )
     assert first == second
     assert first != other
-    assert {row.way for row in first} == {
+    assert {row.method for row in first} == {
         *("split/wclm-ml", "split/wclm", "split/arras-siegwart", "split/siadat"),
         *("tracking 20 mm/wclm", "tracking 3 sigma/wclm"),
     }
 
 
 @pytest.mark.parametrize("curved", [False, True])
-def test_rays_end_on_the_surface_they_are_said_to_hit(curved: bool) -> None:
+def test_simulated_rays_end_on_their_surface(curved: bool) -> None:
     for number in range(6):
         scan = simulate(np.random.default_rng(number), Noise(1e-9, 0.0), number=number, curved=curved)
         hit = (scan.surface != NOTHING) & (scan.surface < len(scan.walls))
@@ -70,7 +72,7 @@ def test_rays_end_on_the_surface_they_are_said_to_hit(curved: bool) -> None:
         assert (scan.surface >= len(scan.walls)).any() == curved
 
 
-def test_times_are_told_for_every_way() -> None:
+def test_every_method_is_timed() -> None:
     warm_up()
     rows = timing.run(beams=(180,), scans=3, rounds=2)
     assert {row.name for row in rows} >= {"split/wclm-ml", "split/siadat", "tracking/wclm"}
@@ -81,7 +83,7 @@ def test_times_are_told_for_every_way() -> None:
         assert 0 < row.compiled_us < row.best_us <= row.p99_us
 
 
-def test_everything_works_without_a_compiler_but_slowly() -> None:
+def test_extraction_works_without_the_compiler() -> None:
     plain = start_once("plain", {"NUMBA_DISABLE_JIT": "1"}, 2, 1)
     assert plain.scan_us > 2000
     assert plain.import_s > 0

@@ -1,4 +1,4 @@
-"""Corners in the three parametrisations, and conversions between those."""
+"""Corners in three parametrisations of a line, and conversions between these."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_golden_corner() -> None:
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
-def test_every_parametrisation_gives_the_same_corner(name: str) -> None:
+def test_corners_agree_in_all_parametrisations(name: str) -> None:
     first, second = two_lines(name)
     position, covariance = ESTIMATORS[name].corner(first, second)
     expected_position, expected_covariance = corner.corner(first, second)
@@ -48,7 +48,7 @@ def test_every_parametrisation_gives_the_same_corner(name: str) -> None:
 
 
 @pytest.mark.parametrize("module", [corner, arras_siegwart, siadat])
-def test_corner_covariance_is_that_of_the_numeric_jacobian(module: object) -> None:
+def test_corner_covariance_equals_that_of_numeric_jacobian(module: object) -> None:
     name = {corner: "wclm", arras_siegwart: "arras-siegwart", siadat: "siadat"}[module]
     first, second = two_lines(name)
     size = len(first.parameters)
@@ -67,7 +67,7 @@ def test_corner_covariance_is_that_of_the_numeric_jacobian(module: object) -> No
     np.testing.assert_allclose(module.corner(first, second)[1], covariance_through(jacobian, joint), rtol=1e-6)
 
 
-def test_corner_covariance_is_honest() -> None:
+def test_corner_covariance_is_consistent() -> None:
     rng, trials, total = np.random.default_rng(3), 1500, 0.0
     noise = Noise(0.01, np.radians(0.1))
     walls = [(1.7, 0.7, np.linspace(0.2, 1.3, 60)), (1.2, 2.27, np.linspace(1.6, 2.9, 70))]
@@ -117,7 +117,7 @@ def test_end_point_lies_on_line_and_ray() -> None:
     np.testing.assert_allclose(in_bearing, numeric[:, 0], rtol=1e-6)
 
 
-def test_there_and_back() -> None:
+def test_conversions_are_inverse() -> None:
     polar, _ = conversions.polar_of_uv(UV)
     np.testing.assert_allclose(conversions.uv_of_polar(polar)[0], UV)
     point, _ = conversions.closest_point_of_uv(UV)

@@ -10,7 +10,8 @@ from features.conversions import covariance_through, polar_of_uv
 
 NOISE = Noise(0.05, np.radians(0.1955))
 
-# distance, normal angle, first and last bearing, rays; what two independent implementations give for each
+# Distance, normal angle, first and last bearing, number of rays. The golden values agree with two independent
+# implementations.
 WALLS = {
     "near": (1.7, 0.7, 0.2, 1.3, 12),
     "behind": (1.2, 2.2707963267948967, 1.6, 2.9, 15),
@@ -78,7 +79,7 @@ def full(triangle: list[float]) -> np.ndarray:
 
 
 def derivatives(name: str, ranges: np.ndarray, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Central differences of an estimator's own parameters in every range and bearing, (k, n) each."""
+    """Return central differences of an estimator's own parameters in every range and bearing, (k, n) each."""
     step = 1e-6
 
     def moved(i: int, by_range: float, by_angle: float) -> np.ndarray:
@@ -110,7 +111,7 @@ def test_golden_lines(wall: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["wclm", "arras-siegwart", "siadat"])
-def test_covariance_is_that_of_the_numeric_jacobian(name: str) -> None:
+def test_covariance_equals_that_of_numeric_jacobian(name: str) -> None:
     for ranges, angles in random_walls(20):
         fit = ESTIMATORS[name].fit(ranges, angles, NOISE)
         in_range, in_angle = derivatives(name, ranges, angles)
@@ -119,7 +120,7 @@ def test_covariance_is_that_of_the_numeric_jacobian(name: str) -> None:
 
 
 def paper_jacobian(ranges: np.ndarray, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of (x_Q, y_Q) in ranges and bearings by eqs. (23)-(25), (2, n) each; means are weighted."""
+    """Return the derivatives (2, n) of (x_Q, y_Q) in ranges and in bearings by eqs. (23)-(25); means are weighted."""
     x, y, share = ranges * np.cos(angles), ranges * np.sin(angles), ranges**-2 / np.sum(ranges**-2)
     x1, y1, x2, y2, xy = (np.sum(share * f) for f in (x, y, x * x, y * y, x * y))
     m = x2 * y2 - xy**2
@@ -131,7 +132,7 @@ def paper_jacobian(ranges: np.ndarray, angles: np.ndarray) -> tuple[np.ndarray, 
     return share / (m * ranges) * np.array([-a, b]), -share / m * np.array([c, d])
 
 
-def test_the_papers_derivatives() -> None:
+def test_derivatives_of_the_paper_are_correct() -> None:
     for ranges, angles in random_walls(20):
         in_range, in_angle = paper_jacobian(ranges, angles)
         numeric_range, numeric_angle = derivatives("wclm", ranges, angles)
@@ -140,7 +141,7 @@ def test_the_papers_derivatives() -> None:
         covariance = NOISE.sigma_range**2 * in_range @ in_range.T + NOISE.sigma_bearing**2 * in_angle @ in_angle.T
         fitted = wclm.fit(ranges, angles, NOISE).parameter_covariance
         np.testing.assert_allclose(fitted, covariance, rtol=1e-9)
-        # turning the scan turns B = x_Q - i y_Q; scaling all ranges scales it down
+        # rotating the scan rotates B = x_Q - i y_Q; scaling all ranges scales it inversely
         xq, yq = wclm.fit(ranges, angles, NOISE).parameters
         b = xq - 1j * yq
         complex_range, complex_angle = in_range[0] - 1j * in_range[1], in_angle[0] - 1j * in_angle[1]
@@ -148,7 +149,7 @@ def test_the_papers_derivatives() -> None:
         assert np.sum(ranges * complex_range) == pytest.approx(-b, rel=1e-9)
 
 
-def test_fit_is_the_weighted_normal_equations() -> None:
+def test_fit_solves_the_weighted_normal_equations() -> None:
     for ranges, angles in random_walls(20):
         x, y, w = ranges * np.cos(angles), ranges * np.sin(angles), ranges**-2
         sx, sy, sxx, syy, sxy = (np.sum(w * f) for f in (x, y, x * x, y * y, x * y))
@@ -157,7 +158,7 @@ def test_fit_is_the_weighted_normal_equations() -> None:
         np.testing.assert_allclose(wclm.fit(ranges, angles, NOISE).parameters, expected, rtol=1e-9)
 
 
-def test_double_sums_are_single_sums() -> None:
+def test_single_sums_equal_double_sums() -> None:
     for ranges, angles in random_walls(20):
         single = arras_siegwart.fit(ranges, angles, NOISE)
         double = arras_siegwart.fit(ranges, angles, NOISE, sums="double")
@@ -165,7 +166,7 @@ def test_double_sums_are_single_sums() -> None:
         np.testing.assert_allclose(double.parameter_covariance, single.parameter_covariance, rtol=1e-8)
 
 
-def test_siadat_is_arras_siegwart_for_the_same_weights() -> None:
+def test_siadat_equals_arras_siegwart_for_equal_weights() -> None:
     for ranges, angles in random_walls(20):
         one, other = arras_siegwart.fit(ranges, angles, NOISE), siadat.fit(ranges, angles, NOISE)
         np.testing.assert_allclose(other.uv, one.uv, rtol=1e-9)
@@ -174,7 +175,7 @@ def test_siadat_is_arras_siegwart_for_the_same_weights() -> None:
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
-def test_turning_and_scaling_the_rays(name: str) -> None:
+def test_fits_are_equivariant_to_rotation_and_scale(name: str) -> None:
     for ranges, angles in random_walls(5):
         for turn in (-2.0, 0.4, 3.0):
             fit, turned = (ESTIMATORS[name].fit(ranges, angles + by, NOISE) for by in (0.0, turn))
@@ -188,19 +189,19 @@ def test_turning_and_scaling_the_rays(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
-def test_exact_rays_give_the_exact_line(name: str) -> None:
+def test_exact_rays_determine_the_exact_line(name: str) -> None:
     angles = np.linspace(-0.6, 0.9, 40)
     fit = ESTIMATORS[name].fit(2.5 / np.cos(angles - 0.3), angles, Noise(1e-9, 1e-9))
     np.testing.assert_allclose(fit.uv, np.array([np.cos(0.3), np.sin(0.3)]) / 2.5, rtol=1e-9)
     assert isinstance(fit, LineFit)
 
 
-def test_rays_of_unequal_number_are_refused() -> None:
+def test_unequal_lengths_are_refused() -> None:
     with pytest.raises(ValueError, match="one length"):
         wclm.fit(np.ones(3), np.ones(4), NOISE)
 
 
-# distance m, bearings from the normal in degrees, rays, range noise m: short, far, oblique, grazing, and very near
+# Distance (m), bearings from the normal (degrees), number of rays, range noise (m): short, far, oblique, grazing, near.
 CASES = [
     (4.0, -11, 11, 58, 0.05),
     (1.5, -45, 45, 230, 0.05),
@@ -212,8 +213,8 @@ CASES = [
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_maximum_likelihood_covariance_is_honest(case: tuple[float, float, float, int, float]) -> None:
-    """Mean normalised estimation error squared over 1500 trials; 2 is ideal, and its standard error is 0.05."""
+def test_maximum_likelihood_covariance_is_consistent(case: tuple[float, float, float, int, float]) -> None:
+    """The mean of the squared normalised error over 1500 trials is 2, with a standard error of 0.05."""
     distance, low, high, count, sigma_range = case
     rng, noise = np.random.default_rng(11), Noise(sigma_range, np.radians(0.1955))
     angles = np.radians(np.linspace(low, high, count))
@@ -228,7 +229,7 @@ def test_maximum_likelihood_covariance_is_honest(case: tuple[float, float, float
     assert 1.8 < total / trials < 2.25
 
 
-def test_the_papers_covariance_is_honest_away_from_near_walls() -> None:
+def test_covariance_of_the_paper_is_consistent_for_distant_walls() -> None:
     rng, trials, total = np.random.default_rng(12), 1500, 0.0
     angles, truth = np.radians(np.linspace(-11, 11, 58)), np.array([0.25, 0.0])
     for _ in range(trials):

@@ -1,4 +1,4 @@
-"""What Extractor promises whatever it is given: no failure, no surprise, invariance, noise it learns by itself."""
+"""Extractor: robust to any input, equivariant, deterministic, and adapting the range noise."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def extract(ranges: np.ndarray, angles: np.ndarray, noise: Noise = NOISE, **opti
 
 
 def square_room(angles: np.ndarray, noise: float = 0.01, seed: int = 0) -> np.ndarray:
-    """A room of 6 by 4 metres with its lidar at (0.5, -0.3) from the middle."""
+    """Return ranges in a room of 6 m by 4 m with the lidar at (0.5, -0.3) from its centre."""
     c, s = np.cos(angles), np.sin(angles)
     with np.errstate(divide="ignore"):
         x = np.where(c >= 0, 2.5, -3.5) / c
@@ -29,7 +29,7 @@ def square_room(angles: np.ndarray, noise: float = 0.01, seed: int = 0) -> np.nd
     return np.minimum(x, y) + np.random.default_rng(seed).normal(0, noise, len(angles))
 
 
-def check(features: Features, beams: int) -> None:
+def assert_valid(features: Features, beams: int) -> None:
     lines, corners = features.lines, features.corners
     for values in (lines.uv, lines.covariance, lines.start, lines.end, lines.chi2, corners.position):
         assert np.isfinite(values).all()
@@ -45,9 +45,9 @@ def check(features: Features, beams: int) -> None:
 
 @pytest.mark.parametrize("beams", [0, 1, 2, 3, 4, 5, 6, 12])
 @pytest.mark.parametrize("method", ["split", "tracking"])
-def test_few_beams(beams: int, method: str) -> None:
+def test_few_beams_are_accepted(beams: int, method: str) -> None:
     angles = np.linspace(-0.5, 0.5, beams)
-    check(extract(2.0 / np.cos(angles), angles, method=method), beams)
+    assert_valid(extract(2.0 / np.cos(angles), angles, method=method), beams)
 
 
 anything = st.floats(allow_nan=True, allow_infinity=True, width=64)
@@ -65,16 +65,16 @@ plausible = st.floats(0.1, 20.0)
     st.booleans(),
     st.sampled_from(["split", "tracking"]),
 )
-def test_garbage_never_fails(scan: tuple[np.ndarray, np.ndarray], ordered: bool, method: str) -> None:
+def test_arbitrary_scans_give_valid_features(scan: tuple[np.ndarray, np.ndarray], ordered: bool, method: str) -> None:
     ranges, angles = scan
-    check(extract(ranges, np.sort(angles) if ordered else angles, method=method), len(ranges))
+    assert_valid(extract(ranges, np.sort(angles) if ordered else angles, method=method), len(ranges))
 
 
 @settings(max_examples=60, deadline=None)
 @given(hnp.arrays(np.float64, 180, elements=st.floats(0.125, 20.0, width=16)))
-def test_coarse_garbage_never_fails(ranges: np.ndarray) -> None:
-    """Ranges on few values make rays coincide, walls concentric and sums degenerate."""
-    check(extract(ranges, np.linspace(-np.pi / 2, np.pi / 2, 180)), 180)
+def test_coarsely_quantised_scans_give_valid_features(ranges: np.ndarray) -> None:
+    """With few different ranges rays coincide, walls are concentric and sums degenerate."""
+    assert_valid(extract(ranges, np.linspace(-np.pi / 2, np.pi / 2, 180)), 180)
 
 
 @settings(max_examples=40, deadline=None)
@@ -84,14 +84,14 @@ def test_lost_rays_are_ignored(lost: np.ndarray, value: float) -> None:
     ranges = square_room(angles)
     ranges[lost] = value
     features = extract(ranges, angles)
-    check(features, 360)
+    assert_valid(features, 360)
     distances = 1 / np.hypot(*features.lines.uv.T)
     assert all(np.abs(np.array([2.5, 3.5, 2.3, 1.7]) - d).min() < 0.15 for d in distances)
 
 
 @settings(max_examples=30, deadline=None)
 @given(st.floats(-7, 7))
-def test_turning_the_bearings_turns_the_features(turn: float) -> None:
+def test_rotating_the_bearings_rotates_the_features(turn: float) -> None:
     angles = np.linspace(-2.0, 2.0, 400)
     ranges = square_room(angles)
     plain, turned = extract(ranges, angles), extract(ranges, angles + turn)
@@ -127,7 +127,7 @@ def test_scaling_the_scan_scales_the_features(scale: float) -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 719))
-def test_a_revolution_may_start_anywhere(start: int) -> None:
+def test_features_do_not_depend_on_the_start_of_the_revolution(start: int) -> None:
     angles = np.linspace(-np.pi, np.pi, 720, endpoint=False)
     ranges = square_room(angles)
     plain = extract(ranges, angles)
@@ -140,7 +140,7 @@ def test_a_revolution_may_start_anywhere(start: int) -> None:
     assert ((moved.lines.last[order] + start) % 720 == plain.lines.last).all()
 
 
-def test_more_than_a_revolution_counts_once() -> None:
+def test_beams_beyond_one_revolution_are_ignored() -> None:
     angles = -np.pi + 2 * np.pi / 720 * np.arange(760)
     ranges = square_room(angles, noise=0.0)
     features = extract(ranges, angles)
@@ -148,38 +148,38 @@ def test_more_than_a_revolution_counts_once() -> None:
     assert features.lines.count.sum() == 720 - 4 * 2 * TRIMMED_RAYS
 
 
-def test_beam_count_may_change() -> None:
+def test_number_of_beams_may_change() -> None:
     extractor = Extractor(NOISE, adapt_noise=False)
     for beams in (360, 1100, 180, 920, 360):
         angles = np.linspace(-np.pi, np.pi, beams, endpoint=False)
         assert len(extractor.extract(square_room(angles), angles).lines) == 4
 
 
-def test_any_kind_of_array_will_do() -> None:
+def test_any_kind_of_array_is_accepted() -> None:
     angles = np.linspace(-np.pi, np.pi, 360, endpoint=False)
     ranges = square_room(angles)
     expected = extract(ranges, angles)
-    sealed = ranges.copy()
-    sealed.flags.writeable = False
+    read_only = ranges.copy()
+    read_only.flags.writeable = False
     strided = np.repeat(ranges, 2)[::2]
-    for same in (sealed, strided, ranges.tolist()):
+    for same in (read_only, strided, ranges.tolist()):
         np.testing.assert_array_equal(extract(same, angles).lines.uv, expected.lines.uv)
     assert len(extract(ranges.astype(np.float32), angles).lines) == 4
 
 
-def test_features_outlive_the_next_scan() -> None:
+def test_features_are_not_overwritten_by_the_next_scan() -> None:
     extractor = Extractor(NOISE, adapt_noise=False)
     angles = np.linspace(-np.pi, np.pi, 360, endpoint=False)
     features = extractor.extract(square_room(angles), angles)
-    kept = features.lines.uv.copy(), features.corners.position.copy()
+    before = features.lines.uv.copy(), features.corners.position.copy()
     extractor.extract(3 * square_room(angles, seed=5), angles)
-    np.testing.assert_array_equal(features.lines.uv, kept[0])
-    np.testing.assert_array_equal(features.corners.position, kept[1])
+    np.testing.assert_array_equal(features.lines.uv, before[0])
+    np.testing.assert_array_equal(features.corners.position, before[1])
 
 
 @pytest.mark.parametrize("given_sigma", [0.002, 0.01, 0.05])
 @pytest.mark.parametrize("true_sigma", [0.005, 0.01, 0.03])
-def test_noise_is_learned(simulate: Callable[..., object], given_sigma: float, true_sigma: float) -> None:
+def test_range_noise_is_estimated(simulate: Callable[..., object], given_sigma: float, true_sigma: float) -> None:
     extractor = Extractor(Noise(given_sigma, np.radians(0.05)))
     for seed in range(100):
         scan = simulate(seed, beams=500, sigma_range=true_sigma, sigma_bearing=np.radians(0.05), outliers=0.01)
@@ -188,7 +188,7 @@ def test_noise_is_learned(simulate: Callable[..., object], given_sigma: float, t
     assert extractor.noise.sigma_bearing == np.radians(0.05)
 
 
-def test_quantised_ranges_show_their_quantisation(simulate: Callable[..., object]) -> None:
+def test_quantisation_is_part_of_the_estimated_noise(simulate: Callable[..., object]) -> None:
     extractor = Extractor(Noise(0.02, 0.0005))
     for seed in range(100):
         scan = simulate(seed, beams=500, sigma_range=0.002, sigma_bearing=0.0005)
@@ -196,16 +196,16 @@ def test_quantised_ranges_show_their_quantisation(simulate: Callable[..., object
     assert 0.0025 < extractor.noise.sigma_range < 0.005  # 1 cm / sqrt(12) = 2.9 mm
 
 
-def test_noise_free_ranges_do_not_collapse_the_noise(simulate: Callable[..., object]) -> None:
+def test_estimated_noise_has_a_lower_limit(simulate: Callable[..., object]) -> None:
     extractor = Extractor(NOISE)
     for seed in range(200):
         scan = simulate(seed, beams=500, sigma_range=0.0, sigma_bearing=0.0)
         features = extractor.extract(scan.ranges, scan.angles)
-        check(features, 500)
+        assert_valid(features, 500)
     assert 0.002 <= extractor.noise.sigma_range < 0.004
 
 
-def test_noise_stays_when_told_to() -> None:
+def test_noise_is_constant_without_adaptation() -> None:
     extractor = Extractor(NOISE, adapt_noise=False)
     angles = np.linspace(-1, 1, 200)
     assert extractor.extract(square_room(angles, noise=0.03), angles).noise is NOISE

@@ -1,4 +1,4 @@
-"""Which rays become walls: simulated rooms, openings, spurious returns, grazing walls, the ends of a revolution."""
+"""Segmentation into walls: simulated rooms, openings, spurious returns, grazing walls, the end of a revolution."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -22,8 +22,8 @@ def scan_of(distance: Callable[[np.ndarray], np.ndarray], angles: np.ndarray, no
     return distance(angles) + np.random.default_rng(1).normal(0, noise, len(angles))
 
 
-def extract(ranges: np.ndarray, angles: np.ndarray, noise: Noise = FINE, **settings: object) -> Features:
-    return Extractor(noise, adapt_noise=False, **settings).extract(ranges, angles)
+def extract(ranges: np.ndarray, angles: np.ndarray, noise: Noise = FINE, **options: object) -> Features:
+    return Extractor(noise, adapt_noise=False, **options).extract(ranges, angles)
 
 
 @pytest.mark.parametrize(
@@ -34,7 +34,7 @@ def extract(ranges: np.ndarray, angles: np.ndarray, noise: Noise = FINE, **setti
         (COARSE, 0.0, 0.97, 0.96, 0.92, 0.92),
     ],
 )
-def test_rooms(
+def test_walls_and_corners_of_rooms_are_found(
     score_rooms: Callable[..., object],
     noise: Noise,
     outliers: float,
@@ -56,8 +56,8 @@ def test_rooms(
     assert 1.6 < np.mean(score.corner_nees) < 2.4
 
 
-def test_tracking_needs_little_noise(score_rooms: Callable[..., object]) -> None:
-    """The paper's threshold of 20 mm suits noise well below it, and breaks walls up at 10 mm."""
+def test_tracking_requires_little_noise(score_rooms: Callable[..., object]) -> None:
+    """The paper's threshold of 20 mm suits noise far below it, and splits walls at 10 mm of noise."""
     quiet = score_rooms(
         Extractor(Noise(0.003, np.radians(0.02)), adapt_noise=False, method="tracking"),
         20,
@@ -71,14 +71,14 @@ def test_tracking_needs_little_noise(score_rooms: Callable[..., object]) -> None
     assert loud.recall < 0.9
 
 
-def test_isolated_returns_are_no_walls() -> None:
+def test_isolated_returns_are_not_walls() -> None:
     rng = np.random.default_rng(2)
     angles = np.linspace(-np.pi, np.pi, 720, endpoint=False)
     assert len(extract(rng.uniform(0.5, 8.0, 720), angles).lines) == 0
 
 
-def test_mixed_pixels_are_no_walls() -> None:
-    """A post before a wall, with three returns between the two at either edge."""
+def test_mixed_pixels_are_not_walls() -> None:
+    """A post in front of a wall, with three returns between them at either edge."""
     angles = np.radians(np.arange(-45, 45, 0.33))
     ranges = scan_of(lambda a: 4.0 / np.cos(a), angles)
     post = np.abs(angles) < 0.12
@@ -93,7 +93,7 @@ def test_mixed_pixels_are_no_walls() -> None:
 
 
 @pytest.mark.parametrize("opening", [0.0, 0.15])
-def test_one_wall_over_a_small_gap(opening: float) -> None:
+def test_wall_continues_across_a_small_gap(opening: float) -> None:
     angles = np.radians(np.arange(-60, 60, 1.0))
     ranges = scan_of(lambda a: 3.0 / np.cos(a), angles)
     ranges[np.abs(3.0 * np.tan(angles) - 0.7) < opening / 2] = 6.0
@@ -104,7 +104,7 @@ def test_one_wall_over_a_small_gap(opening: float) -> None:
 
 @pytest.mark.parametrize("behind", [3.4, 6.0, np.nan, np.inf, 100.0])
 @pytest.mark.parametrize("step", [0.33, 1.0])
-def test_two_walls_beside_an_opening(behind: float, step: float) -> None:
+def test_opening_separates_two_walls(behind: float, step: float) -> None:
     angles = np.radians(np.arange(-60, 60, step))
     ranges = scan_of(lambda a: 3.0 / np.cos(a), angles)
     opening = np.abs(3.0 * np.tan(angles) - 0.7) < 0.4
@@ -115,7 +115,7 @@ def test_two_walls_beside_an_opening(behind: float, step: float) -> None:
     assert len(lines) <= 3
 
 
-def test_spurious_returns_do_not_cut_a_wall() -> None:
+def test_spurious_returns_do_not_split_a_wall() -> None:
     angles = np.radians(np.arange(-60, 60, 0.5))
     ranges = scan_of(lambda a: 3.0 / np.cos(a), angles)
     for ray, length in ((30, 1), (77, 2), (120, 1), (170, 3)):
@@ -125,8 +125,8 @@ def test_spurious_returns_do_not_cut_a_wall() -> None:
     assert lines.count[0] == len(angles) - 7 - 2 * TRIMMED_RAYS
 
 
-def test_a_wall_seen_at_grazing_incidence() -> None:
-    """Along a corridor, one degree a beam, neighbouring returns are metres apart on one wall."""
+def test_wall_at_grazing_incidence_is_one_line() -> None:
+    """Along a corridor, with one degree between beams, neighbouring returns on a wall are metres apart."""
     angles = np.radians(np.arange(-90, 91, 1.0))
     with np.errstate(divide="ignore"):
         ranges = np.minimum(1.0 / np.maximum(np.abs(np.sin(angles)), 1e-9), 15.0 / np.cos(angles))
@@ -137,7 +137,7 @@ def test_a_wall_seen_at_grazing_incidence() -> None:
     assert (np.hypot(*(lines.end - lines.start)[sides].T) > 10).all()
 
 
-def test_a_wall_across_the_end_of_a_revolution() -> None:
+def test_wall_across_the_end_of_a_revolution_is_one_line() -> None:
     angles = np.linspace(-np.pi, np.pi, 720, endpoint=False)
     ranges = scan_of(lambda a: 2.0 / np.maximum(np.abs(np.cos(a)), np.abs(np.sin(a))), angles)
     features = extract(ranges, angles)
@@ -152,7 +152,7 @@ def test_a_wall_across_the_end_of_a_revolution() -> None:
     assert [3, 0] in features.corners.lines.tolist()
 
 
-def test_ends_run_counter_clockwise_with_the_lidar_on_the_left(simulate: Callable[..., object]) -> None:
+def test_lines_run_counter_clockwise_around_the_lidar(simulate: Callable[..., object]) -> None:
     scan = simulate(3)
     lines = extract(scan.ranges, scan.angles).lines
     cross = lines.start[:, 0] * lines.end[:, 1] - lines.start[:, 1] * lines.end[:, 0]
@@ -162,7 +162,7 @@ def test_ends_run_counter_clockwise_with_the_lidar_on_the_left(simulate: Callabl
 
 
 @pytest.mark.parametrize("estimator", ["wclm", "arras-siegwart", "siadat"])
-def test_every_estimator_finds_the_same_walls(simulate: Callable[..., object], estimator: str) -> None:
+def test_all_estimators_agree(simulate: Callable[..., object], estimator: str) -> None:
     scan = simulate(4)
     expected, found = (extract(scan.ranges, scan.angles, estimator=e) for e in ("wclm-ml", estimator))
     assert (found.lines.first == expected.lines.first).all()
@@ -172,10 +172,11 @@ def test_every_estimator_finds_the_same_walls(simulate: Callable[..., object], e
     np.testing.assert_allclose(found.lines.covariance, expected.lines.covariance, atol=1.0 * deviation.max() ** 2)
 
 
+@settings(deadline=None)  # the first call compiles
 @given(
     hnp.arrays(np.float64, st.integers(1, 60), elements=st.floats(width=16) | st.sampled_from([1.0, np.inf])), st.data()
 )
-def test_the_best_split_is_the_first_of_the_largest_gains(gains: np.ndarray, data: st.DataObject) -> None:
+def test_argmax_positive_is_the_first_maximum(gains: np.ndarray, data: st.DataObject) -> None:
     low = data.draw(st.integers(0, len(gains) - 1))
     high = data.draw(st.integers(low, len(gains) - 1))
     positive = np.where(gains[low : high + 1] > 0.0, gains[low : high + 1], 0.0)
@@ -183,7 +184,7 @@ def test_the_best_split_is_the_first_of_the_largest_gains(gains: np.ndarray, dat
     assert argmax_positive(np.array([1.0, -np.nan, np.nan, 2.0, 2.0]), 0, 4) == 3
 
 
-def test_minimum_length_and_count(simulate: Callable[..., object]) -> None:
+def test_minimum_length_and_count_are_respected(simulate: Callable[..., object]) -> None:
     scan = simulate(6)
     lines = extract(scan.ranges, scan.angles, minimum_length=1.0, minimum_count=40).lines
     assert 0 < len(lines) < len(extract(scan.ranges, scan.angles).lines)
@@ -191,7 +192,7 @@ def test_minimum_length_and_count(simulate: Callable[..., object]) -> None:
     assert (lines.count >= 40).all()
 
 
-def test_tracking_across_the_end_of_a_revolution() -> None:
+def test_tracking_continues_across_the_end_of_a_revolution() -> None:
     angles = np.linspace(-np.pi, np.pi, 720, endpoint=False)
     ranges = scan_of(lambda a: 2.0 / np.maximum(np.abs(np.cos(a)), np.abs(np.sin(a))), angles, noise=0.001)
     lines = extract(ranges, angles, Noise(0.001, 0.0005), method="tracking").lines
@@ -201,8 +202,8 @@ def test_tracking_across_the_end_of_a_revolution() -> None:
 
 @pytest.mark.parametrize("sigma", [0.002, 0.01, 0.02])
 @pytest.mark.parametrize("radius", [0.3, 0.6, 1.5])
-def test_a_round_column_has_no_corners(radius: float, sigma: float) -> None:
-    """A column one metre before a wall: the wall is straight, the column is not, and where it ends nothing meets."""
+def test_round_column_has_no_corners(radius: float, sigma: float) -> None:
+    """A column one metre in front of a wall: only the column is curved, and it does not touch the wall."""
     noise = Noise(sigma, np.radians(0.05))
     angles = np.linspace(-1.3, 1.3, 600)
     beside = (2.0 + radius) * np.sin(angles)
@@ -215,21 +216,20 @@ def test_a_round_column_has_no_corners(radius: float, sigma: float) -> None:
         features = extract(np.fmin(column, wall) + shift, angles, noise)
         corners += len(features.corners)
         assert not features.lines.curved[np.abs(features.lines.uv[:, 0] * (3.0 + 2.0 * radius) - 1.0) < 0.05].any()
-    assert corners <= 1  # two to four in each scan, were they taken for such
+    assert corners <= 1  # two to four in each scan without the test for curves
 
 
-def test_lines_on_an_arc_say_so() -> None:
-    """From within a round room nothing is straight."""
+def test_lines_on_an_arc_are_marked_as_curved() -> None:
+    """In a round room all lines are chords."""
     angles = np.linspace(-np.pi, np.pi, 900, endpoint=False)
     features = extract(scan_of(lambda a: np.full_like(a, 3.0), angles), angles)
     assert len(features.corners) == 0
     assert len(features.lines) >= 6
-    assert (
-        features.lines.curved.mean() > 0.4
-    )  # neighbours at 11 degrees or less look like no corner, nor are they asked
+    # neighbours at 11 degrees or less are not tested, as they cannot form a corner
+    assert features.lines.curved.mean() > 0.4
 
 
-def test_corners_of_boxes_are_no_curves(simulate: Callable[..., object]) -> None:
+def test_lines_of_boxes_are_not_marked_as_curved(simulate: Callable[..., object]) -> None:
     extractor = Extractor(FINE, adapt_noise=False)
     curved = [extractor.extract(scan.ranges, scan.angles).lines.curved for scan in map(simulate, range(20))]
     assert np.concatenate(curved).mean() < 0.01

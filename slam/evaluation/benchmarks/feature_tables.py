@@ -25,7 +25,7 @@ def accuracy_table(rows: Sequence[Row]) -> Iterator[str]:
         for row in same:
             error = f"{1000 * row.corner_error:.1f} ({1000 * row.corner_rms:.1f})"
             yield (
-                f"{row.way:<28} {row.precision:9.4f} {row.recall:7.4f} {row.corner_recall:14.4f} "
+                f"{row.method:<28} {row.precision:9.4f} {row.recall:7.4f} {row.corner_recall:14.4f} "
                 f"{row.false_corners:14.4f}  {error:>14}  {_pair(row.corner_nees, row.corner_nees_median):>14}  "
                 f"{_pair(row.line_nees, row.line_nees_median):>14}"
             )
@@ -40,7 +40,8 @@ def curved_table(rows: Sequence[Row]) -> Iterator[str]:
         yield f"{level:<28} curves  lines each  corners each  walls found"
         for row in same:
             yield (
-                f"{row.way:<28} {row.curves:6d} {row.curved_lines:11.2f} {row.curved_corners:13.3f} {row.recall:12.4f}"
+                f"{row.method:<28} {row.curves:6d} {row.curved_lines:11.2f} "
+                f"{row.curved_corners:13.3f} {row.recall:12.4f}"
             )
 
 

@@ -44,7 +44,7 @@ def bench_features(
         warm_up()
     scans = QUICK_SCANS if quick else SCANS
     straight = list(measure(scans=scans, seed=seed))
-    curved = list(measure(scans=scans, seed=seed, levels=CURVED_LEVELS, ways=METHODS[:1], curved=True))
+    curved = list(measure(scans=scans, seed=seed, levels=CURVED_LEVELS, methods=METHODS[:1], curved=True))
     times = run(scans=10, rounds=5) if quick else run()
     ratio = relative(rounds=20 if quick else 100)
     starts = [] if quick else measure_starts()
