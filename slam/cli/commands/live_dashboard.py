@@ -5,9 +5,23 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, assert_never
 
-from ...events import Event, KeyframeAdded, LoopDecided, Notice, ScanTracked, StateChanged
+from ...events import (
+    Event,
+    Finished,
+    GraphInspected,
+    GroundTruthReceived,
+    KeyframeAdded,
+    LoopDecided,
+    MapUpdated,
+    Notice,
+    Relocalised,
+    ScanTracked,
+    StateChanged,
+    WallsMerged,
+    WallsRemoved,
+)
 from ...loop_closure.loop_status import LoopStatus
 from ..console import print_message
 from ..device_monitor import Rates, format_faults
@@ -48,6 +62,13 @@ class LiveDashboard:
                     print_message(f"loop closure {event.status}: keyframe {event.index} to keyframe {event.old}")
             case Notice():
                 self._notice = event.text
+            case Relocalised():
+                x, y, heading = event.pose
+                print_message(f"relocalised at {x:.2f} m, {y:.2f} m, {math.degrees(heading):.0f}°")
+            case MapUpdated() | GraphInspected() | WallsMerged() | WallsRemoved() | GroundTruthReceived() | Finished():
+                pass
+            case _:
+                assert_never(event)
 
     def render(self, snapshot: Snapshot, rates: Rates) -> RenderableType:
         """Return the state of the run above that of the devices."""
