@@ -17,7 +17,7 @@ def test_the_command_prints_and_writes_all_figures(wclm: Any, tmp_path: Path) ->
     content = json.loads(file.read_text(encoding="utf-8"))
     assert content["seed"] == 3
     assert content["machine"]["cores"] >= 1
-    assert {row["way"] for row in content["rooms"]} >= {"split/wclm-ml", "split/siadat", "tracking 20 mm/wclm"}
+    assert {row["method"] for row in content["rooms"]} >= {"split/wclm-ml", "split/siadat", "tracking 20 mm/wclm"}
     assert all(row["curves"] > 0 for row in content["curved rooms"])
     assert (folder / "tables.txt").read_text(encoding="utf-8").startswith("processor")
     assert (folder / "features.png").read_bytes().startswith(b"\x89PNG")
