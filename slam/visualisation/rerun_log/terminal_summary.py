@@ -137,4 +137,4 @@ def _residuals(data: SessionData) -> Iterator[str]:
     yield "residuals   worst factors at keyframe " + str(worst.keyframe)
     columns = (worst.values[name] for name in ("factor", "kind", "squared", "dof"))
     for factor, kind, squared, dof in zip(*columns, strict=True):
-        yield f"  {factor:<16}{kind:<11}d² = {squared:.1f}, {dof} dof"
+        yield f"  {factor:<16}{kind:<15}d² = {squared:.1f}, {dof} dof"
