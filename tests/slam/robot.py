@@ -51,7 +51,7 @@ class Robot:
     def stop(self) -> dict[str, Any]:
         """End the emulator if it still runs; return its report."""
         self._process.terminate()
-        self._process.wait(20.0)
+        self._process.wait(60.0)
         report: dict[str, Any] = json.loads(self._report.read_text())
         return report
 

@@ -15,7 +15,7 @@ import pytest
 
 
 def test_emulate_runs_for_a_duration(wclm: Any, tmp_path: Path) -> None:
-    ports = ("--ports", "ports", "--duration", "0.3", "--lidar", "ld06", "--base", "kobuki")
+    ports = ("--ports", "ports", "--duration", "1", "--lidar", "ld06", "--base", "kobuki")
     priority = os.sched_getscheduler(0), os.sched_getparam(0)
     result = wclm(
         "emulate", "room", *ports, "--truth", "truth.tum", "--report", "report.json", "--stall", "base@0.1:0.1"
@@ -24,10 +24,12 @@ def test_emulate_runs_for_a_duration(wclm: Any, tmp_path: Path) -> None:
     assert (os.sched_getscheduler(0), os.sched_getparam(0)) == priority
     assert result.stdout.splitlines()[:2] == ["ports/lidar: ld06, 230400 baud", "ports/base: kobuki, 115200 baud"]
     assert not list((tmp_path / "ports").iterdir())
-    assert len((tmp_path / "truth.tum").read_text().splitlines()) == pytest.approx(15, abs=2)
     report = json.loads((tmp_path / "report.json").read_text())
+    seconds = report["seconds"]  # less than the duration if the last step came early, as on a busy computer
+    assert seconds > 0.2
+    assert len((tmp_path / "truth.tum").read_text().splitlines()) == pytest.approx(50 * seconds, abs=2)
     assert report["base"]["stalls"] == 1
-    assert report["base"]["readings"] >= 13
+    assert report["base"]["readings"] >= 50 * seconds - 2
 
 
 def test_invalid_robots_are_refused(wclm: Any) -> None:
@@ -63,7 +65,7 @@ def test_emulate_cleans_up_on_signals(tmp_path: Path, how: signal.Signals, statu
         time.sleep(0.05)
     time.sleep(0.3)
     running.send_signal(how)
-    _, errors = running.communicate(timeout=20.0)
+    _, errors = running.communicate(timeout=60.0)
     assert (running.returncode, errors.strip()) == (status, "")
     assert not list((tmp_path / "ports").iterdir())
     assert json.loads((tmp_path / "report.json").read_text())["lidar"]["restarts"] == 0

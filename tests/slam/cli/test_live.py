@@ -78,7 +78,7 @@ def live_session(tmp_path_factory: pytest.TempPathFactory) -> LiveSession:
     return LiveSession(run, robot.truth, folder / "drive.mcap", views, foreign_address_answers, ended, report)
 
 
-def keyframes_sent(url: str, file: Path, more_than: int, timeout: float = 60.0) -> set[int]:
+def keyframes_sent(url: str, file: Path, more_than: int, timeout: float = 120.0) -> set[int]:
     """Return the keyframes that a viewer receives; repeat until there are `more_than` or the timeout is over."""
     end = time.monotonic() + timeout
     found = watch(url, file)
@@ -95,10 +95,10 @@ def watch(url: str, file: Path, watching: float = 1.5) -> set[int]:
     program = Path(rerun_cli.__file__).with_name("rerun")
     command = [program, "--bind", "127.0.0.1", "--port", own_port, url, "--save", file]
     viewer = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    wait_for(file.exists, viewer, 20.0)
+    wait_for(file.exists, viewer, 60.0)
     time.sleep(watching)
     viewer.send_signal(signal.SIGTERM)
-    viewer.wait(20.0)
+    viewer.wait(60.0)
     return keyframes_in(file)
 
 
