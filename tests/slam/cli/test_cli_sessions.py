@@ -58,7 +58,7 @@ def test_continue_extends_the_map(wclm: Any, folder: Path, session: Path) -> Non
     path = read_tum(Path("both", TRAJECTORY))
     assert len(path) > len(read_tum(session / TRAJECTORY))
     assert path.stamps[-1] > first["last"]
-    assert len(read_map(Path("both", MAP)).lines) > len(read_map(session / MAP).lines)
+    assert len(read_map(Path("both", MAP)).walls) > len(read_map(session / MAP).walls)
     chained = [message.stamp for message in open_recording(read_run_results(Path("both")))]
     assert chained == sorted(chained)
     assert wclm("map", "both", "--format", "ply").exit_code == 0
@@ -72,7 +72,7 @@ def test_localize_leaves_the_map_unchanged(wclm: Any, folder: Path, session: Pat
     result = wclm("run", folder / "second.mcap", "--localize", session, "--out", "there", "--no-review")
     assert result.exit_code == 0, result.output
     assert SESSION not in {file.name for file in Path("there").iterdir()}
-    before, after = read_map(session / MAP).lines, read_map(Path("there", MAP)).lines
+    before, after = read_map(session / MAP).walls, read_map(Path("there", MAP)).walls
     np.testing.assert_array_equal(after.identity, before.identity)
     np.testing.assert_allclose(after.frame, before.frame, atol=1e-5)
     assert wclm("map", "there", "--format", "ply").exit_code == 0
@@ -128,7 +128,7 @@ def test_exported_graph_has_the_optimum_of_the_session(wclm: Any, session: Path,
     stored = read_session(session).slam_state.mapper
     stored.converge()  # joins merged walls
     assert graph.edge_count == stored.graph.factor_count - 1  # the prior of the first keyframe, which is fixed instead
-    assert set(1_000_000 + map_.lines.identity) <= set(graph.pose_ids)
+    assert set(1_000_000 + map_.walls.identity) <= set(graph.pose_ids)
     assert set(2_000_000 + map_.corners.identity) == set(graph.landmark_ids)
     solved = optimise(graph)
     assert solved.chi2 > 0.98 * solved.chi2_before
