@@ -24,10 +24,10 @@ x, y, heading = result.poses[-1]
 print(f"{recording}: {len(result.stamps)} poses, the last at {x:.2f} m, {y:.2f} m, {np.degrees(heading):.1f} degrees")
 
 # A wall is a frame with x along the wall, observed from `low` to `high`; its covariance is of (offset across, heading).
-lengths = result.lines.high - result.lines.low
+lengths = result.walls.high - result.walls.low
 for k in np.argsort(-lengths)[:5]:
-    across, turn = np.sqrt(np.diag(result.lines.covariance[k]))
+    across, turn = np.sqrt(np.diag(result.walls.covariance[k]))
     print(
-        f"wall {result.lines.identity[k]}: {lengths[k]:.2f} m, standard deviations {1000 * across:.1f} mm across and "
-        f"{np.degrees(turn):.2f} degrees, seen from {result.lines.observations[k]} keyframes"
+        f"wall {result.walls.identity[k]}: {lengths[k]:.2f} m, standard deviations {1000 * across:.1f} mm across and "
+        f"{np.degrees(turn):.2f} degrees, seen from {result.walls.observations[k]} keyframes"
     )

@@ -46,4 +46,4 @@ for step in range(100):
         print(f"{time:4.1f} s: at {x:.3f} m, {y:.3f} m, {np.degrees(heading):6.1f} degrees; {len(slam.walls)} walls")
 
 result = slam.finish()
-print(f"the room has {len(result.lines)} walls and {len(result.corners)} corners")
+print(f"the room has {len(result.walls)} walls and {len(result.corners)} corners")

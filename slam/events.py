@@ -62,14 +62,14 @@ class MapCorners:
     identity      (m,) landmark ids
     position      (m, 2) in the map, metres
     covariance    (m, 2, 2); NaN if it was not requested
-    lines         (m, 2) landmark ids of the two walls, -1 if unknown
+    walls         (m, 2) landmark ids of the two walls, -1 if unknown
     observations  (m,) number of keyframes
     """
 
     identity: Integers
     position: Floats
     covariance: Floats
-    lines: Integers
+    walls: Integers
     observations: Integers
 
     def __len__(self) -> int:
@@ -103,11 +103,11 @@ class KeyframeAdded:
     odometry         (3,) odometry pose
     points           (p, 2) valid returns in the base's frame, metres
     segments         n segments, `corners` m corners in the base's frame
-    line_match       (n,) id of the wall that each segment was associated with, -1 if it is ambiguous
-    line_gate        (n,) squared Mahalanobis distance of the nearest wall, matched or not; NaN if there was none
-    line_nearest     (n,) id of that wall, -1 if there was none
+    wall_match       (n,) id of the wall that each segment was associated with, -1 if it is ambiguous
+    wall_gate        (n,) squared Mahalanobis distance of the nearest wall, matched or not; NaN if there was none
+    wall_nearest     (n,) id of that wall, -1 if there was none
     corner_match     (m,) the same for corners, likewise `corner_gate` and `corner_nearest`
-    new_lines        ids of the walls first seen here
+    new_walls        ids of the walls first seen here
     sigma_range      estimated standard deviation of a range, metres
     timings          milliseconds by stage
     counts           sizes of graph and map
@@ -121,13 +121,13 @@ class KeyframeAdded:
     points: Floats
     segments: Segments
     corners: CornerPoints
-    line_match: Integers
-    line_gate: Floats
-    line_nearest: Integers
+    wall_match: Integers
+    wall_gate: Floats
+    wall_nearest: Integers
     corner_match: Integers
     corner_gate: Floats
     corner_nearest: Integers
-    new_lines: Integers
+    new_walls: Integers
     sigma_range: float
     timings: dict[str, float]
     counts: dict[str, int]
@@ -138,7 +138,7 @@ class MapUpdated:
     """The whole map after keyframe `index`; published every few keyframes and after a loop closure.
 
     keyframes  (k, 3) poses
-    lines      walls, `corners` corners, with covariances as they were when each was last seen
+    walls      walls, `corners` corners, with covariances as they were when each was last seen
     chi2       robust cost of the graph
     shift      largest distance a keyframe has moved since the last MapUpdated, metres
     """
@@ -146,7 +146,7 @@ class MapUpdated:
     index: int
     stamp: float
     keyframes: Floats
-    lines: MapWalls
+    walls: MapWalls
     corners: MapCorners
     chi2: float
     shift: float
@@ -169,7 +169,7 @@ class WallsRemoved:
 
     index: int
     stamp: float
-    lines: tuple[int, ...]
+    walls: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,7 +217,7 @@ class Correction:
 
     keyframes_before  (k, 3) poses before
     keyframes         (k, 3) poses after
-    lines_before      walls before
+    walls_before      walls before
     chi2_before       robust cost of the graph before
     chi2_strained     robust cost with the factors of the closure before anything moved; NaN for a retraction
     chi2              robust cost after
@@ -225,7 +225,7 @@ class Correction:
 
     keyframes_before: Floats
     keyframes: Floats
-    lines_before: MapWalls
+    walls_before: MapWalls
     chi2_before: float
     chi2_strained: float
     chi2: float
@@ -316,7 +316,7 @@ class Relocalised:
 class Finished:
     """The run is over: final map and trajectory.
 
-    lines, corners       walls and corners with marginal covariances
+    walls, corners       walls and corners with marginal covariances
     keyframe_stamps      (k,) seconds
     keyframes            (k, 3) poses
     stamps               (m,) seconds of all odometry readings
@@ -325,7 +325,7 @@ class Finished:
     keyframe_covariance  (k, 3, 3) in each keyframe's own frame; None if they were not requested
     """
 
-    lines: MapWalls
+    walls: MapWalls
     corners: MapCorners
     keyframe_stamps: Floats
     keyframes: Floats

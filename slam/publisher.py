@@ -118,13 +118,13 @@ class Publisher:
                     points=scan.features.points.all,
                     segments=scan.features.segments,
                     corners=scan.features.corners,
-                    line_match=landmark_ids.walls,
-                    line_gate=np.full(len(landmark_ids.walls), np.nan),
-                    line_nearest=np.full_like(landmark_ids.walls, -1),
+                    wall_match=landmark_ids.walls,
+                    wall_gate=np.full(len(landmark_ids.walls), np.nan),
+                    wall_nearest=np.full_like(landmark_ids.walls, -1),
                     corner_match=landmark_ids.corners,
                     corner_gate=np.full(len(landmark_ids.corners), np.nan),
                     corner_nearest=np.full_like(landmark_ids.corners, -1),
-                    new_lines=np.zeros(0, dtype=np.int64),
+                    new_walls=np.zeros(0, dtype=np.int64),
                     sigma_range=sigma_range,
                     timings={},
                     counts=_sizes(mapper),
@@ -140,14 +140,14 @@ class Publisher:
         moved = keyframes[:common, :2] - self._published_keyframes[:common, :2]
         self._published_keyframes = keyframes
         self._publish_removed(len(keyframes) - 1 if index is None else index, stamp, mapper)
-        lines, corners = map_features(mapper, covariances=False)
-        of_lines, of_corners = covariances_when_last_seen(mapper, lines, corners)
+        walls, corners = map_features(mapper, covariances=False)
+        of_walls, of_corners = covariances_when_last_seen(mapper, walls, corners)
         self.publish(
             MapUpdated(
                 index=len(keyframes) - 1 if index is None else index,
                 stamp=stamp,
                 keyframes=keyframes,
-                lines=replace(lines, covariance=of_lines),
+                walls=replace(walls, covariance=of_walls),
                 corners=replace(corners, covariance=of_corners),
                 chi2=mapper.graph.chi2(),
                 shift=float(np.max(np.hypot(moved[:, 0], moved[:, 1]), initial=0.0)),
@@ -188,13 +188,13 @@ def _keyframe_event(
         points=scan.features.points.all,
         segments=view.segments,
         corners=view.corners,
-        line_match=view.association.walls,
-        line_gate=view.association.wall_distance,
-        line_nearest=view.association.nearest_wall,
+        wall_match=view.association.walls,
+        wall_gate=view.association.wall_distance,
+        wall_nearest=view.association.nearest_wall,
         corner_match=view.association.corners,
         corner_gate=view.association.corner_distance,
         corner_nearest=view.association.nearest_corner,
-        new_lines=view.new_walls,
+        new_walls=view.new_walls,
         sigma_range=sigma_range,
         timings=timings,
         counts=_sizes(mapper),
@@ -239,7 +239,7 @@ def _correction(decision: LoopDecision, mapper: Mapper, superseded: Mapper) -> C
     return Correction(
         keyframes_before=superseded.graph.keyframe_poses(count),
         keyframes=mapper.graph.keyframe_poses(count),
-        lines_before=map_features(superseded, covariances=False)[0],
+        walls_before=map_features(superseded, covariances=False)[0],
         chi2_before=superseded.graph.chi2(),
         chi2_strained=mapper.graph.chi2_at(superseded.graph) if closed else math.nan,
         chi2=mapper.graph.chi2(),

@@ -52,7 +52,7 @@ def summarise_run(
         "odometry": len(statistics.odometry),
         "duration": statistics.duration,
         "keyframes": len(finished.keyframes),
-        "walls": len(finished.lines),
+        "walls": len(finished.walls),
         "corners": len(finished.corners),
         "path_length": float(Trajectory(finished.stamps, finished.poses).travelled[-1]),
         "slam_seconds": slam_seconds,

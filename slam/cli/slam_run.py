@@ -23,6 +23,7 @@ from ..events import Event, Finished, Notice, Sink
 from ..io.host import versions
 from ..io.output_dir import CONFIG, PICTURE, REPORT, REVIEW, OutputDirectory, unfinished_file, write_results
 from ..io.tum import Trajectory
+from .compilation import compile_all
 from .console import print_if_slow
 from .run_input import InputStatistics, RunInput
 from .run_summary import RunResult, summarise_run
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     from ..visualisation.rerun_log import ReviewLog, ViewerServer
 
 READING_SESSION = "reading the session"
-COMPILING = "compiling, once after an installation or update; takes about half a minute"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,10 +112,8 @@ def run_slam(
     with OutputDirectory(out, overwrite) as directory, ExitStack() as log:
         from ..io.sessions import write_session
         from ..pipeline import Slam
-        from ..warmup import warm_up
 
-        with print_if_slow(COMPILING):
-            warm_up()
+        compile_all()
         gc.freeze()  # otherwise a full collection over all imported modules delays a scan by 0.1 s
         notices, statistics = NoticeCollector(), InputStatistics()
         sinks: list[Sink] = [notices, *run_input.sinks]
@@ -221,4 +219,4 @@ def _draw(
         start = min(int(np.searchsorted(finished.stamps, statistics.first)), len(finished.poses) - 1)
         odometry = se2.compose(finished.poses[start], se2.between(poses[0], poses))
     truth = None if score is None else se2.compose(se2.inverse(score.alignment), score.reference)
-    plot_map(path, finished.lines, finished.corners, finished.poses, title=title, odometry=odometry, truth=truth)
+    plot_map(path, finished.walls, finished.corners, finished.poses, title=title, odometry=odometry, truth=truth)

@@ -24,10 +24,10 @@ MAX_INTERSECTION_DISTANCE = 0.1
 def final_result(state: SlamState, trajectory: tuple[Floats, Floats], summary: dict[str, object]) -> Finished:
     """Return the result of a settled estimate with all covariances; `trajectory` is stamps (m,) and poses (m, 3)."""
     mapper = state.mapper
-    lines, corners = map_features(mapper, covariances=True)
+    walls, corners = map_features(mapper, covariances=True)
     covariances = [mapper.keyframe_covariance(index) for index in range(mapper.keyframe_count)]
     return Finished(
-        lines=lines,
+        walls=walls,
         corners=corners,
         keyframe_stamps=np.array(state.keyframe_stamps),
         keyframes=mapper.keyframe_poses,
@@ -44,10 +44,10 @@ def map_features(mapper: Mapper, *, covariances: bool) -> tuple[MapWalls, MapCor
     Marginal covariances cost about a millisecond per landmark; without them covariances are NaN.
     """
     shown = suppress_overlapping_walls(mapper.landmarks)
-    return _lines(mapper, shown, covariances=covariances), _corners(mapper, shown, covariances=covariances)
+    return _walls(mapper, shown, covariances=covariances), _corners(mapper, shown, covariances=covariances)
 
 
-def _lines(mapper: Mapper, landmarks: Landmarks, *, covariances: bool) -> MapWalls:
+def _walls(mapper: Mapper, landmarks: Landmarks, *, covariances: bool) -> MapWalls:
     rows = landmarks.walls.rows
     chosen = np.flatnonzero(rows["in_graph"] & landmarks.active())
     covariance = np.full((len(chosen), 2, 2), np.nan)
@@ -79,14 +79,14 @@ def _corners(mapper: Mapper, landmarks: Landmarks, *, covariances: bool) -> MapC
     rows, walls = landmarks.corners.rows, landmarks.walls.rows
     chosen = np.flatnonzero(rows["in_graph"])
     chosen = chosen[landmarks.active_corners(chosen)]
-    lines = np.full((len(chosen), 2), -1)
+    wall_ids = np.full((len(chosen), 2), -1)
     position = rows["position"][chosen].copy()
     covariance = np.full((len(chosen), 2, 2), np.nan)
     intersecting, jacobians = [], []  # rows of corners at an intersection
     for row, corner in enumerate(chosen):
         named = rows["walls"][corner]
-        lines[row] = np.where(named >= 0, walls["merged_into"][named], -1)
-        first, second = (int(wall) for wall in lines[row])
+        wall_ids[row] = np.where(named >= 0, walls["merged_into"][named], -1)
+        first, second = (int(wall) for wall in wall_ids[row])
         intersection = None
         turn = walls["frame"][second, 2] - walls["frame"][first, 2]
         if min(first, second) >= 0 and abs(np.sin(turn)) > MIN_SINE and walls["in_graph"][[first, second]].all():
@@ -100,7 +100,7 @@ def _corners(mapper: Mapper, landmarks: Landmarks, *, covariances: bool) -> MapC
     if covariances and intersecting:
         moved = np.array(jacobians)
         covariance[intersecting] = (
-            moved @ mapper.graph.wall_pair_covariances(lines[intersecting]) @ moved.transpose(0, 2, 1)
+            moved @ mapper.graph.wall_pair_covariances(wall_ids[intersecting]) @ moved.transpose(0, 2, 1)
         )
     if covariances:  # the keyframe that first saw a corner is not stored, the last one is
         covariance += mapper.correlated_drift[rows["last_seen"][chosen]]
@@ -108,7 +108,7 @@ def _corners(mapper: Mapper, landmarks: Landmarks, *, covariances: bool) -> MapC
         identity=chosen,
         position=position,
         covariance=covariance,
-        lines=lines,
+        walls=wall_ids,
         observations=rows["observations"][chosen],
     )
 
@@ -129,13 +129,13 @@ def _intersection(first: se2.Pose, second: se2.Pose) -> tuple[Floats, Floats]:
     return point, jacobian
 
 
-def covariances_when_last_seen(mapper: Mapper, lines: MapWalls, corners: MapCorners) -> tuple[Floats, Floats]:
+def covariances_when_last_seen(mapper: Mapper, walls: MapWalls, corners: MapCorners) -> tuple[Floats, Floats]:
     """Return the covariances (n, 2, 2) of walls and (m, 2, 2) of corners from when each was last seen.
 
     These are stored and cost nothing; NaN if there is none.
     """
-    of_lines = mapper.landmarks.walls.rows["covariance_in_map"][lines.identity].copy()
+    of_walls = mapper.landmarks.walls.rows["covariance_in_map"][walls.identity].copy()
     of_corners = mapper.landmarks.corners.rows["covariance_in_map"][corners.identity].copy()
-    for covariance in (of_lines, of_corners):
+    for covariance in (of_walls, of_corners):
         covariance[covariance[:, 0, 0] == 0.0] = np.nan
-    return of_lines, of_corners
+    return of_walls, of_corners

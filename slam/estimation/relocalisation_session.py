@@ -124,7 +124,7 @@ class RelocalisationSession:
         """Return True if the place is accepted at once, or was the best one in several attempts in a row."""
         differences = [se2.between(before, found.motion) for before in self._agreeing]
         agrees = all(np.hypot(x, y) < AGREEMENT_DISTANCE and abs(turn) < AGREEMENT_TURN for x, y, turn in differences)
-        self._agreeing = [*(self._agreeing if agrees else []), found.motion] if found.verdict.likely else []
+        self._agreeing = [*(self._agreeing if agrees else []), found.motion] if found.verdict.plausible else []
         return found.verdict.accepted or len(self._agreeing) >= CONFIRMING_ATTEMPTS
 
     def _continue_at(self, motion: se2.Pose) -> Estimator | None:

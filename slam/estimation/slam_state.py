@@ -21,7 +21,7 @@ from ..loop_closure.loop_search import LoopSearch, LoopSearchState
 from ..mapping.local_map import empty_local_map
 from ..mapping.mapper import LOCAL_MAP_MARGIN, Mapper
 from ..mapping.trajectory_builder import TrajectoryBuilder
-from ..matching.likelihood_field import RECENT_KEYFRAMES, RecentPoints
+from ..matching.likelihood_field import FIELD_KEYFRAMES, RecentPoints
 from ..odometry.error_model import OdometryModel
 from ..preprocessing.preprocessor import ProcessedScan
 
@@ -237,8 +237,8 @@ class SlamState:
         count = self.mapper.keyframe_count
         near = np.arange(count)
         if self.in_familiar_place:
-            near = np.sort(self.mapper.keyframes_near(self.pose, np.inf, np.inf)[:RECENT_KEYFRAMES])
-        for keyframe in near[-RECENT_KEYFRAMES:].tolist():
+            near = np.sort(self.mapper.keyframes_near(self.pose, np.inf, np.inf)[:FIELD_KEYFRAMES])
+        for keyframe in near[-FIELD_KEYFRAMES:].tolist():
             self.recent_points.add(keyframe, scans[keyframe].features.points)
         self.update_likelihood_field()
         reach = scans[count - 1].features.segments.reach()

@@ -64,8 +64,8 @@ def compare(finished: Finished, covariances: Floats, world: World, truth: Trajec
     walls = true_walls(world, true_poses[0])
     return Nees(
         poses=pose_nees(finished.keyframes[1:], covariances[1:], in_map[1:]),
-        walls=wall_nees(finished.lines, walls),
-        corners=corner_nees(finished.corners, finished.lines, walls),
+        walls=wall_nees(finished.walls, walls),
+        corners=corner_nees(finished.corners, finished.walls, walls),
     )
 
 
@@ -127,7 +127,7 @@ def corner_nees(corners: MapCorners, lines: MapWalls, walls: TrueWalls) -> Float
     """
     match = np.append(match_walls(lines, walls), -1)
     row_of = {int(identity): row for row, identity in enumerate(lines.identity)}
-    rows = np.array([[row_of.get(int(wall), -1) for wall in pair] for pair in corners.lines]).reshape(-1, 2)
+    rows = np.array([[row_of.get(int(wall), -1) for wall in pair] for pair in corners.walls]).reshape(-1, 2)
     first, second = match[rows].T
     known = np.flatnonzero((first >= 0) & (second >= 0))
     result = np.full(len(corners), np.nan)

@@ -80,7 +80,7 @@ class _Map(_Record):
 class MapFile:
     """Contents of a map file."""
 
-    lines: MapWalls
+    walls: MapWalls
     corners: MapCorners
 
 
@@ -107,7 +107,7 @@ def write_map(path: Path, lines: MapWalls, corners: MapCorners) -> None:
                 _Corner(
                     identity=int(corners.identity[k]),
                     position=_rounded(corners.position[k]),
-                    lines=(int(corners.lines[k, 0]), int(corners.lines[k, 1])),
+                    lines=(int(corners.walls[k, 0]), int(corners.walls[k, 1])),
                     observations=int(corners.observations[k]),
                     covariance=_matrix(corners.covariance[k]),
                 )
@@ -156,7 +156,7 @@ def _corners(records: Sequence[_Corner]) -> MapCorners:
         identity=_integers([r.identity for r in records]),
         position=np.array([r.position for r in records], float).reshape(-1, 2),
         covariance=_covariances([r.covariance for r in records]),
-        lines=_integers([r.lines for r in records]).reshape(-1, 2),
+        walls=_integers([r.lines for r in records]).reshape(-1, 2),
         observations=_integers([r.observations for r in records]),
     )
 

@@ -159,7 +159,7 @@ def write_results(directory: Path, finished: Finished, config: Config, summary: 
     if covariance is None:
         covariance = np.full((len(finished.keyframes), 3, 3), np.nan)
     write_keyframes(directory / KEYFRAMES, Keyframes(finished.keyframe_stamps, finished.keyframes, covariance))
-    write_map(directory / MAP, finished.lines, finished.corners)
+    write_map(directory / MAP, finished.walls, finished.corners)
     (directory / CONFIG).write_text(config_to_toml(config), encoding="utf-8")
     write_json(directory / SUMMARY, summary)
 

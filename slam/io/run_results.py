@@ -21,7 +21,7 @@ class RunResults:
     """Results of a run in the directory `path`; `keyframes` is None if the directory has no keyframes.csv."""
 
     path: Path
-    lines: MapWalls
+    walls: MapWalls
     corners: MapCorners
     trajectory: Trajectory
     summary: dict[str, Any]
@@ -42,7 +42,7 @@ def read_run_results(path: Path) -> RunResults:
     map_file = read_map(path / MAP)
     return RunResults(
         path,
-        map_file.lines,
+        map_file.walls,
         map_file.corners,
         read_tum(path / TRAJECTORY),
         _read_summary(path / SUMMARY),

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import Enum, StrEnum, auto
 
 from ..geometry.degeneracy import weakest_direction
-from ..odometry.error_model import ADRIFT_SIGMA
+from ..odometry.error_model import UNOBSERVED_SIGMA
 from .tracker import TrackingResult, TrackingStatus
 
 # Scans in a row that must agree before the status changes between OK and DEGENERATE.
@@ -86,7 +86,7 @@ class LocalisationStateMachine:
         """Apply a scan's tracking result; return the new state, or None if it is the same as before."""
         if tracking.status is not TrackingStatus.TRACKED:
             return None
-        direction = weakest_direction(tracking.pose, tracking.registration.total_information, ADRIFT_SIGMA)
+        direction = weakest_direction(tracking.pose, tracking.registration.total_information, UNOBSERVED_SIGMA)
         event = LocalisationEvent.OBSERVABLE if direction is None else LocalisationEvent.UNOBSERVABLE
         changes = TRANSITIONS[self.state.status, event] is not self.state.status
         self._contradicting_scans = self._contradicting_scans + 1 if changes else 0

@@ -41,7 +41,7 @@ def finished() -> Finished:
         identity=np.array([0, 1]),
         position=np.array([[6.0, 0.0], [6.0, 4.0]]),
         covariance=np.array([[[4e-5, 1e-5], [1e-5, 2e-5]], np.full((2, 2), np.nan)]),
-        lines=np.array([[0, 1], [1, 3]]),
+        walls=np.array([[0, 1], [1, 3]]),
         observations=np.array([3, 2]),
     )
     stamps = np.linspace(0, 20, 101)

@@ -119,8 +119,8 @@ class Corridor:
         return KeyframeAdded(
             index=index, stamp=stamp, pose=estimate, pose_covariance=np.diag([spread, spread / 2, 0.01]) ** 2,
             odometry=odometry, points=self.scan(local[near], near), segments=segments, corners=corners,
-            line_match=match, line_gate=gate, line_nearest=np.where(np.isnan(gate), -1, near),
-            corner_match=seen, corner_gate=np.full(len(seen), 1.5), corner_nearest=seen, new_lines=new,
+            wall_match=match, wall_gate=gate, wall_nearest=np.where(np.isnan(gate), -1, near),
+            corner_match=seen, corner_gate=np.full(len(seen), 1.5), corner_nearest=seen, new_walls=new,
             sigma_range=0.011,
             timings={"features": 1.0 + 0.2 * len(once), "registration": 2.0, "graph": 3.0 + 0.01 * index}
             | ({"closing": 6.0 + index / 20} if index in (20, 40) else {}),

@@ -95,7 +95,7 @@ def test_a_continued_run_equals_an_uninterrupted_one(
     apart = np.hypot(*(finished.poses - uninterrupted.poses)[:, :2].T)
     assert apart.max() < 1e-3
     assert np.abs(se2.wrap(finished.poses[:, 2] - uninterrupted.poses[:, 2])).max() < np.radians(0.2)
-    assert len(finished.lines) == len(uninterrupted.lines)
+    assert len(finished.walls) == len(uninterrupted.walls)
     assert slam.session.starts == [0]
 
 
@@ -120,7 +120,7 @@ def test_a_run_from_an_unknown_place_is_relocalised_and_extends_the_map(
     second = drive("office", 2, 20.0, 40.0, LATER)
     slam, finished, notices = run(second, left)
     assert notices == ["relocalised in the map"]
-    assert len(finished.lines) > len(before.lines)
+    assert len(finished.walls) > len(before.walls)
     assert len(finished.keyframes) > len(before.keyframes)
     assert error(finished, first, finished, first) < 0.01
     assert error(finished, second, finished, first) < 0.01
@@ -144,7 +144,7 @@ def test_on_a_frozen_map_only_the_trajectory_is_new(first: list[Message], mapped
     _, finished, notices = run(second, left, frozen=True)
     assert notices == ["relocalised in the map"]
     for name in ("frame", "covariance", "low", "high", "observations"):
-        np.testing.assert_allclose(getattr(finished.lines, name), getattr(before.lines, name), rtol=1e-4, atol=1e-6)
+        np.testing.assert_allclose(getattr(finished.walls, name), getattr(before.walls, name), rtol=1e-4, atol=1e-6)
     np.testing.assert_allclose(finished.keyframes, before.keyframes, atol=1e-6)
     assert finished.stamps[0] > LATER
     assert error(finished, second, before, first) < 0.01
@@ -169,7 +169,7 @@ def test_a_robot_that_ends_lost_on_a_frozen_map_keeps_its_trajectory(mapped: tup
     known = finished.stamps < there[-1].stamp
     poses = replace(finished, stamps=finished.stamps[known], poses=finished.poses[known])
     assert error(poses, there, poses, there) < 0.02
-    assert len(finished.lines) == len(before.lines)
+    assert len(finished.walls) == len(before.walls)
 
 
 def test_a_run_in_another_building_is_mapped_alone(mapped: tuple[Path, Finished]) -> None:

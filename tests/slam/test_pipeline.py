@@ -60,16 +60,16 @@ def test_simulated_drives_are_tracked_to_millimetres(world: str, duration: float
     odometry = [message.stamp for message in messages if isinstance(message, Odometry)]
     np.testing.assert_array_equal(finished.stamps, odometry)
     assert np.isfinite(finished.poses).all()
-    for covariance in (finished.lines.covariance, finished.corners.covariance):
+    for covariance in (finished.walls.covariance, finished.corners.covariance):
         assert np.linalg.eigvalsh(covariance).min() > 0
-    assert (finished.lines.high > finished.lines.low).all()
+    assert (finished.walls.high > finished.walls.low).all()
 
 
 def test_a_room_has_its_walls_and_corners(drive_result: Finished) -> None:
-    length = drive_result.lines.high - drive_result.lines.low
+    length = drive_result.walls.high - drive_result.walls.low
     long = np.sort(length[length > 3.5])
     np.testing.assert_allclose(long, [4.2, 4.2, 6.4, 6.4], atol=0.1)
-    assert 4 <= len(drive_result.lines) <= 12
+    assert 4 <= len(drive_result.walls) <= 12
     assert len(drive_result.corners) >= 4
 
 
@@ -87,22 +87,22 @@ def test_events_are_complete_and_in_order(drive: list[Message]) -> None:
     assert listener.of(MapUpdated)[0].index == 0
     seen: set[int] = set()
     for event in keyframes:
-        assert len(event.line_match) == len(event.line_gate) == len(event.segments)
+        assert len(event.wall_match) == len(event.wall_gate) == len(event.segments)
         assert len(event.corner_match) == len(event.corner_gate) == len(event.corners)
-        assert not seen & set(event.new_lines)
-        seen |= set(event.new_lines)
-        assert set(event.line_match[event.line_match >= 0]) <= seen
+        assert not seen & set(event.new_walls)
+        seen |= set(event.new_walls)
+        assert set(event.wall_match[event.wall_match >= 0]) <= seen
         assert np.linalg.eigvalsh(event.pose_covariance).min() > 0
         assert len(event.points) > 0
         assert np.isfinite(event.points).all()
-    assert set(finished.lines.identity) <= seen
+    assert set(finished.walls.identity) <= seen
 
 
 def test_repeated_runs_with_and_without_sinks_are_identical(drive: list[Message], drive_result: Finished) -> None:
     again = run(drive, listener=EventCollector())
     assert again.poses.tobytes() == drive_result.poses.tobytes()
-    assert again.lines.frame.tobytes() == drive_result.lines.frame.tobytes()
-    assert again.lines.covariance.tobytes() == drive_result.lines.covariance.tobytes()
+    assert again.walls.frame.tobytes() == drive_result.walls.frame.tobytes()
+    assert again.walls.covariance.tobytes() == drive_result.walls.covariance.tobytes()
     assert again.corners.position.tobytes() == drive_result.corners.position.tobytes()
 
 
@@ -177,7 +177,7 @@ def test_with_empty_scans_only_the_trajectory_is_odometry(drive: list[Message]) 
     ]
     finished = run(messages)
     told = np.array([message.pose for message in messages if isinstance(message, Odometry)])
-    assert len(finished.lines) == len(finished.corners) == 0
+    assert len(finished.walls) == len(finished.corners) == 0
     moved = se2.between(finished.poses[0], finished.poses)
     np.testing.assert_allclose(moved[:, :2], se2.between(told[0], told)[:, :2], atol=0.02)
 

@@ -31,13 +31,13 @@ def devices(
     """
     from drivers.devices.device_spec import parse_devices
 
-    asked = parse_devices(" + ".join(specs)) if specs else []
+    requested = parse_devices(" + ".join(specs)) if specs else []
     if watch:
-        if not asked:
+        if not requested:
             raise typer.BadParameter("--watch needs at least one device", param_hint="SPEC")
-        _watch(asked, seconds)
-    elif asked:
-        _identify(asked)
+        _watch(requested, seconds)
+    elif requested:
+        _identify(requested)
     else:
         _list()
 

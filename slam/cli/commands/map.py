@@ -82,7 +82,7 @@ def export_map(
             size = f"{points} points"
         else:
             {Format.GEOJSON: write_geojson, Format.SVG: write_svg, Format.DXF: write_dxf}[form](unfinished, read)
-            size = f"{len(read.lines)} walls, {len(read.corners)} corners"
+            size = f"{len(read.walls)} walls, {len(read.corners)} corners"
     typer.echo(f"{target}: {size}")
 
 

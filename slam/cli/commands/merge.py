@@ -43,8 +43,8 @@ def merge(
         raise typer.BadParameter("at least two sessions are required", param_hint="SESSION SESSION...")
     result = _merge(sessions, out, overwrite=overwrite, review=review, picture=plot)
     head, *rows = format_summary(result, out)
-    told = [f"  {'joined':<11}{joined['session']}: {joined['reason']}" for joined in result.summary["joined"]]
-    typer.echo("\n".join([head, *told, *rows]))
+    joined_rows = [f"  {'joined':<11}{joined['session']}: {joined['reason']}" for joined in result.summary["joined"]]
+    typer.echo("\n".join([head, *joined_rows, *rows]))
 
 
 def _merge(paths: list[Path], out: Path, *, overwrite: bool, review: bool, picture: bool) -> RunResult:
@@ -72,7 +72,7 @@ def _merge(paths: list[Path], out: Path, *, overwrite: bool, review: bool, pictu
         if picture:
             from ...visualisation.plots import plot_map
 
-            plot_map(directory / PICTURE, finished.lines, finished.corners, finished.poses, title=name)
+            plot_map(directory / PICTURE, finished.walls, finished.corners, finished.poses, title=name)
         summary = _summarise(name, joined, finished, time.perf_counter() - started)
         write_results(directory, finished, config, summary)
         write_session(directory, optimised.session)
@@ -106,7 +106,7 @@ def _summarise(name: str, joined: MergedSession, finished: Finished, seconds: fl
         "odometry": sum(len(history) for history in session.odometry),
         "duration": duration,
         "keyframes": len(finished.keyframes),
-        "walls": len(finished.lines),
+        "walls": len(finished.walls),
         "corners": len(finished.corners),
         "path_length": sum(_path_length(finished, recording) for recording in session.recordings),
         "slam_seconds": seconds,

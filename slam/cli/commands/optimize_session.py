@@ -113,10 +113,10 @@ def _optimise(
         from ...visualisation.plots import plot_map
 
         title = f"{summary.get('recording', '')}, optimised"
-        plot_map(directory / PICTURE, finished.lines, finished.corners, finished.poses, title=title)
+        plot_map(directory / PICTURE, finished.walls, finished.corners, finished.poses, title=title)
     summary = summary | {
         "keyframes": len(finished.keyframes),
-        "walls": len(finished.lines),
+        "walls": len(finished.walls),
         "corners": len(finished.corners),
         "path_length": float(Trajectory(finished.stamps, finished.poses).travelled[-1]),
         "truth": None,  # the error before refinement no longer applies

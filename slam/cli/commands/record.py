@@ -7,17 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..device_options import BaseOption, LidarOption, check_recording_name, parse_device_options
 from ..options import DurationOption, OverwriteOption
 
 if TYPE_CHECKING:
     from drivers.devices.acquisition import Acquisition, Snapshot
-    from drivers.devices.device_spec import DeviceSpec
     from drivers.devices.recorder import Recorder
-
-LidarOption = Annotated[
-    list[str] | None, typer.Option("--lidar", metavar="SPEC", help="Such as rplidar:/dev/ttyUSB0, ld06:auto.")
-]
-BaseOption = Annotated[list[str] | None, typer.Option("--base", metavar="SPEC", help="Such as create2:/dev/ttyUSB1.")]
 
 
 def record(
@@ -43,31 +38,6 @@ def record(
         recorder = Recorder(writer)
         _record(acquisition, recorder, duration)
     typer.echo(summary(file, recorder, acquisition.snapshot))
-
-
-def check_recording_name(file: Path, overwrite: bool) -> None:
-    """See before anything turns whether a recording may have this name; raises BadParameter or RecordingError."""
-    from drivers.errors import RecordingError
-
-    if file.suffix != ".mcap":
-        raise typer.BadParameter(f"{file}: the name of a recording must end with .mcap")
-    if file.exists() and not overwrite:
-        raise RecordingError(file, None, "exists already; choose another name or add --overwrite")
-
-
-def parse_device_options(lidar: list[str] | None, base: list[str] | None) -> list[DeviceSpec]:
-    """The devices of both options; raises SpecError, or BadParameter where one is given as the other."""
-    from drivers.devices.device_spec import parse_devices
-
-    texts = [*(lidar or ()), *(base or ())]
-    if not texts:
-        raise typer.BadParameter("say which devices", param_hint="--lidar / --base")
-    specs = parse_devices(" + ".join(texts))
-    for spec in specs:
-        if spec.is_lidar != (spec.text in [text.strip() for text in lidar or ()]):
-            hint = "--base" if spec.is_lidar else "--lidar"
-            raise typer.BadParameter(f"{spec.text} is a {'lidar' if spec.is_lidar else 'base'}", param_hint=hint)
-    return specs
 
 
 def summary(file: Path, recorder: Recorder, snapshot: Snapshot) -> str:

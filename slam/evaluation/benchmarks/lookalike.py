@@ -149,7 +149,7 @@ def run_world(world: str, seed: int) -> LookalikeRun:
         tuple(scorer.decisions),
         drift=scorer.drift,
         joined=scorer.joined_share(finished, MAX_JOINED_ERROR) >= MIN_JOINED_SHARE,
-        doubled=scorer.doubled_walls(finished.lines),
+        doubled=scorer.doubled_walls(finished.walls),
         ate=scorer.ate(finished),
         relocalisation_errors=tuple(scorer.relocalisation_errors),
         last_error=scorer.last_error(finished),

@@ -166,13 +166,13 @@ class LoopScorer:
         frames = se2.compose(truth, event.segments.frame).reshape(-1, 3)
         pieces = tuple(np.column_stack([-half, half])[:, None])
         observed = MapWalls(
-            event.line_match, frames, -half, half, np.ones(len(half), dtype=np.int64), no_covariance, pieces
+            event.wall_match, frames, -half, half, np.ones(len(half), dtype=np.int64), no_covariance, pieces
         )
         ends = observed.end_points()
         for row, true in enumerate(match_walls(observed, self._walls)):
-            if true >= 0 and event.line_match[row] >= 0:
+            if true >= 0 and event.wall_match[row] >= 0:
                 low, high = sorted(se2.transform(se2.inverse(self._walls.frame[true]), ends[row])[:, 0].tolist())
-                self._observations[int(event.line_match[row])][int(true)].append((low, high))
+                self._observations[int(event.wall_match[row])][int(true)].append((low, high))
 
     def doubled_walls(self, lines: MapWalls) -> int:
         """Return the number of walls of the final map that cover a part of a true wall covered by another one."""

@@ -143,7 +143,7 @@ def run_timed(spec: RunSpec) -> tuple[RunResult, MessageTimer]:
         scan_ms=1e3 * timer.total / scans,
         by_reference=timer.total / scans / timer.reference,
         memory=peak_memory(),
-        walls=len(finished.lines),
+        walls=len(finished.walls),
         corners=len(finished.corners),
         keyframes=len(finished.keyframes),
         closures=_closures(finished),

@@ -31,7 +31,7 @@ def write_dxf(path: Path, results: RunResults) -> None:
 
 
 def _header(results: RunResults) -> Iterator[Group]:
-    drawn = np.concatenate([results.lines.end_points().reshape(-1, 2), results.trajectory.poses[:, :2]])
+    drawn = np.concatenate([results.walls.end_points().reshape(-1, 2), results.trajectory.poses[:, :2]])
     yield from [(999, "1 unit = 1 m"), (0, "SECTION"), (2, "HEADER"), (9, "$ACADVER"), (1, "AC1009")]
     for name, corner in (("$EXTMIN", drawn.min(axis=0)), ("$EXTMAX", drawn.max(axis=0))):
         yield 9, name
@@ -51,7 +51,7 @@ def _tables() -> Iterator[Group]:
 
 def _entities(results: RunResults) -> Iterator[Group]:
     yield from [(0, "SECTION"), (2, "ENTITIES")]
-    for start, end in results.lines.piece_points()[0]:
+    for start, end in results.walls.piece_points()[0]:
         yield from [(0, "LINE"), (8, "WALLS"), *_point(start), *_point(end, 1)]
     for position in results.corners.position:
         yield from [(0, "POINT"), (8, "CORNERS"), *_point(position)]

@@ -22,7 +22,7 @@ from .path_thinning import thin_path
 
 def write_geojson(path: Path, results: RunResults) -> None:
     """Write the map with one feature per line, for readability."""
-    features = [*_walls(results.lines), *_corners(results.corners), _path(results.trajectory.poses)]
+    features = [*_walls(results.walls), *_corners(results.corners), _path(results.trajectory.poses)]
     rows = ",\n".join(json.dumps(feature, allow_nan=False) for feature in features)
     head = '"type": "FeatureCollection", "frame": "map", "units": "m"'
     path.write_text(f'{{{head}, "features": [\n{rows}\n]}}\n', encoding="utf-8", newline="\n")
@@ -54,7 +54,7 @@ def _corners(corners: MapCorners) -> list[dict[str, Any]]:
             kind="corner",
             identity=int(corners.identity[k]),
             observations=int(corners.observations[k]),
-            walls=corners.lines[k].tolist(),
+            walls=corners.walls[k].tolist(),
             sigma_x=_sigma(corners.covariance[k, 0, 0]),
             sigma_y=_sigma(corners.covariance[k, 1, 1]),
         )

@@ -73,16 +73,16 @@ class Drawing:
 
 def draw_map(results: RunResults) -> Drawing:
     """Draw walls with the side they are seen from, corners with ellipses, loop closures, and the path with its ends."""
-    points = np.concatenate([results.lines.end_points().reshape(-1, 2), results.trajectory.poses[:, :2]])
+    points = np.concatenate([results.walls.end_points().reshape(-1, 2), results.trajectory.poses[:, :2]])
     low, high = points.min(axis=0), points.max(axis=0)
     extent = float(max(*(high - low), 1.0))
     middle, size = (low + high) / 2, np.maximum(high - low, extent / 4) + 2 * MARGIN * extent
     runs = list(_path_runs(results.trajectory, results.keyframes))
     used = {run_class.name for run_class, _ in runs}
     groups = [
-        ("seen", _bands(results.lines, BAND_WIDTH * extent)),
+        ("seen", _bands(results.walls, BAND_WIDTH * extent)),
         ("path", (_polyline(run_class.name, run) for run_class, run in runs)),
-        ("walls", _walls(results.lines)),
+        ("walls", _walls(results.walls)),
         ("loops", _loop_closures(results)),
         ("corners", _corners(results.corners)),
         ("ends", _end_markers(results.trajectory.poses, MARKER_SIZE * extent)),

@@ -66,8 +66,8 @@ def plot_closure(path: Path, before: MapUpdated, path_before: Floats, decided: L
     """Plot map and path before and after a loop closure; `path_before` (k, 3) are the keyframes. Raises OutputError."""
     from matplotlib.collections import LineCollection
 
-    walls_before, _ = before.lines.piece_points()
-    walls_after, _ = after.lines.piece_points()
+    walls_before, _ = before.walls.piece_points()
+    walls_after, _ = after.walls.piece_points()
     drawn = np.concatenate([walls_before, walls_after]).reshape(-1, 2)
     title = f"Closure of a loop of {_path_length(path_before):.0f} m: the robot moves by {decided.shift:.2f} m"
     subtitle = (

@@ -116,7 +116,7 @@ class EventLog:
                 self._write_merge(event)
             case WallsRemoved():
                 self._at(event.index, event.stamp)
-                names = ", ".join(f"L{wall}" for wall in event.lines)
+                names = ", ".join(f"L{wall}" for wall in event.walls)
                 self._log_text(f"{names}: removed from the map, scans have seen through", "INFO")
             case LoopDecided():
                 self._write_decision(event)
@@ -231,8 +231,8 @@ class EventLog:
 
     def _write_map(self, event: MapUpdated) -> None:
         self._at(max(self._index or 0, event.index), event.stamp)
-        self._lines, self._corners, self._keyframes = event.lines, event.corners, event.keyframes
-        self._log_map(event.lines, event.corners, event.keyframes, event.keyframes)
+        self._lines, self._corners, self._keyframes = event.walls, event.corners, event.keyframes
+        self._log_map(event.walls, event.corners, event.keyframes, event.keyframes)
         if self._corrections > self._corrections_before and len(event.keyframes):
             self._keyframe_layer.place(event.keyframes[-1])
         self._chi2 = event.chi2
@@ -283,6 +283,6 @@ class EventLog:
             largest = np.linalg.eigvalsh(event.keyframe_covariance[:, :2, :2])[:, -1]
             self._path_layer.set_sigmas(np.sqrt(np.maximum(largest, 0.0)))
         path = event.poses if len(event.poses) else event.keyframes
-        self._log_map(event.lines, event.corners, path, event.keyframes)
+        self._log_map(event.walls, event.corners, path, event.keyframes)
         self._path_layer.log_growing_paths()
         self._log_document("summary", documents.summary(event.summary))

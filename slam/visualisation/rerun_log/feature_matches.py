@@ -32,8 +32,8 @@ class FeatureMatches:
     @classmethod
     def of_segments(cls, event: KeyframeAdded) -> FeatureMatches:
         """Return the association of the segments with walls."""
-        new = np.isin(event.line_match, event.new_lines)
-        return cls("L", event.line_match, event.line_gate, event.line_nearest, new)
+        new = np.isin(event.wall_match, event.new_walls)
+        return cls("L", event.wall_match, event.wall_gate, event.wall_nearest, new)
 
     @classmethod
     def of_corners(cls, event: KeyframeAdded) -> FeatureMatches:

@@ -137,7 +137,7 @@ class KeyframeLayer:
     def _log_time_series(
         self, event: KeyframeAdded, overlap_ratio: float, position_sigma: float, heading_sigma: float
     ) -> None:
-        distances = event.line_gate[(event.line_match >= 0) & np.isfinite(event.line_gate)]
+        distances = event.wall_gate[(event.wall_match >= 0) & np.isfinite(event.wall_gate)]
         sigma = {
             "position [cm]": 100 * position_sigma,
             "heading [°]": math.degrees(heading_sigma),

@@ -152,7 +152,7 @@ class CorrectionLayer:
             self._writer.log(f"compared_walls/{name}", row)
 
     def _log_correction(self, correction: Correction) -> None:
-        pieces, _ = correction.lines_before.piece_points()
+        pieces, _ = correction.walls_before.piece_points()
         walls = rr.LineStrips3D.from_fields(strips=to_3d(pieces, Height.ODOMETRY))
         self._writer.log("world/before/walls", walls)
         path = [to_3d(correction.keyframes_before, Height.ODOMETRY)] if len(correction.keyframes) > 1 else []

@@ -48,7 +48,7 @@ class MapLayer:
 
     def _log_corners(self, corners: MapCorners) -> None:
         """Log the corners with labels like `C3 n=5 of L1, L4`, and the ellipses of those with a covariance."""
-        rows = zip(corners.identity.tolist(), corners.observations.tolist(), corners.lines.tolist(), strict=True)
+        rows = zip(corners.identity.tolist(), corners.observations.tolist(), corners.walls.tolist(), strict=True)
         points = rr.Points3D.from_fields(
             positions=to_3d(corners.position.reshape(-1, 2), Height.CORNER),
             labels=[f"C{k} n={n} of L{first}, L{second}" for k, n, (first, second) in rows],

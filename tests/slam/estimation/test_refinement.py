@@ -253,15 +253,15 @@ def test_refinement_is_reproducible_and_publishes_the_map() -> None:
         results.append(slam.finish())
     first, second = results
     np.testing.assert_array_equal(first.poses, second.poses)
-    np.testing.assert_array_equal(first.lines.covariance, second.lines.covariance)
+    np.testing.assert_array_equal(first.walls.covariance, second.walls.covariance)
     assert first.summary["refinement"] == second.summary["refinement"]
     np.testing.assert_array_equal(first.stamps, [m.stamp for m in messages if isinstance(m, Odometry)])
-    assert np.linalg.eigvalsh(first.lines.covariance).min() > 0
+    assert np.linalg.eigvalsh(first.walls.covariance).min() > 0
     last, inspected, finished = listener.events[-3:]
     assert isinstance(inspected, GraphInspected)
     assert isinstance(last, MapUpdated)
     assert isinstance(finished, Finished)
-    np.testing.assert_array_equal(last.lines.frame, finished.lines.frame)
+    np.testing.assert_array_equal(last.walls.frame, finished.walls.frame)
     np.testing.assert_array_equal(last.keyframes, finished.keyframes)
 
 

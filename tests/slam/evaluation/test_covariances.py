@@ -48,7 +48,7 @@ def test_the_nees_is_the_squared_error_in_standard_deviations(world: TrueWalls) 
         identity=np.arange(3),
         position=np.array([[-1.0, -0.97], [-1.0, -0.5], [-1.0, -1.0]]),
         covariance=np.tile(1e-4 * np.eye(2), (3, 1, 1)),
-        lines=np.array([[3, 0], [3, 0], [3, 2]]),
+        walls=np.array([[3, 0], [3, 0], [3, 2]]),
         observations=np.ones(3, int),
     )
     np.testing.assert_allclose(corner_nees(corners, mapped, world), [9.0, np.nan, np.nan], atol=1e-6)

@@ -82,7 +82,7 @@ def test_dxf_has_walls_as_lines_on_layers(results: RunResults, tmp_path: Path) -
     assert set(entities) == {"LINE", "POINT", "POLYLINE", "VERTEX", "SEQEND"}
     assert {e[8][0] for e in entities["LINE"]} == {"WALLS"}
     walls = np.array([[point(e), point(e, 1)] for e in entities["LINE"]])
-    np.testing.assert_allclose(walls, results.lines.piece_points()[0], atol=1e-6)
+    np.testing.assert_allclose(walls, results.walls.piece_points()[0], atol=1e-6)
     assert len(walls) == 5  # four walls, one with a door
     corners = [point(e) for e in entities["POINT"]]
     np.testing.assert_allclose(corners, results.corners.position, atol=1e-6)

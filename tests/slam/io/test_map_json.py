@@ -12,21 +12,21 @@ from slam.io.map_json import read_map, write_map
 
 
 def written(path: Path, finished: Finished) -> dict[str, Any]:
-    write_map(path, finished.lines, finished.corners)
+    write_map(path, finished.walls, finished.corners)
     return json.loads(path.read_text())
 
 
 def test_map_is_read_back_as_written(tmp_path: Path, finished: Finished) -> None:
-    write_map(tmp_path / "map.json", finished.lines, finished.corners)
+    write_map(tmp_path / "map.json", finished.walls, finished.corners)
     back = read_map(tmp_path / "map.json")
-    for ours, theirs in ((back.lines, finished.lines), (back.corners, finished.corners)):
+    for ours, theirs in ((back.walls, finished.walls), (back.corners, finished.corners)):
         for field in fields(theirs):
             if field.name == "pieces":
                 continue
             value, expected = getattr(ours, field.name), getattr(theirs, field.name)
             np.testing.assert_allclose(value, expected, atol=1e-9)
             assert value.dtype == expected.dtype
-    for piece, expected in zip(back.lines.pieces, finished.lines.pieces, strict=True):
+    for piece, expected in zip(back.walls.pieces, finished.walls.pieces, strict=True):
         np.testing.assert_allclose(piece, expected, atol=1e-9)
 
 
@@ -36,18 +36,18 @@ def test_map_of_version_1_is_read(tmp_path: Path, finished: Finished) -> None:
     for line in data["lines"]:
         del line["pieces"]
     (tmp_path / "map.json").write_text(json.dumps(data))
-    lines = read_map(tmp_path / "map.json").lines
+    lines = read_map(tmp_path / "map.json").walls
     np.testing.assert_allclose(np.concatenate(lines.pieces), np.column_stack([lines.low, lines.high]))
 
 
 def test_empty_map_is_read_back(tmp_path: Path, finished: Finished) -> None:
     none = slice(0, 0)
-    lines = replace(finished.lines, **{f.name: getattr(finished.lines, f.name)[none] for f in fields(finished.lines)})
+    lines = replace(finished.walls, **{f.name: getattr(finished.walls, f.name)[none] for f in fields(finished.walls)})
     empty = {f.name: getattr(finished.corners, f.name)[none] for f in fields(finished.corners)}
     write_map(tmp_path / "map.json", lines, replace(finished.corners, **empty))
     back = read_map(tmp_path / "map.json")
-    assert len(back.lines) == len(back.corners) == 0
-    assert back.lines.end_points().shape == (0, 2, 2)
+    assert len(back.walls) == len(back.corners) == 0
+    assert back.walls.end_points().shape == (0, 2, 2)
     assert back.corners.covariance.shape == (0, 2, 2)
 
 
@@ -64,14 +64,14 @@ def test_file_states_format_version_and_units_and_has_no_nan(tmp_path: Path, fin
 
 def test_equal_maps_give_equal_bytes(tmp_path: Path, finished: Finished) -> None:
     for name in ("a.json", "b.json"):
-        write_map(tmp_path / name, finished.lines, finished.corners)
+        write_map(tmp_path / name, finished.walls, finished.corners)
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
 
 
 def test_map_with_values_that_are_not_finite_is_not_written(tmp_path: Path, finished: Finished) -> None:
-    finished.lines.frame[2, 0] = np.nan
+    finished.walls.frame[2, 0] = np.nan
     with pytest.raises(MapError, match=r"cannot be written: frame\.0: input should be a finite number"):
-        write_map(tmp_path / "map.json", finished.lines, finished.corners)
+        write_map(tmp_path / "map.json", finished.walls, finished.corners)
     assert not (tmp_path / "map.json").exists()
 
 

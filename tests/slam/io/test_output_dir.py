@@ -37,7 +37,7 @@ def test_directory_appears_when_all_results_are_written(tmp_path: Path, finished
     assert sorted(file.name for file in out.iterdir()) == sorted([TRAJECTORY, KEYFRAMES, MAP, CONFIG, SUMMARY])
     assert [entry.name for entry in out.parent.iterdir()] == ["out"]
     assert len(read_tum(out / TRAJECTORY)) == len(finished.stamps)
-    assert len(read_map(out / MAP).lines) == len(finished.lines)
+    assert len(read_map(out / MAP).walls) == len(finished.walls)
     assert load_config(out / CONFIG) == Config()
     assert json.loads((out / SUMMARY).read_text()) == {"scans": 3}
 

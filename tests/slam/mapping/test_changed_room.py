@@ -65,9 +65,9 @@ def save(session: StoredSession, directory: Path) -> Path:
     return directory
 
 
-def length_on(lines: MapWalls, segments: np.ndarray, within: float = 0.1) -> float:
+def length_on(walls: MapWalls, segments: np.ndarray, within: float = 0.1) -> float:
     """Return the metres of the map's walls that lie within `within` metres of segments of the world."""
-    points, _ = lines.piece_points()
+    points, _ = walls.piece_points()
     total = 0.0
     for start, end in points:
         count = max(1, round(float(np.hypot(*(end - start))) / 0.05))
@@ -83,7 +83,7 @@ def length_on(lines: MapWalls, segments: np.ndarray, within: float = 0.1) -> flo
 def furnished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Save the session of a drive through a room with a partition, and return its directory."""
     slam, finished = run(drive(world(always=np.concatenate([ROOM, PARTITION]))))
-    assert length_on(finished.lines, PARTITION) > 5.5
+    assert length_on(finished.walls, PARTITION) > 5.5
     assert finished.summary["removed_walls"] == 0
     return save(slam.session, tmp_path_factory.mktemp("run") / "out")
 
@@ -95,10 +95,10 @@ def test_a_partition_that_is_gone_leaves_the_map_and_stays_in_the_session(
     before = read_session(furnished).slam_state.mapper
     listener = EventCollector()
     slam, finished = run(drive(world(), seed=1, shift=1000.0), read_session(furnished), refine=refine, sinks=[listener])
-    removed = [wall for event in listener.of(WallsRemoved) for wall in event.lines]
+    removed = [wall for event in listener.of(WallsRemoved) for wall in event.walls]
     assert sorted(removed) == slam.slam_state.mapper.landmarks.removed_walls().tolist()
-    assert length_on(finished.lines, PARTITION) == 0.0
-    assert length_on(finished.lines, ROOM) > 28.0
+    assert length_on(finished.walls, PARTITION) == 0.0
+    assert length_on(finished.walls, ROOM) > 28.0
     assert finished.summary["removed_walls"] == 2  # its long sides
     again = read_session(save(slam.session, tmp_path / "out")).slam_state.mapper
     for landmarks in (slam.slam_state.mapper.landmarks, again.landmarks):
@@ -116,7 +116,7 @@ def test_a_partition_that_is_gone_leaves_the_map_and_stays_in_the_session(
 def test_a_partition_that_is_still_there_stays(furnished: Path) -> None:
     same = world(always=np.concatenate([ROOM, PARTITION]))
     _, finished = run(drive(same, seed=2, shift=1000.0), read_session(furnished))
-    assert length_on(finished.lines, PARTITION) > 5.5
+    assert length_on(finished.walls, PARTITION) > 5.5
     assert finished.summary["removed_walls"] == 0
 
 
@@ -127,8 +127,8 @@ def test_a_door_that_is_opened_opens_the_wall(furnished: Path) -> None:
     place = world(always=np.concatenate([ROOM, halves]))
     slam, finished = run(drive(place, seed=1, shift=1000.0), read_session(furnished), refine=True)
     assert slam.slam_state.mapper.landmarks.opened
-    assert length_on(finished.lines, gap, 0.03) < 0.15
-    assert length_on(finished.lines, halves) > 3.5
+    assert length_on(finished.walls, gap, 0.03) < 0.15
+    assert length_on(finished.walls, halves) > 3.5
     assert finished.summary["removed_walls"] == 0
 
 
@@ -137,8 +137,8 @@ def test_a_person_standing_for_some_seconds_is_not_on_the_final_map(seed: int) -
     person = np.array(box(4.0, 3.0, 0.45, 0.3))
     slam, finished = run(drive(world(passing=[TemporaryShapes(0.0, 7.0, person, NOTHING[1])]), seed))
     assert len(slam.slam_state.mapper.landmarks.removed_walls())  # had been mapped
-    assert length_on(finished.lines, person) == 0.0
-    assert length_on(finished.lines, ROOM) > 28.0
+    assert length_on(finished.walls, person) == 0.0
+    assert length_on(finished.walls, ROOM) > 28.0
 
 
 def test_a_door_leaf_that_was_open_for_some_seconds_is_not_on_the_final_map() -> None:
@@ -148,8 +148,8 @@ def test_a_door_leaf_that_was_open_for_some_seconds_is_not_on_the_final_map() ->
     passing = [TemporaryShapes(0.0, 9.0, leaf, NOTHING[1]), TemporaryShapes(9.0, 99.0, closed, NOTHING[1])]
     slam, finished = run(drive(world(passing=passing)))
     assert len(slam.slam_state.mapper.landmarks.removed_walls())
-    assert length_on(finished.lines, away) == 0.0
-    assert length_on(finished.lines, closed) > 0.6
+    assert length_on(finished.walls, away) == 0.0
+    assert length_on(finished.walls, closed) > 0.6
 
 
 @pytest.mark.slow

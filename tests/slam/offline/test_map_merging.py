@@ -96,7 +96,7 @@ def test_two_drives_through_one_building_are_merged_into_one_map(both: Path, ses
     score = score_reference(path, Trajectory(rows[:, 0], rows[:, 1:]))
     assert score.figures()["ate_max"] < 0.03
     walls = [len(session.slam_state.mapper.landmarks.walls) for _, session in read(sessions, "first", "second")]
-    assert len(read_map(both / "map.json").lines) < 0.75 * sum(walls)
+    assert len(read_map(both / "map.json").walls) < 0.75 * sum(walls)
     np.testing.assert_allclose(path.poses[0], np.zeros(3), atol=5e-3)  # the first's frame
 
 

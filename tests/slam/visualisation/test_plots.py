@@ -58,7 +58,7 @@ def test_a_map_is_drawn_true_to_scale_with_all_there_is_to_show(tmp_path: Path, 
     odometry = se2.compose([0, 0, 0.1], finished.poses)
     plot_map(
         tmp_path / "a.png",
-        finished.lines,
+        finished.walls,
         finished.corners,
         finished.poses,
         title="a room",
@@ -70,7 +70,7 @@ def test_a_map_is_drawn_true_to_scale_with_all_there_is_to_show(tmp_path: Path, 
 
 
 def test_a_map_without_walls_and_corners_is_drawn(tmp_path: Path, finished: Finished) -> None:
-    lines = replace(finished.lines, **{f.name: getattr(finished.lines, f.name)[:0] for f in fields(finished.lines)})
+    lines = replace(finished.walls, **{f.name: getattr(finished.walls, f.name)[:0] for f in fields(finished.walls)})
     corners = {f.name: getattr(finished.corners, f.name)[:0] for f in fields(finished.corners)}
     plot_map(tmp_path / "a.png", lines, replace(finished.corners, **corners), finished.poses[:1], title="nothing")
     assert min(size(tmp_path / "a.png")) > 500

@@ -139,11 +139,11 @@ def test_a_session_of_an_older_version_has_a_page(tmp_path: Path, finished: Fini
 
 
 def test_a_map_without_walls_has_a_page(tmp_path: Path, finished: Finished) -> None:
-    nothing = {f.name: getattr(finished.lines, f.name)[:0] for f in fields(finished.lines)}
+    nothing = {f.name: getattr(finished.walls, f.name)[:0] for f in fields(finished.walls)}
     corners = {f.name: getattr(finished.corners, f.name)[:0] for f in fields(finished.corners)}
     empty = replace(
         finished,
-        lines=replace(finished.lines, **nothing),
+        walls=replace(finished.walls, **nothing),
         corners=replace(finished.corners, **corners),
         stamps=finished.stamps[:1],
         poses=finished.poses[:1],

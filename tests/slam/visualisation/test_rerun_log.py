@@ -62,11 +62,11 @@ def test_feature_labels_distinguish_matched_new_and_rejected(corridor):
     assert {label.split()[-1] for label in labels} == {"none", "new"}
     later = of_kind(events, KeyframeAdded)[30]
     labels = rows(path, "/world/features/segments", "LineStrips3D:labels")[30][1]
-    matched = np.flatnonzero(later.line_match >= 0)[0]
-    assert labels[matched] == f"L{later.line_match[matched]} d²={later.line_gate[matched]:.1f}"
-    rejected = np.flatnonzero((later.line_match < 0) & (later.line_nearest >= 0))
+    matched = np.flatnonzero(later.wall_match >= 0)[0]
+    assert labels[matched] == f"L{later.wall_match[matched]} d²={later.wall_gate[matched]:.1f}"
+    rejected = np.flatnonzero((later.wall_match < 0) & (later.wall_nearest >= 0))
     assert len(rejected) > 1
-    assert all(labels[k] == f"not L{later.line_nearest[k]} d²=20.5" for k in rejected)
+    assert all(labels[k] == f"not L{later.wall_nearest[k]} d²=20.5" for k in rejected)
     links = dict(rows(path, "/world/features/gated_out", "LineStrips3D:strips"))[30]
     assert len(links) == len(rejected)
 
@@ -75,9 +75,9 @@ def test_final_map_is_the_last_one_logged(corridor):
     path, events = corridor
     final = events[-1]
     strips = np.array(last(path, "/world/map/walls", "LineStrips3D:strips"))
-    np.testing.assert_allclose(strips[..., :2], final.lines.end_points(), atol=1e-3)
-    assert last(path, "/world/map/walls", "LineStrips3D:labels")[0] == f"L0 n={final.lines.observations[0]}"
-    assert len(last(path, "/world/map/wall_sigma", "LineStrips3D:strips")) == len(final.lines)
+    np.testing.assert_allclose(strips[..., :2], final.walls.end_points(), atol=1e-3)
+    assert last(path, "/world/map/walls", "LineStrips3D:labels")[0] == f"L0 n={final.walls.observations[0]}"
+    assert len(last(path, "/world/map/wall_sigma", "LineStrips3D:strips")) == len(final.walls)
     (strip,) = last(path, "/world/path/estimate", "LineStrips3D:strips")
     np.testing.assert_allclose(np.array(strip)[:, :2], final.poses[:, :2], atol=1e-3)
     assert last(path, "/world/path/recent", "LineStrips3D:strips") == []
@@ -148,8 +148,8 @@ def bare_keyframe(index: int) -> KeyframeAdded:
     return KeyframeAdded(
         index=index, stamp=float(index), pose=np.zeros(3), pose_covariance=np.full((3, 3), np.nan),
         odometry=np.zeros(3), points=np.empty((0, 2)), segments=EMPTY_SEGMENTS, corners=make_corners(np.empty((0, 2))),
-        line_match=unmatched, line_gate=nothing, line_nearest=unmatched, corner_match=unmatched, corner_gate=nothing,
-        corner_nearest=unmatched, new_lines=unmatched,
+        wall_match=unmatched, wall_gate=nothing, wall_nearest=unmatched, corner_match=unmatched, corner_gate=nothing,
+        corner_nearest=unmatched, new_walls=unmatched,
         sigma_range=0.01, timings={}, counts={},
     )  # fmt: skip
 

@@ -93,7 +93,7 @@ def test_a_correction_shows_the_map_before_it_and_the_shift_of_every_keyframe(lo
     for event, walls, arrows in zip(corrected, before, shift, strict=True):
         correction = event.correction
         assert correction is not None
-        pieces, _ = correction.lines_before.piece_points()
+        pieces, _ = correction.walls_before.piece_points()
         np.testing.assert_allclose(np.array(walls.values["LineStrips3D:strips"])[..., :2], pieces, atol=1e-3)
         origins, vectors = (np.array(arrows.values[f"Arrows3D:{name}"])[:, :2] for name in ("origins", "vectors"))
         np.testing.assert_allclose(origins, correction.keyframes_before[:, :2], atol=1e-3)

@@ -34,21 +34,21 @@ def with_closure(events: Sequence[Event]) -> list[Event]:
 
 
 def closure(event: MapUpdated) -> LoopDecided:
-    walls = event.lines.end_points()[:6]
+    walls = event.walls.end_points()[:6]
     drifted = event.keyframes + np.linspace(0, 1, len(event.keyframes))[:, None] * [1.5, 1.0, 0.0]
-    sight = ComparedWalls(walls + 1.0, walls, event.lines.end_points(), np.array([0, 1, 2, 3, 4, -1]))
+    sight = ComparedWalls(walls + 1.0, walls, event.walls.end_points(), np.array([0, 1, 2, 3, 4, -1]))
     return LoopDecided(
         index=event.index, stamp=event.stamp, candidate=1, old=3, motion=np.array([-1.5, -1.0, 0.0]),
         status=LoopStatus.ACCEPTED, reason="all tests passed", overlap_ratio=0.9, matches=5, runner_up=0.2, sigma=0.01,
         contradicted=0.0, merged=((0, 40),), shift=1.8, tests=(LoopTest("walls", 5.0, 4.0, True, True),), sight=sight,
-        correction=Correction(drifted, event.keyframes, event.lines, 100.0, 5000.0, 120.0),
+        correction=Correction(drifted, event.keyframes, event.walls, 100.0, 5000.0, 120.0),
     )  # fmt: skip
 
 
 def inspection(event: MapUpdated) -> GraphInspected:
     keyframes = np.arange(1, len(event.keyframes))
     steps = np.column_stack([keyframes - 1, keyframes])
-    seen = np.column_stack([keyframes, event.lines.identity[keyframes % len(event.lines)]])
+    seen = np.column_stack([keyframes, event.walls.identity[keyframes % len(event.walls)]])
     kinds = (ODOMETRY,) * len(steps) + (WALL,) * len(seen)
     squared = np.linspace(0.0, 60.0, len(kinds))
     residuals = Residuals(kinds, np.vstack([steps, seen]), squared, np.full(len(kinds), 2), np.ones(len(kinds)))

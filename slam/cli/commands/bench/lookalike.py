@@ -51,9 +51,7 @@ def bench_lookalike(
     if wrong := [run for run in runs if run.wrong]:
         print_message("wrong loop closures in " + ", ".join(f"{run.world} seed {run.seed}" for run in wrong))
     if misplaced := [run for run in runs if run.misplaced]:
-        print_message(
-            "wrong relocalisations in " + ", ".join(f"{run.world} seed {run.seed}" for run in misplaced)
-        )
+        print_message("wrong relocalisations in " + ", ".join(f"{run.world} seed {run.seed}" for run in misplaced))
     if wrong or misplaced:
         raise typer.Exit(EXIT_WRONG_MAP)
 
