@@ -22,7 +22,6 @@ from drivers import DriverError, Message, Odometry, Scan
 from drivers.devices.acquisition import Acquisition, Snapshot
 from drivers.devices.device_spec import parse_devices
 from drivers.devices.supervisor import DeviceState
-from drivers.messages import end_stamp
 
 RATE, TURNS = 9200.0, 9.7
 METRES_PER_READING = 10 * 0.444565e-3
@@ -344,9 +343,3 @@ def test_a_lidar_that_is_still_streaming_is_restarted(peer: Any) -> None:
         scans = receive_for(acquisition, 1.0)
     assert len(scans) > 5
     assert peer.wait_for("stop")["scanning"]
-
-
-def test_a_message_ends_with_its_last_measurement() -> None:
-    scan = Scan(5.0, np.ones(3), np.arange(3.0), np.array([0.2, 0.1, 0.0]), 0.1, 9.0)
-    assert end_stamp(scan) == 5.2
-    assert end_stamp(Odometry(5.0, np.zeros(3))) == 5.0

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from drivers import Odometry, Scan
 from drivers.devices.reorder_buffer import MAX_BATCH, MAX_HOLD, ReorderBuffer
+from drivers.messages import end_stamp
 
 
 def odometry(stamp: float) -> Odometry:
@@ -86,3 +87,9 @@ def test_all_messages_are_returned_in_order_or_counted(steps: list[tuple[int, fl
     given_out += [message.stamp for message in buffer.flush()]
     assert given_out == sorted(given_out)
     assert len(given_out) + buffer.dropped + buffer.late == len(steps)
+
+
+def test_a_message_ends_with_its_last_measurement() -> None:
+    scan = Scan(5.0, np.ones(3), np.arange(3.0), np.array([0.2, 0.1, 0.0]), 0.1, 9.0)
+    assert end_stamp(scan) == 5.2
+    assert end_stamp(Odometry(5.0, np.zeros(3))) == 5.0
