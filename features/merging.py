@@ -26,7 +26,7 @@ EXTENSION_GATE = 9.0
 # Instead of the number of rays between two segments: none, and no break either. Origin: definition.
 ADJACENT = -1
 
-# Maximum number of passes over all neighbours; two suffice for nearly every scan. Origin: measured, on simulated scans.
+# Maximum number of passes over all neighbours; two suffice for nearly every scan. Origin: measured.
 MAX_PASSES = 4
 
 

@@ -24,7 +24,7 @@ from .factors import Factor, FactorKind, GraphState, from_pose2, to_gtsam_graph,
 from .graph_estimate import GraphEstimate
 from .isam2 import RELINEARIZE_SKIP, IncrementalSolver
 
-# Gauss-Newton steps of `relinearize_all`. Origin: chosen, the estimate has converged before; not measured.
+# Gauss-Newton steps of `relinearize_all`. Origin: chosen; not measured.
 BATCH_STEPS = 3
 # Maximum of updates of `update_until_converged`; the first one moves by what was below the relinearisation threshold.
 # Origin: measured, the fifth update moves everything by less than a micrometre.
@@ -40,8 +40,7 @@ CONVERGED_CHANGE = 1e-5
 GAUGE_PRIOR_SIGMA = 0.1
 # Metres, metres, radians: the first keyframe defines the map's frame. Origin: numerical, far below what is measured.
 FIRST_POSE_SIGMAS = np.array([1e-4, 1e-4, 1e-5])
-# Metres across and radians: standard deviations of a wall equality. Origin: chosen, as small as the uncertainty of a
-# well-observed wall; not measured.
+# Metres across and radians: standard deviations of a wall equality. Origin: chosen; not measured.
 SAME_WALL_SIGMAS = np.array([5e-3, 3e-3])
 
 

@@ -16,7 +16,7 @@ from drivers import se2
 from ..geometry.segments import Floats
 
 # Standard deviations at which the weight of a corner's observation is one half.
-# Origin: chosen, few observations that are correct lose weight; not measured.
+# Origin: chosen; not measured.
 CAUCHY_SCALE = 4.0
 # The same for each of the two factors of a wall's observation: together they are as strong as one of both.
 # Origin: definition.

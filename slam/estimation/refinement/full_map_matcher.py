@@ -20,10 +20,10 @@ from ...matching.line_matcher import NEAR_STARTS, Registration
 from .scan_history import ScanHistory
 
 # Metres; side of the square tiles: scans of one tile use the same likelihood field.
-# Origin: chosen, less than the range of a likelihood field; not measured.
+# Origin: chosen; not measured.
 TILE = 4.0
 # Metres from the centre of a tile within which keyframes contribute points to its likelihood field.
-# Origin: chosen, somewhat more than a tile; not measured.
+# Origin: chosen; not measured.
 FIELD_RADIUS = 6.0
 # Maximum number of keyframes per likelihood field, evenly selected. Origin: chosen, bounds the time; not measured.
 MAX_FIELD_KEYFRAMES = 40
@@ -31,7 +31,7 @@ MAX_FIELD_KEYFRAMES = 40
 # Origin: chosen, weak; not measured.
 PRIOR_SIGMAS = np.array([0.2, 0.2, 0.1])
 # Metres; if a scan is farther than this from an even motion between its neighbours, it is matched there as well.
-# Origin: chosen, beyond the error of tracking; not measured.
+# Origin: chosen; not measured.
 MAX_UNEVEN_OFFSET = 0.2
 
 # Points of an empty tile. Origin: definition.

@@ -22,7 +22,7 @@ from .landmark_recount import recompute_covariances, recount_observations
 from .scan_history import ScanHistory
 
 # Metres, metres, radians: standard deviations of the pose, relative to its keyframe, of a scan in a familiar place.
-# Origin: chosen, more than the error of tracking; not measured.
+# Origin: chosen; not measured.
 PASSING_SIGMAS = np.array([0.02, 0.02, 0.01])
 
 

@@ -22,7 +22,7 @@ MAX_ITERATIONS = 3
 # Maximum number of missed loops closed; each is followed by all iterations again.
 # Origin: chosen, bounds the time; not measured.
 MAX_MISSED_LOOPS = 5
-# Metres; the iteration has converged if no keyframe moves farther. Origin: chosen, below the accuracy; not measured.
+# Metres; the iteration has converged if no keyframe moves farther. Origin: chosen; not measured.
 CONVERGED_SHIFT = 0.001
 
 

@@ -17,7 +17,7 @@ from ...preprocessing.preprocessor import NO_FEATURES, ProcessedScan
 from ..scan_update import UNMEASURED_MOTION_SIGMAS
 
 # Metres, metres, radians: standard deviations of a motion for which odometry was found to be wrong.
-# Origin: chosen, a scan interval at walking pace; not measured.
+# Origin: chosen; not measured.
 WRONG_ODOMETRY_SIGMAS = np.array([0.5, 0.5, 0.3])
 
 

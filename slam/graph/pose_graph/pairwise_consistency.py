@@ -19,7 +19,7 @@ from .model import Edges, Flags, Floats, Integers, PoseGraph
 # Poses along the trajectory within which two loop edges are compared. Origin: measured, on public graphs at least three
 # quarters of the true loops have a consistent one within this; of as many random false loops, one in a hundred.
 MAX_INDEX_DISTANCE = 20
-# Log-likelihood ratio above which two loop edges are consistent. Origin: measured, as MAX_INDEX_DISTANCE.
+# Log-likelihood ratio above which two loop edges are consistent. Origin: chosen; not measured.
 MIN_LOG_RATIO = 4.0
 # Regularisation of an information matrix relative to its largest entry, so that it has an inverse. Origin: numerical.
 REGULARISATION = 1e-9

@@ -25,14 +25,14 @@ from .pairwise_consistency import count_consistent_loops, odometry_edges
 from .spanning_tree import components
 
 # Share of true edges rejected if the information matrices are correct and the errors normal.
-# Origin: chosen, less than one edge of most graphs; not measured.
+# Origin: chosen; not measured.
 FALSE_ALARM_RATE = 1e-4
-# Number of other loop edges with which one must be consistent to be used in the initial estimate: two false edges may
-# agree by chance, three do so a hundred times more rarely. Origin: measured, on public graphs with random false edges.
+# Number of other loop edges with which one must be consistent to be used in the initial estimate.
+# Origin: measured, two false edges agree by chance a hundred times more often than three.
 MIN_CONSISTENT_LOOPS = 2
 # Quantile from which the scale of the errors is estimated, and the multiple of it that is allowed, as real errors have
 # heavy tails. For the initial inliers, of which fewer than a tenth are false; rejected edges can still be admitted.
-# Origin: chosen, by the share of false edges; not measured.
+# Origin: chosen; not measured.
 INITIAL_SCALE = (0.9, 3.0)
 # The same for the final inliers. False edges with an innovation below that remain.
 # Origin: measured, on public graphs the innovation of true edges is up to 5.6 times what the quantile predicts.
@@ -41,7 +41,7 @@ FINAL_SCALE = (0.95, 7.0)
 # Origin: numerical.
 INNOVATION_REGULARISATION = 1e-9
 # Number of edges besides odometry below which their scale is not estimated.
-# Origin: chosen, for a usable 0.9 quantile; not measured.
+# Origin: chosen, fewer do not determine the scale; not measured.
 MIN_LOOP_EDGES = 30
 # Growth of the control parameter mu per iteration. Origin: definition, Yang et al. 2020.
 MU_GROWTH = 1.4
