@@ -31,7 +31,7 @@ class Pilot(Protocol):
 
 
 class PathPilot:
-    """Pilot along a world's way points, without end; see `driving.Steering`."""
+    """Pilot along a world's way points, without end; see `trajectory.WaypointFollower`."""
 
     def __init__(self, world: World) -> None:
         self._steering = WaypointFollower(world.waypoints, world.speed, endless=True)

@@ -104,9 +104,9 @@ def test_velocities_are_driven(bench: MakeBench, name: str) -> None:
     assert np.hypot(*between(start, robot.emulator.motion.poses(np.array([robot.time]))[0])[:2]) > 0.3
     host.port.write(protocol.stop())
     robot.go(1.0)
-    remainder = robot.emulator.motion.travelled(robot.time)
+    at_rest = robot.emulator.motion.travelled(robot.time)
     robot.go(0.5)
-    assert robot.emulator.motion.travelled(robot.time) == remainder
+    assert robot.emulator.motion.travelled(robot.time) == at_rest
 
 
 def test_a_base_without_new_commands_stops(bench: MakeBench) -> None:
