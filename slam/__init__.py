@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .config import Config, load_config
     from .errors import SlamError
-    from .events import Event, Finished, MapCorners, MapWalls, Sink
+    from .events import Event, Finished, Sink
+    from .mapping.map_features import MapCorners, MapWalls
     from .pipeline import Slam
     from .warmup import warm_up
 

@@ -17,12 +17,13 @@ from .estimation.refinement import match_trajectory, refine
 from .estimation.relocalisation_session import KidnappingMonitor, RelocalisationSession
 from .estimation.slam_state import SlamState
 from .estimation.stage_timer import StageTimer
-from .events import Finished, GroundTruthReceived, MapCorners, MapWalls, Notice, Relocalised, Sink
+from .events import Finished, GroundTruthReceived, Notice, Relocalised, Sink
 from .geometry.segments import Floats
 from .io.sessions import StoredSession
 from .localisation.state import LocalisationEvent, LocalisationState, LocalisationStateMachine
 from .localisation.tracker import PoseFix
 from .loop_closure.loop_search import LoopSearch
+from .mapping.map_features import MapCorners, MapWalls
 from .preprocessing.preprocessor import Preprocessor, ProcessedScan
 from .publisher import Publisher
 from .run_statistics import RunStatistics, run_summary

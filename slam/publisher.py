@@ -227,7 +227,7 @@ def _loop_event(decision: LoopDecision, stamp: float, mapper: Mapper, superseded
 def _compared_walls(decision: LoopDecision) -> ComparedWalls | None:
     if decision.compared is None:
         return None
-    recent, old = (constellation.end_points() for constellation in decision.compared)
+    recent, old = (walls.end_points() for walls in decision.compared)
     aligned = se2.transform(decision.hypothesis.motion, recent)
     return ComparedWalls(recent, aligned, old, decision.hypothesis.matches.copy())
 

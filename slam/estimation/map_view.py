@@ -6,9 +6,10 @@ import numpy as np
 
 from drivers import se2
 
-from ..events import Finished, MapCorners, MapWalls
+from ..events import Finished
 from ..geometry.segments import Floats
 from ..mapping.landmarks import Landmarks
+from ..mapping.map_features import MapCorners, MapWalls
 from ..mapping.mapper import Mapper
 from ..mapping.overlap_suppression import suppress_overlapping_walls
 from .slam_state import SlamState

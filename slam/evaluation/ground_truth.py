@@ -16,8 +16,9 @@ from drivers.messages import GroundTruth
 from drivers.simulation import Simulation, World
 
 from ..config import Config
-from ..events import Finished, MapCorners, MapWalls
+from ..events import Finished
 from ..io.tum import Trajectory
+from ..mapping.map_features import MapCorners, MapWalls
 from ..pipeline import Slam
 from .nees import Floats, line_nees, point_nees, pose_nees
 

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..errors import MapError
-from ..events import MapCorners, MapWalls
+from ..mapping.map_features import MapCorners, MapWalls
 
 FORMAT = "wclm-slam map"
 VERSION = 2

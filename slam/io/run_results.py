@@ -9,7 +9,7 @@ from typing import Any
 
 from ..config import Config, load_config
 from ..errors import MapError
-from ..events import MapCorners, MapWalls
+from ..mapping.map_features import MapCorners, MapWalls
 from .keyframes_csv import Keyframes, read_keyframes
 from .map_json import read_map
 from .output_dir import CONFIG, KEYFRAMES, MAP, SUMMARY, TRAJECTORY

@@ -25,6 +25,7 @@ from .extraction import build_extractor
 # Origin: chosen, two seconds at 10 Hz; not measured.
 MAX_QUEUED_SCANS = 20
 
+# Features of an empty scan. Origin: definition.
 NO_FEATURES = ScanFeatures(
     Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2))),
     CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2))),

@@ -15,8 +15,9 @@ from drivers.messages import Message, Odometry, Scan
 from slam.cli.app import app
 from slam.config import Config
 from slam.estimation.slam_state import SlamState
-from slam.events import Event, Finished, MapCorners, MapWalls, Notice
+from slam.events import Event, Finished, Notice
 from slam.io.sessions import StoredSession
+from slam.mapping.map_features import MapCorners, MapWalls
 from slam.odometry.history import OdometryHistory
 from slam.visualisation.rerun_log import ReviewLog
 

@@ -8,18 +8,9 @@ import numpy as np
 from rerun.chunk import RrdReader
 
 from drivers import se2
-from slam.events import (
-    Finished,
-    GroundTruthReceived,
-    KeyframeAdded,
-    MapCorners,
-    MapUpdated,
-    MapWalls,
-    Notice,
-    ScanTracked,
-    WallsMerged,
-)
+from slam.events import Finished, GroundTruthReceived, KeyframeAdded, MapUpdated, Notice, ScanTracked, WallsMerged
 from slam.geometry.segments import CornerPoints, Segments
+from slam.mapping.map_features import MapCorners, MapWalls
 from slam.visualisation.rerun_log import ReviewLog
 
 # A corridor around a block, 24 m by 16 m outside; walls are seen from inside the corridor.

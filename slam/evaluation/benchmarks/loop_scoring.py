@@ -19,7 +19,6 @@ from ...events import (
     KeyframeAdded,
     LoopDecided,
     MapUpdated,
-    MapWalls,
     Notice,
     Relocalised,
     ScanTracked,
@@ -27,6 +26,7 @@ from ...events import (
     WallsMerged,
     WallsRemoved,
 )
+from ...mapping.map_features import MapWalls
 from ..ground_truth import match_walls, true_walls
 from ..metrics import align, motion_errors
 

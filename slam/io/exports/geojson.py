@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...events import MapCorners, MapWalls
 from ...geometry.segments import Floats
+from ...mapping.map_features import MapCorners, MapWalls
 from ..run_results import RunResults
 from .path_thinning import thin_path
 

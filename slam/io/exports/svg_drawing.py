@@ -13,9 +13,9 @@ from html import escape
 
 import numpy as np
 
-from ...events import MapCorners, MapWalls
 from ...geometry.segments import Floats
 from ...loop_closure.loop_status import LoopStatus
+from ...mapping.map_features import MapCorners, MapWalls
 from ..keyframes_csv import Keyframes
 from ..run_results import RunResults
 from ..tum import Trajectory

@@ -160,19 +160,20 @@ def _read_slam_state(
     roughness.add_samples(np.array(header.sensor_models.roughness_samples))
     free_space_evidence = read_free_space_evidence(folder / WALLS)
     try:
-        segments = [keyframes[k].features.segments for k in range(len(rows))]
-        mapper = Mapper.from_saved(graph, landmarks, roughness, free_space_evidence, records, segments, unconfirmed)
-        return SlamState.restored(
-            config,
-            np.array(header.sensor_models.odometry_samples).reshape(-1, 6),
-            mapper,
-            scans.trajectory,
-            scans.keyframe_stamps,
-            header.tracking_checkpoint,
-            header.loop_search_state,
-            keyframes,
-        )
-    except (MapError, IndexError, RuntimeError, ValueError) as error:  # the tables do not fit together
+        with np.errstate(divide="raise", over="raise", invalid="raise"):  # damaged numbers raise ArithmeticError
+            segments = [keyframes[k].features.segments for k in range(len(rows))]
+            mapper = Mapper.from_saved(graph, landmarks, roughness, free_space_evidence, records, segments, unconfirmed)
+            return SlamState.restored(
+                config,
+                np.array(header.sensor_models.odometry_samples).reshape(-1, 6),
+                mapper,
+                scans.trajectory,
+                scans.keyframe_stamps,
+                header.tracking_checkpoint,
+                header.loop_search_state,
+                keyframes,
+            )
+    except (MapError, ArithmeticError, IndexError, RuntimeError, ValueError) as error:  # the tables do not fit together
         raise MapError(f"{path}: the session cannot be restored: {str(error).splitlines()[0]}") from error
 
 

@@ -81,9 +81,10 @@ class TableReader:
         self._path = path
         try:
             self._table = pq.read_table(path)
+            self._names = self._table.column_names
         except FileNotFoundError as error:
             raise MapError(f"{path}: file is missing; the session is incomplete") from error
-        except (OSError, pa.ArrowException) as error:
+        except (OSError, UnicodeDecodeError, pa.ArrowException) as error:
             raise MapError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from error
         name = (self._table.schema.metadata or {}).get(TABLE_NAME, b"")
         if name != path.stem.encode():
@@ -141,7 +142,10 @@ class TableReader:
     def _column(self, name: str, has_type: Any) -> Array:
         array = self._array(name)
         self._check(name, has_type(array.type) and not array.null_count, f"has values of another type: {array.type}")
-        return np.asarray(array.to_numpy(zero_copy_only=False))
+        try:
+            return np.asarray(array.to_numpy(zero_copy_only=False))
+        except UnicodeDecodeError as error:
+            raise MapError(f"{self._path}: the column {name} has text that is not UTF-8") from error
 
     def _ragged(self, name: str, has_type: Any) -> Ragged:
         array = self._array(name)
@@ -151,7 +155,7 @@ class TableReader:
         return Ragged(np.asarray(array.flatten().to_numpy(zero_copy_only=False)), lengths)
 
     def _array(self, name: str) -> pa.Array:
-        self._check(name, name in self._table.column_names, "is missing")
+        self._check(name, name in self._names, "is missing")
         column = self._table.column(name).combine_chunks()
         if isinstance(column, pa.ChunkedArray):  # of an empty table
             return pa.array([], column.type)

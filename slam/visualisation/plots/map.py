@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...events import MapCorners, MapWalls
+from ...mapping.map_features import MapCorners, MapWalls
 from .style import BLUE, GREEN, INK, ORANGE, SKY, VERMILLION, Floats, ellipses, legend, metric_figure, save
 
 if TYPE_CHECKING:

@@ -26,9 +26,7 @@ from ...events import (
     GroundTruthReceived,
     KeyframeAdded,
     LoopDecided,
-    MapCorners,
     MapUpdated,
-    MapWalls,
     Notice,
     Relocalised,
     ScanTracked,
@@ -38,6 +36,7 @@ from ...events import (
 )
 from ...geometry.segments import Floats
 from ...loop_closure.loop_status import LoopStatus
+from ...mapping.map_features import MapCorners, MapWalls
 from . import documents
 from .blueprint import Extent, layout
 from .factor_graph_layer import FactorGraphLayer

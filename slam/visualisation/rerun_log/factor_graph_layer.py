@@ -6,9 +6,10 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from ...events import GraphInspected, MapCorners, MapWalls
+from ...events import GraphInspected
 from ...geometry.segments import Floats, Integers
 from ...graph.residuals import CORNER, GAUGE_PRIOR, ODOMETRY, WALL, WALL_EQUALITY, Residuals
+from ...mapping.map_features import MapCorners, MapWalls
 from . import colours
 from .colours import Colour
 from .documents import residual_report

@@ -11,7 +11,8 @@ import rerun as rr
 
 from drivers import se2
 
-from ...events import KeyframeAdded, MapCorners, MapWalls, Relocalised
+from ...events import KeyframeAdded, Relocalised
+from ...mapping.map_features import MapCorners, MapWalls
 from . import colours, documents
 from .colours import Colour
 from .feature_matches import FeatureMatches

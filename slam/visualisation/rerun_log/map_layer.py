@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import rerun as rr
 
-from ...events import MapCorners, MapWalls
+from ...mapping.map_features import MapCorners, MapWalls
 from . import colours
 from .rrd_writer import RrdWriter
 from .shapes import Height, ellipses, to_3d, wall_bands

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from drivers import se2
 
-from ...events import MapCorners, MapWalls
 from ...geometry.segments import Floats, Integers, Segments
+from ...mapping.map_features import MapCorners, MapWalls
 
 Float32s = NDArray[np.float32]
 

@@ -10,7 +10,7 @@ from drivers.messages import Odometry, Scan
 from drivers.simulation import Simulation, World
 from slam.evaluation.benchmarks.consistency import consistency_table, simulate, summarise
 from slam.evaluation.ground_truth import Nees, TrueWalls, corner_nees, match_walls, measure, true_walls, wall_nees
-from slam.events import MapCorners, MapWalls
+from slam.mapping.map_features import MapCorners, MapWalls
 from slam.odometry.history import OdometryHistory
 from slam.preprocessing.deskew import deskew
 

@@ -12,10 +12,11 @@ from drivers.messages import Message
 from drivers.simulation import LidarModel, Simulation, TemporaryShapes, World
 from slam import Slam
 from slam.config import Config, config_to_toml
-from slam.events import Finished, MapWalls, WallsRemoved
+from slam.events import Finished, WallsRemoved
 from slam.io.output_dir import CONFIG
 from slam.io.sessions import StoredSession, read_session, write_session
 from slam.mapping.landmarks import WALL_CELL
+from slam.mapping.map_features import MapWalls
 
 from ..listeners import EventCollector
 

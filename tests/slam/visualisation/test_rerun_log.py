@@ -19,15 +19,14 @@ from slam.events import (
     GroundTruthReceived,
     KeyframeAdded,
     LoopDecided,
-    MapCorners,
     MapUpdated,
-    MapWalls,
     Notice,
     Relocalised,
     ScanTracked,
     StateChanged,
 )
 from slam.loop_closure.loop_status import LoopStatus
+from slam.mapping.map_features import MapCorners, MapWalls
 from slam.visualisation.rerun_log import ReviewLog, review_log, rrd_writer
 from slam.visualisation.rerun_log.event_log import EventLog
 from slam.visualisation.rerun_log.log_files import log_parts
