@@ -200,7 +200,7 @@ def test_missing_or_wrong_table_is_named(written: tuple[StoredSession, Path], tm
         read_session(path)
 
 
-@settings(max_examples=1500, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     which=st.integers(0, 99),
     position=st.floats(0.0, 1.0),
