@@ -209,7 +209,8 @@ def test_crash_of_a_worker_affects_only_its_recording(client: Client, tmp_path: 
         end = Status.FAILED if name in ("deadly", "broken") else Status.DONE
         tries = 1 if name.startswith("good") else 2
         assert statuses[name] == [*[Status.RUNNING] * tries, end], name
-        assert len((tmp_path / "logs" / f"{name}.log").read_text().splitlines()) == tries
+        # A result that is still in the memory of a killed worker is computed once more.
+        assert tries <= len((tmp_path / "logs" / f"{name}.log").read_text().splitlines()) <= tries + 1
     assert errors["deadly"] == "the worker process died while mapping it"
     assert errors["broken"] == "OSError: the disk went away"
 
