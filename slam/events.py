@@ -124,7 +124,7 @@ class GraphInspected:
 
 
 @dataclass(frozen=True, slots=True)
-class LoopTest:
+class LoopCheck:
     """One check of a loop hypothesis: `value` had to be at least (`at_least`) or at most the `gate`."""
 
     name: str
@@ -190,8 +190,8 @@ class LoopDecided:
     contradicted   share of the recent wall length that older walls would have hidden
     merged         pairs of wall ids (old, recent) that were merged
     shift          distance that the keyframe moved, metres
-    tests          all checks
-    sight          compared walls
+    checks         all checks
+    compared       compared walls
     correction     change of trajectory and map, if the status is accepted or retracted
     """
 
@@ -209,8 +209,8 @@ class LoopDecided:
     contradicted: float
     merged: tuple[tuple[int, int], ...]
     shift: float
-    tests: tuple[LoopTest, ...] = ()
-    sight: ComparedWalls | None = None
+    checks: tuple[LoopCheck, ...] = ()
+    compared: ComparedWalls | None = None
     correction: Correction | None = None
 
 

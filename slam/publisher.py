@@ -19,8 +19,8 @@ from .events import (
     Event,
     GraphInspected,
     KeyframeAdded,
+    LoopCheck,
     LoopDecided,
-    LoopTest,
     MapUpdated,
     Notice,
     ScanTracked,
@@ -218,8 +218,8 @@ def _loop_event(decision: LoopDecision, stamp: float, mapper: Mapper, superseded
         contradicted=verdict.contradicted,
         merged=decision.merged,
         shift=decision.shift,
-        tests=tuple(LoopTest(t.name, float(t.value), t.gate, t.at_least, t.passed) for t in verdict.checks),
-        sight=_compared_walls(decision),
+        checks=tuple(LoopCheck(t.name, float(t.value), t.gate, t.at_least, t.passed) for t in verdict.checks),
+        compared=_compared_walls(decision),
         correction=None if superseded is None else _correction(decision, mapper, superseded),
     )
 

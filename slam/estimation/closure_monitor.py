@@ -16,7 +16,7 @@ from ..mapping.mapper import Mapper
 from ..preprocessing.preprocessor import ProcessedScan
 from .slam_state import SlamState
 
-# Metres of driving for which a closure is monitored. Origin: chosen, as far as OLD_WAY; not measured.
+# Metres of driving for which a closure is monitored. Origin: chosen, as REFERENCE_DISTANCE; not measured.
 MONITORED_DISTANCE = 15.0
 # Metres of driving between two checks. Origin: chosen, as the interval of the loop search; not measured.
 CHECK_INTERVAL = 1.5

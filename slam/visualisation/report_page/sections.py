@@ -12,7 +12,7 @@ from .formatting import clock, counted, duration, length, percent
 APPLIED = (LoopStatus.ACCEPTED, LoopStatus.RETRACTED)
 """Decisions that changed the map; the others are in a collapsed table."""
 COLUMN_MEANINGS = {
-    "status": "a pending loop passed all tests but was not confirmed by a second candidate",
+    "status": "a pending loop passed all checks but was not confirmed by a second candidate",
     "keyframes": "keyframe of the decision, and one that observed the place before",
     "overlap": "share of the recent wall length that would lie on old walls; higher is better",
     "walls": "number of matched walls",

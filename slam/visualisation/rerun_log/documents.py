@@ -59,20 +59,20 @@ def loop_report(event: LoopDecided) -> str:
         "",
         f"{event.reason}; motion of the robot ({x:.2f}, {y:.2f}) m, {math.degrees(heading):.1f}°",
         "",
-        "| test | value | gate | |",
+        "| check | value | gate | |",
         "|---|---|---|---|",
     ]
-    for test in event.tests:
-        relation = "≥" if test.at_least else "≤"
-        verdict = "" if test.passed else "**fails**"
-        name = _TESTS.get(test.name, test.name)
-        lines.append(f"| {name} | {test.value:.3g} | {relation} {test.gate:.3g} | {verdict} |")
+    for check in event.checks:
+        relation = "≥" if check.at_least else "≤"
+        verdict = "" if check.passed else "**fails**"
+        name = _CHECKS.get(check.name, check.name)
+        lines.append(f"| {name} | {check.value:.3g} | {relation} {check.gate:.3g} | {verdict} |")
     if event.correction is not None:
         lines += _correction_table(event.correction, len(event.merged))
     return "\n".join(lines)
 
 
-_TESTS = {
+_CHECKS = {
     "drift": "motion / expected drift",
     "overlap-ratio": "overlap ratio with the reference map",
     "directional-ratio": "lowest overlap ratio of the walls that determine one direction",

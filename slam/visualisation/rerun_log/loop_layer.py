@@ -128,8 +128,8 @@ class CorrectionLayer:
 
     def log(self, event: LoopDecided) -> None:
         """Log the walls that a decision compared, and its correction of the map if there is one."""
-        if event.sight is not None:
-            self._log_compared_walls(event.sight)
+        if event.compared is not None:
+            self._log_compared_walls(event.compared)
         if event.correction is not None:
             self._log_correction(event.correction)
 
@@ -203,11 +203,11 @@ def _row(event: LoopDecided, number: int) -> dict[str, Any]:
         "merged": len(event.merged),
         "shift": float(event.shift),
     }
-    for test in event.tests:
-        name = test.name.replace("-", "_")
-        row |= {name: float(test.value), f"{name}_gate": float(test.gate)}
-    if failed := next((test.name for test in event.tests if not test.passed), None):
-        row["failed_test"] = failed
+    for check in event.checks:
+        name = check.name.replace("-", "_")
+        row |= {name: float(check.value), f"{name}_gate": float(check.gate)}
+    if failed := next((check.name for check in event.checks if not check.passed), None):
+        row["failed_check"] = failed
     if event.correction is not None:
         correction = event.correction
         shifts = correction.shifts()

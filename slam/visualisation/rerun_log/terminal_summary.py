@@ -107,11 +107,11 @@ def _closures(data: SessionData) -> Iterator[str]:
             yield f"  {decision['status']:<10}x{decision['keyframe']} at x{decision['old']}, {effect}{reason}"
     rejected = Counter(decision["failed"] for decision in decisions if decision.get("failed"))
     if rejected:
-        yield "  failed tests: " + ", ".join(f"{name} ({count})" for name, count in rejected.most_common())
+        yield "  failed checks: " + ", ".join(f"{name} ({count})" for name, count in rejected.most_common())
 
 
 def _decisions(data: SessionData) -> Iterator[dict[str, Any]]:
-    """Yield the decisions from the log, which contains the tests; without a log from the summary."""
+    """Yield the decisions from the log, which contains the checks; without a log from the summary."""
     found = rows(data.chunks, f"/{DECISIONS}")
     if not found:
         yield from (data.summary.get("slam") or {}).get("loop_decisions") or []
@@ -124,7 +124,7 @@ def _decisions(data: SessionData) -> Iterator[dict[str, Any]]:
             "reason": value["reason"],
             "shift": value.get("max_shift", value["shift"]),
             "merged": value["merged"],
-            "failed": value.get("failed_test", ""),
+            "failed": value.get("failed_check", ""),
         }
 
 

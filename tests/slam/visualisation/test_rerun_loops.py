@@ -66,15 +66,15 @@ def test_every_decision_is_a_row_with_its_scores_and_gates(logged: Logged) -> No
         assert (value["number"], value["loop"]) == (number + 1, event.candidate)
         assert (value["status"], value["reason"]) == (event.status, event.reason)
         assert (value["at_keyframe"], value["old_keyframe"]) == (event.index, event.old)
-        assert len(event.tests) in (10, 11)  # the test against the estimate comes last, if all others have passed
-        for test in event.tests:
+        assert len(event.checks) in (10, 11)  # the test against the estimate comes last, if all others have passed
+        for test in event.checks:
             name = test.name.replace("-", "_")
             assert (value[name], value[f"{name}_gate"]) == (test.value, test.gate)
         if event.status in (LoopStatus.ACCEPTED, LoopStatus.PENDING):
-            assert all(test.passed for test in event.tests)
-            assert "failed_test" not in value
+            assert all(test.passed for test in event.checks)
+            assert "failed_check" not in value
         if event.status == LoopStatus.REJECTED and event.reason != "was retracted before":
-            assert not next(test for test in event.tests if test.name == value["failed_test"]).passed
+            assert not next(test for test in event.checks if test.name == value["failed_check"]).passed
 
 
 def test_a_decision_is_a_step_of_its_timeline(logged: Logged) -> None:
@@ -125,12 +125,12 @@ def test_matched_walls_lie_on_the_reference_map_after_alignment(logged: Logged) 
     compared = logged.rows("/compared_walls/aligned")
     assert len(compared) == len(decided)
     for event, row in zip(decided, compared, strict=True):
-        sight = event.sight
-        assert sight is not None
-        assert len(row.values["LineStrips3D:strips"]) == len(sight.aligned) == len(sight.match)
-        matched = np.flatnonzero(sight.match >= 0)
+        compared = event.compared
+        assert compared is not None
+        assert len(row.values["LineStrips3D:strips"]) == len(compared.aligned) == len(compared.match)
+        matched = np.flatnonzero(compared.match >= 0)
         assert len(matched) == event.matches
-        middle, old = sight.aligned[matched].mean(axis=1), sight.old[sight.match[matched]]
+        middle, old = compared.aligned[matched].mean(axis=1), compared.old[compared.match[matched]]
         along = (old[:, 1] - old[:, 0]) / np.linalg.norm(old[:, 1] - old[:, 0], axis=1, keepdims=True)
         off = middle - old[:, 0]
         assert np.abs(off[:, 0] * along[:, 1] - off[:, 1] * along[:, 0]).max() < 0.2
