@@ -44,19 +44,19 @@ class Slam:
         sinks: Sequence[Sink] = (),
         *,
         refine: bool = False,
-        keep_views: bool = False,
+        keep_all_features: bool = False,
         loops: LoopSearch | None = None,
         resumed: StoredSession | None = None,
         frozen: bool = False,
     ) -> None:
         """Create an empty map, or continue a session.
 
-        refine      refine the whole map offline in `finish`
-        keep_views  keep the features of scans in familiar places too, so that the session can be refined later; memory
-                    then grows with time. Implied by `refine`
-        loops       search for loop closures in another way than the default
-        resumed     session to continue: directly if odometry is continuous, else after relocalisation in its map
-        frozen      keep the map of the session unchanged and only estimate the trajectory in it
+        refine             refine the whole map offline in `finish`
+        keep_all_features  keep the features of scans in familiar places too, so that the session can be refined later;
+                           memory then grows with time. Implied by `refine`
+        loops              search for loop closures in another way than the default
+        resumed            session to continue: directly if odometry is continuous, else after relocalisation in its map
+        frozen             keep the map of the session unchanged and only estimate the trajectory in it
         """
         self.config = config or Config()
         self._refine, self._frozen = refine, frozen
@@ -69,7 +69,7 @@ class Slam:
         self._has_odometry = False
         self._session: StoredSession | None = None
         self._preprocessor = Preprocessor(self.config, None if resumed is None else resumed.sigma_range)
-        keep = refine or keep_views
+        keep = refine or keep_all_features
         if resumed is None:
             self._estimator = Estimator(SlamState(self.config, loops))
             self._journal = Journal(keep_all_features=keep)

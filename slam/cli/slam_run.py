@@ -123,7 +123,9 @@ def run_slam(
             sinks.append(reviewed)
         started = time.perf_counter()
         with run_input.opened() as messages:
-            slam = Slam(config, sinks, refine=refine, keep_views=run_input.finite, resumed=resumed, frozen=frozen)
+            slam = Slam(
+                config, sinks, refine=refine, keep_all_features=run_input.finite, resumed=resumed, frozen=frozen
+            )
             after = -np.inf if resumed is None else resumed.latest
             finished, busy = process_messages(_shifted(messages, after, statistics), slam, statistics, run_input.name)
             log.close()

@@ -102,8 +102,8 @@ def test_a_continued_run_equals_an_uninterrupted_one(
 def test_keeping_all_features_does_not_change_the_result() -> None:
     """`wclm run` keeps them, `wclm live` does not; the trajectories are identical."""
     runs, laps = [], list(Simulation("room", seed=1, duration=75.0))  # two of them, and some more
-    for keep_views in (False, True):
-        slam = Slam(keep_views=keep_views)
+    for keep_all_features in (False, True):
+        slam = Slam(keep_all_features=keep_all_features)
         for message in laps:
             slam.add(message)
         runs.append((slam.finish(), slam.session.scan_history().has_features))

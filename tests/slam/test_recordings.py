@@ -82,7 +82,7 @@ def kept(slam: Slam, directory: Path) -> StoredSession:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["intel", "fr079", "csail"])
 def test_optimised_later_is_as_good_as_refined_at_once(name: str, tmp_path: Path) -> None:
-    slam = Slam(keep_views=True)
+    slam = Slam(keep_all_features=True)
     for message in drivers.open(recording_folder(name, "clf", "relations") / f"{name}.clf"):
         slam.add(message)
     slam.finish()

@@ -77,7 +77,7 @@ def optimize_recording(
         notices, statistics = NoticeCollector(), InputStatistics()
         started = time.perf_counter()
         with run_input.opened() as messages:
-            slam = Slam(config, [notices], keep_views=True)
+            slam = Slam(config, [notices], keep_all_features=True)
             finished, busy = process_messages(messages, slam, statistics, run_input.name)
         took = time.perf_counter() - started
         summary = summarise_run(
