@@ -1,13 +1,13 @@
 """2-D SLAM with walls and corners as landmarks.
 
-    import drivers
-    from slam import Slam, warm_up
+import drivers
+from slam import Slam, warm_up
 
-    warm_up()  # only needed online: compiles for half a minute on the first run, so that no scan is delayed by it
-    slam = Slam()
-    for message in drivers.open("intel.clf"):
-        slam.add(message)
-    result = slam.finish()  # trajectory, walls and corners with covariances
+warm_up()  # only needed online: compiles for half a minute on the first run, so that no scan is delayed by it
+slam = Slam()
+for message in drivers.open("intel.clf"):
+    slam.add(message)
+result = slam.finish()  # trajectory, walls and corners with covariances
 """
 
 from importlib import import_module

@@ -26,7 +26,7 @@ from .pipeline import Slam
 ROOM = 4.0, 3.0
 """Length and width of the simulated room, metres."""
 BEAMS = 180
-SCANS = 20
+WARMUP_SCANS = 20
 STEP = 0.1
 """Distance between scans, metres."""
 INTERVAL = 0.1
@@ -51,11 +51,11 @@ def _drive() -> Iterator[Message]:
     angles = 2 * np.pi * ((np.arange(BEAMS) + 0.5) / BEAMS - 0.5)
     offsets = np.linspace(0.0, 0.5 * INTERVAL, BEAMS)
     random = np.random.default_rng(0)
-    for k in range(SCANS):
+    for k in range(WARMUP_SCANS):
         pose = np.array([-1.0 + STEP * k, 0.3, 0.011 * k])
         yield Odometry(INTERVAL * k, pose)
         yield Scan(INTERVAL * k, _ranges(pose, angles) + random.normal(0.0, 0.01, BEAMS), angles, offsets, 0.1, 30.0)
-    yield Odometry(INTERVAL * SCANS, pose)
+    yield Odometry(INTERVAL * WARMUP_SCANS, pose)
 
 
 def _ranges(pose: se2.Pose, angles: Floats) -> Floats:

@@ -22,7 +22,7 @@ from ..mapping.map_features import MapCorners, MapWalls
 from ..pipeline import Slam
 from .nees import Floats, line_nees, point_nees, pose_nees
 
-MAX_DISTANCE = 0.15  # metres between a mapped landmark and its true counterpart
+MAX_LANDMARK_DISTANCE = 0.15  # metres between a mapped landmark and its true counterpart
 MAX_ANGLE = np.radians(15.0)  # between a mapped and a true wall; the opposite side of a wall differs by 180 degrees
 MIN_COVERED = 0.5  # share of a mapped wall's length that true walls must cover
 
@@ -101,7 +101,7 @@ def match_walls(lines: MapWalls, walls: TrueWalls) -> NDArray[np.int64]:
     on_line = np.zeros((line.max() + 1, len(lines)))
     np.add.at(on_line, line.ravel(), np.maximum(covered, 0.0))
     enough = (on_line[line.ravel()] > MIN_COVERED * (lines.high - lines.low)) & (covered > 0.0)
-    distance[~enough | (np.abs(angle) > MAX_ANGLE) | (distance > MAX_DISTANCE)] = np.inf
+    distance[~enough | (np.abs(angle) > MAX_ANGLE) | (distance > MAX_LANDMARK_DISTANCE)] = np.inf
     nearest = distance.argmin(axis=0)
     return np.where(np.isfinite(distance[nearest, np.arange(len(lines))]), nearest, -1)
 
@@ -133,7 +133,7 @@ def corner_nees(corners: MapCorners, lines: MapWalls, walls: TrueWalls) -> Float
     known = np.flatnonzero((first >= 0) & (second >= 0))
     result = np.full(len(corners), np.nan)
     truth = _intersections(walls.frame[first[known]], walls.frame[second[known]])
-    near = np.hypot(*(corners.position[known] - truth).T) < MAX_DISTANCE
+    near = np.hypot(*(corners.position[known] - truth).T) < MAX_LANDMARK_DISTANCE
     known, truth = known[near], truth[near]
     result[known] = point_nees(corners.position[known], corners.covariance[known], truth)
     return result

@@ -29,7 +29,7 @@ from ..errors import MapError
 from ..mapping.map_features import MapCorners, MapWalls
 
 FORMAT = "wclm-slam map"
-VERSION = 2
+MAP_VERSION = 2
 SUPPORTED_VERSIONS = (1, 2)
 
 _UNKNOWN_COVARIANCE = np.full((2, 2), np.nan)
@@ -69,7 +69,7 @@ class _Units(_Record):
 
 class _Map(_Record):
     format: str = FORMAT
-    version: int = VERSION
+    version: int = MAP_VERSION
     frame: Literal["map"] = "map"
     units: _Units = _Units()
     lines: list[_Line]

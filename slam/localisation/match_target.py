@@ -14,7 +14,7 @@ from ..matching.likelihood_field import LikelihoodField, likelihood_score
 from ..matching.line_matcher import NEAR_STARTS, Registration, ScanFeatures, register
 
 # Overlap ratio that alone makes a pose plausible. Origin: tuned on Intel, fr079, CSAIL and simulated drives.
-MIN_OVERLAP = 0.5
+MIN_OVERLAP_RATIO = 0.5
 # Sum of overlap ratio and likelihood score that makes a pose plausible.
 # Origin: tuned on Intel, fr079, CSAIL and simulated drives.
 MIN_TOTAL_SCORE = 0.6
@@ -37,7 +37,7 @@ class ScanMatch:
     @property
     def plausible(self) -> bool:
         """True if the scan fits the map well enough for its pose to be accepted."""
-        return self.registration.overlap_ratio >= MIN_OVERLAP or self.score >= MIN_TOTAL_SCORE
+        return self.registration.overlap_ratio >= MIN_OVERLAP_RATIO or self.score >= MIN_TOTAL_SCORE
 
 
 @dataclass(frozen=True, slots=True, eq=False)

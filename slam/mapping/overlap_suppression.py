@@ -24,7 +24,7 @@ from .landmarks import WALL_CELL, Landmarks
 # Origin: measured, on Intel, fr079 and CSAIL it leaves 5, 14 and 6 of 42, 104 and 49 pairs of close walls: bays.
 MAX_DEPTH = 0.05
 # Radians between lines of one wall. Origin: chosen, short lines on ledges are turned by some degrees; not measured.
-MAX_TURN = math.radians(10.0)
+MAX_OVERLAP_TURN = math.radians(10.0)
 # Shortest run of cells that is suppressed, and that remains: walls that meet at an obtuse angle are close to each other
 # over a short stretch. Origin: chosen, 0.3 m; not measured.
 MIN_RUN_CELLS = 3
@@ -58,9 +58,9 @@ def _walls_alongside(rows: NDArray[np.void], walls: Integers) -> dict[int, list[
     along, across, turn = np.moveaxis(se2.between(rows["frame"][:, None], rows["frame"][None, :]), -1, 0)
     reach = np.maximum(-rows["low"], rows["high"])
     near = (along - reach < rows["high"][:, None]) & (along + reach > rows["low"][:, None])
-    near &= np.abs(across) < MAX_DEPTH + (reach + np.abs(along)) * math.sin(MAX_TURN)
+    near &= np.abs(across) < MAX_DEPTH + (reach + np.abs(along)) * math.sin(MAX_OVERLAP_TURN)
     found: dict[int, list[int]] = {}
-    for later, earlier in np.argwhere(np.tril(near & (np.abs(turn) < MAX_TURN), -1)):
+    for later, earlier in np.argwhere(np.tril(near & (np.abs(turn) < MAX_OVERLAP_TURN), -1)):
         found.setdefault(int(walls[later]), []).append(int(walls[earlier]))
     return found
 

@@ -29,7 +29,7 @@ MAX_MERGE_OFFSET = 0.10
 # Radians between two walls that may be one. Origin: chosen; not measured.
 MAX_MERGE_HEADING = math.radians(4.0)
 # Metres by which two walls that may be one must overlap. Origin: chosen, two cells of coverage; not measured.
-MIN_OVERLAP = 0.2
+MIN_OVERLAP_LENGTH = 0.2
 # Keyframes that must have observed a wall before it is merged by its covariance relative to the robot alone.
 # Origin: chosen, one more than for confirmation; not measured.
 MIN_OBSERVATIONS_TO_MERGE = 3
@@ -144,7 +144,9 @@ def find_overlaps(frame: Floats, low: Floats, high: Floats) -> list[Overlap]:
     end = np.minimum(high[:, None], along + high[None, :])
     middle = 0.5 * (start + end)
     offset = other[..., 1] + (middle - along) * np.tan(turn)
-    close = (np.abs(turn) < MAX_MERGE_HEADING) & (np.abs(offset) < MAX_MERGE_OFFSET) & (end - start > MIN_OVERLAP)
+    close = (
+        (np.abs(turn) < MAX_MERGE_HEADING) & (np.abs(offset) < MAX_MERGE_OFFSET) & (end - start > MIN_OVERLAP_LENGTH)
+    )
     return [
         Overlap(int(i), int(j), along[i, j], middle[i, j], end[i, j] - start[i, j], offset[i, j], turn[i, j])
         for i, j in np.argwhere(np.triu(close, 1))

@@ -14,7 +14,7 @@ from ..geometry.segments import Floats
 
 # Latest samples used, two per observation: some fifty keyframes. Origin: chosen, follows a change of building; not
 # measured.
-MAX_SAMPLES = 1000
+MAX_ROUGHNESS_SAMPLES = 1000
 # Square metres, assumed before observations. Small, as it stays in the factors of the first keyframes, which fix the
 # map's frame. Origin: tuned on simulated drives: with larger values the covariances were too pessimistic.
 INITIAL_VARIANCE = 0.0003**2
@@ -39,7 +39,7 @@ class WallRoughness:
 
     def add_samples(self, samples: Floats) -> None:
         """Add `samples` (n,), e.g. of a saved estimate, and estimate the variance again."""
-        self._samples = np.concatenate([self._samples, samples])[-MAX_SAMPLES:]
+        self._samples = np.concatenate([self._samples, samples])[-MAX_ROUGHNESS_SAMPLES:]
         self._estimate()
 
     def add_residuals(self, residuals: Floats, covariances: Floats, half_lengths: Floats) -> None:

@@ -15,12 +15,12 @@ from .history import wheel_travel
 
 # Metres of wheel travel below which a motion is not used: its difference from registration is mostly registration's
 # error. Origin: chosen, above the accuracy of registration; not measured.
-MIN_TRAVEL = 0.05
+MIN_MOTION_TRAVEL = 0.05
 # Latest motions from which the random errors are estimated. Origin: chosen, some 60 m of driving; not measured.
 RANDOM_ERROR_SAMPLES = 200
 # Latest motions from which the systematic errors are estimated. Origin: chosen, more than for the random errors, as
 # they change less; not measured.
-MAX_SAMPLES = 500
+MAX_MOTION_SAMPLES = 500
 # Motions that the configured values count for, in a geometric mean: they may be wrong by a factor, and with an
 # arithmetic mean a value five times too large would dominate even after a hundred motions.
 # Origin: chosen, so few that the first metres of driving correct a wrong value; not measured.
@@ -85,7 +85,7 @@ class OdometryModel:
 
     def add_samples(self, samples: Floats) -> None:
         """Add `samples` (n, 6), e.g. of a saved model, and estimate the model again."""
-        self._samples = np.concatenate([self._samples, samples])[-MAX_SAMPLES:]
+        self._samples = np.concatenate([self._samples, samples])[-MAX_MOTION_SAMPLES:]
         self._estimate()
 
     def add_motion(self, measured: se2.Pose, registered: se2.Pose, information: Floats) -> None:
@@ -94,7 +94,7 @@ class OdometryModel:
         `information` (3, 3) is that of the registration at its end. If it leaves a direction undetermined, as along a
         bare corridor, the registered motion is a copy of odometry there, and the motion is not used.
         """
-        if not self._config.learn or wheel_travel(measured) < MIN_TRAVEL:
+        if not self._config.learn or wheel_travel(measured) < MIN_MOTION_TRAVEL:
             return
         if weakest_direction(registered, information, MAX_LEARNING_SIGMA) is None:
             self.add_samples(np.concatenate([measured, registered])[None])
@@ -104,7 +104,7 @@ class OdometryModel:
         ahead, turn = measured[:, 0], measured[:, 2]
         # Selected by the registered turn: measured turns are noisy, and of those selected by noise most are too large.
         turning = np.abs(registered[:, 2]) > MAX_STRAIGHT_TURN
-        straight = (np.abs(ahead) > MIN_TRAVEL) & ~turning
+        straight = (np.abs(ahead) > MIN_MOTION_TRAVEL) & ~turning
         self._length_factor = 1.0 + _shrunk_median(registered[straight, 0] / ahead[straight] - 1.0)
         self._veer = _shrunk_median(se2.wrap(registered[straight, 2] - turn[straight]) / ahead[straight])
         without_veer = se2.wrap(registered[turning, 2] - self._veer * ahead[turning])

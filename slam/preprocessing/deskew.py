@@ -30,8 +30,8 @@ KNOTS = 8
 # Metres of wheel travel over a sweep below which the robot counts as standing: 0.2 mm of jitter at either wheel looks
 # like a milliradian of turning, would bend the scan, and the first keyframe, which defines the map, is nearly always
 # taken standing. Origin: measured, jitter of the encoders in Intel, fr079, CSAIL.
-MIN_TRAVEL = 2e-3
-# Metres, metres, radians: jitter of one odometry reading. Origin: measured, as MIN_TRAVEL.
+MIN_SWEEP_TRAVEL = 2e-3
+# Metres, metres, radians: jitter of one odometry reading. Origin: measured, as MIN_SWEEP_TRAVEL.
 JITTER = np.array([2e-4, 2e-4, 8e-4])
 # Metres from the continuation of a line within which a point may belong to the same wall. Origin: chosen; not measured.
 LINE_DISTANCE = 0.05
@@ -112,7 +112,7 @@ def deskew(scan: Scan, odometry: OdometryHistory, mount: se2.Pose, range_bias: f
     reference = odometry.at(middle)
     moves = se2.between(reference, odometry.at_each(scan.stamp + offsets))
     travels = wheel_travel(moves)
-    if travels[0] + travels[-1] < MIN_TRAVEL:
+    if travels[0] + travels[-1] < MIN_SWEEP_TRAVEL:
         return DeskewedScan(middle, reference, ranges, scan.angles, np.zeros(len(ranges)))
     mean = np.clip(moves.mean(axis=0), -JITTER, JITTER)
     moves = se2.between(mean, moves)

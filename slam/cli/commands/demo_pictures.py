@@ -35,7 +35,7 @@ RECORDINGS = {
     "csail": "MIT CSAIL, third floor",
 }
 """Public recordings (datasets/catalogue.toml) and their titles; files NAME/NAME.clf in the directory WCLM_DATASETS."""
-DOTS_PER_INCH = 115
+PICTURE_DOTS_PER_INCH = 115
 """Resolution of the pictures; they are about 1300 pixels wide."""
 COLOURS = 200
 """Size of a picture's palette; enough for anti-aliased lines, and reduces the file to a third."""
@@ -97,7 +97,7 @@ def write_pictures(directory: Path) -> Iterator[Path]:
 
     datasets = os.environ.get("WCLM_DATASETS")
     for pictures in picture_sets(Path(datasets) if datasets else None):
-        with TemporaryDirectory() as scratch, matplotlib.rc_context({"savefig.dpi": DOTS_PER_INCH}):
+        with TemporaryDirectory() as scratch, matplotlib.rc_context({"savefig.dpi": PICTURE_DOTS_PER_INCH}):
             pictures.make(directory, Path(scratch))
         for file in pictures.files:
             reduce_palette(directory / file)

@@ -16,7 +16,7 @@ from features.benchmark.timing import relative
 
 from .slam_runs import QUICK_WORLDS, RunSpec, run_once, run_timed
 
-SCANS = 100
+CHECKED_SCANS = 100
 """Per noise level."""
 SEEDS = (0, 1, 2)
 REPEATS = 4
@@ -58,10 +58,10 @@ def run_checks() -> Iterator[Check]:
     """Yield all checks, the quickest first."""
     yield Check("extraction / reference, 920 beams", relative()[0], EXTRACTION_TIME)
     for name, level in LEVELS.items():
-        row = next(measure(scans=SCANS, levels=[level], methods=METHODS[:1]))
+        row = next(measure(scans=CHECKED_SCANS, levels=[level], methods=METHODS[:1]))
         yield Check(f"corner recall, {name}", row.corner_recall, CORNER_RECALL[name], floor=True)
         yield Check(f"corner NEES, {name}", row.corner_nees, CORNER_NEES)
-    curved = next(measure(scans=SCANS, levels=[LEVELS["fine"]], methods=METHODS[:1], curved=True))
+    curved = next(measure(scans=CHECKED_SCANS, levels=[LEVELS["fine"]], methods=METHODS[:1], curved=True))
     yield Check("false corners per curve", curved.curved_corners, CORNERS_PER_CURVE)
     for world in QUICK_WORLDS:
         errors = [run_once(RunSpec(world, seed=seed, seconds=SECONDS)).error for seed in SEEDS]

@@ -25,7 +25,7 @@ MARGIN = 0.04
 """Width of the margin, as a share of the drawing's larger extent."""
 SIGMAS = 3.0
 """Standard deviations of the ellipses' half axes."""
-BAND_WIDTH = 0.005
+SVG_BAND_WIDTH = 0.005
 """Width of the band on the side that a wall is seen from, as a share of the drawing's larger extent."""
 MARKER_SIZE = 0.008
 """Radius of the marker at the start of the path, as a share of the drawing's larger extent."""
@@ -80,7 +80,7 @@ def draw_map(results: RunResults) -> Drawing:
     runs = list(_path_runs(results.trajectory, results.keyframes))
     used = {run_class.name for run_class, _ in runs}
     groups = [
-        ("seen", _bands(results.walls, BAND_WIDTH * extent)),
+        ("seen", _bands(results.walls, SVG_BAND_WIDTH * extent)),
         ("path", (_polyline(run_class.name, run) for run_class, run in runs)),
         ("walls", _walls(results.walls)),
         ("loops", _loop_closures(results)),

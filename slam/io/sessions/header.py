@@ -16,7 +16,7 @@ from ...localisation.tracker import PoseFix
 from ...loop_closure.loop_search import LoopSearchState, PendingCandidate
 
 FORMAT = "wclm-slam session"
-VERSION = 4
+SESSION_VERSION = 4
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Pose = tuple[Finite, Finite, Finite]
@@ -101,7 +101,7 @@ class SessionHeader(_Record):
     """
 
     format: str = FORMAT
-    version: int = VERSION
+    version: int = SESSION_VERSION
     recordings: list[Recording]
     segment_starts: list[int]
     checkpoint: _Checkpoint
@@ -221,8 +221,10 @@ def read_header(file: Path) -> SessionHeader:
         raise MapError(f"{file}: is not JSON: {error}") from error
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise MapError(f'{file}: is not a session: its format is not "{FORMAT}"')
-    if data.get("version") != VERSION:
-        raise MapError(f"{file}: has format version {data.get('version')}; this program reads version {VERSION} only")
+    if data.get("version") != SESSION_VERSION:
+        raise MapError(
+            f"{file}: has format version {data.get('version')}; this program reads version {SESSION_VERSION} only"
+        )
     try:
         return SessionHeader.model_validate(data)
     except ValidationError as error:

@@ -21,7 +21,7 @@ from .tables import Ragged, TableReader, to_ragged, write_table
 
 WALL_INTEGERS = ("observations", "first_seen", "last_seen", "merged_into", "removed_at")
 CORNER_INTEGERS = ("observations", "last_seen")
-UPPER_TRIANGLE = (0, 0, 1), (0, 1, 1)
+UPPER_TRIANGLE_2X2 = (0, 0, 1), (0, 1, 1)
 
 COVARIANCES = ("covariance", "covariance_in_map")
 MAP_PREFIX = "map_"
@@ -39,7 +39,7 @@ def write_walls(file: Path, landmarks: Landmarks, free_space_evidence: FreeSpace
     """Write the table of walls. Raises OSError."""
     rows = landmarks.walls.rows
     covered = [np.sort(np.array(list(cells), dtype=np.int64)) for cells in landmarks.covered]
-    covariance, in_map = (rows[name][:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]] for name in COVARIANCES)
+    covariance, in_map = (rows[name][:, UPPER_TRIANGLE_2X2[0], UPPER_TRIANGLE_2X2[1]] for name in COVARIANCES)
     write_table(
         file,
         {
@@ -59,7 +59,7 @@ def write_walls(file: Path, landmarks: Landmarks, free_space_evidence: FreeSpace
 def write_corners(file: Path, landmarks: Landmarks) -> None:
     """Write the table of corners. Raises OSError."""
     rows = landmarks.corners.rows
-    covariance, in_map = (rows[name][:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]] for name in COVARIANCES)
+    covariance, in_map = (rows[name][:, UPPER_TRIANGLE_2X2[0], UPPER_TRIANGLE_2X2[1]] for name in COVARIANCES)
     write_table(
         file,
         {

@@ -30,7 +30,7 @@ from ...geometry.segments import Floats
 from ...pipeline import Slam
 from .range_bias import estimate_range_bias
 
-ROUNDS = 3
+MOUNT_ITERATIONS = 3
 """Times that the drive is mapped; the third changes the estimate by less than its standard errors."""
 MIN_PAIRS = 20
 """Pairs of keyframes, and odometry readings, for an estimate of six unknowns; fewer are no better than a ruler."""
@@ -98,7 +98,7 @@ def calibrate(messages: Iterable[Message], config: Config | None = None) -> Cali
     mount = _initial_mount(drive, config)
     correction = OdometryCorrection()
     bias = estimate_range_bias(drive, config)
-    for _ in range(ROUNDS):
+    for _ in range(MOUNT_ITERATIONS):
         lidar = config.lidar.model_copy(update={"mount": tuple(mount.tolist()), "range_bias": bias[0]})
         result = _estimate(drive, config.model_copy(update={"lidar": lidar}), mount, correction)
         mount, correction = result.mount, result.odometry

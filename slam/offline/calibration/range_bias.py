@@ -32,7 +32,7 @@ MAX_SQUARED_RESIDUAL = 16.0
 """Squared normalised residual of a beam that is used: four standard deviations."""
 MIN_SCANS = 20
 """Scans for an estimate with a standard error."""
-ROUNDS = 2
+BIAS_ITERATIONS = 2
 """Passes over a drive: in the first, the limit on residuals excludes beams of walls that are strongly bent."""
 
 
@@ -98,7 +98,7 @@ def estimate_range_bias(drive: Sequence[Message], config: Config) -> tuple[float
         if isinstance(message, Odometry):
             history.add(message)
     bias, sigma = config.lidar.range_bias, float("nan")
-    for _ in range(ROUNDS):
+    for _ in range(BIAS_ITERATIONS):
         estimator, extractor = RangeBiasEstimator(), build_extractor(config)
         for message in drive:
             if isinstance(message, Scan):

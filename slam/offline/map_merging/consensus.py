@@ -20,9 +20,9 @@ from ...loop_closure.relocalisation import MapIndex, Relocalisation, relocalise
 from ...mapping.mapper import Mapper
 from .submaps import split_into_submaps
 
-MAX_DISTANCE = 1.0
+MAX_SUBMAP_DISTANCE = 1.0
 """Metres between two submaps' positions that agree: both maps are distorted by drift."""
-MAX_TURN = np.radians(5.0)
+MAX_SUBMAP_TURN = np.radians(5.0)
 """Radians between two submaps' headings that agree."""
 MIN_INDEPENDENT = 3
 """Agreeing submaps with walls of their own that a consensus needs."""
@@ -103,8 +103,8 @@ def find_largest_consensus(matches: Sequence[SubmapMatch]) -> list[SubmapMatch]:
 def _agrees(expected: Floats, found: Floats) -> NDArray[np.bool_]:
     """Return for each of n poses (n, 3) True if it was found near the expected pose."""
     difference = se2.between(expected, found).reshape(-1, 3)
-    near = np.hypot(difference[:, 0], difference[:, 1]) < MAX_DISTANCE
-    return np.asarray(near & (np.abs(difference[:, 2]) < MAX_TURN))
+    near = np.hypot(difference[:, 0], difference[:, 1]) < MAX_SUBMAP_DISTANCE
+    return np.asarray(near & (np.abs(difference[:, 2]) < MAX_SUBMAP_TURN))
 
 
 def count_independent(members: Sequence[SubmapMatch]) -> int:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LEGEND: dict[str, Any] = {"frameon": False, "fontsize": 8.5, "labelcolor": INK}
-WIDTH = 9.0
+FIGURE_WIDTH = 9.0
 """Inches; small, so that text is large relative to the plot."""
 RADIUS_95 = 2.448
 """Radius, in standard deviations, of the circle that contains 95 % in two dimensions."""
@@ -40,7 +40,7 @@ DOT: dict[str, Any] = {"marker": ".", "linestyle": "", "markersize": 2.0, "marke
 def _panels(columns: int, title: str, height: float = 3.8) -> tuple[Figure, list[Axes]]:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(WIDTH, height), dpi=DOTS_PER_INCH, layout="constrained")
+    figure = Figure(figsize=(FIGURE_WIDTH, height), dpi=DOTS_PER_INCH, layout="constrained")
     figure.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold", color=INK)
     panels = list(np.atleast_1d(figure.subplots(1, columns)))
     for axes in panels:

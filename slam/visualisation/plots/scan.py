@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 FULL_TURN_SHARE = 0.95
 """Share of a full turn above which the free space is drawn without the sensor as a vertex."""
-NUMBER_OFFSET = 0.018
+LINE_NUMBER_OFFSET = 0.018
 """Distance of a line's number from the line, relative to the plot's larger extent."""
 
 
@@ -47,7 +47,7 @@ def plot_scan(path: Path, ranges: Floats, angles: Floats, features: Features, *,
 
 def _lines(axes: Axes, lines: Lines) -> None:
     """Draw lines with rings at their ends, which separate neighbours, and numbers on the lidar's side."""
-    offset = NUMBER_OFFSET * max(np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim()))
+    offset = LINE_NUMBER_OFFSET * max(np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim()))
     for number, (start, end) in enumerate(zip(lines.start, lines.end, strict=True)):
         label = "line" if number == 0 else None
         ends = np.stack([start, end])

@@ -17,23 +17,23 @@ from .status_layer import ENTITY as STATUS_ENTITY
 
 FIELD_OF_VIEW = math.radians(55.0)  # vertical, of the viewer's eye; Rerun has no orthographic projection
 MAP_ASPECT, CORNER_ASPECT = 1.15, 1.6  # width / height of the map's panel and of the smaller panels
-MARGIN = 1.1  # shown size / size of the map
+VIEW_MARGIN = 1.1  # shown size / size of the map
 CLOSE_UP_SIZE = 9.0  # metres shown in the close-up
 COMPARED_SIZE = 14.0  # metres shown of the compared walls
-MAX_GRID_LINES = 30  # along one side of the map
+MAX_VIEW_GRID_LINES = 30  # along one side of the map
 TABLE_COLUMNS = ("at_keyframe", "old_keyframe", "reason", "status")  # the viewer sorts them
 
 
 def eye_distance(width: float, height: float, aspect: float = MAP_ASPECT) -> float:
     """Return the height of the eye, metres, at which a panel shows `width` by `height` metres."""
-    return MARGIN * max(height, width / aspect, 1.0) / (2 * math.tan(FIELD_OF_VIEW / 2))
+    return VIEW_MARGIN * max(height, width / aspect, 1.0) / (2 * math.tan(FIELD_OF_VIEW / 2))
 
 
 def grid_spacing(size: float) -> float:
     """Return the grid spacing for a map of `size` metres: 1, 5, 10, 50, ... metres, at most 30 lines."""
     spacing, factors = 1.0, (5.0, 2.0)
     step = 0
-    while size / spacing > MAX_GRID_LINES:
+    while size / spacing > MAX_VIEW_GRID_LINES:
         spacing *= factors[step % 2]
         step += 1
     return spacing

@@ -10,7 +10,7 @@ import numpy as np
 from drivers import se2
 
 MAX_POSES = 20_000  # true poses kept; half of them outlast any delay of a keyframe
-MAX_GAP = 1.0  # seconds between true poses between which a pose is interpolated
+MAX_TIME_GAP = 1.0  # seconds between true poses between which a pose is interpolated
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ class GroundTruthErrors:
         after = bisect_left(self._stamps, stamp)
         if self._stamps[after] == stamp:
             return self._poses[after]
-        if after == 0 or self._stamps[after] - self._stamps[after - 1] > MAX_GAP:
+        if after == 0 or self._stamps[after] - self._stamps[after - 1] > MAX_TIME_GAP:
             return None
         share = (stamp - self._stamps[after - 1]) / (self._stamps[after] - self._stamps[after - 1])
         motion = se2.between(self._poses[after - 1], self._poses[after])

@@ -25,7 +25,9 @@ def environments() -> dict[str, Environment]:
     return {"A": environment_a(), "B": environment_b()}
 
 
-def measure(seed: int = 0, *, sweeps: int = uncertainty.SWEEPS, tracked: int = tracking.SWEEPS) -> dict[str, Any]:
+def measure(
+    seed: int = 0, *, sweeps: int = uncertainty.UNCERTAINTY_SWEEPS, tracked: int = tracking.TRACKING_SWEEPS
+) -> dict[str, Any]:
     """Run all measurements except timings; the result depends on the seed only, bit for bit.
 
     sweeps   simulated for the errors of corners
@@ -42,7 +44,7 @@ def measure(seed: int = 0, *, sweeps: int = uncertainty.SWEEPS, tracked: int = t
     }
 
 
-def measure_times(rounds: int = timing.ROUNDS) -> dict[str, Any]:
+def measure_times(rounds: int = timing.TIMING_ROUNDS) -> dict[str, Any]:
     """Return the times, microseconds, for the corners of Figure 5, which include those of Tables III and IV."""
     worlds = environments()
     return {

@@ -15,7 +15,7 @@ from .run import PRINTED, TIMED
 from .timing import FORMS
 from .uncertainty import EQUAL_WEIGHTS, METHODS, OURS
 
-WIDTH = 120
+TABLE_WIDTH = 120
 SHORT = {"wclm": "WCLM", "arras-siegwart": "Arras-Siegw.", "siadat": "Siadat", "wclm-ml": "WCLM-ML"}
 LONG = {**SHORT, "arras-siegwart": "Arras-Siegwart", EQUAL_WEIGHTS: "Arras-Siegwart, equal weights"}
 
@@ -24,9 +24,9 @@ def lines(measured: dict[str, Any], times: dict[str, Any] | None, claims: Sequen
     """Yield the lines of all tables."""
     yield from heading("Claims")
     for claim in claims:
-        yield from textwrap.wrap(f"{claim.verdict.upper()}: {claim.says}", WIDTH)
+        yield from textwrap.wrap(f"{claim.verdict.upper()}: {claim.says}", TABLE_WIDTH)
         yield from textwrap.wrap(
-            claim.why, WIDTH, initial_indent="    ", subsequent_indent="    ", break_on_hyphens=False
+            claim.why, TABLE_WIDTH, initial_indent="    ", subsequent_indent="    ", break_on_hyphens=False
         )
     for number, name in (("I", "A"), ("II", "B")):
         yield from uncertainty_table(number, name, measured["environments"][name])

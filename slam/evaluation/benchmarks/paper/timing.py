@@ -26,7 +26,7 @@ from .environments import PAPER_NOISE, Environment
 from .formulas import Corner, Fit
 
 FORMS = ("wclm", "arras-siegwart, double sums", "arras-siegwart, single sums", "siadat")
-ROUNDS = 30
+TIMING_ROUNDS = 30
 """Number of alternating rounds, of which the minimum counts: other load on the machine only makes times longer."""
 MIN_ROUND_TIME = 3e-4
 """Seconds; shorter calls are repeated within a round."""
@@ -82,7 +82,9 @@ def compiled_calls(walls: Sequence[tuple[Floats, Floats]], noise: Noise = PAPER_
     return dict(zip(FORMS, calls, strict=True))
 
 
-def times(environment: Environment, corner: int, points: Sequence[int], rounds: int = ROUNDS) -> list[dict[str, Any]]:
+def times(
+    environment: Environment, corner: int, points: Sequence[int], rounds: int = TIMING_ROUNDS
+) -> list[dict[str, Any]]:
     """Return the microseconds by form, in plain NumPy and compiled, for each number of points."""
     calls: dict[tuple[int, str, str], Call] = {}
     for count in points:

@@ -12,30 +12,30 @@ from features.types import Integers
 
 from .environments import PAPER_NOISE, Environment
 
-SIGMAS = (0.001, 0.002, 0.005, 0.007, 0.010, 0.020, 0.050)
+RANGE_SIGMAS = (0.001, 0.002, 0.005, 0.007, 0.010, 0.020, 0.050)
 """Tested standard deviations of range, metres; the last is the paper's."""
 BEARINGS = (0.0, PAPER_NOISE.sigma_bearing)
 """Tested standard deviations of bearing, radians: none, and the paper's."""
-SWEEPS = 20
+TRACKING_SWEEPS = 20
 """Per environment and noise level."""
 METHODS: tuple[Literal["tracking", "split"], ...] = ("tracking", "split")
 """The paper's segmentation and this project's."""
 MIN_RAYS, MIN_LENGTH = 10, 0.3
 """Rays and metres of a straight wall that should be found."""
-MIN_OVERLAP = 0.5
+MIN_LINE_OVERLAP = 0.5
 """Common rays / all rays of a wall and an extracted line, from which the wall counts as found."""
 MAX_CORNER_DISTANCE, CORNER_SIGMAS = 0.10, 3.0
 """Largest distance of a found corner: metres, plus a multiple of the range noise."""
 
 
-def measure(environments: Sequence[Environment], seed: int, sweeps: int = SWEEPS) -> list[dict[str, Any]]:
+def measure(environments: Sequence[Environment], seed: int, sweeps: int = TRACKING_SWEEPS) -> list[dict[str, Any]]:
     """Return the shares of walls and corners found for each noise level and method.
 
     Both methods are given the noise; the threshold of tracking is the paper's. A corner counts if both walls do.
     """
     rows = []
     for sigma_bearing in BEARINGS:
-        for sigma_range in SIGMAS:
+        for sigma_range in RANGE_SIGMAS:
             noise = Noise(sigma_range, sigma_bearing)
             row: dict[str, Any] = {"sigma_range": sigma_range, "sigma_bearing": sigma_bearing}
             for method in METHODS:
@@ -58,7 +58,7 @@ def score(environment: Environment, found: Features, noise: Noise) -> Integers:
     walls = [set(s.rays.tolist()) for s, counts in zip(environment.segments, counting, strict=True) if counts]
     beams = len(environment.angles)
     lines = [_beams(first, last, beams) for first, last in zip(found.lines.first, found.lines.last, strict=True)]
-    matched = sum(any(_overlap(wall, line) >= MIN_OVERLAP for line in lines) for wall in walls)
+    matched = sum(any(_overlap(wall, line) >= MIN_LINE_OVERLAP for line in lines) for wall in walls)
     known = environment.positions[[counting[before] and counting[after] for before, after in environment.corners]]
     distances = np.linalg.norm(known[:, None] - found.corners.position, axis=2)
     near = distances.min(axis=1, initial=np.inf) <= MAX_CORNER_DISTANCE + CORNER_SIGMAS * noise.sigma_range

@@ -26,7 +26,7 @@ ESTIMATOR_FUNCTIONS: dict[str, tuple[Callable[..., Any], Callable[..., tuple[Flo
 }
 """Functions of each method to fit a line and to intersect two."""
 MILLIMETRES = 1e3
-SWEEPS = 200
+UNCERTAINTY_SWEEPS = 200
 """Number of sweeps with independent noise."""
 CHI2_95 = 5.991
 """Chi-square, 2 degrees of freedom, 95 %."""
@@ -48,7 +48,7 @@ class Uncertainties:
     errors: dict[str, Floats]
 
 
-def measure(environment: Environment, seed: int, sweeps: int = SWEEPS) -> Uncertainties:
+def measure(environment: Environment, seed: int, sweeps: int = UNCERTAINTY_SWEEPS) -> Uncertainties:
     """Estimate all corners from `sweeps` independent sweeps; the tables show the first.
 
     Errors are relative to the same method's result without noise, because chords of curves differ by method.
