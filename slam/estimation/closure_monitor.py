@@ -21,7 +21,7 @@ MONITORED_DISTANCE = 15.0
 # Metres of driving between two checks. Origin: chosen, as the interval of the loop search; not measured.
 CHECK_INTERVAL = 1.5
 # Share of the wall length observed since the closure that older walls would have hidden, beyond the share without the
-# closure. Origin: measured on simulated drives and recordings; doors open and furniture moves, so correct closures
+# closure. Origin: measured, on data that are not recorded: doors open and furniture moves, so correct closures
 # reach a third.
 MAX_ADDED_CONTRADICTION = 0.45
 # Checks in a row that must exceed it: single ones are caused by doors and people. Origin: chosen; not measured.

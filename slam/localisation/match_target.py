@@ -13,10 +13,10 @@ from ..mapping.local_map import LocalMap
 from ..matching.likelihood_field import LikelihoodField, likelihood_score
 from ..matching.line_matcher import NEAR_STARTS, Registration, ScanFeatures, register
 
-# Overlap ratio that alone makes a pose plausible. Origin: tuned on Intel, fr079, CSAIL and simulated drives.
+# Overlap ratio that alone makes a pose plausible. Origin: chosen; no measurement recorded.
 MIN_OVERLAP_RATIO = 0.5
 # Sum of overlap ratio and likelihood score that makes a pose plausible.
-# Origin: tuned on Intel, fr079, CSAIL and simulated drives.
+# Origin: chosen; no measurement recorded.
 MIN_TOTAL_SCORE = 0.6
 # Metres around a known wall that count as mapped area. Origin: chosen, about the width of a door; not measured.
 MAPPED_DISTANCE = 1.0

@@ -24,40 +24,40 @@ from .match_target import MatchTarget, ScanMatch
 from .view_change import View
 
 # Metres, metres, radians: added to the odometry model's own uncertainty in the prediction of a scan's pose, for wheel
-# slip and clock differences. Origin: tuned on Intel, fr079, CSAIL.
+# slip and clock differences. Origin: chosen; no measurement recorded.
 PREDICTION_SIGMAS = np.array([0.05, 0.05, np.radians(4.0)])
 # By which the likelihood score at a searched pose must exceed that at the predicted pose.
-# Origin: tuned on Intel, fr079, CSAIL.
+# Origin: chosen; no measurement recorded.
 MIN_SEARCH_GAIN = 0.1
-# Likelihood score that a searched pose must reach. Origin: tuned on Intel, fr079, CSAIL.
+# Likelihood score that a searched pose must reach. Origin: chosen; no measurement recorded.
 MIN_SEARCH_SCORE = 0.5
 # Points that a scan needs for a search; few points fit nearly everywhere. Origin: chosen; not measured.
 MIN_SEARCH_POINTS = 30
 # Metres of wheel travel between two scans above which odometry may be catching up after standing still.
-# Origin: tuned on Intel, fr079, CSAIL.
+# Origin: chosen; no measurement recorded.
 LARGE_STEP = 0.8
 # Score by which a scan must fit better at the previous pose than at the predicted one in that case.
-# Origin: tuned on Intel, fr079, CSAIL.
+# Origin: chosen; no measurement recorded.
 STOPPED_MARGIN = 0.3
 # Metres and radians by which odometry's step may differ from the previous step without an even motion being tried as
-# well. Origin: tuned on Intel, fr079, CSAIL.
+# well. Origin: chosen; no measurement recorded.
 UNEVEN_STEP = 0.1
 UNEVEN_TURN = np.radians(5.0)  # Origin: as UNEVEN_STEP.
 # Score by which a scan must fit better after an even motion than after odometry's motion.
-# Origin: tuned on Intel, fr079, CSAIL.
+# Origin: chosen; no measurement recorded.
 EVEN_MOTION_MARGIN = 0.15
 # Drop in score from one scan to the next that, together with a changed view, suggests that the robot was kidnapped.
-# Origin: tuned on simulated drives.
+# Origin: chosen; no measurement recorded.
 ABRUPT_DROP = 1.0
-# Drop in score above which the view is compared with the previous one. Origin: tuned on simulated drives.
+# Drop in score above which the view is compared with the previous one. Origin: chosen; no measurement recorded.
 SUSPICIOUS_DROP = 0.5
 # Metres of wheel travel for which a changed view counts as recent: look-alike places differ some way on.
-# Origin: tuned on simulated drives.
+# Origin: chosen; no measurement recorded.
 VIEW_CHANGE_MEMORY = 10.0
 # Scans in a row that may fit nowhere before tracking is lost. Origin: chosen, less than a second; not measured.
 MAX_FAILED_SCANS = 4
 # Mapped ratio below which the place counts as new instead of the robot as lost.
-# Origin: tuned on Intel, fr079, CSAIL and simulated drives.
+# Origin: chosen; no measurement recorded.
 MAX_MAPPED_RATIO_OF_NEW_PLACE = 0.3
 # Metres of wall below which a scan with few points cannot be registered. Origin: chosen; not measured.
 MIN_WALL_LENGTH = 0.5

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 KNOTS = 8
 # Metres of wheel travel over a sweep below which the robot counts as standing: 0.2 mm of jitter at either wheel looks
 # like a milliradian of turning, would bend the scan, and the first keyframe, which defines the map, is nearly always
-# taken standing. Origin: measured, jitter of the encoders in Intel, fr079, CSAIL.
+# taken standing. Origin: measured; the data are not recorded.
 MIN_SWEEP_TRAVEL = 2e-3
 # Metres, metres, radians: jitter of one odometry reading. Origin: measured, as MIN_SWEEP_TRAVEL.
 JITTER = np.array([2e-4, 2e-4, 8e-4])
