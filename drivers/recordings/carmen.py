@@ -27,6 +27,7 @@ import numpy as np
 from .. import se2
 from ..errors import RecordingError
 from ..messages import Floats, Message, Odometry, Scan
+from .no_returns import find_no_return
 from .reader import RecordingReader, is_valid_stamp
 
 LASERS = (b"FLASER", b"RLASER", b"ROBOTLASER1")
@@ -34,8 +35,6 @@ KINDS = (b"ODOM", *LASERS)
 
 SICK_NO_RETURN = 81.83
 """Metres. A SICK LMS in centimetre mode reports codes 8183 to 8191 instead of a range: no echo, dazzled, etc."""
-SICK_NO_RETURN_MM = 8.183
-"""The same codes in millimetre mode."""
 CALIBRATION_LINES = 200
 """Laser lines, spread over the log, from which each laser's mount and no-return value are determined."""
 MAX_MOUNT_SCATTER = (0.05, 0.05)
@@ -269,16 +268,6 @@ def _estimate_mount(poses: Floats) -> se2.Pose | None:
 
 
 def _estimate_no_return(readings: list[Floats]) -> float:
-    """Return the smallest reading (metres) that stands for a no-return.
-
-    SICK lasers have fixed codes. Other lasers and preprocessed logs use the largest value: if the largest reading of
-    the log occurs exactly, twice or more in a row, in a tenth of the scans, it is taken as the no-return value. If that
-    is wrong, only the very longest readings are lost.
-    """
-    largest = max((float(np.max(r[np.isfinite(r)], initial=0.0)) for r in readings), default=0.0)
-    if largest >= SICK_NO_RETURN or largest <= 0.0:
-        return SICK_NO_RETURN
-    repeated = sum(bool(np.any((r[1:] == largest) & (r[:-1] == largest))) for r in readings)
-    if repeated < max(3, 0.1 * len(readings)):
-        return SICK_NO_RETURN
-    return SICK_NO_RETURN_MM if SICK_NO_RETURN_MM <= largest <= 8.191 else largest
+    """Return the smallest reading (metres) that stands for a no-return: a SICK's code, or what the readings show."""
+    found = find_no_return([scan[scan < SICK_NO_RETURN] for scan in readings])
+    return SICK_NO_RETURN if found is None else found

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..errors import RecordingError
-from ..messages import GroundTruth, Message, Odometry
+from ..messages import GroundTruth, Message, Odometry, Scan
+from .no_returns import SpreadSample, find_no_return
 from .reader import RecordingReader, is_valid_stamp
 from .ros_messages import (
     BEAMS,
@@ -61,12 +66,24 @@ class _Contents:
     fixed      static transforms
     all        static transforms and those on /tf
     base       frame that the odometry moves
+    scans      topic -> some of its scans
     """
 
     counts: dict[str, Counter[str]] = field(default_factory=dict)
     fixed: TransformTree = field(default_factory=TransformTree)
     all: TransformTree = field(default_factory=TransformTree)
     base: str | None = None
+    scans: dict[str, SpreadSample[StoredMessage]] = field(default_factory=dict)
+
+    def find_no_return(self, topic: str | None) -> float:
+        """Return the smallest range of a topic's scans that stands for a no-return, infinity if there is none."""
+        ranges = []
+        for stored in self.scans[topic].items if topic in self.scans else ():
+            with suppress(ValueError):  # counted on the final pass
+                message = decode(stored.data, LASER_SCAN, stored.encoding)
+                ranges.append(scan_of(message, stored.received, LidarMount()).ranges)
+        found = find_no_return(ranges)
+        return math.inf if found is None else found
 
     def find_mount(self, frame: str) -> LidarMount:
         """Return the mount of a lidar's frame, preferably from static transforms only."""
@@ -96,6 +113,7 @@ class RosReader(RecordingReader):
         contents = self._survey()
         scans = self._choose_topic(contents, LASER_SCAN, self.scan_topic)
         odometry = self._choose_topic(contents, ODOMETRY, self.odometry_topic)
+        no_return = contents.find_no_return(scans)
         mounts: dict[str, LidarMount] = {}
         beams: StoredMessage | None = None
         for stored in self._stored_messages(final=True):
@@ -103,9 +121,9 @@ class RosReader(RecordingReader):
                 if stored.msgtype == BEAMS and stored.topic == BEAMS_TOPIC:
                     beams = stored
                 elif stored.msgtype == LASER_SCAN and stored.topic == scans:
-                    message = self._scan(stored, beams, contents, mounts)
+                    scan = self._scan(stored, beams, contents, mounts, no_return)
                     beams = None
-                    yield stored.number, message
+                    yield stored.number, scan
                 elif stored.msgtype == ODOMETRY and stored.topic == odometry:
                     yield stored.number, _odometry(stored)
                 elif stored.msgtype == POSE and stored.topic == GROUND_TRUTH_TOPIC:
@@ -115,8 +133,13 @@ class RosReader(RecordingReader):
                 self.skip(stored.number, str(error))
 
     def _scan(
-        self, stored: StoredMessage, beams: StoredMessage | None, contents: _Contents, mounts: dict[str, LidarMount]
-    ) -> Message:
+        self,
+        stored: StoredMessage,
+        beams: StoredMessage | None,
+        contents: _Contents,
+        mounts: dict[str, LidarMount],
+        no_return: float,
+    ) -> Scan:
         message = decode(stored.data, LASER_SCAN, stored.encoding)
         stamp = _stamp(message.header, stored)
         frame = message.header.frame_id
@@ -125,7 +148,8 @@ class RosReader(RecordingReader):
         if beams is not None and beams.received == stored.received:
             exact = decode(beams.data, BEAMS, beams.encoding)
             return exact_scan_of(exact, stamp, mounts[frame].pose)
-        return scan_of(message, stored.received, mounts[frame])
+        scan = scan_of(message, stored.received, mounts[frame])
+        return replace(scan, ranges=np.where(scan.ranges < no_return, scan.ranges, np.nan))
 
     def _survey(self) -> _Contents:
         """Find topics, transforms and the base's frame in a first pass."""
@@ -143,6 +167,8 @@ class RosReader(RecordingReader):
                         contents.all.add(message)
                         if fixed:
                             contents.fixed.add(message)
+                elif stored.msgtype == LASER_SCAN:
+                    contents.scans.setdefault(stored.topic, SpreadSample()).add(stored)
                 elif stored.msgtype == ODOMETRY and contents.base is None:
                     contents.base = decode(stored.data, ODOMETRY, stored.encoding).child_frame_id or None
             except ValueError:

@@ -105,6 +105,15 @@ def test_missing_range_limits_mean_no_limits(read: Read) -> None:
     assert np.isnan(scan.ranges).tolist() == [False, False, True]
 
 
+def test_scattered_values_of_no_returns_become_nan(read: Read) -> None:
+    walls = np.random.default_rng(0).uniform(1.0, 5.0, (40, 8)).astype(np.float32)
+    walls[::2, :3], walls[1::2, 5:] = 8.183, 8.191
+    scans = read([laser_scan(k + 1, row.tolist(), received=k + 1) for k, row in enumerate(walls)])
+    for scan, row in zip(scans, walls, strict=True):
+        assert isinstance(scan, Scan)
+        np.testing.assert_array_equal(np.isnan(scan.ranges), row > 8.0)
+
+
 def test_mount_from_a_chain_of_transforms(read: Read) -> None:
     entries = [
         transform("base_footprint", "base_link", (0, 0, 0.1), UPRIGHT),
