@@ -15,6 +15,7 @@ Metres and radians; other lines (PARAM, SYNC, comments, ...) are ignored. The st
 from __future__ import annotations
 
 import gzip
+import math
 import re
 import zlib
 from collections.abc import Iterator
@@ -225,7 +226,7 @@ def half_turn_angles(count: int) -> Floats:
 
 
 def _scan(line: LaserLine, laser: LaserProperties) -> Scan:
-    limit = laser.no_return if line.limit is None else line.limit
+    limit = min(_stated_limit(line), laser.no_return)
     valid = (line.readings > 0.0) & (line.readings < limit)  # false for nan
     ranges = np.where(valid, line.readings, np.nan)
     return Scan(line.stamp, ranges, line.angles, np.zeros(len(ranges)), 0.0, limit, laser.mount)
@@ -242,9 +243,16 @@ def _calibrate(kind: bytes, lines: list[bytes]) -> LaserProperties:
         except ValueError:
             continue  # counted when the line is read
     if not parsed:
-        return LaserProperties(None, SICK_NO_RETURN)
-    poses, readings = np.array([line.poses for line in parsed]), [line.readings for line in parsed]
-    return LaserProperties(_estimate_mount(poses), _estimate_no_return(readings))
+        return LaserProperties(None, math.inf)
+    poses = np.array([line.poses for line in parsed])
+    readings = [np.where(line.readings < _stated_limit(line), line.readings, np.nan) for line in parsed]
+    no_return = find_no_return(readings)
+    return LaserProperties(_estimate_mount(poses), math.inf if no_return is None else no_return)
+
+
+def _stated_limit(line: LaserLine) -> float:
+    """Return the maximum range (metres) that a laser line states; lines without one are of SICK lasers."""
+    return SICK_NO_RETURN if line.limit is None else line.limit
 
 
 def _estimate_mount(poses: Floats) -> se2.Pose | None:
@@ -265,9 +273,3 @@ def _estimate_mount(poses: Floats) -> se2.Pose | None:
     mount[2] = -np.pi if abs(abs(mount[2]) - np.pi) < 1e-4 else float(se2.wrap(mount[2]))
     mount.flags.writeable = False
     return mount
-
-
-def _estimate_no_return(readings: list[Floats]) -> float:
-    """Return the smallest reading (metres) that stands for a no-return: a SICK's code, or what the readings show."""
-    found = find_no_return([scan[scan < SICK_NO_RETURN] for scan in readings])
-    return SICK_NO_RETURN if found is None else found

@@ -58,7 +58,7 @@ def find_no_return(readings: Sequence[Floats]) -> float | None:
     """Return the smallest reading that stands for a no-return, None if there is none.
 
     readings  of several scans spread over a drive, each (n,) in the order of the beams, in any unit; values that are
-              not positive and finite are ignored. If several values stand for a no-return, the smallest is returned.
+              not positive and finite are ignored, but must be there: a beam counts by its place in the scan
     """
     scans = [np.where(np.isfinite(scan) & (scan > 0.0), scan, 0.0) for scan in readings]
     largest = max((float(scan.max()) for scan in scans if len(scan)), default=0.0)

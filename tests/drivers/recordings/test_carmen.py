@@ -116,6 +116,17 @@ def test_no_return_value_of_an_unknown_laser_is_determined(tmp_path: Path) -> No
     assert scan.range_max == 29.99
 
 
+def test_no_return_value_below_the_stated_limit_is_determined(tmp_path: Path) -> None:
+    text = "".join(
+        f"ROBOTLASER1 0 -1.0 2.0 0.5 80.0 0.01 0 5 1.{i:02d} 51.1 51.09 2.0 90.0 0 0 0 0 0 0 0 0 0 0 0 0 {i} host 0\n"
+        for i in range(1, 30)
+    )
+    scan = read(tmp_path, text)[0][-1]
+    assert isinstance(scan, Scan)
+    assert np.isnan(scan.ranges).tolist() == [False, True, True, False, True]
+    assert scan.range_max == 51.09
+
+
 def test_invalid_readings_become_nan(tmp_path: Path) -> None:
     scan = read(tmp_path, flaser(1.0, "1.0 nan inf -inf -1.0 0.0 1e300"))[0][-1]
     assert isinstance(scan, Scan)
