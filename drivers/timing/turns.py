@@ -1,0 +1,146 @@
+"""The turns of a drive: the parts in which the lidar's timing shows, with the lidar's motion from scan matching."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from .. import se2
+from ..messages import Floats, Message, Odometry, Scan
+from .scan_matching import find_rotation, match, middle_offset, scan_points, surface
+
+# Seconds of a part of a drive. Origin: chosen, a turn with what is before and after it; not measured.
+PART_DURATION = 6.0
+# Scans that are matched, of the parts in which the robot turns most. Origin: chosen, for about two seconds of computing.
+MAX_SCANS = 320
+# Seconds between two scans at least; scans of faster lidars are thinned out.
+# Origin: chosen, a turn between two scans should exceed the error of matching; not measured.
+MIN_SCAN_PERIOD = 0.09
+# Seconds between two scans at most, to be matched. Origin: chosen, a turning robot then sees something else.
+MAX_SCAN_PERIOD = 0.6
+# Radians, largest standard deviation of a measured rotation. Origin: chosen, a degree; not measured.
+MAX_ROTATION_SIGMA = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """Consecutive scans, each of which was matched to the one before.
+
+    scans    n scans
+    stamps   (n,) of the middle of each sweep, seconds
+    poses    (n, 3) of the lidar in the frame of the first scan; headings are not wrapped
+    """
+
+    scans: list[Scan]
+    stamps: Floats
+    poses: Floats
+
+    @cached_property
+    def twists(self) -> Floats:
+        """(n, 3) velocity of the lidar at each scan [m/s, m/s, rad/s] in its own frame, from both neighbours."""
+        steps = se2.between(self.poses[:-1], self.poses[1:])
+        steps /= np.diff(self.stamps)[:, None]
+        return np.concatenate([steps[:1], 0.5 * (steps[:-1] + steps[1:]), steps[-1:]])
+
+
+@dataclass(slots=True)
+class _Part:
+    """Part of a drive of PART_DURATION: its scans, and the range of the odometry's rates in it."""
+
+    scans: list[Scan] = field(default_factory=list)
+    slowest: float = np.inf
+    fastest: float = -np.inf
+
+    @property
+    def activity(self) -> float:
+        """Change of the rotation rate, rad/s: a constant one shows no delay."""
+        return max(0.0, self.fastest - self.slowest)
+
+
+class Turns:
+    """Turns of a drive, collected from its messages in time order; memory does not grow with the number of scans.
+
+    odometry  (m, 2) stamps (seconds, increasing) and unwrapped headings (radians) of the whole drive
+    """
+
+    def __init__(self, messages: Iterable[Message]) -> None:
+        self._parts: list[_Part] = []
+        readings: list[tuple[float, float]] = []
+        part, end, last = _Part(), -np.inf, -np.inf
+        for message in messages:
+            if isinstance(message, Scan):
+                if message.stamp >= end:
+                    self._keep(part)
+                    part, end = _Part(), message.stamp + PART_DURATION
+                if message.stamp >= last + MIN_SCAN_PERIOD:
+                    part.scans.append(message)
+                    last = message.stamp
+            elif isinstance(message, Odometry):
+                readings.append((message.stamp, float(message.pose[2])))
+                rate = _latest_rate(readings)
+                part.slowest, part.fastest = min(part.slowest, rate), max(part.fastest, rate)
+        self._keep(part)
+        self.odometry = _strictly_increasing(np.array(readings).reshape(-1, 2))
+
+    def _keep(self, part: _Part) -> None:
+        """Add a part, and drop those with the least activity if there are more scans than MAX_SCANS."""
+        if len(part.scans) < 2 or part.activity <= 0.0:
+            return
+        self._parts.append(part)
+        self._parts.sort(key=lambda one: -one.activity)
+        while sum(len(one.scans) for one in self._parts[:-1]) >= MAX_SCANS:
+            self._parts.pop()
+
+    @cached_property
+    def runs(self) -> list[Run]:
+        """Runs of matched scans in the collected parts, in time order."""
+        parts = sorted(self._parts, key=lambda one: one.scans[0].stamp)
+        return [run for part in parts for run in _matched_runs(part.scans)]
+
+
+def _latest_rate(readings: list[tuple[float, float]]) -> float:
+    """Return the mean rotation rate over MIN_SCAN_PERIOD or more up to the last reading, rad/s; zero after a gap."""
+    stamp, heading = readings[-1]
+    for earlier, before in reversed(readings[-20:-1]):
+        if stamp - earlier >= MIN_SCAN_PERIOD:
+            return float(se2.wrap(heading - before)) / (stamp - earlier) if stamp - earlier < MAX_SCAN_PERIOD else 0.0
+    return 0.0
+
+
+def _strictly_increasing(readings: Floats) -> Floats:
+    """Return the readings (m, 2) without repeated stamps, headings unwrapped."""
+    later = np.concatenate([[True], np.diff(readings[:, 0]) > 0.0])[: len(readings)]
+    return np.column_stack([readings[later, 0], np.unwrap(readings[later, 1])])
+
+
+def _matched_runs(scans: list[Scan]) -> list[Run]:
+    """Match each scan to the one before; a failed match ends a run. Runs of fewer than three scans are dropped."""
+    runs: list[tuple[list[Scan], list[se2.Pose]]] = []
+    points = [scan_points(scan) for scan in scans]
+    for k, scan in enumerate(scans):
+        motion = None if k == 0 else _motion(scans[k - 1], points[k - 1], scan, points[k])
+        if motion is None:
+            runs.append(([scan], [np.zeros(3)]))
+            continue
+        of_run, poses = runs[-1]
+        following = se2.compose(poses[-1], motion)
+        following[2] = poses[-1][2] + motion[2]
+        of_run.append(scan)
+        poses.append(following)
+    return [
+        Run(of_run, np.array([scan.stamp + middle_offset(scan) for scan in of_run]), np.array(poses))
+        for of_run, poses in runs
+        if len(of_run) > 2
+    ]
+
+
+def _motion(before: Scan, points_before: Floats, scan: Scan, points: Floats) -> se2.Pose | None:
+    """Return the pose of a scan in the frame of the scan before it; None if they do not match."""
+    reference = surface(points_before) if scan.stamp - before.stamp < MAX_SCAN_PERIOD else None
+    if reference is None:
+        return None
+    found = match(points, reference, np.array([0.0, 0.0, find_rotation(scan, before)]))
+    return None if found is None or found.sigma > MAX_ROTATION_SIGMA else found.pose
