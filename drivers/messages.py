@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
@@ -61,6 +61,12 @@ class GroundTruth:
 
 
 Message: TypeAlias = Scan | Odometry | GroundTruth
+
+
+def with_reversed_times(scan: Scan) -> Scan:
+    """Return a scan whose beams were measured in the opposite order, within the same time."""
+    offsets = scan.time_offsets
+    return replace(scan, time_offsets=offsets.max(initial=-np.inf) + offsets.min(initial=np.inf) - offsets)
 
 
 def end_stamp(message: Message) -> float:

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..errors import RecordingError
-from ..messages import GroundTruth, Message, SourceReport
+from ..messages import GroundTruth, Message, Scan, SourceReport, with_reversed_times
 from .time_ordering import order_by_time
+
+if TYPE_CHECKING:
+    from ..timing.beam_order import BeamOrder, BeamOrderTest
+    from ..timing.delay import Delay
+    from ..timing.turns import Turns
 
 MAX_STAMP = 2.0**31
 """Seconds. Later stamps (after January 2038) do not fit into the 32 bits of a ROS stamp."""
@@ -24,29 +31,75 @@ class RecordingReader(ABC):
 
     A subclass yields the messages in the file's order from `_read` and calls `skip` for entries that it omits. Raises
     RecordingError on construction if the path does not exist, and on iteration if there is no scan and no odometry.
+
+    beam_order         order of the beams' times: as stated, reversed, or decided from the scans
+    states_beam_times  if the format has a place for them
     """
+
+    states_beam_times = False
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.name = self.path.name
         self.report = SourceReport()
+        self.beam_order: BeamOrder = "auto"
         if not self.path.exists():
             raise RecordingError(self.path, None, "no such file or directory")
 
     def __iter__(self) -> Iterator[Message]:
         """Yield the messages from the beginning, with non-decreasing stamps."""
-        self.report = report = SourceReport()
         found = False
         try:
+            beams_reversed = self.beams_reversed
+            self.report = report = SourceReport()
             for message in order_by_time(self._read(), self):
                 report.messages += 1
                 found = found or not isinstance(message, GroundTruth)
-                yield message
+                yield with_reversed_times(message) if beams_reversed and isinstance(message, Scan) else message
         except OSError as error:
             raise RecordingError(self.path, None, f"cannot be read: {error.strerror or error}") from error
         if not found:
             first = f" ({report.first})" if report.first else ""
             raise RecordingError(self.path, None, f"{self._empty_reason()}{first}")
+
+    @property
+    def beams_reversed(self) -> bool:
+        """True if the beams' times are reversed when the recording is read."""
+        test = self.beam_order_test if self.beam_order == "auto" else None
+        return self.beam_order == "reversed" if test is None else test.order == "reversed"
+
+    @cached_property
+    def beam_order_test(self) -> BeamOrderTest | None:
+        """Comparison of the orders of the beams' times; None if the recording does not state any."""
+        if not self.states_beam_times:
+            return None
+        first = next((message for message in self._survey_messages() if isinstance(message, Scan)), None)
+        if first is None or not first.time_offsets.any():
+            return None
+        from ..timing.beam_order import decide_beam_order
+
+        return decide_beam_order(self._turns)
+
+    @cached_property
+    def delay(self) -> Delay | None:
+        """Delay of the lidar's stamps against odometry's; None if the recording does not determine it."""
+        from ..timing.delay import estimate_delay
+
+        return estimate_delay(self._turns, -1.0 if self.beams_reversed else 1.0)
+
+    @cached_property
+    def _turns(self) -> Turns:
+        from ..timing.turns import Turns
+
+        return Turns(self._survey_messages())
+
+    def _survey_messages(self) -> Iterator[Message]:
+        """Yield the messages as they are recorded, without an entry in the report."""
+        report, self.report = self.report, SourceReport()
+        try:
+            yield from order_by_time(self._read(), self)
+        finally:
+            self.report = report
 
     def skip(self, line: int | None, reason: str) -> None:
         """Count an omitted entry; `line` is its line or message number."""

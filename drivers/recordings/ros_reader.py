@@ -101,6 +101,8 @@ class RosReader(RecordingReader):
     RecordingError if a named topic does not exist.
     """
 
+    states_beam_times = True
+
     def __init__(self, path: str | Path, scan_topic: str | None = None, odometry_topic: str | None = None) -> None:
         super().__init__(path)
         self.scan_topic, self.odometry_topic = scan_topic, odometry_topic

@@ -75,12 +75,6 @@ def decide_beam_order(turns: Turns) -> BeamOrderTest:
     return BeamOrderTest(order, len(costs), statistic)
 
 
-def reverse_times(scan: Scan) -> Floats:
-    """Return the time offsets (n,) of a scan's beams in reversed order, seconds."""
-    offsets = scan.time_offsets
-    return np.asarray(2.0 * middle_offset(scan) - offsets)
-
-
 def _statistic(differences: Floats) -> float:
     """Return the mean of differences (n,) divided by its standard error."""
     error = float(differences.std(ddof=1)) / np.sqrt(len(differences))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -63,15 +64,18 @@ class _Part:
 class Turns:
     """Turns of a drive, collected from its messages in time order; memory does not grow with the number of scans.
 
-    odometry  (m, 2) stamps (seconds, increasing) and unwrapped headings (radians) of the whole drive
+    odometry     (m, 2) stamps (seconds, increasing) and unwrapped headings (radians) of the whole drive
+    scan_period  median of the seconds between two scans
     """
 
     def __init__(self, messages: Iterable[Message]) -> None:
         self._parts: list[_Part] = []
         readings: list[tuple[float, float]] = []
+        stamps: list[float] = []
         part, end, last = _Part(), -np.inf, -np.inf
         for message in messages:
             if isinstance(message, Scan):
+                stamps.append(message.stamp)
                 if message.stamp >= end:
                     self._keep(part)
                     part, end = _Part(), message.stamp + PART_DURATION
@@ -83,6 +87,7 @@ class Turns:
                 rate = _latest_rate(readings)
                 part.slowest, part.fastest = min(part.slowest, rate), max(part.fastest, rate)
         self._keep(part)
+        self.scan_period = float(np.median(np.diff(stamps))) if len(stamps) > 1 else np.inf
         self.odometry = _strictly_increasing(np.array(readings).reshape(-1, 2))
 
     def _keep(self, part: _Part) -> None:
@@ -98,7 +103,7 @@ class Turns:
     def runs(self) -> list[Run]:
         """Runs of matched scans in the collected parts, in time order."""
         parts = sorted(self._parts, key=lambda one: one.scans[0].stamp)
-        return [run for part in parts for run in _matched_runs(part.scans)]
+        return _matched_runs([scan for part in parts for scan in part.scans])
 
 
 def _latest_rate(readings: list[tuple[float, float]]) -> float:
@@ -118,10 +123,27 @@ def _strictly_increasing(readings: Floats) -> Floats:
 
 def _matched_runs(scans: list[Scan]) -> list[Run]:
     """Match each scan to the one before; a failed match ends a run. Runs of fewer than three scans are dropped."""
+    guesses = [None, *(_guess(*pair) for pair in pairwise(scans))]
+    return _chain(scans, [scan_points(scan) for scan in scans], guesses)
+
+
+def deskewed(run: Run, direction: float) -> list[Run]:
+    """Match the scans of a run again, de-skewed with the motion from the first match.
+
+    A scan that is not de-skewed shows where the lidar was when it measured the surfaces that determined the match,
+    which need not be the middle of the sweep. `direction` as for `scan_points`. A failed match ends a run.
+    """
+    if not any(scan.time_offsets.any() for scan in run.scans):
+        return [run]
+    points = [scan_points(scan, twist, direction) for scan, twist in zip(run.scans, run.twists, strict=True)]
+    return _chain(run.scans, points, [None, *se2.between(run.poses[:-1], run.poses[1:])])
+
+
+def _chain(scans: list[Scan], points: list[Floats], guesses: Sequence[se2.Pose | None]) -> list[Run]:
+    """Match the points of each scan to those of the scan before, starting from a guess; None ends a run."""
     runs: list[tuple[list[Scan], list[se2.Pose]]] = []
-    points = [scan_points(scan) for scan in scans]
-    for k, scan in enumerate(scans):
-        motion = None if k == 0 else _motion(scans[k - 1], points[k - 1], scan, points[k])
+    for k, (scan, guess) in enumerate(zip(scans, guesses, strict=True)):
+        motion = None if guess is None else _motion(points[k - 1], points[k], guess)
         if motion is None:
             runs.append(([scan], [np.zeros(3)]))
             continue
@@ -137,10 +159,15 @@ def _matched_runs(scans: list[Scan]) -> list[Run]:
     ]
 
 
-def _motion(before: Scan, points_before: Floats, scan: Scan, points: Floats) -> se2.Pose | None:
-    """Return the pose of a scan in the frame of the scan before it; None if they do not match."""
-    reference = surface(points_before) if scan.stamp - before.stamp < MAX_SCAN_PERIOD else None
-    if reference is None:
+def _guess(before: Scan, scan: Scan) -> se2.Pose | None:
+    """Return a first estimate of a scan's pose in the frame of the scan before it; None if that is long ago."""
+    if scan.stamp - before.stamp > MAX_SCAN_PERIOD:
         return None
-    found = match(points, reference, np.array([0.0, 0.0, find_rotation(scan, before)]))
+    return np.array([0.0, 0.0, find_rotation(scan, before)])
+
+
+def _motion(before: Floats, points: Floats, guess: se2.Pose) -> se2.Pose | None:
+    """Return the pose of a scan in the frame of the scan before it, from the points of both; None without a match."""
+    reference = surface(before)
+    found = None if reference is None else match(points, reference, guess)
     return None if found is None or found.sigma > MAX_ROTATION_SIGMA else found.pose
