@@ -69,6 +69,14 @@ def with_reversed_times(scan: Scan) -> Scan:
     return replace(scan, time_offsets=offsets.max(initial=-np.inf) + offsets.min(initial=np.inf) - offsets)
 
 
+def delay_odometry(message: Message, seconds: float) -> Message:
+    """Return the message on the lidar's clock: odometry's stamp is moved by the lidar's delay, seconds.
+
+    The stamps of scans stay, and with them whatever refers to a scan by its stamp.
+    """
+    return replace(message, stamp=message.stamp + seconds) if seconds and isinstance(message, Odometry) else message
+
+
 def end_stamp(message: Message) -> float:
     """Return the time of a message's last measurement (seconds): of a scan's last beam, else its stamp."""
     return message.stamp + float(message.time_offsets.max()) if isinstance(message, Scan) else message.stamp

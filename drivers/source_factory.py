@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl
 
 from .devices.device_spec import is_device_spec, parse_devices
 from .errors import RecordingError
 from .messages import Source
+from .recordings.reader import RecordingReader
+from .recordings.replay import Replay
+
+if TYPE_CHECKING:
+    from .timing.beam_order import BeamOrder
 
 SUPPORTED = (
     "CARMEN logs (.clf, .log, .carmen, .txt, .gz), MCAP files (.mcap), "
@@ -18,14 +24,30 @@ SUPPORTED = (
 CARMEN_SUFFIXES = (".clf", ".log", ".carmen", ".gz", ".txt")
 
 
-def open(spec: str | Path) -> Source:
+def open(spec: str | Path, beam_order: BeamOrder = "auto") -> Source:
     """Return the source that a path, `sim:WORLD?seed=3&duration=60`, `replay:FILE?speed=2` or a device list specifies.
+
+    The times of a recording's beams are taken as stated with the `beam_order` forward, reversed with reversed, and with
+    auto reversed if its scans fit together significantly better then. Simulations and devices state them correctly.
 
     Raises RecordingError if the path does not exist or its format is not supported; the content is read when the source
     is iterated. Only the libraries of the format in question are imported. Devices (see `devices.device_spec`) are
     started when the source is iterated, which is possible once; raises SpecError, a DriverError, if their specification
     is invalid.
     """
+    source = _open(spec)
+    if (reader := recording_of(source)) is not None:
+        reader.beam_order = beam_order
+    return source
+
+
+def recording_of(source: Source) -> RecordingReader | None:
+    """Return the reader of a recording, also if it is replayed; None for a simulation or devices."""
+    source = source.source if isinstance(source, Replay) else source
+    return source if isinstance(source, RecordingReader) else None
+
+
+def _open(spec: str | Path) -> Source:
     if str(spec).startswith("sim:"):
         return _simulation(str(spec))
     if str(spec).startswith("replay:"):
@@ -64,15 +86,13 @@ def _directory(path: Path) -> Source:
         return BagReader(path)
     files = sorted(file for file in path.iterdir() if file.suffix in (".mcap", ".db3"))
     if len(files) == 1:
-        return open(files[0])
+        return _open(files[0])
     raise RecordingError(
         path, None, f"the directory is not a ROS 2 bag: it has no metadata.yaml; supported: {SUPPORTED}"
     )
 
 
 def _replay(spec: str) -> Source:
-    from .recordings.replay import Replay
-
     path, _, query = spec.removeprefix("replay:").partition("?")
     options = dict(parse_qsl(query, keep_blank_values=True))
     try:
@@ -81,7 +101,7 @@ def _replay(spec: str) -> Source:
         raise RecordingError(spec, None, f"not a number: {error}") from error
     if options or not 0.0 < speed < math.inf:
         raise RecordingError(spec, None, "the only option is speed, a positive number")
-    return Replay(open(path), speed)
+    return Replay(_open(path), speed)
 
 
 def _simulation(spec: str) -> Source:

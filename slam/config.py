@@ -51,6 +51,19 @@ class LidarConfig(_Group):
         "by default that of the recording, else zero",
     )
 
+    beam_order: Literal["auto", "forward", "reversed"] = Field(
+        "auto",
+        description="order of the beams' times in a recording: 'forward' as it states them, 'reversed', or 'auto' to "
+        "decide from the scans",
+    )
+    delay: float | None = Field(
+        None,
+        gt=-10,
+        lt=10,
+        description="seconds by which the lidar's stamps are late against odometry's, negative if early; by default "
+        "that of the recording if it is significant and longer than the period of the scans, else zero",
+    )
+
     @model_validator(mode="after")
     def _range_is_not_empty(self) -> Self:
         if self.range_min >= self.range_max:

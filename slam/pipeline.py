@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 
 from drivers import se2
-from drivers.messages import GroundTruth, Message, Odometry, Scan
+from drivers.messages import GroundTruth, Message, Odometry, Scan, delay_odometry
 
 from .config import Config
 from .errors import MapError, SlamError
@@ -86,6 +86,7 @@ class Slam:
 
     def add(self, message: Message) -> None:
         """Add the next message. A scan is processed once odometry covers its sweep."""
+        message = delay_odometry(message, self.config.lidar.delay or 0.0)
         if isinstance(message, GroundTruth):
             self._publisher.publish(GroundTruthReceived(message.stamp, message.pose))
             return

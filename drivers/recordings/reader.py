@@ -57,7 +57,7 @@ class RecordingReader(ABC):
                 found = found or not isinstance(message, GroundTruth)
                 yield with_reversed_times(message) if beams_reversed and isinstance(message, Scan) else message
         except OSError as error:
-            raise RecordingError(self.path, None, f"cannot be read: {error.strerror or error}") from error
+            raise self._read_error(error) from error
         if not found:
             first = f" ({report.first})" if report.first else ""
             raise RecordingError(self.path, None, f"{self._empty_reason()}{first}")
@@ -98,8 +98,13 @@ class RecordingReader(ABC):
         report, self.report = self.report, SourceReport()
         try:
             yield from order_by_time(self._read(), self)
+        except OSError as error:
+            raise self._read_error(error) from error
         finally:
             self.report = report
+
+    def _read_error(self, error: OSError) -> RecordingError:
+        return RecordingError(self.path, None, f"cannot be read: {error.strerror or error}")
 
     def skip(self, line: int | None, reason: str) -> None:
         """Count an omitted entry; `line` is its line or message number."""

@@ -22,6 +22,11 @@ class Replay:
         self.report = source.report
         self._source = source
 
+    @property
+    def source(self) -> Source:
+        """Source of the messages."""
+        return self._source
+
     def __iter__(self) -> Iterator[Message]:
         """Yield the messages from the beginning."""
         first_stamp: float | None = None

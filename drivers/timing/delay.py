@@ -13,12 +13,12 @@ standard deviation is that of the jackknife over blocks of one second, which inc
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
-from ..messages import Floats, Message, Odometry
+from ..messages import Floats
 from .turns import MAX_SCAN_PERIOD, Run, Turns, deskewed
 
 # Seconds, step of the time grid and of the delays that are tried; the minimum is interpolated.
@@ -74,14 +74,6 @@ class _Blocks:
     xy: Floats
     yy: Floats
     count: Floats
-
-
-def delay_odometry(message: Message, seconds: float) -> Message:
-    """Return the message on the lidar's clock: odometry's stamp is moved by the lidar's delay, seconds.
-
-    The stamps of scans stay, and with them whatever refers to a scan by its stamp.
-    """
-    return replace(message, stamp=message.stamp + seconds) if seconds and isinstance(message, Odometry) else message
 
 
 def estimate_delay(turns: Turns, direction: float = 1.0) -> Delay | None:

@@ -12,8 +12,10 @@ import numpy as np
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry, Scan, Source, SourceReport
 
+from ..config import Config
 from ..events import Sink
 from .console import progress
+from .recording_timing import RecordingTiming
 
 if TYPE_CHECKING:
     from ..io.sessions import Recording
@@ -47,6 +49,10 @@ class RunInput(Protocol):
         """Return a context that provides the messages and must stay open until the map is finished."""
         ...
 
+    def resolve(self, config: Config) -> Config:
+        """Return the settings with those that the input determines itself, such as the lidar's delay."""
+        ...
+
     def facts(self) -> dict[str, Any]:
         """Return additional entries for the summary; valid after the last message."""
         ...
@@ -59,6 +65,7 @@ class RecordingInput:
         self.name, self.reopen, self.finite = source.name, reopen, True
         self.sinks: Sequence[Sink] = ()
         self._source = source
+        self._timing: RecordingTiming | None = None
 
     @property
     def report(self) -> SourceReport:
@@ -70,9 +77,14 @@ class RecordingInput:
         """Provide all messages."""
         yield progress(self._source, len(self._source), self.name)
 
+    def resolve(self, config: Config) -> Config:
+        """Return the settings with the lidar's delay that the recording shows, if none is set."""
+        self._timing = RecordingTiming.of(self._source, config.lidar)
+        return self._timing.compensated(config)
+
     def facts(self) -> dict[str, Any]:
-        """Return nothing: the source's report is complete."""
-        return {}
+        """Return the timing of the lidar, as far as it is known."""
+        return {} if self._timing is None else {"timing": self._timing.figures()}
 
 
 @dataclass(slots=True)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..io.host import peak_memory, versions
+from .recording_timing import format_corrections
 
 if TYPE_CHECKING:
     from ..evaluation.metrics import ReferenceScore
@@ -80,6 +81,7 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
         )
     if skipped := summary["skipped"]["messages"]:
         rows.append(("skipped", f"{skipped} messages; first: {summary['skipped']['first']}"))
+    rows += [("timing", text) for text in format_corrections(summary.get("timing"))]
     rows += [("device", _device(device)) for device in summary.get("devices", ())]
     left_out = summary.get("review") or {}
     if any(left_out.values()):

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from ..visualisation.rerun_log import ReviewLog, ViewerServer
 
 READING_SESSION = "reading the session"
+FINDING_TIMING = "estimating the timing of the lidar"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,8 +124,10 @@ def run_slam(
             sinks.append(reviewed)
         started = time.perf_counter()
         with run_input.opened() as messages:
+            with print_if_slow(FINDING_TIMING):
+                resolved = run_input.resolve(config)
             slam = Slam(
-                config, sinks, refine=refine, keep_all_features=run_input.finite, resumed=resumed, frozen=frozen
+                resolved, sinks, refine=refine, keep_all_features=run_input.finite, resumed=resumed, frozen=frozen
             )
             after = -np.inf if resumed is None else resumed.latest
             finished, busy = process_messages(_shifted(messages, after, statistics), slam, statistics, run_input.name)

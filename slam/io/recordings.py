@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import drivers
 from drivers.messages import Message, Source, SourceReport
 
 from ..errors import MapError
 from .run_results import RunResults
+
+if TYPE_CHECKING:
+    from drivers.timing.beam_order import BeamOrder
 
 SIMULATION = "sim:"
 """Prefix of a recording that is simulated when it is opened."""
@@ -27,22 +31,23 @@ def open_recording(results: RunResults, override: str | None = None) -> Source:
     The recordings of a continued or merged session are opened as one source. Raises MapError if the summary does not
     name the recording or the recording does not exist any more, RecordingError if `override` cannot be opened.
     """
+    beam_order = results.config().lidar.beam_order
     if override is not None:
-        return drivers.open(override)
+        return drivers.open(override, beam_order)
     summary = results.summary
     single = {"name": summary.get("recording", ""), "path": summary.get("recording_path")}
     recordings = summary.get("recordings") or [single]
-    sources = [_open(results, recording.get("name", ""), recording.get("path")) for recording in recordings]
+    sources = [_open(results, recording.get("name", ""), recording.get("path"), beam_order) for recording in recordings]
     shifts = [float(recording.get("shift", 0.0)) for recording in recordings]
     return sources[0] if len(sources) == 1 and not shifts[0] else ConcatenatedSource(sources, shifts)
 
 
-def _open(results: RunResults, name: str, path: object) -> Source:
+def _open(results: RunResults, name: str, path: object, beam_order: BeamOrder) -> Source:
     if not isinstance(path, str):
         raise MapError(f"{results.path}: does not say where its recording {name} is; name it with --recording FILE")
     if not path.startswith(SIMULATION) and not Path(path).exists():
         raise MapError(f"{results.path}: its recording {path} does not exist any more; name it with --recording FILE")
-    return drivers.open(path)
+    return drivers.open(path, beam_order)
 
 
 class ConcatenatedSource:

@@ -52,13 +52,13 @@ class _FingerprintedInput(RecordingInput):
     """A recording whose summary contains the fingerprint of the job."""
 
     def __init__(self, job: Job) -> None:
-        super().__init__(drivers.open(job.recording), reopen=job.recording)
+        super().__init__(drivers.open(job.recording, job.options.config.lidar.beam_order), reopen=job.recording)
         self._facts = {
             FINGERPRINT: fingerprint(job)
         }  # before reading, so that a change meanwhile is detected next time
 
     def facts(self) -> dict[str, Any]:
-        return self._facts
+        return super().facts() | self._facts
 
 
 def _map(job: Job, log: TextIO) -> dict[str, Any]:

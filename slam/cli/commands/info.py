@@ -11,6 +11,8 @@ import typer
 if TYPE_CHECKING:
     from drivers import RecordingInfo
 
+    from ..recording_timing import RecordingTiming
+
 CALENDAR = 1e8
 """Stamps in seconds from here on (1973) are interpreted as dates, smaller ones as times since a start."""
 
@@ -24,10 +26,15 @@ def info(
     """
     import drivers
 
-    typer.echo("\n".join(describe(drivers.inspect(drivers.open(recording)))))
+    from ...config import LidarConfig
+    from ..recording_timing import RecordingTiming
+
+    source = drivers.open(recording)
+    found = drivers.inspect(source)
+    typer.echo("\n".join(describe(found, RecordingTiming.of(source, LidarConfig()))))
 
 
-def describe(found: RecordingInfo) -> list[str]:
+def describe(found: RecordingInfo, timing: RecordingTiming) -> list[str]:
     """Return the description as lines of text, without entries that the recording does not have."""
     rows = [("time", _time(found))]
     rows.append(("scans", _count(found.scans, found.scan_rate)))
@@ -48,6 +55,7 @@ def describe(found: RecordingInfo) -> list[str]:
     for x, y, heading in found.mounts:
         rows.append(("lidar", f"mounted at x {x:.3f} m, y {y:.3f} m, heading {math.degrees(heading):.1f} degrees"))
     rows.append(("odometry", _count(found.odometry, found.odometry_rate) + f", {found.path_length:.1f} m driven"))
+    rows += [("timing", text) for text in timing.findings()]
     if found.ground_truth:
         rows.append(("true poses", str(found.ground_truth)))
     rows += [("warning", text) for text in found.warnings]

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from drivers.errors import DriverError
     from drivers.messages import Message
 
+    from ...config import Config
     from ...events import Sink
     from ...visualisation.rerun_log import ViewerServer
 
@@ -72,6 +73,10 @@ class LiveInput:
         from ...io.recordings import absolute_recording
 
         return absolute_recording(self._recorded["file"]) if self._recorded and not self._recorded["problem"] else None
+
+    def resolve(self, config: Config) -> Config:
+        """Return the settings unchanged: devices state the times of their measurements."""
+        return config
 
     def facts(self) -> dict[str, Any]:
         """Return the final state of the devices and of the recording."""

@@ -73,11 +73,11 @@ def optimize_recording(
         from ...pipeline import Slam
 
         compile_all()
-        run_input = RecordingInput(drivers.open(recording), reopen=absolute_recording(recording))
+        run_input = RecordingInput(drivers.open(recording, config.lidar.beam_order), reopen=absolute_recording(recording))
         notices, statistics = NoticeCollector(), InputStatistics()
         started = time.perf_counter()
         with run_input.opened() as messages:
-            slam = Slam(config, [notices], keep_all_features=True)
+            slam = Slam(run_input.resolve(config), [notices], keep_all_features=True)
             finished, busy = process_messages(messages, slam, statistics, run_input.name)
         took = time.perf_counter() - started
         summary = summarise_run(
