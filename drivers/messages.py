@@ -66,7 +66,7 @@ Message: TypeAlias = Scan | Odometry | GroundTruth
 def with_reversed_times(scan: Scan) -> Scan:
     """Return a scan whose beams were measured in the opposite order, within the same time."""
     offsets = scan.time_offsets
-    return replace(scan, time_offsets=offsets.max(initial=-np.inf) + offsets.min(initial=np.inf) - offsets)
+    return replace(scan, time_offsets=offsets.max() + offsets.min() - offsets) if len(offsets) else scan
 
 
 def delay_odometry(message: Message, seconds: float) -> Message:

@@ -88,7 +88,8 @@ def _pairs(run: Run) -> list[tuple[float, Run, int, int]]:
     near = apart < MAX_DISTANCE
     first, second = first[near], second[near]
     bending = _bending_difference(run, first, second)
-    pairs, used = [], set[int]()
+    pairs: list[tuple[float, Run, int, int]] = []
+    used: set[int] = set()
     for k in np.argsort(-bending):
         a, b = int(first[k]), int(second[k])
         if bending[k] < MIN_BENDING or len(pairs) >= MAX_PAIRS:

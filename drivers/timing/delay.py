@@ -7,13 +7,15 @@ y(t) = L(t) - L(t - SPAN) and x(t) likewise. With a delay d of the lidar's stamp
 
 Both headings are smoothed alike before: interpolation between readings averages their noise, most in the middle between
 two, and the estimate would be drawn there. Weights w_t lower the influence of blocks in which a wheel slipped. The
-standard deviation is that of the jackknife over blocks of one second, which includes all errors that change with time, and of the grid's step.
+standard deviation is that of the jackknife over blocks of one second, which includes all errors that change with time,
+and of the grid's step.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy import stats
@@ -53,17 +55,14 @@ CONTRADICTION_PROBABILITY = 0.05
 class Delay:
     """Delay of the lidar against odometry.
 
-    seconds      by which scans are stamped late (mid-sweep), negative if odometry is
-    sigma        its standard deviation, seconds
-    significant  if it differs from zero with an error probability of ERROR_PROBABILITY
-    worthwhile   if it should be compensated: significant, longer than the period of the scans, and not contradicted by
-                 the turns from scan to scan
+    seconds    by which scans are stamped late (mid-sweep), negative if odometry is
+    sigma      its standard deviation, seconds
+    objection  why it should not be compensated, as text; None if it should be
     """
 
     seconds: float
     sigma: float
-    significant: bool
-    worthwhile: bool
+    objection: str | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,9 +93,13 @@ def estimate_delay(turns: Turns, direction: float = 1.0) -> Delay | None:
     if not abs(seconds) < MAX_DELAY - STEP or not sigma > 0.0:
         return None
     significant = abs(seconds) / sigma > float(stats.t.isf(ERROR_PROBABILITY / 2, len(weights) - 1))
-    # Up to one period, the turn that odometry reports still overlaps the one between the scans; beyond, it is another.
-    worthwhile = significant and abs(seconds) > turns.scan_period and not _predicts_worse(runs, turns.odometry, seconds)
-    return Delay(seconds, sigma, significant, worthwhile)
+    objection = None if significant else "not significant"
+    if significant and abs(seconds) <= turns.scan_period:
+        # The turn that odometry reports still overlaps the one between two scans; beyond, it is another turn.
+        objection = "shorter than the period of the scans"
+    elif significant and _predicts_worse(runs, turns.odometry, seconds):
+        objection = "contradicted by the turns from scan to scan"
+    return Delay(seconds, sigma, objection)
 
 
 def _gaussian(sigma: float) -> Floats:
@@ -123,7 +126,7 @@ def _collect(runs: Sequence[Run], odometry: Floats, smoothing: Floats) -> _Block
         y, turned = lidar[span:] - lidar[:-span], wheels[span:] - wheels[:-span]
         x = np.array([turned[reach - shift :][: len(y)] for shift in range(-reach, reach + 1)])
         edges = np.linspace(0, len(y), max(1, round(len(y) * STEP / BLOCK)) + 1).astype(np.int64)
-        for a, b in zip(edges[:-1], edges[1:], strict=True):
+        for a, b in pairwise(edges):
             rows.append(((x[:, a:b] ** 2).sum(axis=1), x[:, a:b] @ y[a:b], float(y[a:b] @ y[a:b]), float(b - a)))
     if not rows:
         return None

@@ -80,12 +80,13 @@ def scan_points(scan: Scan, twist: Floats | None = None, direction: float = 1.0)
         since_middle = direction * (scan.time_offsets[valid] - middle_offset(scan))
         bearings = bearings + twist[2] * since_middle
         shift = since_middle[:, None] * twist[:2]
-    return ranges[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)]) + shift
+    return np.asarray(ranges[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)]) + shift)
 
 
 def middle_offset(scan: Scan) -> float:
     """Return the time from a scan's stamp to the middle of its sweep, seconds; it does not depend on the beam order."""
-    return 0.5 * float(scan.time_offsets.max(initial=0.0) + scan.time_offsets.min(initial=np.inf))
+    offsets = scan.time_offsets
+    return 0.5 * float(offsets.max() + offsets.min()) if len(offsets) else 0.0
 
 
 def surface(points: Floats) -> Surface | None:

@@ -15,7 +15,8 @@ from .scan_matching import find_rotation, match, middle_offset, scan_points, sur
 
 # Seconds of a part of a drive. Origin: chosen, a turn with what is before and after it; not measured.
 PART_DURATION = 6.0
-# Scans that are matched, of the parts in which the robot turns most. Origin: chosen, for about two seconds of computing.
+# Scans that are matched, of the parts in which the robot turns most.
+# Origin: chosen, for about a second of computing.
 MAX_SCANS = 320
 # Seconds between two scans at least; scans of faster lidars are thinned out.
 # Origin: chosen, a turn between two scans should exceed the error of matching; not measured.
@@ -123,6 +124,8 @@ def _strictly_increasing(readings: Floats) -> Floats:
 
 def _matched_runs(scans: list[Scan]) -> list[Run]:
     """Match each scan to the one before; a failed match ends a run. Runs of fewer than three scans are dropped."""
+    if not scans:
+        return []
     guesses = [None, *(_guess(*pair) for pair in pairwise(scans))]
     return _chain(scans, [scan_points(scan) for scan in scans], guesses)
 

@@ -40,7 +40,7 @@ class RecordingTiming:
         if lidar.delay is not None:
             return cls(reader.beams_reversed, test, None, lidar.delay)
         delay = reader.delay
-        used = delay.seconds if delay is not None and delay.worthwhile else 0.0
+        used = delay.seconds if delay is not None and delay.objection is None else 0.0
         return cls(reader.beams_reversed, test, delay, used)
 
     def compensated(self, config: Config) -> Config:
@@ -65,12 +65,10 @@ class RecordingTiming:
         if self.order_test is not None:
             lines.append(_order_text(self.order_test))
         if self.delay is not None:
-            seconds, sigma = self.delay.seconds, self.delay.sigma
-            if not self.delay.significant:
-                verdict = "not significant"
-            else:
-                verdict = "compensated by `wclm run`" if self.delay.worthwhile else "not compensated"
-            lines.append(f"lidar {seconds:+.3f} ± {sigma:.3f} s late against odometry, {verdict}")
+            objection = self.delay.objection
+            verdict = "compensated by `wclm run`" if objection is None else f"not compensated: {objection}"
+            value = f"{self.delay.seconds:+.3f} ± {self.delay.sigma:.3f} s"
+            lines.append(f"lidar {value} late against odometry, {verdict}")
         return lines
 
 

@@ -11,6 +11,7 @@ from ..options import ConfigOption, SetOption
 
 if TYPE_CHECKING:
     from ...offline.calibration.extrinsics import Calibration
+    from ..recording_timing import RecordingTiming
 
 
 def calibrate(
@@ -31,17 +32,21 @@ def calibrate(
     The search starts from the mount in the recording or in lidar.mount, whose heading must be right to 20 degrees. All
     results have standard errors. With --wheel-radius and --track the corrected values are printed, too.
 
+    The lidar's delay against odometry is estimated, too, and compensated as `wclm run` does.
+
     Example: [bold]wclm calibrate drive.mcap --wheel-radius 0.033 --track 0.2[/bold]
     """
     import drivers
 
     from ...config import load_config
     from ...offline.calibration.extrinsics import calibrate as estimate
+    from ..recording_timing import RecordingTiming
 
     effective = load_config(config, settings or ())
-    source = drivers.open(recording)
-    result = estimate(progress(source, len(source), "reading"), effective)
-    typer.echo("\n".join(_lines(result)))
+    source = drivers.open(recording, effective.lidar.beam_order)
+    timing = RecordingTiming.of(source, effective.lidar)
+    result = estimate(progress(source, len(source), "reading"), timing.compensated(effective))
+    typer.echo("\n".join([*_lines(result), *_timing_lines(timing)]))
     if wheel_radius is not None and track is not None:
         typer.echo(_options(result, wheel_radius, track))
 
@@ -60,6 +65,15 @@ def _lines(result: Calibration) -> list[str]:
         f"lidar: mount={x:.4f},{y:.4f},{heading:.4f}",
         f"wclm run: --set lidar.range_bias={bias:.4f}",
     ]
+
+
+def _timing_lines(timing: RecordingTiming) -> list[str]:
+    """Return the lidar's delay and the setting that compensates it, if it was found."""
+    if timing.delay is None:
+        return []
+    seconds, sigma = timing.delay.seconds, timing.delay.sigma
+    setting = [f"wclm run: --set lidar.delay={seconds:.4f}"] if timing.used_delay else []
+    return [f"delay     {seconds:.4f} ± {sigma:.4f} s of the lidar against odometry", *setting]
 
 
 def _options(result: Calibration, wheel_radius: float, track: float) -> str:

@@ -73,7 +73,9 @@ def optimize_recording(
         from ...pipeline import Slam
 
         compile_all()
-        run_input = RecordingInput(drivers.open(recording, config.lidar.beam_order), reopen=absolute_recording(recording))
+        run_input = RecordingInput(
+            drivers.open(recording, config.lidar.beam_order), reopen=absolute_recording(recording)
+        )
         notices, statistics = NoticeCollector(), InputStatistics()
         started = time.perf_counter()
         with run_input.opened() as messages:

@@ -44,7 +44,9 @@ def run(
     from ..slam_run import prepare_run, run_slam
 
     start = prepare_run(continued, localized, config, settings)
-    run_input = RecordingInput(drivers.open(recording, start.config.lidar.beam_order), reopen=absolute_recording(recording))
+    run_input = RecordingInput(
+        drivers.open(recording, start.config.lidar.beam_order), reopen=absolute_recording(recording)
+    )
     result = run_slam(
         run_input,
         start.config,

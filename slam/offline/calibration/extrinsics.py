@@ -22,7 +22,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from drivers import se2
-from drivers.messages import GroundTruth, Message, Odometry, Scan
+from drivers.messages import GroundTruth, Message, Odometry, Scan, delay_odometry
 
 from ...config import Config
 from ...errors import MapError
@@ -91,10 +91,13 @@ def calibrate(messages: Iterable[Message], config: Config | None = None) -> Cali
     """Calibrate from a drive with turns in both directions, turns on the spot, and some metres straight ahead.
 
     The search starts from the mount of the configuration, else from that of the scans; its heading must be right to 20
-    degrees. Raises MapError if there is no map or too little motion.
+    degrees. The delay of the lidar in the configuration is compensated. Raises MapError if there is no map or too
+    little motion.
     """
-    drive = [message for message in messages if not isinstance(message, GroundTruth)]
     config = config or Config()
+    delay = config.lidar.delay or 0.0
+    drive = [delay_odometry(message, delay) for message in messages if not isinstance(message, GroundTruth)]
+    config = config.model_copy(update={"lidar": config.lidar.model_copy(update={"delay": None})})
     mount = _initial_mount(drive, config)
     correction = OdometryCorrection()
     bias = estimate_range_bias(drive, config)

@@ -1,0 +1,51 @@
+"""The delay between lidar and odometry is found with its standard deviation, and objected to if it does not matter."""
+
+from __future__ import annotations
+
+import pytest
+
+import drivers
+from drivers.messages import Odometry, Scan, delay_odometry
+from drivers.timing.delay import estimate_delay
+from drivers.timing.turns import Turns
+
+from ...recordings import dataset_file
+from .drives import office_drive, with_late_scans
+
+
+@pytest.mark.parametrize(("seed", "seconds"), [(0, 0.0), (0, 0.05), (1, -0.3), (1, 0.5)])
+def test_known_delay_is_found_within_three_standard_deviations(seed: int, seconds: float) -> None:
+    delay = estimate_delay(Turns(with_late_scans(office_drive(seed), seconds)))
+    assert delay is not None
+    assert abs(delay.seconds - seconds) < 3.0 * delay.sigma
+    assert delay.sigma < 0.02
+    assert (delay.objection is None) == (abs(seconds) > 1.0 / 5.5)
+
+
+def test_drive_without_turns_does_not_determine_a_delay() -> None:
+    delay = estimate_delay(Turns(drivers.open("sim:corridor?duration=15&lidar=short")))
+    assert delay is None or delay.objection is not None
+    assert estimate_delay(Turns([])) is None
+
+
+def test_odometry_is_moved_onto_the_clock_of_the_lidar() -> None:
+    scan = next(message for message in office_drive() if isinstance(message, Scan))
+    reading = next(message for message in office_drive() if isinstance(message, Odometry))
+    assert delay_odometry(reading, 0.3).stamp == reading.stamp + 0.3
+    assert delay_odometry(scan, 0.3) is scan
+
+
+def test_delay_of_a_public_recording_below_the_period_of_its_scans_is_objected_to() -> None:
+    reader = drivers.source_factory.recording_of(drivers.open(dataset_file("fr079/fr079.clf")))
+    assert reader is not None
+    assert reader.delay is not None
+    assert reader.delay.objection == "shorter than the period of the scans"
+
+
+def test_delay_of_a_public_recording_is_found() -> None:
+    reader = drivers.source_factory.recording_of(drivers.open(dataset_file("neato/middle.bag")))
+    assert reader is not None
+    assert reader.delay is not None
+    assert reader.delay.objection is None
+    assert 0.2 < reader.delay.seconds < 0.5
+    assert not reader.beams_reversed
