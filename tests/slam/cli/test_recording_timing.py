@@ -1,0 +1,66 @@
+"""Timing errors of a recording are corrected in a run, shown by `wclm info`, and can be set."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import drivers
+from drivers.messages import Scan, delay_odometry, with_reversed_times
+from drivers.recordings.mcap import McapWriter
+from slam import Slam
+from slam.cli.recording_timing import RecordingTiming
+from slam.cli.run_input import RecordingInput
+from slam.config import Config, load_config
+
+from ...drivers.timing.drives import office_drive, with_late_scans
+
+DELAY = 0.3
+
+
+@pytest.fixture(scope="module")
+def wrong_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Recording whose beams' times are reversed and whose scans are late."""
+    path = tmp_path_factory.mktemp("timing") / "drive.mcap"
+    with McapWriter(path) as writer:
+        for message in with_late_scans(office_drive(), DELAY):
+            writer.write(with_reversed_times(message) if isinstance(message, Scan) else message)
+    return path
+
+
+def test_both_errors_are_found_and_corrected(wrong_recording: Path) -> None:
+    run_input = RecordingInput(drivers.open(wrong_recording), reopen=str(wrong_recording))
+    config = run_input.resolve(Config())
+    assert config.lidar.delay == pytest.approx(DELAY, abs=0.03)
+    timing = run_input.facts()["timing"]
+    assert timing["beams_reversed"]
+    assert timing["compensated_delay"] == config.lidar.delay
+    order, delay = RecordingTiming.of(drivers.open(wrong_recording), Config().lidar).findings()
+    assert "opposite" in order
+    assert "compensated by" in delay
+
+
+def test_settings_take_precedence(wrong_recording: Path) -> None:
+    config = load_config(None, ["lidar.beam_order=forward", "lidar.delay=0"])
+    source = drivers.open(wrong_recording, config.lidar.beam_order)
+    timing = RecordingTiming.of(source, config.lidar)
+    assert not timing.beams_reversed
+    assert timing.used_delay == 0.0
+    assert timing.compensated(config) == config
+
+
+def test_simulation_is_taken_as_it_is() -> None:
+    assert RecordingInput(drivers.open("sim:room"), reopen="sim:room").resolve(Config()) == Config()
+
+
+def test_delay_of_the_settings_moves_odometry() -> None:
+    drive = office_drive()[:400]
+    compensating, shifted = Slam(load_config(None, [f"lidar.delay={DELAY}"])), Slam()
+    for message in drive:
+        compensating.add(message)
+        shifted.add(delay_odometry(message, DELAY))
+    one, other = compensating.finish(), shifted.finish()
+    np.testing.assert_array_equal(one.stamps, other.stamps)
+    np.testing.assert_array_equal(one.poses, other.poses)
