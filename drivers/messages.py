@@ -86,16 +86,20 @@ def end_stamp(message: Message) -> float:
 class SourceReport:
     """Counts of the last iteration over a source: messages, and what was skipped and why. Complete when it has ended.
 
-    messages  number of messages yielded
-    skipped   number of entries skipped
-    reasons   number of times that each reason occurred
-    first     first problem, as `file:line: reason`
+    messages         number of messages yielded
+    skipped          number of entries skipped
+    reasons          number of times that each reason occurred
+    first            first problem, as `file:line: reason`
+    interpretations  how the content was read where that had to be found out: a topic, a unit, etc.; one line each
+    doubts           what the content is probably not right in, and was left as it is; one line each
     """
 
     messages: int = 0
     skipped: int = 0
     reasons: dict[str, int] = field(default_factory=dict)
     first: str | None = None
+    interpretations: list[str] = field(default_factory=list)
+    doubts: list[str] = field(default_factory=list)
 
 
 @runtime_checkable

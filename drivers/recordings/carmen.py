@@ -9,7 +9,9 @@
         laser_x laser_y laser_theta robot_x robot_y robot_theta tv rv forward_safety side_safety turn_axis
         ipc_timestamp host logger_timestamp
 
-Metres and radians; other lines (PARAM, SYNC, comments, ...) are ignored. The stamp is the ipc_timestamp.
+Metres and radians; other lines (PARAM, SYNC, comments, ...) are ignored. The stamp is the ipc_timestamp, the time of the
+measurement; the logger_timestamp is the time at which the line was written. Lines are in the order in which they reached
+the logger: those of one sensor are in true order, those of different sensors need not be.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ import numpy as np
 from .. import se2
 from ..errors import RecordingError
 from ..messages import Floats, Message, Odometry, Scan
+from .microseconds import restore_microseconds
 from .no_returns import find_no_return
 from .reader import RecordingReader, is_valid_stamp
 
@@ -41,6 +44,7 @@ CALIBRATION_LINES = 200
 MAX_MOUNT_SCATTER = (0.05, 0.05)
 """Metres and radians. If laser relative to robot poses scatter by more, the laser is not rigidly mounted."""
 
+_DECIMAL = re.compile(rb"\d+(\.\d+)?$")
 _TEXT = re.compile(rb"#|[A-Za-z\"][\x20-\x7e\t]*$")
 
 
@@ -108,15 +112,19 @@ class CarmenReader(RecordingReader):
         lines = content.split(b"\n")
         lasers = {kind: _calibrate(kind, lines) for kind in LASERS}
         odometry = _OdometryFilter()
+        stamps = self._restored_stamps(lines)
         for number, line in enumerate(lines, start=1):
             kind = line[:12].partition(b" ")[0]
             try:
                 if kind == b"ODOM":
                     values = _odometry(line)
+                    if number in stamps:
+                        values = (stamps[number], *values[1:])
                     if odometry.is_new(values, from_scan=False):
                         yield number, Odometry(values[0], np.array(values[1:]))
                 elif kind in lasers:
                     parsed = _laser(kind, line)
+                    parsed.stamp = stamps.get(number, parsed.stamp)
                     values = (parsed.stamp, *parsed.poses[3:].tolist())
                     if odometry.is_new(values, from_scan=True):
                         yield number, Odometry(parsed.stamp, parsed.poses[3:].copy())
@@ -127,6 +135,21 @@ class CarmenReader(RecordingReader):
                 self.skip(number, _reason(kind, error))
         if damage:
             self.skip(len(lines), damage)
+
+    def _restored_stamps(self, lines: list[bytes]) -> dict[int, float]:
+        """Return line number -> stamp for all stamps that have to be read differently from what is written."""
+        restored = restore_microseconds(written for _, written in _written_stamps(lines))
+        if restored is None:
+            return {}
+        changed = {
+            number: stamp
+            for (number, written), stamp in zip(_written_stamps(lines), restored, strict=True)
+            if stamp != float(written)
+        }
+        self.interpret(
+            f"microseconds are written without leading zeros; {len(changed)} stamps are restored from the order of lines"
+        )
+        return changed
 
     def _empty_reason(self) -> str:
         return "is not a CARMEN log: it has no readable ODOM, FLASER, RLASER or ROBOTLASER1 line"
@@ -196,6 +219,20 @@ def _robotlaser(words: list[bytes]) -> LaserLine:
     readings = np.array([float(word) for word in words[9 : 9 + count]])
     angles = start + resolution * np.arange(count, dtype=np.float64)
     return LaserLine(stamp, readings, angles, poses, limit)
+
+
+def _written_stamps(lines: list[bytes]) -> Iterator[tuple[int, bytes]]:
+    """Yield the number of each line with a measurement, and its stamp as written, without parsing the measurement."""
+    for number, line in enumerate(lines, start=1):
+        kind = line[:12].partition(b" ")[0]
+        if kind == b"ODOM":
+            words = line.split(None, 8)
+            if len(words) == 9:
+                yield number, words[7]
+        elif kind in LASERS:
+            last = line.rsplit(None, 3)[1:]  # stamp, host, logger's stamp; some logs omit the last
+            if len(last) == 3:
+                yield number, last[0] if _DECIMAL.match(last[2]) and not _DECIMAL.match(last[1]) else last[1]
 
 
 def _count(words: list[bytes], index: int) -> int:

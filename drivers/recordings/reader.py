@@ -118,6 +118,14 @@ class RecordingReader(ABC):
         if report.first is None:
             report.first = str(RecordingError(self.path, line, reason))
 
+    def interpret(self, text: str) -> None:
+        """Report how the content is read where that had to be found out; `text` is one line."""
+        self.report.interpretations.append(text)
+
+    def doubt(self, text: str) -> None:
+        """Report that something is probably wrong with the content, which is read as it is; `text` is one line."""
+        self.report.doubts.append(text)
+
     @abstractmethod
     def __len__(self) -> int:
         """Return the approximate number of messages; 0 if unknown."""
