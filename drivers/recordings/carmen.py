@@ -32,7 +32,7 @@ from ..errors import RecordingError
 from ..messages import Floats, Message, Odometry, Scan
 from .microseconds import restore_microseconds
 from .no_returns import find_no_return
-from .reader import RecordingReader, is_valid_stamp
+from .reader import RecordingReader
 
 LASERS = (b"FLASER", b"RLASER", b"ROBOTLASER1")
 KINDS = (b"ODOM", *LASERS)
@@ -243,7 +243,7 @@ def _count(words: list[bytes], index: int) -> int:
 
 
 def _check(stamp: float, *pose: float) -> None:
-    if not is_valid_stamp(stamp):
+    if not 0.0 <= stamp < math.inf:
         raise ValueError("stamp is invalid")
     if not np.all(np.abs(pose) < 1e9):
         raise ValueError("pose is not finite")

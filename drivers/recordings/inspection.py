@@ -179,6 +179,7 @@ def _warnings(info: RecordingInfo, scans: _ScanStatistics, odometry: Floats) -> 
         count, first = len(info.odometry_jumps), info.odometry_jumps[0]
         limits = f"{MAX_SPEED:g} m/s or {MAX_TURN_RATE:g} rad/s"
         warnings.append(f"{_count(count, 'jump')} of the odometry, faster than {limits}, first at {first:.3f} s")
+    warnings += info.report.doubts
     if info.report.skipped:
         warnings.append(f"{_count(info.report.skipped, 'entry', 'entries')} skipped, first {info.report.first}")
     warnings += [f"{reason} ({_count(count, 'time')})" for reason, count in info.report.reasons.items()]

@@ -24,7 +24,6 @@ from mcap.writer import Writer
 from ..errors import RecordingError
 from ..messages import GroundTruth, Message, Odometry, Scan
 from ..timestamps import to_nanoseconds
-from .reader import is_valid_stamp
 from .ros_messages import (
     BEAMS,
     DIAGNOSTICS,
@@ -39,6 +38,7 @@ from .ros_messages import (
     scan_of,
 )
 from .ros_reader import BEAMS_TOPIC, GROUND_TRUTH_TOPIC, MESSAGE_TYPES, RosReader, StoredMessage
+from .stamp_units import is_valid_stamp
 
 FLUSH_PERIOD = 0.5
 """Seconds of wall time between flushes; flushed messages survive a killed process or a power failure."""

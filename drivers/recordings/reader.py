@@ -10,20 +10,13 @@ from typing import TYPE_CHECKING
 
 from ..errors import RecordingError
 from ..messages import GroundTruth, Message, Scan, SourceReport, with_reversed_times
+from .stamp_units import in_seconds
 from .time_ordering import order_by_time
 
 if TYPE_CHECKING:
     from ..timing.beam_order import BeamOrder, BeamOrderTest
     from ..timing.delay import Delay
     from ..timing.turns import Turns
-
-MAX_STAMP = 2.0**31
-"""Seconds. Later stamps (after January 2038) do not fit into the 32 bits of a ROS stamp."""
-
-
-def is_valid_stamp(stamp: float) -> bool:
-    """Return true if a stamp (seconds) is finite, not negative, and less than MAX_STAMP."""
-    return 0.0 <= stamp < MAX_STAMP
 
 
 class RecordingReader(ABC):
@@ -52,7 +45,7 @@ class RecordingReader(ABC):
         try:
             beams_reversed = self.beams_reversed
             self.report = report = SourceReport()
-            for message in order_by_time(self._read(), self):
+            for message in self._messages():
                 report.messages += 1
                 found = found or not isinstance(message, GroundTruth)
                 yield with_reversed_times(message) if beams_reversed and isinstance(message, Scan) else message
@@ -97,11 +90,14 @@ class RecordingReader(ABC):
         """Yield the messages as they are recorded, without an entry in the report."""
         report, self.report = self.report, SourceReport()
         try:
-            yield from order_by_time(self._read(), self)
+            yield from self._messages()
         except OSError as error:
             raise self._read_error(error) from error
         finally:
             self.report = report
+
+    def _messages(self) -> Iterator[Message]:
+        return order_by_time(in_seconds(self._read(), self), self)
 
     def _read_error(self, error: OSError) -> RecordingError:
         return RecordingError(self.path, None, f"cannot be read: {error.strerror or error}")
@@ -132,7 +128,7 @@ class RecordingReader(ABC):
 
     @abstractmethod
     def _read(self) -> Iterator[tuple[int, Message]]:
-        """Yield (line or message number, 1-based; message) in the recording's order."""
+        """Yield (line or message number, 1-based; message with a finite stamp) in the recording's order."""
 
     def _empty_reason(self) -> str:
         """Return the error text for a recording without a usable message."""

@@ -16,7 +16,7 @@ import numpy as np
 from ..errors import RecordingError
 from ..messages import GroundTruth, Message, Odometry, Scan
 from .no_returns import SpreadSample, find_no_return
-from .reader import RecordingReader, is_valid_stamp
+from .reader import RecordingReader
 from .ros_messages import (
     BEAMS,
     LASER_SCAN,
@@ -31,6 +31,7 @@ from .ros_messages import (
     scan_of,
     stamp_of,
 )
+from .scan_topics import ScanTopic, choose_scan_topic
 from .transforms import TransformTree
 
 GROUND_TRUTH_TOPIC = "/ground_truth"
@@ -97,8 +98,8 @@ class _Contents:
 class RosReader(RecordingReader):
     """Recording of ROS messages: LaserScan, Odometry, the lidar's mount from static transforms, and ground truth.
 
-    If there are several topics of a type and none is named, the one with the most messages is read. Raises
-    RecordingError if a named topic does not exist.
+    If there are several topics with scans and none is named, the best one is read (see `scan_topics`); of several topics
+    with odometry, the one with the most messages. Raises RecordingError if a named topic does not exist.
     """
 
     states_beam_times = True
@@ -113,7 +114,7 @@ class RosReader(RecordingReader):
 
     def _read(self) -> Iterator[tuple[int, Message]]:
         contents = self._survey()
-        scans = self._choose_topic(contents, LASER_SCAN, self.scan_topic)
+        scans = self._choose_scan_topic(contents)
         odometry = self._choose_topic(contents, ODOMETRY, self.odometry_topic)
         no_return = contents.find_no_return(scans)
         mounts: dict[str, LidarMount] = {}
@@ -130,7 +131,7 @@ class RosReader(RecordingReader):
                     yield stored.number, _odometry(stored)
                 elif stored.msgtype == POSE and stored.topic == GROUND_TRUTH_TOPIC:
                     pose = decode(stored.data, POSE, stored.encoding)
-                    yield stored.number, GroundTruth(_stamp(pose.header, stored), planar_pose(pose.pose))
+                    yield stored.number, GroundTruth(stamp_of(pose.header, stored.received), planar_pose(pose.pose))
             except ValueError as error:
                 self.skip(stored.number, str(error))
 
@@ -143,7 +144,7 @@ class RosReader(RecordingReader):
         no_return: float,
     ) -> Scan:
         message = decode(stored.data, LASER_SCAN, stored.encoding)
-        stamp = _stamp(message.header, stored)
+        stamp = stamp_of(message.header, stored.received)
         frame = message.header.frame_id
         if frame not in mounts:
             mounts[frame] = contents.find_mount(frame)
@@ -177,6 +178,20 @@ class RosReader(RecordingReader):
                 continue  # counted on the final pass; a transform that cannot be decoded leaves the mount unknown
         return contents
 
+    def _choose_scan_topic(self, contents: _Contents) -> str | None:
+        topics = contents.counts.get(LASER_SCAN, Counter())
+        if self.scan_topic is not None or len(topics) < 2:
+            return self._choose_topic(contents, LASER_SCAN, self.scan_topic)
+        candidates = {name: ScanTopic(name) for name in topics}
+        for stored in self._stored_messages(final=False):
+            if stored.msgtype == LASER_SCAN:
+                with suppress(ValueError):  # counted on the final pass
+                    message = decode(stored.data, LASER_SCAN, stored.encoding)
+                    candidates[stored.topic].add(scan_of(message, stored.received, LidarMount()))
+        chosen, reason = choose_scan_topic(list(candidates.values()))
+        self.interpret(reason)
+        return chosen
+
     def _choose_topic(self, contents: _Contents, msgtype: str, named: str | None) -> str | None:
         topics = contents.counts.get(msgtype, Counter())
         if named is None:
@@ -192,11 +207,4 @@ class RosReader(RecordingReader):
 
 def _odometry(stored: StoredMessage) -> Odometry:
     message = decode(stored.data, ODOMETRY, stored.encoding)
-    return Odometry(_stamp(message.header, stored), planar_pose(message.pose.pose))
-
-
-def _stamp(header: Any, stored: StoredMessage) -> float:
-    stamp = stamp_of(header, stored.received)
-    if not is_valid_stamp(stamp):
-        raise ValueError("stamp is invalid")
-    return stamp
+    return Odometry(stamp_of(message.header, stored.received), planar_pose(message.pose.pose))

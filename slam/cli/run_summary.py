@@ -63,6 +63,8 @@ def summarise_run(
         "truth": None if score is None else score.figures(),
         "warnings": notices,
         "skipped": {"messages": report.skipped, "reasons": report.reasons, "first": report.first},
+        "interpretations": report.interpretations,
+        "doubts": report.doubts,
         "slam": finished.summary,
         "versions": versions(),
     } | run_input.facts()
@@ -81,6 +83,8 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
         )
     if skipped := summary["skipped"]["messages"]:
         rows.append(("skipped", f"{skipped} messages; first: {summary['skipped']['first']}"))
+    rows += [("read as", text) for text in summary["interpretations"]]
+    rows += [("doubtful", text) for text in summary["doubts"]]
     rows += [("timing", text) for text in format_corrections(summary.get("timing"))]
     rows += [("device", _device(device)) for device in summary.get("devices", ())]
     left_out = summary.get("review") or {}

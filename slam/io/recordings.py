@@ -72,5 +72,7 @@ class ConcatenatedSource:
         report = self.report
         report.messages, report.skipped = report.messages + part.messages, report.skipped + part.skipped
         report.first = report.first or part.first
+        report.interpretations += part.interpretations
+        report.doubts += part.doubts
         for reason, count in part.reasons.items():
             report.reasons[reason] = report.reasons.get(reason, 0) + count
