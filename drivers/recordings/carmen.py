@@ -1,17 +1,6 @@
 """Reader for CARMEN logs: text with one message per line, plain or compressed with gzip.
 
-    ODOM x y theta tv rv accel ipc_timestamp host logger_timestamp
-    FLASER n r1 .. rn laser_x laser_y laser_theta robot_x robot_y robot_theta
-        ipc_timestamp host logger_timestamp
-    RLASER (rear laser; fields as FLASER)
-    ROBOTLASER1 type start_angle field_of_view resolution maximum_range accuracy remission_mode
-        n r1 .. rn m e1 .. em
-        laser_x laser_y laser_theta robot_x robot_y robot_theta tv rv forward_safety side_safety turn_axis
-        ipc_timestamp host logger_timestamp
-
-Metres and radians; other lines (PARAM, SYNC, comments, ...) are ignored. The stamp is the ipc_timestamp, the time of the
-measurement; the logger_timestamp is the time at which the line was written. Lines are in the order in which they reached
-the logger: those of one sensor are in true order, those of different sensors need not be.
+Lines other than those in `carmen_lines` (PARAM, SYNC, comments, ...) are ignored.
 """
 
 from __future__ import annotations
@@ -21,8 +10,8 @@ import math
 import re
 import zlib
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -30,21 +19,17 @@ import numpy as np
 from .. import se2
 from ..errors import RecordingError
 from ..messages import Floats, Message, Odometry, Scan
+from .carmen_lines import KINDS, LASERS, SICK_NO_RETURN, LaserLine, parse_laser, parse_odometry, written_stamps
 from .microseconds import restore_microseconds
 from .no_returns import find_no_return
+from .range_units import FAR, ScanInUnits, find_range_unit
 from .reader import RecordingReader
 
-LASERS = (b"FLASER", b"RLASER", b"ROBOTLASER1")
-KINDS = (b"ODOM", *LASERS)
-
-SICK_NO_RETURN = 81.83
-"""Metres. A SICK LMS in centimetre mode reports codes 8183 to 8191 instead of a range: no echo, dazzled, etc."""
 CALIBRATION_LINES = 200
-"""Laser lines, spread over the log, from which each laser's mount and no-return value are determined."""
+"""Laser lines, spread over the log, from which each laser's mount, unit and no-return value are determined."""
 MAX_MOUNT_SCATTER = (0.05, 0.05)
 """Metres and radians. If laser relative to robot poses scatter by more, the laser is not rigidly mounted."""
 
-_DECIMAL = re.compile(rb"\d+(\.\d+)?$")
 _TEXT = re.compile(rb"#|[A-Za-z\"][\x20-\x7e\t]*$")
 
 
@@ -54,17 +39,7 @@ class LaserProperties:
 
     mount: se2.Pose | None
     no_return: float  # metres; readings from this value on are no-returns
-
-
-@dataclass(slots=True)
-class LaserLine:
-    """Parsed laser line. `limit` is the maximum range stated in the line, None if there is none."""
-
-    stamp: float
-    readings: Floats
-    angles: Floats
-    poses: Floats  # laser x y theta, robot x y theta
-    limit: float | None
+    per_metre: float  # units of the log's readings in a metre
 
 
 @dataclass(slots=True)
@@ -110,20 +85,20 @@ class CarmenReader(RecordingReader):
         if not content.strip():
             raise RecordingError(self.path, None, damage or "is empty")
         lines = content.split(b"\n")
-        lasers = {kind: _calibrate(kind, lines) for kind in LASERS}
+        lasers = {kind: self._calibrate(kind, lines) for kind in LASERS}
         odometry = _OdometryFilter()
         stamps = self._restored_stamps(lines)
         for number, line in enumerate(lines, start=1):
             kind = line[:12].partition(b" ")[0]
             try:
                 if kind == b"ODOM":
-                    values = _odometry(line)
+                    values = parse_odometry(line)
                     if number in stamps:
                         values = (stamps[number], *values[1:])
                     if odometry.is_new(values, from_scan=False):
                         yield number, Odometry(values[0], np.array(values[1:]))
                 elif kind in lasers:
-                    parsed = _laser(kind, line)
+                    parsed = _in_metres(parse_laser(kind, line), lasers[kind].per_metre)
                     parsed.stamp = stamps.get(number, parsed.stamp)
                     values = (parsed.stamp, *parsed.poses[3:].tolist())
                     if odometry.is_new(values, from_scan=True):
@@ -136,18 +111,34 @@ class CarmenReader(RecordingReader):
         if damage:
             self.skip(len(lines), damage)
 
+    def _calibrate(self, kind: bytes, lines: list[bytes]) -> LaserProperties:
+        """Determine a laser's mount, unit and no-return value from lines spread over the log."""
+        start = kind + b" "
+        of_kind = [line for line in lines if line.startswith(start)]
+        sample = list(_parsed(kind, of_kind[:: max(1, len(of_kind) // CALIBRATION_LINES)]))
+        if not sample:
+            return LaserProperties(None, math.inf, 1.0)
+        poses = np.array([line.poses for line in sample])
+        drive = (ScanInUnits(line.angles, line.readings, line.poses[:3]) for line in _parsed(kind, of_kind))
+        per_metre = find_range_unit([line.readings for line in sample], drive, self)
+        sample = [_in_metres(line, per_metre) for line in sample]
+        no_return = find_no_return(
+            [np.where(line.readings < _stated_limit(line), line.readings, np.nan) for line in sample]
+        )
+        return LaserProperties(_estimate_mount(poses), math.inf if no_return is None else no_return, per_metre)
+
     def _restored_stamps(self, lines: list[bytes]) -> dict[int, float]:
         """Return line number -> stamp for all stamps that have to be read differently from what is written."""
-        restored = restore_microseconds(written for _, written in _written_stamps(lines))
+        restored = restore_microseconds(written for _, written in written_stamps(lines))
         if restored is None:
             return {}
         changed = {
             number: stamp
-            for (number, written), stamp in zip(_written_stamps(lines), restored, strict=True)
+            for (number, written), stamp in zip(written_stamps(lines), restored, strict=True)
             if stamp != float(written)
         }
         self.interpret(
-            f"microseconds are written without leading zeros; {len(changed)} stamps are restored from the order of lines"
+            f"microseconds are written without leading zeros; {len(changed)} stamps are restored by the order of lines"
         )
         return changed
 
@@ -179,89 +170,6 @@ def _reason(kind: bytes, error: ValueError) -> str:
     return f"{kind.decode()} line: {reason}" if kind in KINDS else f"line: {reason}"
 
 
-def _odometry(line: bytes) -> tuple[float, float, float, float]:
-    """Return stamp, x, y, theta of an ODOM line."""
-    words = line.split()
-    if len(words) < 9:  # if the host after it is missing, the stamp may be truncated
-        raise ValueError("too few fields")
-    x, y, theta, stamp = float(words[1]), float(words[2]), float(words[3]), float(words[7])
-    _check(stamp, x, y, theta)
-    return stamp, x, y, theta
-
-
-def _laser(kind: bytes, line: bytes) -> LaserLine:
-    """Parse a laser line; raises ValueError if it is incomplete or invalid."""
-    words = line.split()
-    if kind == b"ROBOTLASER1":
-        return _robotlaser(words)
-    count = _count(words, 1)
-    readings, rest = words[2 : 2 + count], words[2 + count :]
-    if not 8 <= len(rest) <= 9:
-        raise ValueError("number of fields does not match the number of beams")
-    poses, stamp = np.array([float(word) for word in rest[:6]]), float(rest[6])
-    _check(stamp, *poses)
-    return LaserLine(stamp, np.array([float(word) for word in readings]), half_turn_angles(count), poses, None)
-
-
-def _robotlaser(words: list[bytes]) -> LaserLine:
-    count = _count(words, 8)
-    if count == 0 or len(words) < 10 + count:
-        raise ValueError("number of fields does not match the number of beams")
-    remissions = int(words[9 + count])
-    rest = words[10 + count + remissions :]
-    if remissions < 0 or not 13 <= len(rest) <= 14:
-        raise ValueError("number of fields does not match the number of beams")
-    start, resolution, limit = float(words[2]), float(words[4]), float(words[5])
-    if not (abs(start) < 10.0 and 0.0 < resolution < 7.0 and limit > 0.0):
-        raise ValueError("start angle, resolution or maximum range is invalid")
-    poses, stamp = np.array([float(word) for word in rest[:6]]), float(rest[11])
-    _check(stamp, *poses)
-    readings = np.array([float(word) for word in words[9 : 9 + count]])
-    angles = start + resolution * np.arange(count, dtype=np.float64)
-    return LaserLine(stamp, readings, angles, poses, limit)
-
-
-def _written_stamps(lines: list[bytes]) -> Iterator[tuple[int, bytes]]:
-    """Yield the number of each line with a measurement, and its stamp as written, without parsing the measurement."""
-    for number, line in enumerate(lines, start=1):
-        kind = line[:12].partition(b" ")[0]
-        if kind == b"ODOM":
-            words = line.split(None, 8)
-            if len(words) == 9:
-                yield number, words[7]
-        elif kind in LASERS:
-            last = line.rsplit(None, 3)[1:]  # stamp, host, logger's stamp; some logs omit the last
-            if len(last) == 3:
-                yield number, last[0] if _DECIMAL.match(last[2]) and not _DECIMAL.match(last[1]) else last[1]
-
-
-def _count(words: list[bytes], index: int) -> int:
-    count = int(words[index]) if len(words) > index else 0
-    if count < 1:
-        raise ValueError("no beams")
-    return count
-
-
-def _check(stamp: float, *pose: float) -> None:
-    if not 0.0 <= stamp < math.inf:
-        raise ValueError("stamp is invalid")
-    if not np.all(np.abs(pose) < 1e9):
-        raise ValueError("pose is not finite")
-
-
-@lru_cache(maxsize=64)
-def half_turn_angles(count: int) -> Floats:
-    """Return the angles (count,) of a laser with a field of view of 180 degrees, radians, read-only.
-
-    FLASER lines do not state them. An odd count includes both ends (361: -90 to 90 degrees in steps of half a degree),
-    an even one omits the last (180: -90 to 89).
-    """
-    steps = count - 1 if count % 2 and count > 1 else count
-    angles = -np.pi / 2 + np.pi / steps * np.arange(count, dtype=np.float64)
-    angles.flags.writeable = False
-    return angles
-
-
 def _scan(line: LaserLine, laser: LaserProperties) -> Scan:
     limit = min(_stated_limit(line), laser.no_return)
     valid = (line.readings > 0.0) & (line.readings < limit)  # false for nan
@@ -269,22 +177,19 @@ def _scan(line: LaserLine, laser: LaserProperties) -> Scan:
     return Scan(line.stamp, ranges, line.angles, np.zeros(len(ranges)), 0.0, limit, laser.mount)
 
 
-def _calibrate(kind: bytes, lines: list[bytes]) -> LaserProperties:
-    """Determine a laser's mount and no-return value from lines spread over the log."""
-    start = kind + b" "
-    of_kind = [line for line in lines if line.startswith(start)]
-    parsed: list[LaserLine] = []
-    for line in of_kind[:: max(1, len(of_kind) // CALIBRATION_LINES)]:
-        try:
-            parsed.append(_laser(kind, line))
-        except ValueError:
-            continue  # counted when the line is read
-    if not parsed:
-        return LaserProperties(None, math.inf)
-    poses = np.array([line.poses for line in parsed])
-    readings = [np.where(line.readings < _stated_limit(line), line.readings, np.nan) for line in parsed]
-    no_return = find_no_return(readings)
-    return LaserProperties(_estimate_mount(poses), math.inf if no_return is None else no_return)
+def _parsed(kind: bytes, lines: list[bytes]) -> Iterator[LaserLine]:
+    """Yield the laser lines of a kind that can be parsed; the others are counted when they are read."""
+    for line in lines:
+        with suppress(ValueError):
+            yield parse_laser(kind, line)
+
+
+def _in_metres(line: LaserLine, per_metre: float) -> LaserLine:
+    """Convert the readings of a laser line, and its limit if that has the same unit; return the line."""
+    line.readings /= per_metre
+    if line.limit is not None and line.limit > FAR:
+        line.limit /= per_metre
+    return line
 
 
 def _stated_limit(line: LaserLine) -> float:

@@ -1,9 +1,9 @@
 """Restore stamps whose microseconds were written without leading zeros.
 
 Some loggers print the seconds and the microseconds of a clock as two integers with a point between them. 0.081719 s is
-then written as `0.81719`, and as `0.817190` after a second program has read and printed it as a number: a fraction below
-a tenth is written ten, a hundred, etc. times too large. About one stamp of ten is affected; it is up to 0.9 s late, and
-the stamps after it seem to go back.
+then written as `0.81719`, and as `0.817190` after a second program has read and printed it as a number: a fraction
+below a tenth is written ten, a hundred, etc. times too large. About one stamp of ten is affected; it is up to 0.9 s
+late, and the stamps after it seem to go back.
 
 Such a log has no fraction that begins with a zero. A fraction that ends with zeros may have lost as many leading ones,
 or none: that is decided by the order of the lines, which is the order in which the measurements reached the logger.
@@ -12,12 +12,13 @@ or none: that is decided by the order of the lines, which is the order in which 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 
 MICROSECONDS = 1_000_000
 MIN_STAMPS = 200
 """Stamps from which a missing leading zero is significant. Origin: binomial; 0.9^200 is below 1e-9."""
 MIN_EXPLAINED = 0.9
-"""Least share of the backward steps that disappears. Origin: chosen; the steps have this cause, or they have another."""
+"""Least share of the backward steps that disappears. Origin: chosen; either they have this cause or another."""
 
 
 def restore_microseconds(stamps: Iterable[bytes]) -> list[float] | None:
@@ -60,7 +61,7 @@ def _most_orderly(candidates: Sequence[Sequence[int]]) -> list[int]:
     """
     costs = [(0, 0)] * len(candidates[0])  # sum of the backward steps; sum of all steps squared
     origins: list[list[int]] = []
-    for previous, current in zip(candidates, candidates[1:], strict=False):
+    for previous, current in pairwise(candidates):
         best = []
         for stamp in current:
             extended = []
@@ -79,4 +80,4 @@ def _most_orderly(candidates: Sequence[Sequence[int]]) -> list[int]:
 
 
 def _backward_steps(stamps: Sequence[int]) -> int:
-    return sum(later < earlier for earlier, later in zip(stamps, stamps[1:], strict=False))
+    return sum(later < earlier for earlier, later in pairwise(stamps))

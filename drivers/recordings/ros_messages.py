@@ -21,6 +21,7 @@ from rosbags.typesys.store import Typestore
 from ..messages import Floats, GroundTruth, Odometry, Scan
 from ..se2 import Pose, wrap
 from ..timestamps import NANOSECONDS, to_nanoseconds, to_seconds
+from .range_units import FAR
 
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -128,16 +129,22 @@ class LidarMount:
     upside_down: bool = False
 
 
-def scan_of(message: Any, received: int, mount: LidarMount) -> Scan:
+def ranges_of(message: Any) -> Floats:
+    """Return the ranges (n,) of a LaserScan in the order and unit of the message."""
+    with np.errstate(invalid="ignore"):  # damaged bytes may be signalling NaNs
+        return np.asarray(message.ranges, dtype=np.float64)
+
+
+def scan_of(message: Any, received: int, mount: LidarMount, per_metre: float = 1.0) -> Scan:
     """Convert a LaserScan to a Scan; raises ValueError if it is invalid.
 
     Ranges outside of the stated limits become NaN. Angles increase: a scan that is measured clockwise, or by a lidar
     that is mounted upside down, is reversed together with its time offsets.
 
-    received  time of reception, nanoseconds; the stamp if the header has none
+    received   time of reception, nanoseconds; the stamp if the header has none
+    per_metre  units of the ranges in a metre; the limits have the same unit if they are beyond any range in metres
     """
-    with np.errstate(invalid="ignore"):  # damaged bytes may be signalling NaNs
-        ranges = np.asarray(message.ranges, dtype=np.float64)
+    ranges = ranges_of(message) / per_metre
     count, start, step = len(ranges), message.angle_min, message.angle_increment
     if count == 0:
         raise ValueError("no beams")
@@ -145,6 +152,8 @@ def scan_of(message: Any, received: int, mount: LidarMount) -> Scan:
         raise ValueError("angles are invalid")
     low = message.range_min if message.range_min > 0.0 else 0.0
     high = message.range_max if message.range_max > low else math.inf
+    if high > FAR:
+        low, high = low / per_metre, high / per_metre
     valid = (ranges > 0.0) & (ranges >= low) & (ranges < high)  # false for nan
     ranges = np.where(valid, ranges, np.nan)
     delay = message.time_increment

@@ -13,9 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from .. import se2
 from ..errors import RecordingError
 from ..messages import GroundTruth, Message, Odometry, Scan
+from ..se2 import Pose
 from .no_returns import SpreadSample, find_no_return
+from .range_units import ScanInUnits, find_range_unit
 from .reader import RecordingReader
 from .ros_messages import (
     BEAMS,
@@ -28,6 +31,7 @@ from .ros_messages import (
     decode,
     exact_scan_of,
     planar_pose,
+    ranges_of,
     scan_of,
     stamp_of,
 )
@@ -76,13 +80,23 @@ class _Contents:
     base: str | None = None
     scans: dict[str, SpreadSample[StoredMessage]] = field(default_factory=dict)
 
-    def find_no_return(self, topic: str | None) -> float:
-        """Return the smallest range of a topic's scans that stands for a no-return, infinity if there is none."""
-        ranges = []
+    def sample(self, topic: str | None) -> list[tuple[Any, int]]:
+        """Return some LaserScans of a topic, spread over the recording, with their times of reception (nanoseconds)."""
+        decoded = []
         for stored in self.scans[topic].items if topic in self.scans else ():
             with suppress(ValueError):  # counted on the final pass
-                message = decode(stored.data, LASER_SCAN, stored.encoding)
-                ranges.append(scan_of(message, stored.received, LidarMount()).ranges)
+                decoded.append((decode(stored.data, LASER_SCAN, stored.encoding), stored.received))
+        return decoded
+
+    def find_no_return(self, topic: str | None, per_metre: float) -> float:
+        """Return the smallest range (metres) of a topic's scans that stands for a no-return, infinity if there is none.
+
+        per_metre  units of the topic's ranges in a metre
+        """
+        ranges = []
+        for message, received in self.sample(topic):
+            with suppress(ValueError):
+                ranges.append(scan_of(message, received, LidarMount(), per_metre).ranges)
         found = find_no_return(ranges)
         return math.inf if found is None else found
 
@@ -98,8 +112,8 @@ class _Contents:
 class RosReader(RecordingReader):
     """Recording of ROS messages: LaserScan, Odometry, the lidar's mount from static transforms, and ground truth.
 
-    If there are several topics with scans and none is named, the best one is read (see `scan_topics`); of several topics
-    with odometry, the one with the most messages. Raises RecordingError if a named topic does not exist.
+    If there are several topics with scans and none is named, the best one is read (see `scan_topics`); of several
+    topics with odometry, the one with the most messages. Raises RecordingError if a named topic does not exist.
     """
 
     states_beam_times = True
@@ -116,7 +130,9 @@ class RosReader(RecordingReader):
         contents = self._survey()
         scans = self._choose_scan_topic(contents)
         odometry = self._choose_topic(contents, ODOMETRY, self.odometry_topic)
-        no_return = contents.find_no_return(scans)
+        readings = [ranges_of(message) for message, _ in contents.sample(scans)]
+        per_metre = find_range_unit(readings, self._drive(scans, odometry, contents), self)
+        no_return = contents.find_no_return(scans, per_metre)
         mounts: dict[str, LidarMount] = {}
         beams: StoredMessage | None = None
         for stored in self._stored_messages(final=True):
@@ -124,7 +140,7 @@ class RosReader(RecordingReader):
                 if stored.msgtype == BEAMS and stored.topic == BEAMS_TOPIC:
                     beams = stored
                 elif stored.msgtype == LASER_SCAN and stored.topic == scans:
-                    scan = self._scan(stored, beams, contents, mounts, no_return)
+                    scan = self._scan(stored, beams, contents, mounts, per_metre, no_return)
                     beams = None
                     yield stored.number, scan
                 elif stored.msgtype == ODOMETRY and stored.topic == odometry:
@@ -141,6 +157,7 @@ class RosReader(RecordingReader):
         beams: StoredMessage | None,
         contents: _Contents,
         mounts: dict[str, LidarMount],
+        per_metre: float,
         no_return: float,
     ) -> Scan:
         message = decode(stored.data, LASER_SCAN, stored.encoding)
@@ -151,8 +168,22 @@ class RosReader(RecordingReader):
         if beams is not None and beams.received == stored.received:
             exact = decode(beams.data, BEAMS, beams.encoding)
             return exact_scan_of(exact, stamp, mounts[frame].pose)
-        scan = scan_of(message, stored.received, mounts[frame])
+        scan = scan_of(message, stored.received, mounts[frame], per_metre)
         return replace(scan, ranges=np.where(scan.ranges < no_return, scan.ranges, np.nan))
+
+    def _drive(self, scans: str | None, odometry: str | None, contents: _Contents) -> Iterator[ScanInUnits]:
+        """Yield all scans of a topic in the recording's order and in their own unit, with the odometry before them."""
+        base: Pose | None = None
+        for stored in self._stored_messages(final=False):
+            with suppress(ValueError):  # counted on the final pass
+                if stored.msgtype == ODOMETRY and stored.topic == odometry:
+                    base = _odometry(stored).pose
+                elif stored.msgtype == LASER_SCAN and stored.topic == scans and base is not None:
+                    message = replace(decode(stored.data, LASER_SCAN, stored.encoding), range_min=0.0, range_max=0.0)
+                    mount = contents.find_mount(message.header.frame_id)
+                    scan = scan_of(message, stored.received, mount)
+                    pose = base if mount.pose is None else se2.compose(base, mount.pose)
+                    yield ScanInUnits(scan.angles, scan.ranges, pose)
 
     def _survey(self) -> _Contents:
         """Find topics, transforms and the base's frame in a first pass."""

@@ -1,9 +1,9 @@
 """Choose between several topics with scans of one recording.
 
-Robots often publish scans more than once: raw, stamped anew, filtered, converted. A lidar rotates steadily, so scans that
-are stamped with the time of their measurement follow each other evenly, also where some are lost. Scans that are stamped
-when they are sent show the delays of the computer instead, and scans that were made from several others have uneven or
-doubled stamps. The number of messages says nothing of this.
+Robots often publish scans more than once: raw, stamped anew, filtered, converted. A lidar rotates steadily, so scans
+that are stamped with the time of their measurement follow each other evenly, also where some are lost. Scans that are
+stamped when they are sent show the delays of the computer instead, and scans that were made from several others have
+uneven or doubled stamps. The number of messages says nothing of this.
 """
 
 from __future__ import annotations

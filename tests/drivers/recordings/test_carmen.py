@@ -11,7 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers import Message, Odometry, RecordingError, Scan
-from drivers.recordings.carmen import CarmenReader, half_turn_angles
+from drivers.recordings.carmen import CarmenReader
+from drivers.recordings.carmen_lines import half_turn_angles
 
 
 def read(folder: Path, text: str | bytes) -> tuple[list[Message], CarmenReader]:
