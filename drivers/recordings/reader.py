@@ -1,4 +1,4 @@
-"""Base class of all readers of recordings: checks the path, reports skipped entries, orders messages by time."""
+"""Base class of all readers of recordings: checks the path, reports defects, orders messages by time."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import RecordingError
 from ..messages import GroundTruth, Message, Scan, SourceReport, with_reversed_times
+from .frozen_odometry import FrozenOdometryDetector
 from .stamp_units import in_seconds
 from .time_ordering import order_by_time
 
@@ -42,15 +43,20 @@ class RecordingReader(ABC):
     def __iter__(self) -> Iterator[Message]:
         """Yield the messages from the beginning, with non-decreasing stamps."""
         found = False
+        frozen = FrozenOdometryDetector()
         try:
             beams_reversed = self.beams_reversed
             self.report = report = SourceReport()
             for message in self._messages():
                 report.messages += 1
+                frozen.add(message)
                 found = found or not isinstance(message, GroundTruth)
                 yield with_reversed_times(message) if beams_reversed and isinstance(message, Scan) else message
         except OSError as error:
             raise self._read_error(error) from error
+        frozen.finish()
+        if (text := frozen.describe()) is not None:
+            self.doubt(text)
         if not found:
             first = f" ({report.first})" if report.first else ""
             raise RecordingError(self.path, None, f"{self._empty_reason()}{first}")

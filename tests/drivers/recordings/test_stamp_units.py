@@ -14,9 +14,7 @@ UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 COUNT = 300
 
 
-def log(
-    folder: Path, start: float, unit: float, *, period: float = 0.2, speed: float = 0.3, count: int = COUNT
-) -> Path:
+def log(folder: Path, start: float, unit: float, *, period: float = 0.2, speed: float = 0.3) -> Path:
     """Write a log of a robot on a straight line, with stamps as whole numbers of a unit unless that is seconds."""
     lines = []
     for i in range(COUNT):
