@@ -91,7 +91,8 @@ class SourceReport:
     reasons          number of times that each reason occurred
     first            first problem, as `file:line: reason`
     interpretations  how the content was read where that had to be found out: a topic, a unit, etc.; one line each
-    doubts           what the content is probably not right in, and was left as it is; one line each
+    doubts           what is probably wrong with the content, which was read as it is; one line each
+    restored_stamps  stamp as written -> stamp as read, seconds, for stamps that were written wrongly
     """
 
     messages: int = 0
@@ -100,6 +101,7 @@ class SourceReport:
     first: str | None = None
     interpretations: list[str] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
+    restored_stamps: dict[float, float] = field(default_factory=dict)
 
 
 @runtime_checkable

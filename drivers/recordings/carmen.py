@@ -132,11 +132,10 @@ class CarmenReader(RecordingReader):
         restored = restore_microseconds(written for _, written in written_stamps(lines))
         if restored is None:
             return {}
-        changed = {
-            number: stamp
-            for (number, written), stamp in zip(written_stamps(lines), restored, strict=True)
-            if stamp != float(written)
-        }
+        changed: dict[int, float] = {}
+        for (number, text), stamp in zip(written_stamps(lines), restored, strict=True):
+            if stamp != (written := float(text)):
+                changed[number] = self.report.restored_stamps[written] = stamp
         self.interpret(
             f"microseconds are written without leading zeros; {len(changed)} stamps are restored by the order of lines"
         )

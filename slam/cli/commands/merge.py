@@ -116,6 +116,8 @@ def _summarise(name: str, joined: MergedSession, finished: Finished, seconds: fl
         "truth": None,
         "warnings": [],
         "skipped": {"messages": 0, "reasons": {}, "first": None},
+        "interpretations": [],
+        "doubts": [],
         "slam": finished.summary,
         "versions": versions(),
     }

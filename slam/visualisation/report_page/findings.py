@@ -114,6 +114,8 @@ def _odometry_findings(deviations: list[float] | None) -> Iterator[Finding]:
 
 
 def _source_findings(summary: dict[str, Any]) -> Iterator[Finding]:
+    for doubt in summary.get("doubts") or ():
+        yield Finding(f"{doubt[:1].upper()}{doubt[1:]}.", "The recording was read as it is.", grave=True)
     skipped = summary.get("skipped") or {}
     if count := skipped.get("messages", 0):
         reasons = "; ".join(f"{reason}: {times}" for reason, times in (skipped.get("reasons") or {}).items())

@@ -114,6 +114,24 @@ def test_run_writes_all_results_and_prints_the_directory(wclm: Any, fake_slam: t
     assert "rerun" not in text
 
 
+def test_info_and_run_state_how_a_recording_is_read(wclm: Any, fake_slam: type, tmp_path: Path) -> None:
+    """The log has stamps in milliseconds, and its odometry stands still while the scans change."""
+    lines = []
+    for k in range(200):
+        x, r = 1.0 + 0.05 * min(k, 100), 2.0 + 0.1 * (k % 50)
+        lines.append(f"FLASER 3 {r} {r} {r} {x} 0 0 {x} 0 0 {100 * k} host 0\n")
+    (tmp_path / "log.clf").write_text("".join(lines))
+    result = wclm("run", "log.clf", "--out", "out", "--no-review")
+    assert result.exit_code == 0, result.output
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    (read_as,), (doubt,) = summary["interpretations"], summary["doubts"]
+    assert read_as == "stamps in milliseconds, converted to seconds"
+    assert doubt.startswith("odometry stands still while the scans change (once, the longest 9.9 s at 10.0")
+    for output in (result.stdout, wclm("info", "log.clf").stdout):
+        assert re.search(rf"read as +{re.escape(read_as)}$", output, re.MULTILINE)
+        assert re.search(rf"(doubtful|warning) +{re.escape(doubt)}$", output, re.MULTILINE)
+
+
 def test_mapping_a_simulated_room_is_accurate_and_repeatable(wclm: Any, tmp_path: Path) -> None:
     for name in ("a", "b"):
         result = wclm("run", "sim:room?duration=8", "--out", name, "--no-review")

@@ -170,6 +170,7 @@ def test_findings_describe_problems_grave_ones_first(tmp_path: Path, finished: F
         "real_time_factor": 0.5,
         "warnings": ["no odometry for a while", *(f"the scan fits nowhere near (at {s:.2f} s)" for s in range(70, 76))],
         "skipped": {"messages": 3, "reasons": {"the scan's stamp is before the last": 3}, "first": "x"},
+        "doubts": ["odometry stands still"],
     }
     found = findings(summary, make(tmp_path / "out", finished, summary).trajectory)
     texts = [finding.text for finding in found]
@@ -177,6 +178,7 @@ def test_findings_describe_problems_grave_ones_first(tmp_path: Path, finished: F
         "For 3 s in total, the robot was lost, at 0:02.",
         "The overlap ratio of scans with the map is only 60 %.",
         "Odometry deviates by 158 % of the travelled distance.",
+        "Odometry stands still.",
         "For 8 s in total, one direction was degenerate, at 0:12.",
         "No odometry for a while.",
         "The scan fits nowhere near, 6 times, first at 1:10, 1:11, 1:12, 1:13.",
@@ -186,7 +188,7 @@ def test_findings_describe_problems_grave_ones_first(tmp_path: Path, finished: F
         "3 messages of the recording could not be used.",
         "SLAM took 2.0 times as long as the recording.",
     ]
-    assert [finding.grave for finding in found] == [True] * 3 + [False] * 8
+    assert [finding.grave for finding in found] == [True] * 4 + [False] * 8
     assert findings(SUMMARY, make(tmp_path / "out", finished).trajectory) == []
 
 
