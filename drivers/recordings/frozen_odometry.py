@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..messages import Message, Odometry, Scan
-from ..se2 import Pose
 
 MIN_DURATION = 5.0
 """Seconds. Origin: chosen; in good recordings, odometry that is computed rarely stands still for up to 1 s."""
@@ -37,7 +36,7 @@ class FrozenOdometryDetector:
 
     def __init__(self) -> None:
         self.found: list[FrozenOdometry] = []
-        self._pose: Pose | None = None
+        self._pose: list[float] | None = None
         self._start = self._end = 0.0  # stamps of the first and last odometry with this pose
         self._view: Scan | None = None  # the first scan, or the last one that was found changed
         self._changes = 0
@@ -45,9 +44,10 @@ class FrozenOdometryDetector:
     def add(self, message: Message) -> None:
         """Process the next message."""
         if isinstance(message, Odometry):
-            if self._pose is None or not np.array_equal(message.pose, self._pose):
+            pose = message.pose.tolist()
+            if pose != self._pose:
                 self.finish()
-                self._pose, self._start = message.pose, message.stamp
+                self._pose, self._start = pose, message.stamp
             self._end = message.stamp
         elif isinstance(message, Scan) and self._pose is not None:
             if self._view is None or len(self._view.ranges) != len(message.ranges):
