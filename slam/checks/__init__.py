@@ -1,0 +1,8 @@
+"""Checks of a finished run against itself: where scans, odometry and path contradict each other."""
+
+from __future__ import annotations
+
+from .report import find_suspects
+from .suspect import Suspect
+
+__all__ = ["Suspect", "find_suspects"]

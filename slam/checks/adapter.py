@@ -1,0 +1,54 @@
+"""Bring the results of a run into the form that the checks need: the only place that knows both."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from drivers import se2
+
+from ..config import Config
+from ..geometry.segments import Floats
+from ..odometry.error_model import OdometryModel
+from ..preprocessing.preprocessor import ProcessedScan
+from .drive import Drive
+
+
+def drive_of(
+    scans: Sequence[ProcessedScan],
+    starts: Sequence[int],
+    placed: tuple[Floats, Floats],
+    odometry_model: OdometryModel,
+    config: Config,
+) -> Drive:
+    """Return the drive for the checks.
+
+    scans   all scans in time order
+    starts  index in `scans` of the first scan of each odometry segment
+    placed  stamps (m,) and final poses (m, 3) of the scans that have a pose, in time order; the others are left out
+    """
+    stamps, poses = placed
+    of_scans = np.array([scan.stamp for scan in scans])
+    found = np.minimum(np.searchsorted(stamps, of_scans), max(len(stamps) - 1, 0))
+    rows = np.flatnonzero(stamps[found] == of_scans) if len(stamps) else np.zeros(0, dtype=np.int64)
+    segment = np.searchsorted(np.asarray(starts, dtype=np.int64), rows, side="right")
+    odometry = np.array([scans[row].odometry for row in rows.tolist()]).reshape(-1, 3)
+    return Drive(
+        stamps=of_scans[rows],
+        poses=poses[found[rows]],
+        odometry=_corrected_path(odometry, odometry_model),
+        segment=segment,
+        points=[scans[row].features.points.all for row in rows.tolist()],
+        deviations=odometry_model.deviations,
+        floors=np.array([config.odometry.translation_floor, config.odometry.rotation_floor]),
+    )
+
+
+def _corrected_path(odometry: Floats, model: OdometryModel) -> Floats:
+    """Return odometry poses (n, 3) along which each motion is without its systematic error."""
+    path = odometry.copy()
+    motions = model.correct(se2.between(odometry[:-1], odometry[1:]))
+    for k, motion in enumerate(motions):
+        path[k + 1] = se2.compose(path[k], motion)
+    return path

@@ -1,0 +1,109 @@
+"""The finished drive as arrays: all that the checks look at."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers import se2
+from drivers.compiled import compiled
+
+from ..geometry.segments import Floats, Integers
+from ..odometry.history import wheel_travel
+
+# Metres and radians of motion between two scans that are checked: as between keyframes by default, since scans nearer
+# to each other show nothing new. Origin: chosen, the defaults of `mapping.keyframe_distance` and `keyframe_turn`.
+SAMPLE_DISTANCE, SAMPLE_TURN = 0.3, math.radians(10.0)
+# Returns below which a scan is not checked. Origin: chosen, a tenth of the beams of a half-circle lidar; not measured.
+MIN_POINTS = 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """n scans in time order with their final poses, and the odometry between them.
+
+    stamps      (n,) seconds
+    poses       (n, 3) final poses of the base in the map
+    odometry    (n, 3) odometry poses, without systematic errors as far as they are known
+    segment     (n,) number of the odometry segment: odometry is continuous within one
+    points      n arrays (p, 2), the valid returns in the base's frame, metres
+    deviations  (2,) standard deviations of odometry after one metre of travel: of the position (metres; proportional
+                to the travel) and of the heading (radians; proportional to its square root)
+    floors      (2,) standard deviations of a single odometry reading, metres and radians
+    """
+
+    stamps: Floats
+    poses: Floats
+    odometry: Floats
+    segment: Integers
+    points: Sequence[Floats]
+    deviations: Floats
+    floors: Floats
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def sampled(self) -> Drive:
+        """Return the drive with those scans only that are SAMPLE_DISTANCE or SAMPLE_TURN apart and not empty."""
+        counts = np.array([len(points) for points in self.points])
+        rows = _sample(self.odometry, self.poses, counts)
+        return Drive(
+            self.stamps[rows],
+            self.poses[rows],
+            self.odometry[rows],
+            self.segment[rows],
+            [self.points[row] for row in rows.tolist()],
+            self.deviations,
+            self.floors,
+        )
+
+    def travelled(self) -> Floats:
+        """Return the metres of wheel travel (n,) along the path up to each scan."""
+        steps = wheel_travel(se2.between(self.poses[:-1], self.poses[1:]))
+        return np.concatenate([np.zeros(min(1, len(self))), np.cumsum(steps)])
+
+    def departures(self, first: Integers, last: Integers) -> tuple[Floats, Floats]:
+        """Compare path and odometry over motions from the scans `first` (m,) to the scans `last` (m,).
+
+        Return the motion along the path relative to that of odometry (m, 3), and its squared Mahalanobis distance (m,)
+        under odometry's error model. The distance is infinite if odometry is not continuous in between.
+        """
+        measured = se2.between(self.odometry[first], self.odometry[last])
+        error = se2.between(measured, se2.between(self.poses[first], self.poses[last]))
+        squared = (error**2 / self.variances(measured)).sum(axis=-1)
+        return error, np.where(self.segment[first] == self.segment[last], squared, np.inf)
+
+    def variances(self, motion: Floats) -> Floats:
+        """Return the variances (m, 3) of odometry's motions (m, 3)."""
+        travel = wheel_travel(motion)
+        position = (self.deviations[0] * travel) ** 2 + self.floors[0] ** 2
+        return np.stack([position, position, self.deviations[1] ** 2 * travel + self.floors[1] ** 2], axis=-1)
+
+
+@compiled
+def _sample(odometry, poses, counts):  # type: ignore[no-untyped-def]
+    """Return the rows that odometry or path moved far enough from the row before."""
+    rows = np.zeros(len(poses), dtype=np.int64)
+    count = 0
+    for k in range(len(poses)):
+        if counts[k] < MIN_POINTS:
+            continue
+        chosen = count == 0
+        for path in (odometry, poses):
+            if not chosen:
+                moved = path[k] - path[rows[count - 1]]
+                turn = abs((moved[2] + math.pi) % (2 * math.pi) - math.pi)
+                chosen = math.hypot(moved[0], moved[1]) >= SAMPLE_DISTANCE or turn >= SAMPLE_TURN
+        if chosen:
+            rows[count] = k
+            count += 1
+    return rows[:count]
+
+
+def consecutive_groups(rows: Integers, gap: int) -> list[NDArray[np.int64]]:
+    """Split increasing row numbers into groups whose neighbours differ by at most `gap`."""
+    return [group for group in np.split(rows, np.flatnonzero(np.diff(rows) > gap) + 1) if len(group)]

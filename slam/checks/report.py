@@ -1,0 +1,23 @@
+"""All checks of a finished run, worst findings first."""
+
+from __future__ import annotations
+
+from .drive import Drive
+from .passes import contradicting_passes
+from .step_checks import misplaced_scans, wrong_odometry
+from .steps import judge_steps
+from .suspect import Suspect
+
+
+def find_suspects(drive: Drive) -> list[Suspect]:
+    """Return the places where path, scans and odometry of a drive contradict each other, worst first."""
+    sampled = drive.sampled()
+    if len(sampled) < 2:
+        return []
+    steps = judge_steps(sampled)
+    found = [
+        *misplaced_scans(sampled, steps),
+        *wrong_odometry(sampled, steps),
+        *contradicting_passes(sampled),
+    ]
+    return sorted(found, key=lambda suspect: (-suspect.weight, suspect.stamp))

@@ -1,0 +1,50 @@
+"""A place in a finished run where something is probably wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..geometry.segments import Floats
+
+# Seconds from which the interval of a suspect is stated besides its time. Origin: chosen, for readability.
+MIN_INTERVAL = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Suspect:
+    """A place in a finished run where path, scans and odometry contradict each other.
+
+    check     "placement" of a scan, "odometry", or "map"
+    stamp     seconds, where the contradiction is largest
+    first     seconds, begin of the interval
+    last      seconds, end of the interval
+    position  (2,) in the map at `stamp`, metres
+    weight    size of the contradiction relative to the least that is reported
+    text      sentence with the figures, without the time
+    """
+
+    check: str
+    stamp: float
+    first: float
+    last: float
+    position: Floats
+    weight: float
+    text: str
+
+    @property
+    def sentence(self) -> str:
+        """The time and the text, as shown to the user."""
+        interval = f" ({self.first:.1f} to {self.last:.1f} s)" if self.last - self.first >= MIN_INTERVAL else ""
+        return f"at {self.stamp:.1f} s: {self.text}{interval}"
+
+    def row(self) -> dict[str, object]:
+        """Return the suspect as plain data for `summary.json`."""
+        return {
+            "check": self.check,
+            "stamp": self.stamp,
+            "first": self.first,
+            "last": self.last,
+            "position": [round(float(value), 3) for value in self.position],
+            "weight": round(self.weight, 3),
+            "text": self.text,
+        }
