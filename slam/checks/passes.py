@@ -18,7 +18,7 @@ from drivers.compiled import compiled
 
 from ..geometry.segments import Floats, Integers
 from .drive import Drive, consecutive_groups
-from .suspect import Suspect
+from .suspect import MAP, Suspect
 
 # Metres of driving between two passes of a place. Origin: chosen, more than one room; not measured.
 PASS_DISTANCE = 20.0
@@ -43,7 +43,8 @@ MIN_COMMON = 0.3
 # Origin: measured: in right maps (GMapping and LaMa on fhw, with a crowd, and edmonton; Intel, CSAIL) single scans
 # reach 0.11, and never MIN_SCANS in a row; in the bent ones of the same drives it is 0.2 to 0.3.
 MAX_CONTRADICTION = 0.1
-# Scans in a row that make a suspect. A single one may be blurred. Origin: chosen, about a metre of driving.
+# Scans in a row that make a suspect, if more of their points contradict other passes than agree with them. A single
+# scan may be blurred. Origin: chosen, about a metre of driving.
 MIN_SCANS = 3
 # Scans without contradiction that may lie between two of one interval. Origin: chosen, about a metre.
 MAX_GAP = 3
@@ -84,7 +85,8 @@ def contradicting_passes(drive: Drive) -> Iterator[Suspect]:
     found = compare_passes(drive, travelled)
     share, common = found.share, np.maximum(found.common, 1)
     for group in consecutive_groups(np.flatnonzero(share > MAX_CONTRADICTION), MAX_GAP):
-        if len(group) < MIN_SCANS:
+        contradicting = (found.seen_through + found.crossing)[group].sum()
+        if len(group) < MIN_SCANS or contradicting <= found.agreeing[group].sum():
             continue
         worst = int(group[np.argmax(share[group])])
         other = drive.stamps[min(int(np.searchsorted(travelled, found.other[worst])), len(drive) - 1)]
@@ -95,7 +97,7 @@ def contradicting_passes(drive: Drive) -> Iterator[Suspect]:
         )
         weight = float(share[group].sum()) / (MIN_SCANS * MAX_CONTRADICTION)
         first, last = float(drive.stamps[group[0]]), float(drive.stamps[group[-1]])
-        yield Suspect("map", float(drive.stamps[worst]), first, last, drive.poses[worst, :2], weight, text)
+        yield Suspect(MAP, float(drive.stamps[worst]), first, last, drive.poses[worst, :2], weight, text)
 
 
 def compare_passes(drive: Drive, travelled: Floats) -> Contradictions:

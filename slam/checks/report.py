@@ -6,11 +6,14 @@ from .drive import Drive
 from .passes import contradicting_passes
 from .step_checks import misplaced_scans, wrong_odometry
 from .steps import judge_steps
-from .suspect import Suspect
+from .suspect import ODOMETRY, Suspect
 
 
 def find_suspects(drive: Drive) -> list[Suspect]:
-    """Return the places where path, scans and odometry of a drive contradict each other, worst first."""
+    """Return the places where path, scans and odometry of a drive contradict each other, worst first.
+
+    Those that contradict the path come first: wrong odometry may have been corrected by the scans.
+    """
     sampled = drive.sampled()
     if len(sampled) < 2:
         return []
@@ -20,4 +23,4 @@ def find_suspects(drive: Drive) -> list[Suspect]:
         *wrong_odometry(sampled, steps),
         *contradicting_passes(sampled),
     ]
-    return sorted(found, key=lambda suspect: (-suspect.weight, suspect.stamp))
+    return sorted(found, key=lambda suspect: (suspect.check == ODOMETRY, -suspect.weight, suspect.stamp))

@@ -10,13 +10,19 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.segments import Floats
+from ..odometry.history import wheel_travel
 from .drive import Drive, consecutive_groups
-from .local_field import REACH
-from .steps import FIT_WEIGHT, Steps
-from .suspect import Suspect
+from .steps import FIT_WEIGHT, GROSS_ERROR, Steps
+from .suspect import ODOMETRY, PLACEMENT, Suspect
 
 # Steps without a finding that may lie between two findings of one interval. Origin: chosen, about a metre.
 MAX_GAP = 3
+# Metres (RMS) by which the points of a scan differ between two poses that are not the same.
+# Origin: chosen, two cells of the local field: the blur of a usable map.
+MIN_DISPLACEMENT = 0.2
+# Metres (RMS) by which odometry must misplace the points of a scan in the end. Origin: chosen, the width of a doorway:
+# smaller slips are ordinary, and do not lead into another room.
+MIN_SLIP = 1.0
 
 
 def misplaced_scans(drive: Drive, steps: Steps) -> Iterator[Suspect]:
@@ -25,55 +31,51 @@ def misplaced_scans(drive: Drive, steps: Steps) -> Iterator[Suspect]:
     Either the scan fits the scans before it better there, or the step departs from odometry although the scan fits
     about as well at odometry's motion.
     """
-    apart = np.array([_displacement(drive, steps, k) for k in range(len(steps.gain))])
-    found = np.flatnonzero((steps.gain > steps.threshold) & (apart > REACH))
-    for group in consecutive_groups(found, MAX_GAP):
+    gains = np.flatnonzero(steps.gain > steps.threshold).tolist()
+    found = [k for k in gains if _displacement(drive, k + 1, steps.alternative[k]) > MIN_DISPLACEMENT]
+    for group in consecutive_groups(np.array(found, dtype=np.int64), MAX_GAP):
         worst = int(group[np.argmax(steps.gain[group])])
-        yield _suspect(drive, "placement", group, worst, steps.gain[worst] / steps.threshold, _text(drive, steps, worst))
+        yield _suspect(drive, PLACEMENT, group, worst, steps.gain[worst] / steps.threshold, _text(drive, steps, worst))
 
 
-def _displacement(drive: Drive, steps: Steps, k: int) -> float:
-    """Return the metres (RMS) by which a scan's points differ between its final pose and the alternative."""
-    if steps.gain[k] <= steps.threshold:
-        return 0.0
-    points = drive.points[k + 1]
-    moved = se2.transform(drive.poses[k + 1], points) - se2.transform(steps.alternative[k], points)
+def _displacement(drive: Drive, row: int, pose: se2.Pose) -> float:
+    """Return the metres (RMS) by which a scan's points move if the scan is placed at `pose`."""
+    points = drive.points[row]
+    moved = se2.transform(drive.poses[row], points) - se2.transform(pose, points)
     return float(np.sqrt((moved**2).sum(axis=1).mean()))
 
 
 def _text(drive: Drive, steps: Steps, k: int) -> str:
     better = steps.fit[k] + steps.fit_gain[k] / FIT_WEIGHT
-    fits = f"fit {better:.2f} there, {steps.fit[k]:.2f} where it was placed"
-    away = se2.between(steps.alternative[k], drive.poses[k + 1])
     if steps.fit_gain[k] >= 0.5 * steps.gain[k]:
-        return f"the scan fits the scans before it better {_motion(away)} from where it was placed ({fits})"
+        away = _motion(se2.between(steps.alternative[k], drive.poses[k + 1]))
+        fits = f"fit {better:.2f} there, {steps.fit[k]:.2f} where it was placed"
+        return f"the scan fits the scans before it better {away} from where it was placed ({fits})"
     sigmas = math.sqrt(steps.distance[k])
-    return (
-        f"the path departs from odometry by {_motion(steps.error[k])} ({sigmas:.0f} sigma), although the scan does not "
-        f"fit much better so ({fits})"
-    )
+    fits = f"fit {better:.2f} at odometry's pose, {steps.fit[k]:.2f} where it was placed"
+    return f"the path departs from odometry by {_motion(steps.error[k])} ({sigmas:.0f} sigma) without need ({fits})"
 
 
 def wrong_odometry(drive: Drive, steps: Steps) -> Iterator[Suspect]:
-    """Yield the intervals in which the scans show that odometry is wrong by a large share of the motion."""
+    """Yield the intervals in which the scans show that odometry is wrong by a large share of the motion.
+
+    A late reading is not such an error: odometry must also be wrong from the scan before the interval to the one after.
+    """
     for group in consecutive_groups(np.flatnonzero(steps.slip > 0.0), MAX_GAP):
         evidence = float(steps.slip[group].sum())
-        before, after = int(group[0]), int(group[-1]) + 1
+        before, after = max(int(group[0]) - 1, 0), min(int(group[-1]) + 2, len(drive) - 1)
         driven = se2.between(drive.poses[before], drive.poses[after])
         measured = se2.between(drive.odometry[before], drive.odometry[after])
-        lever = REACH / _typical_range(drive, after)
         wrong = se2.between(measured, driven)
-        if evidence > steps.threshold and (math.hypot(*wrong[:2]) > REACH or abs(wrong[2]) > lever):
+        lasting = wheel_travel(wrong) > GROSS_ERROR * max(wheel_travel(driven), wheel_travel(measured))
+        slip = _displacement(drive, after, se2.compose(drive.poses[before], measured))
+        if evidence > steps.threshold and lasting and slip > MIN_SLIP:
             worst = int(group[np.argmax(steps.slip[group])])
             text = (
-                f"odometry contradicts the scans: it measured {_motion(measured)}, the scans show {_motion(driven)}; the "
-                "wheels slipped or stood still, or the robot was carried"
+                f"odometry contradicts the scans by {_motion(wrong)}: it measured a motion of {_motion(measured)}, the "
+                f"scans show {_motion(driven)}; the wheels slipped or stood still, or the robot was carried"
             )
-            yield _suspect(drive, "odometry", group, worst, evidence / steps.threshold, text)
-
-
-def _typical_range(drive: Drive, row: int) -> float:
-    return float(np.sqrt((drive.points[row] ** 2).sum(axis=1).mean()))
+            yield _suspect(drive, ODOMETRY, group, worst, evidence / steps.threshold, text)
 
 
 def _suspect(drive: Drive, check: str, steps: Floats, worst: int, weight: float, text: str) -> Suspect:

@@ -8,13 +8,15 @@ from ..geometry.segments import Floats
 
 # Seconds from which the interval of a suspect is stated besides its time. Origin: chosen, for readability.
 MIN_INTERVAL = 1.0
+# Names of the checks. Origin: definition.
+PLACEMENT, ODOMETRY, MAP = "placement", "odometry", "map"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Suspect:
     """A place in a finished run where path, scans and odometry contradict each other.
 
-    check     "placement" of a scan, "odometry", or "map"
+    check     PLACEMENT (of a scan), ODOMETRY, or MAP
     stamp     seconds, where the contradiction is largest
     first     seconds, begin of the interval
     last      seconds, end of the interval
