@@ -252,6 +252,21 @@ class Relocalised:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class SuspectFound:
+    """A check of the finished run found a contradiction at `stamp`; published at the end of the run, worst first.
+
+    index     last keyframe at that time
+    text      sentence with the figures
+    position  (2,) in the final map, metres
+    """
+
+    index: int
+    stamp: float
+    text: str
+    position: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Finished:
     """The run is over: final map and trajectory.
 
@@ -286,6 +301,7 @@ Event: TypeAlias = (
     | Relocalised
     | GroundTruthReceived
     | Notice
+    | SuspectFound
     | Finished
 )
 

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from .checks import find_suspects
+from .checks.adapter import drive_of
 from .errors import MapError
 from .estimation.map_view import final_result
 from .estimation.refinement import RefinementResult, ScanHistory, refine
@@ -63,10 +65,14 @@ def optimise(session: StoredSession, sinks: Sequence[Sink] = ()) -> OptimisedSes
     publisher.publish_keyframes(refined.mapper, keyframes, session.sigma_range)
     publisher.publish_map(last.stamp, refined.mapper)
     segments = OdometrySegments(session.odometry, session.starts)
+    poses = slam_state.mapper.keyframe_poses
+    placed = slam_state.trajectory.at_scans(poses)
+    suspects = find_suspects(drive_of(session.scans, session.starts, placed, slam_state.odometry_model, session.config))
+    publisher.publish_suspects(suspects, slam_state.keyframe_stamps)
     result = final_result(
         slam_state,
-        segments.trajectory(slam_state.trajectory, slam_state.mapper.keyframe_poses),
-        {"refinement": summary},
+        segments.trajectory(slam_state.trajectory, poses),
+        {"refinement": summary, "suspects": [suspect.row() for suspect in suspects]},
     )
     publisher.publish(result)
     return OptimisedSession(result, replace(session, loop_decisions=decisions), summary)

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry, Scan, delay_odometry
 
+from .checks import find_suspects
+from .checks.adapter import drive_of
 from .config import Config
 from .errors import MapError, SlamError
 from .estimation.estimator import Estimator, ScanResult
@@ -252,9 +254,20 @@ class Slam:
         if self._frozen:
             stamps, poses = stamps[stamps > journal.resumed_at], poses[stamps > journal.resumed_at]
         self._publisher.publish_residuals(float(stamps[-1]), state.mapper)
-        result = final_result(state, (stamps, poses), summary)
+        result = final_result(state, (stamps, poses), summary | {"suspects": self._check()})
         self._publisher.publish(result)
         return result
+
+    def _check(self) -> list[dict[str, object]]:
+        """Check the finished run against itself; publish the findings and return the summary's part."""
+        state, journal = self.slam_state, self._journal
+        placed = state.trajectory.at_scans(state.mapper.keyframe_poses)
+        drive = drive_of(journal.scans, journal.segments.starts, placed, state.odometry_model, self.config)
+        suspects = find_suspects(drive)
+        if self._frozen:
+            suspects = [suspect for suspect in suspects if suspect.stamp > journal.resumed_at]
+        self._publisher.publish_suspects(suspects, state.keyframe_stamps)
+        return [suspect.row() for suspect in suspects]
 
     def _process_queue(self, count: int = sys.maxsize) -> None:
         """Process at most `count` queued scans without odometry to cover them."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -10,6 +11,7 @@ import numpy as np
 
 from drivers import se2
 
+from .checks import Suspect
 from .estimation.map_view import covariances_when_last_seen, map_features
 from .estimation.scan_update import KeyframeUpdate
 from .estimation.stage_timer import StageTimer
@@ -26,6 +28,7 @@ from .events import (
     ScanTracked,
     Sink,
     StateChanged,
+    SuspectFound,
     WallsMerged,
     WallsRemoved,
 )
@@ -68,6 +71,12 @@ class Publisher:
             self.publish(Notice(scan.stamp, "the scan fits nowhere near its predicted pose and is left out"))
         overlap_ratio, keyframe = tracking.registration.overlap_ratio, mapper.keyframe_count - 1
         self.publish(ScanTracked(scan.stamp, tracking.pose, scan.odometry, overlap_ratio, keyframe))
+
+    def publish_suspects(self, suspects: Sequence[Suspect], keyframe_stamps: Sequence[float]) -> None:
+        """Publish the findings of the checks of a finished run."""
+        for suspect in suspects:
+            index = max(bisect.bisect_right(keyframe_stamps, suspect.stamp) - 1, 0)
+            self.publish(SuspectFound(index, suspect.stamp, suspect.sentence, suspect.position.copy()))
 
     def publish_state(self, stamp: float, state: LocalisationState) -> None:
         """Publish a new localisation state."""

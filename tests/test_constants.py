@@ -16,6 +16,7 @@ CORE = (
     "matching",
     "localisation",
     "loop_closure",
+    "checks",
     "estimation",
 )
 FILES = sorted(file for room in CORE for file in (SLAM / room).rglob("*.py"))

@@ -20,7 +20,7 @@ CONFINED = {
 
 LAYERS = (
     "errors", "extras", "config", "geometry", "graph", "odometry", "mapping", "matching", "preprocessing",
-    "localisation", "loop_closure", "events", "estimation", "run_statistics", "io", "publisher", "pipeline",
+    "localisation", "loop_closure", "checks", "events", "estimation", "run_statistics", "io", "publisher", "pipeline",
     "optimisation", "warmup", "offline", "evaluation", "visualisation", "cli",
 )  # fmt: skip
 """Packages and modules of `slam`, from bottom to top: each may import those before it."""

@@ -49,14 +49,14 @@ class Drive:
 
     def sampled(self) -> Drive:
         """Return the drive with those scans only that are SAMPLE_DISTANCE or SAMPLE_TURN apart and not empty."""
-        counts = np.array([len(points) for points in self.points])
+        counts = np.array([len(points) for points in self.points], dtype=np.int64)
         rows = _sample(self.odometry, self.poses, counts)
         return Drive(
             self.stamps[rows],
             self.poses[rows],
             self.odometry[rows],
             self.segment[rows],
-            [self.points[row] for row in rows.tolist()],
+            [np.ascontiguousarray(self.points[row], dtype=np.float64) for row in rows.tolist()],
             self.deviations,
             self.floors,
         )

@@ -29,7 +29,7 @@ RINGS = 3  # of equal width, up to REACH. Origin: numerical, as wide as a cell.
 # Metres, standard deviation of the distance between a point and the points of other scans of the same surface.
 # Origin: chosen, a cell and the noise of lidars; not measured.
 FIT_SIGMA = 0.13
-# Likelihood in each ring, at the middle of the ring, relative to the innermost. Origin: definition, normal distribution.
+# Likelihood in the middle of each ring, relative to the innermost. Origin: definition, normal distribution.
 RING_DISTANCES = REACH * (np.arange(RINGS) + 0.5) / RINGS
 RING_LIKELIHOODS = np.exp(-(RING_DISTANCES**2 - RING_DISTANCES[0] ** 2) / (2 * FIT_SIGMA**2))
 # Points of a scan that are compared, evenly subsampled. Origin: chosen, for speed; not measured.
@@ -60,7 +60,7 @@ class LocalField:
 
 def compared_points(points: Floats) -> Floats:
     """Return at most MAX_COMPARED_POINTS of a scan's points, evenly chosen."""
-    return points[:: max(1, -(-len(points) // MAX_COMPARED_POINTS))]
+    return np.ascontiguousarray(points[:: max(1, -(-len(points) // MAX_COMPARED_POINTS))])
 
 
 @compiled

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers import se2
 from drivers.compiled import compiled
 
 from ..geometry.segments import Floats, Integers
@@ -90,10 +89,10 @@ def contradicting_passes(drive: Drive) -> Iterator[Suspect]:
             continue
         worst = int(group[np.argmax(share[group])])
         other = drive.stamps[min(int(np.searchsorted(travelled, found.other[worst])), len(drive) - 1)]
+        seen_through, crossing = (100 * part[worst] / common[worst] for part in (found.seen_through, found.crossing))
         text = (
-            f"the map does not fit together: {100 * found.seen_through[worst] / common[worst]:.0f} % of the scan's points "
-            f"are where the scans around {other:.1f} s saw through, and {100 * found.crossing[worst] / common[worst]:.0f} "
-            "% of its sight lines cross walls of other passes"
+            f"the map does not fit together: {seen_through:.0f} % of the scan's points are where the scans around "
+            f"{other:.1f} s saw through, and {crossing:.0f} % of its sight lines cross walls of other passes"
         )
         weight = float(share[group].sum()) / (MIN_SCANS * MAX_CONTRADICTION)
         first, last = float(drive.stamps[group[0]]), float(drive.stamps[group[-1]])

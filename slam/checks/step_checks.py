@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers import se2
 
-from ..geometry.segments import Floats
+from ..geometry.segments import Integers
 from ..odometry.history import wheel_travel
 from .drive import Drive, consecutive_groups
 from .steps import FIT_WEIGHT, GROSS_ERROR, Steps
@@ -78,7 +78,7 @@ def wrong_odometry(drive: Drive, steps: Steps) -> Iterator[Suspect]:
             yield _suspect(drive, ODOMETRY, group, worst, evidence / steps.threshold, text)
 
 
-def _suspect(drive: Drive, check: str, steps: Floats, worst: int, weight: float, text: str) -> Suspect:
+def _suspect(drive: Drive, check: str, steps: Integers, worst: int, weight: float, text: str) -> Suspect:
     """Return the suspect of a group of steps, named by the scans at their ends."""
     first, last = (float(drive.stamps[int(step) + 1]) for step in (steps[0], steps[-1]))
     stamp, position = float(drive.stamps[worst + 1]), drive.poses[worst + 1, :2]

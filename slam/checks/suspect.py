@@ -49,4 +49,5 @@ class Suspect:
             "position": [round(float(value), 3) for value in self.position],
             "weight": round(self.weight, 3),
             "text": self.text,
+            "sentence": self.sentence,
         }

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from .run_input import InputStatistics, RunInput
 
 SHOWN_WARNINGS = 4
+SHOWN_SUSPECTS = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,7 +101,16 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
         f"{summary['recording']}: {summary['scans']} scans in {summary['duration']:.1f} s, "
         f"{summary['path_length']:.1f} m driven"
     )
-    return [head] + [f"  {name:<11}{text}" for name, text in rows]
+    return [head] + [f"  {name:<11}{text}" for name, text in rows] + _suspects(summary)
+
+
+def _suspects(summary: dict[str, Any]) -> list[str]:
+    """Return a line for each of the worst suspects."""
+    rows = (summary.get("slam") or {}).get("suspects") or []
+    lines = [f"  SUSPECT {row['sentence']}" for row in rows[:SHOWN_SUSPECTS]]
+    if (more := len(rows) - SHOWN_SUSPECTS) > 0:
+        lines.append(f"  and {more} more suspects in summary.json")
+    return lines
 
 
 def _device(device: dict[str, Any]) -> str:

@@ -19,6 +19,7 @@ from ...events import (
     Relocalised,
     ScanTracked,
     StateChanged,
+    SuspectFound,
     WallsMerged,
     WallsRemoved,
 )
@@ -65,7 +66,9 @@ class LiveDashboard:
             case Relocalised():
                 x, y, heading = event.pose
                 print_message(f"relocalised at {x:.2f} m, {y:.2f} m, {math.degrees(heading):.0f}°")
-            case MapUpdated() | GraphInspected() | WallsMerged() | WallsRemoved() | GroundTruthReceived() | Finished():
+            case MapUpdated() | GraphInspected() | WallsMerged() | WallsRemoved() | GroundTruthReceived():
+                pass
+            case SuspectFound() | Finished():
                 pass
             case _:
                 assert_never(event)

@@ -124,7 +124,8 @@ def _optimise(
         "truth": None,  # the error before refinement no longer applies
         "recordings": [recording.model_dump() for recording in session.recordings],
         "slam": summary.get("slam", {})
-        | {"refinement": optimised.summary, "factors": optimised.summary["factors_after"]},
+        | {"refinement": optimised.summary, "factors": optimised.summary["factors_after"]}
+        | {"suspects": finished.summary["suspects"]},
         "optimisation_seconds": time.perf_counter() - started,
         "peak_memory_mib": peak_memory(),
         "versions": versions(),

@@ -23,6 +23,7 @@ from ...events import (
     Relocalised,
     ScanTracked,
     StateChanged,
+    SuspectFound,
     WallsMerged,
     WallsRemoved,
 )
@@ -92,7 +93,15 @@ class LoopScorer:
                 self._score_decision(event)
             case Relocalised():
                 self._score_relocalisation(event)
-            case GraphInspected() | WallsRemoved() | StateChanged() | GroundTruthReceived() | Notice() | Finished():
+            case (
+                GraphInspected()
+                | WallsRemoved()
+                | StateChanged()
+                | GroundTruthReceived()
+                | Notice()
+                | SuspectFound()
+                | Finished()
+            ):
                 pass
             case _:
                 assert_never(event)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from ...checks.suspect import MAP, ODOMETRY, PLACEMENT
 from ...io.tum import Trajectory
 from ...loop_closure.loop_status import LoopStatus
 from .formatting import clock, counted, percent
@@ -17,6 +18,12 @@ HIGH_ODOMETRY_ERROR = 0.3
 """Estimated odometry error, metres per metre travelled, above which something is wrong. Robots in public recordings
 have 0.06 to 0.12; a lidar mounted backwards without a matching `lidar.mount` causes 1.6."""
 MAX_SHOWN_TIMES = 4
+MAX_SHOWN_SUSPECTS = 10
+SUSPECT_DETAILS = {
+    PLACEMENT: "From there on, the path may be displaced or turned.",
+    MAP: "Walls may be doubled, or a part of the map may be displaced.",
+    ODOMETRY: "The scans were enough to correct it, or the path is wrong from there on.",
+}
 STAMPED = re.compile(r"(?P<text>.*) \(at (?P<stamp>-?\d+(\.\d+)?) s\)", re.DOTALL)
 STATUS_FINDINGS = {
     "LOST": (
@@ -48,6 +55,7 @@ def findings(summary: dict[str, Any], trajectory: Trajectory) -> list[Finding]:
     """Return the findings of a run, grave ones first."""
     slam = summary.get("slam") or {}
     found = [
+        *_suspect_findings(slam.get("suspects") or [], trajectory),
         *_status_findings(slam.get("states") or [], trajectory),
         *_warning_findings(summary.get("warnings") or [], trajectory),
         *_loop_findings(slam.get("loops") or {}),
@@ -56,6 +64,18 @@ def findings(summary: dict[str, Any], trajectory: Trajectory) -> list[Finding]:
         *_source_findings(summary),
     ]
     return sorted(found, key=lambda finding: not finding.grave)
+
+
+def _suspect_findings(rows: list[dict[str, Any]], trajectory: Trajectory) -> Iterator[Finding]:
+    """Yield the worst findings of the checks of the finished run, and the number of the others."""
+    for row in rows[:MAX_SHOWN_SUSPECTS]:
+        yield Finding(
+            f"Suspect {_times([row['stamp']], trajectory)}: {row['text']}.",
+            SUSPECT_DETAILS.get(row["check"], ""),
+            grave=row["check"] != ODOMETRY,
+        )
+    if (more := len(rows) - MAX_SHOWN_SUSPECTS) > 0:
+        yield Finding(f"{counted(more, 'more suspect')} in summary.json.", "")
 
 
 def _status_findings(rows: list[dict[str, Any]], trajectory: Trajectory) -> Iterator[Finding]:

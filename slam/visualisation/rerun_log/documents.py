@@ -26,7 +26,7 @@ _LEGEND: tuple[tuple[str, str], ...] = (
     ("orange", "matched with the map: segment, corner, recent wall; thin line: to its match; relocalised robot"),
     ("pink", "new: not in the map before"),
     ("light green", "accepted loop; dashed: pending, waits for confirmation; arrows: shift of each keyframe"),
-    ("rust", "rejected by a gate: feature, loop; factor beyond 99.9 %; dashed: retracted loop"),
+    ("rust", "rejected by a gate: feature, loop; factor beyond 99.9 %; dashed: retracted loop; disc: suspect"),
     ("deep blue", "before the last correction: walls and path; recent walls before the loop's motion"),
 )
 _TIMELINES: tuple[tuple[str, str], ...] = (

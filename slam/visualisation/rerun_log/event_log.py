@@ -31,6 +31,7 @@ from ...events import (
     Relocalised,
     ScanTracked,
     StateChanged,
+    SuspectFound,
     WallsMerged,
     WallsRemoved,
 )
@@ -129,6 +130,9 @@ class EventLog:
             case Notice():
                 self._at_last_keyframe(event.stamp)
                 self._log_text(event.text, event.level)
+            case SuspectFound():
+                self._at(event.index, event.stamp)
+                self._status_layer.log_suspect(event)
             case Finished():
                 self._write_finish(event)
             case _:

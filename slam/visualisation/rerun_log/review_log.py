@@ -22,6 +22,7 @@ from ...events import (
     Relocalised,
     ScanTracked,
     StateChanged,
+    SuspectFound,
     WallsMerged,
     WallsRemoved,
 )
@@ -31,7 +32,7 @@ BUSY_EVENTS = 500  # events in the queue, about a second of work; beyond, scans 
 STALLED_EVENTS = (
     5_000  # events in the queue: logging has stalled, e.g. on a full disk; beyond, only rare events are kept
 )
-RARE_EVENTS = (LoopDecided, WallsMerged, WallsRemoved, StateChanged, Relocalised, Finished)
+RARE_EVENTS = (LoopDecided, WallsMerged, WallsRemoved, StateChanged, Relocalised, SuspectFound, Finished)
 """Events that are never left out: so rare that those of a whole day fit into the queue."""
 
 _logger = logging.getLogger(__name__)

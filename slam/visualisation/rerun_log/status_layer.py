@@ -1,4 +1,4 @@
-"""Show the localisation status as a lane over time and as lines of the text log."""
+"""Show the localisation status as a lane over time, and suspects as marks in the map; both also in the text log."""
 
 from __future__ import annotations
 
@@ -6,18 +6,22 @@ import math
 
 import rerun as rr
 
-from ...events import Relocalised, StateChanged
+from ...events import Relocalised, StateChanged, SuspectFound
 from .colours import ESTIMATE, MATCHED, REJECTED
 from .rrd_writer import RrdWriter
+from .shapes import Height, to_3d
 
 ENTITY = "localisation_status"
+SUSPECTS_ENTITY = "world/suspects"
+SUSPECT_RADIUS = 0.25  # metres
 
 
 class StatusLayer:
-    """The localisation status, OK at the beginning, and relocalisations."""
+    """The localisation status, OK at the beginning, relocalisations, and the suspects of the finished run."""
 
     def __init__(self, writer: RrdWriter) -> None:
         self._writer = writer
+        self._suspects = 0
         shades = [ESTIMATE, MATCHED, REJECTED]
         writer.log_static(ENTITY, rr.StateConfiguration(values=["OK", "DEGENERATE", "LOST"], colors=shades))
 
@@ -36,6 +40,19 @@ class StatusLayer:
         x, y, heading = (float(value) for value in event.pose)
         text = f"relocalised in the map at ({x:.2f}, {y:.2f}) m, {math.degrees(heading):.0f}°"
         self._writer.log("log", rr.TextLog(text, level="WARN"))
+
+    def log_suspect(self, event: SuspectFound) -> None:
+        """Mark a suspect in the map, from its own time on."""
+        mark = rr.Points3D.from_fields(
+            positions=to_3d(event.position[None], Height.DECISION),
+            radii=[SUSPECT_RADIUS],
+            colors=[REJECTED],
+            labels=[f"suspect {event.text}"],
+            show_labels=False,
+        )
+        self._writer.log(f"{SUSPECTS_ENTITY}/{self._suspects}", mark)
+        self._writer.log("log", rr.TextLog(f"SUSPECT {event.text}", level="WARN"))
+        self._suspects += 1
 
 
 def _describe(event: StateChanged) -> tuple[str, str]:
