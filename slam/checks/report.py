@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from .drive import Drive
 from .passes import contradicting_passes
-from .step_checks import misplaced_scans, wrong_odometry
+from .step_checks import changed_views, misplaced_scans, wrong_odometry
 from .steps import judge_steps
 from .suspect import ODOMETRY, Suspect
 
@@ -18,9 +18,17 @@ def find_suspects(drive: Drive) -> list[Suspect]:
     if len(sampled) < 2:
         return []
     steps = judge_steps(sampled)
-    found = [
-        *misplaced_scans(sampled, steps),
-        *wrong_odometry(sampled, steps),
-        *contradicting_passes(sampled),
+    misplaced = list(misplaced_scans(sampled, steps))
+    misplaced += [
+        suspect
+        for suspect in changed_views(sampled)
+        if not any(other.first <= suspect.stamp <= other.last for other in misplaced)
     ]
+    # at a misplaced scan, the path says nothing about odometry
+    odometry = [
+        suspect
+        for suspect in wrong_odometry(sampled, steps)
+        if not any(suspect.first <= other.stamp <= suspect.last for other in misplaced)
+    ]
+    found = [*misplaced, *odometry, *contradicting_passes(sampled)]
     return sorted(found, key=lambda suspect: (suspect.check == ODOMETRY, -suspect.weight, suspect.stamp))

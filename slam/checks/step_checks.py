@@ -14,6 +14,7 @@ from ..odometry.history import wheel_travel
 from .drive import Drive, consecutive_groups
 from .steps import FIT_WEIGHT, GROSS_ERROR, Steps
 from .suspect import ODOMETRY, PLACEMENT, Suspect
+from .view_changes import MIN_RATIO, view_changes
 
 # Steps without a finding that may lie between two findings of one interval. Origin: chosen, about a metre.
 MAX_GAP = 3
@@ -38,6 +39,22 @@ def misplaced_scans(drive: Drive, steps: Steps) -> Iterator[Suspect]:
         yield _suspect(drive, PLACEMENT, group, worst, steps.gain[worst] / steps.threshold, _text(drive, steps, worst))
 
 
+def changed_views(drive: Drive) -> Iterator[Suspect]:
+    """Yield the steps at which the view changes abruptly: the robot was carried unnoticed, or the step is wrong."""
+    found, counts = view_changes(drive)
+    shares = 100 * counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    for group in consecutive_groups(found, MAX_GAP):
+        rows = np.searchsorted(found, group)
+        worst = int(rows[np.argmin(shares[rows, 2])])
+        seen_through, behind, agreeing = shares[worst]
+        text = (
+            f"the view changes abruptly: {seen_through:.0f} % of the scan's points are where the scan before saw "
+            f"through, {behind:.0f} % behind what it saw; the robot was carried, or the scan was placed wrongly"
+        )
+        weight = (100 - agreeing) / (100 * MIN_RATIO / (1 + MIN_RATIO))
+        yield _suspect(drive, PLACEMENT, group, int(found[worst]), weight, text)
+
+
 def _displacement(drive: Drive, row: int, pose: se2.Pose) -> float:
     """Return the metres (RMS) by which a scan's points move if the scan is placed at `pose`."""
     points = drive.points[row]
@@ -53,7 +70,10 @@ def _text(drive: Drive, steps: Steps, k: int) -> str:
         return f"the scan fits the scans before it better {away} from where it was placed ({fits})"
     sigmas = math.sqrt(steps.distance[k])
     fits = f"fit {better:.2f} at odometry's pose, {steps.fit[k]:.2f} where it was placed"
-    return f"the path departs from odometry by {_motion(steps.error[k])} ({sigmas:.0f} sigma) without need ({fits})"
+    return (
+        f"the path departs from odometry by {_motion(steps.error[k])} ({sigmas:.0f} sigma), which the scan does not "
+        f"require ({fits}): a wrong pose, or the robot was carried"
+    )
 
 
 def wrong_odometry(drive: Drive, steps: Steps) -> Iterator[Suspect]:

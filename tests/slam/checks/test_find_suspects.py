@@ -1,0 +1,159 @@
+"""The checks of a finished run: silent if it is right, and close in time to each error that is put into it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers import se2
+from slam.checks import Suspect, find_suspects
+from slam.checks.drive import Drive
+from slam.checks.suspect import MAP, ODOMETRY, PLACEMENT
+
+from .drives import carried, moved_from, row_at, simulated_drive
+
+SECONDS = 3.0  # from the injected error to the suspect
+
+
+def of(check: str, suspects: list[Suspect]) -> list[Suspect]:
+    return [suspect for suspect in suspects if suspect.check == check]
+
+
+def with_path(drive: Drive, poses: np.ndarray) -> Drive:
+    return replace(drive, poses=poses)
+
+
+@pytest.mark.parametrize("world", ["office", "corridor", "moved_furniture"])
+def test_a_right_path_has_no_suspects(world: str) -> None:
+    assert find_suspects(simulated_drive(world)) == []
+
+
+def test_a_path_as_blurred_as_a_usable_map_has_no_suspects() -> None:
+    drive = simulated_drive("office")
+    noise = np.random.default_rng(1).normal(0.0, [0.02, 0.02, 0.005], (len(drive), 3))
+    assert find_suspects(with_path(drive, drive.poses + noise)) == []
+
+
+@pytest.mark.parametrize("degrees", [-60.0, 20.0, 80.0])
+def test_a_wrong_turn_is_found_where_it_is(degrees: float) -> None:
+    drive = simulated_drive("office")
+    turned = moved_from(drive.poses, row_at(drive, 40.0), np.array([0.0, 0.0, np.radians(degrees)]))
+    found = of(PLACEMENT, find_suspects(with_path(drive, turned)))
+    assert abs(found[0].stamp - 40.0) < SECONDS
+    stated = re.search(r"(\d+) degrees", found[0].text)
+    assert stated is not None
+    assert float(stated[1]) == pytest.approx(abs(degrees), abs=3.0)
+
+
+def test_a_turn_in_a_row_of_wrong_steps_makes_one_suspect() -> None:
+    drive = simulated_drive("office")
+    poses = drive.poses
+    for stamp in (40.0, 41.0, 42.0):
+        poses = moved_from(poses, row_at(drive, stamp), np.array([0.0, 0.0, np.radians(20.0)]))
+    (found,) = of(PLACEMENT, find_suspects(with_path(drive, poses)))
+    assert found.first > 40.0 - SECONDS
+    assert found.last < 42.0 + SECONDS
+
+
+def slipping(drive: Drive, stamp: float, metres: float) -> np.ndarray:
+    """Return odometry whose wheels turn for some metres too much, over two seconds."""
+    odometry = drive.odometry
+    for part in range(8):
+        odometry = moved_from(odometry, row_at(drive, stamp + 0.25 * part), np.array([metres / 8, 0.0, 0.0]))
+    return odometry
+
+
+def test_slipping_wheels_in_a_corridor_are_found() -> None:
+    drive = simulated_drive("corridor")
+    found = find_suspects(replace(drive, odometry=slipping(drive, 30.0, 2.0)))
+    assert [suspect.check for suspect in found] == [ODOMETRY]
+    assert abs(found[0].stamp - 31.0) < SECONDS
+    assert "slipped" in found[0].text
+
+
+def test_a_path_that_follows_slipping_wheels_in_a_corridor_is_found() -> None:
+    drive = simulated_drive("corridor")
+    slipped = slipping(drive, 30.0, 2.0)
+    error = se2.between(se2.between(drive.odometry[0], drive.odometry), se2.between(slipped[0], slipped))
+    followed = replace(drive, odometry=slipped, poses=se2.compose(drive.poses, error))
+    found = [suspect for suspect in find_suspects(followed) if suspect.check != ODOMETRY]
+    assert any(suspect.first - SECONDS < 31.0 < suspect.last + SECONDS for suspect in found)
+
+
+def test_frozen_odometry_is_found() -> None:
+    drive = simulated_drive("office")
+    frozen, begin, end = drive.odometry.copy(), row_at(drive, 40.0), row_at(drive, 50.0)
+    frozen[begin:end] = frozen[begin]
+    frozen[end:] = se2.compose(frozen[begin], se2.between(frozen[end], frozen[end:]))
+    (found,) = find_suspects(replace(drive, odometry=frozen))
+    assert found.check == ODOMETRY
+    assert found.first > 40.0 - SECONDS
+    assert found.last < 50.0 + SECONDS
+
+
+def test_a_wrong_loop_correction_is_found_where_a_place_is_seen_again() -> None:
+    drive = simulated_drive("office")
+    share = np.clip((np.arange(len(drive)) - 0.4 * len(drive)) / (0.1 * len(drive)), 0.0, 1.0)
+    bent = drive.poses + share[:, None] * np.array([1.2, 0.8, 0.0])
+    found = find_suspects(with_path(drive, bent))
+    assert found[0].check == MAP
+    other = re.search(r"around (\d+\.\d) s", found[0].text)
+    assert other is not None
+    assert min(found[0].stamp, float(other[1])) < 0.5 * drive.stamps[-1] < max(found[0].stamp, float(other[1]))
+
+
+@pytest.mark.parametrize("relocalised", [True, False])
+def test_a_carried_robot_is_found(relocalised: bool) -> None:
+    """Whether the path has noticed, or follows odometry."""
+    drive = carried(simulated_drive("office"), 40.0, 60.0)
+    if not relocalised:
+        row = row_at(drive, 40.0)
+        poses = drive.poses.copy()
+        poses[row:] = se2.compose(poses[row - 1], se2.between(poses[row], poses[row:]))
+        drive = with_path(drive, poses)
+    assert any(abs(suspect.stamp - 40.0) < SECONDS for suspect in find_suspects(drive))
+
+
+def test_where_odometry_starts_anew_no_step_is_judged() -> None:
+    drive = carried(simulated_drive("office"), 40.0, 60.0)
+    segment = (np.arange(len(drive)) >= row_at(drive, 40.0)).astype(np.int64)
+    assert find_suspects(replace(drive, segment=segment)) == []
+
+
+def test_a_crowd_is_not_an_error_of_the_map() -> None:
+    """People stand around the robot while it passes a place that it has seen before, and will see again, empty."""
+    drive = simulated_drive("office")
+    random = np.random.default_rng(3)
+    crowd = [
+        points * np.where(random.random(len(points)) < 0.5, random.uniform(0.2, 0.8, len(points)), 1.0)[:, None]
+        if 100.0 < stamp < 130.0
+        else points
+        for stamp, points in zip(drive.stamps, drive.points, strict=True)
+    ]
+    assert of(MAP, find_suspects(replace(drive, points=crowd))) == []
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_a_drive_of_hardly_any_scans_has_no_suspects(count: int) -> None:
+    drive = simulated_drive("office")
+    parts = {name: getattr(drive, name)[:count] for name in ("stamps", "poses", "odometry", "segment", "points")}
+    assert find_suspects(replace(drive, **parts)) == []
+
+
+def test_scans_without_returns_are_left_out() -> None:
+    drive = simulated_drive("office")
+    empty = [points if row % 3 else np.zeros((0, 2)) for row, points in enumerate(drive.points)]
+    assert find_suspects(replace(drive, points=empty)) == []
+
+
+def test_the_worst_suspects_come_first() -> None:
+    drive = simulated_drive("office")
+    poses = moved_from(drive.poses, row_at(drive, 40.0), np.array([0.0, 0.0, np.radians(15.0)]))
+    poses = moved_from(poses, row_at(drive, 80.0), np.array([0.6, 0.0, np.radians(70.0)]))
+    weights = [suspect.weight for suspect in find_suspects(with_path(drive, poses)) if suspect.check != ODOMETRY]
+    assert len(weights) >= 2
+    assert weights == sorted(weights, reverse=True)
+    assert min(weights) >= 1.0
