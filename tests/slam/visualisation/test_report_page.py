@@ -192,6 +192,19 @@ def test_findings_describe_problems_grave_ones_first(tmp_path: Path, finished: F
     assert findings(SUMMARY, make(tmp_path / "out", finished).trajectory) == []
 
 
+def test_suspects_are_findings_and_only_those_of_the_path_are_grave(tmp_path: Path, finished: Finished) -> None:
+    rows = [
+        {"check": check, "stamp": 5.0 + k, "first": 5.0, "last": 5.0, "position": [0.0, 0.0], "weight": 2.0,
+         "text": f"the {check} is wrong"}
+        for k, check in enumerate(["map", "placement", "odometry"] + 9 * ["odometry"])
+    ]  # fmt: skip
+    summary = SUMMARY | {"slam": SUMMARY["slam"] | {"suspects": rows}}
+    found = findings(summary, make(tmp_path / "out", finished, summary).trajectory)
+    assert [finding.grave for finding in found] == [True, True] + 9 * [False]
+    assert found[0].text == "Suspect at 0:05: the map is wrong."
+    assert found[-1].text == "2 more suspects in summary.json."
+
+
 # The command
 
 

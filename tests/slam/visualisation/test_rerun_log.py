@@ -23,6 +23,7 @@ from slam.events import (
     Notice,
     Relocalised,
     ScanTracked,
+    SuspectFound,
     StateChanged,
 )
 from slam.loop_closure.loop_status import LoopStatus
@@ -170,6 +171,19 @@ def test_empty_and_unknown_values_are_accepted(tmp_path):
     review = log_events(tmp_path / "bare.rrd", events)
     assert review.failures == 0, review.first_failure
     assert rows(tmp_path / "bare.rrd", "/world/keyframe/scan", "Points3D:positions") == [(0, []), (1, [])]
+
+
+def test_suspects_are_marked_and_named_from_their_own_time_on(tmp_path):
+    events = [bare_keyframe(0), bare_keyframe(1), SuspectFound(1, 1.0, "at 1.0 s: the map", np.array([3.0, 4.0]))]
+    events.append(SuspectFound(0, 0.0, "at 0.0 s: odometry", np.array([5.0, 6.0])))
+    log_events(tmp_path / "log.rrd", events)
+    marks = [rows(tmp_path / "log.rrd", f"/world/suspects/{k}", "Points3D:positions") for k in (0, 1)]
+    assert [[(keyframe, position[0][:2]) for keyframe, position in rows_of] for rows_of in marks] == [
+        [(1, [3.0, 4.0])],
+        [(0, [5.0, 6.0])],
+    ]
+    texts = [text[0] for _, text in rows(tmp_path / "log.rrd", "/log", "TextLog:text")]
+    assert texts == ["SUSPECT at 0.0 s: odometry", "SUSPECT at 1.0 s: the map"]
 
 
 def test_closing_twice_is_allowed_and_later_events_are_ignored(tmp_path):

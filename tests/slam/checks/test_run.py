@@ -1,0 +1,84 @@
+"""Suspects of a run: from the pipeline to the terminal."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers import se2
+from drivers.messages import GroundTruth, Message, Odometry
+from drivers.simulation import Simulation
+from slam import Slam
+from slam.cli.run_summary import SHOWN_SUSPECTS, RunResult, format_summary
+from slam.events import Finished, SuspectFound
+
+from ..listeners import EventCollector
+from .drives import LIDAR
+
+DURATION, FIRST, LAST = 40.0, 15.0, 28.0
+
+
+def messages(*, carried: bool) -> list[Message]:
+    """Return a drive; if `carried`, the robot is carried between two times, unnoticed by odometry."""
+    found = [m for m in Simulation("office", duration=DURATION, lidar=LIDAR) if not isinstance(m, GroundTruth)]
+    if not carried:
+        return found
+    odometry = [message for message in found if isinstance(message, Odometry)]
+    before = [message.pose for message in odometry if message.stamp < FIRST][-1]
+    after = next(message.pose for message in odometry if message.stamp >= LAST)
+    kept: list[Message] = [message for message in found if message.stamp < FIRST]
+    for message in found:
+        if message.stamp >= LAST:
+            message = replace(message, stamp=message.stamp - (LAST - FIRST))
+            if isinstance(message, Odometry):
+                message = replace(message, pose=se2.compose(before, se2.between(after, message.pose)))
+            kept.append(message)
+    return kept
+
+
+def run(drive: list[Message]) -> tuple[Finished, EventCollector]:
+    listener = EventCollector()
+    slam = Slam(sinks=[listener])
+    for message in drive:
+        slam.add(message)
+    return slam.finish(), listener
+
+
+def test_a_clean_run_is_silent() -> None:
+    finished, listener = run(messages(carried=False))
+    assert finished.summary["suspects"] == []
+    assert not listener.of(SuspectFound)
+
+
+def test_a_carried_robot_is_reported() -> None:
+    finished, listener = run(messages(carried=True))
+    rows: Any = finished.summary["suspects"]
+    events = listener.of(SuspectFound)
+    assert [row["sentence"] for row in rows] == [event.text for event in events]
+    assert any(abs(row["stamp"] - FIRST) < 3.0 for row in rows)
+    assert isinstance(listener.events[-1], Finished)
+    for event in events:
+        assert finished.keyframe_stamps[event.index] <= event.stamp
+        assert np.isfinite(event.position).all()
+
+
+def lines(tmp_path: Path, count: int) -> list[str]:
+    """Return the lines of the terminal that name suspects."""
+    suspects = [{"sentence": f"at {k}.0 s: the map"} for k in range(count)]
+    summary = {
+        "recording": "a.clf", "scans": 9, "duration": 9.0, "path_length": 9.0, "walls": 4, "corners": 4, "keyframes": 3,
+        "slam_seconds": 1.0, "wall_seconds": 1.0, "real_time_factor": 9.0, "peak_memory_mib": 9.0, "truth": None,
+        "skipped": {"messages": 0}, "warnings": [], "slam": {"suspects": suspects},
+    }  # fmt: skip
+    return [line for line in format_summary(RunResult(summary, False), tmp_path) if "suspect" in line.lower()]
+
+
+def test_the_terminal_shows_the_worst_suspects(tmp_path: Path) -> None:
+    assert lines(tmp_path, 0) == []
+    assert lines(tmp_path, 2) == ["  SUSPECT at 0.0 s: the map", "  SUSPECT at 1.0 s: the map"]
+    many = lines(tmp_path, SHOWN_SUSPECTS + 3)
+    assert len(many) == SHOWN_SUSPECTS + 1
+    assert many[-1] == "  and 3 more suspects in summary.json"
