@@ -23,8 +23,8 @@ from slam.events import (
     Notice,
     Relocalised,
     ScanTracked,
-    SuspectFound,
     StateChanged,
+    SuspectFound,
 )
 from slam.loop_closure.loop_status import LoopStatus
 from slam.mapping.map_features import MapCorners, MapWalls
