@@ -25,12 +25,14 @@ MAX_RANGE = 25.0
 # Metres within which a point supports another one: wider than the blur of a good map, narrower than a doorway.
 # Origin: chosen; not measured.
 REACH = 0.3
-RINGS = 3  # of equal width, up to REACH. Origin: numerical, as wide as a cell.
+# Rings of equal width up to REACH. Origin: geometry, each as wide as a cell.
+RINGS = 3
 # Metres, standard deviation of the distance between a point and the points of other scans of the same surface.
 # Origin: chosen, a cell and the noise of lidars; not measured.
 FIT_SIGMA = 0.13
-# Likelihood in the middle of each ring, relative to the innermost. Origin: definition, normal distribution.
+# Metres, middle of each ring. Origin: geometry.
 RING_DISTANCES = REACH * (np.arange(RINGS) + 0.5) / RINGS
+# Relative to the innermost ring. Origin: definition, normal distribution.
 RING_LIKELIHOODS = np.exp(-(RING_DISTANCES**2 - RING_DISTANCES[0] ** 2) / (2 * FIT_SIGMA**2))
 # Points of a scan that are compared, evenly subsampled. Origin: chosen, for speed; not measured.
 MAX_COMPARED_POINTS = 120

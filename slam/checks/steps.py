@@ -35,6 +35,7 @@ SEARCH_SIGMAS = 4.0
 # Least and greatest half width of the search: x, y (metres), heading (radians). Below the least, two poses hardly
 # differ in their fit; beyond the greatest, odometry has little to say. Origin: chosen; not measured.
 MIN_SEARCH = np.array([0.3, 0.3, math.radians(8.0)])
+# Likewise. Origin: chosen; not measured.
 MAX_SEARCH = np.array([0.8, 0.8, math.radians(25.0)])
 # Poses along each axis of the first search and of the finer ones, and the half widths of these relative to the one
 # before. Origin: numerical, steps of the first search stay within the reach of the local field.
