@@ -47,8 +47,9 @@ def drive_of(
 
 def _corrected_path(odometry: Floats, model: OdometryModel) -> Floats:
     """Return odometry poses (n, 3) along which each motion is without its systematic error."""
-    path = odometry.copy()
     motions = model.correct(se2.between(odometry[:-1], odometry[1:]))
-    for k, motion in enumerate(motions):
-        path[k + 1] = se2.compose(path[k], motion)
+    path = odometry.copy()
+    path[1:, 2] = odometry[:1, 2] + np.cumsum(motions[:, 2])
+    turned = se2.transform(np.column_stack([np.zeros((len(motions), 2)), path[:-1, 2]]), motions[:, :2])
+    path[1:, :2] = odometry[:1, :2] + np.cumsum(turned, axis=0)
     return path

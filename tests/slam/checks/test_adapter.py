@@ -1,0 +1,47 @@
+"""The results of a run as arrays for the checks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers import se2
+from slam.checks.adapter import drive_of
+from slam.config import Config
+from slam.odometry.error_model import OdometryModel
+from slam.preprocessing.preprocessor import NO_FEATURES, ProcessedScan
+
+
+def scans(count: int) -> list[ProcessedScan]:
+    return [ProcessedScan(0.5 * k, np.array([0.3 * k, 0.1 * k, 0.2 * k]), NO_FEATURES) for k in range(count)]
+
+
+def learned_model() -> OdometryModel:
+    """Return a model of wheels that measure 10 % too much."""
+    model = OdometryModel(Config().odometry)
+    for _ in range(200):
+        model.add_motion(np.array([0.44, 0.0, 0.0]), np.array([0.4, 0.0, 0.0]), 1e8 * np.eye(3))
+    return model
+
+
+def test_scans_without_a_pose_are_left_out_and_segments_are_kept_apart() -> None:
+    poses = np.array([[1.0, 0.0, 0.0], [2.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
+    drive = drive_of(scans(5), [0, 3], (np.array([0.5, 1.0, 2.0]), poses), OdometryModel(Config().odometry), Config())
+    assert drive.stamps.tolist() == [0.5, 1.0, 2.0]
+    assert drive.poses.tolist() == poses.tolist()
+    assert drive.segment.tolist() == [1, 1, 2]
+
+
+def test_each_motion_of_odometry_is_corrected() -> None:
+    given, model = scans(6), learned_model()
+    stamps = np.array([scan.stamp for scan in given])
+    drive = drive_of(given, [0], (stamps, np.zeros((6, 3))), model, Config())
+    odometry = np.array([scan.odometry for scan in given])
+    expected = model.correct(se2.between(odometry[:-1], odometry[1:]))
+    assert se2.between(drive.odometry[:-1], drive.odometry[1:]) == pytest.approx(expected, abs=1e-12)
+    assert np.hypot(*expected[0, :2]) < 0.95 * np.hypot(0.3, 0.1)
+
+
+def test_a_run_without_any_placed_scan_is_an_empty_drive() -> None:
+    nothing = (np.zeros(0), np.zeros((0, 3)))
+    assert len(drive_of(scans(3), [0], nothing, OdometryModel(Config().odometry), Config())) == 0
