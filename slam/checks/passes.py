@@ -40,11 +40,12 @@ MIN_CROSSING, MAX_CROSSING = BLUR + 1, math.ceil((2 * BLUR + 1) * math.sqrt(2.0)
 MIN_COMMON = 0.3
 # Share of these points that contradict earlier passes in both ways. Where people stood, points lie in space seen
 # through, but no wall is crossed; where a door was opened, a wall is crossed, but no such point is there.
-# Origin: measured: in right maps (GMapping and LaMa on fhw, with a crowd, and edmonton; Intel, CSAIL) single scans
-# reach 0.11, and never MIN_SCANS in a row; in the bent ones of the same drives it is 0.2 to 0.3.
+# Origin: tuned on fhw, edmonton, CSAIL, Intel and fr079. In right maps (also GMapping and LaMa) single scans reach 0.22;
+# in the wrong maps of fhw and edmonton 0.24 and 0.35. So the next two conditions are needed as well.
 MAX_CONTRADICTION = 0.1
-# Scans in a row that make a suspect, if more of their points contradict earlier passes than agree with them. A single
-# scan may be blurred. Origin: chosen, about a metre of driving.
+# Scans in a row that make a suspect, if more of their points contradict earlier passes than agree with them.
+# Origin: tuned on the same recordings. In right maps there are up to 5 scans in a row (fr079), with 0.7 contradicting
+# points per agreeing one, and 2 in a row with 1.01 (Intel); in the wrong maps of fhw and edmonton 1.03 and 1.8.
 MIN_SCANS = 3
 # Scans without contradiction that may lie between two of one interval. Origin: chosen, about a metre.
 MAX_GAP = 3
