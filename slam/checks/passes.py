@@ -40,7 +40,7 @@ MIN_CROSSING, MAX_CROSSING = BLUR + 1, math.ceil((2 * BLUR + 1) * math.sqrt(2.0)
 MIN_COMMON = 0.3
 # Share of these points that contradict earlier passes in both ways. Where people stood, points lie in space seen
 # through, but no wall is crossed; where a door was opened, a wall is crossed, but no such point is there.
-# Origin: tuned on fhw, edmonton, CSAIL, Intel and fr079. In right maps (also GMapping and LaMa) single scans reach 0.22;
+# Origin: tuned on fhw, edmonton, CSAIL, Intel and fr079. In right maps (also by GMapping, LaMa) scans reach 0.22;
 # in the wrong maps of fhw and edmonton 0.24 and 0.35. So the next two conditions are needed as well.
 MAX_CONTRADICTION = 0.1
 # Scans in a row that make a suspect, if more of their points contradict earlier passes than agree with them.

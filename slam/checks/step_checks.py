@@ -21,7 +21,7 @@ MAX_GAP = 3
 # Metres (RMS) by which the points of a scan differ between two poses that are not the same. Origin: tuned on the full
 # Intel log, where 0.3 hid visible breaks of the walls; two cells of the local field.
 MIN_DISPLACEMENT = 0.2
-# Metres (RMS) by which odometry must misplace the points of a scan in the end. Origin: tuned on CSAIL and fr079, so that
+# Metres (RMS) by which odometry must misplace the points of a scan in the end. Origin: tuned on CSAIL and fr079: so
 # late readings and slips of half a metre, of which they have many, are not reported.
 MIN_SLIP = 1.0
 
