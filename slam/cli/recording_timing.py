@@ -60,37 +60,34 @@ class RecordingTiming:
         }
 
     def findings(self) -> list[str]:
-        """Return what was found, as lines of text."""
+        """Return what was measured and needs no correction, as lines of text."""
         lines = []
-        if self.order_test is not None:
-            lines.append(_order_text(self.order_test))
-        if self.delay is not None:
-            objection = self.delay.objection
-            verdict = "compensated by `wclm run`" if objection is None else f"not compensated: {objection}"
-            value = f"{self.delay.seconds:+.3f} ± {self.delay.sigma:.3f} s"
-            lines.append(f"lidar {value} late against odometry, {verdict}")
+        if self.order_test is not None and not self.beams_reversed:
+            lines.append(f"beams in the stated order{_evidence(self.order_test)}")
+        if self.delay is not None and self.delay.objection is not None:
+            lines.append(f"{_late(self.delay.seconds, self.delay)}; not compensated: {self.delay.objection}")
+        return lines
+
+    def corrections(self) -> list[str]:
+        """Return what `wclm run` corrects, as lines of text."""
+        lines = []
+        if self.beams_reversed:
+            lines.append(f"beams in the opposite of the stated order{_evidence(self.order_test)}")
+        if self.used_delay:
+            lines.append(f"{_late(self.used_delay, self.delay)}; compensated")
         return lines
 
 
-def _order_text(test: BeamOrderTest) -> str:
-    """Return the result of the comparison of the beams' orders as text."""
+def _evidence(test: BeamOrderTest | None) -> str:
+    """Return how the order of the beams is known, as the end of a line of text; empty if it is set."""
+    if test is None:
+        return ""
     if test.order is None:
-        return "beams in the stated order; the scans do not show whether that is right"
-    evidence = f"by {abs(test.statistic):.1f} standard errors over {test.pairs} pairs of scans"
-    if test.order == "forward":
-        return f"beams in the stated order, {evidence}"
-    return f"beams measured in the opposite of the stated order, {evidence}; corrected"
+        return "; the scans do not show whether that is right"
+    return f", by {abs(test.statistic):.1f} standard errors over {test.pairs} pairs of scans"
 
 
-def format_corrections(figures: dict[str, Any] | None) -> list[str]:
-    """Return a line of text for each correction, from the timing in summary.json if there is any."""
-    lines: list[str] = []
-    if figures is None:
-        return lines
-    if figures["beams_reversed"]:
-        lines.append("beams taken in the opposite of the stated order (lidar.beam_order)")
-    if used := figures["compensated_delay"]:
-        sigma = figures["delay_sigma"]
-        value = f"{used:+.3f} s" if sigma is None else f"{used:+.3f} ± {sigma:.3f} s"
-        lines.append(f"lidar {value} late against odometry, compensated (lidar.delay)")
-    return lines
+def _late(seconds: float, found: Delay | None) -> str:
+    """Return a delay as text, with the standard deviation if it was found in the recording."""
+    value = f"{seconds:+.3f} s" if found is None else f"{seconds:+.3f} ± {found.sigma:.3f} s"
+    return f"lidar {value} late against odometry"

@@ -83,8 +83,11 @@ class RecordingInput:
         return self._timing.compensated(config)
 
     def facts(self) -> dict[str, Any]:
-        """Return the timing of the lidar, as far as it is known."""
-        return {} if self._timing is None else {"timing": self._timing.figures()}
+        """Return the timing of the lidar, and how the recording was read, as far as it is known."""
+        if self._timing is None:
+            return {}
+        read_as = [*self.report.interpretations, *self._timing.corrections()]
+        return {"timing": self._timing.figures(), "interpretations": read_as}
 
 
 @dataclass(slots=True)

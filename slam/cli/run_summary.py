@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..io.host import peak_memory, versions
-from .recording_timing import format_corrections
 
 if TYPE_CHECKING:
     from ..evaluation.metrics import ReferenceScore
@@ -84,13 +83,12 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
         )
     if skipped := summary["skipped"]["messages"]:
         rows.append(("skipped", f"{skipped} messages; first: {summary['skipped']['first']}"))
-    rows += [("read as", text) for text in summary["interpretations"]]
-    rows += [("doubtful", text) for text in summary["doubts"]]
-    rows += [("timing", text) for text in format_corrections(summary.get("timing"))]
+    rows += [("read as", text) for text in summary.get("interpretations") or ()]
     rows += [("device", _device(device)) for device in summary.get("devices", ())]
     left_out = summary.get("review") or {}
     if any(left_out.values()):
         rows.append(("log", "omitted: " + ", ".join(f"{count} {name}" for name, count in left_out.items())))
+    rows += [("warning", text) for text in summary.get("doubts") or ()]
     rows += [("warning", text) for text in summary["warnings"][:SHOWN_WARNINGS]]
     if (more := len(summary["warnings"]) - SHOWN_WARNINGS) > 0:
         rows.append(("", f"and {more} more warnings in summary.json"))

@@ -58,7 +58,7 @@ def describe(found: RecordingInfo, timing: RecordingTiming) -> list[str]:
     rows += [("timing", text) for text in timing.findings()]
     if found.ground_truth:
         rows.append(("true poses", str(found.ground_truth)))
-    rows += [("read as", text) for text in found.report.interpretations]
+    rows += [("read as", text) for text in [*found.report.interpretations, *timing.corrections()]]
     rows += [("warning", text) for text in found.warnings]
     return [found.name] + [f"  {name:<12}{text}" for name, text in rows]
 

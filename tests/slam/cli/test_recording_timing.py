@@ -37,9 +37,12 @@ def test_both_errors_are_found_and_corrected(wrong_recording: Path) -> None:
     timing = run_input.facts()["timing"]
     assert timing["beams_reversed"]
     assert timing["compensated_delay"] == config.lidar.delay
-    order, delay = RecordingTiming.of(drivers.open(wrong_recording), Config().lidar).findings()
-    assert "opposite" in order
-    assert "compensated by" in delay
+    found = RecordingTiming.of(drivers.open(wrong_recording), Config().lidar)
+    order, delay = found.corrections()
+    assert order.startswith("beams in the opposite of the stated order, by ")
+    assert delay.endswith("late against odometry; compensated")
+    assert found.findings() == []
+    assert run_input.facts()["interpretations"] == [order, delay]
 
 
 def test_settings_take_precedence(wrong_recording: Path) -> None:
