@@ -92,7 +92,7 @@ class SourceReport:
     first            first problem, as `file:line: reason`
     interpretations  how the content was read where that had to be found out: a topic, a unit, etc.; one line each
     doubts           what is probably wrong with the content, which was read as it is; one line each
-    restored_stamps  stamp as written -> stamp as read, seconds, for stamps that were written wrongly
+    recorded_stamps  stamp as read -> stamp as recorded, seconds, for stamps that were recorded wrongly and restored
     """
 
     messages: int = 0
@@ -101,7 +101,7 @@ class SourceReport:
     first: str | None = None
     interpretations: list[str] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
-    restored_stamps: dict[float, float] = field(default_factory=dict)
+    recorded_stamps: dict[float, float] = field(default_factory=dict)
 
 
 @runtime_checkable

@@ -133,9 +133,14 @@ class CarmenReader(RecordingReader):
         if restored is None:
             return {}
         changed: dict[int, float] = {}
+        recorded: dict[float, float] = {}
+        right: set[float] = set()
         for (number, text), stamp in zip(written_stamps(lines), restored, strict=True):
-            if stamp != (written := float(text)):
-                changed[number] = self.report.restored_stamps[written] = stamp
+            if stamp == (written := float(text)):
+                right.add(stamp)
+            else:
+                changed[number], recorded[stamp] = stamp, written
+        self.report.recorded_stamps = {stamp: written for stamp, written in recorded.items() if written not in right}
         self.interpret(
             f"microseconds are written without leading zeros; {len(changed)} stamps are restored by the order of lines"
         )

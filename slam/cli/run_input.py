@@ -122,7 +122,14 @@ class InputStatistics:
         from ..io.sessions import Recording
 
         first, last = (self.first, self.last) if np.isfinite(self.first) else (0.0, 0.0)
-        return Recording(name=run_input.name, path=run_input.reopen, shift=self.shift, first=first, last=last)
+        return Recording(
+            name=run_input.name,
+            path=run_input.reopen,
+            shift=self.shift,
+            first=first,
+            last=last,
+            recorded_stamps=run_input.report.recorded_stamps,
+        )
 
     @property
     def duration(self) -> float:

@@ -6,7 +6,6 @@ All functions take and return plain numbers; plots are in `slam.visualisation.pl
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -54,11 +53,6 @@ class Relations:
 
     def __len__(self) -> int:
         return len(self.first)
-
-    def with_stamps(self, restored: Mapping[float, float]) -> Relations:
-        """Return the same motions; times that are keys of `restored` are replaced by its values, seconds."""
-        first, second = (np.array([restored.get(t, t) for t in times.tolist()]) for times in (self.first, self.second))
-        return Relations(first, second, self.motion)
 
 
 def read_relations(path: Path) -> Relations:

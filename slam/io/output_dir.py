@@ -22,6 +22,7 @@ from ..events import Finished
 from .atomic_swap import swap_directories
 from .keyframes_csv import Keyframes, write_keyframes
 from .map_json import write_map
+from .recorded_stamps import as_recorded
 from .tum import Trajectory, write_tum
 
 TRAJECTORY = "trajectory.tum"
@@ -154,7 +155,8 @@ def write_results(directory: Path, finished: Finished, config: Config, summary: 
 
     Raises MapError if the estimate has no pose or is not finite.
     """
-    write_tum(directory / TRAJECTORY, Trajectory(finished.stamps, finished.poses))
+    stamps = as_recorded(finished.stamps, summary)
+    write_tum(directory / TRAJECTORY, Trajectory(finished.stamps, finished.poses), stamps)
     covariance = finished.keyframe_covariance
     if covariance is None:
         covariance = np.full((len(finished.keyframes), 3, 3), np.nan)

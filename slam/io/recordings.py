@@ -74,6 +74,5 @@ class ConcatenatedSource:
         report.first = report.first or part.first
         report.interpretations += part.interpretations
         report.doubts += part.doubts
-        report.restored_stamps |= part.restored_stamps
         for reason, count in part.reasons.items():
             report.reasons[reason] = report.reasons.get(reason, 0) + count

@@ -13,7 +13,8 @@ from ..mapping.map_features import MapCorners, MapWalls
 from .keyframes_csv import Keyframes, read_keyframes
 from .map_json import read_map
 from .output_dir import CONFIG, KEYFRAMES, MAP, SUMMARY, TRAJECTORY
-from .tum import Trajectory, read_tum
+from .recorded_stamps import as_read
+from .tum import Trajectory, read_tum_poses
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,12 +41,14 @@ def read_run_results(path: Path) -> RunResults:
         if not (path / name).is_file():
             raise MapError(f"{path}: has no {name}; expected the output directory of `wclm run`")
     map_file = read_map(path / MAP)
+    summary = _read_summary(path / SUMMARY)
+    stamps, poses = read_tum_poses(path / TRAJECTORY)
     return RunResults(
         path,
         map_file.walls,
         map_file.corners,
-        read_tum(path / TRAJECTORY),
-        _read_summary(path / SUMMARY),
+        Trajectory.sorted(as_read(stamps, summary), poses),
+        summary,
         read_keyframes(path / KEYFRAMES) if (path / KEYFRAMES).is_file() else None,
     )
 

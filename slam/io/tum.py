@@ -57,6 +57,12 @@ class Trajectory:
         if np.any(np.diff(self.stamps) < 0):
             raise MapError("the trajectory's stamps decrease")
 
+    @classmethod
+    def sorted(cls, stamps: Floats, poses: Floats) -> Trajectory:
+        """Return the trajectory of poses (n, 3) in any order of their stamps (n,)."""
+        order = np.argsort(stamps, kind="stable")
+        return cls(stamps[order], poses[order])
+
     def __len__(self) -> int:
         return len(self.stamps)
 
@@ -94,14 +100,18 @@ def distance_along(positions: Floats) -> Floats:
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(positions, axis=0).T))])
 
 
-def write_tum(path: Path, trajectory: Trajectory) -> None:
-    """Write a trajectory with microseconds, micrometres and nine decimals of the quaternion."""
+def write_tum(path: Path, trajectory: Trajectory, stamps: Floats | None = None) -> None:
+    """Write a trajectory with microseconds, micrometres and nine decimals of the quaternion.
+
+    stamps  (n,) seconds, written instead of the trajectory's own; they may go back
+    """
+    stamps = trajectory.stamps if stamps is None else stamps
     half = 0.5 * se2.wrap(trajectory.poses[:, 2])
     columns = np.column_stack([trajectory.poses[:, :2], np.sin(half), np.cos(half)])
     columns = np.round(columns, 9) + 0.0  # turns -0.0 into 0.0
     lines = [
         f"{stamp:.6f} {x:z.6f} {y:z.6f} 0.000000 0 0 {qz:z.9f} {qw:z.9f}\n"
-        for stamp, (x, y, qz, qw) in zip(trajectory.stamps.tolist(), columns.tolist(), strict=True)
+        for stamp, (x, y, qz, qw) in zip(stamps.tolist(), columns.tolist(), strict=True)
     ]
     path.write_text("".join(lines), encoding="ascii", newline="\n")
 
@@ -111,14 +121,22 @@ def read_tum(path: Path) -> Trajectory:
 
     Raises MapError naming the file and, if possible, the line.
     """
+    return Trajectory.sorted(*read_tum_poses(path))
+
+
+def read_tum_poses(path: Path) -> tuple[Floats, Floats]:
+    """Read the stamps (n,) and poses (n, 3) of a trajectory like `read_tum`, in the order of the lines.
+
+    Raises MapError naming the file and, if possible, the line.
+    """
     rows = read_table(path, COLUMNS, "t x y z qx qy qz qw")
     length = np.linalg.norm(rows.values[:, 4:], axis=1)
     if np.any(wrong := np.abs(length - 1) > QUATERNION_TOLERANCE):
         row = int(np.argmax(wrong))
         raise MapError(f"{path}:{rows.lines[row]}: the quaternion's length is {length[row]:.3g}, not 1")
-    values = rows.values[np.argsort(rows.values[:, 0], kind="stable")]
+    values = rows.values
     heading = 2 * np.arctan2(values[:, 6], values[:, 7])
-    return Trajectory(values[:, 0], np.column_stack([values[:, 1:3], se2.wrap(heading)]))
+    return values[:, 0], np.column_stack([values[:, 1:3], se2.wrap(heading)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

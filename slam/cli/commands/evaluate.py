@@ -22,10 +22,6 @@ def evaluate(
     reference: Annotated[
         Path | None, typer.Option("--reference", help="Reference trajectory in the same format.")
     ] = None,
-    recording: Annotated[
-        str | None,
-        typer.Option("--recording", help="Recording that the relations were made for, if its stamps are restored."),
-    ] = None,
     plot: Annotated[Path | None, typer.Option("--plot", metavar="FILE.png", help="Picture of the errors.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one line of JSON instead of text.")] = False,
 ) -> None:
@@ -37,24 +33,17 @@ def evaluate(
     """
     if (relations is None) == (reference is None):
         raise typer.BadParameter("exactly one of the two is required", param_hint="--relations / --reference")
-    if recording is not None and relations is None:
-        raise typer.BadParameter("only possible with --relations", param_hint="--recording")
     if relations is not None:
-        _against_relations(trajectory, relations, recording, plot, as_json)
+        _against_relations(trajectory, relations, plot, as_json)
     elif reference is not None:
         _against_reference(trajectory, reference, plot, as_json)
 
 
-def _against_relations(
-    trajectory: Path, relations: Path, recording: str | None, plot: Path | None, as_json: bool
-) -> None:
+def _against_relations(trajectory: Path, relations: Path, plot: Path | None, as_json: bool) -> None:
     from ...evaluation.metrics import read_relations, score_relations
     from ...io.tum import read_tum
 
-    motions = read_relations(relations)
-    if recording is not None:
-        motions = motions.with_stamps(_restored_stamps(recording))
-    score = score_relations(read_tum(trajectory), motions)
+    score = score_relations(read_tum(trajectory), read_relations(relations))
     figures = score.figures()
     if as_json:
         typer.echo(json.dumps(figures))
@@ -74,16 +63,6 @@ def _against_relations(
     if score.missing:
         print_message(f"{trajectory}: {score.missing} relations lie outside the trajectory's time and are not scored")
         raise typer.Exit(EXIT_INCOMPLETE)
-
-
-def _restored_stamps(recording: str) -> dict[float, float]:
-    """Return stamp as written -> stamp as read of a recording; raises RecordingError if it cannot be read."""
-    import drivers
-
-    source = drivers.open(recording)
-    for _ in source:
-        pass  # the report is complete at the end
-    return source.report.restored_stamps
 
 
 def _against_reference(trajectory: Path, reference: Path, plot: Path | None, as_json: bool) -> None:

@@ -4,10 +4,17 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+)
 
 from ...errors import MapError
 from ...estimation.slam_state import Anchor, TrackingCheckpoint
@@ -33,6 +40,7 @@ class Recording(_Record):
     path         argument of `drivers.open` that opens it again; None if it cannot be opened again
     shift        seconds added to its stamps so that they follow those of the recording before it
     first, last  first and last stamp after the shift, seconds
+    recorded_stamps  stamp as read -> stamp as recorded, without the shift, seconds, for those that were restored
     """
 
     name: str
@@ -40,6 +48,13 @@ class Recording(_Record):
     shift: Finite = 0.0
     first: Finite
     last: Finite
+    recorded_stamps: dict[Finite, Finite] = Field(default_factory=dict)
+
+    @model_serializer(mode="wrap")
+    def _without_empty(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Return the fields; `recorded_stamps`, which few recordings have, only if there are any."""
+        fields: dict[str, Any] = serialize(self)
+        return fields if self.recorded_stamps else {n: v for n, v in fields.items() if n != "recorded_stamps"}
 
 
 class _PoseFix(_Record):

@@ -25,7 +25,7 @@ def test_published_log_is_read_in_the_order_of_its_lines() -> None:
     info = drivers.inspect(source)
     assert info.path_length == pytest.approx(508, rel=0.01)
     assert sum(info.report.reasons.values()) <= 2
-    assert len(info.report.restored_stamps) == pytest.approx(0.1 * info.odometry, rel=0.1)
+    assert len(info.report.recorded_stamps) == pytest.approx(0.1 * info.odometry, rel=0.1)
 
 
 @pytest.mark.parametrize(
