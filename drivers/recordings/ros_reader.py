@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -127,8 +128,10 @@ class RosReader(RecordingReader):
         """Yield the messages of MESSAGE_TYPES in order. Damage is counted in the report on the `final` pass only."""
 
     def _read(self) -> Iterator[tuple[int, Message]]:
-        contents = self._survey()
-        scans = self._choose_scan_topic(contents)
+        contents = self._contents
+        scans, reason = self._chosen_scan_topic
+        if reason is not None:
+            self.interpret(reason)
         odometry = self._choose_topic(contents, ODOMETRY, self.odometry_topic)
         readings = [ranges_of(message) for message, _ in contents.sample(scans)]
         per_metre = find_range_unit(readings, self._drive(scans, odometry, contents), self)
@@ -185,8 +188,9 @@ class RosReader(RecordingReader):
                     pose = base if mount.pose is None else se2.compose(base, mount.pose)
                     yield ScanInUnits(scan.angles, scan.ranges, pose)
 
-    def _survey(self) -> _Contents:
-        """Find topics, transforms and the base's frame in a first pass."""
+    @cached_property
+    def _contents(self) -> _Contents:
+        """Topics, transforms and the base's frame, found in a first pass."""
         contents = _Contents()
         tf_messages = 0
         for stored in self._stored_messages(final=False):
@@ -209,19 +213,19 @@ class RosReader(RecordingReader):
                 continue  # counted on the final pass; a transform that cannot be decoded leaves the mount unknown
         return contents
 
-    def _choose_scan_topic(self, contents: _Contents) -> str | None:
-        topics = contents.counts.get(LASER_SCAN, Counter())
+    @cached_property
+    def _chosen_scan_topic(self) -> tuple[str | None, str | None]:
+        """Topic with scans, and the reason if there was a choice."""
+        topics = self._contents.counts.get(LASER_SCAN, Counter())
         if self.scan_topic is not None or len(topics) < 2:
-            return self._choose_topic(contents, LASER_SCAN, self.scan_topic)
+            return self._choose_topic(self._contents, LASER_SCAN, self.scan_topic), None
         candidates = {name: ScanTopic(name) for name in topics}
         for stored in self._stored_messages(final=False):
             if stored.msgtype == LASER_SCAN:
                 with suppress(ValueError):  # counted on the final pass
                     message = decode(stored.data, LASER_SCAN, stored.encoding)
                     candidates[stored.topic].add(scan_of(message, stored.received, LidarMount()))
-        chosen, reason = choose_scan_topic(list(candidates.values()))
-        self.interpret(reason)
-        return chosen
+        return choose_scan_topic(list(candidates.values()))
 
     def _choose_topic(self, contents: _Contents, msgtype: str, named: str | None) -> str | None:
         topics = contents.counts.get(msgtype, Counter())

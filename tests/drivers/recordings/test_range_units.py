@@ -97,7 +97,7 @@ def test_bag_in_millimetres_is_read_in_metres(tmp_path: Path, office: list[Messa
         for message in office
     ]
     write_bag1(tmp_path / "drive.bag", ros_entries(in_millimetres, RosEncoder()))
-    source = drivers.open(tmp_path / "drive.bag")
+    source = drivers.open(tmp_path / "drive.bag", "forward")
     read = [message for message in source if isinstance(message, Scan)]
     for scan, original in zip(read, (m for m in office if isinstance(m, Scan)), strict=True):
         assert scan.ranges == pytest.approx(original.ranges, abs=0.00051, nan_ok=True)
@@ -142,6 +142,6 @@ def test_own_recordings_are_in_metres(recordings: dict[str, str]) -> None:
     ],
 )
 def test_public_recordings_have_no_false_alarms(name: str) -> None:
-    source = drivers.open(dataset_file(name))
+    source = drivers.open(dataset_file(name), "forward")
     list(source)
     assert (source.report.interpretations, source.report.doubts) == ([], [])

@@ -53,7 +53,7 @@ def test_first_of_equal_topics_is_chosen() -> None:
 
 @pytest.mark.parametrize("name", ["left_side", "middle", "right_side"])
 def test_scans_stamped_with_their_measurement_are_preferred(name: str) -> None:
-    source = drivers.open(dataset_file(f"neato/{name}.bag"))
+    source = drivers.open(dataset_file(f"neato/{name}.bag"), "forward")
     assert sum(isinstance(message, Scan) for message in source) > 170
     (reason,) = source.report.interpretations
     assert reason.startswith("scans of /stable_scan: ")

@@ -13,7 +13,7 @@ from slam.io.tum import read_tum_poses
 
 COUNT = 250
 TIMES = 976052857_000000 + np.cumsum(np.random.default_rng(2).integers(30_000, 70_000, COUNT))
-"""Microseconds of the scans."""
+"""Microseconds of the odometry; each fifth is that of a scan."""
 WRITTEN = [f"{time // 1_000_000}.{time % 1_000_000}" for time in TIMES.tolist()]
 """Stamps in the log, without leading zeros of the microseconds."""
 
@@ -24,6 +24,9 @@ def write_log(path: Path) -> None:
     lines = []
     for k, stamp in enumerate(WRITTEN):
         x = -2.0 + 4.0 * k / COUNT
+        if k % 5:
+            lines.append(f"ODOM {x:.4f} 0 0 0 0 0 {stamp} host {stamp}\n")
+            continue
         ranges = np.minimum((4.0 - x) / np.cos(angles).clip(1e-9), 3.0 / np.abs(np.sin(angles)).clip(1e-9))
         values = " ".join(f"{value:.3f}" for value in ranges)
         lines.append(f"FLASER {len(angles)} {values} {x:.4f} 0 0 {x:.4f} 0 0 {stamp} host {stamp}\n")

@@ -31,13 +31,14 @@ def wrong_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_both_errors_are_found_and_corrected(wrong_recording: Path) -> None:
-    run_input = RecordingInput(drivers.open(wrong_recording), reopen=str(wrong_recording))
+    source = drivers.open(wrong_recording)
+    run_input = RecordingInput(source, reopen=str(wrong_recording))
     config = run_input.resolve(Config())
     assert config.lidar.delay == pytest.approx(DELAY, abs=0.03)
     timing = run_input.facts()["timing"]
     assert timing["beams_reversed"]
     assert timing["compensated_delay"] == config.lidar.delay
-    found = RecordingTiming.of(drivers.open(wrong_recording), Config().lidar)
+    found = RecordingTiming.of(source, Config().lidar)
     order, delay = found.corrections()
     assert order.startswith("beams in the opposite of the stated order, by ")
     assert delay.endswith("late against odometry; compensated")
