@@ -95,18 +95,23 @@ def quaternion_of(heading: float) -> tuple[float, float]:
     """Return z and w of a quaternion that `heading_of` decodes to exactly this heading in [-pi, pi).
 
     Sine and cosine of the half angle are rounded. If this changes the last bit of the heading, the smaller of the two,
-    whose resolution is finer, is moved in units in the last place until it does not. Only headings around 1e-308 may
-    differ by one bit.
+    whose resolution is finer, is moved in units in the last place until it does not, and if that does not help, the
+    larger one too. Only headings around 1e-308 may differ by one bit.
     """
     z, w = math.sin(heading / 2), math.cos(heading / 2)
+    before = 0.0
     for _ in range(MAX_ROUNDING_STEPS):
         error = heading - 2.0 * math.atan2(z, w)
         if error == 0.0:
             break
-        if abs(z) < abs(w):
+        small_sine = abs(z) < abs(w)
+        if error * before < 0.0:  # no value of the smaller one decodes exactly: move the larger one
+            small_sine = not small_sine
+        if small_sine:
             z = math.nextafter(z, math.copysign(math.inf, error * w))
         else:
             w = math.nextafter(w, math.copysign(math.inf, -error * z))
+        before = error
     return z, w
 
 
