@@ -64,8 +64,8 @@ class Publisher:
 
     def publish_tracking(self, scan: ProcessedScan, tracking: TrackingResult, mapper: Mapper) -> None:
         """Publish the pose of a scan, and a notice if it was not tracked normally."""
-        if tracking.status is TrackingStatus.TENTATIVE:
-            text = "odometry is far off: the pose was found in the map by a wide search"
+        if tracking.slipped:
+            text = "odometry is far off from the scan: it slipped or jumped"
             self.publish(Notice(scan.stamp, text))
         elif tracking.status is TrackingStatus.FAILED:
             self.publish(Notice(scan.stamp, "the scan fits nowhere near its predicted pose and is left out"))

@@ -21,7 +21,7 @@ from .preprocessing.preprocessor import Preprocessor
 class RunStatistics:
     """Counts and times of a run.
 
-    tentative_scans   found by the wide search
+    slipped_scans      at which odometry was far off
     failed_scans      fitted nowhere near
     featureless_scans  with too little wall and too few points
     lost_scans        taken while the robot was lost
@@ -32,7 +32,7 @@ class RunStatistics:
     stage_times       milliseconds of all keyframes, by stage
     """
 
-    tentative_scans: int = 0
+    slipped_scans: int = 0
     failed_scans: int = 0
     featureless_scans: int = 0
     lost_scans: int = 0
@@ -46,7 +46,7 @@ class RunStatistics:
     def add_tracking(self, tracking: TrackingResult) -> None:
         """Count a scan by its tracking status."""
         self.overlap_ratios.append(tracking.registration.overlap_ratio)
-        self.tentative_scans += tracking.status is TrackingStatus.TENTATIVE
+        self.slipped_scans += tracking.slipped
         self.failed_scans += tracking.status is TrackingStatus.FAILED
         self.featureless_scans += tracking.status is TrackingStatus.NO_FEATURES
 
@@ -95,7 +95,7 @@ class RunStatistics:
         return {
             "overlap_ratio_median": round(float(np.median(overlap_ratios)), 3),
             "overlap_ratio_p05": round(float(np.percentile(overlap_ratios, 5)), 3),
-            "tentative": self.tentative_scans,
+            "slipped": self.slipped_scans,
             "failed": self.failed_scans,
             "no_features": self.featureless_scans,
             "lost": self.lost_scans,

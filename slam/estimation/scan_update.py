@@ -14,18 +14,19 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.degeneracy import weakest_direction
+from ..geometry.segments import Floats
 from ..localisation.match_target import MatchTarget
 from ..localisation.tracker import TrackingResult, TrackingStatus
 from ..loop_closure import closing
 from ..loop_closure.decision import LoopDecision
 from ..loop_closure.loop_status import LoopStatus
 from ..mapping.data_association import associate
-from ..mapping.keyframes import KeyframeMotion, KeyframeObservations, WallMerge
+from ..mapping.keyframes import KeyframeMotion, KeyframeObservations, PointMotion, WallMerge
 from ..mapping.mapper import LOCAL_MAP_MARGIN, Mapper
+from ..matching.distance_field import MAX_DISTANCE
 from ..matching.line_matcher import Registration
-from ..odometry.error_model import fuse_motion
 from ..preprocessing.preprocessor import ProcessedScan
-from .slam_state import RELOCALISED_RADIUS, Anchor, SlamState, TrajectoryEntry, covariance_after
+from .slam_state import RELOCALISED_RADIUS, Anchor, SlamState, covariance_after
 from .stage_timer import StageTimer
 
 # A place is familiar after this many visits with keyframes near the robot (metres, radians) if the overlap ratio is at
@@ -38,6 +39,10 @@ FAMILIAR_OVERLAP = 0.8  # Origin: as FAMILIAR_VISITS.
 # are needed: later scans can only improve the position of keyframes. Origin: chosen; not measured.
 FAMILIAR_SIGMA = 0.05
 FAMILIAR_VISITS_IF_DEGENERATE = 6  # Origin: chosen; not measured.
+# Metres and radians: standard deviations of the pose of a new scan relative to an old one up to which it is matched to
+# both. Origin: definition, a third of what Gauss-Newton on the distance field corrects: MAX_DISTANCE, and that at 4 m.
+MAX_LINK_SIGMA = MAX_DISTANCE / 3.0
+MAX_LINK_TURN_SIGMA = MAX_LINK_SIGMA / 4.0  # Origin: as MAX_LINK_SIGMA.
 # Keyframes made elsewhere between two visits. Origin: chosen, about 7 m of driving; not measured.
 VISIT_GAP = 20
 # Metres, metres, radians: prior of a motion that odometry did not measure. Origin: chosen, weak in a building.
@@ -66,11 +71,11 @@ class KeyframeUpdate:
 def track(state: SlamState, scan: ProcessedScan, timer: StageTimer) -> TrackingResult:
     """Estimate the pose of a scan and store it in the state."""
     _follow_prediction(state, scan)
-    target = MatchTarget(state.local_map, state.likelihood_field, state.mapper.roughness.variance)
-    tracking = state.tracker.track(scan.odometry, scan.features, target)
+    target = MatchTarget(state.local_map, state.local_field.field, state.mapper.roughness.variance)
+    tracking = state.tracker.track(scan.stamp, scan.odometry, scan.features, target)
     timer.lap("registration")
     state.untracked_scans = [*state.untracked_scans, scan] if tracking.status is TrackingStatus.FAILED else []
-    if tracking.status in (TrackingStatus.TRACKED, TrackingStatus.TENTATIVE):
+    if tracking.status is TrackingStatus.TRACKED:
         state.pose = tracking.pose
     return tracking
 
@@ -98,9 +103,14 @@ def close_loop(state: SlamState, observations: KeyframeObservations, decision: L
 
     If that is a rejection, the map does not fit together and the state must be discarded: try it on a copy.
     """
-    decision = closing.close_loop(state.mapper, decision)
+    close = closing.close_agreeing_loop if decision.matches else closing.close_loop
+    decision = close(state.mapper, decision)
     if decision.status is LoopStatus.ACCEPTED:
         state.loops.clear_pending()
+        state.agreement.clear()
+        state.local_field.link(decision.old, decision.keyframe)
+        for match in decision.matches:
+            state.local_field.link(match.old, match.keyframe)
         state.mapper.free_space_evidence.clear()
         state.local_map = state.mapper.local_map(observations)
         _move_to_last_keyframe(state)
@@ -148,26 +158,17 @@ def _pass_familiar_place(state: SlamState, keyframe: int, scan: ProcessedScan, t
     if not state.frozen:
         state.mapper.remove_walls_seen_through(state.pose, scan.features.points.all)
     state.local_map = state.mapper.local_map_at(state.pose, LOCAL_MAP_MARGIN + scan.features.segments.reach())
-    state.recent_points.add(keyframe, scan.features.points.transformed(relative))
-    state.update_likelihood_field()
+    state.tracker.correct(state.pose)
+    state.update_local_field()
 
 
 def _extend_trajectory(state: SlamState, stamp: float, tracking: TrackingResult) -> None:
-    """Append the pose to the trajectory; a tentative pose once the next scan confirms it."""
-    if state.anchor is None:
+    """Append the pose of a tracked scan to the trajectory."""
+    if state.anchor is None or tracking.status is not TrackingStatus.TRACKED:
         return
     keyframe = state.anchor.keyframe
     relative = se2.between(state.mapper.keyframe_poses[keyframe], state.pose)
-    entry = TrajectoryEntry(stamp, keyframe, relative, tracking.registration.total_information)
-    if state.tentative is not None and tracking.confirms_search:
-        _append(state, state.tentative)
-    state.tentative = entry if tracking.status is TrackingStatus.TENTATIVE else None
-    if tracking.status is TrackingStatus.TRACKED:
-        _append(state, entry)
-
-
-def _append(state: SlamState, entry: TrajectoryEntry) -> None:
-    state.trajectory.add(entry.stamp, entry.keyframe, entry.relative, entry.information)
+    state.trajectory.add(stamp, keyframe, relative, tracking.registration.total_information)
 
 
 def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResult, timer: StageTimer) -> KeyframeUpdate:
@@ -183,8 +184,9 @@ def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
     )
     timer.lap("association")
     motion = None if state.anchor is None else _motion_since(state, state.anchor, scan.odometry, tracking.registration)
+    point_motion = _point_motion(state, tracking)
     observations = mapper.add_keyframe(
-        state.pose, motion, features.segments, features.corners, association, state.local_map
+        state.pose, motion, features.segments, features.corners, association, state.local_map, point_motion
     )
     state.keyframe_stamps.append(scan.stamp)
     timer.lap("graph")
@@ -192,21 +194,61 @@ def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
     if mapper.remove_walls_seen_through(mapper.pose, features.points.all):
         state.local_map = mapper.local_map(observations)
     state.anchor = Anchor(mapper.keyframe_count - 1, np.zeros(3), np.zeros((3, 3)), scan.odometry)
-    state.recent_points.add(mapper.keyframe_count - 1, features.points)
+    state.local_field.add(scan.features)
+    _link_revisited(state)
     _move_to_last_keyframe(state)
     timer.lap("local map")
     decision = state.loops.search(mapper) if state.config.loop_closure.enabled else None
     if decision is not None and decision.verdict.beats_null_hypothesis:
         mapper.free_space_evidence.suspend(mapper.travelled[-1])
+    if state.config.loop_closure.enabled and (decision is None or decision.status is not LoopStatus.CONFIRMED):
+        decision = _search_agreement(state) or decision
     timer.lap("loops")
     return KeyframeUpdate(observations, merge, decision)
 
 
+def _search_agreement(state: SlamState) -> LoopDecision | None:
+    """Return the decision to close a loop on which matches of submaps agree, if there is one."""
+    mapper = state.mapper
+    agreement = state.agreement.search(mapper, state.local_field)
+    if agreement is None or state.loops.is_excluded(agreement.motion, mapper.pose):
+        return None
+    return agreement.decision(state.loops.next_candidate(), mapper)
+
+
+def _link_revisited(state: SlamState) -> None:
+    """Link the last keyframe with the nearest one that the distance field lacks, if their relative pose is well known.
+
+    That is, if Gauss-Newton would find the pose of the new scan among the points of the old one.
+    """
+    mapper, last = state.mapper, state.mapper.keyframe_count - 1
+    old = state.local_field.nearest_missing(mapper.keyframe_poses, last)
+    if old is None:
+        return
+    covariance = mapper.relative_covariance(old, last)
+    position = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+    if position < MAX_LINK_SIGMA and np.sqrt(covariance[2, 2]) < MAX_LINK_TURN_SIGMA:
+        state.local_field.link(old, last)
+
+
 def _move_to_last_keyframe(state: SlamState) -> None:
-    """Set pose, likelihood field and tracker to the solved pose of the last keyframe."""
+    """Set pose, distance field and tracker to the solved pose of the last keyframe."""
     state.pose = state.mapper.pose
-    state.update_likelihood_field()
+    state.update_local_field()
     state.tracker.correct(state.pose)
+
+
+def _point_motion(state: SlamState, tracking: TrackingResult) -> PointMotion | None:
+    """Return the pose of a scan relative to an old keyframe nearby, by its points that are on no known wall."""
+    reference = state.local_field.reference(state.pose)
+    if reference is None:
+        return None
+    keyframe, pose = reference
+    information = tracking.registration.point_information
+    covariance: Floats = np.asarray(
+        np.linalg.inv(information + np.diag(UNMEASURED_MOTION_SIGMAS**-2.0)), dtype=np.float64
+    )
+    return PointMotion(keyframe, se2.between(pose, tracking.registration.point_pose), covariance)
 
 
 def _motion_since(state: SlamState, anchor: Anchor, odometry: se2.Pose, registration: Registration) -> KeyframeMotion:
@@ -225,7 +267,6 @@ def _motion_since(state: SlamState, anchor: Anchor, odometry: se2.Pose, registra
         motion = model.correct(measured)
         covariance = model.covariance(motion)
         correlated_drift = model.correlated_drift(motion, registration.total_information)
-        motion, covariance = fuse_motion(motion, covariance, registered, registration.point_information)
     state.kidnapped = False
     covariance = covariance + covariance_after(anchor.covariance, motion)
     return KeyframeMotion(anchor.keyframe, se2.compose(anchor.relative, motion), covariance, correlated_drift)

@@ -16,16 +16,17 @@ from drivers import se2
 
 from ..config import Config
 from ..geometry.segments import Floats
-from ..localisation.tracker import PoseFix, Tracker
+from ..localisation.local_field import LocalField, LocalFieldState
+from ..localisation.tracker import PoseFix, Tracker, TrackerState
+from ..loop_closure.agreement import LoopAgreement
 from ..loop_closure.loop_search import LoopSearch, LoopSearchState
 from ..mapping.local_map import empty_local_map
 from ..mapping.mapper import LOCAL_MAP_MARGIN, Mapper
 from ..mapping.trajectory_builder import TrajectoryBuilder
-from ..matching.likelihood_field import FIELD_KEYFRAMES, RecentPoints
 from ..odometry.error_model import OdometryModel
 from ..preprocessing.preprocessor import ProcessedScan
 
-# Metres of local map around a robot whose pose was set from outside. Origin: chosen, as far as the likelihood field
+# Metres of local map around a robot whose pose was set from outside. Origin: chosen, as far as the distance field
 # reaches; not measured.
 RELOCALISED_RADIUS = 12.0
 
@@ -49,30 +50,18 @@ class Anchor:
 class TrackingCheckpoint:
     """Tracking state that a session stores.
 
-    fix                  last pose fix; None before the first scan
-    step                 (3,) motion between the last two tracked scans
-    last_score           match score of the last tracked scan
+    tracker              state of the tracker; None before the first scan
+    field                state of the local field
     anchor               reference of the next motion; None before the first keyframe
     kidnapped            True if the robot was moved since the anchor without odometry noticing
     kidnapped_keyframes  keyframes reached in this way
     """
 
-    fix: PoseFix | None
-    step: se2.Pose
-    last_score: float
+    tracker: TrackerState | None
+    field: LocalFieldState
     anchor: Anchor | None
     kidnapped: bool
     kidnapped_keyframes: Sequence[int]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TrajectoryEntry:
-    """Pose of a scan relative to a keyframe, and the information (3, 3) of its registration in the scan's frame."""
-
-    stamp: float
-    keyframe: int
-    relative: se2.Pose
-    information: Floats
 
 
 class SlamState:
@@ -86,13 +75,12 @@ class SlamState:
     keyframe_stamps      seconds
     pose                 (3,) of the base in the map at the last tracked scan
     local_map            landmarks around the robot
-    recent_points        raw points of the last keyframes, and the `likelihood_field` made of them
+    local_field          distance field of the keyframes around the robot
     anchor               reference of the next motion; None before the first keyframe
     kidnapped            True if the robot was moved since the anchor without odometry noticing
     kidnapped_keyframes  keyframes reached in this way
     frozen               True if only the trajectory is estimated and the map stays as it is
     untracked_scans      the last scans in a row that fitted nowhere
-    tentative            trajectory entry that the next scan has to confirm
     """
 
     def __init__(self, config: Config, loops: LoopSearch | None = None) -> None:
@@ -102,17 +90,16 @@ class SlamState:
         self.trajectory = TrajectoryBuilder()
         self.tracker = Tracker(self.odometry_model)
         self.loops = loops or LoopSearch()
+        self.agreement = LoopAgreement()
         self.keyframe_stamps: list[float] = []
         self.pose = np.zeros(3)
         self.local_map = empty_local_map()
-        self.recent_points = RecentPoints()
-        self.likelihood_field = self.recent_points.build_field(np.zeros((0, 3)), self.pose)
+        self.local_field = LocalField()
         self.anchor: Anchor | None = None
         self.kidnapped = False
         self.kidnapped_keyframes: list[int] = []
         self.frozen = False
         self.untracked_scans: list[ProcessedScan] = []
-        self.tentative: TrajectoryEntry | None = None
 
     @classmethod
     def restored(
@@ -137,11 +124,12 @@ class SlamState:
         state.loops.restore(loop_search)
         state.anchor, state.kidnapped = checkpoint.anchor, checkpoint.kidnapped
         state.kidnapped_keyframes = list(checkpoint.kidnapped_keyframes)
-        if checkpoint.fix is not None:
-            state.tracker.restore(checkpoint.fix, checkpoint.step, checkpoint.last_score)
-            state.pose = checkpoint.fix.pose
+        if checkpoint.tracker is not None:
+            state.tracker.restore(checkpoint.tracker)
+            state.pose = checkpoint.tracker.fix.pose
         if mapper.keyframe_count:
             state._rebuild_surroundings(scans)
+            state.local_field.restore(checkpoint.field)
         return state
 
     def copy(self) -> SlamState:
@@ -151,8 +139,8 @@ class SlamState:
     @property
     def checkpoint(self) -> TrackingCheckpoint:
         """Tracking state to be stored in a session."""
-        tracker, kidnapped = self.tracker, tuple(self.kidnapped_keyframes)
-        return TrackingCheckpoint(tracker.fix, tracker.step, tracker.last_score, self.anchor, self.kidnapped, kidnapped)
+        kidnapped = tuple(self.kidnapped_keyframes)
+        return TrackingCheckpoint(self.tracker.state, self.local_field.state, self.anchor, self.kidnapped, kidnapped)
 
     @property
     def lost(self) -> bool:
@@ -224,23 +212,20 @@ class SlamState:
         """
         self.mapper, self.trajectory, self.pose = mapper, trajectory, fix.pose
         self.tracker.move_to(fix.pose, fix.odometry)
-        self.recent_points = RecentPoints()
         self._rebuild_surroundings(scans)
 
-    def update_likelihood_field(self) -> None:
-        """Rebuild the likelihood field from the recent points and the current poses of their keyframes."""
-        poses = self.mapper.poses_of(self.recent_points.keyframes)
-        self.likelihood_field = self.recent_points.build_field(poses, self.pose)
+    def update_local_field(self) -> None:
+        """Bring the distance field up to date with the keyframes and their current poses."""
+        keyframe = self.mapper.keyframe_count - 1 if self.anchor is None else self.anchor.keyframe
+        self.local_field.update(keyframe, self.mapper.keyframe_poses, self.mapper.travelled)
 
     def _rebuild_surroundings(self, scans: Mapping[int, ProcessedScan]) -> None:
-        """Rebuild local map and likelihood field from the last keyframes, in a familiar place from the nearest ones."""
+        """Rebuild local map and distance field from the keyframes."""
         count = self.mapper.keyframe_count
-        near = np.arange(count)
-        if self.in_familiar_place:
-            near = np.sort(self.mapper.keyframes_near(self.pose, np.inf, np.inf)[:FIELD_KEYFRAMES])
-        for keyframe in near[-FIELD_KEYFRAMES:].tolist():
-            self.recent_points.add(keyframe, scans[keyframe].features.points)
-        self.update_likelihood_field()
+        self.local_field = LocalField()
+        for keyframe in range(count):
+            self.local_field.add(scans[keyframe].features)
+        self.update_local_field()
         reach = scans[count - 1].features.segments.reach()
         self.local_map = self.mapper.local_map_at(self.pose, LOCAL_MAP_MARGIN + reach)
 

@@ -10,7 +10,7 @@ robot back. A corner is a Point2 observed by bearing and range with a full covar
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import gtsam
 import numpy as np
@@ -120,6 +120,14 @@ class FactorGraph(GraphEstimate):
         """Add a keyframe's pose relative to an old one (sigmas (3,) in metres and radians), without a robust kernel."""
         self._add(FactorKind.LOOP, old, keyframe, relative, np.diag(sigmas**2))
 
+    def add_loop_match(self, old: int, keyframe: int, relative: se2.Pose, covariance: Floats) -> None:
+        """Add a loop factor with a full covariance (3, 3), in the keyframe's frame, without a robust kernel."""
+        self._add(FactorKind.LOOP, old, keyframe, relative, covariance)
+
+    def add_scan_match(self, old: int, keyframe: int, relative: se2.Pose, covariance: Floats) -> None:
+        """Add a keyframe's pose relative to an old one, by matching points; covariance (3, 3) in its own frame."""
+        self._add(FactorKind.SCAN_MATCH, old, keyframe, relative, covariance)
+
     def _add(self, kind: FactorKind, first: int, second: int, measured: Floats, covariance: Floats) -> None:
         self._new.append(Factor(kind, int(first), int(second), measured, covariance))
 
@@ -180,17 +188,25 @@ class FactorGraph(GraphEstimate):
         """Remove factors by their numbers."""
         self._update(relinearize=True, remove=numbers)
 
-    def remove_wall_observations(self, walls: Container[int], since: int) -> None:
-        """Remove the observations of misassociated walls that were made by keyframes from `since` on."""
-        self.remove_factors(
-            [
-                number
-                for number, factor in self.solver.factors.items()
-                if factor.kind in (FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET)
-                and factor.first >= since
-                and factor.second in walls
-            ]
-        )
+    def wall_observations(self) -> list[tuple[int, int]]:
+        """Return the keyframe and the wall of each observation of a wall, in the order in which they were added."""
+        factors = self.solver.factors
+        return [
+            (factors[n].first, factors[n].second) for n in sorted(factors) if factors[n].kind is FactorKind.WALL_HEADING
+        ]
+
+    def remove_scan_matches(self, since: int, last: int) -> None:
+        """Remove the scan matches of keyframes from `since` on with keyframes up to `last`."""
+        self._remove_if(lambda f: f.kind is FactorKind.SCAN_MATCH and f.first <= last and f.second >= since)
+
+    def remove_wall_observations(self, since: Mapping[int, int]) -> None:
+        """Remove the observations of each of some misassociated walls by keyframes from `since[wall]` on."""
+        kinds = (FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET)
+        self._remove_if(lambda f: f.kind in kinds and f.second in since and f.first >= since[f.second])
+
+    def _remove_if(self, condition: Callable[[Factor], bool]) -> None:
+        """Remove the factors that satisfy a condition."""
+        self.remove_factors([number for number, factor in self.solver.factors.items() if condition(factor)])
 
     def solve_batch(self) -> None:
         """Optimise everything added to an empty graph with Levenberg-Marquardt, and continue from that estimate.

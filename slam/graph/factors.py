@@ -43,6 +43,7 @@ class FactorKind(StrEnum):
     CORNER         the corner's position in the frame of `first`; (2, 2). Robust
     WALL_EQUALITY  the frame of the wall `second` in that of the wall `first`: they are one; (2, 2), as for WALL
     LOOP           the keyframe `second` in the frame of `first`, from a loop closure; (3, 3)
+    SCAN_MATCH     the same, from matching all points of `second`; (3, 3). Robust
     """
 
     POSE_PRIOR = "pose_prior"
@@ -54,11 +55,13 @@ class FactorKind(StrEnum):
     CORNER = "corner"
     WALL_EQUALITY = "wall_equality"
     LOOP = "loop"
+    SCAN_MATCH = "scan_match"
 
 
 # Standard deviations at which a factor's weight is one half; the other kinds have no robust kernel.
 CAUCHY_SCALES = {
     FactorKind.ODOMETRY: ODOMETRY_CAUCHY_SCALE,
+    FactorKind.SCAN_MATCH: ODOMETRY_CAUCHY_SCALE,
     FactorKind.WALL_HEADING: WALL_CAUCHY_SCALE,
     FactorKind.WALL_OFFSET: WALL_CAUCHY_SCALE,
     FactorKind.CORNER: CAUCHY_SCALE,
@@ -128,7 +131,7 @@ def to_gtsam(factor: Factor) -> gtsam.NonlinearFactor:
             return gtsam.PriorFactorPose2(
                 X(first), to_pose2(measured), gtsam.noiseModel.Gaussian.Covariance(covariance)
             )
-        case FactorKind.ODOMETRY:
+        case FactorKind.ODOMETRY | FactorKind.SCAN_MATCH:
             gaussian = gtsam.noiseModel.Gaussian.Covariance(covariance)
             robust = gtsam.noiseModel.Robust.Create(ODOMETRY_KERNEL, gaussian)
             return gtsam.BetweenFactorPose2(X(first), X(second), to_pose2(measured), robust)

@@ -2,42 +2,57 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
-from drivers import se2
-
-from ..geometry.segments import Floats
 from ..mapping.local_map import LocalMap
-from ..matching.likelihood_field import LikelihoodField, likelihood_score
-from ..matching.line_matcher import NEAR_STARTS, Registration, ScanFeatures, register
-
-# Overlap ratio that alone makes a pose plausible. Origin: chosen; no measurement recorded.
-MIN_OVERLAP_RATIO = 0.5
-# Sum of overlap ratio and likelihood score that makes a pose plausible.
-# Origin: chosen; no measurement recorded.
-MIN_TOTAL_SCORE = 0.6
-# Metres around a known wall that count as mapped area. Origin: chosen, about the width of a door; not measured.
-MAPPED_DISTANCE = 1.0
+from ..matching.distance_field import DistanceField
+from ..matching.line_matcher import Registration, ScanFeatures, register
+from ..matching.point_matcher import (
+    MIN_FIT,
+    MIN_KNOWN_POINTS,
+    POINT_SPACING,
+    SEARCH_FIT,
+    PointMatch,
+    Prediction,
+    judge_pose,
+    match_points,
+)
+from ..matching.scan_points import surface_points
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanMatch:
-    """Registration of a scan, and the likelihood score (0 to 1) of its points at the registered pose."""
+    """Registration of a scan, and how well all its points fit the distance field at the registered pose.
+
+    prediction  near which the scan was matched
+    others      matches near the other predictions, those with the lowest cost first
+    cost        see `point_matcher`
+    fit         0 to 1
+    known       number of points in space that was seen before
+    """
 
     registration: Registration
-    likelihood: float
+    prediction: Prediction
+    others: Sequence[PointMatch]
+    cost: float
+    fit: float
+    known: int
 
     @property
     def score(self) -> float:
-        """Overlap ratio plus likelihood score, 0 to 2."""
-        return self.registration.overlap_ratio + self.likelihood
+        """Overlap ratio plus fit, 0 to 2."""
+        return self.registration.overlap_ratio + self.fit
+
+    @property
+    def poor(self) -> bool:
+        """True if a considerable part of what the scan shows of known space does not fit."""
+        return self.known >= MIN_KNOWN_POINTS and self.fit < SEARCH_FIT
 
     @property
     def plausible(self) -> bool:
-        """True if the scan fits the map well enough for its pose to be accepted."""
-        return self.registration.overlap_ratio >= MIN_OVERLAP_RATIO or self.score >= MIN_TOTAL_SCORE
+        """True unless the scan shows space that was seen before, and does not fit it."""
+        return self.known < MIN_KNOWN_POINTS or self.fit >= MIN_FIT
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,25 +60,22 @@ class MatchTarget:
     """Map around the robot that a scan is matched to.
 
     landmarks  walls and corners, with covariances relative to the robot
-    field      likelihood field of the last keyframes' points
+    field      distance field of the keyframes around the robot
     roughness  variance of the wall roughness (metres squared)
     """
 
     landmarks: LocalMap
-    field: LikelihoodField
+    field: DistanceField
     roughness: float
 
-    def match(self, scan: ScanFeatures, prediction: se2.Pose, prior: Floats, starts: Floats = NEAR_STARTS) -> ScanMatch:
-        """Register a scan near a predicted pose; see `register` for the arguments."""
-        registration = register(prediction, prior, starts, scan, self.landmarks, self.field, self.roughness)
-        return ScanMatch(registration, likelihood_score(self.field, scan.points.all, registration.pose))
-
-    def mapped_ratio(self, scan: ScanFeatures, pose: se2.Pose) -> float:
-        """Return the share of a scan's wall length, seen from `pose`, that lies in the mapped area (0 to 1)."""
-        walls, segments = self.landmarks, scan.segments
-        centres = se2.transform(pose, segments.frame[:, :2])
-        local = se2.transform(se2.inverse(walls.frame)[:, None], centres[None])  # (walls, segments, 2)
-        beyond = np.maximum(0.0, np.maximum(walls.low[:, None] - local[..., 0], local[..., 0] - walls.high[:, None]))
-        mapped = np.hypot(beyond, local[..., 1]).min(axis=0, initial=np.inf) < MAPPED_DISTANCE
-        total = float(segments.half_length.sum())
-        return float(segments.half_length[mapped].sum()) / total if total else 0.0
+    def match(self, scan: ScanFeatures, predictions: Sequence[Prediction]) -> ScanMatch:
+        """Match a scan near one of several predicted poses: all its points first, then walls and clutter."""
+        points = surface_points(scan.points.all, scan.segments, POINT_SPACING)
+        match, *others = match_points(self.field, points, predictions)
+        prediction = match.prediction
+        registration = register(
+            match.pose, prediction.pose, prediction.information,
+            scan, points, self.landmarks, self.field, self.roughness,
+        )  # fmt: skip
+        cost, fit, known = judge_pose(self.field, points, registration.pose, prediction)
+        return ScanMatch(registration, prediction, others, cost, fit, known)

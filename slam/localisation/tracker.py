@@ -1,9 +1,8 @@
 """Track the pose from scan to scan, including while odometry fails.
 
-Odometry may slip, stand still for a second and then catch up, or jump. If a scan fits neither the walls nor the points
-of the last keyframes at the pose that odometry predicts, its pose is searched for with the raw points. Scans that fit
-nowhere are left out. After several of them in a row the place counts as new if the map does not extend there, and the
-robot as lost if it does.
+Each scan is matched near the pose that odometry predicts from a reference, the last keyframe. Odometry may slip, stand
+still for a second and then catch up, or jump: a scan that does not fit there is searched for around it. If it fits
+nowhere, the pose follows odometry. After several such scans in a row the robot counts as lost.
 """
 
 from __future__ import annotations
@@ -16,36 +15,25 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.segments import Floats
-from ..matching.likelihood_field import search_pose
-from ..matching.line_matcher import NEAR_STARTS, Registration, ScanFeatures
+from ..matching.line_matcher import Registration, ScanFeatures
+from ..matching.point_matcher import KERNEL, Prediction
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
 from .match_target import MatchTarget, ScanMatch
 from .view_change import View
 
-# Metres, metres, radians: added to the odometry model's own uncertainty in the prediction of a scan's pose, for wheel
-# slip and clock differences. Origin: chosen; no measurement recorded.
-PREDICTION_SIGMAS = np.array([0.05, 0.05, np.radians(4.0)])
-# By which the likelihood score at a searched pose must exceed that at the predicted pose.
-# Origin: chosen; no measurement recorded.
-MIN_SEARCH_GAIN = 0.1
-# Likelihood score that a searched pose must reach. Origin: chosen; no measurement recorded.
-MIN_SEARCH_SCORE = 0.5
-# Points that a scan needs for a search; few points fit nearly everywhere. Origin: chosen; not measured.
-MIN_SEARCH_POINTS = 30
-# Metres of wheel travel between two scans above which odometry may be catching up after standing still.
-# Origin: chosen; no measurement recorded.
-LARGE_STEP = 0.8
-# Score by which a scan must fit better at the previous pose than at the predicted one in that case.
-# Origin: chosen; no measurement recorded.
-STOPPED_MARGIN = 0.3
-# Metres and radians by which odometry's step may differ from the previous step without an even motion being tried as
-# well. Origin: chosen; no measurement recorded.
-UNEVEN_STEP = 0.1
-UNEVEN_TURN = np.radians(5.0)  # Origin: as UNEVEN_STEP.
-# Score by which a scan must fit better after an even motion than after odometry's motion.
-# Origin: chosen; no measurement recorded.
-EVEN_MOTION_MARGIN = 0.15
+# Metres, metres, radians: standard deviations of a prediction beside odometry's own, from the error of the reference
+# and from clock differences. Origin: chosen; no measurement recorded.
+PREDICTION_SIGMAS = np.array([0.02, 0.02, np.radians(1.0)])
+# Cost, minus the logarithm of the probability, of odometry failing from one scan to the next.
+# Origin: chosen, once in twenty scans that fit badly; not measured.
+SLIP_COST = 3.0
+# Scale of the kernel of a slip's prediction, whose bound is physical. Origin: numerical, practically none.
+NO_KERNEL = 1e3
+# Metres and radians per second that every robot reaches. Origin: chosen, slow robots; not measured.
+MIN_SPEEDS = np.array([0.2, 0.3])
+# Points that a scan without walls needs; few points fit nearly everywhere. Origin: chosen; not measured.
+MIN_POINTS = 30
 # Drop in score from one scan to the next that, together with a changed view, suggests that the robot was kidnapped.
 # Origin: chosen; no measurement recorded.
 ABRUPT_DROP = 1.0
@@ -56,9 +44,6 @@ SUSPICIOUS_DROP = 0.5
 VIEW_CHANGE_MEMORY = 10.0
 # Scans in a row that may fit nowhere before tracking is lost. Origin: chosen, less than a second; not measured.
 MAX_FAILED_SCANS = 4
-# Mapped ratio below which the place counts as new instead of the robot as lost.
-# Origin: chosen; no measurement recorded.
-MAX_MAPPED_RATIO_OF_NEW_PLACE = 0.3
 # Metres of wall below which a scan with few points cannot be registered. Origin: chosen; not measured.
 MIN_WALL_LENGTH = 0.5
 
@@ -66,8 +51,8 @@ MIN_WALL_LENGTH = 0.5
 class TrackingStatus(Enum):
     """Outcome of tracking one scan."""
 
-    TRACKED = "tracked"  # registered near the predicted pose
-    TENTATIVE = "tentative"  # found by the wide search; enters the trajectory once the next scan confirms it
+    TRACKED = "tracked"  # matched
+    TENTATIVE = "tentative"  # matched far from odometry: the next scan that fits well decides
     FAILED = "failed"  # fits nowhere near
     NO_FEATURES = "no features"  # too little wall and too few points
 
@@ -76,16 +61,16 @@ class TrackingStatus(Enum):
 class TrackingResult:
     """Pose of a scan.
 
-    covariance        (3, 3) of the pose in the map as it stands, in the base's frame
-    confirms_search   True if this scan confirms the tentative pose of the scan before
-    abrupt            True if the scan fits far worse than the one before and the view changed recently: the robot may
-                      have been kidnapped
+    covariance  (3, 3) of the pose in the map as it stands, in the base's frame
+    slipped     True if odometry's motion since the reference contradicts the pose
+    abrupt      True if the scan fits far worse than the one before and the view changed recently: the robot may have
+                been kidnapped
     """
 
     registration: Registration
     status: TrackingStatus
     covariance: Floats
-    confirms_search: bool
+    slipped: bool
     abrupt: bool
 
     @property
@@ -106,24 +91,46 @@ class PoseFix:
         return se2.between(self.odometry, odometry)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackerState:
+    """State of tracking that a session stores.
+
+    fix         last pose fix
+    reference   from which odometry predicts
+    fix_stamp   seconds, of the last fix; None if no slip is possible before the next one
+    speeds      (2,) metres and radians per second that the robot has reached
+    last_score  match score of the last tracked scan
+    """
+
+    fix: PoseFix
+    reference: PoseFix
+    fix_stamp: float | None
+    speeds: Floats
+    last_score: float
+
+
 class Tracker:
     """Pose tracking from the last fix on."""
 
     def __init__(self, model: OdometryModel) -> None:
         self._model = model
         self._fix: PoseFix | None = None
-        self._step = np.zeros(3)  # motion between the last two tracked scans
+        self._reference: PoseFix | None = None  # from which odometry predicts
+        self._tentative: PoseFix | None = None  # of the last scan, if it was TENTATIVE
+        self._usual_cost = 0.0  # by which the usual prediction was worse than the tentative one
+        self._fix_stamp = np.inf  # seconds, of the last fix
+        self._speeds = MIN_SPEEDS  # metres and radians per second that the robot has reached
         self._failed_in_a_row = 0
         self._last_score = 0.0  # of the last tracked scan
-        # The fix before a wide search. Odometry may catch up in one step after standing still, or the search was wrong.
-        self._fix_before_search: PoseFix | None = None
         self._view: View | None = None  # last view with enough points for a comparison
         self._odometry: se2.Pose | None = None  # at the last scan
         self._travel_since_view_change = np.inf  # metres
 
     def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
         """Set the fix: the base is at `pose` in the map when odometry is at `odometry`."""
-        self._fix, self._failed_in_a_row, self._fix_before_search = PoseFix(pose, odometry), 0, None
+        self._fix = self._reference = PoseFix(pose, odometry)
+        self._fix_stamp = np.inf  # no slip is possible before the next fix
+        self._failed_in_a_row, self._tentative, self._usual_cost = 0, None, 0.0
 
     @property
     def fix(self) -> PoseFix | None:
@@ -131,23 +138,23 @@ class Tracker:
         return self._fix
 
     @property
-    def step(self) -> se2.Pose:
-        """Motion between the last two tracked scans."""
-        return self._step
+    def state(self) -> TrackerState | None:
+        """State to be saved; None before the first scan."""
+        if self._fix is None or self._reference is None:
+            return None
+        stamp = float(self._fix_stamp) if np.isfinite(self._fix_stamp) else None
+        return TrackerState(self._fix, self._reference, stamp, self._speeds, self._last_score)
 
-    @property
-    def last_score(self) -> float:
-        """Match score of the last tracked scan."""
-        return self._last_score
-
-    def restore(self, fix: PoseFix, step: se2.Pose, last_score: float) -> None:
-        """Continue from the saved properties of another tracker."""
-        self._fix, self._step, self._last_score = fix, step, last_score
+    def restore(self, state: TrackerState) -> None:
+        """Continue from a saved state."""
+        self._fix, self._reference = state.fix, state.reference
+        self._fix_stamp = np.inf if state.fix_stamp is None else state.fix_stamp
+        self._speeds, self._last_score = state.speeds, state.last_score
 
     def correct(self, pose: se2.Pose) -> None:
-        """Replace the pose of the last fix after the map has changed."""
+        """Replace the pose of the last fix, and predict from it from now on."""
         assert self._fix is not None
-        self._fix = PoseFix(pose, self._fix.odometry)
+        self._fix = self._reference = PoseFix(pose, self._fix.odometry)
 
     def predict(self, odometry: se2.Pose) -> se2.Pose:
         """Return the base's pose in the map, by odometry alone since the last fix."""
@@ -163,14 +170,14 @@ class Tracker:
         """True if the view has changed abruptly within the last metres."""
         return bool(self._travel_since_view_change < VIEW_CHANGE_MEMORY)
 
-    def track(self, odometry: se2.Pose, scan: ScanFeatures, target: MatchTarget) -> TrackingResult:
+    def track(self, stamp: float, odometry: se2.Pose, scan: ScanFeatures, target: MatchTarget) -> TrackingResult:
         """Estimate the base's pose at a scan taken when odometry was at `odometry`."""
         score_before, view = self._last_score, View(odometry, scan.points.all)
-        result = self._track(odometry, scan, target)
+        result = self._track(stamp, odometry, scan, target)
         if self._odometry is not None:
             self._travel_since_view_change += float(wheel_travel(se2.between(self._odometry, odometry)))
-        unregistered = result.status in (TrackingStatus.FAILED, TrackingStatus.TENTATIVE)
-        if (unregistered or self._last_score < score_before - SUSPICIOUS_DROP) and self._view_differs(view):
+        failed = result.status is TrackingStatus.FAILED
+        if (failed or self._last_score < score_before - SUSPICIOUS_DROP) and self._view_differs(view):
             self._travel_since_view_change = 0.0
         self._odometry = odometry
         if view.comparable:
@@ -184,86 +191,77 @@ class Tracker:
         motion = self._model.correct(se2.between(self._view.odometry, view.odometry))
         return self._view.differs_from(view, motion)
 
-    def _track(self, odometry: se2.Pose, scan: ScanFeatures, target: MatchTarget) -> TrackingResult:
-        if self._fix is None:
+    def _track(self, stamp: float, odometry: se2.Pose, scan: ScanFeatures, target: MatchTarget) -> TrackingResult:
+        if self._fix is None or self._reference is None:
             self.move_to(np.zeros(3), odometry)
         assert self._fix is not None
-        prior = self._prior(odometry)
-        after_search = self._fix_before_search is not None
-        predictions, margins = self._predictions(odometry)
-        matches = [target.match(scan, prediction, prior) for prediction in predictions]
-        best = int(np.argmax([match.score - margin for match, margin in zip(matches, margins, strict=True)]))
-        match = matches[best]
-        confirms_search = after_search and best < len(predictions) - 1
-        map_is_empty = not len(target.landmarks.walls)
-        if _too_few_features(scan) and not map_is_empty:
+        assert self._reference is not None
+        usual = Prediction(
+            self._extrapolate(self._reference, odometry), self._information(self._reference, odometry), self._usual_cost
+        )
+        predictions = [usual, self._slipped(stamp, odometry)]
+        if self._tentative is not None:
+            pose, information = (
+                self._extrapolate(self._tentative, odometry),
+                self._information(self._tentative, odometry),
+            )
+            predictions.append(Prediction(pose, information))
+        match = target.match(scan, predictions)
+        slipped, confirmed = match.prediction is predictions[1], match.prediction not in predictions[:2]
+        prior = match.prediction.information
+        self._tentative, self._usual_cost = None, 0.0
+        if _too_few_features(scan) and len(target.landmarks.walls):
             return self._result(match, TrackingStatus.NO_FEATURES, prior)
-        if match.plausible or map_is_empty:
-            self._step = se2.between(self._fix.pose, match.registration.pose)
-            self.move_to(match.registration.pose, odometry)
-            return self._result(match, TrackingStatus.TRACKED, prior, confirms_search)
-        found = self._search(scan, target, predictions[-1], match.likelihood)
-        if found is None:
+        if not match.plausible:
             self._failed_in_a_row += 1
-            in_map = target.mapped_ratio(scan, match.registration.pose) >= MAX_MAPPED_RATIO_OF_NEW_PLACE
-            if not self.lost or in_map:
-                return self._result(match, TrackingStatus.FAILED, prior)
-            self.move_to(match.registration.pose, odometry)
-            return self._result(match, TrackingStatus.TRACKED, prior)
-        match = target.match(scan, found, prior, NEAR_STARTS[:1])
-        before = self._fix
-        self.move_to(match.registration.pose, odometry)
-        self._fix_before_search = before
-        status = TrackingStatus.TRACKED if after_search else TrackingStatus.TENTATIVE
-        return self._result(match, status, prior, after_search)
+            return self._result(match, TrackingStatus.FAILED, prior)
+        fix = PoseFix(match.registration.pose, odometry)
+        if slipped or (confirmed and match.poor):
+            self._tentative = fix
+            self._usual_cost = min(other.cost for other in match.others if other.prediction is usual) - match.cost
+            return self._result(match, TrackingStatus.TENTATIVE, prior)
+        if not confirmed:
+            self._speeds = np.maximum(self._speeds, self._speed(stamp, odometry))
+        self._fix, self._fix_stamp, self._failed_in_a_row = fix, stamp, 0
+        slipped = confirmed or match.prediction.squared_distance(fix.pose) > KERNEL**2
+        if slipped:  # odometry continues from here
+            self._reference = fix
+        return self._result(match, TrackingStatus.TRACKED, prior, slipped=slipped)
+
+    def _slipped(self, stamp: float, odometry: se2.Pose) -> Prediction:
+        """Return the prediction if odometry has slipped, stood still or jumped since the last fix.
+
+        The robot has moved from there no faster than it usually moves.
+        """
+        assert self._fix is not None
+        reach = self._speeds * max(0.0, stamp - self._fix_stamp)
+        sigmas = np.array([reach[0], reach[0], reach[1]]) + PREDICTION_SIGMAS
+        return Prediction(self._fix.pose, np.diag(sigmas**-2.0), SLIP_COST, NO_KERNEL)
+
+    def _speed(self, stamp: float, odometry: se2.Pose) -> Floats:
+        """Return the speed (metres and radians per second) since the last fix; zero if it is at the same time."""
+        assert self._fix is not None
+        interval = stamp - self._fix_stamp
+        x, y, turn = self._fix.odometry_motion(odometry)
+        return np.array([np.hypot(x, y), abs(turn)]) / interval if interval > 0 else np.zeros(2)
 
     def _result(
-        self, match: ScanMatch, status: TrackingStatus, prior: Floats, confirms_search: bool = False
+        self, match: ScanMatch, status: TrackingStatus, prior: Floats, *, slipped: bool = False
     ) -> TrackingResult:
         covariance = np.asarray(np.linalg.inv(match.registration.total_information + prior))
         abrupt = status is TrackingStatus.TRACKED and match.score < self._last_score - ABRUPT_DROP
-        if status in (TrackingStatus.TRACKED, TrackingStatus.TENTATIVE):
+        if status is TrackingStatus.TRACKED:
             self._last_score = match.score
-        return TrackingResult(match.registration, status, covariance, confirms_search, abrupt)
-
-    def _predictions(self, odometry: se2.Pose) -> tuple[list[se2.Pose], list[float]]:
-        """Return candidate poses, and for each the margin by which its match score must exceed that of the first.
-
-        1. Odometry since the last fix.
-        2. An even motion, if odometry's step is unlike the step before.
-        3. The last fix, if odometry may be catching up.
-        4. Odometry since the fix before, if the last fix is tentative.
-        """
-        assert self._fix is not None
-        predictions, margins = [self._extrapolate(self._fix, odometry)], [0.0]
-        step = self._model.correct(self._fix.odometry_motion(odometry))
-        change = se2.between(self._step, step)
-        if np.hypot(change[0], change[1]) > UNEVEN_STEP or abs(change[2]) > UNEVEN_TURN:
-            predictions.append(se2.compose(self._fix.pose, self._step))
-            margins.append(EVEN_MOTION_MARGIN)
-        if self._fix_before_search is not None:
-            before_search = self._extrapolate(self._fix_before_search, odometry)
-            return [*predictions, self._fix.pose, before_search], [*margins, 0.0, 0.0]
-        if wheel_travel(step) > LARGE_STEP:
-            return [*predictions, self._fix.pose], [*margins, STOPPED_MARGIN]
-        return predictions, margins
+        return TrackingResult(match.registration, status, covariance, slipped, abrupt)
 
     def _extrapolate(self, fix: PoseFix, odometry: se2.Pose) -> se2.Pose:
         return se2.compose(fix.pose, self._model.correct(fix.odometry_motion(odometry)))
 
-    def _search(self, scan: ScanFeatures, target: MatchTarget, near: se2.Pose, score: float) -> se2.Pose | None:
-        """Return a pose at which the likelihood clearly exceeds `score`, that at the predicted pose; None without."""
-        if len(scan.points.all) < MIN_SEARCH_POINTS:
-            return None
-        pose, found = search_pose(target.field, scan.points.all, near)
-        return pose if found >= max(MIN_SEARCH_SCORE, score + MIN_SEARCH_GAIN) else None
-
-    def _prior(self, odometry: se2.Pose) -> Floats:
-        """Return the information (3, 3) of the pose predicted with `odometry`, in the base's frame."""
-        assert self._fix is not None
-        covariance = self._model.covariance(self._fix.odometry_motion(odometry)) + np.diag(PREDICTION_SIGMAS**2)
+    def _information(self, reference: PoseFix, odometry: se2.Pose) -> Floats:
+        """Return the information (3, 3) of the pose predicted from the reference, in the base's frame."""
+        covariance = self._model.covariance(reference.odometry_motion(odometry)) + np.diag(PREDICTION_SIGMAS**2)
         return np.asarray(np.linalg.inv(covariance))
 
 
 def _too_few_features(scan: ScanFeatures) -> bool:
-    return 2 * scan.segments.half_length.sum() < MIN_WALL_LENGTH and len(scan.points.all) < MIN_SEARCH_POINTS
+    return 2 * scan.segments.half_length.sum() < MIN_WALL_LENGTH and len(scan.points.all) < MIN_POINTS

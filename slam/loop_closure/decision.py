@@ -6,10 +6,30 @@ from dataclasses import dataclass
 
 from drivers import se2
 
+from ..geometry.segments import Floats
 from .loop_status import LoopStatus
 from .proposal import Hypothesis
 from .recent_walls import WallSet
 from .verification import Verdict
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopMatch:
+    """Match of the keyframes up to `keyframe` with those around `old`.
+
+    relative    [x, y, heading] of the keyframe in the frame of the old one
+    covariance  (3, 3) in the keyframe's frame
+    travelled   metres driven up to the keyframe
+    fit, known  see `SubmapMatch`
+    """
+
+    keyframe: int
+    old: int
+    relative: se2.Pose
+    covariance: Floats
+    travelled: float
+    fit: float
+    known: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,6 +48,8 @@ class LoopDecision:
     merged      those of the pairs that were merged
     shift       metres by which the last keyframe moved
     compared    recent walls and reference walls as they were when compared
+    matches     matches of submaps that agree, if the candidate is not one of walls
+    since       first keyframe of the pass that these matches move
     """
 
     candidate: int
@@ -41,3 +63,5 @@ class LoopDecision:
     merged: tuple[tuple[int, int], ...] = ()
     shift: float = 0.0
     compared: tuple[WallSet, WallSet] | None = None
+    matches: tuple[LoopMatch, ...] = ()
+    since: int = 0

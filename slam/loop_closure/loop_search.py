@@ -119,6 +119,15 @@ class LoopSearch:
         """Discard pending candidates and disagreements, which do not hold for a corrected map."""
         self._pending, self._last_disagreement = [], -PENDING_DISTANCE
 
+    def next_candidate(self) -> int:
+        """Return the number of a new candidate."""
+        self._candidates += 1
+        return self._candidates
+
+    def is_excluded(self, motion: se2.Pose, pose: se2.Pose) -> bool:
+        """True if the motion of a robot at `pose` is that of a retracted closure."""
+        return any(_motions_agree(retracted, motion, pose) for retracted in self._retracted)
+
     def exclude(self, decision: LoopDecision) -> None:
         """Reject the motion of a retracted closure from now on."""
         self._retracted.append(decision.hypothesis.motion)
@@ -133,9 +142,9 @@ class LoopSearch:
         old_keyframe: int,
     ) -> LoopDecision:
         """Decide on a verified candidate."""
-        self._candidates += 1
+        candidate = self.next_candidate()
         motion = robot_motion(best, mapper.pose)
-        if any(_motions_agree(retracted, best.motion, mapper.pose) for retracted in self._retracted):
+        if self.is_excluded(best.motion, mapper.pose):
             verdict = replace(verdict, accepted=False, reason="was retracted before")
         status = LoopStatus.REJECTED
         if verdict.ambiguous:  # with more walls seen: pending candidates with this motion were ambiguous as well
@@ -146,9 +155,7 @@ class LoopSearch:
             confirmed = self._confirm(best, compared[0], mapper, relaxed=verdict.relaxed)
             status = LoopStatus.CONFIRMED if confirmed else LoopStatus.PENDING
         keyframe = mapper.keyframe_count - 1
-        return LoopDecision(
-            self._candidates, keyframe, old_keyframe, motion, verdict, status, best, pairs, compared=compared
-        )
+        return LoopDecision(candidate, keyframe, old_keyframe, motion, verdict, status, best, pairs, compared=compared)
 
     def _confirm(self, best: Hypothesis, recent: WallSet, mapper: Mapper, *, relaxed: bool) -> bool:
         """Confirm a candidate by a pending one with the same motion; else add it to the pending ones.

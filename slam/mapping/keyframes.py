@@ -65,6 +65,18 @@ class KeyframeMotion:
     correlated_drift: Floats = field(default_factory=lambda: np.zeros((2, 2)))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PointMotion:
+    """Pose `relative` of a new keyframe in the frame of an earlier one, `start`, from matching the points of its scan.
+
+    covariance  (3, 3) in the new keyframe's frame
+    """
+
+    start: int
+    relative: se2.Pose
+    covariance: Floats
+
+
 @dataclass(frozen=True, slots=True)
 class WallMerge:
     """The wall `absorbed` was merged into the wall `kept`, at a squared Mahalanobis `distance` from it."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from ..graph.factor_graph import FactorGraph
 from ..graph.factors import Factor, GraphState
 from ..odometry.correlated_drift import embed_position_covariance, rotate_covariance
 from .data_association import Association
-from .keyframes import KeyframeMotion, KeyframeObservations, KeyframeRecords, LandmarkIds, WallMerge
+from .keyframes import KeyframeMotion, KeyframeObservations, KeyframeRecords, LandmarkIds, PointMotion, WallMerge
 from .landmark_ids import assign_landmark_ids
 from .landmarks import Landmarks
 from .local_map import LocalMap, local_map_around
@@ -164,16 +164,20 @@ class Mapper:
         corners: CornerPoints,
         association: Association,
         local_map: LocalMap,
+        point_motion: PointMotion | None = None,
     ) -> KeyframeObservations:
         """Add a keyframe near `pose` and update the graph.
 
-        motion       from an earlier keyframe; None for the first
-        association  of its segments and corners with rows of `local_map`; unmatched features become landmarks
+        motion        from an earlier keyframe; None for the first
+        association   of its segments and corners with rows of `local_map`; unmatched features become landmarks
+        point_motion  from an earlier keyframe, by points on no known wall; None if there is no such keyframe
         """
         keyframe = self.keyframe_count
         wall_count = len(self.landmarks.walls)
         landmark_ids = assign_landmark_ids(self.landmarks, keyframe, pose, segments, corners, association, local_map)
         self.add_keyframe_with_ids(pose, motion, segments, corners, landmark_ids)
+        if point_motion is not None:
+            self.graph.add_scan_match(point_motion.start, keyframe, point_motion.relative, point_motion.covariance)
         self.graph.update()
         self.keyframe_poses[-1] = self.graph.keyframe_pose(keyframe)
         return KeyframeObservations(
@@ -240,10 +244,12 @@ class Mapper:
         self.landmarks.merge_walls(kept, absorbed)
         self.free_space_evidence.discard([kept, absorbed])
 
-    def remove_wall_observations(self, walls: Integers, since: int) -> None:
-        """Remove the observations of misassociated walls (n,) by keyframes from `since` on."""
-        self.graph.remove_wall_observations(frozenset(walls.tolist()), since)
-        self.landmarks.walls.rows["last_seen"][walls] = since - 1
+    def remove_wall_observations(self, since: Mapping[int, int]) -> None:
+        """Remove the observations of each of some misassociated walls by keyframes from `since[wall]` on."""
+        self.graph.remove_wall_observations(since)
+        rows = self.landmarks.walls.rows
+        for wall, keyframe in since.items():
+            rows["last_seen"][wall] = keyframe - 1
 
     def remove_walls_seen_through(self, pose: se2.Pose, points: Floats) -> bool:
         """Add the free-space evidence of a scan and remove walls, or open parts of them. Return True if there were any.

@@ -1,1 +1,1 @@
-"""Scan matching: registration with walls and corners, and the likelihood field of scan points."""
+"""Scan matching: registration with walls and corners, and matching of scan points to a distance field."""

@@ -1,8 +1,8 @@
-"""Register a scan: estimate the base's pose in the local map from the scan's segments, corners and clutter points.
+"""Register a scan: estimate the base's pose in the local map from the scan's segments, corners and other points.
 
-Gauss-Newton with shrinking gates: each step pairs features within the gates anew and solves the normal equations. In
-turns odometry can be wrong by many degrees, and walls would be paired wrongly. Gauss-Newton is therefore started from
-several headings around the prediction, and the pose with the largest matched wall length is taken.
+Gauss-Newton with shrinking gates: each step pairs features within the gates anew and solves the normal equations. It
+starts where all points of the scan fit best (see `point_matcher`), so that walls are not paired wrongly in turns. Each
+point is used once: those on segments that are paired with walls count by these, all others by the distance field.
 """
 
 from __future__ import annotations
@@ -12,19 +12,17 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.compiled import compiled
 
-from ..geometry.angles import wrap_angle
+from ..geometry.angles import axes_of, wrap_angle
 from ..geometry.segments import CornerPoints, Floats, Segments
 from ..mapping.local_map import LocalMap
-from .likelihood_field import FIELD_CELL, LikelihoodField, ScanPoints
+from .distance_field import DistanceField, add_points
+from .point_matcher import FINE_SIGMA, move_back, pose_error
+from .scan_points import ScanPoints, segments_of
 
-# Starts [x, y, heading] in the prediction's frame, nearest first: they cover 15 degrees of odometry error in a turn.
-# Origin: tuned on Intel, fr079, CSAIL.
-NEAR_STARTS = np.array([[0.0, 0.0, math.radians(angle)] for angle in (0, -8, 8, -16, 16)])
 # Metres across a wall between it and a segment, for each Gauss-Newton step; also between two
 # corners. Origin: tuned on Intel, fr079, CSAIL.
 MATCH_OFFSET_GATES = np.array([0.40, 0.40, 0.30, 0.20, 0.15, 0.10, 0.10, 0.10])
@@ -39,35 +37,29 @@ MATCH_END_MARGIN = 0.5
 # Scale of the Cauchy kernel, standard deviations: an observation this far off has half weight.
 # Origin: chosen, the usual range of robust kernels; not measured.
 MATCH_CAUCHY_SCALE = 3.0
-# Share of the scan's wall length by which a start farther from the prediction must match more than a nearer one.
-# Origin: chosen, keeps the start at the prediction if the matches are equal; not measured.
-MIN_START_GAIN = 0.03
-# Metres, standard deviation of a clutter point: clutter looks different from each viewpoint.
-# Origin: chosen; not measured.
-POINT_SIGMA = 0.15
-# Metres between a clutter point and the nearest one of the likelihood field.
-# Origin: chosen, the largest distance that the likelihood field stores; not measured.
-POINT_GATE = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
     """Result of registering a scan with the local map.
 
-    pose               [x, y, heading] of the base in the map
-    information        (3, 3) of the pose from the landmarks, in the base's frame, without the prior's
-    point_information  (3, 3) of the pose from the clutter points, in the base's frame
+    pose               [x, y, heading] of the base in the map, from landmarks, points and the prediction
+    information        (3, 3) of the pose from the landmarks alone, in the base's frame
+    point_pose         [x, y, heading] of the base in the distance field, from those points alone that are on no known
+                       wall; it is `pose` in directions that they do not determine
+    point_information  (3, 3) of `point_pose`, in the base's frame
     overlap_ratio      share of the scan's wall length that lies on known walls, 0 to 1
     """
 
     pose: se2.Pose
     information: Floats
+    point_pose: se2.Pose
     point_information: Floats
     overlap_ratio: float
 
     @property
     def total_information(self) -> Floats:
-        """Information (3, 3) of the pose from all features, in the base's frame."""
+        """Information (3, 3) of the pose from landmarks and points, without the prediction's, in the base's frame."""
         return self.information + self.point_information
 
 
@@ -97,151 +89,151 @@ class _CornerArrays(NamedTuple):
 
 
 class _WallArrays(NamedTuple):
-    """Arrays of the walls of a `LocalMap`."""
+    """Arrays of the walls of a `LocalMap`; axis (n, 2) is the unit vector along each."""
 
     frame: Floats
+    axis: Floats
     low: Floats
     high: Floats
     covariance: Floats
 
 
-class _PointArrays(NamedTuple):
-    """Arrays of a `LikelihoodField`."""
-
-    points: Floats
-    nearest: NDArray[np.int32]
-    origin: Floats
-
-
 def register(
+    start: se2.Pose,
     prediction: se2.Pose,
     prior: Floats,
-    starts: Floats,
     scan: ScanFeatures,
+    points: Floats,
     local_map: LocalMap,
-    field: LikelihoodField,
+    field: DistanceField,
     roughness: float,
 ) -> Registration:
     """Estimate the pose of the base in the map for one scan.
 
-    Minimises the squared Mahalanobis distances of matched features plus that of the pose from the prediction.
+    Minimises the squared Mahalanobis distances of matched landmarks and of points on no matched wall, both with Cauchy
+    kernels, plus that of the pose from the prediction.
 
+    start       [x, y, heading] of the base in the map where Gauss-Newton starts
     prediction  [x, y, heading] of the base in the map
-    prior       (3, 3) information of the prediction in the base's frame; it fixes directions that no feature determines
-    starts      (k, 3) starting poses of Gauss-Newton in the prediction's frame, the most likely first
+    prior       (3, 3) information of the prediction in the base's frame; it fixes directions that nothing determines
+    scan        segments and corners in the base's frame
+    points      (p, 4) of the scan with normals, in the base's frame, see `surface_points`
+    local_map   walls and corners in the map
+    field       distance field in the map
     roughness   variance of the wall roughness (metres squared)
     """
     segments, corners = scan.segments, scan.corners
     total = float(2 * segments.half_length.sum())
     # Plain tuples: numba unpacks them faster than named ones.
-    pose, information, point_information, matched = _register(
+    pose, information, point_information, point_pose, matched = _register(
+        start,
         prediction,
         prior,
-        starts,
-        MIN_START_GAIN * total,
         (segments.frame, segments.half_length, segments.covariance),
         (corners.position, corners.headings, corners.covariance),
-        scan.points.clutter,
-        (local_map.frame, local_map.low, local_map.high, local_map.wall_covariance),
+        (points, segments_of(points, segments)),
+        (local_map.frame, axes_of(local_map.frame), local_map.low, local_map.high, local_map.wall_covariance),
         (local_map.position, local_map.headings, local_map.corner_covariance),
-        (field.points, field.nearest, field.origin),
+        (field.offset, field.seen, field.origin),
         roughness,
-    )
+    )  # fmt: skip
     pose[2] = se2.wrap(pose[2])
-    return Registration(pose, information, point_information, matched / total if total else 0.0)
+    point_pose[2] = se2.wrap(point_pose[2])
+    return Registration(pose, information, point_pose, point_information, matched / total if total else 0.0)
 
 
 @compiled
 def _register(  # type: ignore[no-untyped-def]
-    prediction, prior, starts, min_gain, segments, corners, clutter, walls, map_corners, field, roughness
+    start, prediction, prior, segments, corners, points, walls, map_corners, field, roughness
 ):
-    """Run Gauss-Newton from every start.
-
-    Returns the pose that matches most wall length, by at least `min_gain` metres more than earlier starts; its
-    information from landmarks and from clutter points; and that length.
-    """
+    """Run Gauss-Newton; return the fields of `Registration`, the length on known walls instead of the ratio."""
     scan_segments, scan_corners = _SegmentArrays(*segments), _CornerArrays(*corners)
-    map_walls, known_corners, point_field = _WallArrays(*walls), _CornerArrays(*map_corners), _PointArrays(*field)
-    best_pose, best_information, best_matched = prediction.copy(), np.zeros((3, 3)), -1.0
-    best_point_information = np.zeros((3, 3))
-    information, point_information, gradient = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
-    for start in starts:
-        pose = prediction.copy()
-        c, s = math.cos(prediction[2]), math.sin(prediction[2])
-        pose[0] += c * start[0] - s * start[1]
-        pose[1] += s * start[0] + c * start[1]
-        pose[2] += start[2]
-        matched = 0.0
-        for step in range(len(MATCH_OFFSET_GATES)):
-            offset_gate, heading_gate = MATCH_OFFSET_GATES[step], MATCH_HEADING_GATES[step]
-            information[:] = 0.0
-            point_information[:] = 0.0
-            gradient[:] = 0.0
-            matched = _add_walls(
-                pose, scan_segments, map_walls, roughness, offset_gate, heading_gate, information, gradient
-            )
-            _add_corners(pose, scan_corners, known_corners, roughness, offset_gate, information, gradient)
-            _add_points(pose, clutter, point_field, point_information, gradient)
-            c, s = math.cos(pose[2]), math.sin(pose[2])
-            ex, ey = pose[0] - prediction[0], pose[1] - prediction[1]
-            error = np.array([c * ex + s * ey, -s * ex + c * ey, pose[2] - prediction[2]])
-            move = np.linalg.solve(information + point_information + prior, gradient + prior @ error)
-            pose[0] -= c * move[0] - s * move[1]
-            pose[1] -= s * move[0] + c * move[1]
-            pose[2] -= move[2]
-        if matched > best_matched + min_gain:
-            best_matched, best_pose, best_information = matched, pose, information.copy()
-            best_point_information = point_information.copy()
-    return best_pose, best_information, best_point_information, best_matched
+    map_walls, known_corners = _WallArrays(*walls), _CornerArrays(*map_corners)
+    offset, seen, origin = field
+    all_points, segment_of = points
+    information, point_information = np.zeros((3, 3)), np.zeros((3, 3))
+    gradient, point_gradient = np.zeros(3), np.zeros(3)
+    pose, point_pose, overlaps = start.copy(), start.copy(), np.zeros(len(scan_segments.frame))
+    for step in range(len(MATCH_OFFSET_GATES)):
+        offset_gate, heading_gate = MATCH_OFFSET_GATES[step], MATCH_HEADING_GATES[step]
+        information[:], point_information[:], gradient[:], point_gradient[:] = 0.0, 0.0, 0.0, 0.0
+        _add_walls(
+            pose, scan_segments, map_walls, roughness, offset_gate, heading_gate, overlaps, information, gradient
+        )
+        _add_corners(pose, scan_corners, known_corners, roughness, offset_gate, information, gradient)
+        others = _without_matched(all_points, segment_of, overlaps)
+        add_points(pose, others, offset, seen, origin, FINE_SIGMA, point_information, point_gradient)
+        total = information + point_information + prior
+        point_pose[:] = pose
+        move_back(pose, np.linalg.solve(total, gradient + point_gradient + prior @ pose_error(prediction, pose)))
+    move_back(point_pose, np.linalg.solve(point_information + prior, point_gradient))  # from where it is linearised
+    return pose, information, point_information, point_pose, overlaps.sum()
+
+
+@compiled
+def _without_matched(points, segment_of, overlaps):  # type: ignore[no-untyped-def]
+    """Return the points (q, 4) that are on no segment, or on one that was not matched with a wall."""
+    kept, count = np.empty_like(points), 0
+    for k in range(len(points)):
+        if segment_of[k] < 0 or overlaps[segment_of[k]] == 0.0:
+            kept[count] = points[k]
+            count += 1
+    return kept[:count]
 
 
 @compiled
 def _add_walls(  # type: ignore[no-untyped-def]
-    pose, segments, walls, roughness, offset_gate, heading_gate, information, gradient
+    pose, segments, walls, roughness, offset_gate, heading_gate, overlaps, information, gradient
 ):
     """Pair each segment with the nearest wall inside the gates and add its normal equations.
 
-    Returns the matched wall length in metres, weighted down by up to a quarter of it near the gates' limits.
+    Sets `overlaps`, the length in metres of each segment that lies on its wall, zero if there is none; weighted down by
+    up to half of it near the gates' limits.
     """
-    frames, halves, covariances = segments.frame, segments.half_length, segments.covariance
+    frames = segments.frame
     c, s = math.cos(pose[2]), math.sin(pose[2])
-    total = 0.0
     for i in range(len(frames)):
-        x = pose[0] + c * frames[i, 0] - s * frames[i, 1]
-        y = pose[1] + s * frames[i, 0] + c * frames[i, 1]
+        lever_x, lever_y = c * frames[i, 0] - s * frames[i, 1], s * frames[i, 0] + c * frames[i, 1]
         match, best, overlap, offset, turn, along = _match_segment(
-            x, y, pose[2] + frames[i, 2], halves[i], walls, offset_gate, heading_gate
-        )
+            pose[0] + lever_x, pose[1] + lever_y, pose[2] + frames[i, 2], segments.half_length[i],
+            walls, offset_gate, heading_gate,
+        )  # fmt: skip
+        overlaps[i] = overlap * (1.0 - 0.25 * best)
         if match < 0:
             continue
-        wall = walls.covariance[match]
-        syy = covariances[i, 0, 0] + roughness + wall[0, 0] + 2 * along * wall[0, 1] + along * along * wall[1, 1]
-        syt = covariances[i, 0, 1] + wall[0, 1] + along * wall[1, 1]
-        stt = covariances[i, 1, 1] + 3 * roughness / halves[i] ** 2 + wall[1, 1]
-        determinant = syy * stt - syt * syt
-        wyy, wtt, wyt = stt / determinant, syy / determinant, -syt / determinant
+        wyy, wyt, wtt = _wall_weights(
+            segments.covariance[i], segments.half_length[i], walls.covariance[match], along, roughness
+        )
         chi2 = wyy * offset * offset + 2 * wyt * offset * turn + wtt * turn * turn
         weight = 1.0 / (1.0 + chi2 / (MATCH_CAUCHY_SCALE * MATCH_CAUCHY_SCALE))
-        total += overlap * (1.0 - 0.25 * best)
+        wyy, wyt, wtt = weight * wyy, weight * wyt, weight * wtt
         # derivatives of the offset with respect to moving forward, left, and turning
-        wc, ws = math.cos(walls.frame[match, 2]), math.sin(walls.frame[match, 2])
-        j0, j1 = -ws * c + wc * s, ws * s + wc * c
-        j2 = ws * (y - pose[1]) + wc * (x - pose[0])
-        ry, rt = weight * (wyy * offset + wyt * turn), weight * (wyt * offset + wtt * turn)
-        gradient[0] += j0 * ry
-        gradient[1] += j1 * ry
-        gradient[2] += j2 * ry + rt
-        information[0, 0] += weight * wyy * j0 * j0
-        information[1, 1] += weight * wyy * j1 * j1
-        information[2, 2] += weight * (wyy * j2 * j2 + 2 * wyt * j2 + wtt)
-        i01, i02, i12 = weight * wyy * j0 * j1, weight * j0 * (wyy * j2 + wyt), weight * j1 * (wyy * j2 + wyt)
-        information[0, 1] += i01
-        information[1, 0] += i01
-        information[0, 2] += i02
-        information[2, 0] += i02
-        information[1, 2] += i12
-        information[2, 1] += i12
-    return total
+        wc, ws = walls.axis[match, 0], walls.axis[match, 1]
+        j0, j1, j2 = wc * s - ws * c, wc * c + ws * s, wc * lever_x + ws * lever_y
+        residual = wyy * offset + wyt * turn
+        gradient[0] += j0 * residual
+        gradient[1] += j1 * residual
+        gradient[2] += j2 * residual + wyt * offset + wtt * turn
+        information[0, 0] += wyy * j0 * j0
+        information[1, 1] += wyy * j1 * j1
+        information[2, 2] += wyy * j2 * j2 + 2 * wyt * j2 + wtt
+        information[0, 1] += wyy * j0 * j1
+        information[0, 2] += j0 * (wyy * j2 + wyt)
+        information[1, 2] += j1 * (wyy * j2 + wyt)
+    information[1, 0], information[2, 0], information[2, 1] = information[0, 1], information[0, 2], information[1, 2]
+
+
+@compiled
+def _wall_weights(segment, half, wall, along, roughness):  # type: ignore[no-untyped-def]
+    """Return the information of the offset and heading of a segment relative to its wall: (yy, yt, tt).
+
+    `segment` and `wall` are the covariances (2, 2) of both, `along` the position of the segment's middle on the wall.
+    """
+    yy = segment[0, 0] + roughness + wall[0, 0] + 2 * along * wall[0, 1] + along * along * wall[1, 1]
+    yt = segment[0, 1] + wall[0, 1] + along * wall[1, 1]
+    tt = segment[1, 1] + 3 * roughness / half**2 + wall[1, 1]
+    determinant = yy * tt - yt * yt
+    return tt / determinant, -yt / determinant, yy / determinant
 
 
 @compiled
@@ -251,15 +243,15 @@ def _match_segment(x, y, heading, half, walls, offset_gate, heading_gate):  # ty
     Returns the wall's row (-1 for none), the squared distance relative to the gates, the overlap in metres, the offset,
     the heading difference, and the position along the wall.
     """
-    best, match = np.inf, -1
+    best, match = 2.0, -1  # the largest distance inside the gates
     overlap = offset = turn = along = 0.0
     for j in range(len(walls.frame)):
         angle = wrap_angle(heading - walls.frame[j, 2])
         if abs(angle) > heading_gate:
             continue
-        wc, ws = math.cos(walls.frame[j, 2]), math.sin(walls.frame[j, 2])
+        wc, ws = walls.axis[j, 0], walls.axis[j, 1]
         dx, dy = x - walls.frame[j, 0], y - walls.frame[j, 1]
-        across = -ws * dx + wc * dy
+        across = wc * dy - ws * dx
         if abs(across) > offset_gate:
             continue
         at = wc * dx + ws * dy
@@ -305,34 +297,3 @@ def _add_corners(  # type: ignore[no-untyped-def]
         weight = 0.5 / (1.0 + chi2 / (MATCH_CAUCHY_SCALE * MATCH_CAUCHY_SCALE))
         information += weight * (jacobian.T @ weights @ jacobian)
         gradient += weight * (jacobian.T @ (weights @ residual))
-
-
-@compiled
-def _add_points(pose, points, field, information, gradient):  # type: ignore[no-untyped-def]
-    """Pair each clutter point with the nearest one of the likelihood field and add its normal equations."""
-    known, nearest, origin = field.points, field.nearest, field.origin
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    for p in range(len(points)):
-        lever_x, lever_y = c * points[p, 0] - s * points[p, 1], s * points[p, 0] + c * points[p, 1]
-        x, y = pose[0] + lever_x, pose[1] + lever_y
-        i, j = math.floor((x - origin[0]) / FIELD_CELL), math.floor((y - origin[1]) / FIELD_CELL)
-        if i < 0 or j < 0 or i >= nearest.shape[0] or j >= nearest.shape[1] or nearest[i, j] < 0:
-            continue
-        dx, dy = x - known[nearest[i, j], 0], y - known[nearest[i, j], 1]
-        squared = dx * dx + dy * dy
-        if squared > POINT_GATE * POINT_GATE:
-            continue
-        weight = 1.0 / (POINT_SIGMA * POINT_SIGMA * (1.0 + squared / (POINT_SIGMA * POINT_SIGMA)))
-        # axes of the base: forward (c, s), left (-s, c), and turning, which moves the point across its lever
-        forward, left, across = c * dx + s * dy, -s * dx + c * dy, -lever_y * dx + lever_x * dy
-        turn_forward, turn_left = -points[p, 1], points[p, 0]
-        gradient[0] += weight * forward
-        gradient[1] += weight * left
-        gradient[2] += weight * across
-        information[0, 0] += weight
-        information[1, 1] += weight
-        information[0, 2] += weight * turn_forward
-        information[2, 0] += weight * turn_forward
-        information[1, 2] += weight * turn_left
-        information[2, 1] += weight * turn_left
-        information[2, 2] += weight * (turn_forward * turn_forward + turn_left * turn_left)

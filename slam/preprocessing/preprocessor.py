@@ -14,8 +14,8 @@ from features import Features
 
 from ..config import Config
 from ..geometry.segments import CornerPoints, Segments, corner_points, segments_from_lines
-from ..matching.likelihood_field import MAX_SCAN_POINTS, ScanPoints, subsample
 from ..matching.line_matcher import ScanFeatures
+from ..matching.scan_points import MAX_SCAN_POINTS, ScanPoints, subsample
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import OdometryHistory
 from .deskew import DeskewedScan, add_motion_uncertainty, deskew, lidar_mount

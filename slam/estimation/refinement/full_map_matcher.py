@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,31 +10,33 @@ from drivers import se2
 
 from ...geometry.segments import Floats
 from ...localisation.match_target import MatchTarget
-from ...localisation.tracker import MIN_SEARCH_GAIN
 from ...mapping.landmarks import Landmarks
 from ...mapping.local_map import LocalMap, landmarks_around
 from ...mapping.mapper import LOCAL_MAP_MARGIN
-from ...matching.likelihood_field import LikelihoodField, build_likelihood_field
-from ...matching.line_matcher import NEAR_STARTS, Registration
+from ...matching.distance_field import DistanceField
+from ...matching.line_matcher import Registration
+from ...matching.point_matcher import POINT_SPACING, Prediction
+from ...matching.scan_points import surface_points
 from .scan_history import ScanHistory
 
-# Metres; side of the square tiles: scans of one tile use the same likelihood field.
+# Metres; side of the square tiles: scans of one tile use the same distance field.
 # Origin: chosen; not measured.
 TILE = 4.0
-# Metres from the centre of a tile within which keyframes contribute points to its likelihood field.
+# Metres from the centre of a tile to each side of its field. Origin: chosen, a usual range indoors; not measured.
+FIELD_HALF_WIDTH = 14.0
+# Metres from the centre of a tile within which keyframes contribute points to its distance field.
 # Origin: chosen; not measured.
 FIELD_RADIUS = 6.0
-# Maximum number of keyframes per likelihood field, evenly selected. Origin: chosen, bounds the time; not measured.
+# Maximum number of keyframes per distance field, evenly selected. Origin: chosen, bounds the time; not measured.
 MAX_FIELD_KEYFRAMES = 40
 # Metres, metres, radians: prior of a scan's pose, for directions that walls and points do not determine.
 # Origin: chosen, weak; not measured.
 PRIOR_SIGMAS = np.array([0.2, 0.2, 0.1])
+# Cost, a log-likelihood, by which a scan must fit better on an even motion. Origin: chosen; not measured.
+MIN_COST_GAIN = 1.0
 # Metres; if a scan is farther than this from an even motion between its neighbours, it is matched there as well.
 # Origin: chosen; not measured.
 MAX_UNEVEN_OFFSET = 0.2
-
-# Points of an empty tile. Origin: definition.
-NO_POINTS = np.zeros((0, 2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +61,7 @@ class FullMapMatcher:
     def __init__(self, history: ScanHistory, landmarks: Landmarks, poses: Floats, roughness: float) -> None:
         self._history, self._landmarks, self._poses, self._roughness = history, landmarks, poses, roughness
         self._tile: tuple[int, int] | None = None
-        self._fields: dict[int, LikelihoodField] = {}
+        self._fields: dict[int, DistanceField] = {}
         self._prior = np.diag(PRIOR_SIGMAS**-2)
 
     def local_map(self, row: int, pose: se2.Pose) -> LocalMap:
@@ -76,12 +77,12 @@ class FullMapMatcher:
         """
         scan = self._history.scans[row].features
         target = MatchTarget(local_map, self._field(int(self._history.anchors[row])), self._roughness)
-        match = target.match(scan, poses[row], self._prior, NEAR_STARTS[:1])
+        match = target.match(scan, [Prediction(poses[row], self._prior)])
         interpolated = self._interpolate(row, poses)
         odometry_wrong = False
         if np.hypot(*(interpolated - poses[row])[:2]) > MAX_UNEVEN_OFFSET:
-            other = target.match(scan, interpolated, self._prior, NEAR_STARTS[:1])
-            odometry_wrong = other.score > match.score + MIN_SEARCH_GAIN
+            other = target.match(scan, [Prediction(interpolated, self._prior)])
+            odometry_wrong = other.cost < match.cost - MIN_COST_GAIN
             match = other if odometry_wrong else match
         return FullMapMatch(match.registration, match.plausible, odometry_wrong)
 
@@ -98,8 +99,8 @@ class FullMapMatcher:
         fraction = (now - before) / (after - before) if after > before else 0.5
         return se2.compose(poses[row - 1], fraction * se2.between(poses[row - 1], poses[row + 1]))
 
-    def _field(self, keyframe: int) -> LikelihoodField:
-        """Return the likelihood field around a keyframe, of every second keyframe and without itself.
+    def _field(self, keyframe: int) -> DistanceField:
+        """Return the distance field around a keyframe, of every second keyframe and without itself.
 
         With its own points in the field a scan would stay where it is.
         """
@@ -111,16 +112,13 @@ class FullMapMatcher:
             self._fields[parity] = self._build_field((np.array(tile) + 0.5) * TILE, parity)
         return self._fields[parity]
 
-    def _build_field(self, centre: Floats, parity: int) -> LikelihoodField:
-        """Build the likelihood field around `centre` from the keyframes with even (0) or odd (1) indices."""
+    def _build_field(self, centre: Floats, parity: int) -> DistanceField:
+        """Build the distance field around `centre` from the keyframes with even (0) or odd (1) indices."""
         near = np.flatnonzero(np.hypot(*(self._poses[:, :2] - centre).T) < FIELD_RADIUS)
         near = near[near % 2 == parity]
         near = near[:: max(1, -(-len(near) // MAX_FIELD_KEYFRAMES))]
-        scans = [self._history.scans[self._history.keyframes[k]].features.points for k in near]
-        points = _to_map([scan.all for scan in scans], self._poses[near])
-        return build_likelihood_field(points, _to_map([scan.clutter for scan in scans], self._poses[near]), centre)
-
-
-def _to_map(points: Sequence[Floats], poses: Floats) -> Floats:
-    """Transform the points of several scans, each in the frame of its pose, to the map (m, 2)."""
-    return np.concatenate([se2.transform(pose, own) for pose, own in zip(poses, points, strict=True)] or [NO_POINTS])
+        field = DistanceField.empty(centre, FIELD_HALF_WIDTH)
+        for keyframe in near.tolist():
+            scan = self._history.scans[self._history.keyframes[keyframe]].features
+            field.insert(self._poses[keyframe], surface_points(scan.points.all, scan.segments, POINT_SPACING))
+        return field

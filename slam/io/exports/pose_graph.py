@@ -24,7 +24,7 @@ FIRST_WALL_ID = 1_000_000
 """Vertex id of wall 0; keyframes start at 0."""
 FIRST_CORNER_ID = 2_000_000
 """Vertex id of corner 0."""
-KEYFRAME_KINDS = (FactorKind.ODOMETRY, FactorKind.LOOP)
+KEYFRAME_KINDS = (FactorKind.ODOMETRY, FactorKind.LOOP, FactorKind.SCAN_MATCH)
 """Factors between two keyframes."""
 WALL_KINDS = (FactorKind.GAUGE_PRIOR, FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET, FactorKind.WALL_EQUALITY)
 """Factors on a wall, whose information is singular."""

@@ -19,11 +19,12 @@ from pydantic import (
 from ...errors import MapError
 from ...estimation.slam_state import Anchor, TrackingCheckpoint
 from ...geometry.segments import Floats
-from ...localisation.tracker import PoseFix
+from ...localisation.local_field import LocalFieldState
+from ...localisation.tracker import PoseFix, TrackerState
 from ...loop_closure.loop_search import LoopSearchState, PendingCandidate
 
 FORMAT = "wclm-slam session"
-SESSION_VERSION = 4
+SESSION_VERSION = 5
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Pose = tuple[Finite, Finite, Finite]
@@ -69,10 +70,24 @@ class _Anchor(_Record):
     odometry: Pose
 
 
-class _Checkpoint(_Record):
-    fix: _PoseFix | None
-    step: Pose
+class _Tracker(_Record):
+    fix: _PoseFix
+    reference: _PoseFix
+    fix_stamp: Finite | None
+    speeds: tuple[Finite, Finite]
     last_score: Finite
+
+
+class _LocalField(_Record):
+    centre: tuple[Finite, Finite]
+    links: list[tuple[int, int]]
+    inserted: list[int]
+    inserted_poses: list[Pose]
+
+
+class _Checkpoint(_Record):
+    tracker: _Tracker | None
+    field: _LocalField
     anchor: _Anchor | None
     kidnapped: bool
     kidnapped_keyframes: list[int]
@@ -156,11 +171,10 @@ class SessionHeader(_Record):
     @property
     def tracking_checkpoint(self) -> TrackingCheckpoint:
         """State of tracking."""
-        fix, anchor = self.checkpoint.fix, self.checkpoint.anchor
+        tracker, anchor = self.checkpoint.tracker, self.checkpoint.anchor
         return TrackingCheckpoint(
-            None if fix is None else PoseFix(np.array(fix.pose), np.array(fix.odometry)),
-            np.array(self.checkpoint.step),
-            self.checkpoint.last_score,
+            None if tracker is None else _tracker_state(tracker),
+            _local_field_state(self.checkpoint.field),
             None
             if anchor is None
             else Anchor(
@@ -187,12 +201,43 @@ def _pose(pose: Floats) -> Pose:
     return x, y, heading
 
 
+def _fix_record(fix: PoseFix) -> _PoseFix:
+    return _PoseFix(pose=_pose(fix.pose), odometry=_pose(fix.odometry))
+
+
+def _tracker_record(state: TrackerState) -> _Tracker:
+    forward, turn = state.speeds.tolist()
+    return _Tracker(
+        fix=_fix_record(state.fix),
+        reference=_fix_record(state.reference),
+        fix_stamp=state.fix_stamp,
+        speeds=(forward, turn),
+        last_score=state.last_score,
+    )
+
+
+def _tracker_state(record: _Tracker) -> TrackerState:
+    fix, reference = (
+        PoseFix(np.array(saved.pose), np.array(saved.odometry)) for saved in (record.fix, record.reference)
+    )
+    return TrackerState(fix, reference, record.fix_stamp, np.array(record.speeds), record.last_score)
+
+
+def _local_field_state(record: _LocalField) -> LocalFieldState:
+    poses = np.array(record.inserted_poses).reshape(-1, 3)
+    return LocalFieldState(np.array(record.centre), record.links, record.inserted, poses)
+
+
 def _checkpoint_record(checkpoint: TrackingCheckpoint) -> _Checkpoint:
-    fix, anchor = checkpoint.fix, checkpoint.anchor
+    tracker, field, anchor = checkpoint.tracker, checkpoint.field, checkpoint.anchor
     return _Checkpoint(
-        fix=None if fix is None else _PoseFix(pose=_pose(fix.pose), odometry=_pose(fix.odometry)),
-        step=_pose(checkpoint.step),
-        last_score=checkpoint.last_score,
+        tracker=None if tracker is None else _tracker_record(tracker),
+        field=_LocalField(
+            centre=(float(field.centre[0]), float(field.centre[1])),
+            links=list(field.links),
+            inserted=list(field.inserted),
+            inserted_poses=[_pose(pose) for pose in field.inserted_poses],
+        ),
         anchor=None
         if anchor is None
         else _Anchor(

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from ...errors import MapError
 from ...geometry.segments import CornerPoints, Floats, Integers, Segments
-from ...matching.likelihood_field import ScanPoints
 from ...matching.line_matcher import ScanFeatures
+from ...matching.scan_points import ScanPoints
 from .tables import Ragged, TableReader, to_ragged
 
 Number = TypeVar("Number", bound=np.generic)

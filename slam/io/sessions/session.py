@@ -184,6 +184,9 @@ def _check_references(file: Path, header: SessionHeader, scans: ScanRecords, lan
         raise MapError(f"{file}: checkpoint.anchor: keyframe {anchor.keyframe} of {count} does not exist")
     if any(not 0 <= keyframe < count for keyframe in header.checkpoint.kidnapped_keyframes):
         raise MapError(f"{file}: checkpoint.kidnapped_keyframes: there are {count} keyframes")
+    field = header.checkpoint.field
+    if any(not 0 <= keyframe < count for keyframe in [*field.inserted, *(k for link in field.links for k in link)]):
+        raise MapError(f"{file}: checkpoint.field: there are {count} keyframes")
     if any(not 0 <= row <= len(scans.scans) for row in header.segment_starts):
         raise MapError(f"{file}: segment_starts: there are {len(scans.scans)} scans")
     walls = max((int(ids.walls.max(initial=-1)) for ids in scans.landmark_ids), default=-1)

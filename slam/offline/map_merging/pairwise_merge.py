@@ -17,6 +17,7 @@ from ...estimation.refinement.scan_history import ScanHistory
 from ...estimation.slam_state import SlamState, TrackingCheckpoint
 from ...geometry.segments import Floats
 from ...io.sessions import StoredSession
+from ...localisation.local_field import LocalFieldState
 from ...loop_closure.closing import LOOP_FACTOR_SIGMAS, MIN_COINCIDING_SHARE, walls_coincide
 from ...loop_closure.loop_search import LoopSearchState
 from ...mapping.mapper import Mapper
@@ -123,12 +124,19 @@ def _transfer_checkpoint(
 ) -> TrackingCheckpoint:
     """Return a state's checkpoint in the merged map, in which its keyframes are offset by `keyframes`."""
     checkpoint = state.checkpoint
-    if checkpoint.anchor is None or checkpoint.fix is None:
-        return replace(checkpoint, kidnapped_keyframes=kidnapped)
+    links = [(one + keyframes, other + keyframes) for one, other in checkpoint.field.links]
+    field = LocalFieldState(checkpoint.field.centre, links, (), np.zeros((0, 3)))  # of the map before
+    checkpoint = replace(checkpoint, field=field, kidnapped_keyframes=kidnapped)
+    if checkpoint.anchor is None or checkpoint.tracker is None:
+        return checkpoint
     anchor = replace(checkpoint.anchor, keyframe=checkpoint.anchor.keyframe + keyframes)
     before = state.mapper.keyframe_poses[checkpoint.anchor.keyframe]
-    pose = se2.compose(mapper.keyframe_poses[anchor.keyframe], se2.between(before, checkpoint.fix.pose))
-    return replace(checkpoint, fix=replace(checkpoint.fix, pose=pose), anchor=anchor, kidnapped_keyframes=kidnapped)
+    motion = se2.compose(mapper.keyframe_poses[anchor.keyframe], se2.inverse(before))
+    fix, reference = (
+        replace(saved, pose=se2.compose(motion, saved.pose))
+        for saved in (checkpoint.tracker.fix, checkpoint.tracker.reference)
+    )
+    return replace(checkpoint, tracker=replace(checkpoint.tracker, fix=fix, reference=reference), anchor=anchor)
 
 
 def _offset_loop_decisions(session: StoredSession, keyframes: int) -> list[dict[str, Any]]:

@@ -71,7 +71,7 @@ def _health(data: SessionData) -> Iterator[str]:
     health = slam.get("health") or {}
     if health:
         overlap_ratio = 100 * (health.get("overlap_ratio_median") or 0.0)
-        counts = ", ".join(f"{health.get(name, 0)} {name}" for name in ("tentative", "failed", "no_features", "lost"))
+        counts = ", ".join(f"{health.get(name, 0)} {name}" for name in ("slipped", "failed", "no_features", "lost"))
         yield f"health      overlap ratio {overlap_ratio:.0f} % (median of the scans); scans: {counts}"
     else:
         shares = [row.values["Scalars:scalars"][0] for row in rows(data.chunks, "/metrics/overlap_ratio")]

@@ -23,8 +23,8 @@ from slam.geometry.segments import CornerPoints, Segments
 from slam.io.tum import Trajectory
 from slam.mapping.keyframes import KeyframeMotion, LandmarkIds
 from slam.mapping.mapper import Mapper
-from slam.matching.likelihood_field import ScanPoints
 from slam.matching.line_matcher import ScanFeatures
+from slam.matching.scan_points import ScanPoints
 from slam.odometry.error_model import OdometryModel
 from slam.preprocessing.preprocessor import Preprocessor, ProcessedScan
 
@@ -183,8 +183,19 @@ ROOM = np.array(
 WITHOUT_BAY, AT_BAY = 6, 5
 # Metres.
 STEP = 0.4
+# Metres between the points of a wall.
+POINT_SPACING = 0.06
 # Number of steps on the circle outside, where no wall is visible.
 LAP = 60
+
+
+def points_on(segments: Segments) -> np.ndarray:
+    """Return points (n, 2) about every POINT_SPACING along the segments."""
+    points = [np.zeros((0, 2))]
+    for frame, half in zip(segments.frame, segments.half_length, strict=True):
+        along = np.linspace(-half, half, int(2 * half / POINT_SPACING))
+        points.append(se2.transform(frame, np.column_stack([along, np.zeros(len(along))])))
+    return np.concatenate(points)
 
 
 def visited_twice() -> tuple[ScanHistory, np.ndarray, np.ndarray]:
@@ -208,7 +219,7 @@ def visited_twice() -> tuple[ScanHistory, np.ndarray, np.ndarray]:
         walls = ROOM[: 0 if steps_in < 0 else WITHOUT_BAY if steps_in < AT_BAY else len(ROOM)]
         covariance = np.tile(np.diag([0.005, 0.004]) ** 2, (len(walls), 1, 1))
         segments = Segments(se2.between(pose, walls[:, :3]).reshape(-1, 3), walls[:, 3], covariance)
-        features = ScanFeatures(segments, nothing, ScanPoints(np.zeros((0, 2)), np.zeros((0, 2))))
+        features = ScanFeatures(segments, nothing, ScanPoints(points_on(segments), np.zeros((0, 2))))
         scans.append(ProcessedScan(0.5 * k, odometry_pose, features))
     every = np.arange(len(scans))
     count = len(scans)

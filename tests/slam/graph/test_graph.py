@@ -292,7 +292,7 @@ def test_switching_to_qr_keeps_the_estimate() -> None:
         graph.remove_factors(graph.close_loop(0, 6, se2.between(world.poses[0], world.poses[6]), np.full(3, 0.01)))
     qr.solver.switch_to_qr(RuntimeError("Indeterminate linear system"))
     for graph in (cholesky, qr):  # factors can be removed by their new numbers
-        graph.remove_wall_observations([0, 2], since=4)
+        graph.remove_wall_observations({0: 4, 2: 4})
         seen = se2.between(world.poses[5], world.walls[0])
         graph.add_wall_observation(5, 0, seen, np.diag([1e-4, 1e-5]), seen)
         graph.update()

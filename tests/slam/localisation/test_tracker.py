@@ -1,4 +1,4 @@
-"""The pose is tracked while odometry fails, by a search with the raw points."""
+"""The pose is tracked while odometry fails, by a search with the scan points."""
 
 from __future__ import annotations
 
@@ -13,55 +13,36 @@ from drivers.simulation import LidarModel, Simulation
 from slam import Finished, Slam
 from slam.events import Notice
 from slam.geometry.segments import Floats
-from slam.matching.likelihood_field import (
-    FIELD_CELL,
-    SEARCH_STEP,
-    SEARCH_TURN_STEP,
-    RecentPoints,
-    ScanPoints,
-    build_likelihood_field,
-    likelihood_score,
-    search_pose,
-)
+from slam.matching.distance_field import FIELD_CELL
+from slam.matching.point_matcher import Prediction, likelihoods, match_points
 
 from ..listeners import EventCollector
-from ..outlines import outline
+from ..outlines import noisy_field, outline, scan_points
 
 ROOM = outline([(0, 0), (5, 0), (5, 2), (3.5, 2), (3.5, 4), (0, 4)])  # angular, without symmetry
+WIDE = np.diag(1 / np.array([0.6, 0.6, np.radians(25.0)]) ** 2)  # information of a prediction after odometry has failed
+ROOM_FIELD = noisy_field(ROOM, np.array([1.5, 1.5, 0.0]))
 
 
 def test_the_likelihood_is_high_only_at_the_true_pose() -> None:
-    field = build_likelihood_field(ROOM, np.zeros((0, 2)), np.array([2.0, 2.0]))
     pose = np.array([1.5, 1.5, 0.4])
     points = se2.transform(se2.inverse(pose), ROOM)
-    assert likelihood_score(field, points, pose) > 0.9
-    assert likelihood_score(field, points, pose + np.array([0.5, 0.0, 0.3])) < 0.4
-    assert likelihood_score(field, points, pose + np.array([100.0, 0.0, 0.0])) == 0.0
-    assert likelihood_score(field, np.zeros((0, 2)), pose) == 0.0
+    at_pose, beside, far = likelihoods(
+        ROOM_FIELD, points, pose + np.array([[0, 0, 0], [0.5, 0.0, 0.3], [100.0, 0.0, 0.0]])
+    )
+    assert at_pose > 0.9
+    assert beside < 0.4
+    assert far == 0.0
+    assert likelihoods(ROOM_FIELD, np.zeros((0, 2)), pose[None]).tolist() == [0.0]
 
 
 @pytest.mark.parametrize("off", [[1.0, -0.8, 0.9], [-1.3, 0.2, -1.2], [0.0, 0.0, 0.0]])
 def test_a_pose_is_found_far_from_its_prediction(off: list[float]) -> None:
-    field = build_likelihood_field(ROOM, np.zeros((0, 2)), np.array([2.0, 2.0]))
     pose = np.array([1.5, 1.5, 0.4])
-    found, like = search_pose(field, se2.transform(se2.inverse(pose), ROOM), pose + off)
-    assert like > 0.7
-    assert np.abs(found - pose)[:2].max() < SEARCH_STEP
-    assert abs(found[2] - pose[2]) < SEARCH_TURN_STEP
-
-
-def test_each_cell_has_its_nearest_loose_point() -> None:
-    loose = np.array([[1.0, 1.0], [1.2, 1.0]])
-    field = build_likelihood_field(np.zeros((0, 2)), loose, np.zeros(2))
-    at = np.floor((np.array([[1.01, 1.0], [1.19, 1.0], [3.0, 3.0]]) - field.origin) / FIELD_CELL).astype(int)
-    assert field.nearest[at[:, 0], at[:, 1]].tolist() == [0, 1, -1]
-
-
-def test_only_recent_scans_are_kept() -> None:
-    recent = RecentPoints()
-    for keyframe in range(40):
-        recent.add(keyframe, ScanPoints(np.zeros((3, 2)), np.zeros((0, 2))))
-    assert recent.keyframes == list(range(25, 40))
+    found = match_points(ROOM_FIELD, scan_points(ROOM, pose), [Prediction(pose + off, WIDE)])[0]
+    assert found.fit > 0.9
+    assert np.abs(found.pose - pose)[:2].max() < FIELD_CELL
+    assert abs(found.pose[2] - pose[2]) < np.radians(1.0)
 
 
 class FailingOdometry:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 
 from drivers import se2
 from slam.geometry.segments import CornerPoints, Floats, Segments
-from slam.loop_closure.closing import close_loop
-from slam.loop_closure.decision import LoopDecision
+from slam.graph.factors import FactorKind
+from slam.loop_closure.closing import close_agreeing_loop, close_loop
+from slam.loop_closure.decision import LoopDecision, LoopMatch
 from slam.loop_closure.loop_status import LoopStatus
 from slam.loop_closure.proposal import Hypothesis
 from slam.loop_closure.verification import Verdict
@@ -99,3 +101,33 @@ def test_closure_is_rejected_if_walls_do_not_coincide() -> None:
     np.testing.assert_allclose(mapper.graph.keyframe_poses(mapper.keyframe_count), before, atol=1e-12)
     assert mapper.graph.factor_count == factors
     assert list(mapper.landmarks.walls.rows["merged_into"][second]) == second
+
+
+def agreeing_decision(mapper: Mapper, relatives: list[se2.Pose]) -> LoopDecision:
+    """Return a confirmed decision with a match of the last keyframe with the first one for each relative pose."""
+    last = mapper.keyframe_count - 1
+    covariance = np.diag([0.03, 0.03, 0.01]) ** 2
+    matches = [LoopMatch(last, 0, relative, covariance, mapper.travelled[-1], 0.95, 0.9) for relative in relatives]
+    decision = confirmed_decision(np.zeros(3), [], [])
+    return replace(decision, matches=tuple(matches), since=mapper.keyframe_count - 2)
+
+
+def test_matches_that_agree_correct_the_pose_and_merge_walls_that_coincide_then() -> None:
+    mapper, first, second = drifted_mapper(np.array([1.6, -1.0, 0.2]))
+    relative = np.array([0.05, 0.0, 0.0])
+    closed = close_agreeing_loop(mapper, agreeing_decision(mapper, 4 * [relative]))
+    assert closed.status is LoopStatus.ACCEPTED
+    np.testing.assert_allclose(mapper.pose, se2.compose(INSIDE, relative), atol=0.01)
+    assert set(closed.merged) == set(zip(first, second, strict=True))
+    factors = list(mapper.graph.solver.factors.values())
+    loops = [factor for factor in factors if factor.kind is FactorKind.LOOP]
+    assert len(loops) == 4
+    assert all(factor.covariance[0, 0] >= 0.03**2 for factor in loops)  # those that only moved the map are removed
+
+
+def test_matches_that_contradict_each_other_are_rejected() -> None:
+    mapper, _, _ = drifted_mapper(np.array([1.6, -1.0, 0.2]))
+    relatives = [np.array([0.05, 0.0, 0.0]), np.array([0.05, 0.8, 0.0])]
+    rejected = close_agreeing_loop(mapper, agreeing_decision(mapper, 2 * relatives))
+    assert rejected.status is LoopStatus.REJECTED
+    assert "do not fit" in rejected.verdict.reason

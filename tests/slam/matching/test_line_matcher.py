@@ -1,5 +1,7 @@
 """Registration of scans with known walls: rooms, corridors, distant starts, empty scans and empty maps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,15 +9,19 @@ from drivers import se2
 from slam.geometry.segments import CornerPoints, Segments
 from slam.mapping.landmarks import Landmarks
 from slam.mapping.local_map import LocalMap, empty_local_map, local_map_around
-from slam.matching.likelihood_field import ScanPoints, build_likelihood_field
-from slam.matching.line_matcher import NEAR_STARTS, Registration, ScanFeatures, register
+from slam.matching.distance_field import DistanceField
+from slam.matching.line_matcher import Registration, ScanFeatures, register
+from slam.matching.point_matcher import FINE_SIGMA, POINT_SPACING, Prediction, match_points
+from slam.matching.scan_points import ScanPoints, segments_of, surface_points
+
+from ..outlines import NO_SEGMENTS
 
 ROOM = np.array([[1.0, -2.0, 0.0], [4.0, 0.0, np.pi / 2], [1.0, 2.0, np.pi], [-2.0, 0.5, -np.pi / 2], [1.0, 0.5, 0.5]])
 ROOM_HALVES = np.array([3.0, 2.0, 3.0, 1.4, 0.4])
 CORRIDOR = np.array([[0.0, -1.0, 0.0], [0.0, 1.0, np.pi]])
 CORRIDOR_HALVES = np.array([8.0, 8.0])
 NO_POINTS = ScanPoints(np.zeros((0, 2)), np.zeros((0, 2)))
-EMPTY_FIELD = build_likelihood_field(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(2))
+EMPTY_FIELD = DistanceField.empty(np.zeros(2), 2.0)
 SIGMAS = np.array([0.002, 0.002])  # metres, radians
 LOOSE_PRIOR = np.diag(1 / np.array([0.3, 0.3, np.radians(15.0)]) ** 2)
 
@@ -40,8 +46,33 @@ def simulate_scan(pose: np.ndarray, frames: np.ndarray, halves: np.ndarray, seed
     return ScanFeatures(Segments(seen, 0.7 * halves, covariance), corners, NO_POINTS)
 
 
+def wall_points(frames: np.ndarray, halves: np.ndarray) -> np.ndarray:
+    """Return points (n, 2) every two centimetres along the walls."""
+    along = [np.arange(-half, half, 0.02) for half in halves]
+    return np.concatenate(
+        [se2.transform(f, np.column_stack([a, np.zeros(len(a))])) for f, a in zip(frames, along, strict=True)]
+    )
+
+
+def field_of(points: np.ndarray) -> DistanceField:
+    """Return a distance field of points (n, 2) in the map, seen from its origin."""
+    field = DistanceField.empty(np.zeros(2))
+    field.insert(np.zeros(3), points)
+    return field
+
+
 def register_scan(prediction: np.ndarray, scan: ScanFeatures, local_map: LocalMap) -> Registration:
-    return register(prediction, LOOSE_PRIOR, NEAR_STARTS, scan, local_map, EMPTY_FIELD, 0.0)
+    """Register a scan without points, starting at the prediction."""
+    return register(prediction, prediction, LOOSE_PRIOR, scan, np.zeros((0, 4)), local_map, EMPTY_FIELD, 0.0)
+
+
+def match_and_register(
+    prediction: np.ndarray, scan: ScanFeatures, local_map: LocalMap, field: DistanceField
+) -> Registration:
+    """Register a scan, starting where its points fit best near the prediction."""
+    points = surface_points(scan.points.all, scan.segments, POINT_SPACING)
+    start = match_points(field, points, [Prediction(prediction, LOOSE_PRIOR)])[0].pose
+    return register(start, prediction, LOOSE_PRIOR, scan, points, local_map, field, 0.0)
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -50,17 +81,24 @@ def test_pose_in_room_is_found_from_distant_prediction(seed: int) -> None:
     truth = np.array([random.uniform(0, 2), random.uniform(-1, 0), random.uniform(-3, 3)])
     side, turn = random.uniform(-np.pi, np.pi), np.radians(15.0) * random.uniform(-1, 1)
     start = se2.compose(truth, [0.3 * np.cos(side), 0.3 * np.sin(side), turn])
-    found = register_scan(start, simulate_scan(truth, ROOM, ROOM_HALVES, seed), build_local_map(ROOM, ROOM_HALVES))
+    points = wall_points(ROOM, ROOM_HALVES)
+    noisy = se2.transform(se2.inverse(truth), points) + random.normal(0.0, 0.005, points.shape)
+    scan = replace(simulate_scan(truth, ROOM, ROOM_HALVES, seed), points=ScanPoints(noisy, np.zeros((0, 2))))
+    found = match_and_register(start, scan, build_local_map(ROOM, ROOM_HALVES), field_of(points))
     error = se2.between(truth, found.pose)
     assert np.hypot(*error[:2]) < 0.006
     assert abs(error[2]) < 0.004
     assert found.overlap_ratio > 0.95
     assert error @ found.information @ error < 25.0
+    assert error @ found.total_information @ error < 25.0
 
 
-def test_corners_alone_determine_pose() -> None:
+def test_corners_determine_position_along_bare_corridor() -> None:
     truth, start = np.array([0.3, -0.2, 0.1]), np.array([0.2, -0.1, 0.05])
     landmarks = Landmarks()
+    for frame, half in zip(CORRIDOR, CORRIDOR_HALVES, strict=True):
+        landmarks.add_wall(frame, half, 0)
+    landmarks.walls.rows["covariance"][:] = 1e-6 * np.eye(2)
     for position, headings in (
         ([4.0, -2.0], [0.0, np.pi / 2]),
         ([4.0, 2.0], [np.pi / 2, np.pi]),
@@ -76,7 +114,8 @@ def test_corners_alone_determine_pose() -> None:
         np.zeros((3, 2), int),
         corners["headings"] - truth[2],
     )
-    scan = ScanFeatures(Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2))), seen, NO_POINTS)
+    walls = Segments(se2.between(truth, CORRIDOR), 0.7 * CORRIDOR_HALVES, np.tile(1e-6 * np.eye(2), (2, 1, 1)))
+    scan = ScanFeatures(walls, seen, NO_POINTS)
     found = register_scan(start, scan, local_map)
     np.testing.assert_allclose(found.pose, truth, atol=1e-3)
 
@@ -99,14 +138,63 @@ def test_clutter_points_determine_position_along_corridor() -> None:
     truth = np.array([0.5, 0.2, 0.05])
     start = truth + np.array([0.12, -0.05, 0.02])
     clutter = np.random.default_rng(3).uniform([-4, -0.9], [4, 0.9], (40, 2))
-    field = build_likelihood_field(clutter, clutter, np.zeros(2))
-    seen = se2.transform(se2.inverse(truth), clutter)
+    walls = wall_points(CORRIDOR, CORRIDOR_HALVES)
+    on_walls, seen = (se2.transform(se2.inverse(truth), points) for points in (walls, clutter))
     scan = simulate_scan(truth, CORRIDOR, CORRIDOR_HALVES)
-    scan = ScanFeatures(scan.segments, scan.corners, ScanPoints(seen, seen))
+    scan = replace(scan, points=ScanPoints(np.concatenate([on_walls, seen]), seen))
     local_map = build_local_map(CORRIDOR, CORRIDOR_HALVES)
-    found = register(start, LOOSE_PRIOR, NEAR_STARTS, scan, local_map, field, 0.0)
+    found = match_and_register(start, scan, local_map, field_of(np.concatenate([walls, clutter])))
     assert found.pose[0] == pytest.approx(truth[0], abs=0.02)
     assert found.point_information[0, 0] > 100.0
+
+
+def points_on(segments: Segments) -> np.ndarray:
+    """Return points (p, 4) with normals on the segments, nearly from end to end."""
+    points = wall_points(segments.frame, 0.99 * segments.half_length)
+    return surface_points(points, segments, POINT_SPACING)
+
+
+@pytest.mark.parametrize("displacement", [0.0, 0.05])
+def test_points_on_matched_walls_count_by_the_walls_alone(displacement: float) -> None:
+    truth = np.array([0.5, 0.2, 0.05])
+    scan = simulate_scan(truth, ROOM, ROOM_HALVES)
+    field = field_of(wall_points(ROOM, ROOM_HALVES) + displacement)
+    walls, points = build_local_map(ROOM, ROOM_HALVES), points_on(scan.segments)
+    found = register(truth, truth, LOOSE_PRIOR, scan, points, walls, field, 0.0)
+    np.testing.assert_array_equal(found.point_information, 0.0)
+    np.testing.assert_array_equal(found.total_information, found.information)
+    np.testing.assert_array_equal(found.pose, register_scan(truth, scan, walls).pose)
+
+
+def test_points_on_walls_that_are_not_known_count_by_the_field() -> None:
+    truth = np.array([0.5, 0.2, 0.05])
+    start = se2.compose(truth, [0.05, -0.04, 0.01])
+    scan = simulate_scan(truth, ROOM, ROOM_HALVES)
+    points, field = points_on(scan.segments), field_of(wall_points(ROOM, ROOM_HALVES))
+    found = register(start, start, LOOSE_PRIOR, scan, points, empty_local_map(), field, 0.0)
+    np.testing.assert_array_equal(found.information, 0.0)
+    np.testing.assert_allclose(found.pose, truth, atol=6e-3)  # the segments have an error of 2 mm
+    assert 0.5 < np.trace(found.point_information[:2, :2]) / (len(points) / FINE_SIGMA**2) < 1.0
+    known = build_local_map(ROOM[:1], ROOM_HALVES[:1])  # one of five walls
+    part = register(start, start, LOOSE_PRIOR, scan, points, known, field, 0.0)
+    others = points[segments_of(points, scan.segments) != 0]
+    without = register(start, start, LOOSE_PRIOR, scan, others, known, field, 0.0)
+    np.testing.assert_array_equal(part.point_information, without.point_information)
+    np.testing.assert_array_equal(part.pose, without.pose)
+    assert 0 < len(others) < len(points)
+    assert np.trace(part.information) > 0.0
+
+
+def test_pose_of_the_points_is_independent_of_the_walls() -> None:
+    truth, displacement = np.array([0.5, 0.2, 0.05]), np.array([0.03, 0.05])
+    clutter = np.random.default_rng(3).uniform([-4, -0.9], [4, 0.9], (40, 2))
+    scan = simulate_scan(truth, CORRIDOR, CORRIDOR_HALVES)
+    points = surface_points(se2.transform(se2.inverse(truth), clutter), NO_SEGMENTS, POINT_SPACING)
+    walls, field = build_local_map(CORRIDOR, CORRIDOR_HALVES), field_of(clutter + displacement)
+    found = register(truth, truth, LOOSE_PRIOR, scan, points, walls, field, 0.0)
+    assert found.pose[0] == pytest.approx(truth[0] + displacement[0], abs=2e-3)  # the walls do not determine it
+    assert found.pose[1] == pytest.approx(truth[1], abs=4e-3)
+    np.testing.assert_allclose(found.point_pose[:2], truth[:2] + displacement, atol=5e-3)
 
 
 def test_wall_seen_from_other_side_is_not_matched() -> None:

@@ -1,0 +1,151 @@
+"""Search for the pose of a submap, the points of the last keyframes, in the distance field of an old place.
+
+All poses within the uncertainty of the estimate are tried on a coarse grid, and the best of them are improved by
+Gauss-Newton. The match counts in both directions: the points of the submap must fit the old place wherever it was seen,
+and the points of the old place must fit the submap wherever that was seen. So a wall that should have hidden what was
+seen behind it speaks against a pose.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import minimum_filter
+
+from drivers import se2
+from drivers.compiled import compiled
+
+from ..geometry.segments import Floats
+from ..matching.distance_field import DistanceField
+from ..matching.point_matcher import MISFIT, UNSEEN, Prediction, match_from, point_cost, points_cost
+from .proposal import DISTINCT_SHIFT, DISTINCT_TURN
+
+# Metres and radians between the poses of the coarse grid. Origin: definition, half of what Gauss-Newton corrects at the
+# usual distance of a submap's points.
+SEARCH_STEP = 0.3
+SEARCH_TURN_STEP = math.radians(3.0)  # Origin: as SEARCH_STEP.
+# Metres and radians: largest half width of the grid. Origin: chosen, for speed; not measured.
+MAX_SHIFT = 8.0
+MAX_TURN = math.radians(40.0)  # Origin: as MAX_SHIFT.
+# Standard deviations of the estimate that the grid covers. Origin: chosen, 99.7 % of a normal distribution.
+SEARCH_DEVIATIONS = 3.0
+# Points of the submap that the grid is tried with. Origin: chosen, for speed; not measured.
+MAX_SEARCH_POINTS = 60
+# Poses of the grid that are improved. Origin: chosen, for speed; not measured.
+MAX_REFINED = 8
+# Metres and radians: standard deviation added to a match's own, from the submaps' own distortion.
+# Origin: chosen, a field's cell and its angle at 6 m; not measured.
+DISTORTION_SIGMAS = np.array([0.03, 0.03, 0.005])
+# Information of a prediction that says nothing. Origin: definition.
+NO_PRIOR = 1e-6 * np.eye(3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Submap:
+    """Points (p, 4) of some keyframes with their normals, in the frame of one of them, and their distance field."""
+
+    points: Floats
+    field: DistanceField
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SubmapMatch:
+    """Pose of a submap relative to an old one.
+
+    pose        [x, y, heading] of the submap's frame in that of the old submap
+    covariance  (3, 3) in the submap's frame
+    fit         share of the points in seen space that fit, the smaller of both directions
+    known       share of the submap's points in space that the old submap has seen
+    """
+
+    pose: se2.Pose
+    covariance: Floats
+    fit: float
+    known: float
+
+    @property
+    def score(self) -> float:
+        """Log-likelihood ratio per point to a place that was not seen; see UNSEEN of `point_matcher`."""
+        return self.known * (MISFIT * self.fit - (MISFIT - UNSEEN))
+
+
+def build_submap(poses: Floats, points: Sequence[Floats], half_width: float) -> Submap:
+    """Build a submap from keyframes at `poses` (k, 3) in its frame, each with points (p, 4) in its own."""
+    field = DistanceField.empty(np.zeros(2), half_width)
+    for pose, own in zip(poses, points, strict=True):
+        field.insert(pose, own)
+    moved = [_transform(pose, own) for pose, own in zip(poses, points, strict=True)]
+    return Submap(np.concatenate(moved), field)
+
+
+def _transform(pose: se2.Pose, points: Floats) -> Floats:
+    """Transform points (p, 4) with normals."""
+    turn = np.array([0.0, 0.0, pose[2]])
+    return np.column_stack([se2.transform(pose, points[:, :2]), se2.transform(turn, points[:, 2:])])
+
+
+def search_submap(submap: Submap, old: Submap, prediction: se2.Pose, covariance: Floats) -> list[SubmapMatch]:
+    """Return the distinct poses of a submap in an old one, by descending score.
+
+    prediction  [x, y, heading] of the submap's frame in that of the old submap, by the estimate
+    covariance  (3, 3) of the prediction, in the submap's frame
+    """
+    sigmas = SEARCH_DEVIATIONS * np.sqrt([np.linalg.eigvalsh(covariance[:2, :2])[-1], covariance[2, 2]])
+    reach = min(MAX_SHIFT, max(SEARCH_STEP, float(sigmas[0])))
+    turn = min(MAX_TURN, max(SEARCH_TURN_STEP, float(sigmas[1])))
+    few = submap.points[:: max(1, -(-len(submap.points) // MAX_SEARCH_POINTS))]
+    costs = _grid_costs(old.field.offset, old.field.seen, old.field.origin, few, prediction, reach, turn)
+    low = np.flatnonzero(costs == minimum_filter(costs, size=3, mode="nearest"))
+    low = low[np.argsort(costs.ravel()[low], kind="stable")[:MAX_REFINED]]
+    turns, steps = (costs.shape[0] - 1) // 2, (costs.shape[1] - 1) // 2
+    found: list[SubmapMatch] = []
+    for k, i, j in np.column_stack(np.unravel_index(low, costs.shape)):
+        offset = np.array([(i - steps) * SEARCH_STEP, (j - steps) * SEARCH_STEP, (k - turns) * SEARCH_TURN_STEP])
+        start = se2.compose(prediction, offset)
+        match = match_from(old.field, submap.points, start, Prediction(start, NO_PRIOR))
+        if all(are_distinct(match.pose, other.pose) for other in found):
+            found.append(_judge(submap, old, match.pose, match.information))
+    return sorted(found, key=lambda match: -match.score)
+
+
+def improve(submap: Submap, old: Submap, start: se2.Pose) -> SubmapMatch:
+    """Return the pose of a submap in an old one that Gauss-Newton finds from `start`."""
+    match = match_from(old.field, submap.points, start, Prediction(start, NO_PRIOR))
+    return _judge(submap, old, match.pose, match.information)
+
+
+def _judge(submap: Submap, old: Submap, pose: se2.Pose, information: Floats) -> SubmapMatch:
+    """Compare a submap and an old one in both directions at a pose."""
+    _, fit, known = point_cost(old.field, submap.points, pose)
+    _, reverse, _ = point_cost(submap.field, old.points, se2.inverse(pose))
+    covariance: Floats = np.asarray(np.linalg.inv(information + 1e-2 * np.eye(3)), dtype=np.float64) + np.diag(
+        DISTORTION_SIGMAS**2
+    )
+    return SubmapMatch(pose, covariance, min(fit, reverse), known / max(1, len(submap.points)))
+
+
+def are_distinct(pose: se2.Pose, other: se2.Pose) -> bool:
+    """True if two poses are different places."""
+    x, y, turn = se2.between(pose, other)
+    return bool(math.hypot(x, y) > DISTINCT_SHIFT or abs(turn) > DISTINCT_TURN)
+
+
+@compiled
+def _grid_costs(offset, seen, origin, points, prediction, reach, turn):  # type: ignore[no-untyped-def]
+    """Return the costs (t, n, n) of the poses on a grid around the prediction, in its axes."""
+    turns, steps = math.ceil(turn / SEARCH_TURN_STEP), math.ceil(reach / SEARCH_STEP)
+    costs = np.empty((2 * turns + 1, 2 * steps + 1, 2 * steps + 1))
+    c, s = math.cos(prediction[2]), math.sin(prediction[2])
+    pose = prediction.copy()
+    for k in range(2 * turns + 1):
+        pose[2] = prediction[2] + (k - turns) * SEARCH_TURN_STEP
+        for i in range(2 * steps + 1):
+            for j in range(2 * steps + 1):
+                forward, left = (i - steps) * SEARCH_STEP, (j - steps) * SEARCH_STEP
+                pose[0] = prediction[0] + c * forward - s * left
+                pose[1] = prediction[1] + s * forward + c * left
+                costs[k, i, j] = points_cost(offset, seen, origin, points, pose)[0]
+    return costs

@@ -1,0 +1,134 @@
+"""Points of one scan, the normals of their surfaces, and the segments on which they lie."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.compiled import compiled
+
+from ..geometry.angles import axes_of
+from ..geometry.segments import Floats, Integers, Segments
+
+# Points of one scan that are kept; denser scans are subsampled. Origin: chosen, above the 361 beams of a half-circle
+# lidar with half-degree steps: a limit of 360 left out every other of them.
+MAX_SCAN_POINTS = 400
+
+# Metres between a point and the line of a segment on which it lies.
+# Origin: chosen, as for the points that count as clutter; not measured.
+LINE_DISTANCE = 0.1
+# Half lengths from the middle of a segment up to which its line continues.
+# Origin: chosen, as long again on either side; not measured.
+CONTINUATION = 3.0
+# Neighbours on each side, within a radius in metres, to which a line is fitted. Origin: chosen; not measured.
+NORMAL_NEIGHBOURS = 4
+NORMAL_RADIUS = 0.5  # Origin: as NORMAL_NEIGHBOURS.
+# Points that a line needs. Origin: chosen, two more than determine it.
+MIN_NORMAL_POINTS = 4
+# Largest variance of the points across a line, as a share of that along it. Origin: chosen, a seventh in standard
+# deviations; not measured.
+MAX_FLATNESS = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanPoints:
+    """Points of one scan in the base's frame: `all` (p, 2), and `clutter` (q, 2), those on no extracted line."""
+
+    all: Floats
+    clutter: Floats
+
+
+def subsample(points: Floats, max_count: int) -> Floats:
+    """Return every k-th point, with the smallest k that leaves at most `max_count`."""
+    return points[:: max(1, -(-len(points) // max_count))]
+
+
+def surface_points(points: Floats, segments: Segments, spacing: float) -> Floats:
+    """Return (q, 4) the points to be matched, each with the normal [x, y] of its surface, in the base's frame.
+
+    points    (p, 2) returns of one scan in the base's frame, in the order of the beams, counter-clockwise
+    segments  of the same scan
+    spacing   metres; a beam that ends nearer than this to the one kept before hits the same piece of the same surface
+              and shares its errors, so it is left out
+
+    A point on the line of a segment, as far beyond its ends as the segment is long, has the segment's normal: the last
+    returns from a corridor's walls move with the robot. Another point has the normal of a line through its neighbours,
+    or zero where these are on no line, as at corners and on clutter. Normals have length 1 and point to the lidar: to
+    the left of the direction in which the beams move along the surface, wherever the lidar is mounted.
+    """
+    points = np.ascontiguousarray(points)  # subsampled ones would be compiled for separately
+    return np.asarray(_surface_points(points, segments.frame, segments.half_length, spacing))
+
+
+def segments_of(points: Floats, segments: Segments) -> Integers:
+    """Return (q,) the row of the segment, between its ends, on which each of `surface_points` (q, 4) lies, or -1."""
+    return np.asarray(_segments_of(points, segments.frame, segments.half_length))
+
+
+@compiled
+def _surface_points(points, frames, half_lengths, spacing):  # type: ignore[no-untyped-def]
+    kept, count = np.zeros((len(points), 4)), 0
+    for k in range(len(points)):
+        if count:
+            dx, dy = points[k, 0] - kept[count - 1, 0], points[k, 1] - kept[count - 1, 1]
+            if dx * dx + dy * dy < spacing * spacing:
+                continue
+        kept[count, 0], kept[count, 1] = points[k, 0], points[k, 1]
+        count += 1
+    kept = kept[:count]
+    axes = axes_of(frames)
+    for k in range(count):
+        line = _nearest_line(kept[k, 0], kept[k, 1], frames, axes, half_lengths, CONTINUATION)
+        if line >= 0:
+            kept[k, 2], kept[k, 3] = -axes[line, 1], axes[line, 0]
+        else:
+            _set_normal(kept, k)
+    return kept
+
+
+@compiled
+def _segments_of(points, frames, half_lengths):  # type: ignore[no-untyped-def]
+    rows, axes = np.empty(len(points), np.int64), axes_of(frames)
+    for k in range(len(points)):
+        rows[k] = _nearest_line(points[k, 0], points[k, 1], frames, axes, half_lengths, 1.0)
+    return rows
+
+
+@compiled
+def _nearest_line(x, y, frames, axes, half_lengths, reach):  # type: ignore[no-untyped-def]
+    """Return the row of the nearest line on which (x, y) lies, up to `reach` half lengths from its middle, or -1."""
+    nearest, found = LINE_DISTANCE, -1
+    for j in range(len(frames)):
+        dx, dy = x - frames[j, 0], y - frames[j, 1]
+        across = abs(axes[j, 0] * dy - axes[j, 1] * dx)
+        if across < nearest and abs(axes[j, 0] * dx + axes[j, 1] * dy) < reach * half_lengths[j]:
+            nearest, found = across, j
+    return found
+
+
+@compiled
+def _set_normal(points, k):  # type: ignore[no-untyped-def]
+    """Set the normal of point k of (q, 4) from its neighbours within NORMAL_RADIUS, if they are on a line.
+
+    The line has the direction of the larger eigenvector of the neighbours' covariance.
+    """
+    n, x, y, xx, xy, yy = 0, 0.0, 0.0, 0.0, 0.0, 0.0
+    beams_x, beams_y = 0.0, 0.0  # direction of the beams' ends
+    for j in range(max(0, k - NORMAL_NEIGHBOURS), min(len(points), k + NORMAL_NEIGHBOURS + 1)):
+        dx, dy = points[j, 0] - points[k, 0], points[j, 1] - points[k, 1]
+        if dx * dx + dy * dy < NORMAL_RADIUS * NORMAL_RADIUS:
+            n, x, y = n + 1, x + dx, y + dy
+            xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
+            beams_x, beams_y = beams_x + (j - k) * dx, beams_y + (j - k) * dy
+    if n < MIN_NORMAL_POINTS:
+        return
+    xx, xy, yy = xx / n - (x / n) ** 2, xy / n - x * y / n**2, yy / n - (y / n) ** 2
+    half_difference, middle = math.hypot(0.5 * (xx - yy), xy), 0.5 * (xx + yy)
+    if middle - half_difference < MAX_FLATNESS * (middle + half_difference):
+        along = 0.5 * math.atan2(2 * xy, xx - yy)
+        c, s = math.cos(along), math.sin(along)
+        if c * beams_x + s * beams_y < 0.0:
+            c, s = -c, -s
+        points[k, 2], points[k, 3] = -s, c

@@ -1,0 +1,75 @@
+"""Matching of a scan to landmarks and distance field together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from drivers import se2
+from slam.geometry.segments import CornerPoints, Floats, Segments
+from slam.localisation.match_target import MatchTarget
+from slam.mapping.landmarks import Landmarks
+from slam.mapping.local_map import empty_local_map, local_map_around
+from slam.matching.line_matcher import ScanFeatures
+from slam.matching.point_matcher import Prediction
+from slam.matching.scan_points import ScanPoints
+
+from ..outlines import noisy_field, outline, visible, with_noise
+
+ROOM = outline([(0, 0), (5, 0), (5, 4), (0, 4)])
+WALLS = np.array([[2.5, 0.0, 0.0], [5.0, 2.0, 0.5 * np.pi], [2.5, 4.0, np.pi], [0.0, 2.0, -0.5 * np.pi]])
+HALVES = np.array([2.5, 2.0, 2.5, 2.0])
+TRUTH = np.array([1.5, 1.7, 0.4])
+PREDICTION = Prediction(se2.compose(TRUTH, [0.08, -0.06, 0.03]), np.diag(np.array([0.1, 0.1, 0.05]) ** -2.0))
+FIELD = noisy_field(ROOM, np.array([2.0, 1.5, 0.0]))
+
+
+def scan_of(points: Floats, pose: Floats) -> ScanFeatures:
+    """Return a scan of the room, in which `points` (n, 2) in the map are hit, with the segments of the room's walls."""
+    seen = with_noise(visible(points, pose), np.random.default_rng(1))
+    segments = Segments(se2.between(pose, WALLS), 0.9 * HALVES, np.tile(4e-6 * np.eye(2), (4, 1, 1)))
+    corners = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), int), np.zeros((0, 2)))
+    return ScanFeatures(segments, corners, ScanPoints(seen, np.zeros((0, 2))))
+
+
+def room_target() -> MatchTarget:
+    """Return the room's walls and field."""
+    landmarks = Landmarks()
+    for frame, half in zip(WALLS, HALVES, strict=True):
+        landmarks.add_wall(frame, half, 0)
+    landmarks.walls.rows["covariance"][:] = 1e-6 * np.eye(2)
+    return MatchTarget(local_map_around(landmarks, TRUTH, 20.0, [np.zeros((3, 3))]), FIELD, 0.0)
+
+
+def test_scan_of_a_known_room_is_matched_with_walls_and_points() -> None:
+    match = room_target().match(scan_of(ROOM, TRUTH), [PREDICTION])
+    error = se2.between(TRUTH, match.registration.pose)
+    assert np.hypot(*error[:2]) < 0.004
+    assert abs(error[2]) < 0.002
+    assert match.prediction is PREDICTION
+    assert match.registration.overlap_ratio > 0.9
+    assert match.fit > 0.95
+    assert match.score > 1.8
+    assert match.plausible
+    assert not match.poor
+
+
+def test_points_replace_walls_that_are_not_known() -> None:
+    target = replace(room_target(), landmarks=empty_local_map())
+    match = target.match(scan_of(ROOM, TRUTH), [PREDICTION])
+    error = se2.between(TRUTH, match.registration.pose)
+    assert np.hypot(*error[:2]) < 0.006
+    assert match.registration.overlap_ratio == 0.0
+    np.testing.assert_array_equal(match.registration.information, 0.0)
+    assert np.linalg.eigvalsh(match.registration.point_information)[0] > 1e3
+    assert match.plausible
+
+
+def test_scan_of_another_place_is_not_plausible() -> None:
+    other = outline([(0.6, 0.9), (2.6, 0.9), (2.6, 2.4), (0.6, 2.4)])  # inside the room, where it was seen empty
+    narrow = Prediction(TRUTH, 1e4 * np.eye(3))
+    scan = replace(scan_of(other, TRUTH), segments=Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2))))
+    match = room_target().match(scan, [narrow])
+    assert match.poor
+    assert not match.plausible

@@ -1,0 +1,88 @@
+"""Loop closure by agreement: looks of several places must support a correction, and rivals keep it open."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from drivers import se2
+from slam.geometry.segments import CornerPoints, Floats, Segments
+from slam.localisation.local_field import LocalField
+from slam.loop_closure.agreement import MIN_SUPPORT, SUBMAP_LENGTH, Agreement, LoopAgreement
+from slam.matching.line_matcher import ScanFeatures
+from slam.matching.scan_points import ScanPoints
+
+from ..outlines import outline, visible, with_noise
+
+STEP = 0.5  # metres between keyframes
+LENGTH = 24.0  # metres of driving between two rooms
+# A long room without symmetry.
+ROOM = outline([(0, 0), (16, 0), (16, 3), (13, 3), (13, 4.5), (9, 4.5), (9, 3), (5, 3), (5, 5), (3, 5), (3, 3), (0, 3)])
+NO_SEGMENTS = Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2)))
+NO_CORNERS = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), int), np.zeros((0, 2)))
+SIGMAS = np.array([0.5, 0.5, 0.05])  # of the estimate after the loop
+
+
+@dataclass
+class StubMap:
+    """What the search needs of a `Mapper`: estimated poses, distances driven and covariances."""
+
+    covariance: Floats
+    keyframe_poses: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    travelled: list[float] = field(default_factory=list)
+
+    @property
+    def keyframe_count(self) -> int:
+        return len(self.keyframe_poses)
+
+    def relative_covariance(self, old: int, keyframe: int) -> Floats:
+        return self.covariance
+
+
+def drive_twice(drift: se2.Pose, elsewhere: se2.Pose) -> tuple[list[Agreement], LocalField]:
+    """Drive through the room, and after LENGTH metres again, with a drift of the estimate.
+
+    The second time the robot is in truth in a copy of the room that is moved by `elsewhere`. Returns what was accepted.
+    """
+    agreement, local_field = LoopAgreement(), LocalField()
+    state = StubMap(np.diag(SIGMAS**2))
+    random, found = np.random.default_rng(0), []
+    for lap, moved in enumerate([np.zeros(3), se2.compose(elsewhere, drift)]):
+        for x in np.arange(1.0, 15.0, STEP):
+            inside = np.array([x, 1.5, 0.0])
+            points = with_noise(visible(ROOM, inside), random)
+            local_field.add(ScanFeatures(NO_SEGMENTS, NO_CORNERS, ScanPoints(points, points)))
+            state.keyframe_poses = np.vstack([state.keyframe_poses, se2.compose(moved, inside)])
+            state.travelled.append(x + lap * (LENGTH + 14.0))
+            local_field.update(state.keyframe_count - 1, state.keyframe_poses, state.travelled)
+            accepted = agreement.search(state, local_field)  # type: ignore[arg-type]
+            found += [] if accepted is None else [accepted]
+    return found, local_field
+
+
+def test_drift_is_corrected_once_enough_looks_agree() -> None:
+    drift = np.array([0.3, 0.9, 0.08])
+    found, _ = drive_twice(drift, np.zeros(3))
+    assert found
+    accepted = found[0]
+    assert len(accepted.matches) >= MIN_SUPPORT
+    assert accepted.matches[-1].travelled - accepted.matches[0].travelled >= SUBMAP_LENGTH
+    left = se2.compose(accepted.motion, drift)
+    assert np.hypot(*left[:2]) < 0.15  # at the origin, which is up to 15 m away
+    assert abs(left[2]) < 0.01
+    for match in accepted.matches:
+        assert abs(match.relative[1]) < 0.1  # both passes are on the same line
+
+
+def test_return_without_drift_links_the_passes_and_corrects_nothing() -> None:
+    found, local_field = drive_twice(np.array([0.01, -0.01, 0.002]), np.zeros(3))
+    assert found == []
+    assert local_field.state.links
+
+
+def test_similar_room_elsewhere_is_not_taken_for_the_first_one() -> None:
+    """The estimate is right to half a metre, and the copy of the room is six metres beside the first."""
+    found, local_field = drive_twice(np.zeros(3), np.array([0.0, 6.0, 0.0]))
+    assert found == []
+    assert not local_field.state.links
