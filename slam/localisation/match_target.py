@@ -69,7 +69,7 @@ class MatchTarget:
     roughness: float
 
     def match(self, scan: ScanFeatures, predictions: Sequence[Prediction]) -> ScanMatch:
-        """Match a scan near one of several predicted poses: all its points first, then walls and clutter."""
+        """Match a scan near one of several predicted poses: first by all its points, then by walls too."""
         points = surface_points(scan.points.all, scan.segments, POINT_SPACING)
         match, *others = match_points(self.field, points, predictions)
         prediction = match.prediction

@@ -1,11 +1,11 @@
 """Loop closure by agreement: follow each possible correction of the estimate over several looks at old places.
 
-Every few metres the points of the last keyframes are matched with old places (see `submap_search`). Each match that
-the estimate's uncertainty admits is a hypothesis: a motion that would move the robot onto the old map. One match may be
-wrong, as places look alike, so all hypotheses are tested again at each later look. A loop is closed by a hypothesis
-that looks without common points support, that few contradict, and that no rival within the uncertainty equals (see
-pairwise consistency maximisation, Mangelson et al. 2018, for the idea of accepting sets). The estimate itself is the
-first hypothesis: if it fits, the robot is back where it should be, and nothing is corrected.
+Every few metres the points of the last keyframes are matched with old places (see `submap_search`); this is a look.
+Each match that the estimate's uncertainty admits is a hypothesis: a motion that would move the robot onto the old map.
+One match may be wrong, as places look alike, so each later look tests all hypotheses again. A loop is closed if enough
+looks support its hypothesis, at least two of them without common points, and if few contradict it or support a rival.
+Mangelson et al. (2018) also accept sets of matches, by pairwise consistency. The estimate itself is the first
+hypothesis: if it fits, the robot has returned, and nothing is corrected.
 """
 
 from __future__ import annotations
@@ -222,7 +222,7 @@ class LoopAgreement:
         return self._accepted(looks)
 
     def _look(self, mapper: Mapper, local_field: LocalField, submap: Submap, old: int) -> _Look:
-        """Put the submap of the last keyframe beside that around an old keyframe, which is built if it is new."""
+        """Return the look at an old keyframe; the submap around it is built if it is not among the last ones."""
         last, travelled = mapper.keyframe_count - 1, np.asarray(mapper.travelled)
         old = int(np.searchsorted(travelled, travelled[old] // SUBMAP_INTERVAL * SUBMAP_INTERVAL))
         if old not in self._submaps:
@@ -278,9 +278,7 @@ class LoopAgreement:
         return [m for m in found if _fits(m) and _is_determined(m) and look.admits(m.pose)]
 
     def _accepted(self, looks: Sequence[_Look]) -> Agreement | None:
-        """Return the hypothesis that enough looks support, that few contradict and that has no equal."""
-        if not looks:
-            return None
+        """Return the hypothesis that enough looks support, that few contradict and that has no equal rival."""
         for hypothesis in (self._estimate, *self._hypotheses):
             count = len(hypothesis.support)
             if (

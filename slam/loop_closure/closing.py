@@ -76,7 +76,7 @@ def close_loop(mapper: Mapper, decision: LoopDecision) -> LoopDecision:
 
 
 def close_agreeing_loop(mapper: Mapper, decision: LoopDecision) -> LoopDecision:
-    """Move the recent keyframes to where the decision's matches have them, then merge the walls that coincide.
+    """Move the recent keyframes to their poses by the decision's matches, then merge the walls that coincide.
 
     Observations of old walls by the recent keyframes, and their matches with old keyframes, would hold the map in
     place: they are removed first. Returns the decision with status ACCEPTED; or REJECTED if too many matches do not
