@@ -28,7 +28,19 @@ IMPORT = re.compile(r"^(?:from +(\.*)([\w.]*) +import +(\([^)]*\)|.*)|import +([
 
 def compiled(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
     """Compile a function at its first call, or load it from the cache on disk."""
-    dispatcher = njit(cache=True)(function)
+    return _compiled(function, inline=False)
+
+
+def inlined(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Compile a function that compiled functions call in inner loops, and put its code in place of each call.
+
+    To pass arrays to a function takes as long as some dozens of operations. LLVM itself inlines only the smallest ones.
+    """
+    return _compiled(function, inline=True)
+
+
+def _compiled(function: Callable[Arguments, Result], *, inline: bool) -> Callable[Arguments, Result]:
+    dispatcher: Callable[Arguments, Result] = njit(cache=True, forceinline=inline)(function)
     stats = getattr(dispatcher, "stats", None)  # None if NUMBA_DISABLE_JIT is set
     if stats is not None:
         discard_stale(Path(inspect.getfile(function)), Path(stats.cache_path))

@@ -135,19 +135,17 @@ class LoopCheck:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ComparedWalls:
-    """Walls that were compared for a loop hypothesis, in the map as it was then, metres.
+class ComparedPoints:
+    """Points of the last match of a loop hypothesis, in the map as it was then, metres.
 
-    recent   (n, 2, 2) both ends of the recent walls
-    aligned  (n, 2, 2) the same, moved by the hypothesis
-    old      (m, 2, 2) both ends of the reference map's walls
-    match    (n,) row in `old` of the wall that each recent wall would lie on, -1 for none
+    recent   (n, 2) points of the last keyframes
+    aligned  (n, 2) the same, moved by the hypothesis
+    old      (m, 2) points of the old place
     """
 
     recent: Floats
     aligned: Floats
     old: Floats
-    match: Integers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,17 +179,17 @@ class LoopDecided:
     candidate      running number
     old            keyframe that saw the place before
     motion         (3,) [x, y, heading] by which the robot would move, in its own frame
-    status         rejected, pending (waits for confirmation), accepted, or retracted (contradicted by later scans)
+    status         accepted, rejected (the map does not fit together), or retracted (contradicted by later scans)
     reason         reason of the status
-    overlap_ratio  share of the recent wall length in the area of the reference map that would lie on its walls
-    matches        number of recent walls that would lie on walls of the reference map
-    runner_up      wall length that the best alternative explains, relative to this hypothesis
+    overlap_ratio  share of the recent points in space seen before that fit the old place
+    matches        number of looks that support the hypothesis
+    runner_up      number of looks that support the strongest rival, as a share of these
     sigma          standard deviation of the motion in its least certain direction, metres
-    contradicted   share of the recent wall length that older walls would have hidden
+    contradicted   share of the looks that contradict the hypothesis
     merged         pairs of wall ids (old, recent) that were merged
     shift          distance that the keyframe moved, metres
     checks         all checks
-    compared       compared walls
+    compared       points of the last match
     correction     change of trajectory and map, if the status is accepted or retracted
     """
 
@@ -210,7 +208,7 @@ class LoopDecided:
     merged: tuple[tuple[int, int], ...]
     shift: float
     checks: tuple[LoopCheck, ...] = ()
-    compared: ComparedWalls | None = None
+    compared: ComparedPoints | None = None
     correction: Correction | None = None
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,16 +12,13 @@ from .checks import find_suspects
 from .checks.adapter import drive_of
 from .errors import MapError
 from .estimation.map_view import final_result
-from .estimation.refinement import RefinementResult, ScanHistory, refine
+from .estimation.refinement import refine
 from .events import Finished, Sink
 from .io.sessions import StoredSession
 from .localisation.tracker import PoseFix
-from .loop_closure.loop_status import LoopStatus
-from .loop_closure.recent_walls import REFERENCE_DISTANCE
 from .mapping.mapper import Mapper
 from .mapping.odometry_segments import OdometrySegments
 from .publisher import Publisher
-from .run_statistics import loop_row
 
 # Keyframes before a loop closure that are checked for walls in common with the older part of the map.
 CHECKED_KEYFRAMES = 10
@@ -60,8 +57,7 @@ def optimise(session: StoredSession, sinks: Sequence[Sink] = ()) -> OptimisedSes
     refined.mapper.recompute_pose_covariances()
     last = session.scans[-1]
     slam_state.replace_map(refined.mapper, refined.trajectory, PoseFix(refined.poses[-1], last.odometry), keyframes)
-    decisions = _update_decisions(session.loop_decisions, refined, history)
-    summary = refined.summary | _changes(before, refined.mapper, session.loop_decisions, decisions)
+    summary = refined.summary | _changes(before, refined.mapper)
     publisher.publish_keyframes(refined.mapper, keyframes, session.sigma_range)
     publisher.publish_map(last.stamp, refined.mapper)
     segments = OdometrySegments(session.odometry, session.starts)
@@ -75,42 +71,16 @@ def optimise(session: StoredSession, sinks: Sequence[Sink] = ()) -> OptimisedSes
         {"refinement": summary, "suspects": [suspect.row() for suspect in suspects]},
     )
     publisher.publish(result)
-    return OptimisedSession(result, replace(session, loop_decisions=decisions), summary)
+    return OptimisedSession(result, session, summary)
 
 
-def _changes(
-    before: Mapper, after: Mapper, old: Sequence[Mapping[str, Any]], new: Sequence[Mapping[str, Any]]
-) -> dict[str, Any]:
-    """Compare the maps and loop decisions before and after, for the summary."""
+def _changes(before: Mapper, after: Mapper) -> dict[str, Any]:
+    """Compare the maps before and after, for the summary."""
     moved = np.hypot(*(after.keyframe_poses - before.keyframe_poses)[:, :2].T)
     farthest = np.argsort(-moved, kind="stable")[:LISTED_SHIFTS]
-    removed = sum(a["status"] == LoopStatus.ACCEPTED != b["status"] for a, b in zip(old, new, strict=False))
     return {
         "factors_before": before.graph.factor_count,
         "factors_after": after.graph.factor_count,
-        "closures_removed": removed,
         "median_shift": round(float(np.median(moved)), 4),
         "largest_shifts": [{"keyframe": int(k), "metres": round(float(moved[k]), 4)} for k in farthest],
     }
-
-
-def _update_decisions(
-    rows: Sequence[Mapping[str, Any]], refined: RefinementResult, history: ScanHistory
-) -> list[dict[str, Any]]:
-    """Return the updated loop decisions: closures that do not hold any more are marked, missed loops are appended."""
-    decisions = [dict(row) for row in rows]
-    for row in decisions:
-        if row["status"] == LoopStatus.ACCEPTED and not _holds(refined.mapper, int(row["keyframe"])):
-            row |= {"status": "removed", "reason": "both passes have no wall in common any more"}
-    stamps = history.stamps[history.keyframes]
-    return decisions + [loop_row(float(stamps[decision.keyframe]), decision) for decision in refined.loop_decisions]
-
-
-def _holds(mapper: Mapper, keyframe: int) -> bool:
-    """Return True if the keyframes up to `keyframe` observed a wall that was first observed on an older pass."""
-    travelled = np.array(mapper.travelled)
-    walls = [mapper.landmark_ids[k].walls for k in range(max(0, keyframe - CHECKED_KEYFRAMES), keyframe + 1)]
-    observed = np.unique(np.concatenate(walls))
-    observed = mapper.landmarks.walls.rows["merged_into"][observed[observed >= 0]]
-    first = mapper.landmarks.walls.rows["first_seen"][observed[observed >= 0]]
-    return bool((travelled[keyframe] - travelled[first] > REFERENCE_DISTANCE).any())

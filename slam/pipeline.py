@@ -24,7 +24,7 @@ from .geometry.segments import Floats
 from .io.sessions import StoredSession
 from .localisation.state import LocalisationEvent, LocalisationState, LocalisationStateMachine
 from .localisation.tracker import PoseFix
-from .loop_closure.loop_search import LoopSearch
+from .loop_closure.agreement import LoopAgreement
 from .mapping.map_features import MapCorners, MapWalls
 from .preprocessing.preprocessor import Preprocessor, ProcessedScan
 from .publisher import Publisher
@@ -47,7 +47,7 @@ class Slam:
         *,
         refine: bool = False,
         keep_all_features: bool = False,
-        loops: LoopSearch | None = None,
+        loops: LoopAgreement | None = None,
         resumed: StoredSession | None = None,
         frozen: bool = False,
     ) -> None:

@@ -16,7 +16,7 @@ from .estimation.map_view import covariances_when_last_seen, map_features
 from .estimation.scan_update import KeyframeUpdate
 from .estimation.stage_timer import StageTimer
 from .events import (
-    ComparedWalls,
+    ComparedPoints,
     Correction,
     Event,
     GraphInspected,
@@ -211,7 +211,7 @@ def _keyframe_event(
 
 
 def _loop_event(decision: LoopDecision, stamp: float, mapper: Mapper, superseded: Mapper | None) -> LoopDecided:
-    verdict = decision.verdict
+    recent, old = decision.compared
     return LoopDecided(
         index=decision.keyframe,
         stamp=stamp,
@@ -219,26 +219,18 @@ def _loop_event(decision: LoopDecision, stamp: float, mapper: Mapper, superseded
         old=decision.old,
         motion=decision.motion,
         status=decision.status,
-        reason=verdict.reason,
-        overlap_ratio=verdict.overlap_ratio,
-        matches=verdict.matches,
-        runner_up=verdict.runner_up,
-        sigma=verdict.sigma,
-        contradicted=verdict.contradicted,
+        reason=decision.reason,
+        overlap_ratio=decision.fit,
+        matches=len(decision.matches),
+        runner_up=decision.runner_up,
+        sigma=decision.sigma,
+        contradicted=decision.contradicted,
         merged=decision.merged,
         shift=decision.shift,
-        checks=tuple(LoopCheck(t.name, float(t.value), t.gate, t.at_least, t.passed) for t in verdict.checks),
-        compared=_compared_walls(decision),
+        checks=tuple(LoopCheck(t.name, float(t.value), t.gate, t.at_least, t.passed) for t in decision.checks),
+        compared=ComparedPoints(recent, se2.transform(decision.correction, recent), old),
         correction=None if superseded is None else _correction(decision, mapper, superseded),
     )
-
-
-def _compared_walls(decision: LoopDecision) -> ComparedWalls | None:
-    if decision.compared is None:
-        return None
-    recent, old = (walls.end_points() for walls in decision.compared)
-    aligned = se2.transform(decision.hypothesis.motion, recent)
-    return ComparedWalls(recent, aligned, old, decision.hypothesis.matches.copy())
 
 
 def _correction(decision: LoopDecision, mapper: Mapper, superseded: Mapper) -> Correction:

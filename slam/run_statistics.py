@@ -10,6 +10,7 @@ import numpy as np
 from .estimation.scan_update import KeyframeUpdate
 from .estimation.slam_state import SlamState
 from .estimation.stage_timer import StageTimer
+from .graph.range_bias import RangeBias
 from .localisation.state import LocalisationState
 from .localisation.tracker import TrackingResult, TrackingStatus
 from .loop_closure.decision import LoopDecision
@@ -60,11 +61,11 @@ class RunStatistics:
             self.add_loop(stamp, update.loop)
 
     def add_loop(self, stamp: float, decision: LoopDecision) -> None:
-        """Add the row of a loop decision; the compared walls are not kept."""
+        """Add the row of a loop decision; the compared points are not kept."""
         self.loops.append(loop_row(stamp, decision))
 
     def loop_counts(self) -> dict[str, int]:
-        """Return the number of loop hypotheses, in total and by status; PENDING ones were never confirmed."""
+        """Return the number of loop hypotheses, in total and by status."""
         decided = [row["status"] for row in self.loops]
         by_status = {status.value: decided.count(status) for status in LoopStatus if status is not LoopStatus.CONFIRMED}
         return {"proposed": len(decided), **by_status}
@@ -104,12 +105,11 @@ class RunStatistics:
 
 def loop_row(stamp: float, decision: LoopDecision) -> dict[str, object]:
     """Return a loop decision and its scores as plain data."""
-    verdict = decision.verdict
     scores = {
-        "overlap_ratio": verdict.overlap_ratio,
-        "runner_up": verdict.runner_up,
-        "sigma": verdict.sigma,
-        "contradicted": verdict.contradicted,
+        "overlap_ratio": decision.fit,
+        "runner_up": decision.runner_up,
+        "sigma": decision.sigma,
+        "contradicted": decision.contradicted,
         "shift": decision.shift,
     }
     return {
@@ -118,8 +118,8 @@ def loop_row(stamp: float, decision: LoopDecision) -> dict[str, object]:
         "keyframe": decision.keyframe,
         "old": decision.old,
         "status": decision.status,
-        "reason": verdict.reason,
-        "matches": verdict.matches,
+        "reason": decision.reason,
+        "matches": len(decision.matches),
         "merged": len(decision.merged),
         "motion": decision.motion.round(4).tolist(),
         **{name: round(value, 4) for name, value in scores.items()},
@@ -140,6 +140,7 @@ def run_summary(preprocessor: Preprocessor, state: SlamState, statistics: RunSta
         "states": statistics.state_rows(),
         "odometry_deviation_per_metre": state.odometry_model.deviations.round(5).tolist(),
         "sigma_range": round(preprocessor.sigma_range, 5),
+        "range_bias": _range_bias(mapper.graph.range_bias),
         "wall_roughness": round(math.sqrt(mapper.roughness.variance), 5),
         "timings": statistics.timings(),
         "health": statistics.health()
@@ -148,3 +149,9 @@ def run_summary(preprocessor: Preprocessor, state: SlamState, statistics: RunSta
             "scans_without_odometry": preprocessor.scans_without_odometry,
         },
     }
+
+
+def _range_bias(bias: RangeBias) -> dict[str, float | None]:
+    """Return the estimate of the range bias and its standard deviation, metres; None if it was not estimated."""
+    sigma = None if math.isnan(bias.sigma) else round(bias.sigma, 5)
+    return {"metres": round(bias.metres, 5), "sigma": sigma}

@@ -14,10 +14,9 @@ from drivers import se2
 from drivers.messages import Floats, Message, Odometry, Scan
 
 from .geometry.segments import Segments
-from .loop_closure.occlusion import occluded_share
-from .loop_closure.proposal import propose
-from .loop_closure.recent_walls import REFERENCE_DISTANCE, select_recent_and_reference
+from .loop_closure.occlusion import REFERENCE_DISTANCE, occluded_share, old_walls
 from .loop_closure.relocalisation import index_map, relocalise, submap_of
+from .loop_closure.submap_search import build_submap, search_submap
 from .mapping.landmarks import Landmarks
 from .mapping.unconfirmed_observations import CONFIRMING_KEYFRAMES
 from .mapping.wall_removal import FreeSpaceEvidence
@@ -40,8 +39,9 @@ def warm_up() -> None:
         slam.add(message)
     mapper = slam.slam_state.mapper
     relocalise(submap_of(mapper), index_map(mapper))
-    _search_loop([(mapper.graph.keyframe_pose(keyframe), segments) for keyframe, segments in mapper.recent_segments])
+    _check_loop([(mapper.graph.keyframe_pose(keyframe), segments) for keyframe, segments in mapper.recent_segments])
     _update_free_space()
+    _search_submap()
     slam.finish()
 
 
@@ -68,8 +68,8 @@ def _ranges(pose: se2.Pose, angles: Floats) -> Floats:
     return np.asarray(ranges, dtype=np.float64)
 
 
-def _search_loop(views: Sequence[tuple[se2.Pose, Segments]]) -> None:
-    """Search and verify a loop closure in a room that was mapped long ago and is observed again."""
+def _check_loop(views: Sequence[tuple[se2.Pose, Segments]]) -> None:
+    """Check a loop closure in a room that was mapped long ago and is observed again."""
     landmarks = Landmarks()
     sides = np.array([[0.0, -1.5, 0.0], [2.0, 0.0, np.pi / 2], [0.0, 1.5, np.pi], [-2.0, 0.0, -np.pi / 2]])
     for keyframe in (0, 2):
@@ -78,8 +78,7 @@ def _search_loop(views: Sequence[tuple[se2.Pose, Segments]]) -> None:
             landmarks.observe_wall(wall, side, 1.4, keyframe + 1)
     landmarks.confirm_observed(CONFIRMING_KEYFRAMES)
     travelled = np.array([0.0, 0.0, 2 * REFERENCE_DISTANCE, 2 * REFERENCE_DISTANCE])
-    recent, old = select_recent_and_reference(landmarks, np.zeros(3), travelled)
-    propose(recent, old, np.zeros(3))
+    old = old_walls(landmarks, np.zeros(3), travelled, np.inf)
     occluded_share(np.zeros(3), old, landmarks, views)
 
 
@@ -88,3 +87,12 @@ def _update_free_space() -> None:
     landmarks = Landmarks()
     landmarks.add_wall(np.zeros(3), 1.0, 0)
     FreeSpaceEvidence().update(landmarks, np.array([0.0, -1.0, 0.0]), np.array([[0.0, 2.0]]), [0.0], [np.zeros((3, 3))])
+
+
+def _search_submap() -> None:
+    """Search the submap of two walls in itself."""
+    along = np.linspace(0.0, 2.0, 30)
+    ones, zeros = np.ones(30), np.zeros(30)
+    walls = [np.column_stack([along, -ones, zeros, ones]), np.column_stack([ones, along, -ones, zeros])]
+    submap = build_submap(np.zeros((1, 3)), [np.concatenate(walls)], 5.0)
+    search_submap(submap, submap, np.zeros(3), 0.3, 0.1)

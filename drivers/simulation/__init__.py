@@ -5,7 +5,7 @@ from __future__ import annotations
 from .lidar_model import LIDAR_MODELS, LidarModel
 from .simulator import Simulation, warm_up
 from .wheel_model import WHEEL_MODELS, WheelBiases, WheelModel
-from .world import TemporaryShapes, World, load_world, world_names
+from .world import TemporaryShapes, World, WorldFile, build_world, load_world, world_names
 
 __all__ = [
     "LIDAR_MODELS",
@@ -16,6 +16,8 @@ __all__ = [
     "WheelBiases",
     "WheelModel",
     "World",
+    "WorldFile",
+    "build_world",
     "load_world",
     "warm_up",
     "world_names",

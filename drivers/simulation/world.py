@@ -152,13 +152,18 @@ def load_world(name: str | Path) -> World:
         raise RecordingError(path, None, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise RecordingError(path, None, f"is not a valid world file: {error}") from error
-    shapes = _shapes(content)
-    if not shapes:
+    if not (content.walls or content.boxes or content.columns):
         raise RecordingError(path, None, "has no walls, boxes or columns")
+    return build_world(path.stem, content)
+
+
+def build_world(name: str, content: WorldFile) -> World:
+    """Return the world that a file's content describes."""
+    shapes = _shapes(content)
     segments, circles = shapes.pop(ALWAYS, (np.zeros((0, 4)), np.zeros((0, 3))))
     return World(
-        path.stem,
-        content.title or path.stem,
+        name,
+        content.title or name,
         segments,
         circles,
         np.array(content.path, dtype=np.float64),

@@ -10,8 +10,7 @@ from drivers import se2
 
 from ..loop_closure.decision import LoopDecision
 from ..loop_closure.loop_status import LoopStatus
-from ..loop_closure.occlusion import occluded_share
-from ..loop_closure.recent_walls import REFERENCE_DISTANCE, select_recent_and_reference
+from ..loop_closure.occlusion import REFERENCE_DISTANCE, occluded_share, old_walls
 from ..mapping.mapper import Mapper
 from ..preprocessing.preprocessor import ProcessedScan
 from .slam_state import SlamState
@@ -75,8 +74,7 @@ class ClosureMonitor:
             reason = "tracking was lost after it" if lost else _reason_to_retract(closure, mapper)
             if reason:
                 del self._closures[position:]
-                verdict = replace(closure.decision.verdict, accepted=False, reason=reason)
-                closure.decision = replace(closure.decision, status=LoopStatus.RETRACTED, verdict=verdict)
+                closure.decision = replace(closure.decision, status=LoopStatus.RETRACTED, reason=reason)
                 return closure
         return None
 
@@ -90,20 +88,16 @@ def _reason_to_retract(closure: MonitoredClosure, mapper: Mapper) -> str:
         return ""
     closure.last_check = mapper.travelled[-1]
     travelled = np.array(mapper.travelled)
-    _, reference = select_recent_and_reference(mapper.landmarks, mapper.pose, travelled)
     # Walls mapped with drift just before the closure may lie anywhere: they do not count.
-    first_seen = mapper.landmarks.walls.rows["first_seen"][reference.wall_set.walls]
-    reference = replace(
-        reference, not_recent=reference.not_recent & (travelled[first_seen] < closure.travelled - REFERENCE_DISTANCE)
-    )
+    walls = old_walls(mapper.landmarks, mapper.pose, travelled, closure.travelled - REFERENCE_DISTANCE)
     views = [
         (mapper.graph.keyframe_pose(k), segments)
         for k, segments in mapper.recent_segments
         if k > closure.decision.keyframe
     ]
-    share = occluded_share(np.zeros(3), reference, mapper.landmarks, views)
-    undone = se2.inverse(closure.decision.hypothesis.motion)
-    without = occluded_share(undone, reference, mapper.landmarks, views)
+    share = occluded_share(np.zeros(3), walls, mapper.landmarks, views)
+    undone = se2.inverse(closure.decision.correction)
+    without = occluded_share(undone, walls, mapper.landmarks, views)
     contradicts = share > without + MAX_ADDED_CONTRADICTION
     closure.contradictions = closure.contradictions + 1 if contradicts else 0
     if closure.contradictions < CONFIRMING_CHECKS:

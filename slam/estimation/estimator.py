@@ -69,7 +69,7 @@ class Estimator:
         if closure is None:
             return None
         self.state = closure.checkpoint
-        self.state.loops.exclude(closure.decision)
+        self.state.loops.exclude(closure.decision.correction)
         for scan in closure.scans:
             update_map(self.state, scan, track(self.state, scan, StageTimer()), StageTimer())
         return closure.decision

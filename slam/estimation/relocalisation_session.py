@@ -19,8 +19,8 @@ from drivers import se2
 
 from ..config import Config
 from ..localisation.tracker import TrackingResult, TrackingStatus
+from ..loop_closure.look import MAX_SQUARED_DISTANCE, UNMODELLED_SIGMAS
 from ..loop_closure.relocalisation import Relocalisation, index_map, relocalise, submap_of
-from ..loop_closure.verification import check_against_estimate
 from ..preprocessing.preprocessor import ProcessedScan
 from .estimator import Estimator
 from .slam_state import SlamState
@@ -118,7 +118,9 @@ class RelocalisationSession:
         odometry = self.scans[0].odometry
         last_seen = self._whole.mapper.landmarks.walls.rows["last_seen"][found.pairs[:, 0]]
         covariance = self._whole.covariance_since(int(np.bincount(last_seen).argmax()), odometry)
-        return check_against_estimate(se2.between(self._whole.predict(odometry), found.motion), covariance).passed
+        covariance = covariance + np.diag(UNMODELLED_SIGMAS**2)
+        error = se2.between(self._whole.predict(odometry), found.motion)
+        return bool(error @ np.linalg.solve(covariance, error) < MAX_SQUARED_DISTANCE)
 
     def _is_confirmed(self, found: Relocalisation) -> bool:
         """Return True if the place is accepted at once, or was the best one in several attempts in a row."""

@@ -23,8 +23,10 @@ from ..loop_closure.loop_status import LoopStatus
 from ..mapping.data_association import associate
 from ..mapping.keyframes import KeyframeMotion, KeyframeObservations, PointMotion, WallMerge
 from ..mapping.mapper import LOCAL_MAP_MARGIN, Mapper
-from ..matching.distance_field import MAX_DISTANCE
+from ..matching.bias_correction import correct_range_bias
 from ..matching.line_matcher import Registration
+from ..matching.offset_tiles import MAX_DISTANCE
+from ..matching.point_matcher import point_information
 from ..preprocessing.preprocessor import ProcessedScan
 from .slam_state import RELOCALISED_RADIUS, Anchor, SlamState, covariance_after
 from .stage_timer import StageTimer
@@ -72,11 +74,13 @@ def track(state: SlamState, scan: ProcessedScan, timer: StageTimer) -> TrackingR
     """Estimate the pose of a scan and store it in the state."""
     _follow_prediction(state, scan)
     target = MatchTarget(state.local_map, state.local_field.field, state.mapper.roughness.variance)
-    tracking = state.tracker.track(scan.stamp, scan.odometry, scan.features, target)
+    features = correct_range_bias(scan.features, state.mapper.graph.range_bias.metres)
+    tracking = state.tracker.track(scan.stamp, scan.odometry, features, target)
     timer.lap("registration")
     state.untracked_scans = [*state.untracked_scans, scan] if tracking.status is TrackingStatus.FAILED else []
     if tracking.status is TrackingStatus.TRACKED:
         state.pose = tracking.pose
+        state.slipped = state.slipped or tracking.slipped
     return tracking
 
 
@@ -103,11 +107,9 @@ def close_loop(state: SlamState, observations: KeyframeObservations, decision: L
 
     If that is a rejection, the map does not fit together and the state must be discarded: try it on a copy.
     """
-    close = closing.close_agreeing_loop if decision.matches else closing.close_loop
-    decision = close(state.mapper, decision)
+    decision = closing.close_loop(state.mapper, decision)
     if decision.status is LoopStatus.ACCEPTED:
-        state.loops.clear_pending()
-        state.agreement.clear()
+        state.loops.clear()
         state.local_field.link(decision.old, decision.keyframe)
         for match in decision.matches:
             state.local_field.link(match.old, match.keyframe)
@@ -174,17 +176,18 @@ def _extend_trajectory(state: SlamState, stamp: float, tracking: TrackingResult)
 def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResult, timer: StageTimer) -> KeyframeUpdate:
     """Associate the scan's features, solve the graph, read the map back, and search for a loop."""
     mapper, features = state.mapper, scan.features
+    corrected = correct_range_bias(features, mapper.graph.range_bias.metres)
     association = associate(
         state.pose,
         tracking.covariance,
-        features.segments,
-        features.corners,
+        corrected.segments,
+        corrected.corners,
         state.local_map,
         mapper.roughness.variance,
     )
     timer.lap("association")
     motion = None if state.anchor is None else _motion_since(state, state.anchor, scan.odometry, tracking.registration)
-    point_motion = _point_motion(state, tracking)
+    point_motion = _point_motion(state, scan, tracking)
     observations = mapper.add_keyframe(
         state.pose, motion, features.segments, features.corners, association, state.local_map, point_motion
     )
@@ -194,26 +197,32 @@ def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
     if mapper.remove_walls_seen_through(mapper.pose, features.points.all):
         state.local_map = mapper.local_map(observations)
     state.anchor = Anchor(mapper.keyframe_count - 1, np.zeros(3), np.zeros((3, 3)), scan.odometry)
-    state.local_field.add(scan.features)
+    state.local_field.add(scan.features, _undetermined_share(tracking))
     _link_revisited(state)
     _move_to_last_keyframe(state)
     timer.lap("local map")
-    decision = state.loops.search(mapper) if state.config.loop_closure.enabled else None
-    if decision is not None and decision.verdict.beats_null_hypothesis:
+    decision = state.loops.search(mapper, state.local_field) if state.config.loop_closure.enabled else None
+    if state.loops.correction_likely:
         mapper.free_space_evidence.suspend(mapper.travelled[-1])
-    if state.config.loop_closure.enabled and (decision is None or decision.status is not LoopStatus.CONFIRMED):
-        decision = _search_agreement(state) or decision
     timer.lap("loops")
     return KeyframeUpdate(observations, merge, decision)
 
 
-def _search_agreement(state: SlamState) -> LoopDecision | None:
-    """Return the decision to close a loop on which matches of submaps agree, if there is one."""
-    mapper = state.mapper
-    agreement = state.agreement.search(mapper, state.local_field)
-    if agreement is None or state.loops.is_excluded(agreement.motion, mapper.pose):
-        return None
-    return agreement.decision(state.loops.next_candidate(), mapper)
+def _undetermined_share(tracking: TrackingResult) -> float:
+    """Return what a scan and odometry leave unknown of the motion since the last keyframe, 1 for what a link may not.
+
+    Zero if the scan determines heading and position; the position along a corridor does not count, as the surfaces
+    there say nothing about it in later scans either.
+    """
+    unknown = np.diag(UNMEASURED_MOTION_SIGMAS**-2.0)
+    by_scan = np.linalg.inv(tracking.registration.total_information + unknown)
+    across = float(np.linalg.eigvalsh(by_scan[:2, :2])[0])
+    turn, share = float(by_scan[2, 2]), 0.0
+    if across > MAX_LINK_SIGMA**2:
+        share += float(np.linalg.eigvalsh(tracking.covariance[:2, :2])[0]) / MAX_LINK_SIGMA**2
+    if turn > MAX_LINK_TURN_SIGMA**2:
+        share += float(tracking.covariance[2, 2]) / MAX_LINK_TURN_SIGMA**2
+    return share
 
 
 def _link_revisited(state: SlamState) -> None:
@@ -238,17 +247,23 @@ def _move_to_last_keyframe(state: SlamState) -> None:
     state.tracker.correct(state.pose)
 
 
-def _point_motion(state: SlamState, tracking: TrackingResult) -> PointMotion | None:
+def _point_motion(state: SlamState, scan: ProcessedScan, tracking: TrackingResult) -> PointMotion | None:
     """Return the pose of a scan relative to an old keyframe nearby, by its points that are on no known wall."""
     reference = state.local_field.reference(state.pose)
     if reference is None:
         return None
     keyframe, pose = reference
-    information = tracking.registration.point_information
-    covariance: Floats = np.asarray(
-        np.linalg.inv(information + np.diag(UNMEASURED_MOTION_SIGMAS**-2.0)), dtype=np.float64
-    )
-    return PointMotion(keyframe, se2.between(pose, tracking.registration.point_pose), covariance)
+    limit = state.odometry_model.limit_information
+    covariance = _covariance_of(limit(tracking.registration.point_information, scan.travel))
+    # The sweep of the earlier scan is taken to be like this one.
+    start_covariance = _covariance_of(limit(point_information(state.local_field.points(keyframe)), scan.travel))
+    relative = se2.between(pose, tracking.registration.point_pose)
+    return PointMotion(keyframe, relative, covariance, start_covariance)
+
+
+def _covariance_of(information: Floats) -> Floats:
+    """Return the covariance (3, 3) of a motion with some information, if nothing else has measured it."""
+    return np.asarray(np.linalg.inv(information + np.diag(UNMEASURED_MOTION_SIGMAS**-2.0)), dtype=np.float64)
 
 
 def _motion_since(state: SlamState, anchor: Anchor, odometry: se2.Pose, registration: Registration) -> KeyframeMotion:
@@ -266,7 +281,10 @@ def _motion_since(state: SlamState, anchor: Anchor, odometry: se2.Pose, registra
         model.add_motion(measured, registered, registration.total_information)
         motion = model.correct(measured)
         covariance = model.covariance(motion)
+        if state.slipped:  # by as much as registration says
+            error = se2.between(motion, registered)
+            covariance = covariance + np.diag(error**2)
         correlated_drift = model.correlated_drift(motion, registration.total_information)
-    state.kidnapped = False
+    state.kidnapped = state.slipped = False
     covariance = covariance + covariance_after(anchor.covariance, motion)
     return KeyframeMotion(anchor.keyframe, se2.compose(anchor.relative, motion), covariance, correlated_drift)

@@ -19,7 +19,7 @@ from ..geometry.segments import Floats
 from ..localisation.local_field import LocalField, LocalFieldState
 from ..localisation.tracker import PoseFix, Tracker, TrackerState
 from ..loop_closure.agreement import LoopAgreement
-from ..loop_closure.loop_search import LoopSearch, LoopSearchState
+from ..loop_closure.loop_hypothesis import LoopAgreementState
 from ..mapping.local_map import empty_local_map
 from ..mapping.mapper import LOCAL_MAP_MARGIN, Mapper
 from ..mapping.trajectory_builder import TrajectoryBuilder
@@ -54,6 +54,7 @@ class TrackingCheckpoint:
     field                state of the local field
     anchor               reference of the next motion; None before the first keyframe
     kidnapped            True if the robot was moved since the anchor without odometry noticing
+    slipped              True if odometry has contradicted the scans since the anchor
     kidnapped_keyframes  keyframes reached in this way
     """
 
@@ -83,20 +84,19 @@ class SlamState:
     untracked_scans      the last scans in a row that fitted nowhere
     """
 
-    def __init__(self, config: Config, loops: LoopSearch | None = None) -> None:
+    def __init__(self, config: Config, loops: LoopAgreement | None = None) -> None:
         self.config = config
         self.mapper = Mapper()
         self.odometry_model = OdometryModel(config.odometry)
         self.trajectory = TrajectoryBuilder()
         self.tracker = Tracker(self.odometry_model)
-        self.loops = loops or LoopSearch()
-        self.agreement = LoopAgreement()
+        self.loops = loops or LoopAgreement()
         self.keyframe_stamps: list[float] = []
         self.pose = np.zeros(3)
         self.local_map = empty_local_map()
         self.local_field = LocalField()
         self.anchor: Anchor | None = None
-        self.kidnapped = False
+        self.kidnapped = self.slipped = False
         self.kidnapped_keyframes: list[int] = []
         self.frozen = False
         self.untracked_scans: list[ProcessedScan] = []
@@ -110,7 +110,7 @@ class SlamState:
         trajectory: TrajectoryBuilder,
         stamps: Sequence[float],
         checkpoint: TrackingCheckpoint,
-        loop_search: LoopSearchState,
+        loops: LoopAgreementState,
         scans: Mapping[int, ProcessedScan],
     ) -> SlamState:
         """Restore a state from saved parts.
@@ -121,7 +121,6 @@ class SlamState:
         state = cls(config)
         state.odometry_model.add_samples(odometry_samples)
         state.mapper, state.trajectory, state.keyframe_stamps = mapper, trajectory, list(stamps)
-        state.loops.restore(loop_search)
         state.anchor, state.kidnapped = checkpoint.anchor, checkpoint.kidnapped
         state.kidnapped_keyframes = list(checkpoint.kidnapped_keyframes)
         if checkpoint.tracker is not None:
@@ -130,6 +129,7 @@ class SlamState:
         if mapper.keyframe_count:
             state._rebuild_surroundings(scans)
             state.local_field.restore(checkpoint.field)
+            state.loops.restore(loops, state.local_field)
         return state
 
     def copy(self) -> SlamState:
@@ -208,23 +208,28 @@ class SlamState:
     ) -> None:
         """Replace the map by one with the same keyframes, for example a refined one, and the trajectory with it.
 
-        `fix` is that of the last scan, `scans` are those of the keyframes.
+        `fix` is that of the last scan, `scans` are those of the keyframes. Hypotheses on loops are discarded, which
+        were motions in the map before.
         """
+        links = self.local_field.state.links
         self.mapper, self.trajectory, self.pose = mapper, trajectory, fix.pose
         self.tracker.move_to(fix.pose, fix.odometry)
-        self._rebuild_surroundings(scans)
+        self.loops.clear()
+        self._rebuild_surroundings(scans, links)
 
     def update_local_field(self) -> None:
         """Bring the distance field up to date with the keyframes and their current poses."""
         keyframe = self.mapper.keyframe_count - 1 if self.anchor is None else self.anchor.keyframe
         self.local_field.update(keyframe, self.mapper.keyframe_poses, self.mapper.travelled)
 
-    def _rebuild_surroundings(self, scans: Mapping[int, ProcessedScan]) -> None:
-        """Rebuild local map and distance field from the keyframes."""
+    def _rebuild_surroundings(self, scans: Mapping[int, ProcessedScan], links: Sequence[tuple[int, int]] = ()) -> None:
+        """Rebuild local map and distance field from the keyframes; `links` are those of the field, see `LocalField`."""
         count = self.mapper.keyframe_count
         self.local_field = LocalField()
         for keyframe in range(count):
             self.local_field.add(scans[keyframe].features)
+        for keyframe, other in links:
+            self.local_field.link(keyframe, other)
         self.update_local_field()
         reach = scans[count - 1].features.segments.reach()
         self.local_map = self.mapper.local_map_at(self.pose, LOCAL_MAP_MARGIN + reach)

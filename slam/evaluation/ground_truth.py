@@ -6,18 +6,18 @@ matched with true ones by geometry alone: if the covariances influenced the matc
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
-from drivers.messages import GroundTruth
+from drivers.messages import Message
 from drivers.simulation import Simulation, World
 
 from ..config import Config
 from ..events import Finished
-from ..io.tum import Trajectory
 from ..mapping.map_features import MapCorners, MapWalls
 from ..pipeline import Slam
 from .nees import Floats, line_nees, point_nees, pose_nees
@@ -27,47 +27,62 @@ MAX_ANGLE = np.radians(15.0)  # between a mapped and a true wall; the opposite s
 MIN_COVERED = 0.5  # share of a mapped wall's length that true walls must cover
 
 
+RELATIVE_KEYFRAMES = 15  # keyframes between the two poses of a relative pose: some metres of driving
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Nees:
     """NEES of k keyframes (3 degrees of freedom each), n walls and m corners (2 each) of one run.
 
     Keyframe 0 is left out, because it is exact by definition. Walls without a true counterpart, such as chords of a
     round table, and their corners have NaN.
+
+    relative_poses  (r,) of the poses relative to the keyframe RELATIVE_KEYFRAMES before (3 degrees of freedom each)
     """
 
     poses: Floats
     walls: Floats
     corners: Floats
+    relative_poses: Floats
 
 
-def measure(simulation: Simulation, config: Config | None = None) -> tuple[Nees, Finished]:
-    """Run SLAM on a simulation and return the NEES and the result."""
+def measure(
+    simulation: Simulation,
+    config: Config | None = None,
+    *,
+    messages: Iterable[Message] | None = None,
+    straight: World | None = None,
+) -> tuple[Nees, Finished]:
+    """Run SLAM on a simulation and return the NEES and the result. Raises MapError if there is nothing to map.
+
+    messages  of the simulation, after changes such as a defect of the recording; None for its own
+    straight  world with the walls that are the truth; None for the simulation's own
+    """
     slam = Slam(config)
-    truth: list[GroundTruth] = []
-    for message in simulation:
+    for message in simulation if messages is None else messages:
         slam.add(message)
-        if isinstance(message, GroundTruth):
-            truth.append(message)
     finished = slam.finish()
     covariances = np.array([slam.keyframe_covariance(k) for k in range(len(finished.keyframes))])
-    true_path = Trajectory(np.array([t.stamp for t in truth]), np.array([t.pose for t in truth]))
-    return compare(finished, covariances, simulation.world, true_path), finished
-
-
-def compare(finished: Finished, covariances: Floats, world: World, truth: Trajectory) -> Nees:
-    """Return the NEES of a run.
-
-    covariances  (k, 3, 3) of the keyframes, each in the keyframe's own frame
-    truth        true path in the world frame
-    """
-    true_poses = truth.at(finished.keyframe_stamps).poses
-    in_map = se2.between(true_poses[0], true_poses)
-    walls = true_walls(world, true_poses[0])
+    truth = simulation.trajectory.poses_at(finished.keyframe_stamps)
+    walls = true_walls(simulation.world if straight is None else straight, truth[0])
     return Nees(
-        poses=pose_nees(finished.keyframes[1:], covariances[1:], in_map[1:]),
+        poses=pose_nees(finished.keyframes[1:], covariances[1:], se2.between(truth[0], truth[1:])),
         walls=wall_nees(finished.walls, walls),
         corners=corner_nees(finished.corners, finished.walls, walls),
-    )
+        relative_poses=_relative_pose_nees(slam, finished, truth),
+    ), finished
+
+
+def _relative_pose_nees(slam: Slam, finished: Finished, truth: Floats) -> Floats:
+    """Return the NEES (r,) of poses relative to an earlier keyframe; `truth` (k, 3) are the true poses."""
+    first = np.arange(0, len(truth) - RELATIVE_KEYFRAMES)
+    second = first + RELATIVE_KEYFRAMES
+    if not len(first):
+        return np.zeros(0)
+    mapper, estimate = slam.slam_state.mapper, finished.keyframes
+    covariances = [mapper.relative_covariance(*pair) for pair in zip(first.tolist(), second.tolist(), strict=True)]
+    relative, true = (se2.between(poses[first], poses[second]) for poses in (estimate, truth))
+    return pose_nees(relative, np.array(covariances), true)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,7 +143,8 @@ def corner_nees(corners: MapCorners, lines: MapWalls, walls: TrueWalls) -> Float
     """
     match = np.append(match_walls(lines, walls), -1)
     row_of = {int(identity): row for row, identity in enumerate(lines.identity)}
-    rows = np.array([[row_of.get(int(wall), -1) for wall in pair] for pair in corners.walls]).reshape(-1, 2)
+    rows = np.array([[row_of.get(int(wall), -1) for wall in pair] for pair in corners.walls], dtype=np.int64)
+    rows = rows.reshape(-1, 2)
     first, second = match[rows].T
     known = np.flatnonzero((first >= 0) & (second >= 0))
     result = np.full(len(corners), np.nan)

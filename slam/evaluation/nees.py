@@ -25,6 +25,9 @@ from ..errors import MapError
 
 Floats = NDArray[np.float64]
 
+GROSS = 0.999
+"""Probability of the chi-square quantile beyond which a single value is a gross error."""
+
 
 @dataclass(frozen=True, slots=True)
 class Consistency:

@@ -8,7 +8,7 @@ segments, and does not depend on the lidar's mount.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +22,11 @@ if TYPE_CHECKING:  # importing features imports numba, which takes a second
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+# Nodes and weights for integrals over the beams of a segment. Origin: numerical.
+QUADRATURE = np.polynomial.legendre.leggauss(8)
+# Metres from the lidar to the line of a wall, for conditioning. Origin: numerical.
+MIN_WALL_DISTANCE = 1e-3
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segments:
@@ -30,11 +35,17 @@ class Segments:
     frame        (n, 3) the segments' frames [x, y, heading] in the base's frame, metres and radians
     half_length  (n,) metres from the centre to either end
     covariance   (n, 2, 2) of offset across the wall (metres) and heading (radians) at the centre
+    bias_slope   (n, 2) offset and heading at the centre per metre of range bias; zero if not given
     """
 
     frame: Floats
     half_length: Floats
     covariance: Floats
+    bias_slope: Floats = field(default_factory=lambda: np.zeros((0, 2)))
+
+    def __post_init__(self) -> None:
+        if len(self.bias_slope) != len(self.frame):
+            object.__setattr__(self, "bias_slope", np.zeros((len(self.frame), 2)))
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -62,7 +73,30 @@ def segments_from_lines(lines: Lines, mount: se2.Pose) -> Segments:
     jacobian[:, 1, 1] = distance**2 * uv[:, 0]
     covariance = jacobian @ lines.covariance @ jacobian.transpose(0, 2, 1)
     frame = se2.compose(mount, np.column_stack([centre, heading]))
-    return Segments(frame.reshape(-1, 3), 0.5 * np.hypot(along[:, 0], along[:, 1]), covariance)
+    half_length = 0.5 * np.hypot(along[:, 0], along[:, 1])
+    in_lidar_frame = np.column_stack([centre, heading]).reshape(-1, 3)
+    return Segments(frame.reshape(-1, 3), half_length, covariance, _bias_slopes(in_lidar_frame, half_length))
+
+
+def _bias_slopes(frames: Floats, half_lengths: Floats) -> Floats:
+    """Return offset and heading (n, 2) of segments, seen from the origin, per metre that all ranges are too long.
+
+    A beam that meets the wall at an angle a from the perpendicular moves its point across the wall by cos a, away from
+    the lidar. The line is fitted to these points with the weights 1 / cos^2 a of beams with equal range noise and equal
+    angles between them; the sums over the beams are integrals over a, by Gauss-Legendre quadrature.
+    """
+    lidar = se2.inverse(frames).reshape(-1, 3)
+    distance = np.maximum(lidar[:, 1], MIN_WALL_DISTANCE)[:, None]
+    low, high = (np.arctan2(sign * half_lengths - lidar[:, 0], distance[:, 0]) for sign in (-1.0, 1.0))
+    angle = 0.5 * ((high + low)[:, None] + (high - low)[:, None] * QUADRATURE[0])
+    along = distance * np.tan(angle) + lidar[:, :1]
+    weight = QUADRATURE[1] / np.cos(angle) ** 2
+    shift = -np.cos(angle)  # the lidar is at y > 0
+    total, first, second = weight.sum(axis=1), (weight * along).sum(axis=1), (weight * along**2).sum(axis=1)
+    moved, turned = (weight * shift).sum(axis=1), (weight * shift * along).sum(axis=1)
+    determinant = np.maximum(total * second - first**2, np.finfo(float).tiny)
+    offset, heading = second * moved - first * turned, total * turned - first * moved
+    return np.asarray(np.column_stack([offset, heading]) / determinant[:, None])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,3 +125,22 @@ def corner_points(corners: Corners, segments: Segments, mount: se2.Pose) -> Corn
     position = se2.transform(mount, corners.position).reshape(-1, 2)
     headings = segments.frame[corners.lines, 2].reshape(-1, 2)
     return CornerPoints(position, rotation @ corners.covariance @ rotation.T, corners.lines, headings)
+
+
+def corner_bias_slopes(segments: Segments, corners: CornerPoints) -> Floats:
+    """Return the motion (m, 2) of corners in the base's frame per metre of range bias: their two lines move."""
+    frames, slopes = segments.frame[corners.segments], segments.bias_slope[corners.segments]  # (m, 2, 3), (m, 2, 2)
+    c, s = np.cos(frames[..., 2]), np.sin(frames[..., 2])
+    from_centre = corners.position[:, None] - frames[..., :2]
+    along = c * from_centre[..., 0] + s * from_centre[..., 1]
+    shift = slopes[..., 0] + along * slopes[..., 1]
+    return np.asarray(np.linalg.solve(np.stack([-s, c], axis=-1), shift[..., None])[..., 0])
+
+
+def without_range_bias(segments: Segments, corners: CornerPoints, bias: float) -> tuple[Segments, CornerPoints]:
+    """Return segments and corners as if all ranges were shorter by `bias` metres."""
+    shift = np.column_stack([np.zeros(len(segments)), -bias * segments.bias_slope])
+    position = corners.position - bias * corner_bias_slopes(segments, corners)
+    frame = se2.compose(segments.frame, shift).reshape(-1, 3)
+    moved = replace(segments, frame=frame)
+    return moved, replace(corners, position=position, headings=frame[corners.segments, 2].reshape(-1, 2))

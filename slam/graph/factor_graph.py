@@ -10,11 +10,11 @@ robot back. A corner is a Point2 observed by bearing and range with a full covar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import C, L, X
+from gtsam.symbol_shorthand import C, L, P, X
 
 from drivers import se2
 
@@ -23,6 +23,9 @@ from ..geometry.segments import Floats
 from .factors import Factor, FactorKind, GraphState, from_pose2, to_gtsam_graph, to_pose2
 from .graph_estimate import GraphEstimate
 from .isam2 import RELINEARIZE_SKIP, IncrementalSolver
+from .range_bias import RangeBias, estimate_range_bias
+from .wall_correlation import with_correlated_errors
+from .wall_segments import WallSegment
 
 # Gauss-Newton steps of `relinearize_all`. Origin: chosen; not measured.
 BATCH_STEPS = 3
@@ -42,6 +45,10 @@ GAUGE_PRIOR_SIGMA = 0.1
 FIRST_POSE_SIGMAS = np.array([1e-4, 1e-4, 1e-5])
 # Metres across and radians: standard deviations of a wall equality. Origin: chosen; not measured.
 SAME_WALL_SIGMAS = np.array([5e-3, 3e-3])
+
+
+# Slope of observations that do not depend on the range bias. Origin: definition.
+NO_SLOPE = np.zeros(2)
 
 
 class FactorGraph(GraphEstimate):
@@ -81,13 +88,20 @@ class FactorGraph(GraphEstimate):
         self._add(FactorKind.GAUGE_PRIOR, keyframe, wall, predicted, np.array([[GAUGE_PRIOR_SIGMA**2]]))
 
     def add_wall_observation(
-        self, keyframe: int, wall: int, frame: se2.Pose, covariance: Floats, predicted: se2.Pose
+        self,
+        keyframe: int,
+        wall: int,
+        frame: se2.Pose,
+        covariance: Floats,
+        predicted: se2.Pose,
+        bias_slope: Floats = NO_SLOPE,
     ) -> None:
         """Add a segment of a wall, observed in a keyframe, as two factors.
 
         frame       of the segment, in the keyframe's frame
         covariance  (2, 2) of its offset across the wall and its heading, at that frame
         predicted   the wall's own frame in the keyframe's frame, by the present estimate
+        bias_slope  (2,) offset and heading at the segment's frame per metre of range bias
 
         With d the offset and h the heading of the wall relative to the prediction, a segment whose centre is l metres
         along the wall measures h and d + l h. The errors of both are correlated: given the error of h, the expected
@@ -97,17 +111,23 @@ class FactorGraph(GraphEstimate):
         observed = se2.between(predicted, frame)
         k = covariance[0, 1] / covariance[1, 1]
         across = np.array([0.0, observed[1] - k * observed[2], 0.0])
-        self._add(FactorKind.WALL_HEADING, keyframe, wall, frame, covariance[1:, 1:])
+        self._add(FactorKind.WALL_HEADING, keyframe, wall, frame, covariance[1:, 1:], bias_slope[1:])
         measured = np.append(se2.compose(predicted, across), observed[0] - k)
-        self._add(FactorKind.WALL_OFFSET, keyframe, wall, measured, covariance[:1, :1] - k * covariance[:1, 1:])
+        variance = covariance[:1, :1] - k * covariance[:1, 1:]
+        self._add(FactorKind.WALL_OFFSET, keyframe, wall, measured, variance, bias_slope[:1] - k * bias_slope[1:])
 
     def add_corner(self, corner: int, position: Floats) -> None:
         """Add a corner with the initial value `position` (2,) in the map."""
         self._values.insert(C(corner), np.asarray(position, dtype=np.float64))
 
-    def add_corner_observation(self, keyframe: int, corner: int, position: Floats, covariance: Floats) -> None:
-        """Add a corner's `position` (2,) in a keyframe's frame, with its covariance (2, 2)."""
-        self._add(FactorKind.CORNER, keyframe, corner, position, covariance)
+    def add_corner_observation(
+        self, keyframe: int, corner: int, position: Floats, covariance: Floats, bias_slope: Floats = NO_SLOPE
+    ) -> None:
+        """Add a corner's `position` (2,) in a keyframe's frame, with its covariance (2, 2).
+
+        `bias_slope` (2,) is its motion per metre of range bias.
+        """
+        self._add(FactorKind.CORNER, keyframe, corner, position, covariance, bias_slope)
 
     def add_wall_equality(self, wall: int, other: int, along: float) -> None:
         """Constrain two walls to be one: `other`'s frame lies on `wall`, `along` metres from its frame.
@@ -124,12 +144,41 @@ class FactorGraph(GraphEstimate):
         """Add a loop factor with a full covariance (3, 3), in the keyframe's frame, without a robust kernel."""
         self._add(FactorKind.LOOP, old, keyframe, relative, covariance)
 
+    def add_point_map(self, keyframe: int, covariance: Floats) -> None:
+        """Add the points of a keyframe as a body that scans are matched with, unless that has been done.
+
+        All these matches share the noise of the keyframe's own scan, `covariance` (3, 3) in its frame, which therefore
+        is a variable of the graph. Otherwise it would count as many independent errors.
+        """
+        if not self._values.exists(P(keyframe)) and not self.solver.isam.valueExists(P(keyframe)):
+            self._values.insert(P(keyframe), to_pose2(self.keyframe_pose(keyframe)))
+            self._add(FactorKind.POINT_MAP, keyframe, keyframe, np.zeros(3), covariance)
+
+    def add_matches(self, matches: Iterable[Factor]) -> None:
+        """Add `matches` of another graph; see there. Their keyframes must have been added."""
+        for match in matches:
+            if match.kind is FactorKind.POINT_MAP:
+                self.add_point_map(match.first, match.covariance)
+            else:
+                self._new.append(match)
+
     def add_scan_match(self, old: int, keyframe: int, relative: se2.Pose, covariance: Floats) -> None:
-        """Add a keyframe's pose relative to an old one, by matching points; covariance (3, 3) in its own frame."""
+        """Add a keyframe's pose relative to the points of an old one, see `add_point_map`.
+
+        covariance  (3, 3) in the keyframe's frame, of the noise of its own scan
+        """
         self._add(FactorKind.SCAN_MATCH, old, keyframe, relative, covariance)
 
-    def _add(self, kind: FactorKind, first: int, second: int, measured: Floats, covariance: Floats) -> None:
-        self._new.append(Factor(kind, int(first), int(second), measured, covariance))
+    def _add(
+        self,
+        kind: FactorKind,
+        first: int,
+        second: int,
+        measured: Floats,
+        covariance: Floats,
+        bias_slope: Floats = NO_SLOPE[:0],
+    ) -> None:
+        self._new.append(Factor(kind, int(first), int(second), measured, covariance, bias_slope))
 
     def keyframe_pose(self, index: int) -> se2.Pose:
         """Return a keyframe's pose in the map, also of one that waits for `update`."""
@@ -174,26 +223,17 @@ class FactorGraph(GraphEstimate):
             if abs(distance - before) < CONVERGED_CHANGE:
                 return
 
-    def close_loop(self, old: int, keyframe: int, relative: se2.Pose, sigmas: Floats) -> list[int]:
-        """Add a loop factor, update until converged, and return the numbers of the new factors.
-
-        A robust kernel would reject it: after drift the residual is large at first.
-        """
-        self.add_loop(old, keyframe, relative, sigmas)
-        numbers = self.update()
-        self.update_until_converged(CLOSING_UPDATES)
-        return numbers
-
     def remove_factors(self, numbers: Sequence[int]) -> None:
         """Remove factors by their numbers."""
         self._update(relinearize=True, remove=numbers)
 
+    def matches(self) -> list[Factor]:
+        """Return point maps, scan matches and loop factors: all that ties keyframes besides odometry and landmarks."""
+        return self._factors_of(FactorKind.POINT_MAP, FactorKind.SCAN_MATCH, FactorKind.LOOP)
+
     def wall_observations(self) -> list[tuple[int, int]]:
         """Return the keyframe and the wall of each observation of a wall, in the order in which they were added."""
-        factors = self.solver.factors
-        return [
-            (factors[n].first, factors[n].second) for n in sorted(factors) if factors[n].kind is FactorKind.WALL_HEADING
-        ]
+        return [(factor.first, factor.second) for factor in self._factors_of(FactorKind.WALL_HEADING)]
 
     def remove_scan_matches(self, since: int, last: int) -> None:
         """Remove the scan matches of keyframes from `since` on with keyframes up to `last`."""
@@ -204,20 +244,70 @@ class FactorGraph(GraphEstimate):
         kinds = (FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET)
         self._remove_if(lambda f: f.kind in kinds and f.second in since and f.first >= since[f.second])
 
+    def _factors_of(self, *kinds: FactorKind) -> list[Factor]:
+        """Return the factors of some kinds, in the order in which they were added."""
+        return [factor for _, factor in sorted(self.solver.factors.items()) if factor.kind in kinds]
+
     def _remove_if(self, condition: Callable[[Factor], bool]) -> None:
         """Remove the factors that satisfy a condition."""
         self.remove_factors([number for number, factor in self.solver.factors.items() if condition(factor)])
 
-    def solve_batch(self) -> None:
+    def move_wall_segments(self, moves: Sequence[tuple[int, se2.Pose, Sequence[WallSegment]]]) -> None:
+        """Make some segments observations of new walls instead of those they belong to, and update.
+
+        `moves` are the id and the frame (3,) of each new wall, and its segments.
+        """
+        removed: list[int] = []
+        for wall, frame, segments in moves:
+            for k, segment in enumerate(segments):
+                predicted = se2.between(self.keyframe_pose(segment.keyframe), frame)
+                if k == 0:
+                    self.add_wall(segment.keyframe, wall, frame, predicted)
+                self.add_wall_observation(
+                    segment.keyframe, wall, segment.frame, segment.covariance, predicted, segment.bias_slope
+                )
+                removed += segment.numbers
+        self._update(relinearize=True, remove=removed)
+
+    def solve_batch(self) -> list[int]:
         """Optimise everything added to an empty graph with Levenberg-Marquardt, and continue from that estimate.
 
-        Raises MapError if the geometry leaves a variable undetermined.
+        Returns the numbers of the factors, in the order in which they were added. Raises MapError if the geometry
+        leaves a variable undetermined.
         """
         try:
-            self._values = gtsam.LevenbergMarquardtOptimizer(to_gtsam_graph(self._new), self._values).optimize()
+            factors = to_gtsam_graph(self._new, self.solver.range_bias.metres)
+            self._values = gtsam.LevenbergMarquardtOptimizer(factors, self._values).optimize()
         except RuntimeError as error:
             raise MapError(f"the map cannot be estimated: {str(error).strip().splitlines()[0]}") from error
-        self.update()
+        return self.update()
+
+    def settle_range_bias(self) -> None:
+        """Estimate the range bias together with the graph, and solve without it.
+
+        The estimate has converged. If no observation depends on the range bias, nothing changes.
+        """
+        factors = [factor for _, factor in sorted(self.solver.factors.items())]
+        estimate = estimate_range_bias(factors, self.solver.isam.calculateEstimate(), self.solver.range_bias)
+        if estimate is not None:
+            self.solver.range_bias = estimate
+            self.relinearize_all()
+
+    def correlate_wall_errors(self) -> None:
+        """Divide the information of walls whose errors repeat with every view; takes effect with `relinearize_all`.
+
+        The estimate has converged. Doing it again changes little, as the residuals are those of the new factors.
+        """
+        values, factors = self.solver.isam.calculateEstimate(), self.solver.factors
+        keyframes = {f.first for f in factors.values() if f.kind is FactorKind.WALL_HEADING}
+        walls = {f.second for f in factors.values() if f.kind is FactorKind.WALL_HEADING}
+        correlated = with_correlated_errors(
+            factors,
+            {k: from_pose2(values.atPose2(X(k))) for k in keyframes},
+            {j: from_pose2(values.atPose2(L(j))) for j in walls},
+            self.solver.range_bias.metres,
+        )
+        self.solver.factors = dict(zip(sorted(factors), correlated, strict=True))
 
     def relinearize_all(self) -> None:
         """Solve everything again from the present estimate, at the end of a run.
@@ -226,7 +316,7 @@ class FactorGraph(GraphEstimate):
         are those of their last linearisation.
         """
         factors = [factor for _, factor in sorted(self.solver.factors.items())]
-        gtsam_factors = to_gtsam_graph(factors)
+        gtsam_factors = to_gtsam_graph(factors, self.solver.range_bias.metres)
         for _ in range(BATCH_STEPS):
             self._values, self._new = self.solver.isam.calculateEstimate(), factors
             self.solver.reset()
@@ -243,7 +333,7 @@ class FactorGraph(GraphEstimate):
     def state(self) -> GraphState:
         """Return everything the graph consists of as plain data. Nothing may be waiting for `update`."""
         values = self.solver.isam.getLinearizationPoint()
-        keys: dict[str, list[int]] = {"x": [], "l": [], "c": []}
+        keys: dict[str, list[int]] = {"x": [], "l": [], "c": [], "p": []}
         for key in sorted(values.keys()):
             symbol = gtsam.Symbol(key)
             keys[chr(symbol.chr())].append(symbol.index())
@@ -254,8 +344,11 @@ class FactorGraph(GraphEstimate):
             frames=np.array([from_pose2(values.atPose2(L(j))) for j in keys["l"]]).reshape(-1, 3),
             corners=np.array(keys["c"], dtype=np.int64),
             positions=np.array([values.atPoint2(C(j)) for j in keys["c"]]).reshape(-1, 2),
+            point_maps=np.array(keys["p"], dtype=np.int64),
+            point_map_poses=np.array([from_pose2(values.atPose2(P(k))) for k in keys["p"]]).reshape(-1, 3),
             updates=self.solver.updates,
             qr=self.solver.qr,
+            bias=self.solver.range_bias.metres,
         )
 
     @classmethod
@@ -266,12 +359,15 @@ class FactorGraph(GraphEstimate):
         """
         graph = cls()
         graph.solver = IncrementalSolver(qr=state.qr)
+        graph.solver.range_bias = RangeBias(state.bias)
         for k, pose in enumerate(state.keyframes):
             graph._values.insert(X(k), to_pose2(pose))
         for wall, frame in zip(state.walls.tolist(), state.frames, strict=True):
             graph._values.insert(L(wall), to_pose2(frame))
         for corner, position in zip(state.corners.tolist(), state.positions, strict=True):
             graph._values.insert(C(corner), position)
+        for keyframe, pose in zip(state.point_maps.tolist(), state.point_map_poses, strict=True):
+            graph._values.insert(P(keyframe), to_pose2(pose))
         graph._new = list(state.factors)
         graph.update()
         for _ in range((state.updates - 1) % RELINEARIZE_SKIP):  # so that the same later updates relinearise

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import C, L, X
+from gtsam.symbol_shorthand import C, L, P, X
 from numpy.typing import NDArray
 
 from drivers import se2
@@ -43,7 +43,9 @@ class FactorKind(StrEnum):
     CORNER         the corner's position in the frame of `first`; (2, 2). Robust
     WALL_EQUALITY  the frame of the wall `second` in that of the wall `first`: they are one; (2, 2), as for WALL
     LOOP           the keyframe `second` in the frame of `first`, from a loop closure; (3, 3)
-    SCAN_MATCH     the same, from matching all points of `second`; (3, 3). Robust
+    POINT_MAP      the points of the keyframe `first` as a body in its frame: zero; (3, 3), the noise of its scan
+    SCAN_MATCH     the keyframe `second` in the frame of the points of `first`, by matching its own points with them and
+                   with those of other keyframes nearby; (3, 3). Robust
     """
 
     POSE_PRIOR = "pose_prior"
@@ -55,6 +57,7 @@ class FactorKind(StrEnum):
     CORNER = "corner"
     WALL_EQUALITY = "wall_equality"
     LOOP = "loop"
+    POINT_MAP = "point_map"
     SCAN_MATCH = "scan_match"
 
 
@@ -70,27 +73,47 @@ CAUCHY_SCALES = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Factor:
-    """One factor; see FactorKind."""
+    """One factor; see FactorKind.
+
+    bias_slope  change of the measurement per metre of range bias: (1,) of the heading or the offset, (2,) of a corner's
+                position or of the offset and heading of kind WALL; (0,) of other kinds
+    """
 
     kind: FactorKind
     first: int
     second: int
     measured: Floats
     covariance: Floats
+    bias_slope: Floats = field(default_factory=lambda: np.zeros(0))
+
+    def without_range_bias(self, bias: float) -> Floats:
+        """Return the measurement as if all ranges were shorter by `bias` metres."""
+        match self.kind if bias and len(self.bias_slope) else None:
+            case FactorKind.WALL_HEADING:
+                return se2.compose(self.measured, np.array([0.0, 0.0, -bias * self.bias_slope[0]]))
+            case FactorKind.WALL_OFFSET:
+                frame = se2.compose(self.measured[:3], np.array([0.0, -bias * self.bias_slope[0], 0.0]))
+                return np.append(frame, self.measured[3])
+            case FactorKind.CORNER:
+                return self.measured - bias * self.bias_slope
+        return self.measured
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GraphState:
     """Everything a graph consists of: enough to continue with exactly the same results.
 
-    factors    all factors, in the order in which they were added
-    keyframes  (k, 3) linearisation points of the poses, not the estimate
-    walls      (w,) landmark ids
-    frames     (w, 3) linearisation points of the walls' frames
-    corners    (c,) landmark ids
-    positions  (c, 2) linearisation points of the corners
-    updates    number of updates of the estimate: every RELINEARIZE_SKIP-th relinearises
-    qr         True if factors are eliminated by QR because Cholesky has failed on this graph
+    factors          all factors, in the order in which they were added
+    keyframes        (k, 3) linearisation points of the poses, not the estimate
+    walls            (w,) landmark ids
+    frames           (w, 3) linearisation points of the walls' frames
+    corners          (c,) landmark ids
+    positions        (c, 2) linearisation points of the corners
+    point_maps       (p,) keyframes whose points are a body of their own
+    point_map_poses  (p, 3) linearisation points of these bodies
+    updates          number of updates of the estimate: every RELINEARIZE_SKIP-th relinearises
+    qr               True if factors are eliminated by QR because Cholesky has failed on this graph
+    bias             estimate of the range bias, metres, without which the observations are in the graph
     """
 
     factors: list[Factor]
@@ -99,8 +122,11 @@ class GraphState:
     frames: Floats
     corners: NDArray[np.int64]
     positions: Floats
+    point_maps: NDArray[np.int64]
+    point_map_poses: Floats
     updates: int
     qr: bool
+    bias: float = 0.0
 
 
 def to_pose2(pose: se2.Pose) -> gtsam.Pose2:
@@ -113,17 +139,18 @@ def from_pose2(pose: gtsam.Pose2) -> se2.Pose:
     return np.array([pose.x(), pose.y(), pose.theta()])
 
 
-def to_gtsam_graph(factors: Iterable[Factor]) -> gtsam.NonlinearFactorGraph:
-    """Convert factors into a graph of GTSAM."""
+def to_gtsam_graph(factors: Iterable[Factor], bias: float = 0.0) -> gtsam.NonlinearFactorGraph:
+    """Convert factors, without a range bias (metres), into a graph of GTSAM."""
     graph = gtsam.NonlinearFactorGraph()
     for factor in factors:
-        graph.add(to_gtsam(factor))
+        graph.add(to_gtsam(factor, bias))
     return graph
 
 
-def to_gtsam(factor: Factor) -> gtsam.NonlinearFactor:
-    """Convert a factor into GTSAM's."""
-    first, second, measured, covariance = factor.first, factor.second, factor.measured, factor.covariance
+def to_gtsam(factor: Factor, bias: float = 0.0) -> gtsam.NonlinearFactor:
+    """Convert a factor, without a range bias (metres), into GTSAM's."""
+    first, second, covariance = factor.first, factor.second, factor.covariance
+    measured = factor.without_range_bias(bias)
     match factor.kind:
         case FactorKind.CORNER:
             return _corner_factor(first, second, measured, covariance)
@@ -134,7 +161,11 @@ def to_gtsam(factor: Factor) -> gtsam.NonlinearFactor:
         case FactorKind.ODOMETRY | FactorKind.SCAN_MATCH:
             gaussian = gtsam.noiseModel.Gaussian.Covariance(covariance)
             robust = gtsam.noiseModel.Robust.Create(ODOMETRY_KERNEL, gaussian)
-            return gtsam.BetweenFactorPose2(X(first), X(second), to_pose2(measured), robust)
+            start = X(first) if factor.kind is FactorKind.ODOMETRY else P(first)
+            return gtsam.BetweenFactorPose2(start, X(second), to_pose2(measured), robust)
+        case FactorKind.POINT_MAP:
+            gaussian = gtsam.noiseModel.Gaussian.Covariance(covariance)
+            return gtsam.BetweenFactorPose2(X(first), P(first), to_pose2(measured), gaussian)
         case FactorKind.LOOP:
             gaussian = gtsam.noiseModel.Gaussian.Covariance(covariance)
             return gtsam.BetweenFactorPose2(X(first), X(second), to_pose2(measured), gaussian)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from gtsam.symbol_shorthand import C, L, X
+from gtsam.symbol_shorthand import C, L, P, X
 
 from drivers import se2
 
@@ -13,6 +13,7 @@ from ..geometry.segments import Floats, Integers
 from .covariances import ROBUST_COVARIANCE_SCALE, LandmarkCovariances, landmark_covariances
 from .factors import from_pose2
 from .isam2 import IncrementalSolver
+from .range_bias import RangeBias
 from .residuals import Residuals, residuals_of
 
 # Pairs of walls whose joint covariance is computed at once. Origin: measured, 50 walls take three times as long as 2.
@@ -46,9 +47,18 @@ class GraphEstimate:
         """Return the frames (n, 3) of walls in the map."""
         return np.array([from_pose2(self.solver.isam.calculateEstimatePose2(L(j))) for j in walls]).reshape(-1, 3)
 
+    def point_map_poses(self, keyframes: Sequence[int]) -> Floats:
+        """Return the poses (n, 3) of the points of some keyframes, which scans are matched with."""
+        return np.array([from_pose2(self.solver.isam.calculateEstimatePose2(P(k))) for k in keyframes]).reshape(-1, 3)
+
     def corner_positions(self, corners: Sequence[int]) -> Floats:
         """Return the positions (n, 2) of corners in the map."""
         return np.array([self.solver.isam.calculateEstimatePoint2(C(j)) for j in corners]).reshape(-1, 2)
+
+    @property
+    def range_bias(self) -> RangeBias:
+        """Estimate of the range bias, without which the observations are in the graph."""
+        return self.solver.range_bias
 
     def chi2(self) -> float:
         """Return twice the robust cost of the whole graph."""
@@ -69,6 +79,12 @@ class GraphEstimate:
     def wall_covariance(self, wall: int) -> Floats:
         """Return the covariance (2, 2) of a wall's offset across and heading in the map, at its frame."""
         return ROBUST_COVARIANCE_SCALE * self.solver.marginal_covariance(L(wall))[1:, 1:]
+
+    def wall_covariances(self, walls: Sequence[int]) -> Floats:
+        """Return the joint covariance (2 n, 2 n) of walls: offset and heading in the map, of each at its own frame."""
+        joint = self.solver.joint_covariance([L(wall) for wall in walls])
+        rows = np.flatnonzero(np.arange(len(joint)) % 3)  # offset and heading of (along, offset, heading)
+        return ROBUST_COVARIANCE_SCALE * joint[np.ix_(rows, rows)]
 
     def corner_covariance(self, corner: int) -> Floats:
         """Return the covariance (2, 2) of a corner's position in the map."""

@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import MapError
 from ..geometry.segments import Floats
 from .factors import Factor, to_gtsam_graph
+from .range_bias import RangeBias
 
 # Change of a variable beyond which it is relinearised: metres along its axes and radians. Factors are linear in
 # positions but not in headings, so the threshold on the heading is the small one. A wall's frame may slide along it.
@@ -28,7 +29,12 @@ def _isam2(*, qr: bool) -> gtsam.ISAM2:
     """Return an empty iSAM2 with this module's parameters."""
     parameters = gtsam.ISAM2Params()
     thresholds = gtsam.ISAM2ThresholdMap()
-    for symbol, threshold in (("x", RELINEARIZE_POSE), ("l", RELINEARIZE_WALL), ("c", RELINEARIZE_CORNER)):
+    for symbol, threshold in (
+        ("x", RELINEARIZE_POSE),
+        ("p", RELINEARIZE_POSE),
+        ("l", RELINEARIZE_WALL),
+        ("c", RELINEARIZE_CORNER),
+    ):
         thresholds.insert((symbol, threshold))
     parameters.setRelinearizeThreshold(thresholds)
     parameters.relinearizeSkip = RELINEARIZE_SKIP
@@ -44,6 +50,7 @@ class IncrementalSolver:
     updates  number of updates: every RELINEARIZE_SKIP-th relinearises
     qr       True if factors are eliminated by QR. It takes twice the time of Cholesky, and solves some systems on
              which Cholesky fails, e.g. with walls seen many metres from their frames
+    range_bias  estimate of the range bias: factors are converted without it, and its uncertainty is in the covariances
     """
 
     def __init__(self, *, qr: bool = False) -> None:
@@ -51,11 +58,13 @@ class IncrementalSolver:
         self.factors: dict[int, Factor] = {}
         self.updates = 0
         self.qr = qr
+        self.range_bias = RangeBias()
 
     def copy(self) -> IncrementalSolver:
         """Return an independent solver with the same estimate."""
         other = IncrementalSolver(qr=self.qr)
         other.isam, other.factors, other.updates = gtsam.ISAM2(self.isam), dict(self.factors), self.updates
+        other.range_bias = self.range_bias
         return other
 
     def reset(self) -> None:
@@ -85,7 +94,7 @@ class IncrementalSolver:
         for number in remove:
             del self.factors[number]
         self.updates += 1
-        added = to_gtsam_graph(new) if gtsam_factors is None else gtsam_factors
+        added = to_gtsam_graph(new, self.range_bias.metres) if gtsam_factors is None else gtsam_factors
         try:
             numbers = list(self.isam.update(added, values, parameters).getNewFactorsIndices())
         except RuntimeError as error:
@@ -97,11 +106,12 @@ class IncrementalSolver:
 
     def marginal_covariance(self, key: int) -> Floats:
         """Return the covariance of one variable in its own tangent space. Raises MapError as `update` does."""
-        return self._query(lambda isam: np.asarray(isam.marginalCovariance(key)))
+        return self._query(lambda isam: np.asarray(isam.marginalCovariance(key))) + self.range_bias.covariance([key])
 
     def joint_covariance(self, keys: Sequence[int]) -> Floats:
         """Return the joint covariance of variables, in the order of `keys`. Raises MapError as `update` does."""
-        return self._query(lambda isam: np.asarray(isam.jointMarginalCovariance(keys).fullMatrix()))
+        joint = self._query(lambda isam: np.asarray(isam.jointMarginalCovariance(keys).fullMatrix()))
+        return joint + self.range_bias.covariance(keys)
 
     def _query(self, marginals: Callable[[gtsam.ISAM2], Floats]) -> Floats:
         """Compute marginals. If Cholesky fails, switch to QR for good; raise MapError if that fails too."""

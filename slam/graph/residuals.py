@@ -16,17 +16,27 @@ if TYPE_CHECKING:
 # Kinds of residuals. GAUGE_PRIOR is the prior that fixes a wall's frame along the wall: a convention, no measurement.
 PRIOR, ODOMETRY, WALL, CORNER = "prior", "odometry", "wall", "corner"
 WALL_EQUALITY, GAUGE_PRIOR = "wall equality", "gauge prior"
-_ENDS = {ODOMETRY: "xx", WALL: "xL", CORNER: "xC", WALL_EQUALITY: "LL", GAUGE_PRIOR: "xL"}
-_KINDS = {"xx": ODOMETRY, "xl": WALL, "xc": CORNER, "ll": WALL_EQUALITY}
+SCAN_MATCH, POINT_MAP = "scan match", "point map"
+_ENDS = {
+    ODOMETRY: "xx",
+    SCAN_MATCH: "px",
+    POINT_MAP: "xp",
+    WALL: "xL",
+    CORNER: "xC",
+    WALL_EQUALITY: "LL",
+    GAUGE_PRIOR: "xL",
+}
+_KINDS = {"xx": ODOMETRY, "px": SCAN_MATCH, "xp": POINT_MAP, "xl": WALL, "xc": CORNER, "ll": WALL_EQUALITY}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
     """Residuals of n factors.
 
-    kind     one of PRIOR, ODOMETRY, WALL, CORNER, WALL_EQUALITY, GAUGE_PRIOR for each
-    between  (n, 2) keyframe and keyframe, keyframe and landmark, or landmark and landmark, by kind; -1 for none
-    squared  (n,) squared Mahalanobis distance of the measurement from the estimate, of GTSAM's whitened error
+    kind     one of PRIOR, ODOMETRY, SCAN_MATCH, POINT_MAP, WALL, CORNER, WALL_EQUALITY, GAUGE_PRIOR for each
+    between  (n, 2) keyframe and keyframe, keyframe and landmark, or landmark and landmark, by kind; -1 for none. The
+             points of a keyframe have its number
+    squared  (n,) squared Mahalanobis distance of the measurement from the estimate, without the robust kernel
     dof      (n,) degrees of freedom: the expected value of `squared` if the noise is as modelled
     weight   (n,) weight of the factor by its robust kernel, 0 to 1
     """
@@ -50,7 +60,7 @@ class Residuals:
         return np.argsort(-misfit, kind="stable")[: min(count, int(np.isfinite(misfit).sum()))]
 
     def name(self, index: int) -> str:
-        """Return a name like `x12 - L5`: x is a keyframe, L a wall, C a corner."""
+        """Return a name like `x12 - L5`: x is a keyframe, p its points, L a wall, C a corner."""
         first, second = self.between[index]
         ends = _ENDS.get(self.kind[index])
         return f"x{first}" if ends is None else f"{ends[0]}{first} - {ends[1]}{second}"
@@ -62,26 +72,37 @@ def residuals_of(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> R
 
     from .factors import CAUCHY_SCALE, ODOMETRY_CAUCHY_SCALE, WALL_CAUCHY_SCALE
 
-    cauchy_scales = {ODOMETRY: ODOMETRY_CAUCHY_SCALE, WALL: WALL_CAUCHY_SCALE, CORNER: CAUCHY_SCALE}
+    cauchy_scales = {
+        ODOMETRY: ODOMETRY_CAUCHY_SCALE,
+        SCAN_MATCH: ODOMETRY_CAUCHY_SCALE,
+        WALL: WALL_CAUCHY_SCALE,
+        CORNER: CAUCHY_SCALE,
+    }
     kinds: list[str] = []
     between: list[tuple[int, int]] = []
     squared: list[float] = []
+    scale: list[float] = []
     dof: list[int] = []
     for factor in (factors.at(number) for number in range(factors.size())):
         if not isinstance(factor, gtsam.NoiseModelFactor):
             continue
         ends = [gtsam.Symbol(key) for key in list(factor.keys())]
-        error = factor.whitenedError(values)
+        noise = factor.noiseModel()
+        robust = isinstance(noise, gtsam.noiseModel.Robust)
+        gaussian = noise.noise() if isinstance(noise, gtsam.noiseModel.Robust) else noise
+        # GTSAM's whitened error of a robust factor contains the square root of its weight, so it is whitened here.
+        error = gaussian.whiten(factor.unwhitenedError(values))
         kind = _KINDS.get("".join(chr(end.chr()) for end in ends), PRIOR)
-        if kind == WALL and not isinstance(factor.noiseModel(), gtsam.noiseModel.Robust):
+        if kind == WALL and not robust:
             kind = GAUGE_PRIOR
         kinds.append(kind)
         between.append((ends[0].index(), ends[1].index() if len(ends) > 1 else -1))
         squared.append(float(error @ error))
+        scale.append(cauchy_scales.get(kind, np.inf) if robust else np.inf)
         dof.append(_degrees_of_freedom(kind, factor.dim()))
     pairs = np.array(between, dtype=np.int64).reshape(-1, 2)
-    distance, scale = np.array(squared), np.array([cauchy_scales.get(kind, np.inf) for kind in kinds])
-    weight = 1.0 / (1.0 + distance / scale**2)
+    distance = np.array(squared)
+    weight = 1.0 / (1.0 + distance / np.array(scale) ** 2)
     return Residuals(tuple(kinds), pairs, distance, np.array(dof, dtype=np.int64), weight)
 
 

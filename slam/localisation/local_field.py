@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import copy
-import heapq
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +28,8 @@ REFERENCE_DISTANCE = 4.0
 # Metres by which the pose of a keyframe may have changed since its points were inserted. Origin: chosen, two cells; not
 # measured.
 MAX_DISPLACEMENT = 0.1
+# Metres; smaller differences between two paths are rounding errors. Origin: numerical.
+ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,12 +38,14 @@ class LocalFieldState:
 
     centre          (2,) metres, middle of the field
     links           pairs of keyframes that saw the same place
+    gaps            metres by which the way to a keyframe counts as longer, by keyframe; see `LocalField.add`
     inserted        keyframes whose points are in the field, in the order in which they were inserted
     inserted_poses  (k, 3) at which they were inserted
     """
 
     centre: Floats
     links: Sequence[tuple[int, int]]
+    gaps: Mapping[int, float]
     inserted: Sequence[int]
     inserted_poses: Floats
 
@@ -54,22 +57,27 @@ class LocalField:
         self.field = DistanceField.empty(np.zeros(2))
         self._points: list[NDArray[np.float32]] = []  # of each keyframe, in its frame
         self._links: list[tuple[int, int]] = []
+        self._gaps: dict[int, float] = {}
         self._inserted: list[int] = []  # keyframes whose points are in the field
         self._inserted_poses: Floats = np.zeros((0, 3))  # at which they were inserted
         self._linked = True  # True if other keyframes may have become near
+        self._outdated = False  # True if some of the keyframes in the field may be near no longer
 
     def __deepcopy__(self, memo: dict[int, object]) -> LocalField:
         """Return an independent copy; the points of keyframes are never changed and are shared."""
         other = LocalField()
         other.field = copy.deepcopy(self.field)
         other._points, other._links, other._linked = list(self._points), list(self._links), self._linked
+        other._gaps = dict(self._gaps)
+        other._outdated = self._outdated
         other._inserted, other._inserted_poses = list(self._inserted), self._inserted_poses.copy()
         return other
 
     @property
     def state(self) -> LocalFieldState:
         """State to be saved."""
-        return LocalFieldState(self.field.centre, tuple(self._links), tuple(self._inserted), self._inserted_poses)
+        links, inserted = tuple(self._links), tuple(self._inserted)
+        return LocalFieldState(self.field.centre, links, dict(self._gaps), inserted, self._inserted_poses)
 
     def restore(self, state: LocalFieldState) -> None:
         """Continue from a saved state, after the points of all keyframes have been added.
@@ -77,10 +85,9 @@ class LocalField:
         If no keyframe was inserted, those around the robot are inserted by the next update.
         """
         self.field, self._linked = DistanceField.empty(state.centre), not state.inserted
-        self._links, self._inserted = list(state.links), list(state.inserted)
+        self._links, self._gaps, self._inserted = list(state.links), dict(state.gaps), list(state.inserted)
         self._inserted_poses = state.inserted_poses
-        for keyframe, pose in zip(self._inserted, self._inserted_poses, strict=True):
-            self.field.insert(pose, self.points(keyframe))
+        self.field.insert_scans(self._inserted_poses, [self.points(keyframe) for keyframe in self._inserted])
 
     @property
     def inserted(self) -> Sequence[int]:
@@ -91,9 +98,23 @@ class LocalField:
         """Return the points (p, 4) of a keyframe with their normals, in its frame."""
         return self._points[keyframe].astype(np.float64)
 
-    def add(self, scan: ScanFeatures) -> None:
-        """Add the points of the next keyframe. They enter the field with `update`."""
+    def add(self, scan: ScanFeatures, undetermined: float = 0.0) -> None:
+        """Add the points of the next keyframe. They enter the field with `update`.
+
+        undetermined  share of what may be unknown of a relative pose that is unknown of the motion from the keyframe
+                      before, for example as the robot passed through a hall that is wider than the lidar's range; 0 if
+                      scans determine the motion. This share of MAX_PATH is added to the way.
+        """
+        if undetermined > 0.0:
+            self._gaps[len(self._points)] = MAX_PATH * min(1.0, undetermined)
+            self._outdated = True
         self._points.append(surface_points(scan.points.all, scan.segments, POINT_SPACING).astype(np.float32))
+
+    def ways(self, travelled: Sequence[float]) -> Floats:
+        """Return the metres (k,) driven up to each keyframe, with what is undetermined of the way; see `add`."""
+        gaps = np.zeros(len(self._points))
+        gaps[list(self._gaps)] = list(self._gaps.values())
+        return np.asarray(travelled, dtype=np.float64) + np.cumsum(gaps)
 
     def link(self, keyframe: int, other: int) -> None:
         """State that two keyframes saw the same place, so that their relative pose is well known."""
@@ -124,38 +145,32 @@ class LocalField:
         travelled  metres driven up to each keyframe
         """
         moved = np.abs(poses[self._inserted, :2] - self._inserted_poses[:, :2]).max(initial=0.0)
-        if moved > MAX_DISPLACEMENT or self.field.centre_distance(poses[keyframe]) > MAX_CENTRE_DISTANCE:
+        left = self.field.centre_distance(poses[keyframe]) > MAX_CENTRE_DISTANCE
+        if moved > MAX_DISPLACEMENT or left or self._outdated:
             self.field, self._inserted, self._linked = DistanceField.empty(poses[keyframe]), [], True
+            self._outdated = False
         if self._linked:
             inserted = set(self._inserted)
             new, self._linked = [k for k in self._near(keyframe, travelled) if k not in inserted], False
         else:
             new = list(range(max(self._inserted, default=-1) + 1, len(self._points)))
-        for k in new:
-            self.field.insert(poses[k], self.points(k))
+        self.field.insert_scans(poses[new], [self.points(k) for k in new])
         before = self._inserted_poses[: len(self._inserted)]
         self._inserted, self._inserted_poses = self._inserted + new, np.concatenate([before, poses[new]])
 
     def _near(self, keyframe: int, travelled: Sequence[float]) -> list[int]:
         """Return the keyframes within MAX_PATH of one, along the drive and the links, in ascending order."""
-        neighbours: dict[int, list[int]] = {}
-        for one, other in self._links:
-            neighbours.setdefault(one, []).append(other)
-            neighbours.setdefault(other, []).append(one)
-        distance, queue = {keyframe: 0.0}, [(0.0, keyframe)]
-        while queue:
-            path, k = heapq.heappop(queue)
-            if path > distance[k]:
-                continue
-            for other in _adjacent(k, len(self._points), neighbours.get(k, ())):
-                step = abs(travelled[other] - travelled[k]) if abs(other - k) == 1 else 0.0
-                if path + step < min(distance.get(other, np.inf), MAX_PATH):
-                    distance[other] = path + step
-                    heapq.heappush(queue, (path + step, other))
-        return sorted(distance)
-
-
-def _adjacent(keyframe: int, count: int, linked: Iterable[int]) -> list[int]:
-    """Return the keyframes before and after one, of `count`, and those linked with it."""
-    chain = [k for k in (keyframe - 1, keyframe + 1) if 0 <= k < count]
-    return [*chain, *linked]
+        distance = np.full(len(self._points), np.inf)  # to the keyframe
+        distance[keyframe] = 0.0
+        driven = self.ways(travelled[: len(self._points)])
+        one, other = np.array(self._links, dtype=np.int64).reshape(-1, 2).T
+        while True:
+            before = distance.copy()
+            forward = np.minimum.accumulate(distance - driven) + driven
+            backward = np.minimum.accumulate((distance + driven)[::-1])[::-1] - driven
+            distance = np.minimum(distance, np.minimum(forward, backward))
+            linked = np.minimum(distance[one], distance[other])
+            np.minimum.at(distance, one, linked)
+            np.minimum.at(distance, other, linked)
+            if not (distance < before - ROUNDING).any():
+                return np.flatnonzero(distance < MAX_PATH).tolist()

@@ -68,10 +68,13 @@ class MatchTarget:
     field: DistanceField
     roughness: float
 
-    def match(self, scan: ScanFeatures, predictions: Sequence[Prediction]) -> ScanMatch:
-        """Match a scan near one of several predicted poses: first by all its points, then by walls too."""
+    def match(self, scan: ScanFeatures, predictions: Sequence[Prediction], *, exhaustive: bool = False) -> ScanMatch:
+        """Match a scan near one of several predicted poses: first by all its points, then by walls too.
+
+        For `exhaustive` see `match_points`.
+        """
         points = surface_points(scan.points.all, scan.segments, POINT_SPACING)
-        match, *others = match_points(self.field, points, predictions)
+        match, *others = match_points(self.field, points, predictions, exhaustive=exhaustive)
         prediction = match.prediction
         registration = register(
             match.pose, prediction.pose, prediction.information,

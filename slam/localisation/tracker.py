@@ -28,6 +28,9 @@ PREDICTION_SIGMAS = np.array([0.02, 0.02, np.radians(1.0)])
 # Cost, minus the logarithm of the probability, of odometry failing from one scan to the next.
 # Origin: chosen, once in twenty scans that fit badly; not measured.
 SLIP_COST = 3.0
+# Standard deviations of a slip's prediction within which the pose must be: no robot becomes twice as fast at once.
+# Origin: chosen; not measured.
+MAX_SLIP = 2.0
 # Scale of the kernel of a slip's prediction, whose bound is physical. Origin: numerical, practically none.
 NO_KERNEL = 1e3
 # Metres and radians per second that every robot reaches. Origin: chosen, slow robots; not measured.
@@ -208,14 +211,14 @@ class Tracker:
             predictions.append(Prediction(pose, information))
         match = target.match(scan, predictions)
         slipped, confirmed = match.prediction is predictions[1], match.prediction not in predictions[:2]
-        prior = match.prediction.information
+        prior, fix_pose = match.prediction.information, match.registration.pose
         self._tentative, self._usual_cost = None, 0.0
         if _too_few_features(scan) and len(target.landmarks.walls):
             return self._result(match, TrackingStatus.NO_FEATURES, prior)
-        if not match.plausible:
+        if not match.plausible or (slipped and match.prediction.squared_distance(fix_pose) > MAX_SLIP**2):
             self._failed_in_a_row += 1
             return self._result(match, TrackingStatus.FAILED, prior)
-        fix = PoseFix(match.registration.pose, odometry)
+        fix = PoseFix(fix_pose, odometry)
         if slipped or (confirmed and match.poor):
             self._tentative = fix
             self._usual_cost = min(other.cost for other in match.others if other.prediction is usual) - match.cost

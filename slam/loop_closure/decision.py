@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from drivers import se2
 
 from ..geometry.segments import Floats
 from .loop_status import LoopStatus
-from .proposal import Hypothesis
-from .recent_walls import WallSet
-from .verification import Verdict
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,36 +31,65 @@ class LoopMatch:
     known: float
 
 
+@dataclass(frozen=True, slots=True)
+class Check:
+    """Check of a hypothesis: a measured value and its gate, the least value if `at_least`, else the largest."""
+
+    name: str
+    value: float
+    gate: float
+    at_least: bool
+
+    @property
+    def passed(self) -> bool:
+        """True if the value keeps the gate."""
+        return self.value >= self.gate if self.at_least else self.value <= self.gate
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopDecision:
-    """Decision on a loop closure candidate, with the data that it rests on.
+    """Decision to close a loop, with the data that it rests on.
 
-    candidate   running number
-    keyframe    last keyframe when the decision was made
-    old         keyframe that saw the place before
-    motion      [x, y, heading] by which the robot would move, in its own frame
-    verdict     result of the verification
-    status      REJECTED, PENDING or CONFIRMED by the search; a confirmed one becomes ACCEPTED when it is closed, or
-                REJECTED if the walls do not coincide then; RETRACTED if later scans contradict it
-    hypothesis  motion of the recent walls onto the reference map
-    pairs       landmark ids (old, recent) of walls that are the same wall by the hypothesis
-    merged      those of the pairs that were merged
-    shift       metres by which the last keyframe moved
-    compared    recent walls and reference walls as they were when compared
-    matches     matches of submaps that agree, if the candidate is not one of walls
-    since       first keyframe of the pass that these matches move
+    candidate     running number
+    keyframe      last keyframe when the decision was made
+    old           keyframe that saw the place before
+    motion        [x, y, heading] by which the robot would move, in its own frame
+    correction    the same motion of the recent keyframes, in the map
+    status        CONFIRMED by the search; it becomes ACCEPTED when the loop is closed, or REJECTED if the map does not
+                  fit together then; RETRACTED if later scans contradict it
+    reason        reason of the status
+    matches       of submaps, which agree
+    runner_up     looks that support the strongest rival, as a share
+    contradicted  share of the looks that contradict it
+    checks        all checks
+    since         first keyframe of the pass that is moved
+    compared      points (n, 2) of the recent submap, in the map before the closure, and (m, 2) of the old place
+    merged        landmark ids (old, recent) of walls that were merged
+    shift         metres by which the last keyframe moved
     """
 
     candidate: int
     keyframe: int
     old: int
     motion: se2.Pose
-    verdict: Verdict
+    correction: se2.Pose
     status: LoopStatus
-    hypothesis: Hypothesis
-    pairs: tuple[tuple[int, int], ...]
+    reason: str
+    matches: tuple[LoopMatch, ...]
+    runner_up: float
+    contradicted: float
+    checks: tuple[Check, ...]
+    since: int
+    compared: tuple[Floats, Floats]
     merged: tuple[tuple[int, int], ...] = ()
     shift: float = 0.0
-    compared: tuple[WallSet, WallSet] | None = None
-    matches: tuple[LoopMatch, ...] = ()
-    since: int = 0
+
+    @property
+    def fit(self) -> float:
+        """Share of the last submap's points in seen space that fit."""
+        return self.matches[-1].fit
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of the last match in its least certain direction, metres."""
+        return float(np.sqrt(np.linalg.eigvalsh(self.matches[-1].covariance[:2, :2])[-1]))

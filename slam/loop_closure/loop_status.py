@@ -9,11 +9,9 @@ class LoopStatus(StrEnum):
     """Status of a loop closure candidate; the values are written to files."""
 
     REJECTED = "rejected"
-    """A verification check failed, or the walls did not coincide after the closure."""
-    PENDING = "pending"
-    """All checks passed; waits for confirmation by a second candidate."""
+    """The map did not fit together after the closure."""
     CONFIRMED = "confirmed"
-    """Confirmed by a second candidate, not closed yet."""
+    """Enough looks agree; not closed yet."""
     ACCEPTED = "accepted"
     """The loop was closed."""
     RETRACTED = "retracted"

@@ -10,10 +10,15 @@ import numpy as np
 from drivers import se2
 from drivers.compiled import compiled
 
-from ..geometry.segments import Floats, Segments
+from ..geometry.segments import Floats, Integers, Segments
 from ..mapping.landmarks import Landmarks
-from .recent_walls import ReferenceMap
 
+# Metres of driving since a wall was first seen from which on it is old, and metres from the robot up to which it is
+# considered. Origin: chosen, the length of a room, and the range of lidars in it; not measured.
+REFERENCE_DISTANCE = 15.0
+# Metres of driving without an observation from which on an old wall is not seen any more.
+# Origin: chosen, shortened from 8 m during development on recordings; not measured.
+RECENT_DISTANCE = 6.0
 # Positions on a segment, from -1 to 1 between its ends, to which lines of sight are drawn.
 # Origin: chosen, the middle and both ends without their outermost parts; not measured.
 SIGHT_LINE_TARGETS = (-0.8, 0.0, 0.8)
@@ -22,17 +27,31 @@ SIGHT_LINE_TARGETS = (-0.8, 0.0, 0.8)
 OCCLUSION_MARGIN = 0.3
 
 
-def occluded_share(
-    motion: se2.Pose, reference: ReferenceMap, landmarks: Landmarks, views: Sequence[tuple[se2.Pose, Segments]]
-) -> float:
-    """Return the share of the wall length seen in `views` that reference walls would have hidden.
+def old_walls(landmarks: Landmarks, pose: se2.Pose, travelled: Floats, before: float) -> Integers:
+    """Return the ids (n,) of walls near a pose that were first seen long ago, and not recently.
 
-    motion     of the robot in the map, [x, y, heading]
-    reference  only its walls that were not seen recently, where they were observed, hide anything
-    views      poses in the map, each with the segments seen from there
+    travelled  (k,) metres driven up to each keyframe
+    before     metres driven; only walls first seen before that count
+    """
+    walls = landmarks.walls.rows
+    first_seen, last_seen = travelled[walls["first_seen"]], travelled[walls["last_seen"]]
+    old = walls["in_graph"] & landmarks.active() & (travelled[-1] - last_seen > RECENT_DISTANCE)
+    old &= first_seen < min(before, travelled[-1] - REFERENCE_DISTANCE)
+    viewpoint = se2.transform(se2.inverse(walls["frame"]), pose[:2]).reshape(-1, 2)
+    beyond = np.maximum(0.0, np.maximum(walls["low"] - viewpoint[:, 0], viewpoint[:, 0] - walls["high"]))
+    return np.flatnonzero(old & (np.hypot(beyond, viewpoint[:, 1]) < REFERENCE_DISTANCE))
+
+
+def occluded_share(
+    motion: se2.Pose, walls: Integers, landmarks: Landmarks, views: Sequence[tuple[se2.Pose, Segments]]
+) -> float:
+    """Return the share of the wall length seen in `views` that old walls would have hidden.
+
+    motion  of the robot in the map, [x, y, heading]
+    walls   (n,) ids of the old walls; they hide what is behind them where they were observed
+    views   poses in the map, each with the segments seen from there
     """
     viewpoints, targets, weights = _sight_lines(motion, views)
-    walls = reference.wall_set.walls[reference.not_recent]
     if not len(viewpoints) or not len(walls):
         return 0.0
     rows = landmarks.walls.rows[walls]

@@ -18,8 +18,8 @@ from drivers import se2
 from ..geometry.segments import Floats, Integers, Segments
 from ..mapping.mapper import Mapper
 from .map_descriptor import MapDescriptor, describe_map, express_in_frame
-from .proposal import DISTINCT_SHIFT, DISTINCT_TURN
 from .submap_alignment import Alignment, align_submap, sample_walls
+from .submap_search import DISTINCT_SHIFT, DISTINCT_TURN
 from .visibility import VisibilityCounts, compare_visibility
 from .wall_pairs import build_pair_table, vote_for_poses
 

@@ -17,15 +17,16 @@ from drivers.compiled import compiled
 
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import CornerPoints, Floats, Integers, Segments
-from .local_map import LocalMap
+from .local_map import (
+    MAX_HEADING_DIFFERENCE,
+    MAX_OFFSET,
+    MAX_PREDICTED_TURN_VARIANCE,
+    MAX_PREDICTED_VARIANCE,
+    LocalMap,
+)
 
 # Squared Mahalanobis distance between a feature and its landmark. Origin: chi-square, 2 dof, 99.9 %.
 ASSOCIATION_GATE = 13.8
-# Metres between a feature and its landmark, however uncertain the pose: two faces of furniture are this far apart.
-# Origin: chosen; not measured.
-MAX_OFFSET = 0.30
-# Radians between a segment and its wall. Origin: chosen; not measured.
-MAX_HEADING_DIFFERENCE = math.radians(8.0)
 # Metres between the known extent of a wall and a segment that continues it. Origin: chosen, a door; not measured.
 MAX_GAP = 1.0
 # Metres by which two segments of one wall may overlap in one scan, by errors of their ends.
@@ -166,10 +167,15 @@ def _wall_distances(  # type: ignore[no-untyped-def]
             jacobian[0, 0], jacobian[0, 1] = -ws * c + wc * s, ws * s + wc * c
             jacobian[0, 2] = ws * lever_y + wc * lever_x
             wall = wall_covariances[j]
-            innovation = covariances[i] + jacobian @ pose_covariance @ jacobian.T
-            innovation[0, 0] += roughness + wall[0, 0] + 2 * along * wall[0, 1] + along * along * wall[1, 1]
+            innovation = jacobian @ pose_covariance @ jacobian.T
+            innovation[0, 0] += wall[0, 0] + 2 * along * wall[0, 1] + along * along * wall[1, 1]
             innovation[0, 1] += wall[0, 1] + along * wall[1, 1]
-            innovation[1, 1] += 3 * roughness / halves[i] ** 2 + wall[1, 1]
+            innovation[1, 1] += wall[1, 1]
+            if innovation[0, 0] > MAX_PREDICTED_VARIANCE or innovation[1, 1] > MAX_PREDICTED_TURN_VARIANCE:
+                continue
+            innovation[0, 0] += covariances[i, 0, 0] + roughness
+            innovation[0, 1] += covariances[i, 0, 1]
+            innovation[1, 1] += covariances[i, 1, 1] + 3 * roughness / halves[i] ** 2
             determinant = innovation[0, 0] * innovation[1, 1] - innovation[0, 1] ** 2
             chi2 = (
                 innovation[1, 1] * offset * offset
@@ -193,7 +199,8 @@ def _corner_distances(  # type: ignore[no-untyped-def]
     for i in range(len(points)):
         lever = rotation @ points[i]
         jacobian = np.array([[c, -s, -lever[1]], [s, c, lever[0]]])
-        own = rotation @ covariances[i] @ rotation.T + jacobian @ pose_covariance @ jacobian.T
+        predicted = jacobian @ pose_covariance @ jacobian.T
+        own = rotation @ covariances[i] @ rotation.T + predicted
         for j in range(len(corners)):
             residual = np.array([pose[0] + lever[0] - corners[j, 0], pose[1] + lever[1] - corners[j, 1]])
             if max(abs(residual[0]), abs(residual[1])) > MAX_OFFSET:
@@ -201,6 +208,9 @@ def _corner_distances(  # type: ignore[no-untyped-def]
             if abs(wrap_angle(pose[2] + headings[i, 0] - corner_headings[j, 0])) > MAX_CORNER_HEADING_DIFFERENCE:
                 continue
             if abs(wrap_angle(pose[2] + headings[i, 1] - corner_headings[j, 1])) > MAX_CORNER_HEADING_DIFFERENCE:
+                continue
+            known = predicted + corner_covariances[j]
+            if max(known[0, 0], known[1, 1]) > MAX_PREDICTED_VARIANCE:
                 continue
             innovation = own + corner_covariances[j]
             innovation[0, 0] += roughness

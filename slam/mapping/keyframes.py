@@ -69,12 +69,14 @@ class KeyframeMotion:
 class PointMotion:
     """Pose `relative` of a new keyframe in the frame of an earlier one, `start`, from matching the points of its scan.
 
-    covariance  (3, 3) in the new keyframe's frame
+    covariance        (3, 3) in the new keyframe's frame, of the noise of its own scan
+    start_covariance  (3, 3) in the earlier keyframe's frame, of the noise of that keyframe's scan
     """
 
     start: int
     relative: se2.Pose
     covariance: Floats
+    start_covariance: Floats
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,6 +11,17 @@ from drivers import se2
 
 from ..geometry.segments import Floats, Integers
 from .landmarks import Landmarks
+
+# Metres between a feature and its landmark, however uncertain the pose: two faces of furniture are this far apart.
+# Origin: chosen; not measured.
+MAX_OFFSET = 0.30
+# Radians between a segment and its wall. Origin: chosen; not measured.
+MAX_HEADING_DIFFERENCE = math.radians(8.0)
+# Square metres and square radians: variances of the offset and heading of a landmark relative to the robot up to which
+# features are compared with it. Beyond, the right landmark may lie outside these limits, and one within them may be
+# another. Origin: definition, three standard deviations are the limits.
+MAX_PREDICTED_VARIANCE = (MAX_OFFSET / 3.0) ** 2
+MAX_PREDICTED_TURN_VARIANCE = (MAX_HEADING_DIFFERENCE / 3.0) ** 2  # Origin: as MAX_PREDICTED_VARIANCE.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,10 +79,11 @@ def landmarks_around(landmarks: Landmarks, pose: se2.Pose, radius: float, *, key
 
 
 def local_map_around(landmarks: Landmarks, pose: se2.Pose, radius: float, pose_covariances: list[Floats]) -> LocalMap:
-    """Return the active landmarks within `radius` metres of a pose, with covariances relative to the last keyframe.
+    """Return the landmarks within `radius` metres of a pose whose place relative to the last keyframe is well known.
 
-    A landmark's covariance is the sum of that at its last observation and of the drift of the robot's pose since then.
-    `pose_covariances` are those of all keyframes (3, 3), in the map's axes.
+    Others may be recognised by closing a loop only. A landmark's covariance is the sum of that at its last observation
+    and of the drift of the robot's pose since then. `pose_covariances` are those of all keyframes (3, 3), in the map's
+    axes.
     """
     around = landmarks_around(landmarks, pose, radius)
     last_seen = (landmarks.walls.rows["last_seen"][around.walls], landmarks.corners.rows["last_seen"][around.corners])
@@ -81,10 +94,22 @@ def local_map_around(landmarks: Landmarks, pose: se2.Pose, radius: float, pose_c
     jacobian[:, 0] = np.column_stack([-s, c, c * lever[:, 0] + s * lever[:, 1]])
     jacobian[:, 1, 2] = 1.0
     wall_drift = jacobian @ drift[: len(around.walls)] @ jacobian.transpose(0, 2, 1)
-    return replace(
-        around,
-        wall_covariance=around.wall_covariance + wall_drift,
-        corner_covariance=around.corner_covariance + drift[len(around.walls) :, :2, :2],
+    corner_drift = drift[len(around.walls) :, :2, :2]
+    along = np.clip(-(c * lever[:, 0] + s * lever[:, 1]), around.low, around.high)  # the point nearest to the robot
+    offset = wall_drift[:, 0, 0] + 2 * along * wall_drift[:, 0, 1] + along**2 * wall_drift[:, 1, 1]
+    known = (offset < MAX_PREDICTED_VARIANCE) & (wall_drift[:, 1, 1] < MAX_PREDICTED_TURN_VARIANCE)
+    known_corners = np.maximum(corner_drift[:, 0, 0], corner_drift[:, 1, 1]) < MAX_PREDICTED_VARIANCE
+    return LocalMap(
+        walls=around.walls[known],
+        frame=around.frame[known],
+        low=around.low[known],
+        high=around.high[known],
+        wall_covariance=(around.wall_covariance + wall_drift)[known],
+        observations=around.observations[known],
+        corners=around.corners[known_corners],
+        position=around.position[known_corners],
+        headings=around.headings[known_corners],
+        corner_covariance=(around.corner_covariance + corner_drift)[known_corners],
     )
 
 

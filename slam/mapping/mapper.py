@@ -14,6 +14,7 @@ from ..geometry.segments import CornerPoints, Floats, Integers, Segments
 from ..graph.covariances import ROBUST_COVARIANCE_SCALE
 from ..graph.factor_graph import FactorGraph
 from ..graph.factors import Factor, GraphState
+from ..graph.range_bias import RangeBias
 from ..odometry.correlated_drift import embed_position_covariance, rotate_covariance
 from .data_association import Association
 from .keyframes import KeyframeMotion, KeyframeObservations, KeyframeRecords, LandmarkIds, PointMotion, WallMerge
@@ -24,6 +25,7 @@ from .unconfirmed_observations import UnconfirmedObservations
 from .wall_merging import MIN_OBSERVATIONS_TO_MERGE, find_duplicate_wall, merge_duplicate_walls
 from .wall_removal import FreeSpaceEvidence
 from .wall_roughness import WallRoughness
+from .wall_splitting import find_splits, split_landmark, with_new_walls
 
 # Metres by which the local map reaches beyond what the last keyframe observed; the next scans are matched to it.
 # Origin: chosen, several times the distance between keyframes; not measured.
@@ -77,7 +79,9 @@ class Mapper:
     def with_landmarks_of(cls, other: Mapper) -> Mapper:
         """Return a mapper without keyframes, with copies of the landmarks and of what was learned about them."""
         landmarks, roughness = copy.deepcopy(other.landmarks), copy.deepcopy(other.roughness)
-        return cls(landmarks, roughness, copy.deepcopy(other.free_space_evidence))
+        mapper = cls(landmarks, roughness, copy.deepcopy(other.free_space_evidence))
+        mapper.graph.solver.range_bias = RangeBias(other.graph.range_bias.metres)
+        return mapper
 
     @classmethod
     def from_saved(
@@ -177,6 +181,7 @@ class Mapper:
         landmark_ids = assign_landmark_ids(self.landmarks, keyframe, pose, segments, corners, association, local_map)
         self.add_keyframe_with_ids(pose, motion, segments, corners, landmark_ids)
         if point_motion is not None:
+            self.graph.add_point_map(point_motion.start, point_motion.start_covariance)
             self.graph.add_scan_match(point_motion.start, keyframe, point_motion.relative, point_motion.covariance)
         self.graph.update()
         self.keyframe_poses[-1] = self.graph.keyframe_pose(keyframe)
@@ -259,7 +264,7 @@ class Mapper:
         return self.free_space_evidence.update(self.landmarks, pose, points, self.travelled, self.pose_covariances)
 
     def converge(self) -> int:
-        """Merge duplicate walls of the whole map, iterate the graph to convergence, and read all back.
+        """Merge duplicate walls of the whole map, split those that are two, iterate to convergence, and read all back.
 
         Return the number of walls merged.
         """
@@ -269,16 +274,48 @@ class Mapper:
             self.graph.update()
         self.graph.update_until_converged()
         self.graph.relinearize_all()
+        self.settle_range_bias()
+        self.split_walls()
+        self.graph.correlate_wall_errors()
+        self.graph.relinearize_all()
+        self.settle_range_bias()
         self.read_back_all()
         return merged
 
-    def solve(self) -> None:
+    def settle_range_bias(self) -> None:
+        """Estimate the range bias together with the graph, which has converged, and read all back."""
+        self.graph.settle_range_bias()
+        self._read_back(None)
+
+    def split_walls(self) -> int:
+        """Split walls whose stretches are different surfaces, and return the number of new walls.
+
+        The estimate has converged and is read back, before and afterwards.
+        """
+        splits = find_splits(self.landmarks, self.graph, self.keyframe_poses, self.roughness.variance)
+        moves = [(split_landmark(self.landmarks, split), split.frame, split.segments) for split in splits]
+        if not moves:
+            return 0
+        self.graph.move_wall_segments(moves)
+        self.graph.update_until_converged()
+        self.landmark_ids = with_new_walls(self.landmark_ids, moves)
+        for wall, _, _ in moves:
+            last_seen = int(self.landmarks.walls.rows["last_seen"][wall])
+            covariances = self.graph.relative_covariances(last_seen, [wall], [])
+            self.landmarks.set_wall_covariances(np.array([wall]), covariances.walls, covariances.walls_in_map)
+        self.free_space_evidence.discard([split.wall for split in splits])
+        self._read_back(None)
+        return len(moves)
+
+    def solve(self) -> list[int]:
         """Solve in batch all keyframes added to an empty mapper with `add_keyframe_with_ids`, and read all back.
 
-        Pose covariances are not computed; see `recompute_pose_covariances`.
+        Returns the numbers of the graph's factors, in the order in which they were added. Pose covariances are not
+        computed; see `recompute_pose_covariances`.
         """
-        self.graph.solve_batch()
+        numbers = self.graph.solve_batch()
         self._read_back(None)
+        return numbers
 
     # --- reading the estimate back
 

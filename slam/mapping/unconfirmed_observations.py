@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers import se2
 
-from ..geometry.segments import CornerPoints, Floats, Segments
+from ..geometry.segments import CornerPoints, Floats, Segments, corner_bias_slopes
 from ..graph.factor_graph import FactorGraph
 from ..graph.factors import Factor, FactorKind
 from .keyframes import LandmarkIds
@@ -25,12 +25,12 @@ CONFIRMING_KEYFRAMES = 2
 
 
 class UnconfirmedObservations:
-    """Buffer of observations, by landmark id: for walls keyframe, frame (3,) and covariance of offset and heading;
-    for corners keyframe, position (2,) and covariance."""
+    """Buffer of observations, by landmark id: for walls keyframe, frame (3,), covariance of offset and heading, and
+    their slope with the range bias; for corners keyframe, position (2,), covariance and slope."""
 
     def __init__(self) -> None:
-        self._walls: dict[int, list[tuple[int, se2.Pose, Floats]]] = defaultdict(list)
-        self._corners: dict[int, list[tuple[int, Floats, Floats]]] = defaultdict(list)
+        self._walls: dict[int, list[tuple[int, se2.Pose, Floats, Floats]]] = defaultdict(list)
+        self._corners: dict[int, list[tuple[int, Floats, Floats, Floats]]] = defaultdict(list)
 
     @classmethod
     def from_factors(cls, factors: Iterable[Factor]) -> UnconfirmedObservations:
@@ -38,17 +38,17 @@ class UnconfirmedObservations:
         observations = cls()
         for factor in factors:
             by_landmark = observations._walls if factor.kind is FactorKind.WALL else observations._corners
-            by_landmark[factor.second].append((factor.first, factor.measured, factor.covariance))
+            by_landmark[factor.second].append((factor.first, factor.measured, factor.covariance, factor.bias_slope))
         return observations
 
     @property
     def factors(self) -> list[Factor]:
         """The buffered observations as factors of kind WALL and CORNER."""
         return [
-            Factor(kind, keyframe, landmark, measured, covariance)
+            Factor(kind, keyframe, landmark, measured, covariance, slope)
             for kind, by_landmark in ((FactorKind.WALL, self._walls), (FactorKind.CORNER, self._corners))
             for landmark, observations in by_landmark.items()
-            for keyframe, measured, covariance in observations
+            for keyframe, measured, covariance, slope in observations
         ]
 
     def add(
@@ -64,11 +64,13 @@ class UnconfirmedObservations:
         np.add.at(shares, corners.segments[landmark_ids.corners >= 0], CORNER_SHARE)
         covariances = add_roughness(segments.covariance, segments.half_length, roughness)
         for i in np.flatnonzero(walls >= 0):
-            self._walls[int(walls[i])].append((keyframe, segments.frame[i], covariances[i] / (1 - shares[i])))
-        spread = roughness * np.eye(2)
+            self._walls[int(walls[i])].append(
+                (keyframe, segments.frame[i], covariances[i] / (1 - shares[i]), segments.bias_slope[i])
+            )
+        spread, slopes = roughness * np.eye(2), corner_bias_slopes(segments, corners)
         for i in np.flatnonzero(landmark_ids.corners >= 0):
             covariance = (corners.covariance[i] + spread) / CORNER_SHARE
-            self._corners[int(landmark_ids.corners[i])].append((keyframe, corners.position[i], covariance))
+            self._corners[int(landmark_ids.corners[i])].append((keyframe, corners.position[i], covariance, slopes[i]))
 
     def move_confirmed(
         self, graph: FactorGraph, landmarks: Landmarks, landmark_ids: LandmarkIds, keyframe: int, pose: se2.Pose
@@ -86,18 +88,18 @@ class UnconfirmedObservations:
 
     def _move_wall(self, graph: FactorGraph, landmarks: Landmarks, wall: int, keyframe: int, pose: se2.Pose) -> None:
         row = landmarks.walls.rows[wall]
-        for observer, frame, covariance in self._walls.pop(wall):
+        for observer, frame, covariance, slope in self._walls.pop(wall):
             viewpoint = pose if observer == keyframe else graph.keyframe_pose(observer)
             predicted = se2.between(viewpoint, row["frame"])
             if not row["in_graph"]:
                 graph.add_wall(observer, wall, row["frame"], predicted)
                 row["in_graph"] = True
-            graph.add_wall_observation(observer, wall, frame, covariance, predicted)
+            graph.add_wall_observation(observer, wall, frame, covariance, predicted, slope)
 
     def _move_corner(self, graph: FactorGraph, landmarks: Landmarks, corner: int) -> None:
         row = landmarks.corners.rows[corner]
         if not row["in_graph"]:
             graph.add_corner(corner, row["position"])
             row["in_graph"] = True
-        for observer, position, covariance in self._corners.pop(corner):
-            graph.add_corner_observation(observer, corner, position, covariance)
+        for observer, position, covariance, slope in self._corners.pop(corner):
+            graph.add_corner_observation(observer, corner, position, covariance, slope)

@@ -18,7 +18,7 @@ from drivers import se2
 from ..geometry.segments import Floats
 from ..graph.factor_graph import FactorGraph
 from .landmarks import Landmarks
-from .local_map import LocalMap
+from .local_map import MAX_PREDICTED_TURN_VARIANCE, MAX_PREDICTED_VARIANCE, LocalMap
 
 # Squared Mahalanobis distance between two walls that may be one. Stricter than the association gate, as a merge is
 # final. Origin: chi-square, 2 dof, 95 %.
@@ -121,8 +121,10 @@ def merge_duplicate_walls(
     pairs = np.array([rows[[pair.first, pair.second]] for pair in overlaps], dtype=np.int64).reshape(-1, 2)
     found = []
     for pair, (first, second), joint in zip(overlaps, pairs.tolist(), graph.wall_pair_covariances(pairs), strict=True):
-        distance = pair.distance(_relative_covariance(joint, pair), roughness)
-        if distance < MERGE_GATE:
+        covariance = _relative_covariance(joint, pair)
+        comparable = covariance[0, 0] < MAX_PREDICTED_VARIANCE and covariance[1, 1] < MAX_PREDICTED_TURN_VARIANCE
+        distance = pair.distance(covariance, roughness)
+        if comparable and distance < MERGE_GATE:
             found.append((distance, first, second))
     merged = 0
     for _, first, second in sorted(found):

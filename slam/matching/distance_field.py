@@ -11,29 +11,34 @@ faces, and one for all points.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
-from drivers.compiled import compiled
+from drivers.compiled import compiled, inlined
 
 from ..geometry.segments import Floats
+from .offset_tiles import (
+    FIELD_CELL,
+    MAX_DISTANCE,
+    NO_OFFSET,
+    SPAN,
+    OffsetTiles,
+    enter_point,
+    metres,
+    number_tiles,
+    offset_at,
+)
 
-# Metres, side of a cell. Origin: chosen, the noise of usual lidars; distances are interpolated between cells.
-FIELD_CELL = 0.05
 # Metres from the middle to each side. Origin: chosen, the range of usual indoor lidars; farther points are not used.
 FIELD_HALF_WIDTH = 30.0
-# Metres: larger distances are not stored. It is also how far a pose may be off for Gauss-Newton to correct it.
-# Origin: chosen, about the width of a corridor's furniture; not measured.
-MAX_DISTANCE = 0.5
 # Metres, side of the cells in which it is stored whether a beam crossed them. Origin: chosen; not measured.
 SEEN_CELL = 0.25
-# Metres. Origin: numerical, 16 bits hold more than MAX_DISTANCE with it.
-OFFSET_UNIT = 1e-4
-# Offset where there is no point. Origin: numerical, the largest number of 16 bits.
-NOWHERE = 32767
+# The same in cells of the other grids. Origin: definition.
+SEEN_CELLS = round(SEEN_CELL / FIELD_CELL)
 # Cosine between a surface's normal and a direction up to which the surface belongs to it. Origin: definition, 67.5
 # degrees: a surface belongs to the nearest of the four directions, and to the second one if it is nearly as near.
 MIN_FACING = math.cos(math.radians(67.5))
@@ -43,30 +48,38 @@ ALL_POINTS = 4
 SAME_POINT = FIELD_CELL / math.sqrt(2.0)
 
 
+Arrays = tuple[Floats, NDArray[np.int32], NDArray[np.int32], NDArray[np.uint8]]
+"""Arrays of a field for compiled functions: origin, numbers of the tiles, tiles, seen cells."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class DistanceField:
     """Square grids; row and column of a point are floor((xy - origin) / FIELD_CELL), or SEEN_CELL.
 
-    origin  (2,) corner of the grids in the map, metres
-    offset  (5, c, c, 2) from the nearest point to the cell's centre in units of OFFSET_UNIT, NOWHERE if there is none
-            within MAX_DISTANCE: of surfaces that face along x, y, -x, -y, and of all points
-    seen    (s, s) 1 if a beam crossed the cell or ended in it
+    origin   (2,) corner of the grids in the map, metres
+    offsets  from the nearest point to the cell's centre: of surfaces that face along x, y, -x, -y, and of all points
+    seen     (s, s) 1 if a beam crossed the cell or ended in it
     """
 
     origin: Floats
-    offset: NDArray[np.int16]
+    offsets: OffsetTiles
     seen: NDArray[np.uint8]
 
     @classmethod
     def empty(cls, centre: Floats, half_width: float = FIELD_HALF_WIDTH) -> DistanceField:
         """Return a field around `centre` (2,) without points."""
         origin = np.floor((np.asarray(centre[:2]) - half_width) / SEEN_CELL) * SEEN_CELL
-        cells, coarse = int(2 * half_width / FIELD_CELL), int(2 * half_width / SEEN_CELL)
-        return cls(
-            origin,
-            np.full((ALL_POINTS + 1, cells, cells, 2), NOWHERE, dtype=np.int16),
-            np.zeros((coarse, coarse), dtype=np.uint8),
-        )
+        side = int(2 * half_width / SEEN_CELL)
+        return cls(origin, OffsetTiles.empty(ALL_POINTS + 1, SEEN_CELLS * side), np.zeros((side, side), dtype=np.uint8))
+
+    def __deepcopy__(self, memo: dict[int, object]) -> DistanceField:
+        """Return an independent copy."""
+        return DistanceField(self.origin, self.offsets.copy(), self.seen.copy())
+
+    @property
+    def arrays(self) -> Arrays:
+        """Arrays for compiled functions."""
+        return self.origin, self.offsets.tile_of, self.offsets.tiles, self.seen
 
     def insert(self, pose: se2.Pose, points: Floats) -> None:
         """Insert a scan's points (p, 4) with normals that face the lidar, given in the frame of the base at `pose`.
@@ -76,12 +89,20 @@ class DistanceField:
         """
         if points.shape[1] == 2:
             points = np.column_stack([points, np.zeros_like(points)])
-        _insert(self.offset, self.seen, self.origin, np.asarray(pose, dtype=np.float64), points)
+        self.insert_scans(np.asarray(pose, dtype=np.float64)[None], [points])
+
+    def insert_scans(self, poses: Floats, scans: Sequence[Floats]) -> None:
+        """Insert the points (p, 4), with normals, of several scans, one after the other; see `insert`."""
+        if not len(scans):
+            return
+        points, first = np.concatenate(scans), np.cumsum([0, *map(len, scans)])
+        self.offsets.grow(_number_tiles(self.arrays, self.offsets.count, poses, points, first))
+        _insert(self.arrays, poses, points, first)
 
     @property
     def centre(self) -> Floats:
         """Middle of the field (2,), metres."""
-        return np.asarray(self.origin + 0.5 * self.offset.shape[1] * FIELD_CELL)
+        return np.asarray(self.origin + 0.5 * len(self.seen) * SEEN_CELL)
 
     def centre_distance(self, position: Floats) -> float:
         """Return the larger distance (metres) along the axes of a position (2,) from the middle of the field."""
@@ -89,52 +110,75 @@ class DistanceField:
 
 
 @compiled
-def _insert(offset, seen, origin, pose, points):  # type: ignore[no-untyped-def]
-    """Enter the offsets from each point into the cells around it, and mark the cells between it and the robot."""
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    start_x, start_y = pose[0] - origin[0], pose[1] - origin[1]
-    for k in range(len(points)):
-        end_x = start_x + c * points[k, 0] - s * points[k, 1]
-        end_y = start_y + s * points[k, 0] + c * points[k, 1]
-        _mark_seen(seen, start_x / SEEN_CELL, start_y / SEEN_CELL, end_x / SEEN_CELL, end_y / SEEN_CELL)
-        x, y = end_x / FIELD_CELL, end_y / FIELD_CELL
-        _insert_point(offset[ALL_POINTS], x, y)
-        normal_x, normal_y = c * points[k, 2] - s * points[k, 3], s * points[k, 2] + c * points[k, 3]
-        unknown = normal_x == 0.0 and normal_y == 0.0
-        for grid in range(ALL_POINTS):
-            along = normal_x if grid % 2 == 0 else normal_y
-            if unknown or (along if grid < 2 else -along) > MIN_FACING:
-                _insert_point(offset[grid], x, y)
+def _number_tiles(field, count, poses, points, first):  # type: ignore[no-untyped-def]
+    """Number the tiles that scans change; return the number of tiles then, of which there were `count`.
+
+    The points of scan j, from `first[j]` to before `first[j + 1]`, are in the frame of `poses[j]`.
+    """
+    origin, tile_of, _, seen = field
+    for j in range(len(poses)):
+        c, s = math.cos(poses[j, 2]), math.sin(poses[j, 2])
+        start_x, start_y = poses[j, 0] - origin[0], poses[j, 1] - origin[1]
+        for k in range(first[j], first[j + 1]):
+            x = (start_x + c * points[k, 0] - s * points[k, 1]) / FIELD_CELL
+            y = (start_y + s * points[k, 0] + c * points[k, 1]) / FIELD_CELL
+            if not _surroundings_are_inside(x, y, seen):
+                continue
+            normal_x, normal_y = c * points[k, 2] - s * points[k, 3], s * points[k, 2] + c * points[k, 3]
+            for grid in range(ALL_POINTS + 1):
+                if _belongs_to(grid, normal_x, normal_y):
+                    count = number_tiles(tile_of, count, grid, math.floor(x), math.floor(y))
+    return count
 
 
 @compiled
-def _insert_point(offset, x, y):  # type: ignore[no-untyped-def]
-    """Enter the offsets from a point at (x, y), in cells, into the cells around it, if all these are in the field."""
-    cells, span = len(offset), int(MAX_DISTANCE / FIELD_CELL)
+def _insert(field, poses, points, first):  # type: ignore[no-untyped-def]
+    """Enter the offsets from each point into the cells around it, and mark the cells between it and the robot.
+
+    For the arguments see `_number_tiles`.
+    """
+    origin, tile_of, tiles, seen = field
+    for j in range(len(poses)):
+        c, s = math.cos(poses[j, 2]), math.sin(poses[j, 2])
+        start_x, start_y = poses[j, 0] - origin[0], poses[j, 1] - origin[1]
+        for k in range(first[j], first[j + 1]):
+            end_x = start_x + c * points[k, 0] - s * points[k, 1]
+            end_y = start_y + s * points[k, 0] + c * points[k, 1]
+            _mark_seen(seen, start_x / SEEN_CELL, start_y / SEEN_CELL, end_x / SEEN_CELL, end_y / SEEN_CELL)
+            x, y = end_x / FIELD_CELL, end_y / FIELD_CELL
+            if not _surroundings_are_inside(x, y, seen):
+                continue
+            normal_x, normal_y = c * points[k, 2] - s * points[k, 3], s * points[k, 2] + c * points[k, 3]
+            for grid in range(ALL_POINTS + 1):
+                if _belongs_to(grid, normal_x, normal_y) and not _is_known(tile_of, tiles, grid, x, y):
+                    enter_point(tile_of, tiles, grid, x, y)
+
+
+@inlined
+def _surroundings_are_inside(x, y, seen):  # type: ignore[no-untyped-def]
+    """True if all cells that a point at (x, y), in cells, changes are in the field."""
+    cells, row, column = SEEN_CELLS * len(seen), math.floor(x), math.floor(y)
+    return SPAN <= row < cells - SPAN and SPAN <= column < cells - SPAN
+
+
+@inlined
+def _belongs_to(grid, normal_x, normal_y):  # type: ignore[no-untyped-def]
+    """True if a point with a normal, zero if unknown, belongs to a grid."""
+    along = normal_x if grid % 2 == 0 else normal_y
+    unknown = normal_x == 0.0 and normal_y == 0.0
+    return grid == ALL_POINTS or unknown or (along if grid < 2 else -along) > MIN_FACING
+
+
+@inlined
+def _is_known(tile_of, tiles, grid, x, y):  # type: ignore[no-untyped-def]
+    """True if there is a point at (x, y), in cells, already."""
     row, column = math.floor(x), math.floor(y)
-    if row < span or column < span or row >= cells - span or column >= cells - span:
-        return
-    dx = FIELD_CELL * (x - row - 0.5) + OFFSET_UNIT * offset[row, column, 0]  # from the nearest point so far
-    dy = FIELD_CELL * (y - column - 0.5) + OFFSET_UNIT * offset[row, column, 1]
-    if dx * dx + dy * dy < SAME_POINT * SAME_POINT:
-        return
-    for i in range(row - span, row + span + 1):
-        dx = FIELD_CELL * (i + 0.5 - x)
-        for j in range(column - span, column + span + 1):
-            dy = FIELD_CELL * (j + 0.5 - y)
-            squared = dx * dx + dy * dy
-            if squared < MAX_DISTANCE * MAX_DISTANCE and squared < _squared(offset[i, j]):
-                offset[i, j, 0], offset[i, j, 1] = round(dx / OFFSET_UNIT), round(dy / OFFSET_UNIT)
+    dx, dy = metres(offset_at(tile_of, tiles, grid, row, column))
+    dx, dy = dx + FIELD_CELL * (x - row - 0.5), dy + FIELD_CELL * (y - column - 0.5)
+    return dx * dx + dy * dy < SAME_POINT * SAME_POINT
 
 
-@compiled
-def _squared(offset):  # type: ignore[no-untyped-def]
-    """Return the squared length of an offset, square metres; more than the square of MAX_DISTANCE if there is none."""
-    x, y = OFFSET_UNIT * offset[0], OFFSET_UNIT * offset[1]
-    return x * x + y * y
-
-
-@compiled
+@inlined
 def facing_grid(normal_x, normal_y):  # type: ignore[no-untyped-def]
     """Return the number of the grid for a surface with a normal, that of all points if the normal is zero."""
     if normal_x == 0.0 and normal_y == 0.0:
@@ -144,7 +188,7 @@ def facing_grid(normal_x, normal_y):  # type: ignore[no-untyped-def]
     return 1 if normal_y > 0.0 else 3
 
 
-@compiled
+@inlined
 def _mark_seen(seen, x, y, end_x, end_y):  # type: ignore[no-untyped-def]
     """Mark the cells on the line from (x, y) to the end, both in cells."""
     cells = len(seen)
@@ -155,62 +199,66 @@ def _mark_seen(seen, x, y, end_x, end_y):  # type: ignore[no-untyped-def]
             seen[row, column] = 1
 
 
-@compiled
-def nearest_distance(offset, x, y):  # type: ignore[no-untyped-def]
+@inlined
+def is_seen(seen, x, y):  # type: ignore[no-untyped-def]
+    """True if (x, y), in cells of FIELD_CELL, lies in a cell that was seen."""
+    row, column, cells = math.floor(x), math.floor(y), SEEN_CELLS * len(seen)
+    return 0 <= row < cells and 0 <= column < cells and seen[row // SEEN_CELLS, column // SEEN_CELLS] > 0
+
+
+@inlined
+def nearest_distance(field, grid, x, y):  # type: ignore[no-untyped-def]
     """Return the distance (metres) from the cell of (x, y), in cells, to the nearest point; at most MAX_DISTANCE."""
-    i, j = math.floor(x), math.floor(y)
-    if i < 0 or j < 0 or i >= len(offset) or j >= len(offset):
+    _, tile_of, tiles, seen = field
+    row, column, cells = math.floor(x), math.floor(y), SEEN_CELLS * len(seen)
+    if row < 0 or column < 0 or row >= cells or column >= cells:
         return MAX_DISTANCE
-    return min(MAX_DISTANCE, math.sqrt(_squared(offset[i, j])))
+    dx, dy = metres(offset_at(tile_of, tiles, grid, row, column))
+    return min(MAX_DISTANCE, math.sqrt(dx * dx + dy * dy))
 
 
-@compiled
-def interpolate(offset, x, y):  # type: ignore[no-untyped-def]
+@inlined
+def interpolate(field, grid, x, y):  # type: ignore[no-untyped-def]
     """Return the vector (metres) from the nearest point to (x, y), in cells, and False if there is no point.
 
     It is interpolated between those from the points that are nearest to the four cells around, so that it is linear
     near a surface. Those from another surface, on the other side, are left out.
     """
-    i, j = math.floor(x - 0.5), math.floor(y - 0.5)
-    if i < 0 or j < 0 or i >= len(offset) - 1 or j >= len(offset) - 1:
+    _, tile_of, tiles, seen = field
+    i, j, last = math.floor(x - 0.5), math.floor(y - 0.5), SEEN_CELLS * len(seen) - 1
+    if i < 0 or j < 0 or i >= last or j >= last:
         return 0.0, 0.0, False
-    a, b = x - 0.5 - i, y - 0.5 - j
-    near_i, near_j = i + (a >= 0.5), j + (b >= 0.5)
-    if offset[near_i, near_j, 0] == NOWHERE:
+    row, column = math.floor(x), math.floor(y)
+    nearest = offset_at(tile_of, tiles, grid, row, column)
+    if nearest == NO_OFFSET:
         return 0.0, 0.0, False
-    near_x = FIELD_CELL * (x - near_i - 0.5) + OFFSET_UNIT * offset[near_i, near_j, 0]
-    near_y = FIELD_CELL * (y - near_j - 0.5) + OFFSET_UNIT * offset[near_i, near_j, 1]
+    near_x, near_y = metres(nearest)
+    near_x, near_y = near_x + FIELD_CELL * (x - row - 0.5), near_y + FIELD_CELL * (y - column - 0.5)
     sum_x, sum_y, total = 0.0, 0.0, 0.0
-    for row in range(2):
-        for column in range(2):
-            if offset[i + row, j + column, 0] == NOWHERE:
-                continue
-            dx = FIELD_CELL * (x - i - row - 0.5) + OFFSET_UNIT * offset[i + row, j + column, 0]
-            dy = FIELD_CELL * (y - j - column - 0.5) + OFFSET_UNIT * offset[i + row, j + column, 1]
-            if dx * near_x + dy * near_y < 0.0 and dx * dx + dy * dy > FIELD_CELL * FIELD_CELL:
-                continue
-            weight = (a if row else 1.0 - a) * (b if column else 1.0 - b)
-            sum_x, sum_y, total = sum_x + weight * dx, sum_y + weight * dy, total + weight
+    for k in range(4):
+        row, column = i + (k >> 1), j + (k & 1)
+        offset = offset_at(tile_of, tiles, grid, row, column)
+        dx, dy = metres(offset)
+        dx, dy = dx + FIELD_CELL * (x - row - 0.5), dy + FIELD_CELL * (y - column - 0.5)
+        other_side = (dx * near_x + dy * near_y < 0.0) & (dx * dx + dy * dy > FIELD_CELL * FIELD_CELL)
+        weight = (1.0 - abs(x - row - 0.5)) * (1.0 - abs(y - column - 0.5))
+        weight = 0.0 if (offset == NO_OFFSET) | other_side else weight
+        sum_x, sum_y, total = sum_x + weight * dx, sum_y + weight * dy, total + weight
     return sum_x / total, sum_y / total, True
 
 
 @compiled
-def is_seen(seen, x, y):  # type: ignore[no-untyped-def]
-    """True if (x, y), in cells of FIELD_CELL, lies in a cell that was seen."""
-    row, column = math.floor(x * FIELD_CELL / SEEN_CELL), math.floor(y * FIELD_CELL / SEEN_CELL)
-    return 0 <= row < len(seen) and 0 <= column < len(seen) and seen[row, column] > 0
-
-
-@compiled
-def add_points(pose, points, offset, seen, origin, sigma, information, gradient):  # type: ignore[no-untyped-def]
-    """Add the normal equations of points (p, 4) with normals, in the base's frame, with the base at `pose`.
+def add_points(pose, points, field, sigma, information, gradient):  # type: ignore[no-untyped-def]
+    """Set the normal equations of points (p, 4) with normals, in the base's frame, with the base at `pose`.
 
     Each point measures the offset from the nearest point of the field along its normal, or along both axes if it has
     none. The offset is zero with standard deviation `sigma` (metres) and a Cauchy kernel of the same scale. Points in
     unseen cells are left out: what is seen for the first time, such as the continuation of a wall, is near known points
-    without being at them. Information (3, 3) and gradient (3,) refer to the base's axes and must be zero before.
+    without being at them. Information (3, 3) and gradient (3,) refer to the base's axes.
     """
+    origin, seen = field[0], field[3]
     c, s = math.cos(pose[2]), math.sin(pose[2])
+    sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for k in range(len(points)):
         lever_x, lever_y = c * points[k, 0] - s * points[k, 1], s * points[k, 0] + c * points[k, 1]
         x, y = (pose[0] + lever_x - origin[0]) / FIELD_CELL, (pose[1] + lever_y - origin[1]) / FIELD_CELL
@@ -218,29 +266,34 @@ def add_points(pose, points, offset, seen, origin, sigma, information, gradient)
             continue
         normal_x, normal_y = c * points[k, 2] - s * points[k, 3], s * points[k, 2] + c * points[k, 3]
         grid = facing_grid(normal_x, normal_y)
-        dx, dy, found = interpolate(offset[grid], x, y)
+        dx, dy, found = interpolate(field, grid, x, y)
         if not found:
             continue
         weight = 1.0 / (sigma * sigma + dx * dx + dy * dy)
         if grid != ALL_POINTS:
-            _add_row(points[k], normal_x, normal_y, c, s, weight, normal_x * dx + normal_y * dy, information, gradient)
+            sums = _add_row(sums, points[k], normal_x, normal_y, c, s, weight, normal_x * dx + normal_y * dy)
         else:
-            _add_row(points[k], 1.0, 0.0, c, s, weight, dx, information, gradient)
-            _add_row(points[k], 0.0, 1.0, c, s, weight, dy, information, gradient)
-    information[1, 0], information[2, 0], information[2, 1] = information[0, 1], information[0, 2], information[1, 2]
+            sums = _add_row(sums, points[k], 1.0, 0.0, c, s, weight, dx)
+            sums = _add_row(sums, points[k], 0.0, 1.0, c, s, weight, dy)
+    gradient[0], gradient[1], gradient[2] = sums[:3]
+    information[0, 0], information[1, 1], information[2, 2] = sums[3:6]
+    information[0, 1], information[0, 2], information[1, 2] = sums[6:]
+    information[1, 0], information[2, 0], information[2, 1] = sums[6:]
 
 
-@compiled
-def _add_row(point, x, y, c, s, weight, residual, information, gradient):  # type: ignore[no-untyped-def]
-    """Add one equation: the point is `residual` metres off along the unit vector (x, y) of the map."""
+@inlined
+def _add_row(sums, point, x, y, c, s, weight, residual):  # type: ignore[no-untyped-def]
+    """Add one equation to the sums: the point is `residual` metres off along the unit vector (x, y) of the map."""
     forward, left = c * x + s * y, -s * x + c * y
     turn = point[0] * left - point[1] * forward
-    gradient[0] += weight * residual * forward
-    gradient[1] += weight * residual * left
-    gradient[2] += weight * residual * turn
-    information[0, 0] += weight * forward * forward
-    information[1, 1] += weight * left * left
-    information[2, 2] += weight * turn * turn
-    information[0, 1] += weight * forward * left
-    information[0, 2] += weight * forward * turn
-    information[1, 2] += weight * left * turn
+    return (
+        sums[0] + weight * residual * forward,
+        sums[1] + weight * residual * left,
+        sums[2] + weight * residual * turn,
+        sums[3] + weight * forward * forward,
+        sums[4] + weight * left * left,
+        sums[5] + weight * turn * turn,
+        sums[6] + weight * forward * left,
+        sums[7] + weight * forward * turn,
+        sums[8] + weight * left * turn,
+    )

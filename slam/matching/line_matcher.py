@@ -134,7 +134,7 @@ def register(
         (points, segments_of(points, segments)),
         (local_map.frame, axes_of(local_map.frame), local_map.low, local_map.high, local_map.wall_covariance),
         (local_map.position, local_map.headings, local_map.corner_covariance),
-        (field.offset, field.seen, field.origin),
+        field.arrays,
         roughness,
     )  # fmt: skip
     pose[2] = se2.wrap(pose[2])
@@ -149,20 +149,19 @@ def _register(  # type: ignore[no-untyped-def]
     """Run Gauss-Newton; return the fields of `Registration`, the length on known walls instead of the ratio."""
     scan_segments, scan_corners = _SegmentArrays(*segments), _CornerArrays(*corners)
     map_walls, known_corners = _WallArrays(*walls), _CornerArrays(*map_corners)
-    offset, seen, origin = field
     all_points, segment_of = points
     information, point_information = np.zeros((3, 3)), np.zeros((3, 3))
     gradient, point_gradient = np.zeros(3), np.zeros(3)
     pose, point_pose, overlaps = start.copy(), start.copy(), np.zeros(len(scan_segments.frame))
     for step in range(len(MATCH_OFFSET_GATES)):
         offset_gate, heading_gate = MATCH_OFFSET_GATES[step], MATCH_HEADING_GATES[step]
-        information[:], point_information[:], gradient[:], point_gradient[:] = 0.0, 0.0, 0.0, 0.0
+        information[:], gradient[:] = 0.0, 0.0
         _add_walls(
             pose, scan_segments, map_walls, roughness, offset_gate, heading_gate, overlaps, information, gradient
         )
         _add_corners(pose, scan_corners, known_corners, roughness, offset_gate, information, gradient)
         others = _without_matched(all_points, segment_of, overlaps)
-        add_points(pose, others, offset, seen, origin, FINE_SIGMA, point_information, point_gradient)
+        add_points(pose, others, field, FINE_SIGMA, point_information, point_gradient)
         total = information + point_information + prior
         point_pose[:] = pose
         move_back(pose, np.linalg.solve(total, gradient + point_gradient + prior @ pose_error(prediction, pose)))

@@ -1,8 +1,9 @@
 """Match all points of a scan to the distance field, near poses that are predicted with a known uncertainty.
 
 Gauss-Newton on the interpolated vectors starts at each prediction, first with a wide kernel, then with a narrow one.
-If the best result fits badly, the poses within the uncertainty of each prediction are searched exhaustively, and the
-best ones are improved in the same way. A pose is judged by a cost, minus the logarithm of its likelihood,
+If the best result fits badly, or if time does not matter, the poses within the uncertainty of each prediction are
+searched exhaustively, and the best ones are improved in the same way. A pose is judged by a cost, minus the logarithm
+of its likelihood,
 
     sum_k min(d_k^2 / (2 COARSE_SIGMA^2), MISFIT) / POINTS_PER_OBJECT + KERNEL^2 log(1 + e' P e / KERNEL^2) / 2
         - log(det P) / 2 + c
@@ -29,16 +30,8 @@ from drivers.compiled import compiled
 
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import Floats
-from .distance_field import (
-    ALL_POINTS,
-    FIELD_CELL,
-    MAX_DISTANCE,
-    DistanceField,
-    add_points,
-    facing_grid,
-    is_seen,
-    nearest_distance,
-)
+from .distance_field import ALL_POINTS, DistanceField, add_points, facing_grid, is_seen, nearest_distance
+from .offset_tiles import FIELD_CELL, MAX_DISTANCE
 from .scan_points import subsample
 
 # Metres between points that count as separate measurements. Origin: chosen, as FIELD_CELL.
@@ -132,17 +125,21 @@ class PointMatch:
         return self.known >= MIN_KNOWN_POINTS and self.fit < SEARCH_FIT
 
 
-def match_points(field: DistanceField, points: Floats, predictions: Sequence[Prediction]) -> list[PointMatch]:
+def match_points(
+    field: DistanceField, points: Floats, predictions: Sequence[Prediction], *, exhaustive: bool = False
+) -> list[PointMatch]:
     """Match points (p, 4) with normals, in the base's frame, to the field near each of several predicted poses.
 
     Returns the matches, those with the lowest cost first. If the first of two predictions leads to a good match, the
-    second one is not tried.
+    second one is not tried, and the poses around them are not searched. If `exhaustive`, they are searched anyway: most
+    of a scan fits well at some poses that are a decimetre off, too.
     """
     first = match_from(field, points, predictions[0].pose, predictions[0])
-    if not first.poor and len(predictions) <= 2:
+    searched = first.known >= MIN_KNOWN_POINTS if exhaustive else first.poor
+    if not searched and len(predictions) <= 2:
         return [first]
-    few = subsample(points, MAX_SEARCH_POINTS)
-    share = len(points) / len(few) / POINTS_PER_OBJECT
+    few = np.ascontiguousarray(subsample(points, MAX_SEARCH_POINTS))  # strided ones would be compiled for separately
+    share = len(points) / max(1, len(few)) / POINTS_PER_OBJECT
     matches = []
     for prediction in predictions:
         start = _search_around(field, few, share, prediction)
@@ -158,18 +155,26 @@ def _search_around(field: DistanceField, points: Floats, share: float, predictio
     turn = min(MAX_SEARCH_TURN, SEARCH_DEVIATIONS * math.sqrt(covariance[2, 2]))
     return np.asarray(
         _search(
-            field.offset, field.seen, field.origin, points, share,
+            field.arrays, points, share,
             prediction.pose, prediction.information, prediction.kernel, shift, turn,
         )
     )  # fmt: skip
 
 
-def match_from(field: DistanceField, points: Floats, start: se2.Pose, prediction: Prediction) -> PointMatch:
-    """Improve the pose `start` by Gauss-Newton; the points (p, 4), with normals, are used as they are."""
+def match_from(
+    field: DistanceField,
+    points: Floats,
+    start: se2.Pose,
+    prediction: Prediction,
+    sigmas: tuple[float, ...] = (COARSE_SIGMA, FINE_SIGMA),
+) -> PointMatch:
+    """Improve the pose `start` by Gauss-Newton with a kernel of each of the scales `sigmas` (metres) in turn.
+
+    The points (p, 4), with normals, are used as they are.
+    """
     pose, information, cost, fit, known = _match_from(
-        field.offset, field.seen, field.origin, points, start,
-        prediction.pose, prediction.information, prediction.kernel,
-    )  # fmt: skip
+        field.arrays, points, start, prediction.pose, prediction.information, prediction.kernel, sigmas
+    )
     pose[2] = se2.wrap(pose[2])
     total = cost / POINTS_PER_OBJECT + prediction.cost_of(pose)
     return PointMatch(pose, information, prediction, total, fit, known)
@@ -185,8 +190,21 @@ def judge_pose(
 
 def point_cost(field: DistanceField, points: Floats, pose: se2.Pose) -> tuple[float, float, int]:
     """Return cost, fit and known points of points (p, 4), used as they are, at a pose; see `PointMatch`."""
-    cost, fit, known = points_cost(field.offset, field.seen, field.origin, points, pose)
+    cost, fit, known = points_cost(field.arrays, points, pose)
     return float(cost), float(fit), int(known)
+
+
+def point_information(points: Floats) -> Floats:
+    """Return the information (3, 3) of a pose from points (p, 4) with normals in its frame, if each of them is matched.
+
+    The noise of a point is FINE_SIGMA along its normal, or in both directions if it has none.
+    """
+    x, y, nx, ny = points.T
+    rows = np.column_stack([nx, ny, x * ny - y * nx])
+    clutter = points[(nx == 0.0) & (ny == 0.0)]
+    zero, one = np.zeros(len(clutter)), np.ones(len(clutter))
+    rows = np.vstack([rows, np.column_stack([one, zero, -clutter[:, 1]]), np.column_stack([zero, one, clutter[:, 0]])])
+    return np.asarray(rows.T @ rows / FINE_SIGMA**2)
 
 
 def likelihoods(field: DistanceField, points: Floats, poses: Floats) -> Floats:
@@ -194,25 +212,23 @@ def likelihoods(field: DistanceField, points: Floats, poses: Floats) -> Floats:
 
     d is the distance of a point to the nearest one of the field; points outside count 0.
     """
-    return np.asarray(_likelihoods(field.offset[ALL_POINTS], field.origin, points, poses))
+    return np.asarray(_likelihoods(field.arrays, points, poses))
 
 
 @compiled
-def _match_from(offset, seen, origin, points, start, prediction, prior, kernel):  # type: ignore[no-untyped-def]
+def _match_from(field, points, start, prediction, prior, kernel, sigmas):  # type: ignore[no-untyped-def]
     pose = start.copy()
     information, gradient, conditioning = np.zeros((3, 3)), np.zeros(3), 1e-6 * np.eye(3)
-    for sigma in (COARSE_SIGMA, FINE_SIGMA):
+    for sigma in sigmas:
         for _ in range(MAX_STEPS):
-            information[:] = 0.0
-            gradient[:] = 0.0
-            add_points(pose, points, offset, seen, origin, sigma, information, gradient)
+            add_points(pose, points, field, sigma, information, gradient)
             error = pose_error(prediction, pose)
             robust = prior / (1.0 + error @ (prior @ error) / kernel**2)
             move = np.linalg.solve(information + robust + conditioning, gradient + robust @ error)
             move_back(pose, move)
             if abs(move[0]) < LAST_STEP and abs(move[1]) < LAST_STEP and abs(move[2]) < LAST_STEP:
                 break
-    cost, fit, known = points_cost(offset, seen, origin, points, pose)
+    cost, fit, known = points_cost(field, points, pose)
     return pose, information, cost, fit, known
 
 
@@ -234,17 +250,18 @@ def move_back(pose, move):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def points_cost(offset, seen, origin, points, pose):  # type: ignore[no-untyped-def]
+def points_cost(field, points, pose):  # type: ignore[no-untyped-def]
     """Return cost, fit and known points of points (p, 4) with normals at a pose; see `PointMatch`."""
+    origin, seen = field[0], field[3]
     c, s = math.cos(pose[2]), math.sin(pose[2])
     total, of_known, known = 0.0, 0.0, 0
     for k in range(len(points)):
         x = (pose[0] + c * points[k, 0] - s * points[k, 1] - origin[0]) / FIELD_CELL
         y = (pose[1] + s * points[k, 0] + c * points[k, 1] - origin[1]) / FIELD_CELL
         grid = facing_grid(c * points[k, 2] - s * points[k, 3], s * points[k, 2] + c * points[k, 3])
-        value, evidence = nearest_distance(offset[grid], x, y), is_seen(seen, x, y)
+        value, evidence = nearest_distance(field, grid, x, y), is_seen(seen, x, y)
         if value >= MAX_DISTANCE:  # beside a surface that faces elsewhere: perhaps the other side of a wall
-            evidence = evidence and nearest_distance(offset[ALL_POINTS], x, y) >= MAX_DISTANCE
+            evidence = evidence and nearest_distance(field, ALL_POINTS, x, y) >= MAX_DISTANCE
         if evidence:
             cost = min(0.5 * value * value / (COARSE_SIGMA * COARSE_SIGMA), MISFIT)
             total += cost
@@ -256,7 +273,7 @@ def points_cost(offset, seen, origin, points, pose):  # type: ignore[no-untyped-
 
 
 @compiled
-def _search(offset, seen, origin, points, share, prediction, prior, kernel, shift, turn):  # type: ignore[no-untyped-def]
+def _search(field, points, share, prediction, prior, kernel, shift, turn):  # type: ignore[no-untyped-def]
     """Return the pose with the lowest cost on a grid around the prediction; each point's cost counts `share` times."""
     turns, steps = math.ceil(turn / SEARCH_TURN_STEP), math.ceil(shift / SEARCH_STEP)
     c, s = math.cos(prediction[2]), math.sin(prediction[2])
@@ -272,7 +289,7 @@ def _search(offset, seen, origin, points, share, prediction, prior, kernel, shif
                 error = pose_error(prediction, pose)
                 cost = 0.5 * kernel**2 * math.log(1.0 + error @ (prior @ error) / kernel**2)
                 if cost < lowest:
-                    cost += share * points_cost(offset, seen, origin, points, pose)[0]
+                    cost += share * points_cost(field, points, pose)[0]
                 if cost < lowest:
                     lowest = cost
                     best[:] = pose
@@ -280,15 +297,15 @@ def _search(offset, seen, origin, points, share, prediction, prior, kernel, shif
 
 
 @compiled
-def _likelihoods(offset, origin, points, poses):  # type: ignore[no-untyped-def]
-    result = np.zeros(len(poses))
+def _likelihoods(field, points, poses):  # type: ignore[no-untyped-def]
+    origin, result = field[0], np.zeros(len(poses))
     for index in range(len(poses)):
         pose = poses[index]
         c, s = math.cos(pose[2]), math.sin(pose[2])
         for k in range(len(points)):
             x = (pose[0] + c * points[k, 0] - s * points[k, 1] - origin[0]) / FIELD_CELL
             y = (pose[1] + s * points[k, 0] + c * points[k, 1] - origin[1]) / FIELD_CELL
-            value = nearest_distance(offset, x, y)
+            value = nearest_distance(field, ALL_POINTS, x, y)
             if value < MAX_DISTANCE:
                 result[index] += math.exp(-0.5 * (value / COARSE_SIGMA) ** 2)
         result[index] /= max(1, len(points))

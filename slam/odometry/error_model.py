@@ -25,6 +25,10 @@ MAX_MOTION_SAMPLES = 500
 # arithmetic mean a value five times too large would dominate even after a hundred motions.
 # Origin: chosen, so few that the first metres of driving correct a wrong value; not measured.
 PRIOR_SAMPLES = 10
+# Standard deviations of the systematic errors before any driving: relative ones of length and of turning, and veering
+# in radians per metre. Origin: chosen, wheels within 3 % of their nominal size and distance, that differ by 0.5 % at a
+# distance of half a metre.
+SYSTEMATIC_SIGMAS = np.array([0.03, 0.05, 0.01])
 # Smallest variance of the random errors, square metres or square radians per metre: no wheels err by less than 0.1 mm
 # or 0.1 mrad in a metre. Origin: chosen, far below real wheels; not measured.
 MIN_VARIANCE_RATE = 1e-8
@@ -67,6 +71,7 @@ class OdometryModel:
         self._rates = self._initial_rates
         self._length_factor = self._turn_factor = 1.0
         self._veer = 0.0  # radians per metre
+        self._systematic_variances = SYSTEMATIC_SIGMAS**2  # of length, turning and veering
 
     @property
     def deviations(self) -> Floats:
@@ -105,11 +110,13 @@ class OdometryModel:
         # Selected by the registered turn: measured turns are noisy, and of those selected by noise most are too large.
         turning = np.abs(registered[:, 2]) > MAX_STRAIGHT_TURN
         straight = (np.abs(ahead) > MIN_MOTION_TRAVEL) & ~turning
-        self._length_factor = 1.0 + _shrunk_median(registered[straight, 0] / ahead[straight] - 1.0)
-        self._veer = _shrunk_median(se2.wrap(registered[straight, 2] - turn[straight]) / ahead[straight])
-        without_veer = se2.wrap(registered[turning, 2] - self._veer * ahead[turning])
-        inverse = 1.0 + _shrunk_median(turn[turning] / without_veer - 1.0)
-        self._turn_factor = 1.0 / np.clip(inverse, 1 / MAX_TURN_FACTOR, MAX_TURN_FACTOR)
+        length = _posterior(registered[straight, 0] / ahead[straight] - 1.0, SYSTEMATIC_SIGMAS[0])
+        veer = _posterior(se2.wrap(registered[straight, 2] - turn[straight]) / ahead[straight], SYSTEMATIC_SIGMAS[2])
+        without_veer = se2.wrap(registered[turning, 2] - veer[0] * ahead[turning])
+        inverse = _posterior(turn[turning] / without_veer - 1.0, SYSTEMATIC_SIGMAS[1])
+        self._length_factor, self._veer = 1.0 + length[0], veer[0]
+        self._turn_factor = 1.0 / np.clip(1.0 + inverse[0], 1 / MAX_TURN_FACTOR, MAX_TURN_FACTOR)
+        self._systematic_variances = np.array([length[1], inverse[1], veer[1]])
         self._estimate_rates(measured[-RANDOM_ERROR_SAMPLES:], registered[-RANDOM_ERROR_SAMPLES:])
 
     def _estimate_rates(self, measured: Floats, registered: Floats) -> None:
@@ -138,12 +145,40 @@ class OdometryModel:
         return self._rates[0] * travel**2, self._rates[1] * travel
 
     def covariance(self, motion: se2.Pose) -> Floats:
-        """Return (3, 3) the covariance of a corrected motion [x, y, heading] between two readings, in its end frame."""
+        """Return (3, 3) the covariance of a corrected motion [x, y, heading] between two readings, in its end frame.
+
+        An error of heading that is made at a share s of the way turns the rest of the motion m. As a random walk it
+        moves the end by the integral of (1 - s) |m| across the motion: the variance is |m|^2 / 3 times that of the
+        heading. A systematic error grows in proportion to s, and moves the end by |m| / 2 times that of the heading.
+        """
         travel = wheel_travel(motion)
         translation, rotation = self.variances(travel)
-        translation += self._config.translation_floor**2
-        rotation += self._config.rotation_floor**2
-        return np.diag([translation, translation, rotation])
+        c, s = math.cos(motion[2]), math.sin(motion[2])
+        along = np.array([c * motion[0] + s * motion[1], c * motion[1] - s * motion[0]])  # in the end frame
+        across = np.array([-along[1], along[0]])
+        length, turning, veering = self._systematic_variances
+        constant = turning * motion[2] ** 2 + veering * motion[0] ** 2
+        covariance = np.zeros((3, 3))
+        covariance[:2, :2] = (translation + self._config.translation_floor**2) * np.eye(2)
+        covariance[:2, :2] += length * np.outer(along, along)
+        covariance[:2, :2] += (rotation / 3.0 + constant / 4.0) * np.outer(across, across)
+        covariance[:2, 2] = covariance[2, :2] = 0.5 * (rotation + constant) * across
+        covariance[2, 2] = rotation + constant + self._config.rotation_floor**2
+        return covariance
+
+    def limit_information(self, information: Floats, travel: float) -> Floats:
+        """Return the information (3, 3) of a pose from the points of a scan, limited by the motion during its sweep.
+
+        information  with the noise of the points only
+        travel       metres from the middle of a sweep to its ends
+
+        The mean over a random walk to both ends has a sixth of the variance at an end.
+        """
+        if not travel:
+            return information
+        translation, rotation = self.variances(np.array(travel))
+        precision = np.diag(6.0 / np.array([translation, translation, rotation]))
+        return np.asarray(information - information @ np.linalg.inv(information + precision) @ information)
 
     def correlated_drift(self, motion: se2.Pose, information: Floats) -> Floats:
         """Return (2, 2) the position covariance that a motion adds by errors shared with neighbouring motions.
@@ -159,24 +194,14 @@ class OdometryModel:
         return np.asarray(self._rates[0] * wheel_travel(motion) * CORRELATION_LENGTH * np.outer(along, along))
 
 
-def fuse_motion(
-    measured: se2.Pose, covariance: Floats, registered: se2.Pose, point_information: Floats
-) -> tuple[se2.Pose, Floats]:
-    """Fuse odometry with the part of registration that rests on clutter points; return motion and covariance (3, 3).
+def _posterior(values: Floats, sigma: float) -> tuple[float, float]:
+    """Return mean and variance of an error, from samples (n,) and the standard deviation `sigma` before them.
 
-    measured           motion by odometry, corrected, with its `covariance` (3, 3)
-    registered         motion by registration
-    point_information  (3, 3) of the clutter points alone: the walls' information enters the graph by their own factors
-
-    Along a corridor the walls do not determine the motion, but door jambs and clutter may. In directions without point
-    information, the motion stays that of odometry.
+    The samples count by their median, whose variance is pi / 2 times that of a mean.
     """
-    fused: Floats = np.asarray(np.linalg.inv(np.linalg.inv(covariance) + point_information), dtype=np.float64)
-    correction = registered - measured
-    correction[2] = se2.wrap(correction[2])
-    return measured + fused @ point_information @ correction, fused
-
-
-def _shrunk_median(values: Floats) -> float:
-    """Return the median of deviations from zero, shrunk to zero if there are few; see PRIOR_SAMPLES."""
-    return float(np.median(values)) * len(values) / (len(values) + PRIOR_SAMPLES) if len(values) else 0.0
+    if not len(values):
+        return 0.0, sigma**2
+    median = float(np.median(values))
+    spread = float(np.median((values - median) ** 2)) / NORMAL_MEDIAN
+    share = sigma**2 / (sigma**2 + 0.5 * math.pi * spread / len(values))
+    return share * median, (1.0 - share) * sigma**2

@@ -1,11 +1,15 @@
 """Correct the beams of a scan for the robot's motion during the sweep.
 
-The motion is that of odometry. Its error is common to neighbouring beams and does not average out over a wall, so it is
-added to the covariances of the features.
+The motion is that of odometry without its systematic errors. Its random error is common to neighbouring beams and does
+not average out over a wall, so it is added to the covariances of the features. It does not average out over a scan
+either: the heading is a random walk from the middle of the sweep to both of its ends. With the variance q per metre and
+the travel S from the middle to an end, the mean over all beams has the variance q S / 6, a third of the mean variance
+q S / 2 of a beam. So a scan has no more than three independent errors, however many segments it has.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -23,16 +27,20 @@ from ..odometry.history import OdometryHistory, wheel_travel
 if TYPE_CHECKING:
     from features.types import Lines
 
-# Poses along the sweep between which the motion is interpolated.
-# Origin: chosen for revolutions of 0.1 s; at 2 Hz 40 would be better (measured, relative NEES 2.32 with 8, 0.76 with 40
-# and without the shift of the reference).
-KNOTS = 8
+# Seconds between the poses along the sweep between which the motion is interpolated: shorter than the interval of
+# odometry readings. Origin: measured at 2 revolutions per second, relative NEES 2.32 with 70 ms, 0.76 with 13 ms.
+KNOT_INTERVAL = 0.0125
+# Seconds in the middle of the sweep over which the reference is averaged: robots hardly change their speed meanwhile.
+# Origin: chosen, a revolution of common lidars; not measured.
+REFERENCE_INTERVAL = 0.1
 # Metres of wheel travel over a sweep below which the robot counts as standing: 0.2 mm of jitter at either wheel looks
 # like a milliradian of turning, would bend the scan, and the first keyframe, which defines the map, is nearly always
 # taken standing. Origin: measured; the data are not recorded.
 MIN_SWEEP_TRAVEL = 2e-3
 # Metres, metres, radians: jitter of one odometry reading. Origin: measured, as MIN_SWEEP_TRAVEL.
 JITTER = np.array([2e-4, 2e-4, 8e-4])
+# Independent errors of the motion in one scan. Origin: geometry, see above.
+INDEPENDENT_ERRORS = 3
 # Metres from the continuation of a line within which a point may belong to the same wall. Origin: chosen; not measured.
 LINE_DISTANCE = 0.05
 # Half lengths of a line, from its middle, up to which its continuation reaches: as much again on either side.
@@ -95,12 +103,19 @@ def lidar_mount(scan: Scan, lidar: LidarConfig) -> se2.Pose:
     return np.zeros(3) if scan.mount is None else scan.mount
 
 
-def deskew(scan: Scan, odometry: OdometryHistory, mount: se2.Pose, range_bias: float = 0.0) -> DeskewedScan:
+def deskew(
+    scan: Scan,
+    odometry: OdometryHistory,
+    mount: se2.Pose,
+    range_bias: float = 0.0,
+    model: OdometryModel | None = None,
+) -> DeskewedScan:
     """Transform every beam of a scan to the lidar's pose in the middle of its sweep, with odometry's motion.
 
-    The reference is odometry's mean over the sweep, if that differs from the reading in the middle by no more than its
-    jitter: a single encoder step would turn the whole scan. A larger difference is a change of speed, and is limited to
-    the jitter. `range_bias` (metres) is subtracted from all ranges.
+    The reference is odometry's mean over REFERENCE_INTERVAL, if that differs from the reading in the middle by no more
+    than its jitter: a single encoder step would turn the whole scan. A larger difference is a change of speed, and is
+    limited to the jitter. `range_bias` (metres) is subtracted from all ranges, and the systematic errors of odometry
+    are corrected by the `model`, if there is one.
     """
     duration = scan.duration
     ranges = scan.ranges - range_bias if range_bias else scan.ranges
@@ -108,14 +123,17 @@ def deskew(scan: Scan, odometry: OdometryHistory, mount: se2.Pose, range_bias: f
         at = odometry.at(scan.stamp) if len(odometry) else np.zeros(3)
         return DeskewedScan(scan.stamp, at, ranges, scan.angles, np.zeros(len(ranges)))
     middle = sweep_middle(scan)
-    offsets = np.linspace(0.0, duration, KNOTS)
+    offsets = np.linspace(0.0, duration, 2 + math.ceil(duration / KNOT_INTERVAL))
     reference = odometry.at(middle)
     moves = se2.between(reference, odometry.at_each(scan.stamp + offsets))
     travels = wheel_travel(moves)
     if travels[0] + travels[-1] < MIN_SWEEP_TRAVEL:
         return DeskewedScan(middle, reference, ranges, scan.angles, np.zeros(len(ranges)))
-    mean = np.clip(moves.mean(axis=0), -JITTER, JITTER)
+    central = np.abs(offsets - 0.5 * duration) <= 0.5 * REFERENCE_INTERVAL
+    mean = np.clip(moves[central].mean(axis=0), -JITTER, JITTER)
     moves = se2.between(mean, moves)
+    if model is not None:
+        moves = model.correct(moves)
     lidars = se2.between(mount, se2.compose(moves, mount))
     turned = scan.angles + np.interp(scan.time_offsets, offsets, np.unwrap(lidars[:, 2]))
     x = np.interp(scan.time_offsets, offsets, lidars[:, 0]) + ranges * np.cos(turned)
@@ -129,11 +147,16 @@ def deskew(scan: Scan, odometry: OdometryHistory, mount: se2.Pose, range_bias: f
 def add_motion_uncertainty(
     segments: Segments, corners: CornerPoints, lines: Lines, scan: DeskewedScan, model: OdometryModel
 ) -> tuple[Segments, CornerPoints]:
-    """Add odometry's uncertainty during the sweep to the covariances of segments and corners."""
+    """Add odometry's uncertainty during the sweep to the covariances of segments and corners.
+
+    The segments enter the estimate as independent, so their variances are larger if they are more than the independent
+    errors in the scan.
+    """
     if not len(segments) or not scan.travel.any():
         return segments, corners
     middle = np.where(lines.last >= lines.first, (lines.first + lines.last) // 2, 0)
-    translation, rotation = model.variances(scan.travel[middle])
+    sharing = max(1.0, len(segments) / INDEPENDENT_ERRORS)
+    translation, rotation = (sharing * variance for variance in model.variances(scan.travel[middle]))
     across = np.column_stack([-np.sin(segments.frame[:, 2]), np.cos(segments.frame[:, 2])])
     lever = across[:, 1] * segments.frame[:, 0] - across[:, 0] * segments.frame[:, 1]
     covariance = segments.covariance.copy()

@@ -40,11 +40,13 @@ class ProcessedScan:
     stamp     seconds, the middle of the sweep
     odometry  (3,) odometry pose at `stamp`
     features  segments, corners and points in the base's frame
+    travel    metres of wheel travel from the middle of the sweep to its ends
     """
 
     stamp: float
     odometry: se2.Pose
     features: ScanFeatures
+    travel: float = 0.0
 
     def without_features(self) -> ProcessedScan:
         """Return the scan with its features dropped, to save memory."""
@@ -104,10 +106,11 @@ class Preprocessor:
     def process(self, scan: Scan, odometry_model: OdometryModel) -> ProcessedScan:
         """De-skew a scan and extract its segments, corners and the points on neither."""
         mount = lidar_mount(scan, self._lidar)
-        deskewed = deskew(scan, self.odometry, mount, self._lidar.range_bias)
+        deskewed = deskew(scan, self.odometry, mount, self._lidar.range_bias, odometry_model)
         features = self._extractor.extract(deskewed.ranges, deskewed.bearings)
         in_base_frame = _to_base_frame(deskewed, features, mount, odometry_model)
-        return ProcessedScan(deskewed.stamp, deskewed.odometry, in_base_frame)
+        travel = float(deskewed.travel.max(initial=0.0))
+        return ProcessedScan(deskewed.stamp, deskewed.odometry, in_base_frame, travel)
 
 
 def _to_base_frame(

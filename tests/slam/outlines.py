@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers import se2
 from slam.geometry.segments import Floats, Segments
-from slam.matching.distance_field import DistanceField
+from slam.matching.distance_field import SEEN_CELLS, DistanceField
+from slam.matching.offset_tiles import TILE
 from slam.matching.point_matcher import POINT_SPACING
 from slam.matching.scan_points import surface_points
 
@@ -55,3 +57,11 @@ def noisy_field(points: Floats, *poses: se2.Pose, half_width: float = 8.0, seed:
         for i, pose in enumerate(poses):
             field.insert(pose, scan_points(points, pose, seed + 1000 * k + i))
     return field
+
+
+def offsets_of(field: DistanceField) -> NDArray[np.int64]:
+    """Return the stored offsets (5, c, c, 2) of all cells of a field, in units of OFFSET_UNIT."""
+    grids, side, _ = field.offsets.tile_of.shape
+    stored = field.offsets.tiles[field.offsets.tile_of].transpose(0, 1, 3, 2, 4).reshape(grids, side * TILE, -1)
+    cells = SEEN_CELLS * len(field.seen)
+    return np.stack([stored >> 16, (stored << 16) >> 16], axis=-1)[:, :cells, :cells].astype(np.int64)

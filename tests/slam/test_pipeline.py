@@ -18,7 +18,8 @@ from slam.errors import MapError, SlamError
 from slam.evaluation.metrics import score_reference
 from slam.events import Finished, GroundTruthReceived, KeyframeAdded, MapUpdated, ScanTracked
 from slam.io.tum import Trajectory
-from slam.loop_closure.loop_search import LoopSearch
+from slam.localisation.local_field import LocalField
+from slam.loop_closure.agreement import LoopAgreement
 from slam.mapping.mapper import Mapper
 
 from .listeners import EventCollector
@@ -221,10 +222,10 @@ def test_map_and_pose_can_be_read_while_driving(drive: list[Message]) -> None:
     assert slam.keyframe_covariance(3).shape == (3, 3)
 
 
-class ForbiddenSearch(LoopSearch):
+class ForbiddenSearch(LoopAgreement):
     """Loop search that must not be used."""
 
-    def search(self, mapper: Mapper) -> NoReturn:
+    def search(self, mapper: Mapper, local_field: LocalField) -> NoReturn:
         raise AssertionError("searched for a loop")
 
 

@@ -146,7 +146,6 @@ def _lines(summary: dict[str, Any], out: Path, *, review: bool) -> list[str]:
             f"cost {changed['cost_after']:.6g} of {changed['factors_after']}, {changed['iterations']} iterations",
         ),
         ("changed", f"{changed['associations_changed']} associations, {changed['walls_merged']} walls merged"),
-        ("loops", f"{changed['closures_added']} added, {changed['closures_removed']} removed"),
         ("moved", _moved(changed)),
         ("time", f"{summary['optimisation_seconds']:.1f} s, {summary['peak_memory_mib']:.0f} MiB"),
     ]

@@ -13,8 +13,9 @@ from ...localisation.match_target import MatchTarget
 from ...mapping.landmarks import Landmarks
 from ...mapping.local_map import LocalMap, landmarks_around
 from ...mapping.mapper import LOCAL_MAP_MARGIN
+from ...matching.bias_correction import correct_range_bias
 from ...matching.distance_field import DistanceField
-from ...matching.line_matcher import Registration
+from ...matching.line_matcher import Registration, ScanFeatures
 from ...matching.point_matcher import POINT_SPACING, Prediction
 from ...matching.scan_points import surface_points
 from .scan_history import ScanHistory
@@ -55,11 +56,15 @@ class FullMapMatch:
 class FullMapMatcher:
     """Landmarks, and the points of all keyframes at `poses` (k, 3), to which scans are matched.
 
-    roughness  variance of the walls' roughness, square metres
+    roughness   variance of the walls' roughness, square metres
+    range_bias  metres, without which the landmarks were estimated
     """
 
-    def __init__(self, history: ScanHistory, landmarks: Landmarks, poses: Floats, roughness: float) -> None:
+    def __init__(
+        self, history: ScanHistory, landmarks: Landmarks, poses: Floats, roughness: float, range_bias: float
+    ) -> None:
         self._history, self._landmarks, self._poses, self._roughness = history, landmarks, poses, roughness
+        self._range_bias = range_bias
         self._tile: tuple[int, int] | None = None
         self._fields: dict[int, DistanceField] = {}
         self._prior = np.diag(PRIOR_SIGMAS**-2)
@@ -70,18 +75,22 @@ class FullMapMatcher:
         keyframe = int(np.searchsorted(self._history.keyframes, row, side="right")) - 1
         return landmarks_around(self._landmarks, pose, reach, keyframe=keyframe)
 
+    def features(self, row: int) -> ScanFeatures:
+        """Return the features of a scan without the range bias."""
+        return correct_range_bias(self._history.scans[row].features, self._range_bias)
+
     def match(self, row: int, poses: Floats, local_map: LocalMap) -> FullMapMatch:
         """Match the scan `row`, given the poses (n, 3) of all scans and the landmarks around it.
 
         If an even motion between its neighbours predicts a different pose, that is tried as well.
         """
-        scan = self._history.scans[row].features
+        scan = self.features(row)
         target = MatchTarget(local_map, self._field(int(self._history.anchors[row])), self._roughness)
-        match = target.match(scan, [Prediction(poses[row], self._prior)])
+        match = target.match(scan, [Prediction(poses[row], self._prior)], exhaustive=True)
         interpolated = self._interpolate(row, poses)
         odometry_wrong = False
         if np.hypot(*(interpolated - poses[row])[:2]) > MAX_UNEVEN_OFFSET:
-            other = target.match(scan, [Prediction(interpolated, self._prior)])
+            other = target.match(scan, [Prediction(interpolated, self._prior)], exhaustive=True)
             odometry_wrong = other.cost < match.cost - MIN_COST_GAIN
             match = other if odometry_wrong else match
         return FullMapMatch(match.registration, match.plausible, odometry_wrong)
@@ -118,7 +127,8 @@ class FullMapMatcher:
         near = near[near % 2 == parity]
         near = near[:: max(1, -(-len(near) // MAX_FIELD_KEYFRAMES))]
         field = DistanceField.empty(centre, FIELD_HALF_WIDTH)
-        for keyframe in near.tolist():
-            scan = self._history.scans[self._history.keyframes[keyframe]].features
-            field.insert(self._poses[keyframe], surface_points(scan.points.all, scan.segments, POINT_SPACING))
+        scans = [self._history.scans[self._history.keyframes[keyframe]].features for keyframe in near.tolist()]
+        field.insert_scans(
+            self._poses[near], [surface_points(scan.points.all, scan.segments, POINT_SPACING) for scan in scans]
+        )
         return field

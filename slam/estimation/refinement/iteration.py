@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,13 +11,13 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ...geometry.segments import Floats
+from ...graph.factors import Factor
 from ...mapping.data_association import associate
 from ...mapping.keyframes import KeyframeMotion, LandmarkIds
 from ...mapping.landmark_ids import assign_landmark_ids
 from ...mapping.mapper import Mapper
 from ...mapping.wall_merging import merge_duplicate_walls
-from ...matching.line_matcher import Registration
-from ...odometry.error_model import OdometryModel, fuse_motion
+from ...odometry.error_model import OdometryModel
 from .full_map_matcher import FullMapMatcher
 from .landmark_recount import recompute_covariances, recount_observations
 from .scan_history import ScanHistory
@@ -47,46 +48,51 @@ class IterationResult:
 
 
 def refine_once(
-    old: Mapper, history: ScanHistory, model: OdometryModel, poses: Floats, odometry_wrong: NDArray[np.bool_]
+    old: Mapper,
+    history: ScanHistory,
+    model: OdometryModel,
+    matches: Sequence[Factor],
+    poses: Floats,
+    odometry_wrong: NDArray[np.bool_],
 ) -> IterationResult:
     """Associate the features of all keyframes with the landmarks of `old`, and solve in batch.
 
+    matches         scan matches and loop factors, which stay as they are: they measure one keyframe relative to another
     poses           (k, 3) of the keyframes
     odometry_wrong  (n,) true for scans at which odometry is already known to be wrong
     """
     new = Mapper.with_landmarks_of(old)
     merged = merge_duplicate_walls(new.landmarks, old.graph, new.roughness.variance, new.landmarks.merge_walls)
-    registrations, landmark_ids, newly_wrong = _associate(new, history, poses)
+    matched, landmark_ids, newly_wrong = _associate(new, history, poses)
     odometry_wrong = odometry_wrong | newly_wrong
-    matched = np.array([registration.pose for registration in registrations])
     matched[0] = poses[0]  # defines the map's frame
     recount_observations(new.landmarks, history, landmark_ids, matched)
     motions: list[KeyframeMotion | None] = [None]
-    motions += [
-        motion_to_keyframe(k, history, model, matched, registrations[k].point_information, odometry_wrong)
-        for k in range(1, len(history.keyframes))
-    ]
+    motions += [motion_to_keyframe(k, history, model, odometry_wrong) for k in range(1, len(history.keyframes))]
     for k, row in enumerate(history.keyframes):
         features = history.scans[row].features
         new.add_keyframe_with_ids(matched[k], motions[k], features.segments, features.corners, landmark_ids[k])
+    new.graph.add_matches(matches)
     new.solve()
+    new.split_walls()
     solved = new.graph.keyframe_poses(len(history.keyframes))
-    recompute_covariances(new.landmarks, history, landmark_ids, solved, new.roughness.variance)
+    recompute_covariances(new.landmarks, history, new.landmark_ids, solved, new.roughness.variance)
     return IterationResult(new, motions, solved, odometry_wrong, merged, _count_changes(old, new))
 
 
 def _associate(
     mapper: Mapper, history: ScanHistory, poses: Floats
-) -> tuple[list[Registration], list[LandmarkIds], NDArray[np.bool_]]:
+) -> tuple[Floats, list[LandmarkIds], NDArray[np.bool_]]:
     """Match each keyframe to the mapper's landmarks and associate its features.
 
-    Returns the registrations and landmark ids of the keyframes, and a mask (n,) of scans with wrong odometry.
+    Returns the poses (k, 3) and landmark ids of the keyframes, and a mask (n,) of scans with wrong odometry.
     """
-    matcher = FullMapMatcher(history, mapper.landmarks, poses, mapper.roughness.variance)
+    bias = mapper.graph.range_bias.metres
+    matcher = FullMapMatcher(history, mapper.landmarks, poses, mapper.roughness.variance, bias)
     scan_poses = history.scan_poses(poses)
-    registrations, landmark_ids, odometry_wrong = [], [], np.zeros(len(history), dtype=bool)
+    matched, landmark_ids, odometry_wrong = [], [], np.zeros(len(history), dtype=bool)
     for k, row in enumerate(history.keyframes):
-        features = history.scans[row].features
+        features = matcher.features(int(row))
         local_map = matcher.local_map(int(row), poses[k])
         match = matcher.match(int(row), scan_poses, local_map)
         registration = match.registration
@@ -98,35 +104,27 @@ def _associate(
             local_map,
             mapper.roughness.variance,
         )
-        registrations.append(registration)
+        matched.append(registration.pose)
         odometry_wrong[row] = match.odometry_wrong
         landmark_ids.append(
             assign_landmark_ids(
                 mapper.landmarks, k, registration.pose, features.segments, features.corners, association, local_map
             )
         )
-    return registrations, landmark_ids, odometry_wrong
+    return np.array(matched), landmark_ids, odometry_wrong
 
 
 def motion_to_keyframe(
-    keyframe: int,
-    history: ScanHistory,
-    model: OdometryModel,
-    poses: Floats,
-    point_information: Floats,
-    odometry_wrong: NDArray[np.bool_],
+    keyframe: int, history: ScanHistory, model: OdometryModel, odometry_wrong: NDArray[np.bool_]
 ) -> KeyframeMotion:
-    """Return the motion to a keyframe from an earlier one: odometry, fused with the points of the match.
+    """Return odometry's motion to a keyframe from an earlier one.
 
-    poses              (k, 3) of the keyframes, matched to the map
-    point_information  (3, 3) of the match's points, in the keyframe's frame
+    `odometry_wrong` (n,) is true for scans at which odometry is known to be wrong.
     """
     start, row = history.odometry_start(keyframe), int(history.keyframes[keyframe])
     anchor, relative = int(history.anchors[start]), history.relative[start]
     motion, covariance = history.motion(start, row, model, odometry_wrong)
     correlated_drift = history.correlated_drift(start, row, model, odometry_wrong)
-    matched = se2.between(se2.compose(poses[anchor], relative), poses[keyframe])
-    motion, covariance = fuse_motion(motion, covariance, matched, point_information)
     if start != history.keyframes[keyframe - 1]:
         adjoint = se2.adjoint(se2.inverse(motion))
         covariance = covariance + adjoint @ np.diag(PASSING_SIGMAS**2) @ adjoint.T

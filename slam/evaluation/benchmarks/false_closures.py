@@ -1,7 +1,8 @@
-"""Inject false loop hypotheses into the loop search and measure how much worse a recording's scores become."""
+"""Inject false matches into the loop search and measure how much worse a recording's scores become."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,25 +13,26 @@ from drivers import se2
 
 from ...events import Event, LoopDecided
 from ...io.tum import Trajectory
-from ...loop_closure.loop_search import LoopSearch
+from ...loop_closure.agreement import LoopAgreement
+from ...loop_closure.look import Look
 from ...loop_closure.loop_status import LoopStatus
-from ...loop_closure.proposal import Hypothesis, are_distinct, propose, refine_hypothesis
-from ...loop_closure.recent_walls import ReferenceMap, WallSet
+from ...loop_closure.submap_search import SubmapMatch, are_distinct, improve
 from ...pipeline import Slam
 from ..metrics import Relations, read_relations, score_relations
 
-RANDOM_STARTS = 12  # random motions, of which the adversary injects the one with the largest overlap
-FORGED_LENGTH_FACTOR = 1.3  # forged overlap length / that of the best true hypothesis
+RANDOM_STARTS = 12  # random poses, of which the adversary injects the best match
+MAX_SHIFT, MAX_TURN = 3.0, np.radians(20.0)  # metres, radians: of the random poses from the estimate
+SAME_SHIFT = 0.5  # metres between the motion of a closure and that of a false match that it rests on
 
 
 @dataclass(frozen=True, slots=True)
 class FalseClosureResult:
-    """Scores of a recording with and without false hypotheses.
+    """Scores of a recording with and without false matches.
 
-    searches        number of searches for hypotheses
-    injected        false hypotheses, half of them with forged scores better than any true one's
-    false_accepted  accepted loops at the place of a false hypothesis
-    accepted        all accepted loops; `_clean`: in the run without false hypotheses
+    searches        number of searches of an old place
+    injected        false matches, half of them with forged scores better than any true one's
+    false_accepted  accepted loops at the place of a false match
+    accepted        all accepted loops; `_clean`: in the run without false matches
     translation, rotation  mean errors of the relations, metres and degrees; `_clean` likewise
     """
 
@@ -46,52 +48,45 @@ class FalseClosureResult:
 
 
 class Adversary:
-    """Replaces the proposal of hypotheses: adds the most convincing false hypothesis in some of the searches.
+    """Replaces the search of an old place: adds the most convincing false match in some of the searches.
 
-    A false hypothesis is found like a true one: by refining random motions, within the expected drift, on all walls. In
-    every other case its scores are forged to be better than all others.
+    A false match is found like a true one: by improving random poses around the estimate. In every other case its
+    scores are forged: all points are known and fit, and the position is well determined.
     """
 
     def __init__(self, at: frozenset[int] = frozenset(), seed: int = 0) -> None:
         self._searches_with_injection = at
         self._random = np.random.default_rng(seed)
         self.searches = 0
-        self.injected: list[tuple[Hypothesis, se2.Pose]] = []
+        self.injected: list[se2.Pose] = []  # motions of the robot in its own frame
 
     def __deepcopy__(self, memo: dict[int, object]) -> Adversary:
         """Return itself, so that the counts include those of all copies of the SLAM state."""
         return self
 
-    def __call__(self, recent: WallSet, old: ReferenceMap, pose: se2.Pose) -> list[Hypothesis]:
-        """Return the true hypotheses, with a false one in some of the searches."""
-        true_hypotheses = propose(recent, old, pose)
-        if not true_hypotheses:
-            return true_hypotheses
+    def __call__(self, look: Look, old: int) -> list[SubmapMatch]:
+        """Return the true matches, with a false one in some of the searches."""
+        true = list(look.search(old))
         search, self.searches = self.searches, self.searches + 1
         if search not in self._searches_with_injection:
-            return true_hypotheses
-        false = self._most_convincing(true_hypotheses, recent, old, pose)
-        null_hypothesis, *others = true_hypotheses
+            return true
+        false = self._most_convincing(look, old, true)
         if len(self.injected) % 2:
-            longest = max(hypothesis.length for hypothesis in true_hypotheses)
-            forged_length = FORGED_LENGTH_FACTOR * max(longest, recent.length())
-            false = replace(false, overlap_ratio=1.0, min_directional_ratio=1.0, length=forged_length)
-        self.injected.append((false, pose))
-        return [null_hypothesis, *sorted([false, *others], key=lambda hypothesis: -hypothesis.length)]
+            false = replace(false, fit=1.0, known=1.0, covariance=np.diag([0.01, 0.01, 0.001]) ** 2)
+        motion = look.motion(old, false.pose)
+        self.injected.append(se2.between(look.pose, se2.compose(motion, look.pose)))
+        return [*true, false]
 
-    def _most_convincing(
-        self, true_hypotheses: list[Hypothesis], recent: WallSet, old: ReferenceMap, pose: se2.Pose
-    ) -> Hypothesis:
-        """Return the best hypothesis distinct from the null hypothesis and from the best true one."""
-        max_shift, max_angle = float(old.translation.max()), float(old.rotation.max())
+    def _most_convincing(self, look: Look, old: int, true: Sequence[SubmapMatch]) -> SubmapMatch:
+        """Return the best match distinct from the estimate and from the true matches."""
+        estimate = look.relative(old, np.zeros(3))
+        limits = np.array([MAX_SHIFT, MAX_SHIFT, MAX_TURN])
         found = []
         for _ in range(RANDOM_STARTS):
-            direction, share = self._random.uniform(-np.pi, np.pi), np.sqrt(self._random.uniform())
-            shift = max_shift * share * np.array([np.cos(direction), np.sin(direction)])
-            start = np.append(shift, self._random.uniform(-max_angle, max_angle))
-            hypothesis = refine_hypothesis(start, recent, old, pose)
-            wrong = all(are_distinct(hypothesis.motion, other.motion, pose) for other in true_hypotheses[:2])
-            found.append((wrong, hypothesis.length, hypothesis))
+            start = se2.compose(estimate, self._random.uniform(-limits, limits))
+            match = improve(look.submap, look.reference(old), start)
+            wrong = all(are_distinct(match.pose, pose) for pose in (estimate, *(other.pose for other in true)))
+            found.append((wrong, match.score, match))
         return max(found, key=lambda item: item[:2])[2]
 
 
@@ -106,10 +101,10 @@ class _AcceptedLoops:
             self.accepted.append(event)
 
 
-def run_with_false_hypotheses(
+def run_with_false_matches(
     recording: Path | str, relations: Path, count: int = 50, seed: int = 0
 ) -> FalseClosureResult:
-    """Map a recording without and with `count` false hypotheses in random searches, and score both.
+    """Map a recording without and with `count` false matches in random searches, and score both.
 
     Raises SlamError if the recording or the relations cannot be read.
     """
@@ -136,14 +131,15 @@ def run_with_false_hypotheses(
 
 
 def _score(recording: Path | str, relations: Relations, adversary: Adversary) -> tuple[int, float, float, int]:
-    """Return accepted loops, mean errors (metres, degrees), and accepted loops at a false hypothesis' place."""
+    """Return accepted loops, mean errors (metres, degrees), and accepted loops at the place of a false match."""
     loops = _AcceptedLoops()
-    slam = Slam(sinks=[loops], loops=LoopSearch(adversary))
+    slam = Slam(sinks=[loops], loops=LoopAgreement(adversary))
     for message in drivers.open(recording):
         slam.add(message)
     finished = slam.finish()
     figures = score_relations(Trajectory(finished.stamps, finished.poses), relations).figures()
-    motions = np.array([event.motion for event in loops.accepted]).reshape(-1, 3)
-    false = [se2.between(pose, se2.compose(hypothesis.motion, pose)) for hypothesis, pose in adversary.injected]
-    false_accepted = sum(bool(np.any(np.all(np.abs(motions - motion) < 1e-9, axis=1))) for motion in false)
-    return len(motions), figures["trans_mean"], figures["rot_mean"], false_accepted
+    false_accepted = sum(
+        any(np.hypot(*(event.motion - motion)[:2]) < SAME_SHIFT for motion in adversary.injected)
+        for event in loops.accepted
+    )
+    return len(loops.accepted), figures["trans_mean"], figures["rot_mean"], false_accepted

@@ -1,13 +1,13 @@
 """Convert a session's factor graph to a pose graph, for programs that optimise those.
 
-Nothing is left out: keyframes and walls become poses, corners become landmarks, and each factor becomes an edge. An
-edge to a wall has no information along the wall. The information of an edge is multiplied by its robust weight at the
-estimate, so plain least squares has its optimum at the session's estimate.
+Nothing is left out: keyframes, walls and the points of keyframes become poses, corners become landmarks, and each
+factor becomes an edge. An edge to a wall has no information along the wall. The information of an edge is multiplied by
+its robust weight at the estimate, so plain least squares has its optimum at the session's estimate.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -24,8 +24,8 @@ FIRST_WALL_ID = 1_000_000
 """Vertex id of wall 0; keyframes start at 0."""
 FIRST_CORNER_ID = 2_000_000
 """Vertex id of corner 0."""
-KEYFRAME_KINDS = (FactorKind.ODOMETRY, FactorKind.LOOP, FactorKind.SCAN_MATCH)
-"""Factors between two keyframes."""
+FIRST_POINT_MAP_ID = 3_000_000
+"""Vertex id of the points of keyframe 0."""
 WALL_KINDS = (FactorKind.GAUGE_PRIOR, FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET, FactorKind.WALL_EQUALITY)
 """Factors on a wall, whose information is singular."""
 
@@ -33,35 +33,59 @@ WALL_KINDS = (FactorKind.GAUGE_PRIOR, FactorKind.WALL_HEADING, FactorKind.WALL_O
 def build_pose_graph(mapper: Mapper) -> PoseGraph:
     """Return the pose graph of a mapper that has converged, at its estimate; the first keyframe is fixed."""
     state, count = mapper.graph.state(), mapper.keyframe_count
-    poses = np.concatenate([mapper.graph.keyframe_poses(count), mapper.graph.wall_frames(state.walls.tolist())])
+    wall_frames, point_maps = mapper.graph.wall_frames(state.walls.tolist()), state.point_maps.tolist()
+    poses = np.concatenate([mapper.graph.keyframe_poses(count), wall_frames, mapper.graph.point_map_poses(point_maps)])
     landmarks = mapper.graph.corner_positions(state.corners.tolist())
     walls = {int(wall): count + row for row, wall in enumerate(state.walls)}
+    bodies = {keyframe: count + len(walls) + row for row, keyframe in enumerate(point_maps)}
     corners = {int(corner): row for row, corner in enumerate(state.corners)}
     motions = [factor for factor in state.factors if factor.kind not in (FactorKind.POSE_PRIOR, FactorKind.CORNER)]
-    first = [walls[factor.first] if factor.kind is FactorKind.WALL_EQUALITY else factor.first for factor in motions]
-    second = [factor.second if factor.kind in KEYFRAME_KINDS else walls[factor.second] for factor in motions]
+    motion_ends = [_rows_of(factor, walls, bodies) for factor in motions]
     positions = [factor for factor in state.factors if factor.kind is FactorKind.CORNER]
     position_ends = [(factor.first, corners[factor.second]) for factor in positions]
     no_edges = Edges(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 1)), np.zeros((0, 1, 1)), np.zeros(0, int))
     return PoseGraph(
-        pose_ids=np.concatenate([np.arange(count), FIRST_WALL_ID + state.walls]),
+        pose_ids=np.concatenate([np.arange(count), FIRST_WALL_ID + state.walls, FIRST_POINT_MAP_ID + state.point_maps]),
         poses=poses,
         landmark_ids=FIRST_CORNER_ID + state.corners,
         landmarks=landmarks,
-        motions=_build_edges(motions, list(zip(first, second, strict=True)), poses, poses, 3),
-        positions=_build_edges(positions, position_ends, poses, landmarks, 2),
+        motions=_build_edges(motions, motion_ends, poses, poses, 3, state.bias),
+        positions=_build_edges(positions, position_ends, poses, landmarks, 2, state.bias),
         bearings=no_edges,
         fixed_poses=np.arange(len(poses)) == 0,
         fixed_landmarks=np.zeros(len(landmarks), dtype=bool),
     )
 
 
+def _rows_of(factor: Factor, walls: Mapping[int, int], bodies: Mapping[int, int]) -> tuple[int, int]:
+    """Return the rows of the poses at both ends of a factor, with those of the walls and of the keyframes' points."""
+    match factor.kind:
+        case FactorKind.ODOMETRY | FactorKind.LOOP:
+            return factor.first, factor.second
+        case FactorKind.POINT_MAP:
+            return factor.first, bodies[factor.second]
+        case FactorKind.SCAN_MATCH:
+            return bodies[factor.first], factor.second
+        case FactorKind.WALL_EQUALITY:
+            return walls[factor.first], walls[factor.second]
+        case _:
+            return factor.first, walls[factor.second]
+
+
 def _build_edges(
-    factors: Sequence[Factor], ends: Sequence[tuple[int, int]], sources: Floats, targets: Floats, size: Literal[2, 3]
+    factors: Sequence[Factor],
+    ends: Sequence[tuple[int, int]],
+    sources: Floats,
+    targets: Floats,
+    size: Literal[2, 3],
+    bias: float,
 ) -> Edges:
-    """Return an edge for each factor, with its robust weight at the estimates (n, 3) and (m, `size`) of its ends."""
+    """Return an edge for each factor, with its robust weight at the estimates (n, 3) and (m, `size`) of its ends.
+
+    bias  estimate of the range bias (metres), without which the measurements are exported
+    """
     rows = np.array(ends, dtype=np.int64).reshape(-1, 2)
-    measured = np.array([factor.measured[:size] for factor in factors]).reshape(-1, size)
+    measured = np.array([factor.without_range_bias(bias)[:size] for factor in factors]).reshape(-1, size)
     information = np.zeros((len(factors), size, size))
     for row, factor in enumerate(factors):
         information[row] = _information(factor)

@@ -28,8 +28,10 @@ COVARIANCE_SIZES = {
 }
 """Rows of a factor's covariance, if it is not that of a pose (3)."""
 POSE_SIZE = 3
+BIAS_SLOPE_SIZES = {FactorKind.WALL_HEADING: 1, FactorKind.WALL_OFFSET: 1, FactorKind.WALL: 2, FactorKind.CORNER: 2}
+"""Length of a factor's slope with the range bias, if it has one."""
 UPPER_TRIANGLES = {size: np.triu_indices(size) for size in (1, 2, 3)}
-KEYFRAME, WALL, CORNER = "keyframe", "wall", "corner"
+KEYFRAME, WALL, CORNER, POINT_MAP = "keyframe", "wall", "corner", "point_map"
 """Values of the column `kind` of the table of variables."""
 
 
@@ -44,6 +46,7 @@ def write_factors(file: Path, factors: Sequence[Factor], unconfirmed: Sequence[F
             "first": np.array([factor.first for factor in rows], dtype=np.int32),
             "second": np.array([factor.second for factor in rows], dtype=np.int32),
             "measured": to_ragged([factor.measured for factor in rows], np.float64),
+            "bias_slope": to_ragged([factor.bias_slope for factor in rows], np.float64),
             "covariance": to_ragged([_upper_triangle(factor.covariance) for factor in rows], np.float64),
         },
     )
@@ -60,7 +63,10 @@ def read_factors(file: Path) -> tuple[list[Factor], list[Factor]]:
     variables = table.integers("first", "second").tolist()
     measured, sizes = table.ragged_floats("measured")
     covariances, covariance_sizes = table.ragged_floats("covariance")
-    measured_ends, covariance_ends = (np.concatenate([[0], np.cumsum(s)]).tolist() for s in (sizes, covariance_sizes))
+    slopes, slope_sizes = table.ragged_floats("bias_slope")
+    measured_ends, covariance_ends, slope_ends = (
+        np.concatenate([[0], np.cumsum(s)]).tolist() for s in (sizes, covariance_sizes, slope_sizes)
+    )
     factors = []
     for row, (name, (first, second)) in enumerate(zip(kinds, variables, strict=True)):
         try:
@@ -69,13 +75,16 @@ def read_factors(file: Path) -> tuple[list[Factor], list[Factor]]:
             raise MapError(f"{file}: unknown kind of factor: {name}") from error
         numbers = measured[measured_ends[row] : measured_ends[row + 1], 0]
         upper = covariances[covariance_ends[row] : covariance_ends[row + 1], 0]
+        slope = slopes[slope_ends[row] : slope_ends[row + 1], 0]
         size = COVARIANCE_SIZES.get(kind, POSE_SIZE)
         if len(numbers) != MEASUREMENT_SIZES.get(kind, POSE_SIZE) or len(upper) != size * (size + 1) // 2:
             raise MapError(f"{file}: a factor of kind {kind} has a measurement or covariance of the wrong size")
+        if len(slope) != BIAS_SLOPE_SIZES.get(kind, 0):
+            raise MapError(f"{file}: a factor of kind {kind} has a slope of the wrong size")
         covariance = np.zeros((size, size))
         covariance[np.triu_indices(size)] = upper
         covariance.T[np.triu_indices(size)] = upper
-        factors.append(Factor(kind, first, second, numbers, covariance))
+        factors.append(Factor(kind, first, second, numbers, covariance, slope))
     count = len(factors) - int(unconfirmed.sum())
     if not unconfirmed[count:].all():
         raise MapError(f"{file}: unconfirmed observations must be the last rows")
@@ -84,24 +93,24 @@ def read_factors(file: Path) -> tuple[list[Factor], list[Factor]]:
 
 def write_variables(file: Path, state: GraphState) -> None:
     """Write the table of variables at their linearisation points. Raises OSError."""
-    counts = len(state.keyframes), len(state.walls), len(state.corners)
+    counts = len(state.keyframes), len(state.walls), len(state.corners), len(state.point_maps)
     corners = np.column_stack([state.positions, np.zeros(len(state.positions))])
-    values = np.concatenate([state.keyframes, state.frames, corners])
-    ids = np.concatenate([np.arange(counts[0]), state.walls, state.corners])
-    kinds = np.repeat([KEYFRAME, WALL, CORNER], counts).tolist()
+    values = np.concatenate([state.keyframes, state.frames, corners, state.point_map_poses])
+    ids = np.concatenate([np.arange(counts[0]), state.walls, state.corners, state.point_maps])
+    kinds = np.repeat([KEYFRAME, WALL, CORNER, POINT_MAP], counts).tolist()
     columns = {name: values[:, k] for k, name in enumerate(("x", "y", "heading"))}
     write_table(file, {"kind": kinds, "id": ids.astype(np.int32), **columns})
 
 
-def read_graph(variables: Path, factors: Sequence[Factor], *, updates: int, qr: bool) -> GraphState:
-    """Read the table of variables and combine it with `factors`; see `GraphState` for `updates` and `qr`.
+def read_graph(variables: Path, factors: Sequence[Factor], *, updates: int, qr: bool, bias: float) -> GraphState:
+    """Read the table of variables and combine it with `factors`; see `GraphState` for the rest.
 
     Raises MapError naming the file.
     """
     table = TableReader(variables)
     kinds, ids = np.array(table.strings("kind"), dtype=str), table.integers("id")
     values = table.floats("x", "y", "heading")
-    keyframes, walls, corners = (kinds == kind for kind in (KEYFRAME, WALL, CORNER))
+    keyframes, walls, corners, point_maps = (kinds == kind for kind in (KEYFRAME, WALL, CORNER, POINT_MAP))
     if not np.array_equal(ids[keyframes], np.arange(keyframes.sum())):
         raise MapError(f"{variables}: the keyframes are not in order")
     return GraphState(
@@ -111,6 +120,9 @@ def read_graph(variables: Path, factors: Sequence[Factor], *, updates: int, qr: 
         frames=values[walls],
         corners=ids[corners],
         positions=values[corners, :2],
+        point_maps=ids[point_maps],
+        point_map_poses=values[point_maps],
         updates=updates,
         qr=qr,
+        bias=bias,
     )

@@ -4,38 +4,25 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    SerializerFunctionWrapHandler,
-    ValidationError,
-    model_serializer,
-)
+from pydantic import Field, SerializerFunctionWrapHandler, ValidationError, model_serializer
 
 from ...errors import MapError
 from ...estimation.slam_state import Anchor, TrackingCheckpoint
 from ...geometry.segments import Floats
 from ...localisation.local_field import LocalFieldState
 from ...localisation.tracker import PoseFix, TrackerState
-from ...loop_closure.loop_search import LoopSearchState, PendingCandidate
+from ...loop_closure.loop_hypothesis import LoopAgreementState
+from .agreement import AgreementRecord, agreement_record
+from .records import Finite, Matrix, Pose, Record, to_matrix, to_pose
 
 FORMAT = "wclm-slam session"
-SESSION_VERSION = 5
-
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Pose = tuple[Finite, Finite, Finite]
-Matrix = tuple[Pose, Pose, Pose]
+SESSION_VERSION = 6
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Recording(_Record):
+class Recording(Record):
     """Recording that is part of a session.
 
     path         argument of `drivers.open` that opens it again; None if it cannot be opened again
@@ -58,19 +45,19 @@ class Recording(_Record):
         return fields if self.recorded_stamps else {n: v for n, v in fields.items() if n != "recorded_stamps"}
 
 
-class _PoseFix(_Record):
+class _PoseFix(Record):
     pose: Pose
     odometry: Pose
 
 
-class _Anchor(_Record):
+class _Anchor(Record):
     keyframe: int = Field(ge=0)
     relative: Pose
     covariance: Matrix
     odometry: Pose
 
 
-class _Tracker(_Record):
+class _Tracker(Record):
     fix: _PoseFix
     reference: _PoseFix
     fix_stamp: Finite | None
@@ -78,14 +65,15 @@ class _Tracker(_Record):
     last_score: Finite
 
 
-class _LocalField(_Record):
+class _LocalField(Record):
     centre: tuple[Finite, Finite]
     links: list[tuple[int, int]]
+    gaps: list[tuple[int, Finite]]
     inserted: list[int]
     inserted_poses: list[Pose]
 
 
-class _Checkpoint(_Record):
+class _Checkpoint(Record):
     tracker: _Tracker | None
     field: _LocalField
     anchor: _Anchor | None
@@ -93,39 +81,24 @@ class _Checkpoint(_Record):
     kidnapped_keyframes: list[int]
 
 
-class _PendingCandidate(_Record):
-    motion: Pose
-    walls: list[int]
-    travelled: Finite
-
-
-class _LoopSearch(_Record):
-    last_search: Finite
-    pending: list[_PendingCandidate]
-    candidates: int
-    retracted_motions: list[Pose]
-    last_disagreement: Finite
-
-
-class _Graph(_Record):
+class _Graph(Record):
     updates: int = Field(ge=0)
     qr: bool
+    range_bias: Finite
 
 
-class _SensorModels(_Record):
+class _SensorModels(Record):
     sigma_range: Finite
     odometry_samples: list[list[Finite]]
     roughness_samples: list[Finite]
 
 
-class SessionHeader(_Record):
+class SessionHeader(Record):
     """Contents of `session.json`.
 
     segment_starts  rows of the scans at which an odometry segment starts
     checkpoint      state of tracking, see `TrackingCheckpoint`
-    loop_search     state of the loop search: travelled distances (metres) at the last search and at the last pair of
-                    pending candidates that disagreed, pending candidates, number of candidates so far, and motions of
-                    retracted loop closures
+    agreement       state of the search for agreement, see `LoopAgreementState`
     graph           see `GraphState`
     sensor_models   what was learned online
     """
@@ -135,7 +108,7 @@ class SessionHeader(_Record):
     recordings: list[Recording]
     segment_starts: list[int]
     checkpoint: _Checkpoint
-    loop_search: _LoopSearch
+    agreement: AgreementRecord
     graph: _Graph
     sensor_models: _SensorModels
 
@@ -145,13 +118,14 @@ class SessionHeader(_Record):
         recordings: list[Recording],
         segment_starts: list[int],
         checkpoint: TrackingCheckpoint,
-        loop_search: LoopSearchState,
-        graph: tuple[int, bool],
+        loops: LoopAgreementState,
+        graph: tuple[int, bool, float],
         sensor_models: tuple[float, Floats, Floats],
     ) -> SessionHeader:
         """Make the header of a session.
 
-        graph          updates, and True if QR is used; see `GraphState`
+        loops          state of the search for loops
+        graph          updates, True if QR is used, and range bias (metres); see `GraphState`
         sensor_models  standard deviation of a range (metres), samples of the odometry model (n, 6), and samples of the
                        wall roughness (m,)
         """
@@ -159,8 +133,8 @@ class SessionHeader(_Record):
             recordings=recordings,
             segment_starts=segment_starts,
             checkpoint=_checkpoint_record(checkpoint),
-            loop_search=_loop_search_record(loop_search),
-            graph=_Graph(updates=graph[0], qr=graph[1]),
+            agreement=agreement_record(loops),
+            graph=_Graph(updates=graph[0], qr=graph[1], range_bias=graph[2]),
             sensor_models=_SensorModels(
                 sigma_range=sensor_models[0],
                 odometry_samples=sensor_models[1].tolist(),
@@ -184,25 +158,9 @@ class SessionHeader(_Record):
             self.checkpoint.kidnapped_keyframes,
         )
 
-    @property
-    def loop_search_state(self) -> LoopSearchState:
-        """State of the loop search."""
-        record = self.loop_search
-        pending = tuple(
-            PendingCandidate(np.array(candidate.motion), frozenset(candidate.walls), candidate.travelled)
-            for candidate in record.pending
-        )
-        retracted = tuple(np.array(motion) for motion in record.retracted_motions)
-        return LoopSearchState(record.last_search, pending, record.candidates, retracted, record.last_disagreement)
-
-
-def _pose(pose: Floats) -> Pose:
-    x, y, heading = pose.tolist()
-    return x, y, heading
-
 
 def _fix_record(fix: PoseFix) -> _PoseFix:
-    return _PoseFix(pose=_pose(fix.pose), odometry=_pose(fix.odometry))
+    return _PoseFix(pose=to_pose(fix.pose), odometry=to_pose(fix.odometry))
 
 
 def _tracker_record(state: TrackerState) -> _Tracker:
@@ -225,7 +183,7 @@ def _tracker_state(record: _Tracker) -> TrackerState:
 
 def _local_field_state(record: _LocalField) -> LocalFieldState:
     poses = np.array(record.inserted_poses).reshape(-1, 3)
-    return LocalFieldState(np.array(record.centre), record.links, record.inserted, poses)
+    return LocalFieldState(np.array(record.centre), record.links, dict(record.gaps), record.inserted, poses)
 
 
 def _checkpoint_record(checkpoint: TrackingCheckpoint) -> _Checkpoint:
@@ -235,34 +193,20 @@ def _checkpoint_record(checkpoint: TrackingCheckpoint) -> _Checkpoint:
         field=_LocalField(
             centre=(float(field.centre[0]), float(field.centre[1])),
             links=list(field.links),
+            gaps=sorted(field.gaps.items()),
             inserted=list(field.inserted),
-            inserted_poses=[_pose(pose) for pose in field.inserted_poses],
+            inserted_poses=[to_pose(pose) for pose in field.inserted_poses],
         ),
         anchor=None
         if anchor is None
         else _Anchor(
             keyframe=anchor.keyframe,
-            relative=_pose(anchor.relative),
-            covariance=(_pose(anchor.covariance[0]), _pose(anchor.covariance[1]), _pose(anchor.covariance[2])),
-            odometry=_pose(anchor.odometry),
+            relative=to_pose(anchor.relative),
+            covariance=to_matrix(anchor.covariance),
+            odometry=to_pose(anchor.odometry),
         ),
         kidnapped=checkpoint.kidnapped,
         kidnapped_keyframes=list(checkpoint.kidnapped_keyframes),
-    )
-
-
-def _loop_search_record(state: LoopSearchState) -> _LoopSearch:
-    return _LoopSearch(
-        last_search=state.last_search,
-        pending=[
-            _PendingCandidate(
-                motion=_pose(candidate.motion), walls=sorted(candidate.walls), travelled=candidate.travelled
-            )
-            for candidate in state.pending
-        ],
-        candidates=state.candidates,
-        retracted_motions=[_pose(motion) for motion in state.retracted],
-        last_disagreement=state.last_disagreement,
     )
 
 

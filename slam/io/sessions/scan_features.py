@@ -25,7 +25,10 @@ POINT_UNIT = 1e-3
 """Metres: resolution of points that are stored as integers."""
 MAX_POINT_UNITS = 2e6
 """POINT_UNITs: 2 km, beyond the range of any lidar; larger coordinates are clipped."""
-SEGMENT_COLUMNS = ("x", "y", "heading", "half_length", "offset_offset", "offset_heading", "heading_heading")
+SEGMENT_COLUMNS = (
+    *("x", "y", "heading", "half_length", "offset_offset", "offset_heading", "heading_heading"),
+    *("offset_bias_slope", "heading_bias_slope"),
+)
 CORNER_COLUMNS = ("x", "y", "xx", "xy", "yy")
 ALL_POINTS, CLUTTER = "point", "clutter"
 """Prefixes of the columns of all points of a scan, and of those on no line."""
@@ -36,7 +39,7 @@ def feature_columns(scans: Sequence[ScanFeatures], *, exact: bool) -> dict[str, 
     dtype = np.float64 if exact else np.float32
     columns: dict[str, Ragged] = {}
     segments = [
-        np.column_stack([s.frame, s.half_length, s.covariance[:, [0, 0, 1], [0, 1, 1]]])
+        np.column_stack([s.frame, s.half_length, s.covariance[:, [0, 0, 1], [0, 1, 1]], s.bias_slope])
         for s in (scan.segments for scan in scans)
     ]
     for k, name in enumerate(SEGMENT_COLUMNS):
@@ -83,6 +86,7 @@ def read_features(table: TableReader, file: Path, *, exact: bool) -> list[ScanFe
                     frame,
                     contiguous(segments[row][:, 3]),
                     contiguous(segments[row][:, [4, 5, 5, 6]]).reshape(-1, 2, 2),
+                    contiguous(segments[row][:, 7:]),
                 ),
                 CornerPoints(
                     contiguous(corners[row][:, :2]),

@@ -54,6 +54,7 @@ def write_scans(file: Path, records: ScanRecords) -> None:
     columns: dict[str, NDArray[np.generic] | Ragged] = {"stamp": stamps}
     odometry = np.array([scan.odometry for scan in scans]).reshape(-1, 3)
     columns |= {f"odometry_{name}": odometry[:, k] for k, name in enumerate(("x", "y", "heading"))}
+    columns["sweep_travel"] = np.array([scan.travel for scan in scans], dtype=np.float64)
     columns["keyframe"] = _scatter(keyframes, np.arange(len(keyframes)), count, -1).astype(np.int32)
     columns["anchor"] = _scatter(tracked, anchors, count, -1).astype(np.int32)
     for k, name in enumerate(("x", "y", "heading")):
@@ -109,10 +110,9 @@ def read_scans(file: Path, recent_keyframes: Path) -> ScanRecords:
             raise MapError(f"{recent_keyframes}: does not belong to the same session as {file.name}")
         features[row] = exact
     has_features = table.booleans("has_features")
-    scans = [
-        ProcessedScan(float(stamps[row]), odometry[row], features[row] if has_features[row] else NO_FEATURES)
-        for row in range(len(table))
-    ]
+    travel = table.floats("sweep_travel").tolist()
+    features = [one if has_features[row] else NO_FEATURES for row, one in enumerate(features)]
+    scans = [ProcessedScan(float(stamps[row]), odometry[row], features[row], travel[row]) for row in range(len(table))]
     keyframe, anchor = table.integers("keyframe"), table.integers("anchor")
     rows = np.flatnonzero(keyframe >= 0)
     if not np.array_equal(keyframe[rows], np.arange(len(rows))) or (anchor >= len(rows)).any():

@@ -25,6 +25,7 @@ from ...mapping.wall_roughness import WallRoughness
 from ...odometry.history import OdometryHistory
 from ...preprocessing.preprocessor import ProcessedScan
 from ..output_dir import CONFIG, SESSION
+from .agreement import agreement_state
 from .graph import read_factors, read_graph, write_factors, write_variables
 from .header import Recording, SessionHeader, read_header, write_header
 from .keyframes import read_keyframes, write_keyframes
@@ -110,7 +111,7 @@ def write_session(directory: Path, session: StoredSession) -> None:
         list(session.starts),
         slam_state.checkpoint,
         slam_state.loops.state,
-        (graph.updates, graph.qr),
+        (graph.updates, graph.qr, graph.bias),
         (session.sigma_range, slam_state.odometry_model.samples, mapper.roughness.samples),
     )
     write_header(folder / HEADER, header)
@@ -155,7 +156,8 @@ def _read_slam_state(
     rows = build_scan_history(scans.scans, scans.trajectory, scans.keyframe_stamps, ()).keyframes
     keyframes = {k: scans.scans[row] for k, row in enumerate(rows.tolist())}
     factors, unconfirmed = read_factors(folder / FACTORS)
-    graph = read_graph(folder / VARIABLES, factors, updates=header.graph.updates, qr=header.graph.qr)
+    saved = header.graph
+    graph = read_graph(folder / VARIABLES, factors, updates=saved.updates, qr=saved.qr, bias=saved.range_bias)
     roughness = WallRoughness()
     roughness.add_samples(np.array(header.sensor_models.roughness_samples))
     free_space_evidence = read_free_space_evidence(folder / WALLS)
@@ -170,7 +172,7 @@ def _read_slam_state(
                 scans.trajectory,
                 scans.keyframe_stamps,
                 header.tracking_checkpoint,
-                header.loop_search_state,
+                agreement_state(header.agreement),
                 keyframes,
             )
     except (MapError, ArithmeticError, IndexError, RuntimeError, ValueError) as error:  # the tables do not fit together
@@ -187,6 +189,8 @@ def _check_references(file: Path, header: SessionHeader, scans: ScanRecords, lan
     field = header.checkpoint.field
     if any(not 0 <= keyframe < count for keyframe in [*field.inserted, *(k for link in field.links for k in link)]):
         raise MapError(f"{file}: checkpoint.field: there are {count} keyframes")
+    if any(not 0 <= keyframe < count for keyframe in agreement_state(header.agreement).keyframes):
+        raise MapError(f"{file}: agreement: there are {count} keyframes")
     if any(not 0 <= row <= len(scans.scans) for row in header.segment_starts):
         raise MapError(f"{file}: segment_starts: there are {len(scans.scans)} scans")
     walls = max((int(ids.walls.max(initial=-1)) for ids in scans.landmark_ids), default=-1)

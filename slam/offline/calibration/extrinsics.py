@@ -1,6 +1,6 @@
 """Calibrate the lidar's mount and the odometry's systematic errors from a drive.
 
-The range bias is estimated first, from the scans alone (see `range_bias`).
+The range bias is that of the map (see `range_bias`).
 
 Each scan is registered against the map, so the lidar's motion M from one keyframe to the next is known independently of
 the odometry. The base's motion B is that of the odometry with three corrections: for each small motion of length ds and
@@ -28,7 +28,7 @@ from ...config import Config
 from ...errors import MapError
 from ...geometry.segments import Floats
 from ...pipeline import Slam
-from .range_bias import estimate_range_bias
+from .range_bias import range_bias_of
 
 MOUNT_ITERATIONS = 3
 """Times that the drive is mapped; the third changes the estimate by less than its standard errors."""
@@ -84,7 +84,7 @@ class Calibration:
     sigma: Floats
     pairs: int
     turned: float
-    range_bias: tuple[float, float] = (0.0, float("nan"))
+    range_bias: tuple[float, float]
 
 
 def calibrate(messages: Iterable[Message], config: Config | None = None) -> Calibration:
@@ -100,12 +100,12 @@ def calibrate(messages: Iterable[Message], config: Config | None = None) -> Cali
     config = config.model_copy(update={"lidar": config.lidar.model_copy(update={"delay": None})})
     mount = _initial_mount(drive, config)
     correction = OdometryCorrection()
-    bias = estimate_range_bias(drive, config)
+    bias = config.lidar.range_bias
     for _ in range(MOUNT_ITERATIONS):
-        lidar = config.lidar.model_copy(update={"mount": tuple(mount.tolist()), "range_bias": bias[0]})
+        lidar = config.lidar.model_copy(update={"mount": tuple(mount.tolist()), "range_bias": bias})
         result = _estimate(drive, config.model_copy(update={"lidar": lidar}), mount, correction)
-        mount, correction = result.mount, result.odometry
-    return replace(result, range_bias=bias)
+        mount, correction, bias = result.mount, result.odometry, result.range_bias[0]
+    return result
 
 
 def _initial_mount(drive: Sequence[Message], config: Config) -> se2.Pose:
@@ -149,7 +149,7 @@ def _estimate(drive: Sequence[Message], config: Config, mount: se2.Pose, correct
     x, y, heading, *factors = fit.x.tolist()
     sigma = np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)))
     mount = np.array([x, y, float(se2.wrap(heading))])
-    return Calibration(mount, OdometryCorrection(*factors), sigma, len(observed), turned)
+    return Calibration(mount, OdometryCorrection(*factors), sigma, len(observed), turned, range_bias_of(slam))
 
 
 def _replace_odometry(drive: Sequence[Message], poses: Floats) -> Iterator[Message]:

@@ -17,9 +17,9 @@ from ...estimation.refinement.scan_history import ScanHistory
 from ...estimation.slam_state import SlamState, TrackingCheckpoint
 from ...geometry.segments import Floats
 from ...io.sessions import StoredSession
-from ...localisation.local_field import LocalFieldState
+from ...localisation.local_field import MAX_PATH, LocalFieldState
 from ...loop_closure.closing import LOOP_FACTOR_SIGMAS, MIN_COINCIDING_SHARE, walls_coincide
-from ...loop_closure.loop_search import LoopSearchState
+from ...loop_closure.loop_hypothesis import LoopAgreementState
 from ...mapping.mapper import Mapper
 from ...odometry.error_model import OdometryModel
 from .consensus import Consensus
@@ -28,6 +28,7 @@ from .transfer import (
     clock_shift,
     merge_landmark_ids,
     merge_landmarks,
+    merge_matches,
     merge_trajectories,
     shift_clock,
 )
@@ -60,8 +61,8 @@ def merge_pair(first: StoredSession, second: StoredSession, consensus: Consensus
         mapper,
         trajectory,
         stamps,
-        _transfer_checkpoint(other, mapper, offsets.keyframes, kidnapped),
-        LoopSearchState(last_search=mapper.travelled[-1]),
+        _transfer_checkpoint(state, other, mapper, kidnapped),
+        LoopAgreementState(last_search=mapper.travelled[-1]),
         {k: scans[row] for k, row in enumerate(history.keyframes.tolist())},
     )
     return StoredSession(
@@ -80,7 +81,10 @@ def merge_pair(first: StoredSession, second: StoredSession, consensus: Consensus
 def _merge_maps(
     first: Mapper, second: Mapper, history: ScanHistory, model: OdometryModel, consensus: Consensus
 ) -> Mapper:
-    """Return the solved map of both. Raises MapError if too few of the matched walls coincide."""
+    """Return the solved map of both. Raises MapError if too few of the matched walls coincide.
+
+    The loop factors of the consensus only move the second map into place: they rest on the walls that are merged then.
+    """
     motion = consensus.members[0].relocalisation.motion
     mapper = Mapper(merge_landmarks(first, second, motion))
     mapper.roughness.add_samples(np.concatenate([first.roughness.samples, second.roughness.samples]))
@@ -88,15 +92,16 @@ def _merge_maps(
     odometry_wrong = np.zeros(len(history), dtype=bool)
     for k, (row, landmark_ids) in enumerate(zip(history.keyframes, merge_landmark_ids(first, second), strict=True)):
         features = history.scans[row].features
-        odometry = None if k == 0 else motion_to_keyframe(k, history, model, poses, np.zeros((3, 3)), odometry_wrong)
+        odometry = None if k == 0 else motion_to_keyframe(k, history, model, odometry_wrong)
         mapper.add_keyframe_with_ids(poses[k], odometry, features.segments, features.corners, landmark_ids)
+    mapper.graph.add_matches(merge_matches(first, second))
     for member in consensus.members:
         nearest = _nearest_keyframe(first.keyframe_poses, member.relocalisation.pose)
         relative = se2.between(first.keyframe_poses[nearest], member.relocalisation.pose)
         mapper.graph.add_loop(nearest, member.keyframes[-1] + first.keyframe_count, relative, LOOP_FACTOR_SIGMAS)
-    mapper.solve()
+    temporary = mapper.solve()[-len(consensus.members) :]
     mapper.recompute_pose_covariances()
-    _merge_matched_walls(mapper, consensus, len(first.landmarks.walls))
+    _merge_matched_walls(mapper, consensus, len(first.landmarks.walls), temporary)
     return mapper
 
 
@@ -104,8 +109,11 @@ def _nearest_keyframe(keyframe_poses: Floats, pose: se2.Pose) -> int:
     return int(np.hypot(*(keyframe_poses[:, :2] - pose[:2]).T).argmin())
 
 
-def _merge_matched_walls(mapper: Mapper, consensus: Consensus, offset: int) -> None:
-    """Merge the walls that submaps were matched to; `offset` is that of the second map's walls. Raises MapError."""
+def _merge_matched_walls(mapper: Mapper, consensus: Consensus, offset: int, temporary: Sequence[int]) -> None:
+    """Merge the walls that submaps were matched to, and remove the loop factors `temporary`, by their numbers.
+
+    `offset` is that of the second map's walls. Raises MapError.
+    """
     rows = mapper.landmarks.walls.rows
     matched = np.concatenate([member.relocalisation.pairs + np.array([0, offset]) for member in consensus.members])
     pairs = list(dict.fromkeys((int(rows["merged_into"][old]), int(rows["merged_into"][new])) for old, new in matched))
@@ -116,21 +124,25 @@ def _merge_matched_walls(mapper: Mapper, consensus: Consensus, offset: int) -> N
         if old != new and rows["merged_into"][old] == old and rows["merged_into"][new] == new:
             mapper.merge_walls(old, new)
     mapper.graph.update()
+    mapper.graph.remove_factors(temporary)
     mapper.converge()
 
 
 def _transfer_checkpoint(
-    state: SlamState, mapper: Mapper, keyframes: int, kidnapped: Sequence[int]
+    first: SlamState, second: SlamState, mapper: Mapper, kidnapped: Sequence[int]
 ) -> TrackingCheckpoint:
-    """Return a state's checkpoint in the merged map, in which its keyframes are offset by `keyframes`."""
-    checkpoint = state.checkpoint
+    """Return the second state's checkpoint in the merged map, with the links of both between keyframes."""
+    keyframes, checkpoint = first.mapper.keyframe_count, second.checkpoint
     links = [(one + keyframes, other + keyframes) for one, other in checkpoint.field.links]
-    field = LocalFieldState(checkpoint.field.centre, links, (), np.zeros((0, 3)))  # of the map before
+    links = [*first.checkpoint.field.links, *links]
+    gaps = {keyframe + keyframes: gap for keyframe, gap in checkpoint.field.gaps.items()} | {keyframes: MAX_PATH}
+    gaps |= first.checkpoint.field.gaps
+    field = LocalFieldState(checkpoint.field.centre, links, gaps, (), np.zeros((0, 3)))  # of the map before
     checkpoint = replace(checkpoint, field=field, kidnapped_keyframes=kidnapped)
     if checkpoint.anchor is None or checkpoint.tracker is None:
         return checkpoint
     anchor = replace(checkpoint.anchor, keyframe=checkpoint.anchor.keyframe + keyframes)
-    before = state.mapper.keyframe_poses[checkpoint.anchor.keyframe]
+    before = second.mapper.keyframe_poses[checkpoint.anchor.keyframe]
     motion = se2.compose(mapper.keyframe_poses[anchor.keyframe], se2.inverse(before))
     fix, reference = (
         replace(saved, pose=se2.compose(motion, saved.pose))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from drivers import se2
 
+from ...graph.factors import Factor
 from ...io.sessions import StoredSession
 from ...mapping.keyframes import LandmarkIds
 from ...mapping.landmarks import Landmarks
@@ -99,6 +100,15 @@ def merge_landmark_ids(first: Mapper, second: Mapper) -> list[LandmarkIds]:
     walls, corners = len(first.landmarks.walls), len(first.landmarks.corners)
     more = [LandmarkIds(_offset(ids.walls, walls), _offset(ids.corners, corners)) for ids in _ids_after_merging(second)]
     return [*_ids_after_merging(first), *more]
+
+
+def merge_matches(first: Mapper, second: Mapper) -> list[Factor]:
+    """Return the scan matches and loop factors of both maps, with the second's keyframes after the first's."""
+    offset = first.keyframe_count
+    more = [
+        replace(match, first=match.first + offset, second=match.second + offset) for match in second.graph.matches()
+    ]
+    return [*first.graph.matches(), *more]
 
 
 def merge_trajectories(

@@ -71,8 +71,8 @@ def plot_closure(path: Path, before: MapUpdated, path_before: Floats, decided: L
     drawn = np.concatenate([walls_before, walls_after]).reshape(-1, 2)
     title = f"Closure of a loop of {_path_length(path_before):.0f} m: the robot moves by {decided.shift:.2f} m"
     subtitle = (
-        f"overlap ratio {100 * decided.overlap_ratio:.0f} %, {decided.matches} matched walls, "
-        f"sigma {1000 * decided.sigma:.0f} mm; best alternative {100 * decided.runner_up:.0f} % of that; "
+        f"overlap ratio {100 * decided.overlap_ratio:.0f} %, {decided.matches} agreeing looks, "
+        f"sigma {1000 * decided.sigma:.0f} mm; strongest rival {100 * decided.runner_up:.0f} % of the looks; "
         f"{len(decided.merged)} pairs of walls merged"
     )
     figure, axes = metric_figure(np.array([drawn.min(axis=0), drawn.max(axis=0)]), title, subtitle)

@@ -12,13 +12,12 @@ from .formatting import clock, counted, duration, length, percent
 APPLIED = (LoopStatus.ACCEPTED, LoopStatus.RETRACTED)
 """Decisions that changed the map; the others are in a collapsed table."""
 COLUMN_MEANINGS = {
-    "status": "a pending loop passed all checks but was not confirmed by a second candidate",
     "keyframes": "keyframe of the decision, and one that observed the place before",
-    "overlap": "share of the recent wall length that would lie on old walls; higher is better",
-    "walls": "number of matched walls",
-    "alternative": "overlap of the best alternative relative to this one; near 100 % the two are indistinguishable",
+    "overlap": "share of the recent points that fit the old place, of those in space seen before; higher is better",
+    "looks": "number of looks at old places that agree with the closure",
+    "alternative": "looks that support the strongest rival, as a share; near 100 % the two are indistinguishable",
     "σ": "standard deviation of the motion in its least certain direction",
-    "contradicted": "share of the recent wall length that old walls would have occluded; lower is better",
+    "contradicted": "share of the looks that contradict the closure; lower is better",
     "moved by": "correction of the robot's position",
 }
 ACCURACY = (
@@ -85,7 +84,7 @@ def _decisions(rows: list[dict[str, Any]], start: float) -> str:
         ("keyframes", lambda row: f"{row['keyframe']} → {row['old']}"),
         ("reason", lambda row: row["reason"] or "–"),
         ("overlap", lambda row: percent(row["overlap_ratio"])),
-        ("walls", lambda row: str(row["matches"])),
+        ("looks", lambda row: str(row["matches"])),
         ("alternative", lambda row: percent(row["runner_up"])),
         ("σ", lambda row: length(row["sigma"])),
         ("contradicted", lambda row: percent(row["contradicted"])),
@@ -153,6 +152,7 @@ def details(summary: dict[str, Any], settings: str) -> str:
         ("seed of the simulation", summary.get("seed")),
         ("factors in the graph", slam.get("factors")),
         ("estimated range noise, metres", slam.get("sigma_range")),
+        ("estimated range bias and its standard deviation, metres", _range_bias(slam.get("range_bias"))),
         ("estimated wall roughness, metres", slam.get("wall_roughness")),
         ("estimated odometry error per metre: metres, radians", slam.get("odometry_deviation_per_metre")),
         *(summary.get("versions") or {}).items(),
@@ -163,3 +163,7 @@ def details(summary: dict[str, Any], settings: str) -> str:
         if value is not None
     )
     return f'<table class="plain"><tbody>{rows}</tbody></table><pre>{escape(settings)}</pre>'
+
+
+def _range_bias(bias: dict[str, float | None] | None) -> str | None:
+    return None if not bias or bias["sigma"] is None else f"{bias['metres']} ± {bias['sigma']}"

@@ -19,7 +19,7 @@ FIELD_OF_VIEW = math.radians(55.0)  # vertical, of the viewer's eye; Rerun has n
 MAP_ASPECT, CORNER_ASPECT = 1.15, 1.6  # width / height of the map's panel and of the smaller panels
 VIEW_MARGIN = 1.1  # shown size / size of the map
 CLOSE_UP_SIZE = 9.0  # metres shown in the close-up
-COMPARED_SIZE = 14.0  # metres shown of the compared walls
+COMPARED_SIZE = 14.0  # metres shown of the compared points
 MAX_VIEW_GRID_LINES = 30  # along one side of the map
 TABLE_COLUMNS = ("at_keyframe", "old_keyframe", "reason", "status")  # the viewer sorts them
 
@@ -118,12 +118,12 @@ class _Panels:
         )
 
     def closures(self, *first: rrb.Spatial3DView) -> rrb.Tabs:
-        """Return the views of corrections, compared walls, misfits and the factor graph."""
+        """Return the views of corrections, compared points, misfits and the factor graph."""
         before = ("before/**", "shift", "map/walls", "path/estimate", "path/recent", "loops/**", "robot/**")
         factors = ("factors/**", "map/walls", "robot/**")
         compared = rrb.Spatial3DView(
-            origin=f"{self._root}compared_walls",
-            name="Compared walls",
+            origin=f"{self._root}compared_points",
+            name="Compared points",
             eye_controls=_eye_above(np.zeros(2), eye_distance(COMPARED_SIZE, COMPARED_SIZE, CORNER_ASPECT)),
             line_grid=_grid(1.0),
             background=BACKGROUND,

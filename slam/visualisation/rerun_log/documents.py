@@ -25,9 +25,9 @@ _LEGEND: tuple[tuple[str, str], ...] = (
     ("lavender", "scan of this keyframe"),
     ("orange", "matched with the map: segment, corner, recent wall; thin line: to its match; relocalised robot"),
     ("pink", "new: not in the map before"),
-    ("light green", "accepted loop; dashed: pending, waits for confirmation; arrows: shift of each keyframe"),
+    ("light green", "accepted loop; arrows: shift of each keyframe"),
     ("rust", "rejected by a gate: feature, loop; factor beyond 99.9 %; dashed: retracted loop; disc: suspect"),
-    ("deep blue", "before the last correction: walls and path; recent walls before the loop's motion"),
+    ("deep blue", "before the last correction: walls and path; recent points before the loop's motion"),
 )
 _TIMELINES: tuple[tuple[str, str], ...] = (
     ("keyframe", "from keyframe to keyframe"),
@@ -73,16 +73,10 @@ def loop_report(event: LoopDecided) -> str:
 
 
 _CHECKS = {
-    "drift": "motion / expected drift",
-    "overlap-ratio": "overlap ratio with the reference map",
-    "directional-ratio": "lowest overlap ratio of the walls that determine one direction",
-    "length": "overlapping wall length, metres",
-    "gain": "overlapping length above the null hypothesis, metres",
-    "walls": "matched walls",
-    "sigma": "largest position sigma, metres",
-    "alternative": "best alternative / this hypothesis",
-    "likelier-alternative": "best alternative closer to odometry / this hypothesis",
-    "contradicted": "share of wall length seen through old walls",
+    "support": "looks that support it",
+    "span": "metres of driving between the first and the last of them",
+    "contradicted": "looks that contradict it / looks that support it",
+    "fit": "mean share of the points that fit",
     "mahalanobis": "deviation from the estimate, sigmas",
 }
 

@@ -10,7 +10,7 @@ import rerun as rr
 
 from drivers import se2
 
-from ...events import ComparedWalls, Correction, LoopDecided
+from ...events import ComparedPoints, Correction, LoopDecided
 from ...geometry.segments import Floats
 from ...loop_closure.loop_status import LoopStatus
 from . import colours
@@ -23,18 +23,16 @@ from .time_series import TimeSeries
 DECISIONS = "loops/decisions"
 LEVELS = {
     LoopStatus.ACCEPTED: "INFO",
-    LoopStatus.PENDING: "INFO",
     LoopStatus.REJECTED: "DEBUG",
     LoopStatus.RETRACTED: "ERROR",
 }
-DASHED = (LoopStatus.PENDING, LoopStatus.RETRACTED)
+DASHED = (LoopStatus.RETRACTED,)
 
-_THIN, _THICK, _THICKER = rr.Radius.ui_points(0.7), rr.Radius.ui_points(1.3), rr.Radius.ui_points(2.2)
+_THIN, _THICK, _POINT = rr.Radius.ui_points(0.7), rr.Radius.ui_points(1.3), rr.Radius.ui_points(1.5)
 _LOOP_WIDTH = rr.Radius.ui_points(2.0)
 _MARKER = rr.components.MarkerShape
 _MARKERS = {
     LoopStatus.ACCEPTED: _MARKER.Circle,
-    LoopStatus.PENDING: _MARKER.Diamond,
     LoopStatus.REJECTED: _MARKER.Cross,
     LoopStatus.RETRACTED: _MARKER.Square,
 }
@@ -109,7 +107,7 @@ class DecisionLayer:
 
 
 class CorrectionLayer:
-    """The walls compared by the last decision, and the map before the last correction."""
+    """The points compared by the last decision, and the map before the last correction."""
 
     def __init__(self, writer: RrdWriter) -> None:
         self._writer = writer
@@ -117,39 +115,33 @@ class CorrectionLayer:
             "world/before/walls": rr.LineStrips3D.from_fields(radii=_THICK, colors=colours.BEFORE),
             "world/before/path": rr.LineStrips3D.from_fields(radii=_THICK, colors=colours.BEFORE),
             "world/shift": rr.Arrows3D.from_fields(radii=_THIN, colors=colours.CLOSURE, show_labels=False),
-            "compared_walls/reference": rr.LineStrips3D.from_fields(radii=_THICK, colors=colours.WALL),
-            "compared_walls/recent": rr.LineStrips3D.from_fields(radii=_THICK, colors=colours.BEFORE),
-            "compared_walls/aligned": rr.LineStrips3D.from_fields(radii=_THICKER, show_labels=False),
-            "compared_walls/motion": rr.LineStrips3D.from_fields(radii=_THIN, colors=colours.BEFORE),
+            "compared_points/reference": rr.Points3D.from_fields(radii=_POINT, colors=colours.WALL),
+            "compared_points/recent": rr.Points3D.from_fields(radii=_POINT, colors=colours.BEFORE),
+            "compared_points/aligned": rr.Points3D.from_fields(radii=_POINT, colors=colours.MATCHED),
         }
         for entity, style in styles.items():
             writer.log_static(entity, style)
-        writer.log_static("compared_walls", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        writer.log_static("compared_points", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
 
     def log(self, event: LoopDecided) -> None:
-        """Log the walls that a decision compared, and its correction of the map if there is one."""
+        """Log the points that a decision compared, and its correction of the map if there is one."""
         if event.compared is not None:
-            self._log_compared_walls(event.compared)
+            self._log_compared_points(event.compared)
         if event.correction is not None:
             self._log_correction(event.correction)
 
-    def _log_compared_walls(self, compared: ComparedWalls) -> None:
-        """Log the recent walls before and after the hypothesis' motion, relative to the centre of the aligned ones."""
-        centre = compared.aligned.reshape(-1, 2).mean(axis=0)
-        matched = compared.match >= 0
-        shades = [colours.MATCHED if one else colours.NEW for one in matched.tolist()]
-        labels = ["matched" if one else "not in the reference map" for one in matched.tolist()]
-        motion = np.stack([compared.recent.mean(axis=1), compared.aligned.mean(axis=1)], axis=1)
+    def _log_compared_points(self, compared: ComparedPoints) -> None:
+        """Log the recent points before and after the hypothesis' motion, relative to the centre of the aligned ones."""
+        centre = compared.aligned.mean(axis=0)
         rows = {
-            "reference": rr.LineStrips3D.from_fields(strips=to_3d(compared.old - centre, Height.WALL)),
-            "recent": rr.LineStrips3D.from_fields(strips=to_3d(compared.recent - centre, Height.ODOMETRY)),
-            "motion": rr.LineStrips3D.from_fields(strips=to_3d(motion - centre, Height.ODOMETRY)),
-            "aligned": rr.LineStrips3D.from_fields(
-                strips=to_3d(compared.aligned - centre, Height.FEATURE), colors=shades, labels=labels
-            ),
+            "reference": (compared.old, Height.WALL),
+            "recent": (compared.recent, Height.ODOMETRY),
+            "aligned": (compared.aligned, Height.FEATURE),
         }
-        for name, row in rows.items():
-            self._writer.log(f"compared_walls/{name}", row)
+        for name, (points, height) in rows.items():
+            self._writer.log(
+                f"compared_points/{name}", rr.Points3D.from_fields(positions=to_3d(points - centre, height))
+            )
 
     def _log_correction(self, correction: Correction) -> None:
         pieces, _ = correction.walls_before.piece_points()
@@ -169,7 +161,7 @@ def _shift_arrows(before: Floats, after: Floats) -> rr.Arrows3D:
 
 
 def _colour(status: LoopStatus) -> Colour:
-    return colours.CLOSURE if status in (LoopStatus.ACCEPTED, LoopStatus.PENDING) else colours.REJECTED
+    return colours.CLOSURE if status is LoopStatus.ACCEPTED else colours.REJECTED
 
 
 def _markdown(text: str) -> rr.TextDocument:
@@ -182,7 +174,6 @@ def _describe(event: LoopDecided) -> str:
     where = f"x{event.index} at x{event.old}, {math.hypot(x, y):.2f} m, {math.degrees(heading):.1f}°"
     outcome = {
         LoopStatus.ACCEPTED: f"{len(event.merged)} walls merged, the robot moved by {event.shift:.2f} m",
-        LoopStatus.PENDING: "waits for confirmation",
     }.get(event.status, event.reason)
     return f"loop {event.candidate} {event.status}: {outcome} ({where})"
 

@@ -20,7 +20,7 @@ from .loop_layer import DECISIONS
 from .rrd_reader import Row, chunks_of, rows
 from .status_layer import ENTITY as STATUS_ENTITY
 
-NOT_APPLIED = (LoopStatus.PENDING, LoopStatus.REJECTED)
+NOT_APPLIED = (LoopStatus.REJECTED,)
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,6 +39,8 @@ COMMANDS = (
     "bench slam",
     "bench gate",
     "bench relocalisation",
+    "bench residuals",
+    "bench robust",
     "bench laps",
     "bench consistency",
     "bench paper",

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -9,6 +12,7 @@ from drivers import se2
 from drivers.messages import Odometry, Scan
 from drivers.simulation import Simulation, World
 from slam.evaluation.benchmarks.consistency import consistency_table, simulate, summarise
+from slam.evaluation.benchmarks.consistency_conditions import CONDITIONS
 from slam.evaluation.ground_truth import Nees, TrueWalls, corner_nees, match_walls, measure, true_walls, wall_nees
 from slam.mapping.map_features import MapCorners, MapWalls
 from slam.odometry.history import OdometryHistory
@@ -56,27 +60,91 @@ def test_the_nees_is_the_squared_error_in_standard_deviations(world: TrueWalls) 
 
 def test_short_drives_are_consistent_within_a_wide_band() -> None:
     runs = list(simulate(range(3), duration=40.0))
-    assert np.isfinite(np.concatenate([run.walls for run in runs])).mean() > 0.8
-    for row in summarise(runs):
-        mean = row.consistency.mean / row.consistency.dimensions
-        assert 0.25 < mean < 3.0, f"{row.name}: {mean:.2f}"
+    assert np.isfinite(np.concatenate([run.walls for run in runs if run is not None])).mean() > 0.8
+    result = summarise(runs)
+    assert {row.name for row in result.rows} == {"poses", "last pose", "relative poses", "walls", "corners"}
+    for row in result.rows:
+        assert 0.25 < row.mean < 3.0, f"{row.name}: {row.mean:.2f}"
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_a_hundred_drives_with_the_lidar_off_centre_and_turned_are_consistent() -> None:
-    rows = summarise(list(simulate(range(100))))
-    assert all(row.consistency.consistent for row in rows), "\n".join(consistency_table(rows))
+    result = summarise(list(simulate(range(100))))
+    assert all(row.verdict in ("inside", "undecided") for row in result.rows), "\n".join(consistency_table([result]))
 
 
-def test_the_table_marks_inconsistent_rows() -> None:
+def drawn(scales: tuple[float, float, float, float], runs: int = 100) -> list[Nees]:
+    """Return drives with independent NEES values of poses, walls, corners and relative poses, times some scales."""
     random = np.random.default_rng(0)
-    runs = [Nees(*(random.chisquare(k, 20) * share for k, share in ((3, 1.0), (2, 2.0), (2, 0.5)))) for _ in range(100)]
-    lines = consistency_table(summarise(runs))
-    verdicts = {line[:9].strip(): line.rsplit("  ", 1)[-1] for line in lines[1:]}
-    assert verdicts["walls"] == "overconfident"
-    assert verdicts["corners"] == "too cautious"
-    assert verdicts["poses"].strip() == verdicts["last pose"].strip() == "100"
+    return [
+        Nees(*(random.chisquare(k, 20) * scale for k, scale in zip((3, 2, 2, 3), scales, strict=True)))
+        for _ in range(runs)
+    ]
+
+
+def test_the_table_marks_means_outside_the_band() -> None:
+    result = summarise([*drawn((1.0, 2.0, 0.5, 1.3)), None])
+    verdicts = {row.name: row.verdict for row in result.rows}
+    assert (verdicts["walls"], verdicts["corners"]) == ("overconfident", "too cautious")
+    assert verdicts["poses"] == verdicts["last pose"] == verdicts["relative poses"] == "inside"
+    (line,) = consistency_table([result])[2:]
+    assert "1 of 101 drives without a map" in line
+    assert line.count("**") == 4
+    assert line.endswith("| no |")
+    assert consistency_table([summarise(drawn((1.0, 1.0, 1.0, 1.0)))])[2].endswith("| yes |")
+
+
+def test_a_mean_outside_the_band_by_few_standard_errors_is_undecided() -> None:
+    runs = [Nees(*(np.full(4, k * mean) for k in (3, 2, 2, 3))) for mean in (1.0, 2.2)]
+    row = summarise(runs).rows[0]
+    assert (row.mean, row.standard_error) == (pytest.approx(1.6), pytest.approx(0.6))
+    assert (row.inside, row.verdict) == (False, "undecided")
+    assert np.isnan(summarise(runs[:1]).rows[0].standard_error)
+
+
+def test_gross_errors_are_counted() -> None:
+    (run,) = drawn((1.0, 1.0, 1.0, 1.0), runs=1)
+    run.walls[:5] = 100.0
+    rows = {row.name: row for row in summarise([run]).rows}
+    assert rows["walls"].gross == pytest.approx(0.25, abs=0.01)
+    assert rows["poses"].gross < 0.1
+
+
+def test_conditions_are_chosen_and_printed_as_one_line_of_json(wclm: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    seeds = []
+    monkeypatch.setattr("slam.warmup.warm_up", lambda: None)
+
+    def simulated(numbers: range, *_: object, **__: object) -> Any:
+        seeds.extend(numbers)
+        return iter(drawn((1.0, 1.0, 1.0, 1.0), runs=2))
+
+    monkeypatch.setattr("slam.evaluation.benchmarks.consistency.simulate", simulated)
+    options = ("--condition", "bent-walls", "--condition", "boxes", "--first-seed", "40", "--seeds", "2", "--json")
+    result = wclm("bench", "consistency", *options)
+    assert result.exit_code == 0, result.output
+    assert len(result.stdout.splitlines()) == 1
+    content = json.loads(result.stdout)
+    assert [row["condition"] for row in content["conditions"]] == ["bent-walls", "boxes"]
+    assert content["conditions"][0]["nees"]["walls"]["verdict"] == "inside"
+    assert seeds == [40, 41, 40, 41]
+    wclm.refuses("bench", "consistency", "--condition", "moon", because=["moon", "no such condition", "bent-walls"])
+    text = " ".join(wclm("bench", "consistency", "--help").output.replace("│", " ").split())
+    assert all(name in text for name in CONDITIONS)
+
+
+@pytest.mark.parametrize("condition", ["half-circle", "bent-walls", "buildings"])
+def test_drives_that_are_not_in_the_office_as_it_is_are_scored(condition: str) -> None:
+    (run,) = simulate([3], 3.5, condition)
+    assert run is not None
+    assert np.nanmedian(run.walls) < 100.0
+    assert np.median(run.poses) < 100.0
+
+
+def test_a_drive_without_a_map_is_counted() -> None:
+    result = summarise(list(simulate([3], 0.01)))
+    assert (result.drives, result.failed, result.rows) == (1, 1, ())
+    assert consistency_table([result])[-1].endswith("| no |")
 
 
 def test_deskewing_ignores_encoder_jitter_at_standstill() -> None:

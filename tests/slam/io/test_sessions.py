@@ -18,9 +18,21 @@ from slam.errors import MapError, SlamError
 from slam.io.output_dir import CONFIG, SESSION
 from slam.io.sessions import Recording, StoredSession, is_session, read_session, write_session
 from slam.io.sessions.session import FACTORS, HEADER, SCANS, WALLS
+from slam.loop_closure.decision import LoopMatch
+from slam.loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis, OldPlace
 from slam.mapping.mapper import Mapper
 from slam.preprocessing.preprocessor import NO_FEATURES
 
+# Match of keyframes in `session.json`.
+MATCH = {
+    "keyframe": 3,
+    "old": 1,
+    "relative": [0.1, 0.0, 0.02],
+    "covariance": [[0.01, 0.001, 0.0], [0.001, 0.02, 0.0], [0.0, 0.0, 0.001]],
+    "travelled": 1.5,
+    "fit": 0.9,
+    "known": 0.8,
+}
 ROOM = Recording(name="room", path="sim:room", first=0.0, last=8.0)
 
 
@@ -91,6 +103,35 @@ def test_slam_state_is_read_back(written: tuple[StoredSession, Path]) -> None:
     np.testing.assert_array_equal(restored.odometry[0].poses, session.odometry[0].poses)
 
 
+def test_agreement_on_a_loop_is_read_back(written: tuple[StoredSession, Path], tmp_path: Path) -> None:
+    """What was looked at and found so far is kept, so that a continued run closes the same loops."""
+    session = read_session(written[1])
+    random, state = np.random.default_rng(0), session.slam_state
+    match = LoopMatch(4, 1, random.normal(size=3), np.diag([0.01, 0.02, 0.003]), 1.25, 0.9, 0.7)
+    place = OldPlace(np.array([0, 1, 2]), random.normal(size=(3, 3)))
+    hypotheses = [LoopHypothesis(random.normal(size=3), [match], [0.5]), LoopHypothesis(random.normal(size=3), [match])]
+    expected = LoopAgreementState(
+        1.75, [(1, place)], [(1, 1.5)], [0.25, 0.75], hypotheses[0], hypotheses[1:], 3, [np.ones(3)]
+    )
+    state.loops.restore(expected, state.local_field)
+    write_directory(tmp_path / "out", session)
+    restored = read_session(tmp_path / "out").slam_state.loops.state
+    assert (restored.last_search, list(restored.returns)) == (1.75, [0.25, 0.75])
+    assert (list(restored.searched), restored.candidates) == ([(1, 1.5)], 3)
+    np.testing.assert_array_equal(restored.retracted, [np.ones(3)])
+    ((centre, same),) = restored.places
+    assert centre == 1
+    np.testing.assert_array_equal(same.keyframes, place.keyframes)
+    np.testing.assert_array_equal(same.poses, place.poses)
+    assert len(restored.hypotheses) == 1
+    for before, after in zip(hypotheses, (restored.estimate, *restored.hypotheses), strict=True):
+        np.testing.assert_array_equal(after.motion, before.motion)
+        assert after.contradictions == before.contradictions
+        (saved,) = after.support
+        for name in LoopMatch.__slots__:
+            np.testing.assert_array_equal(getattr(saved, name), getattr(match, name), err_msg=name)
+
+
 def test_scans_are_read_back(written: tuple[StoredSession, Path]) -> None:
     session, path = written
     expected, history = session.scan_history(), read_session(path).scan_history()
@@ -152,7 +193,7 @@ def test_directory_without_session_is_refused(tmp_path: Path) -> None:
         read_session(tmp_path / "nowhere")
 
 
-@pytest.mark.parametrize("version", [3, 4, 6, None])
+@pytest.mark.parametrize("version", [4, 5, 7, None])
 def test_session_of_another_version_is_refused(
     written: tuple[StoredSession, Path], tmp_path: Path, version: int | None
 ) -> None:
@@ -160,7 +201,7 @@ def test_session_of_another_version_is_refused(
     header = path / SESSION / HEADER
     header.write_text(json.dumps(json.loads(header.read_text()) | {"version": version}))
     with pytest.raises(
-        MapError, match=rf"session.json: has format version {version}; this program reads version 5 only"
+        MapError, match=rf"session.json: has format version {version}; this program reads version 6 only"
     ):
         read_session(path)
 
@@ -171,6 +212,9 @@ def test_session_of_another_version_is_refused(
         (["checkpoint", "kidnapped_keyframes"], [10**6], "checkpoint.kidnapped_keyframes: there are"),
         (["checkpoint", "tracker", "last_score"], None, "checkpoint.tracker.last_score: Input should be a"),
         (["segment_starts"], [-1], "segment_starts: there are"),
+        (["agreement", "estimate", "support"], [MATCH | {"old": 10**6}], "agreement: there are"),
+        (["agreement", "estimate", "support"], [MATCH | {"covariance": [[0.0] * 3] * 3}], "agreement.estimate.support"),
+        (["agreement", "hypotheses"], [{"motion": [0.0] * 3, "support": [], "contradictions": []}], "agreement.hypoth"),
         (["sigma"], 1, "sigma: Extra inputs are not permitted"),
     ],
 )

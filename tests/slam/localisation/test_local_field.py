@@ -6,9 +6,12 @@ import numpy as np
 
 from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.localisation.local_field import MAX_CENTRE_DISTANCE, MAX_DISPLACEMENT, MAX_PATH, LocalField
-from slam.matching.distance_field import ALL_POINTS, FIELD_CELL, NOWHERE
+from slam.matching.distance_field import ALL_POINTS
 from slam.matching.line_matcher import ScanFeatures
+from slam.matching.offset_tiles import FIELD_CELL, NOWHERE
 from slam.matching.scan_points import ScanPoints
+
+from ..outlines import offsets_of
 
 STEP = 0.5  # metres between keyframes
 POINTS = np.array([[0.5, 1.0], [0.7, 1.0]])
@@ -42,7 +45,7 @@ def test_field_holds_the_keyframes_of_the_last_metres_and_the_new_ones() -> None
 def test_points_of_new_keyframes_enter_at_their_poses() -> None:
     poses, field = straight_drive(10), LocalField()
     drive(field, poses)
-    known = field.field.offset[ALL_POINTS, ..., 0] != NOWHERE
+    known = offsets_of(field.field)[ALL_POINTS, ..., 0] != NOWHERE
     assert known.any(axis=1).sum() * FIELD_CELL > 9 * STEP
     np.testing.assert_allclose(field.points(3)[:, :2], POINTS, atol=1e-6)
 
@@ -76,6 +79,6 @@ def test_restored_field_continues_as_the_saved_one() -> None:
     for _ in range(30):
         restored.add(SCAN)
     restored.restore(field.state)
-    np.testing.assert_array_equal(restored.field.offset, field.field.offset)
+    np.testing.assert_array_equal(offsets_of(restored.field), offsets_of(field.field))
     assert restored.state.links == ((2, 28),)
     assert list(restored.inserted) == list(field.inserted)

@@ -13,7 +13,7 @@ from drivers.simulation import LidarModel, Simulation
 from slam import Finished, Slam
 from slam.events import Notice
 from slam.geometry.segments import Floats
-from slam.matching.distance_field import FIELD_CELL
+from slam.matching.offset_tiles import FIELD_CELL
 from slam.matching.point_matcher import Prediction, likelihoods, match_points
 
 from ..listeners import EventCollector

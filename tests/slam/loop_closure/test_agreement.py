@@ -9,7 +9,8 @@ import numpy as np
 from drivers import se2
 from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.localisation.local_field import LocalField
-from slam.loop_closure.agreement import MIN_SUPPORT, SUBMAP_LENGTH, Agreement, LoopAgreement
+from slam.loop_closure.agreement import MIN_SUPPORT, SUBMAP_LENGTH, LoopAgreement
+from slam.loop_closure.decision import LoopDecision
 from slam.matching.line_matcher import ScanFeatures
 from slam.matching.scan_points import ScanPoints
 
@@ -36,14 +37,21 @@ class StubMap:
     def keyframe_count(self) -> int:
         return len(self.keyframe_poses)
 
+    @property
+    def pose_covariances(self) -> list[Floats]:
+        return [self.covariance] * self.keyframe_count
+
     def relative_covariance(self, old: int, keyframe: int) -> Floats:
         return self.covariance
 
 
-def drive_twice(drift: se2.Pose, elsewhere: se2.Pose) -> tuple[list[Agreement], LocalField]:
+def drive_twice(
+    drift: se2.Pose, elsewhere: se2.Pose, *, interrupted: bool = False
+) -> tuple[list[LoopDecision], LocalField]:
     """Drive through the room, and after LENGTH metres again, with a drift of the estimate.
 
-    The second time the robot is in truth in a copy of the room that is moved by `elsewhere`. Returns what was accepted.
+    The second time the robot is in truth in a copy of the room that is moved by `elsewhere`. If
+    `interrupted`, the state is saved and restored every few keyframes. Returns what was accepted.
     """
     agreement, local_field = LoopAgreement(), LocalField()
     state = StubMap(np.diag(SIGMAS**2))
@@ -58,6 +66,9 @@ def drive_twice(drift: se2.Pose, elsewhere: se2.Pose) -> tuple[list[Agreement], 
             local_field.update(state.keyframe_count - 1, state.keyframe_poses, state.travelled)
             accepted = agreement.search(state, local_field)  # type: ignore[arg-type]
             found += [] if accepted is None else [accepted]
+            if interrupted and state.keyframe_count % 5 == 0:
+                saved, agreement = agreement.state, LoopAgreement()
+                agreement.restore(saved, local_field)
     return found, local_field
 
 
@@ -68,11 +79,20 @@ def test_drift_is_corrected_once_enough_looks_agree() -> None:
     accepted = found[0]
     assert len(accepted.matches) >= MIN_SUPPORT
     assert accepted.matches[-1].travelled - accepted.matches[0].travelled >= SUBMAP_LENGTH
-    left = se2.compose(accepted.motion, drift)
+    left = se2.compose(accepted.correction, drift)
     assert np.hypot(*left[:2]) < 0.15  # at the origin, which is up to 15 m away
     assert abs(left[2]) < 0.01
     for match in accepted.matches:
         assert abs(match.relative[1]) < 0.1  # both passes are on the same line
+
+
+def test_interruptions_do_not_change_what_is_accepted() -> None:
+    drift = np.array([0.3, 0.9, 0.08])
+    expected, found = (drive_twice(drift, np.zeros(3), interrupted=some)[0] for some in (False, True))
+    assert len(found) == len(expected) > 0
+    for before, after in zip(expected, found, strict=True):
+        np.testing.assert_array_equal(after.correction, before.correction)
+        assert [match.keyframe for match in after.matches] == [match.keyframe for match in before.matches]
 
 
 def test_return_without_drift_links_the_passes_and_corrects_nothing() -> None:

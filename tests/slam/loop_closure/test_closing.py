@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import replace
 
 import numpy as np
 
 from drivers import se2
 from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.graph.factors import FactorKind
-from slam.loop_closure.closing import close_agreeing_loop, close_loop
+from slam.loop_closure.closing import close_loop
 from slam.loop_closure.decision import LoopDecision, LoopMatch
 from slam.loop_closure.loop_status import LoopStatus
-from slam.loop_closure.proposal import Hypothesis
-from slam.loop_closure.verification import Verdict
 from slam.mapping.data_association import UNMATCHED, Association
 from slam.mapping.keyframes import KeyframeMotion
 from slam.mapping.local_map import empty_local_map
@@ -65,57 +62,32 @@ def drifted_mapper(drift: se2.Pose) -> tuple[Mapper, list[int], list[int]]:
     return mapper, first, second
 
 
-def confirmed_decision(motion: se2.Pose, first: list[int], second: list[int]) -> LoopDecision:
-    """Return a confirmed decision that the walls `second` are the walls `first` after the motion."""
-    hypothesis = Hypothesis(motion, 1.0, 20.0, 1.0, np.eye(3), np.arange(len(ROOM)))
-    verdict = Verdict(True, "all checks passed", 1.0, len(ROOM), 0.0, 0.01, 0.0, True, False, False)
-    return LoopDecision(
-        1, 9, 1, np.zeros(3), verdict, LoopStatus.CONFIRMED, hypothesis, tuple(zip(first, second, strict=True))
-    )
-
-
-def test_closing_corrects_pose_and_merges_walls() -> None:
-    mapper, first, second = drifted_mapper(np.array([1.6, -1.0, 0.2]))
-    back = se2.compose(INSIDE, np.array([0.05, 0.0, 0.0]))
-    motion = se2.compose(back, se2.inverse(mapper.pose))
-    factors = mapper.graph.factor_count
-    closed = close_loop(mapper, confirmed_decision(motion, first, second))
-    assert closed.status is LoopStatus.ACCEPTED
-    assert len(closed.merged) == len(ROOM)
-    np.testing.assert_allclose(mapper.pose, back, atol=0.01)
-    merged_into = mapper.landmarks.walls.rows["merged_into"]
-    assert [merged_into[wall] for wall in second] == first
-    assert mapper.graph.factor_count == factors + len(ROOM)  # the wall equalities; the loop factor is removed
-
-
-def test_closure_is_rejected_if_walls_do_not_coincide() -> None:
-    mapper, first, second = drifted_mapper(np.array([1.6, -1.0, 0.2]))
-    before, factors = mapper.graph.keyframe_poses(mapper.keyframe_count), mapper.graph.factor_count
-    wrong = se2.compose(np.array([0.0, 3.0, 0.9]), mapper.pose)
-    trial = copy.deepcopy(mapper)
-    rejected = close_loop(trial, confirmed_decision(se2.compose(wrong, se2.inverse(mapper.pose)), first, second))
-    assert rejected.status is LoopStatus.REJECTED
-    assert not rejected.verdict.accepted
-    assert rejected.merged == ()
-    # closing on a copy does not change the original
-    np.testing.assert_allclose(mapper.graph.keyframe_poses(mapper.keyframe_count), before, atol=1e-12)
-    assert mapper.graph.factor_count == factors
-    assert list(mapper.landmarks.walls.rows["merged_into"][second]) == second
-
-
 def agreeing_decision(mapper: Mapper, relatives: list[se2.Pose]) -> LoopDecision:
     """Return a confirmed decision with a match of the last keyframe with the first one for each relative pose."""
     last = mapper.keyframe_count - 1
     covariance = np.diag([0.03, 0.03, 0.01]) ** 2
     matches = [LoopMatch(last, 0, relative, covariance, mapper.travelled[-1], 0.95, 0.9) for relative in relatives]
-    decision = confirmed_decision(np.zeros(3), [], [])
-    return replace(decision, matches=tuple(matches), since=mapper.keyframe_count - 2)
+    return LoopDecision(
+        candidate=1,
+        keyframe=last,
+        old=0,
+        motion=np.zeros(3),
+        correction=np.zeros(3),
+        status=LoopStatus.CONFIRMED,
+        reason="the matches agree",
+        matches=tuple(matches),
+        runner_up=0.0,
+        contradicted=0.0,
+        checks=(),
+        since=mapper.keyframe_count - 2,
+        compared=(np.zeros((0, 2)), np.zeros((0, 2))),
+    )
 
 
 def test_matches_that_agree_correct_the_pose_and_merge_walls_that_coincide_then() -> None:
     mapper, first, second = drifted_mapper(np.array([1.6, -1.0, 0.2]))
     relative = np.array([0.05, 0.0, 0.0])
-    closed = close_agreeing_loop(mapper, agreeing_decision(mapper, 4 * [relative]))
+    closed = close_loop(mapper, agreeing_decision(mapper, 4 * [relative]))
     assert closed.status is LoopStatus.ACCEPTED
     np.testing.assert_allclose(mapper.pose, se2.compose(INSIDE, relative), atol=0.01)
     assert set(closed.merged) == set(zip(first, second, strict=True))
@@ -128,6 +100,11 @@ def test_matches_that_agree_correct_the_pose_and_merge_walls_that_coincide_then(
 def test_matches_that_contradict_each_other_are_rejected() -> None:
     mapper, _, _ = drifted_mapper(np.array([1.6, -1.0, 0.2]))
     relatives = [np.array([0.05, 0.0, 0.0]), np.array([0.05, 0.8, 0.0])]
-    rejected = close_agreeing_loop(mapper, agreeing_decision(mapper, 2 * relatives))
+    before, factors = mapper.graph.keyframe_poses(mapper.keyframe_count), mapper.graph.factor_count
+    rejected = close_loop(copy.deepcopy(mapper), agreeing_decision(mapper, 2 * relatives))
     assert rejected.status is LoopStatus.REJECTED
-    assert "do not fit" in rejected.verdict.reason
+    assert "do not fit" in rejected.reason
+    assert rejected.merged == ()
+    # closing on a copy does not change the original
+    np.testing.assert_allclose(mapper.graph.keyframe_poses(mapper.keyframe_count), before, atol=1e-12)
+    assert mapper.graph.factor_count == factors

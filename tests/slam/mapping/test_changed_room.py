@@ -95,7 +95,7 @@ def test_a_partition_that_is_gone_leaves_the_map_and_stays_in_the_session(
 ) -> None:
     before = read_session(furnished).slam_state.mapper
     listener = EventCollector()
-    slam, finished = run(drive(world(), seed=1, shift=1000.0), read_session(furnished), refine=refine, sinks=[listener])
+    slam, finished = run(drive(world(), seed=2, shift=1000.0), read_session(furnished), refine=refine, sinks=[listener])
     removed = [wall for event in listener.of(WallsRemoved) for wall in event.walls]
     assert sorted(removed) == slam.slam_state.mapper.landmarks.removed_walls().tolist()
     assert length_on(finished.walls, PARTITION) == 0.0

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from drivers import se2
 from slam.geometry.segments import Floats, Segments
-from slam.matching.distance_field import FIELD_CELL, DistanceField
+from slam.matching.distance_field import DistanceField
+from slam.matching.offset_tiles import FIELD_CELL
 from slam.matching.point_matcher import (
     POINT_SPACING,
     POINTS_PER_OBJECT,

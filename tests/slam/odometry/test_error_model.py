@@ -5,7 +5,7 @@ import pytest
 
 from drivers import se2
 from slam.config import OdometryConfig
-from slam.odometry.error_model import OdometryModel, fuse_motion
+from slam.odometry.error_model import OdometryModel
 from slam.odometry.history import wheel_travel
 
 DETERMINED = np.diag([1e6, 1e6, 1e6])  # information of a registration in all directions
@@ -72,15 +72,3 @@ def test_drift_is_correlated_only_in_undetermined_directions() -> None:
     np.testing.assert_allclose(correlated_drift[1:], 0.0, atol=1e-3 * correlated_drift[0, 0])
     steps = 50  # 15 metres; wheels that are a tenth too large err by 1.5 metres
     assert np.sqrt(steps * correlated_drift[0, 0]) > 1.5 > 5 * np.sqrt(steps * model.covariance(step)[0, 0])
-
-
-def test_points_correct_a_motion_only_in_the_directions_they_determine() -> None:
-    measured, registered = np.array([0.3, 0.0, 0.0]), np.array([0.26, 0.02, 0.01])
-    covariance = np.diag([0.02, 0.02, 0.01]) ** 2
-    same, unchanged = fuse_motion(measured, covariance, registered, np.zeros((3, 3)))
-    np.testing.assert_allclose(same, measured)
-    np.testing.assert_allclose(unchanged, covariance)
-    motion, fused = fuse_motion(measured, covariance, registered, np.diag([1e8, 0.0, 0.0]))
-    np.testing.assert_allclose(motion, [0.26, 0.0, 0.0], atol=1e-4)
-    assert fused[0, 0] < 1e-7
-    assert fused[1, 1] == pytest.approx(covariance[1, 1])

@@ -3,6 +3,7 @@
 from itertools import pairwise
 
 import numpy as np
+import pytest
 
 from drivers import se2
 from drivers.messages import Odometry, Scan
@@ -17,15 +18,64 @@ from slam.preprocessing.deskew import add_motion_uncertainty, deskew, sweep_midd
 from ..odometry.circle import circle_history, pose_on_circle
 
 
-def spinning() -> Simulation:
-    """Return a drive with a perfect lidar and perfect odometry in a square room, turning at 1 rad/s at a corner."""
+def spinning(rate: float = 10.0, wheelbase: float = 0.35) -> Simulation:
+    """Return a drive with a perfect lidar and perfect wheels in a square room, turning at 1 rad/s at a corner."""
     corners = np.array([[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]])
     walls = np.hstack([corners, np.roll(corners, -1, axis=0)])
     path = np.array([[-1.0, 0.0], [0.5, 0.0], [0.5, 1.0], [-1.0, 1.0], [-1.0, 0.0]])
     world = World("square", "square", walls, np.zeros((0, 3)), path, 0.5)
     wheels = WheelModel(slip=0.0, encoder=0.0, scale_bias=0.0, difference_bias=0.0, wheelbase_bias=0.0)
-    lidar = LidarModel(sigma_range=0.0, sigma_bearing=0.0, dropouts=0.02, mixed=0.0)
+    lidar = LidarModel(rate=rate, sigma_range=0.0, sigma_bearing=0.0, dropouts=0.02, mixed=0.0)
     return Simulation(world, duration=8.0, lidar=lidar, wheels=wheels)
+
+
+def history_of(simulation: Simulation, turn_factor: float = 1.0) -> OdometryHistory:
+    """Return the odometry of a drive, whose turns are measured too large by a factor."""
+    history, pose, before = OdometryHistory(), np.zeros(3), np.zeros(3)
+    for message in simulation:
+        if isinstance(message, Odometry):
+            pose = se2.compose(pose, se2.between(before, message.pose) * [1.0, 1.0, turn_factor])
+            before = message.pose
+            history.add(Odometry(message.stamp, pose))
+    return history
+
+
+def largest_error(simulation: Simulation, history: OdometryHistory, model: OdometryModel | None = None) -> float:
+    """Return the largest distance of a de-skewed point from the walls, metres."""
+    worst = 0.0
+    for scan in (message for message in simulation if isinstance(message, Scan)):
+        sweep = deskew(scan, history, simulation.mount, 0.0, model)
+        lidar = se2.compose(simulation.trajectory.poses_at(np.array([sweep.stamp]))[0], simulation.mount)
+        local = np.column_stack([sweep.ranges * np.cos(sweep.bearings), sweep.ranges * np.sin(sweep.bearings)])
+        points = se2.transform(lidar, local[np.isfinite(sweep.ranges)])
+        worst = max(worst, float(np.abs(np.abs(points).max(axis=1) - 3.0).max()))
+    return worst
+
+
+def test_slow_sweeps_follow_changes_of_speed() -> None:
+    """The robot begins and ends its turns within sweeps of half a second."""
+    simulation = spinning(rate=2.0)
+    assert largest_error(simulation, history_of(simulation)) < 0.02
+
+
+def test_systematic_errors_of_odometry_are_corrected() -> None:
+    simulation, factor = spinning(), 1.1
+    history, model = history_of(simulation, factor), OdometryModel(OdometryConfig())
+    turns = np.column_stack([np.full(200, 0.1), np.zeros(200), np.full(200, 0.2)])
+    model.add_samples(np.hstack([turns * [1.0, 1.0, factor], turns]))
+    assert largest_error(simulation, history, model) < 0.35 * largest_error(simulation, history)
+
+
+def test_information_of_points_is_limited_by_the_motion_during_both_sweeps() -> None:
+    """The mean of a random walk from the middle of a sweep to its ends has the variance that the information admits."""
+    random, model, travel, steps = np.random.default_rng(4), OdometryModel(OdometryConfig()), 0.05, 100
+    rotation = float(model.variances(np.array(travel))[1])
+    halves = random.normal(0.0, np.sqrt(rotation / steps), (2000, 4, steps)).cumsum(axis=2).mean(axis=2)
+    expected = np.var(0.5 * (halves[:, 0] + halves[:, 1]) - 0.5 * (halves[:, 2] + halves[:, 3]))
+    limited = model.limit_information(np.diag([0.0, 1e12, 1e12]), travel)
+    assert 1.0 / limited[2, 2] == pytest.approx(expected, rel=0.1)
+    assert limited[0, 0] == 0.0
+    np.testing.assert_array_equal(model.limit_information(np.eye(3), 0.0), np.eye(3))
 
 
 def test_walls_stay_straight_and_in_place_while_the_robot_turns() -> None:

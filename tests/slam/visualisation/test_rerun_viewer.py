@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from slam.events import ComparedWalls, Correction, Event, GraphInspected, LoopCheck, LoopDecided, MapUpdated
+from slam.events import ComparedPoints, Correction, Event, GraphInspected, LoopCheck, LoopDecided, MapUpdated
 from slam.graph.residuals import ODOMETRY, WALL, Residuals
 from slam.loop_closure.loop_status import LoopStatus
 from slam.visualisation.rerun_log import ReviewLog, colours
@@ -36,12 +36,12 @@ def with_closure(events: Sequence[Event]) -> list[Event]:
 def closure(event: MapUpdated) -> LoopDecided:
     walls = event.walls.end_points()[:6]
     drifted = event.keyframes + np.linspace(0, 1, len(event.keyframes))[:, None] * [1.5, 1.0, 0.0]
-    compared = ComparedWalls(walls + 1.0, walls, event.walls.end_points(), np.array([0, 1, 2, 3, 4, -1]))
+    compared = ComparedPoints(walls[:, 0] + 1.0, walls[:, 0], event.walls.end_points()[:, 0])
     return LoopDecided(
         index=event.index, stamp=event.stamp, candidate=1, old=3, motion=np.array([-1.5, -1.0, 0.0]),
         status=LoopStatus.ACCEPTED, reason="all checks passed", overlap_ratio=0.9, matches=5, runner_up=0.2, sigma=0.01,
         contradicted=0.0, merged=((0, 40),), shift=1.8,
-        checks=(LoopCheck("walls", 5.0, 4.0, True, True),), compared=compared,
+        checks=(LoopCheck("support", 5.0, 4.0, True, True),), compared=compared,
         correction=Correction(drifted, event.keyframes, event.walls, 100.0, 5000.0, 120.0),
     )  # fmt: skip
 

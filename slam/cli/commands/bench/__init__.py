@@ -16,6 +16,8 @@ from .laps import bench_laps
 from .lookalike import bench_lookalike
 from .paper import bench_paper
 from .relocalisation import bench_relocalisation
+from .residuals import bench_residuals
+from .robust import bench_robust
 from .slam import bench_slam
 
 bench = typer.Typer(no_args_is_help=True, help="Run benchmarks of accuracy, consistency, robustness and speed.")
@@ -24,6 +26,8 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "features": bench_features,
     "consistency": bench_consistency,
     "laps": bench_laps,
+    "residuals": bench_residuals,
+    "robust": bench_robust,
     "relocalisation": bench_relocalisation,
     "lookalike": bench_lookalike,
     "false-closures": bench_false_closures,

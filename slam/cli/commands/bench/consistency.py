@@ -2,42 +2,65 @@
 
 from __future__ import annotations
 
+import json
 from typing import Annotated
 
 import typer
 
-from ...console import progress
-from .output import heading
+from ...compilation import compile_all
+from ...console import print_message, progress
+from .output import JsonOption, check_conditions, heading, provenance
+
+NAMES = (
+    "nominal, range-noise-5mm, range-noise-3cm, half-circle, range-bias, bent-walls, spin-2hz, bad-wheels, "
+    "bearing-noise, outliers, late-scans, corridor, columns, boxes, buildings"
+)
 
 
 def bench_consistency(
-    runs: Annotated[
-        int, typer.Option("--runs", min=1, help="Number of simulated drives, each with its own noise.")
-    ] = 100,
-    duration: Annotated[float, typer.Option("--duration", help="Duration of each drive in seconds.")] = 60.0,
+    conditions: Annotated[
+        list[str] | None,
+        typer.Option("--condition", metavar="NAME", help=f"Condition, can be repeated; by default all: {NAMES}."),
+    ] = None,
+    first_seed: Annotated[int, typer.Option("--first-seed", min=0, help="Seed of the first drive.")] = 0,
+    seeds: Annotated[
+        int, typer.Option("--seeds", "--runs", min=1, help="Number of drives per condition, each with its own noise.")
+    ] = 5,
+    duration: Annotated[float, typer.Option("--duration", min=1.0, help="Duration of each drive in seconds.")] = 60.0,
     range_bias: Annotated[
-        float, typer.Option("--range-bias", min=-0.5, max=0.5, help="Simulated range bias in metres.")
+        float, typer.Option("--range-bias", min=-0.5, max=0.5, help="Range bias in metres, added in each condition.")
     ] = 0.0,
     calibrate: Annotated[
         bool,
         typer.Option("--calibrate", help="Estimate the range bias from an additional drive, as `wclm calibrate` does."),
     ] = False,
+    processes: Annotated[int, typer.Option("--processes", min=1, help="Number of processes.")] = 2,
+    as_json: JsonOption = False,
 ) -> None:
-    """Compare errors with covariances on simulated drives (NEES).
+    """Compare errors with covariances on simulated drives (NEES) under several conditions.
 
     A NEES of 1 is consistent, more is overconfident. The lidar is mounted off-centre and turned by 100 degrees. Each
-    drive takes about two seconds.
+    drive takes about three seconds. Each condition has a row with the means over its drives and their standard errors;
+    means outside of 0.7 to 1.4 have a question mark, those that are more than two standard errors outside are bold.
 
-    Example: [bold]wclm bench consistency --runs 20[/bold]
+    Example: [bold]wclm bench consistency --condition nominal --condition bent-walls --seeds 20[/bold]
     """
     from ....config import Config
     from ....evaluation.benchmarks.consistency import calibrated_config, consistency_table, simulate, summarise
+    from ....evaluation.benchmarks.consistency_conditions import CONDITIONS
 
+    chosen = check_conditions(conditions, CONDITIONS)
+    compile_all()
     config = Config()
-    typer.echo("\n".join(heading(0)))
     if calibrate:
         config, sigma = calibrated_config(range_bias, duration)
-        typer.echo(f"range bias  {config.lidar.range_bias:.4f} ± {sigma:.4f} m, estimated")
-    drives = simulate(range(runs), duration, range_bias=range_bias, config=config)
-    found = list(progress(drives, runs, "drives"))
-    typer.echo("\n".join(consistency_table(summarise(found))))
+        print_message(f"estimated range bias {config.lidar.range_bias:.4f} ± {sigma:.4f} m")
+    numbers, results = range(first_seed, first_seed + seeds), []
+    for name in chosen:
+        drives = simulate(numbers, duration, name, range_bias=range_bias, config=config, processes=processes)
+        results.append(summarise(list(progress(drives, seeds, name)), name))
+    if as_json:
+        content = provenance(first_seed) | {"seeds": seeds, "conditions": [result.as_data() for result in results]}
+        typer.echo(json.dumps(content))
+    else:
+        typer.echo("\n".join([*heading(first_seed), *consistency_table(results)]))

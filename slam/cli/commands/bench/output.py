@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import typer
 
+from ....errors import ConfigurationError
 from ....io.host import describe_machine, versions
 from ....io.output_dir import to_json_types
 
@@ -18,9 +19,18 @@ TablesOption = Annotated[
 ]
 
 
-def provenance(seed: int) -> dict[str, Any]:
-    """Return the machine, the versions and the seed, for JSON."""
-    return {"machine": describe_machine(), "versions": versions(), "seed": seed}
+def check_conditions(names: Iterable[str] | None, known: Collection[str]) -> tuple[str, ...]:
+    """Return the chosen conditions, each once, or all `known` ones. Raises ConfigurationError for an unknown name."""
+    chosen = tuple(dict.fromkeys(names or known))
+    if unknown := [name for name in chosen if name not in known]:
+        raise ConfigurationError(f"--condition {unknown[0]}: no such condition; known are {', '.join(known)}")
+    return chosen
+
+
+def provenance(seed: int | None) -> dict[str, Any]:
+    """Return the machine, the versions and the seed, if there is one, for JSON."""
+    content: dict[str, Any] = {"machine": describe_machine(), "versions": versions()}
+    return content if seed is None else content | {"seed": seed}
 
 
 def heading(seed: int) -> list[str]:

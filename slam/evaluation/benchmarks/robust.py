@@ -1,0 +1,270 @@
+"""Measure how reliably drives are mapped that nobody tuned for (`wclm bench robust`), compared with raw odometry.
+
+Where there is a reference, errors are compared with it: relations, or a trajectory after rigid alignment. Without a
+reference, the agreement of the scans along the path shows how well the drive was mapped. Both are computed in the same
+way for the path of raw odometry: SLAM should never be worse than that.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+import drivers
+from drivers.messages import Message, Odometry, Scan, Source
+
+from ...config import Config
+from ...errors import SlamError
+from ...events import Finished
+from ...geometry.segments import Floats
+from ...io.recorded_stamps import as_recorded
+from ...io.tum import Trajectory, read_tum
+from ...pipeline import Slam
+from ...warmup import warm_up
+from ..metrics import MIN_ALIGNED_PAIRS, read_relations, score_reference, score_relations
+from ..scan_agreement import BeamTable, ScanAgreement
+from .robust_drives import RELATIONS, WORLDS, RecordedDrive
+
+Prepare: TypeAlias = Callable[[Source], Config]
+"""Returns the settings with what a recording's source determines itself, such as the lidar's delay."""
+
+WORSE = 1.05
+"""Factor to odometry's value from which on a result is worse. Results of one drive scatter by some per cent if anything
+changes."""
+
+
+class Job(NamedTuple):
+    """A drive to be mapped: a recording, or a simulated world by name with a seed."""
+
+    recording: RecordedDrive | None
+    world: str = ""
+    seed: int = 0
+
+    @property
+    def name(self) -> str:
+        """Name of the drive."""
+        return f"{self.world} {self.seed}" if self.recording is None else self.recording.name
+
+
+@dataclass(frozen=True, slots=True)
+class PathScore:
+    """Scores of one path.
+
+    error      metres: mean of the relations, or RMS after alignment with a trajectory; NaN without a reference
+    max_error  metres, largest error
+    entropy, conflict  of the scans along the path, see `ScanAgreement`
+    """
+
+    error: float
+    max_error: float
+    entropy: float
+    conflict: float
+
+
+NO_SCORE = PathScore(math.nan, math.nan, math.nan, math.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class RobustResult:
+    """Result of one drive.
+
+    reference  origin of the reference: "relations", "gmapping", "truth", etc.; empty without one
+    slam, odometry  scores of the path of SLAM and of raw odometry
+    placed     share of the scans that have a pose
+    lost       share of the scans taken while the robot was LOST
+    suspects   sentences of the suspects
+    cpu        processor time of the run, seconds, with reading or simulating
+    failed     reason if there is no map
+    """
+
+    name: str
+    reference: str = ""
+    scans: int = 0
+    duration: float = 0.0
+    travelled: float = 0.0
+    slam: PathScore = NO_SCORE
+    odometry: PathScore = NO_SCORE
+    placed: float = 0.0
+    lost: float = 0.0
+    closures: int = 0
+    suspects: tuple[str, ...] = field(default=())
+    cpu: float = 0.0
+    failed: str = ""
+
+    @property
+    def worse(self) -> tuple[str, ...]:
+        """Names of the scores that are worse than those of raw odometry by the factor WORSE."""
+        names = ("error", "entropy", "conflict")
+        return tuple(n for n in names if getattr(self.slam, n) > WORSE * getattr(self.odometry, n))
+
+    def as_data(self) -> dict[str, Any]:
+        """Return the result as plain data for JSON."""
+        return asdict(self) | {"worse_than_odometry": self.worse}
+
+
+def run_jobs(jobs: Sequence[Job], prepare: Prepare, processes: int = 1) -> Iterator[RobustResult]:
+    """Yield the results of the jobs in their order."""
+    if processes == 1:
+        yield from (run_job(job, prepare) for job in jobs)
+        return
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=warm_up) as pool:
+        yield from pool.map(partial(run_job, prepare=prepare), jobs)
+
+
+def run_job(job: Job, prepare: Prepare) -> RobustResult:
+    """Map one drive and score it. Any failure is a result: the other drives are to be measured anyway."""
+    try:
+        return _run_world(job, prepare) if job.recording is None else _run_recording(job.recording, prepare)
+    except Exception as error:
+        kind = "" if isinstance(error, SlamError) else f"internal error, {type(error).__name__}: "
+        return RobustResult(job.name, failed=f"{kind}{' '.join(str(error).split())}")
+
+
+def _run_recording(drive: RecordedDrive, prepare: Prepare) -> RobustResult:
+    source = drivers.open(drive.path)
+    run = _Run(source, prepare(source))
+    stamps = as_recorded(run.finished.stamps, {"recordings": [{"recorded_stamps": source.report.recorded_stamps}]})
+    paths = [(stamps, run.finished.poses), run.odometry_path(source.report.recorded_stamps)]
+    origin, errors = "", [(math.nan, math.nan)] * 2
+    if drive.reference is not None:
+        origin = drive.reference.name.removeprefix(drive.path.stem).removesuffix(drive.reference.suffix).strip(".")
+        origin = origin or "relations"
+        errors = [reference_errors(Trajectory.sorted(*path), drive.reference) for path in paths]
+    return run.result(drive.name, origin, errors)
+
+
+def reference_errors(path: Trajectory, reference: Path) -> tuple[float, float]:
+    """Return the error of a path, and the largest one, against relations or a reference trajectory in a file, metres.
+
+    `path` has the recording's own stamps. The error is the mean over relations, or the RMS over a trajectory.
+    """
+    if reference.suffix == RELATIONS:
+        translation = score_relations(path, read_relations(reference)).errors.translation
+        return float(translation.mean()), float(translation.max())
+    return _trajectory_errors(path, read_tum(reference))
+
+
+def _trajectory_errors(path: Trajectory, reference: Trajectory) -> tuple[float, float]:
+    """Return the RMS and the largest position error at the reference's stamps after rigid alignment, metres."""
+    at = path.at(reference.stamps)
+    if at.covered.sum() < MIN_ALIGNED_PAIRS:
+        return math.nan, math.nan
+    stamps = reference.stamps[at.covered]
+    score = score_reference(Trajectory(stamps, at.poses[at.covered]), Trajectory(stamps, reference.poses[at.covered]))
+    figures = score.figures()
+    return figures["ate_rmse"], figures["ate_max"]
+
+
+def _run_world(job: Job, prepare: Prepare) -> RobustResult:
+    world = WORLDS[job.world]
+    simulation = world.simulation(job.seed)
+    with world.messages(simulation) as messages:
+        config = prepare(messages) if isinstance(messages, Source) else Config()
+        run = _Run(messages, config)
+    delay = config.lidar.delay or 0.0  # the path is on the lidar's clock, the truth on that of odometry
+    errors = []
+    for (stamps, poses), late in (((run.finished.stamps, run.finished.poses), delay), (run.odometry_path({}), 0.0)):
+        truth = Trajectory(stamps, simulation.trajectory.poses_at(stamps - late))
+        errors.append(_trajectory_errors(Trajectory(stamps, poses), truth))
+    return run.result(job.name, "truth", errors)
+
+
+class _Run:
+    """One run of SLAM, with what is needed to score its path and that of odometry."""
+
+    def __init__(self, messages: Iterable[Message], config: Config) -> None:
+        """Map all messages. Raises RecordingError or MapError."""
+        slam, self._beams = Slam(config), BeamTable()
+        readings: list[Odometry] = []
+        started = time.process_time()
+        for message in messages:
+            slam.add(message)
+            if isinstance(message, Scan):
+                self._beams.add(message)
+            elif isinstance(message, Odometry):
+                readings.append(message)
+        self.finished: Finished = slam.finish()
+        self._cpu = time.process_time() - started
+        self._odometry = np.array([r.stamp for r in readings]), np.array([r.pose for r in readings])
+        state = slam.slam_state
+        self._placed = len(state.trajectory.at_scans(state.mapper.keyframe_poses)[0])
+
+    def odometry_path(self, recorded_stamps: dict[float, float]) -> tuple[Floats, Floats]:
+        """Return stamps (n,), as they were recorded, and poses (n, 3) of raw odometry."""
+        stamps, poses = self._odometry
+        return as_recorded(stamps, {"recordings": [{"recorded_stamps": recorded_stamps}]}), poses
+
+    def result(self, name: str, reference: str, errors: Sequence[tuple[float, float]]) -> RobustResult:
+        """Return the result, given the errors of the path and of odometry."""
+        summary: dict[str, Any] = self.finished.summary
+        path = Trajectory.sorted(self.finished.stamps, self.finished.poses)
+        odometry = Trajectory.sorted(*self._odometry)
+        agreements = [self._beams.agreement(path), self._beams.agreement(odometry)]
+        slam, raw = (_score(*pair) for pair in zip(errors, agreements, strict=True))
+        return RobustResult(
+            name=name,
+            reference=reference,
+            scans=self._beams.scans,
+            duration=path.duration,
+            travelled=float(path.travelled[-1]),
+            slam=slam,
+            odometry=raw,
+            placed=self._placed / max(self._beams.scans, 1),
+            lost=summary["health"]["lost"] / max(self._beams.scans, 1),
+            closures=summary["loops"]["accepted"],
+            suspects=tuple(suspect["sentence"] for suspect in summary["suspects"]),
+            cpu=self._cpu,
+        )
+
+
+def _score(errors: tuple[float, float], agreement: ScanAgreement) -> PathScore:
+    return PathScore(*errors, agreement.entropy, agreement.conflict)
+
+
+TABLE_HEAD = (
+    "| drive | reference | distance, m | error, m | max, m | entropy | conflict | placed | LOST | closures | suspects "
+    "| CPU, s |",
+    "|---" * 12 + "|",
+)
+
+
+def table_row(result: RobustResult) -> str:
+    """Return the line of a Markdown table: values of SLAM and, after a stroke, of raw odometry.
+
+    Those of SLAM that are worse than odometry's by the factor WORSE are bold.
+    """
+    if result.failed:
+        return f"| {result.name} | no map: {result.failed} " + "|" * 11
+    shares = f"{100 * result.placed:.0f} % | {100 * result.lost:.0f} %"
+    return (
+        f"| {result.name} | {result.reference or '-'} | {result.travelled:.0f} | {_cell(result, 'error')} "
+        f"| {_number(result.slam.max_error)} | {_cell(result, 'entropy')} | {_cell(result, 'conflict')} | {shares} "
+        f"| {result.closures} | {len(result.suspects)} | {result.cpu:.1f} |"
+    )
+
+
+def _cell(row: RobustResult, name: str) -> str:
+    slam, odometry = getattr(row.slam, name), getattr(row.odometry, name)
+    if math.isnan(slam):
+        return "-"
+    text = f"**{_number(slam)}**" if name in row.worse else _number(slam)
+    return f"{text} / {_number(odometry)}"
+
+
+def _number(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.3f}"
+
+
+def select_jobs(recordings: Sequence[RecordedDrive], conditions: Sequence[str], seeds: Sequence[int]) -> list[Job]:
+    """Return the jobs of the recordings and of the worlds, with all seeds, whose names are among `conditions`."""
+    jobs = [Job(drive) for drive in recordings if drive.name in conditions]
+    return jobs + [Job(None, world, seed) for world in WORLDS if world in conditions for seed in seeds]

@@ -1,0 +1,1 @@
+"""Worlds and logs for benchmarks: variants of worlds, random buildings, crowds, and defects of recordings."""

@@ -1,0 +1,126 @@
+"""Variants of a log: other lidars, systematic errors of ranges and stamps, and thinned logs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from operator import attrgetter
+from typing import TypeAlias
+
+import numpy as np
+
+from drivers import se2
+from drivers.messages import Message, Odometry, Scan, with_reversed_times
+from drivers.se2 import Pose
+
+LogVariant: TypeAlias = Callable[[Iterable[Message], np.random.Generator], Iterable[Message]]
+"""Changes the messages of a drive; the generator is for its random numbers."""
+
+KEPT_DISTANCE, KEPT_TURN = 1.0, float(np.radians(30.0))
+"""Metres and radians driven between two scans of a thinned log."""
+NO_RETURNS = 51.05, 51.16
+"""Metres between which the readings for a no-return scatter; those of the lidar of two public logs."""
+
+
+def _of_scans(change: Callable[[Scan, np.random.Generator], Scan]) -> LogVariant:
+    """Return the variant that changes each scan by itself."""
+
+    def changed(messages: Iterable[Message], random: np.random.Generator) -> Iterator[Message]:
+        for message in messages:
+            yield change(message, random) if isinstance(message, Scan) else message
+
+    return changed
+
+
+def crop(half_angle: float) -> LogVariant:
+    """Keep the beams within an angle (radians) to both sides of ahead; the first one that remains is at the stamp."""
+
+    def cropped(scan: Scan, _: np.random.Generator) -> Scan:
+        kept = np.abs(scan.angles) <= half_angle + 1e-6  # angles are multiples of a rounded increment
+        offsets = scan.time_offsets[kept]
+        return replace(
+            scan,
+            stamp=scan.stamp + float(offsets[0]),
+            ranges=scan.ranges[kept],
+            angles=scan.angles[kept],
+            time_offsets=offsets - offsets[0],
+        )
+
+    return _in_time_order(_of_scans(cropped))
+
+
+def quantise(step: float) -> LogVariant:
+    """Round all ranges to multiples of `step` metres."""
+    return _of_scans(lambda scan, _: replace(scan, ranges=step * np.round(scan.ranges / step)))
+
+
+def disturb(share: float, error: float) -> LogVariant:
+    """Add `error` metres to a share of all ranges, chosen at random."""
+
+    def disturbed(scan: Scan, random: np.random.Generator) -> Scan:
+        return replace(scan, ranges=scan.ranges + error * (random.random(len(scan.ranges)) < share))
+
+    return _of_scans(disturbed)
+
+
+def stamp_late(seconds: float) -> LogVariant:
+    """Add `seconds` to the stamps of all scans."""
+    return _in_time_order(_of_scans(lambda scan, _: replace(scan, stamp=scan.stamp + seconds)))
+
+
+def reverse_times() -> LogVariant:
+    """Reverse the order of the beams' times, as a driver does that reverses the beams but not their times."""
+    return _of_scans(lambda scan, _: with_reversed_times(scan))
+
+
+def thin(distance: float = KEPT_DISTANCE, turn: float = KEPT_TURN) -> LogVariant:
+    """Keep one scan for each `distance` (metres) or `turn` (radians) of odometry, as in many published logs."""
+
+    def thinned(messages: Iterable[Message], _: np.random.Generator) -> Iterator[Message]:
+        pose: Pose | None = None
+        kept: Pose | None = None
+        for message in messages:
+            if isinstance(message, Odometry):
+                pose = message.pose
+            if isinstance(message, Scan):
+                if pose is None or (kept is not None and not _is_beyond(se2.between(kept, pose), distance, turn)):
+                    continue
+                kept = pose
+            yield message
+
+    return thinned
+
+
+def _is_beyond(motion: Pose, distance: float, turn: float) -> bool:
+    return bool(np.hypot(motion[0], motion[1]) >= distance or abs(motion[2]) >= turn)
+
+
+def scatter_no_returns(low: float = NO_RETURNS[0], high: float = NO_RETURNS[1]) -> LogVariant:
+    """Replace no-returns by readings that scatter over a narrow band, `low` to `high` metres."""
+
+    def scattered(scan: Scan, random: np.random.Generator) -> Scan:
+        readings = random.uniform(low, high, len(scan.ranges))
+        limit = max(scan.range_max, high + 1.0)
+        return replace(scan, ranges=np.where(np.isnan(scan.ranges), readings, scan.ranges), range_max=limit)
+
+    return _of_scans(scattered)
+
+
+def chain(*variants: LogVariant) -> LogVariant:
+    """Apply variants one after the other."""
+
+    def chained(messages: Iterable[Message], random: np.random.Generator) -> Iterable[Message]:
+        for variant in variants:
+            messages = variant(messages, random)
+        return messages
+
+    return chained
+
+
+def _in_time_order(variant: LogVariant) -> LogVariant:
+    """Return a variant whose messages are sorted by stamp; it holds the whole drive in memory."""
+
+    def ordered(messages: Iterable[Message], random: np.random.Generator) -> list[Message]:
+        return sorted(variant(messages, random), key=attrgetter("stamp"))
+
+    return ordered

@@ -1,0 +1,93 @@
+"""Errors of wall observations that repeat with every view.
+
+A real wall is bent, and has frames and recesses. Segments fitted to it from neighbouring keyframes err alike, so many
+of them know less than as many independent ones. For the whitened residuals z of one wall in the order of its keyframes,
+with the autocovariances g_j, the mean of n values has the variance g / n with the long-run variance
+
+    g = g_0 + 2 sum_j (1 - j / (J + 1)) g_j,   j = 1 ... J
+
+(Newey, West 1987), which is one for white noise as modelled. The information of the wall's observations is divided by
+it. Residuals are weighted by the robust kernel, as they are in the estimate, and divided by what this leaves of white
+noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from drivers import se2
+
+from ..geometry.segments import Floats
+from .factors import WALL_CAUCHY_SCALE, Factor, FactorKind
+
+# Keyframes over which the errors of one wall are taken as correlated. Origin: chosen, some 5 m of driving, after which
+# another part of the wall is seen; the residuals of recordings are white beyond it.
+MAX_LAG = 15
+# Observations of a wall at which its own estimate has as much weight as that of all walls: the variance of the estimate
+# from n values is 4/3 (J + 1) / n of its square, and walls are expected to differ by their mean. Origin: definition.
+EQUAL_WEIGHT_COUNT = 4.0 / 3.0 * (MAX_LAG + 1)
+
+# Variance of a standard normal variable times its robust weight 1 / (1 + z^2 / 8).
+# Origin: chi-square, 1 dof, integrated with WALL_CAUCHY_SCALE.
+WEIGHTED_VARIANCE = 0.593
+
+
+def with_correlated_errors(
+    factors: Mapping[int, Factor], poses: Mapping[int, se2.Pose], frames: Mapping[int, se2.Pose], bias: float
+) -> list[Factor]:
+    """Return all factors in order, with the information of walls divided by the long-run variance of their residuals.
+
+    factors  by their numbers
+    poses    of the keyframes, [x, y, heading]
+    frames   of the walls
+    bias     range bias without which the graph was solved, metres
+
+    Long-run variances below one are taken as one: estimating poses and walls has made residuals smaller than errors.
+    """
+    result = dict(sorted(factors.items()))
+    for kind in (FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET):
+        numbers = [number for number, factor in result.items() if factor.kind is kind]
+        if not numbers:
+            continue
+        influence = _weighted_residuals([result[number] for number in numbers], poses, frames, bias)
+        variance = _variances_of_walls(np.array([result[number].second for number in numbers]), influence)
+        for number in numbers:
+            factor = result[number]
+            result[number] = replace(factor, covariance=factor.covariance * max(1.0, variance[factor.second]))
+    return list(result.values())
+
+
+def _weighted_residuals(
+    factors: list[Factor], poses: Mapping[int, se2.Pose], frames: Mapping[int, se2.Pose], bias: float
+) -> Floats:
+    """Return the whitened residuals (n,) of factors of one kind of wall observation, times their robust weights.
+
+    Their variance is one for white noise as modelled.
+    """
+    seen = se2.between(np.array([poses[f.first] for f in factors]), np.array([frames[f.second] for f in factors]))
+    measured = np.array([f.without_range_bias(bias) for f in factors])
+    error = se2.between(measured[:, :3], seen).reshape(-1, 3)
+    residual = error[:, 2] if measured.shape[1] == 3 else error[:, 1] + measured[:, 3] * error[:, 2]
+    whitened = residual / np.sqrt([f.covariance[0, 0] for f in factors])
+    weight = 1.0 / (1.0 + (whitened / WALL_CAUCHY_SCALE) ** 2)
+    return np.asarray(weight * whitened / np.sqrt(WEIGHTED_VARIANCE))
+
+
+def _variances_of_walls(walls: np.ndarray[tuple[int], np.dtype[np.int64]], values: Floats) -> dict[int, float]:
+    """Return the long-run variance of each wall's values (n,), shrunk to that of all walls."""
+    sums = {int(wall): (long_run_sum(values[walls == wall]), int((walls == wall).sum())) for wall in np.unique(walls)}
+    common = sum(total for total, _ in sums.values()) / len(values)
+    return {
+        wall: (total + EQUAL_WEIGHT_COUNT * common) / (count + EQUAL_WEIGHT_COUNT)
+        for wall, (total, count) in sums.items()
+    }
+
+
+def long_run_sum(values: Floats) -> float:
+    """Return n times the long-run variance of n values in order."""
+    lags = range(1, min(MAX_LAG, len(values) - 1) + 1)
+    products = sum((1.0 - j / (MAX_LAG + 1)) * float(values[j:] @ values[:-j]) for j in lags)
+    return float(values @ values) + 2.0 * products

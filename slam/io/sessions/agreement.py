@@ -1,0 +1,126 @@
+"""Records of the search for agreement in `session.json`; see `LoopAgreementState`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import AfterValidator, Field
+
+from ...loop_closure.decision import LoopMatch
+from ...loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis, OldPlace
+from .records import Finite, Matrix, Pose, Record, to_matrix, to_pose
+
+
+def _positive_definite(matrix: Matrix) -> Matrix:
+    if np.linalg.eigvalsh(np.array(matrix))[0] <= 0.0:
+        raise ValueError("is no covariance")
+    return matrix
+
+
+class _Match(Record):
+    keyframe: int
+    old: int
+    relative: Pose
+    covariance: Annotated[Matrix, AfterValidator(_positive_definite)]
+    travelled: Finite
+    fit: Finite
+    known: Finite
+
+
+class _Hypothesis(Record):
+    motion: Pose
+    support: list[_Match]
+    contradictions: list[Finite]
+
+
+class _SupportedHypothesis(_Hypothesis):
+    support: list[_Match] = Field(min_length=1)
+
+
+class _Place(Record):
+    centre: int
+    keyframes: list[int]
+    poses: list[Pose]
+
+
+class AgreementRecord(Record):
+    """State of the search for agreement."""
+
+    last_search: Finite
+    places: list[_Place]
+    searched: list[tuple[int, Finite]]
+    returns: list[Finite]
+    estimate: _Hypothesis
+    hypotheses: list[_SupportedHypothesis]
+    candidates: int
+    retracted: list[Pose]
+
+
+def agreement_record(state: LoopAgreementState) -> AgreementRecord:
+    """Return the record of a state."""
+    return AgreementRecord(
+        last_search=state.last_search,
+        places=[
+            _Place(centre=centre, keyframes=place.keyframes.tolist(), poses=[to_pose(pose) for pose in place.poses])
+            for centre, place in state.places
+        ],
+        searched=list(state.searched),
+        returns=list(state.returns),
+        estimate=_Hypothesis(**_fields(state.estimate)),
+        hypotheses=[_SupportedHypothesis(**_fields(hypothesis)) for hypothesis in state.hypotheses],
+        candidates=state.candidates,
+        retracted=[to_pose(motion) for motion in state.retracted],
+    )
+
+
+def agreement_state(record: AgreementRecord) -> LoopAgreementState:
+    """Return the state of a record."""
+    places = [
+        (place.centre, OldPlace(np.array(place.keyframes, dtype=np.int64), np.array(place.poses).reshape(-1, 3)))
+        for place in record.places
+    ]
+    hypotheses = tuple(_hypothesis(hypothesis) for hypothesis in record.hypotheses)
+    return LoopAgreementState(
+        record.last_search,
+        places,
+        record.searched,
+        record.returns,
+        _hypothesis(record.estimate),
+        hypotheses,
+        record.candidates,
+        [np.array(motion) for motion in record.retracted],
+    )
+
+
+def _fields(hypothesis: LoopHypothesis) -> dict[str, object]:
+    """Return the fields of a hypothesis' record."""
+    support = [
+        _Match(
+            keyframe=match.keyframe,
+            old=match.old,
+            relative=to_pose(match.relative),
+            covariance=to_matrix(match.covariance),
+            travelled=match.travelled,
+            fit=match.fit,
+            known=match.known,
+        )
+        for match in hypothesis.support
+    ]
+    return {"motion": to_pose(hypothesis.motion), "support": support, "contradictions": hypothesis.contradictions}
+
+
+def _hypothesis(record: _Hypothesis) -> LoopHypothesis:
+    support = [
+        LoopMatch(
+            match.keyframe,
+            match.old,
+            np.array(match.relative),
+            np.array(match.covariance),
+            match.travelled,
+            match.fit,
+            match.known,
+        )
+        for match in record.support
+    ]
+    return LoopHypothesis(np.array(record.motion), support, list(record.contradictions))

@@ -1,0 +1,213 @@
+"""A look at old places: the points of the last keyframes, matched with those of earlier passes.
+
+The old places are those where the robot may be by the uncertainty of the estimate. If there are more than can be
+searched at once, those that were not searched for the longest time come first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from drivers import se2
+
+from ..geometry.segments import Floats, Integers
+from ..localisation.local_field import REFERENCE_DISTANCE, LocalField
+from ..mapping.mapper import Mapper
+from .decision import LoopMatch
+from .loop_hypothesis import OldPlace
+from .submap_search import Submap, SubmapMatch, build_submap, improve, search_submap
+
+# Metres of driving whose keyframes are the submap. Looks farther apart have no point in common.
+# Origin: chosen, about the size of a room; not measured.
+SUBMAP_LENGTH = 6.0
+# Metres of driving between the middles of the submaps of old places. Origin: definition, half a submap.
+SUBMAP_INTERVAL = SUBMAP_LENGTH / 2.0
+# Submaps of old places that are kept, and places that are searched at a look. Origin: chosen, for memory and time.
+MAX_SUBMAPS = 16
+MAX_PLACES = 8  # Origin: as MAX_SUBMAPS.
+# Metres from the middle of a submap to the sides of its field. Origin: chosen, a usual range indoors; not measured.
+SUBMAP_HALF_WIDTH = 15.0
+# Largest squared Mahalanobis distance. Origin: chi-square, 3 dof, 99.9 %.
+MAX_SQUARED_DISTANCE = 16.3
+# Standard deviations of the estimate within which places are searched. Origin: chosen, 99.7 % of a normal distribution.
+SEARCH_DEVIATIONS = 3.0
+# Metres, metres, radians: errors of the estimate that its covariance does not contain, such as slips that were not
+# recognised. Origin: chosen; not measured.
+UNMODELLED_SIGMAS = np.array([0.3, 0.3, 0.05])
+
+
+class Submaps:
+    """Submaps of the old places that were built last, by the keyframe in their middle."""
+
+    def __init__(self, places: Sequence[tuple[int, OldPlace]] = (), local_field: LocalField | None = None) -> None:
+        """Build the submaps of saved `places`; `local_field` has the points of all keyframes."""
+        self._submaps: dict[int, tuple[OldPlace, Submap]] = {}
+        if local_field is not None:
+            self._submaps = {centre: (place, _build(place, local_field)) for centre, place in places}
+
+    def copy(self) -> Submaps:
+        """Return an independent copy; submaps are never changed and are shared."""
+        other = Submaps()
+        other._submaps = dict(self._submaps)
+        return other
+
+    @property
+    def places(self) -> list[tuple[int, OldPlace]]:
+        """Places to be saved."""
+        return [(centre, place) for centre, (place, _) in self._submaps.items()]
+
+    def get(self, keyframe: int, place_around: Callable[[int], OldPlace], local_field: LocalField) -> Submap:
+        """Return the submap around a keyframe; it is built from `place_around` if it is not kept."""
+        if keyframe not in self._submaps:
+            place = place_around(keyframe)
+            self._submaps = dict([*self._submaps.items()][1 - MAX_SUBMAPS :])
+            self._submaps[keyframe] = place, _build(place, local_field)
+        return self._submaps[keyframe][1]
+
+
+class Look:
+    """The submap of the last keyframe, to be matched with those of old places."""
+
+    def __init__(self, mapper: Mapper, local_field: LocalField, submaps: Submaps) -> None:
+        self._mapper, self._field, self._submaps = mapper, local_field, submaps
+        self._travelled = np.asarray(mapper.travelled)
+        self._ways = local_field.ways(mapper.travelled)
+        self._covariances: dict[int, Floats] = {}
+        self.last = mapper.keyframe_count - 1
+        self.travelled = float(self._travelled[self.last])
+        poses = mapper.keyframe_poses
+        self.pose = poses[self.last]
+        old = np.flatnonzero(self._travelled < self.travelled - 2 * SUBMAP_LENGTH)
+        number = np.floor(self._travelled[old] / SUBMAP_INTERVAL)
+        self._old = old[np.flatnonzero(np.diff(number, prepend=-1.0))]  # keyframes in the middle of old submaps
+        self._distances = np.hypot(*(poses[self._old, :2] - self.pose[:2]).T)
+        self._submap: Submap | None = None
+
+    @property
+    def submap(self) -> Submap:
+        """Submap of the last keyframes."""
+        if self._submap is None:
+            recent = np.flatnonzero(self._ways > self._ways[self.last] - SUBMAP_LENGTH)
+            self._submap = _build(self._place(recent, self.last), self._field)
+        return self._submap
+
+    def reference(self, old: int) -> Submap:
+        """Return the submap around an old keyframe."""
+        return self._submaps.get(old, self._place_around, self._field)
+
+    def _place_around(self, old: int) -> OldPlace:
+        around = np.abs(self._ways - self._ways[old]) < SUBMAP_LENGTH
+        around &= self._travelled < self.travelled - SUBMAP_LENGTH
+        return self._place(np.flatnonzero(around), old)
+
+    def _place(self, keyframes: Integers, centre: int) -> OldPlace:
+        """Return keyframes (n,) with their present poses in the frame of one of them."""
+        poses = self._mapper.keyframe_poses
+        return OldPlace(keyframes, se2.between(poses[centre], poses[keyframes]).reshape(-1, 3))
+
+    def place_at(self, pose: se2.Pose) -> int | None:
+        """Return the keyframe in the middle of the oldest submap near a pose in the map."""
+        near = np.hypot(*(self._mapper.keyframe_poses[self._old, :2] - pose[:2]).T) < REFERENCE_DISTANCE
+        return int(self._old[near.argmax()]) if near.any() else None
+
+    def covariance(self, old: int) -> Floats:
+        """Return the covariance (3, 3) of the last keyframe's pose relative to an old one, in its own frame."""
+        if old not in self._covariances:
+            self._covariances[old] = self._mapper.relative_covariance(old, self.last) + np.diag(UNMODELLED_SIGMAS**2)
+        return self._covariances[old]
+
+    def possible_places(self) -> list[int]:
+        """Return the places where the robot may be by the uncertainty of the estimate.
+
+        Places closer together than REFERENCE_DISTANCE are represented by the oldest of them.
+        """
+        poses, spread = self._mapper.keyframe_poses, _position_sigmas(self._mapper.pose_covariances)
+        bound = SEARCH_DEVIATIONS * (spread[self._old] + spread[self.last] + UNMODELLED_SIGMAS[0])
+        chosen = list[int]()
+        for keyframe in self._old[self._distances < bound + REFERENCE_DISTANCE].tolist():
+            if np.hypot(*(poses[chosen, :2] - poses[keyframe, :2]).T).min(initial=np.inf) > REFERENCE_DISTANCE:
+                chosen.append(keyframe)
+        reach = {old: self.search_radius(old) + REFERENCE_DISTANCE for old in chosen}
+        return [old for old in chosen if np.hypot(*(poses[old, :2] - self.pose[:2])) < reach[old]]
+
+    def search_radius(self, old: int) -> float:
+        """Return the metres by which the position relative to an old keyframe may be wrong."""
+        return SEARCH_DEVIATIONS * float(np.sqrt(np.linalg.eigvalsh(self.covariance(old)[:2, :2])[-1]))
+
+    def relative(self, old: int, motion: se2.Pose) -> se2.Pose:
+        """Return the pose of the submap in that of an old place, if the robot is moved in the map by `motion`."""
+        return se2.between(self._mapper.keyframe_poses[old], se2.compose(motion, self.pose))
+
+    def motion(self, old: int, relative: se2.Pose) -> se2.Pose:
+        """Return the motion in the map that a pose of the submap in that of an old place implies."""
+        return se2.compose(se2.compose(self._mapper.keyframe_poses[old], relative), se2.inverse(self.pose))
+
+    def admits(self, old: int, relative: se2.Pose) -> bool:
+        """True if the estimate's uncertainty admits a pose of the submap in that of an old place."""
+        return self.squared_distance(old, relative) < MAX_SQUARED_DISTANCE
+
+    def squared_distance(self, old: int, relative: se2.Pose) -> float:
+        """Return the squared Mahalanobis distance of a pose of the submap in that of an old place from the estimate."""
+        return _squared(self.relative(old, np.zeros(3)), relative, self.covariance(old))
+
+    def compared_points(self, old: int) -> tuple[Floats, Floats]:
+        """Return the points of the submap (n, 2) and of that of an old place (m, 2), in the map."""
+        recent = se2.transform(self.pose, self.submap.points[:, :2])
+        return recent, se2.transform(self._mapper.keyframe_poses[old], self.reference(old).points[:, :2])
+
+    def keyframe_at(self, travelled: float) -> int:
+        """Return the first keyframe from a distance driven (metres) on."""
+        return int(np.searchsorted(self._travelled, travelled))
+
+    def agrees(self, old: int, match: SubmapMatch) -> bool:
+        """True if the estimate agrees with a match: the robot is back, and nothing has to be corrected."""
+        return _squared(self.relative(old, np.zeros(3)), match.pose, match.covariance) < MAX_SQUARED_DISTANCE
+
+    def search(self, old: int) -> Sequence[SubmapMatch]:
+        """Return the poses of the submap in that of an old place that the estimate's uncertainty admits."""
+        prediction, reach = self.relative(old, np.zeros(3)), self.search_radius(old)
+        if reach > REFERENCE_DISTANCE:  # the robot is near this place, or else near another one
+            prediction = np.array([0.0, 0.0, prediction[2]])
+        reach = min(REFERENCE_DISTANCE, reach)
+        turn = SEARCH_DEVIATIONS * float(np.sqrt(self.covariance(old)[2, 2]))
+        found = search_submap(self.submap, self.reference(old), prediction, reach, turn)
+        return [match for match in found if self.admits(old, match.pose)]
+
+    def test(self, old: int, motion: se2.Pose, since: int) -> SubmapMatch:
+        """Return the match of the submap with an old place near the pose by a hypothesis.
+
+        since  keyframe at which the hypothesis was tested before; if scans do not determine the motion from there on,
+               the poses within its uncertainty are searched
+        """
+        start = self.relative(old, motion)
+        match = improve(self.submap, self.reference(old), start)
+        if self._ways[self.last] - self._ways[since] > self._travelled[self.last] - self._travelled[since]:
+            covariance = self._mapper.relative_covariance(since, self.last)
+            sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+            turn = SEARCH_DEVIATIONS * float(np.sqrt(covariance[2, 2]))
+            found = search_submap(self.submap, self.reference(old), start, SEARCH_DEVIATIONS * sigma, turn)
+            within = (m for m in found if _squared(start, m.pose, covariance + m.covariance) < MAX_SQUARED_DISTANCE)
+            match = max([match, *within], key=lambda m: m.score)
+        return match
+
+    def loop_match(self, old: int, match: SubmapMatch) -> LoopMatch:
+        """Return a match as one that a loop can be closed with."""
+        return LoopMatch(self.last, old, match.pose, match.covariance, self.travelled, match.fit, match.known)
+
+
+def _build(place: OldPlace, local_field: LocalField) -> Submap:
+    """Build the submap of a place."""
+    return build_submap(place.poses, [local_field.points(int(k)) for k in place.keyframes], SUBMAP_HALF_WIDTH)
+
+
+def _position_sigmas(covariances: Sequence[Floats]) -> Floats:
+    """Return the standard deviation (n,) in the worst direction of positions with covariances (3, 3)."""
+    return np.asarray(np.sqrt(np.linalg.eigvalsh(np.asarray(covariances)[:, :2, :2])[:, -1]))
+
+
+def _squared(pose: se2.Pose, other: se2.Pose, covariance: Floats) -> float:
+    """Return the squared Mahalanobis distance of a pose from another one."""
+    error = se2.between(pose, other)
+    return float(error @ np.linalg.solve(covariance, error))

@@ -1,0 +1,34 @@
+"""Transforms in the plane: single poses and stacks, and what they are inverse to."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers import se2
+
+RANDOM = np.random.default_rng(0)
+FIRST = np.column_stack([RANDOM.uniform(-50, 50, (40, 2)), RANDOM.uniform(-7, 7, 40)])
+SECOND = np.column_stack([RANDOM.uniform(-50, 50, (40, 2)), RANDOM.uniform(-7, 7, 40)])
+
+
+@pytest.mark.parametrize("function", [se2.compose, se2.between])
+def test_single_poses_and_stacks_give_the_same(function: object) -> None:
+    assert callable(function)
+    single = np.array([function(a, b) for a, b in zip(FIRST, SECOND, strict=True)])
+    np.testing.assert_allclose(single, function(FIRST, SECOND), rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(single[:, None], function(FIRST[:, None], SECOND[:, None]), rtol=1e-12, atol=1e-12)
+
+
+def test_between_is_inverse_to_compose() -> None:
+    for a, b in zip(FIRST, SECOND, strict=True):
+        error = se2.compose(a, se2.between(a, b)) - b
+        error[2] = se2.wrap(error[2])
+        np.testing.assert_allclose(error, 0.0, atol=1e-12)
+        np.testing.assert_allclose(se2.compose(a, se2.inverse(a)), 0.0, atol=1e-12)
+        assert -np.pi <= se2.compose(a, b)[2] < np.pi
+
+
+def test_a_single_pose_and_a_stack_broadcast() -> None:
+    np.testing.assert_allclose(se2.compose(FIRST[0], SECOND)[3], se2.compose(FIRST[0], SECOND[3]), atol=1e-12)
+    np.testing.assert_allclose(se2.between(FIRST, SECOND[0])[3], se2.between(FIRST[3], SECOND[0]), atol=1e-12)

@@ -1,0 +1,148 @@
+"""Recordings and worlds of the robustness benchmark, and their comparison with raw odometry."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.messages import Message, Source
+from drivers.recordings.mcap import McapWriter
+from drivers.simulation import LidarModel, Simulation
+from slam.config import Config
+from slam.errors import MapError
+from slam.evaluation.benchmarks import robust
+from slam.evaluation.benchmarks.robust import (
+    TABLE_HEAD,
+    Job,
+    PathScore,
+    RobustResult,
+    reference_errors,
+    run_job,
+    run_jobs,
+    table_row,
+)
+from slam.evaluation.benchmarks.robust_drives import WORLDS, find_recordings
+from slam.io.tum import Trajectory, write_tum
+
+LIDAR = LidarModel(beams=180)
+
+
+def defaults(_: Source) -> Config:
+    return Config()
+
+
+def record(file: Path, messages: Iterable[Message]) -> None:
+    file.parent.mkdir(exist_ok=True)
+    with McapWriter(file) as writer:
+        for message in messages:
+            writer.write(message)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Directory with a short recording and its true path, and a broken recording."""
+    folder = tmp_path_factory.mktemp("recordings")
+    drive = Simulation("room", seed=3, duration=7.0, lidar=LIDAR)
+    record(folder / "room" / "room.mcap", drive)
+    stamps = np.arange(0.0, 7.0, 0.1)
+    write_tum(folder / "room" / "room.truth.tum", Trajectory(stamps, drive.trajectory.poses_at(stamps)))
+    (folder / "other").mkdir()
+    (folder / "other" / "broken.clf").write_text("nothing\n")
+    return folder
+
+
+def test_recordings_are_found_with_their_references(tmp_path: Path) -> None:
+    names = ["intel/intel.clf", "mines/mines-1.clf", "mines/mines-3.clf", "lego/lego.clf", "dog/dog.bag"]
+    references = ["intel/intel.relations", "intel/intel.gmapping.tum", "mines/mines-1.lama.tum", "lego/lego.camera.tum"]
+    for name in [
+        *names,
+        *references,
+        "mines/mines-1.gmapping.tum",
+        "tb4/bag/metadata.yaml",
+        "tb4/bag/a.mcap",
+        "README",
+    ]:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    found = {drive.name: drive.reference for drive in find_recordings(tmp_path)}
+    assert list(found) == ["dog", "intel", "lego", "mines/mines-1", "mines/mines-3", "tb4/bag"]
+    assert [None if path is None else path.name for path in found.values()] == [
+        None,
+        "intel.relations",
+        "lego.camera.tum",
+        "mines-1.gmapping.tum",
+        None,
+        None,
+    ]
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(MapError, match="contains no recordings"):
+        find_recordings(tmp_path / "empty")
+
+
+def test_paths_are_compared_with_relations_or_a_trajectory(tmp_path: Path) -> None:
+    stamps = np.arange(10.0)
+    path = Trajectory(stamps, np.column_stack([stamps, 0.1 * stamps**2, np.zeros(10)]))
+    (tmp_path / "a.relations").write_text("2.0 5.0 3.0 2.0 0 0 0 0\n0.0 1.0 1.0 0.1 0 0 0 0\n")
+    assert reference_errors(path, tmp_path / "a.relations") == (pytest.approx(0.05), pytest.approx(0.1))
+    write_tum(tmp_path / "a.lama.tum", Trajectory(stamps[2:8] + 0.5, path.at(stamps[2:8] + 0.5).poses))
+    assert reference_errors(path, tmp_path / "a.lama.tum") == (pytest.approx(0.0, abs=1e-5), pytest.approx(0, abs=1e-5))
+
+
+def test_a_recording_is_scored_against_its_reference_and_odometry(folder: Path) -> None:
+    broken, good = find_recordings(folder)
+    result = run_job(Job(good), defaults)
+    assert (result.name, result.reference, result.failed) == ("room", "truth", "")
+    assert 0.0 < 2.0 * result.slam.error < result.odometry.error
+    assert result.slam.entropy < result.odometry.entropy
+    assert result.placed > 0.9
+    assert (result.lost, result.worse, result.suspects) == (0.0, (), ())
+    assert result.cpu > 0.0
+    failed = run_job(Job(broken), defaults)
+    assert failed.name == "other/broken"
+    assert "broken.clf" in failed.failed
+    assert "internal error" not in failed.failed
+
+
+def test_a_world_is_scored_by_its_truth(monkeypatch: pytest.MonkeyPatch) -> None:
+    short = replace(WORLDS["crowd"], duration=6.0)
+    monkeypatch.setitem(robust.WORLDS, "crowd", short)
+    (result,) = run_jobs([Job(None, "crowd", 4)], defaults)
+    assert (result.name, result.reference, result.failed) == ("crowd 4", "truth", "")
+    assert result.slam.error < 0.02
+
+
+def test_worse_scores_than_odometrys_are_bold() -> None:
+    good = RobustResult("a", "lama", slam=PathScore(0.1, 0.3, 0.2, 0.1), odometry=PathScore(1.0, 2.0, 0.3, 0.3))
+    bad = replace(good, name="b", slam=PathScore(1.2, 2.0, 0.301, 0.4))
+    none = replace(
+        good, name="c", slam=PathScore(np.nan, np.nan, 0.2, 0.1), odometry=PathScore(np.nan, np.nan, 0.3, 0.3)
+    )
+    failed = RobustResult("d", failed="no laser scan in it")
+    assert [result.worse for result in (good, bad, none, failed)] == [(), ("error", "conflict"), (), ()]
+    table = [*TABLE_HEAD, *map(table_row, (good, bad, none, failed))]
+    assert len({line.count("|") for line in table}) == 1
+    assert "| **1.200** / 1.000 |" in table[3]
+    assert "| 0.301 / 0.300 |" in table[3]
+    assert "no map: no laser scan in it" in table[5]
+
+
+def test_the_command_prints_a_table_or_one_line_of_json(wclm: Any, folder: Path, monkeypatch: Any) -> None:
+    monkeypatch.setattr("slam.warmup.warm_up", lambda: None)
+    monkeypatch.setattr(robust, "run_job", lambda job, prepare: RobustResult(job.name, failed="skipped"))
+    options = ("bench", "robust", str(folder), "--processes", "1", "--first-seed", "7", "--seeds", "1")
+    content = wclm(*options, "--json").stdout
+    assert len(content.splitlines()) == 1
+    names = [drive["name"] for drive in json.loads(content)["drives"]]
+    assert names == ["other/broken", "room", *(f"{world} 7" for world in WORLDS)]
+    result = wclm(*options, "--condition", "room", "--condition", "crowd")
+    assert [line.split(" ")[1] for line in result.stdout.splitlines()[5:]] == ["room", "crowd"]
+    wclm.refuses(*options, "--condition", "moon", because=["moon", "no such condition", "room"])
+    wclm.refuses("bench", "robust", str(folder / "gone"), because=["gone: no such directory"])
+    text = " ".join(wclm("bench", "robust", "--help").output.replace("│", " ").split())
+    assert all(name in text for name in WORLDS)

@@ -1,0 +1,66 @@
+"""Walls whose stretches, on either side of an unseen gap, are two surfaces."""
+
+import numpy as np
+import pytest
+
+from drivers import se2
+from slam.geometry.segments import CornerPoints, Segments
+from slam.mapping.keyframes import KeyframeMotion, LandmarkIds
+from slam.mapping.mapper import Mapper
+
+SIGMAS = np.array([0.004, 0.004])
+"""Of offset and heading of a segment: metres, radians."""
+STRETCHES = np.array([[1.0, 2.0, np.pi], [5.0, 2.0, np.pi]])
+"""Frames of the two stretches, 2 m long each, with 2 m between them that nobody saw."""
+
+
+def map_with_gap(second: np.ndarray, seed: int) -> Mapper:
+    """Return a solved map with one landmark for two stretches, and another wall; six keyframes see only one stretch."""
+    random = np.random.default_rng(seed)
+    walls = np.array([STRETCHES[0], second, [-2.0, 0.0, -np.pi / 2]])
+    mapper, pose = Mapper(), np.zeros(3)
+    mapper.landmarks.add_wall(walls[0], 1.0, 0)
+    mapper.landmarks.add_wall(walls[2], 1.0, 0)
+    mapper.landmarks.reset_observations()
+    for keyframe in range(18):
+        truth = np.array([0.3 * keyframe, 0.0, 0.0])
+        seen = [0, 2] if keyframe < 6 else [0, 1, 2]
+        noise = np.column_stack([np.zeros(len(seen)), random.normal(0, SIGMAS, (len(seen), 2))])
+        frames = se2.compose(se2.between(truth, walls[seen]), noise)
+        segments = Segments(frames, np.ones(len(seen)), np.tile(np.diag(SIGMAS**2), (len(seen), 1, 1)))
+        ids = np.array([{0: 0, 1: 0, 2: 1}[wall] for wall in seen])
+        for wall, frame in zip(ids, walls[seen], strict=True):
+            mapper.landmarks.observe_wall(int(wall), frame, 1.0, keyframe)
+        step = np.array([0.3, 0.0, 0.0]) + random.normal(0, [0.01, 0.01, 0.005])
+        motion = KeyframeMotion(keyframe - 1, step, np.diag([0.01, 0.01, 0.005]) ** 2) if keyframe else None
+        pose = se2.compose(pose, step) if keyframe else pose
+        no_corners = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=int), np.zeros((0, 2)))
+        mapper.add_keyframe_with_ids(pose, motion, segments, no_corners, LandmarkIds(ids, np.zeros(0, dtype=int)))
+    mapper.landmarks.drop_unobserved()
+    mapper.solve()
+    mapper.graph.relinearize_all()
+    return mapper
+
+
+@pytest.mark.parametrize(("offset", "turn"), [(0.05, 0.0), (-0.03, 0.0), (0.0, 0.04)])
+def test_stretches_that_are_two_surfaces_become_two_walls(offset: float, turn: float) -> None:
+    second = se2.compose(STRETCHES[1], [0.0, offset, turn])
+    mapper = map_with_gap(second, seed=1)
+    before = mapper.keyframe_poses.copy()
+    assert mapper.split_walls() == 1
+    walls = mapper.landmarks.walls.rows
+    assert walls["observations"].tolist() == [18, 18, 12]
+    assert [ids.walls.tolist() for ids in mapper.landmark_ids[5:7]] == [[0, 1], [0, 2, 1]]
+    relative = se2.between(walls["frame"][0], walls["frame"][2])
+    expected = se2.between(STRETCHES[0], second)
+    across = relative[1] - np.tan(relative[2]) * (relative[0] - expected[0])
+    assert across == pytest.approx(expected[1], abs=0.012)
+    assert relative[2] == pytest.approx(expected[2], abs=0.006)
+    assert walls["high"][2] - walls["low"][2] == pytest.approx(2.0, abs=0.25)
+    assert np.abs(mapper.keyframe_poses - before).max() < 0.2
+    assert mapper.split_walls() == 0
+
+
+def test_one_wall_is_rarely_split_by_noise() -> None:
+    splits = sum(map_with_gap(STRETCHES[1], seed).split_walls() for seed in range(40))
+    assert splits <= 1
