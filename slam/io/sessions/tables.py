@@ -144,7 +144,7 @@ class TableReader:
         self._check(name, has_type(array.type) and not array.null_count, f"has values of another type: {array.type}")
         try:
             return np.asarray(array.to_numpy(zero_copy_only=False))
-        except UnicodeDecodeError as error:
+        except (UnicodeDecodeError, pa.ArrowException) as error:  # pyarrow wraps some of these
             raise MapError(f"{self._path}: the column {name} has text that is not UTF-8") from error
 
     def _ragged(self, name: str, has_type: Any) -> Ragged:
