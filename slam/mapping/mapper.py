@@ -147,11 +147,6 @@ class Mapper:
         heading = self.graph.keyframe_pose(keyframe)[2]
         return self.graph.relative_covariance(old, keyframe) + rotate_covariance(correlated, -heading)
 
-    def poses_of(self, keyframes: Sequence[int]) -> Floats:
-        """Read the poses (n, 3) of some keyframes back from the graph and return them."""
-        self.keyframe_poses[list(keyframes)] = self.graph.keyframe_poses_of(keyframes)
-        return self.keyframe_poses[list(keyframes)]
-
     def keyframes_near(self, pose: se2.Pose, distance: float, turn: float) -> Integers:
         """Return the keyframes within a distance (metres) and turn (radians) of a pose, nearest first."""
         distances = np.hypot(*(self.keyframe_poses[:, :2] - pose[:2]).T)
