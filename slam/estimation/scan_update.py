@@ -234,10 +234,17 @@ def _link_revisited(state: SlamState) -> None:
     old = state.local_field.nearest_missing(mapper.keyframe_poses, last)
     if old is None:
         return
-    covariance = mapper.relative_covariance(old, last)
-    position = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
-    if position < MAX_LINK_SIGMA and np.sqrt(covariance[2, 2]) < MAX_LINK_TURN_SIGMA:
+    # The bound costs nothing, and is small enough in most places.
+    if _is_well_known(mapper.relative_covariance_bound(old, last)) or _is_well_known(
+        mapper.relative_covariance(old, last)
+    ):
         state.local_field.link(old, last)
+
+
+def _is_well_known(covariance: Floats) -> bool:
+    """True if scans of two keyframes can be matched, given the covariance (3, 3) of their relative pose."""
+    position = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+    return position < MAX_LINK_SIGMA and bool(np.sqrt(covariance[2, 2]) < MAX_LINK_TURN_SIGMA)
 
 
 def _move_to_last_keyframe(state: SlamState) -> None:

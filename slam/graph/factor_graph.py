@@ -283,18 +283,18 @@ class FactorGraph(GraphEstimate):
         return self.update()
 
     def settle_range_bias(self) -> None:
-        """Estimate the range bias together with the graph, and solve without it.
+        """Estimate the range bias together with the graph, and solve everything again without it.
 
-        The estimate has converged. If no observation depends on the range bias, nothing changes.
+        The estimate has converged. If no observation depends on the range bias, none is estimated.
         """
         factors = [factor for _, factor in sorted(self.solver.factors.items())]
         estimate = estimate_range_bias(factors, self.solver.isam.calculateEstimate(), self.solver.range_bias)
         if estimate is not None:
             self.solver.range_bias = estimate
-            self.relinearize_all()
+        self.relinearize_all()
 
     def correlate_wall_errors(self) -> None:
-        """Divide the information of walls whose errors repeat with every view; takes effect with `relinearize_all`.
+        """Divide the information of walls whose errors repeat with every view; takes effect with `settle_range_bias`.
 
         The estimate has converged. Doing it again changes little, as the residuals are those of the new factors.
         """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -88,15 +89,21 @@ class Factor:
 
     def without_range_bias(self, bias: float) -> Floats:
         """Return the measurement as if all ranges were shorter by `bias` metres."""
-        match self.kind if bias and len(self.bias_slope) else None:
+        if not bias or not len(self.bias_slope):
+            return self.measured
+        return self.measured - bias * self.bias_direction()
+
+    def bias_direction(self) -> Floats:
+        """Return the change of `measured` per metre of range bias. All entries are zero if it does not depend on it."""
+        match self.kind if len(self.bias_slope) else None:
             case FactorKind.WALL_HEADING:
-                return se2.compose(self.measured, np.array([0.0, 0.0, -bias * self.bias_slope[0]]))
+                return np.array([0.0, 0.0, self.bias_slope[0]])
             case FactorKind.WALL_OFFSET:
-                frame = se2.compose(self.measured[:3], np.array([0.0, -bias * self.bias_slope[0], 0.0]))
-                return np.append(frame, self.measured[3])
+                heading, slope = self.measured[2], self.bias_slope[0]
+                return np.array([-math.sin(heading) * slope, math.cos(heading) * slope, 0.0, 0.0])
             case FactorKind.CORNER:
-                return self.measured - bias * self.bias_slope
-        return self.measured
+                return self.bias_slope
+        return np.zeros_like(self.measured)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,11 +189,11 @@ def to_gtsam(factor: Factor, bias: float = 0.0) -> gtsam.NonlinearFactor:
 def _corner_factor(keyframe: int, corner: int, position: Floats, covariance: Floats) -> gtsam.NonlinearFactor:
     """Convert the observation of a corner into bearing and range."""
     x, y = float(position[0]), float(position[1])
-    distance = float(np.hypot(x, y))
+    distance = math.hypot(x, y)
     to_polar = np.array([[-y / distance**2, x / distance**2], [x / distance, y / distance]])
     noise = gtsam.noiseModel.Gaussian.Covariance(to_polar @ covariance @ to_polar.T)
     robust = gtsam.noiseModel.Robust.Create(CORNER_KERNEL, noise)
-    bearing = gtsam.Rot2.fromAngle(float(np.arctan2(y, x)))
+    bearing = gtsam.Rot2.fromAngle(math.atan2(y, x))
     return gtsam.BearingRangeFactor2D(X(keyframe), C(corner), bearing, distance, robust)
 
 
@@ -195,11 +202,12 @@ def root_information(factor: Factor) -> Floats:
     root, covariance = np.zeros((3, 3)), factor.covariance
     match factor.kind:
         case FactorKind.GAUGE_PRIOR:
-            root[0, 0] = 1.0 / np.sqrt(covariance[0, 0])
+            root[0, 0] = 1.0 / math.sqrt(covariance[0, 0])
         case FactorKind.WALL_HEADING:
-            root[0, 2] = 1.0 / np.sqrt(covariance[0, 0])
+            root[0, 2] = 1.0 / math.sqrt(covariance[0, 0])
         case FactorKind.WALL_OFFSET:
-            root[0] = np.array([0.0, 1.0, factor.measured[3]]) / np.sqrt(covariance[0, 0])
+            root[0, 1] = 1.0 / math.sqrt(covariance[0, 0])
+            root[0, 2] = factor.measured[3] * root[0, 1]
         case _:
             root[1:, 1:] = np.linalg.cholesky(np.linalg.inv(covariance)).T
     return root

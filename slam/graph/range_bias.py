@@ -8,6 +8,7 @@ variables with b unknown is theirs with b known, plus x' x'^T times the variance
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -16,7 +17,7 @@ import numpy as np
 from gtsam.symbol_shorthand import C
 
 from ..geometry.segments import Floats
-from .factors import Factor, to_gtsam_graph
+from .factors import Factor, FactorKind, to_gtsam, to_gtsam_graph
 
 # Metres by which the bias is moved for derivatives, first and near the estimate, where the weights of robust kernels
 # must hardly change. Origin: numerical.
@@ -64,16 +65,17 @@ def estimate_range_bias(
     `prior_sigma` (metres) is the standard deviation of the bias before the drive. Returns None if no factor depends on
     the bias, or if the linearised graph cannot be solved.
     """
-    if not any(factor.bias_slope.any() for factor in factors):
-        return None
     moving = [factor for factor in factors if factor.bias_slope.any()]
+    if not moving:
+        return None
+    observations = _Observations(moving, start.metres)
     fixed = to_gtsam_graph(factor for factor in factors if not factor.bias_slope.any())
     step = FIRST_STEP if np.isnan(start.sigma) else BIAS_STEP
     bias, sigma, response = start.metres, prior_sigma, gtsam.VectorValues()
     for _ in range(MAX_PARABOLAS):
         try:
             (_, low), (here, middle), (beyond, high) = (
-                _solve(moving, fixed, values, bias + change) for change in (-step, 0.0, step)
+                _solve(observations.graph(bias + change), fixed, values) for change in (-step, 0.0, step)
             )
         except RuntimeError:  # undetermined in this form; the incremental solver may still manage with QR
             return None
@@ -88,14 +90,41 @@ def estimate_range_bias(
     return RangeBias(float(bias), sigma, {key: np.asarray(response.at(key)) for key in list(values.keys())})
 
 
-def _solve(
-    moving: Sequence[Factor], fixed: gtsam.NonlinearFactorGraph, values: gtsam.Values, bias: float
-) -> tuple[gtsam.VectorValues, float]:
-    """Return a Gauss-Newton step from `values` with a range bias (metres), and twice the robust cost after it.
+class _Observations:
+    """Factors of GTSAM that depend on the range bias, whose measurements follow it.
 
-    moving, fixed  factors that depend on the bias, and those that do not
+    The noise of corners, by range and bearing, is that with the first bias.
     """
-    graph = to_gtsam_graph(moving, bias)
+
+    def __init__(self, factors: Sequence[Factor], bias: float) -> None:
+        self._kept = []  # what does not depend on the bias: keys, noise, and whether it is a corner
+        self._measured, self._direction = np.zeros((len(factors), 3)), np.zeros((len(factors), 3))
+        for row, factor in enumerate(factors):
+            converted = to_gtsam(factor, bias)
+            self._kept.append((*converted.keys(), converted.noiseModel(), factor.kind is FactorKind.CORNER))
+            measured, direction = factor.measured[:3], factor.bias_direction()[:3]
+            self._measured[row, : len(measured)] = measured
+            self._direction[row, : len(direction)] = direction
+
+    def graph(self, bias: float) -> gtsam.NonlinearFactorGraph:
+        """Return the factors without a range bias (metres)."""
+        graph, measured = gtsam.NonlinearFactorGraph(), (self._measured - bias * self._direction).tolist()
+        for (first, second, noise, is_corner), (x, y, heading) in zip(self._kept, measured, strict=True):
+            if is_corner:
+                bearing = gtsam.Rot2.fromAngle(math.atan2(y, x))
+                graph.add(gtsam.BearingRangeFactor2D(first, second, bearing, math.hypot(x, y), noise))
+            else:
+                graph.add(gtsam.BetweenFactorPose2(first, second, gtsam.Pose2(x, y, heading), noise))
+        return graph
+
+
+def _solve(
+    graph: gtsam.NonlinearFactorGraph, fixed: gtsam.NonlinearFactorGraph, values: gtsam.Values
+) -> tuple[gtsam.VectorValues, float]:
+    """Return a Gauss-Newton step from `values`, and twice the robust cost after it.
+
+    graph, fixed  factors that depend on the bias, and those that do not
+    """
     graph.push_back(fixed)
     step = graph.linearize(values).optimize()
     return step, 2.0 * graph.error(values.retract(step))

@@ -116,6 +116,10 @@ class LocalField:
         gaps[list(self._gaps)] = list(self._gaps.values())
         return np.asarray(travelled, dtype=np.float64) + np.cumsum(gaps)
 
+    def is_undetermined(self, since: int, keyframe: int) -> bool:
+        """True if scans do not determine the whole motion from one keyframe to a later one."""
+        return any(since < gap <= keyframe for gap in self._gaps)
+
     def link(self, keyframe: int, other: int) -> None:
         """State that two keyframes saw the same place, so that their relative pose is well known."""
         self._links.append((keyframe, other))

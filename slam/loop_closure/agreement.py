@@ -169,8 +169,12 @@ class LoopAgreement:
         self._merge_equal(look)
 
     def _merge_equal(self, look: Look) -> None:
-        """Keep one, that with the most support, of the hypotheses that have converged to the same motion."""
-        kept = [self._estimate] if self._estimate.support else []
+        """Keep one, that with the most support, of the hypotheses that have converged to the same motion.
+
+        One that has converged to the estimate is given up if the look agrees with that: nothing has to be corrected.
+        """
+        has_returned = self._returns[-1:] == [look.travelled]
+        kept = [self._estimate] if self._estimate.support or has_returned else []
         for hypothesis in sorted(self._hypotheses, key=lambda h: -len(h.support)):
             if all(_differ(look, hypothesis.motion, other.motion) for other in kept):
                 kept.append(hypothesis)

@@ -113,9 +113,15 @@ class Look:
         return int(self._old[near.argmax()]) if near.any() else None
 
     def covariance(self, old: int) -> Floats:
-        """Return the covariance (3, 3) of the last keyframe's pose relative to an old one, in its own frame."""
+        """Return the covariance (3, 3) of the last keyframe's pose relative to an old one, in its own frame.
+
+        Where the errors that the estimate does not contain dominate, the rest is an upper bound, which costs nothing.
+        """
         if old not in self._covariances:
-            self._covariances[old] = self._mapper.relative_covariance(old, self.last) + np.diag(UNMODELLED_SIGMAS**2)
+            estimated = self._mapper.relative_covariance_bound(old, self.last)
+            if np.linalg.eigvalsh(estimated / np.outer(UNMODELLED_SIGMAS, UNMODELLED_SIGMAS))[-1] > 1.0:
+                estimated = self._mapper.relative_covariance(old, self.last)
+            self._covariances[old] = estimated + np.diag(UNMODELLED_SIGMAS**2)
         return self._covariances[old]
 
     def possible_places(self) -> list[int]:
@@ -183,7 +189,7 @@ class Look:
         """
         start = self.relative(old, motion)
         match = improve(self.submap, self.reference(old), start)
-        if self._ways[self.last] - self._ways[since] > self._travelled[self.last] - self._travelled[since]:
+        if self._field.is_undetermined(since, self.last):
             covariance = self._mapper.relative_covariance(since, self.last)
             sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
             turn = SEARCH_DEVIATIONS * float(np.sqrt(covariance[2, 2]))

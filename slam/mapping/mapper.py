@@ -147,6 +147,17 @@ class Mapper:
         heading = self.graph.keyframe_pose(keyframe)[2]
         return self.graph.relative_covariance(old, keyframe) + rotate_covariance(correlated, -heading)
 
+    def relative_covariance_bound(self, old: int, keyframe: int) -> Floats:
+        """Return (3, 3) an upper bound of `relative_covariance`, from the stored covariances, so it costs nothing.
+
+        The difference of two errors a and b has a covariance of at most 2 (Cov a + Cov b), whatever their correlation.
+        """
+        heading = self.keyframe_poses[keyframe, 2]
+        of_old, of_keyframe = (rotate_covariance(self.pose_covariances[k], -heading) for k in (old, keyframe))
+        lever = se2.between(self.keyframe_poses[keyframe], self.keyframe_poses[old])
+        adjoint = se2.adjoint(np.array([lever[0], lever[1], 0.0]))  # both are in the axes of the keyframe
+        return np.asarray(2.0 * (adjoint @ of_old @ adjoint.T + of_keyframe))
+
     def keyframes_near(self, pose: se2.Pose, distance: float, turn: float) -> Integers:
         """Return the keyframes within a distance (metres) and turn (radians) of a pose, nearest first."""
         distances = np.hypot(*(self.keyframe_poses[:, :2] - pose[:2]).T)
@@ -268,11 +279,9 @@ class Mapper:
         if merged:
             self.graph.update()
         self.graph.update_until_converged()
-        self.graph.relinearize_all()
         self.settle_range_bias()
         self.split_walls()
         self.graph.correlate_wall_errors()
-        self.graph.relinearize_all()
         self.settle_range_bias()
         self.read_back_all()
         return merged

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers import se2
-from drivers.compiled import compiled
+from drivers.compiled import compiled, inlined
 
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import Floats
@@ -142,8 +142,12 @@ def match_points(
     share = len(points) / max(1, len(few)) / POINTS_PER_OBJECT
     matches = []
     for prediction in predictions:
+        near = first if prediction is first.prediction else match_from(field, points, prediction.pose, prediction)
         start = _search_around(field, few, share, prediction)
-        tried = [match_from(field, points, pose, prediction) for pose in (prediction.pose, start)]
+        if np.array_equal(start, prediction.pose):
+            matches.append(near)
+            continue
+        tried = (near, match_from(field, points, start, prediction))
         matches.append(min(tried, key=lambda match: match.cost))
     return sorted(matches, key=lambda match: match.cost)
 
@@ -252,24 +256,41 @@ def move_back(pose, move):  # type: ignore[no-untyped-def]
 @compiled
 def points_cost(field, points, pose):  # type: ignore[no-untyped-def]
     """Return cost, fit and known points of points (p, 4) with normals at a pose; see `PointMatch`."""
-    origin, seen = field[0], field[3]
     c, s = math.cos(pose[2]), math.sin(pose[2])
     total, of_known, known = 0.0, 0.0, 0
     for k in range(len(points)):
-        x = (pose[0] + c * points[k, 0] - s * points[k, 1] - origin[0]) / FIELD_CELL
-        y = (pose[1] + s * points[k, 0] + c * points[k, 1] - origin[1]) / FIELD_CELL
-        grid = facing_grid(c * points[k, 2] - s * points[k, 3], s * points[k, 2] + c * points[k, 3])
-        value, evidence = nearest_distance(field, grid, x, y), is_seen(seen, x, y)
-        if value >= MAX_DISTANCE:  # beside a surface that faces elsewhere: perhaps the other side of a wall
-            evidence = evidence and nearest_distance(field, ALL_POINTS, x, y) >= MAX_DISTANCE
+        cost, evidence = _point_cost(field, points, k, pose, c, s)
+        total += cost
         if evidence:
-            cost = min(0.5 * value * value / (COARSE_SIGMA * COARSE_SIGMA), MISFIT)
-            total += cost
             of_known += cost
             known += 1
-        else:
-            total += UNSEEN
     return total, 1.0 - of_known / (MISFIT * max(known, 1)), known
+
+
+@compiled
+def _cost_below(field, points, pose, limit):  # type: ignore[no-untyped-def]
+    """Return the cost of points (p, 4) with normals at a pose, or any value from `limit` on if it reaches that."""
+    total = 0.0
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    for k in range(len(points)):
+        total += _point_cost(field, points, k, pose, c, s)[0]
+        if total >= limit:
+            break
+    return total
+
+
+@inlined
+def _point_cost(field, points, k, pose, c, s):  # type: ignore[no-untyped-def]
+    """Return the cost of point k at a pose with cosine `c` and sine `s`, and if it is in seen space."""
+    x = (pose[0] + c * points[k, 0] - s * points[k, 1] - field[0][0]) / FIELD_CELL
+    y = (pose[1] + s * points[k, 0] + c * points[k, 1] - field[0][1]) / FIELD_CELL
+    grid = facing_grid(c * points[k, 2] - s * points[k, 3], s * points[k, 2] + c * points[k, 3])
+    value, evidence = nearest_distance(field, grid, x, y), is_seen(field[3], x, y)
+    if value >= MAX_DISTANCE:  # beside a surface that faces elsewhere: perhaps the other side of a wall
+        evidence = evidence and nearest_distance(field, ALL_POINTS, x, y) >= MAX_DISTANCE
+    if evidence:
+        return min(0.5 * value * value / (COARSE_SIGMA * COARSE_SIGMA), MISFIT), True
+    return UNSEEN, False
 
 
 @compiled
@@ -277,23 +298,32 @@ def _search(field, points, share, prediction, prior, kernel, shift, turn):  # ty
     """Return the pose with the lowest cost on a grid around the prediction; each point's cost counts `share` times."""
     turns, steps = math.ceil(turn / SEARCH_TURN_STEP), math.ceil(shift / SEARCH_STEP)
     c, s = math.cos(prediction[2]), math.sin(prediction[2])
-    best, lowest = prediction.copy(), np.inf
-    pose = prediction.copy()
+    best, pose = prediction.copy(), prediction.copy()
+    lowest = share * points_cost(field, points, pose)[0]
     for k in range(-turns, turns + 1):
-        pose[2] = prediction[2] + k * SEARCH_TURN_STEP
+        angle = k * SEARCH_TURN_STEP
+        pose[2] = prediction[2] + angle
         for i in range(-steps, steps + 1):
             for j in range(-steps, steps + 1):
-                forward, left = i * SEARCH_STEP, j * SEARCH_STEP
-                pose[0] = prediction[0] + c * forward - s * left
-                pose[1] = prediction[1] + s * forward + c * left
-                error = pose_error(prediction, pose)
-                cost = 0.5 * kernel**2 * math.log(1.0 + error @ (prior @ error) / kernel**2)
-                if cost < lowest:
-                    cost += share * points_cost(field, points, pose)[0]
+                x, y = i * SEARCH_STEP, j * SEARCH_STEP
+                ahead, left = math.cos(angle) * x + math.sin(angle) * y, math.cos(angle) * y - math.sin(angle) * x
+                cost = 0.5 * kernel**2 * math.log(1.0 + _quadratic_form(prior, ahead, left, angle) / kernel**2)
+                if cost >= lowest:
+                    continue
+                pose[0] = prediction[0] + c * x - s * y
+                pose[1] = prediction[1] + s * x + c * y
+                cost += share * _cost_below(field, points, pose, (lowest - cost) / share)
                 if cost < lowest:
                     lowest = cost
                     best[:] = pose
     return best
+
+
+@inlined
+def _quadratic_form(matrix, x, y, z):  # type: ignore[no-untyped-def]
+    """Return v' M v of a symmetric matrix (3, 3) and the vector (x, y, z)."""
+    squares = matrix[0, 0] * x * x + matrix[1, 1] * y * y + matrix[2, 2] * z * z
+    return squares + 2.0 * (matrix[0, 1] * x * y + matrix[0, 2] * x * z + matrix[1, 2] * y * z)
 
 
 @compiled

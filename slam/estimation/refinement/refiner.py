@@ -58,7 +58,6 @@ def refine(mapper: Mapper, history: ScanHistory, model: OdometryModel) -> Refine
         iterations, changed, merged = iterations + 1, changed + result.changed, merged + result.merged
         remaining -= 1
     mapper.graph.correlate_wall_errors()
-    mapper.graph.relinearize_all()
     mapper.settle_range_bias()
     poses = mapper.keyframe_poses
     scan_poses, overlap_ratio = smooth_trajectory(mapper, history, model, poses, odometry_wrong)
