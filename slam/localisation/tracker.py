@@ -35,6 +35,9 @@ MAX_SLIP = 2.0
 NO_KERNEL = 1e3
 # Metres and radians per second that every robot reaches. Origin: chosen, slow robots; not measured.
 MIN_SPEEDS = np.array([0.2, 0.3])
+# Seconds over which speeds are measured: stamps of single scans may be late by some tenths, or come in bursts.
+# Origin: chosen, several times the delays of a busy logging computer; not measured.
+SPEED_INTERVAL = 1.0
 # Points that a scan without walls needs; few points fit nearly everywhere. Origin: chosen; not measured.
 MIN_POINTS = 30
 # Drop in score from one scan to the next that, together with a changed view, suggests that the robot was kidnapped.
@@ -102,6 +105,7 @@ class TrackerState:
     reference   from which odometry predicts
     fix_stamp   seconds, of the last fix; None if no slip is possible before the next one
     speeds      (2,) metres and radians per second that the robot has reached
+    speed_start stamp and odometry pose from which the next speed is measured; None if it is not known
     last_score  match score of the last tracked scan
     """
 
@@ -109,6 +113,7 @@ class TrackerState:
     reference: PoseFix
     fix_stamp: float | None
     speeds: Floats
+    speed_start: tuple[float, se2.Pose] | None
     last_score: float
 
 
@@ -123,6 +128,7 @@ class Tracker:
         self._usual_cost = 0.0  # by which the usual prediction was worse than the tentative one
         self._fix_stamp = np.inf  # seconds, of the last fix
         self._speeds = MIN_SPEEDS  # metres and radians per second that the robot has reached
+        self._speed_start: tuple[float, se2.Pose] | None = None  # stamp and odometry at the start of the interval
         self._failed_in_a_row = 0
         self._last_score = 0.0  # of the last tracked scan
         self._view: View | None = None  # last view with enough points for a comparison
@@ -146,13 +152,13 @@ class Tracker:
         if self._fix is None or self._reference is None:
             return None
         stamp = float(self._fix_stamp) if np.isfinite(self._fix_stamp) else None
-        return TrackerState(self._fix, self._reference, stamp, self._speeds, self._last_score)
+        return TrackerState(self._fix, self._reference, stamp, self._speeds, self._speed_start, self._last_score)
 
     def restore(self, state: TrackerState) -> None:
         """Continue from a saved state."""
         self._fix, self._reference = state.fix, state.reference
         self._fix_stamp = np.inf if state.fix_stamp is None else state.fix_stamp
-        self._speeds, self._last_score = state.speeds, state.last_score
+        self._speeds, self._speed_start, self._last_score = state.speeds, state.speed_start, state.last_score
 
     def correct(self, pose: se2.Pose) -> None:
         """Replace the pose of the last fix, and predict from it from now on."""
@@ -223,8 +229,7 @@ class Tracker:
             self._tentative = fix
             self._usual_cost = min(other.cost for other in match.others if other.prediction is usual) - match.cost
             return self._result(match, TrackingStatus.TENTATIVE, prior)
-        if not confirmed:
-            self._speeds = np.maximum(self._speeds, self._speed(stamp, odometry))
+        self._measure_speed(stamp, odometry, interrupted=confirmed)
         self._fix, self._fix_stamp, self._failed_in_a_row = fix, stamp, 0
         slipped = confirmed or match.prediction.squared_distance(fix.pose) > KERNEL**2
         if slipped:  # odometry continues from here
@@ -241,12 +246,16 @@ class Tracker:
         sigmas = np.array([reach[0], reach[0], reach[1]]) + PREDICTION_SIGMAS
         return Prediction(self._fix.pose, np.diag(sigmas**-2.0), SLIP_COST, NO_KERNEL)
 
-    def _speed(self, stamp: float, odometry: se2.Pose) -> Floats:
-        """Return the speed (metres and radians per second) since the last fix; zero if it is at the same time."""
-        assert self._fix is not None
-        interval = stamp - self._fix_stamp
-        x, y, turn = self._fix.odometry_motion(odometry)
-        return np.array([np.hypot(x, y), abs(turn)]) / interval if interval > 0 else np.zeros(2)
+    def _measure_speed(self, stamp: float, odometry: se2.Pose, *, interrupted: bool) -> None:
+        """Update the speeds that the robot has reached, by odometry; start anew if that has slipped."""
+        if interrupted or self._speed_start is None:
+            self._speed_start = stamp, odometry
+            return
+        interval = stamp - self._speed_start[0]
+        if interval >= SPEED_INTERVAL:
+            x, y, turn = se2.between(self._speed_start[1], odometry)
+            self._speeds = np.maximum(self._speeds, np.array([np.hypot(x, y), abs(turn)]) / interval)
+            self._speed_start = stamp, odometry
 
     def _result(
         self, match: ScanMatch, status: TrackingStatus, prior: Floats, *, slipped: bool = False

@@ -62,6 +62,7 @@ class _Tracker(Record):
     reference: _PoseFix
     fix_stamp: Finite | None
     speeds: tuple[Finite, Finite]
+    speed_start: tuple[Finite, Finite, Finite, Finite] | None
     last_score: Finite
 
 
@@ -170,6 +171,7 @@ def _tracker_record(state: TrackerState) -> _Tracker:
         reference=_fix_record(state.reference),
         fix_stamp=state.fix_stamp,
         speeds=(forward, turn),
+        speed_start=None if state.speed_start is None else (state.speed_start[0], *state.speed_start[1].tolist()),
         last_score=state.last_score,
     )
 
@@ -178,7 +180,9 @@ def _tracker_state(record: _Tracker) -> TrackerState:
     fix, reference = (
         PoseFix(np.array(saved.pose), np.array(saved.odometry)) for saved in (record.fix, record.reference)
     )
-    return TrackerState(fix, reference, record.fix_stamp, np.array(record.speeds), record.last_score)
+    start = record.speed_start
+    speed_start = None if start is None else (start[0], np.array(start[1:]))
+    return TrackerState(fix, reference, record.fix_stamp, np.array(record.speeds), speed_start, record.last_score)
 
 
 def _local_field_state(record: _LocalField) -> LocalFieldState:
