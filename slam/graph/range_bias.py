@@ -101,6 +101,7 @@ class _Observations:
         self._measured, self._direction = np.zeros((len(factors), 3)), np.zeros((len(factors), 3))
         for row, factor in enumerate(factors):
             converted = to_gtsam(factor, bias)
+            assert isinstance(converted, gtsam.NoiseModelFactor)
             self._kept.append((*converted.keys(), converted.noiseModel(), factor.kind is FactorKind.CORNER))
             measured, direction = factor.measured[:3], factor.bias_direction()[:3]
             self._measured[row, : len(measured)] = measured

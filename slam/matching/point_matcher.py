@@ -89,10 +89,14 @@ class Prediction:
     cost: float = 0.0
     kernel: float = KERNEL
 
+    @property
+    def least_cost(self) -> float:
+        """Cost of the predicted pose: a wide prediction gives each pose a lower density than a narrow one."""
+        return self.cost - 0.5 * float(np.linalg.slogdet(self.information)[1])
+
     def cost_of(self, pose: se2.Pose) -> float:
-        """Return the cost of a pose: a wide prediction gives each pose a lower density than a narrow one."""
-        spread = -0.5 * float(np.linalg.slogdet(self.information)[1])
-        return self.cost + spread + 0.5 * self.kernel**2 * math.log1p(self.squared_distance(pose) / self.kernel**2)
+        """Return the cost of a pose."""
+        return self.least_cost + 0.5 * self.kernel**2 * math.log1p(self.squared_distance(pose) / self.kernel**2)
 
     def squared_distance(self, pose: se2.Pose) -> float:
         """Return the squared Mahalanobis distance of a pose."""
@@ -132,7 +136,8 @@ def match_points(
 
     Returns the matches, those with the lowest cost first. If the first of two predictions leads to a good match, the
     second one is not tried, and the poses around them are not searched. If `exhaustive`, they are searched anyway: most
-    of a scan fits well at some poses that are a decimetre off, too.
+    of a scan fits well at some poses that are a decimetre off, too. A prediction that cannot lead to a lower cost than
+    an earlier one is not tried.
     """
     first = match_from(field, points, predictions[0].pose, predictions[0])
     searched = first.known >= MIN_KNOWN_POINTS if exhaustive else first.poor
@@ -140,8 +145,10 @@ def match_points(
         return [first]
     few = np.ascontiguousarray(subsample(points, MAX_SEARCH_POINTS))  # strided ones would be compiled for separately
     share = len(points) / max(1, len(few)) / POINTS_PER_OBJECT
-    matches = []
+    matches: list[PointMatch] = []
     for prediction in predictions:
+        if any(match.cost <= prediction.least_cost for match in matches):
+            continue
         near = first if prediction is first.prediction else match_from(field, points, prediction.pose, prediction)
         start = _search_around(field, few, share, prediction)
         if np.array_equal(start, prediction.pose):
@@ -300,12 +307,13 @@ def _search(field, points, share, prediction, prior, kernel, shift, turn):  # ty
     c, s = math.cos(prediction[2]), math.sin(prediction[2])
     best, pose = prediction.copy(), prediction.copy()
     lowest = share * points_cost(field, points, pose)[0]
-    for k in range(-turns, turns + 1):
-        angle = k * SEARCH_TURN_STEP
+    # From the prediction outwards: a low cost found early ends the others' sums early.
+    for k in range(2 * turns + 1):
+        angle = _outwards(k) * SEARCH_TURN_STEP
         pose[2] = prediction[2] + angle
-        for i in range(-steps, steps + 1):
-            for j in range(-steps, steps + 1):
-                x, y = i * SEARCH_STEP, j * SEARCH_STEP
+        for i in range(2 * steps + 1):
+            for j in range(2 * steps + 1):
+                x, y = _outwards(i) * SEARCH_STEP, _outwards(j) * SEARCH_STEP
                 ahead, left = math.cos(angle) * x + math.sin(angle) * y, math.cos(angle) * y - math.sin(angle) * x
                 cost = 0.5 * kernel**2 * math.log(1.0 + _quadratic_form(prior, ahead, left, angle) / kernel**2)
                 if cost >= lowest:
@@ -317,6 +325,12 @@ def _search(field, points, share, prediction, prior, kernel, shift, turn):  # ty
                     lowest = cost
                     best[:] = pose
     return best
+
+
+@inlined
+def _outwards(number):  # type: ignore[no-untyped-def]
+    """Return 0, 1, -1, 2, -2, ... for the numbers from 0 on."""
+    return (number + 1) // 2 if number % 2 == 1 else -(number // 2)
 
 
 @inlined
