@@ -97,12 +97,14 @@ class _Observations:
     """
 
     def __init__(self, factors: Sequence[Factor], bias: float) -> None:
-        self._kept = []  # what does not depend on the bias: keys, noise, and whether it is a corner
+        # What does not depend on the bias: keys, noise, and whether it is a corner.
+        self._kept: list[tuple[int, int, gtsam.noiseModel.Base, bool]] = []
         self._measured, self._direction = np.zeros((len(factors), 3)), np.zeros((len(factors), 3))
         for row, factor in enumerate(factors):
             converted = to_gtsam(factor, bias)
             assert isinstance(converted, gtsam.NoiseModelFactor)
-            self._kept.append((*converted.keys(), converted.noiseModel(), factor.kind is FactorKind.CORNER))
+            first, second = converted.keys()
+            self._kept.append((first, second, converted.noiseModel(), factor.kind is FactorKind.CORNER))
             measured, direction = factor.measured[:3], factor.bias_direction()[:3]
             self._measured[row, : len(measured)] = measured
             self._direction[row, : len(direction)] = direction
