@@ -44,6 +44,8 @@ class StubMap:
     def relative_covariance(self, old: int, keyframe: int) -> Floats:
         return self.covariance
 
+    relative_covariance_bound = relative_covariance
+
 
 def drive_twice(
     drift: se2.Pose, elsewhere: se2.Pose, *, interrupted: bool = False

@@ -1,0 +1,19 @@
+"""Covariances of the mapper's keyframes."""
+
+import numpy as np
+import pytest
+
+import drivers
+from slam import Slam
+
+
+@pytest.mark.parametrize("world", ["office", "large_loop"])
+def test_bound_of_a_relative_covariance_is_no_smaller_than_that(world: str) -> None:
+    slam = Slam()
+    for message in drivers.open(f"sim:{world}?odometry=bad&duration=25&seed=3"):
+        slam.add(message)
+    mapper = slam.slam_state.mapper
+    last = mapper.keyframe_count - 1
+    for old in range(0, last, max(1, last // 6)):
+        surplus = mapper.relative_covariance_bound(old, last) - mapper.relative_covariance(old, last)
+        assert np.linalg.eigvalsh(surplus)[0] > -1e-9
