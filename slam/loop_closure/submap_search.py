@@ -125,25 +125,27 @@ def search_submap(submap: Submap, old: Submap, prediction: se2.Pose, reach: floa
     for k, i, j in np.column_stack(np.unravel_index(low, costs.shape)):
         offset = np.array([(i - steps) * SEARCH_STEP, (j - steps) * SEARCH_STEP, (k - turns) * SEARCH_TURN_STEP])
         start = se2.compose(prediction, offset)
-        if not _is_promising(submap.field, old.field, some, of_old, start):
+        near = _screen(submap.field, old.field, some, of_old, start)
+        if near is None:
             continue
-        match = match_from(old.field, submap.points, start, Prediction(start, NO_PRIOR))
+        match = match_from(old.field, submap.points, near, Prediction(near, NO_PRIOR))
         if all(are_distinct(match.pose, other.pose) for other in found):
             found.append(_judge(submap, old, match.pose, match.information))
     return sorted(found, key=lambda match: -match.score)
 
 
-def _is_promising(
+def _screen(
     field: DistanceField, old_field: DistanceField, points: Floats, old_points: Floats, start: se2.Pose
-) -> bool:
-    """True if some points of a submap and of an old one fit at the pose that Gauss-Newton finds from `start`.
+) -> se2.Pose | None:
+    """Return the pose that Gauss-Newton finds from `start` with some points of a submap, if those of both fit there.
 
     The submap's points are matched with the wide kernel only, which decides to which pose Gauss-Newton leads.
     """
     match = match_from(old_field, points, start, Prediction(start, NO_PRIOR), (COARSE_SIGMA,))
     if match.fit < MIN_SCREENING_FIT:
-        return False
-    return point_cost(field, old_points, se2.inverse(match.pose))[1] >= MIN_SCREENING_FIT
+        return None
+    fits = point_cost(field, old_points, se2.inverse(match.pose))[1] >= MIN_SCREENING_FIT
+    return match.pose if fits else None
 
 
 def improve(submap: Submap, old: Submap, start: se2.Pose) -> SubmapMatch:
