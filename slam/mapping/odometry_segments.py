@@ -56,10 +56,10 @@ class OdometrySegments:
         self.histories, self.starts = self.histories[-1:], [0]
 
     def trajectory(self, trajectory: TrajectoryBuilder, keyframe_poses: Floats) -> tuple[Floats, Floats]:
-        """Return stamps (m,) and poses (m, 3) at every odometry reading of the segments with a registered scan."""
+        """Return stamps (m,) and poses (m, 3) at every reading and scan of the segments that have a registered scan."""
         begin = [-np.inf, *(float(history.stamps[0]) for history in self.histories[1:]), np.inf]
         parts = [
-            trajectory.clip(begin[k], begin[k + 1]).at_odometry(keyframe_poses, history)
+            trajectory.clip(begin[k], begin[k + 1]).path(keyframe_poses, history)
             for k, history in enumerate(self.histories)
         ]
         return np.concatenate([stamps for stamps, _ in parts]), np.concatenate([poses for _, poses in parts])

@@ -10,6 +10,9 @@ from drivers import se2
 from ..geometry.segments import Floats
 from ..odometry.history import OdometryHistory
 
+# Seconds below which two stamps are one: trajectories are written with microseconds. Origin: definition.
+SAME_STAMP = 1e-6
+
 
 class TrajectoryBuilder:
     """Poses of the scans relative to their keyframes, so that they follow when the map is corrected."""
@@ -58,8 +61,11 @@ class TrajectoryBuilder:
             part.add(self._stamps[row], self._keyframes[row], self._relative[row], self._informations[row])
         return part
 
-    def at_odometry(self, keyframe_poses: Floats, odometry: OdometryHistory) -> tuple[Floats, Floats]:
-        """Return stamps (m,) and poses (m, 3) in the map at every odometry reading; empty without any scan.
+    def path(self, keyframe_poses: Floats, odometry: OdometryHistory) -> tuple[Floats, Floats]:
+        """Return stamps (m,) and poses (m, 3) in the map at every odometry reading and scan; empty without any scan.
+
+        The scans are included because their poses are known best. Between readings the robot may change its speed, so
+        interpolation does not return them.
 
         Each reading is reached by odometry from the scan before it. The error of odometry up to the next scan is
         distributed in proportion to the wheel travel between the two scans: wheels err while they roll, not while they
@@ -68,8 +74,8 @@ class TrajectoryBuilder:
         stamps, poses = self.at_scans(keyframe_poses)
         if not len(stamps):
             return np.zeros(0), np.zeros((0, 3))
-        at = odometry.stamps
-        readings = odometry.poses
+        at = _united(odometry.stamps, stamps)
+        readings = odometry.at_each(at)
         scan_odometry = odometry.at_each(stamps)
         before = np.clip(np.searchsorted(stamps, at, side="right") - 1, 0, len(stamps) - 1)
         after = np.minimum(before + 1, len(stamps) - 1)
@@ -77,10 +83,20 @@ class TrajectoryBuilder:
         predicted_next = se2.compose(poses[before], se2.between(scan_odometry[before], scan_odometry[after]))
         error = poses[after] - predicted_next
         error[:, 2] = se2.wrap(error[:, 2])
-        travelled = odometry.travelled
-        scan_travelled = np.interp(stamps, at, travelled)
+        travelled = np.interp(at, odometry.stamps, odometry.travelled)
+        scan_travelled = np.interp(stamps, odometry.stamps, odometry.travelled)
         span = scan_travelled[after] - scan_travelled[before]
         part = np.clip((travelled - scan_travelled[before]) / np.where(span > 0, span, 1.0), 0.0, 1.0)
         result = predicted + part[:, None] * error
         result[:, 2] = se2.wrap(result[:, 2])
         return at, result
+
+
+def _united(readings: Floats, scans: Floats) -> Floats:
+    """Return the stamps of odometry readings (m,), increasing, and those of scans (n,) at which there is no reading."""
+    after = np.searchsorted(readings, scans)
+    nearest = np.minimum(
+        np.abs(readings[np.minimum(after, len(readings) - 1)] - scans),
+        np.abs(scans - readings[np.maximum(after - 1, 0)]),
+    )
+    return np.union1d(readings, scans[nearest >= SAME_STAMP])
