@@ -243,10 +243,14 @@ class StateChanged:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Relocalised:
-    """A lost or kidnapped robot was recognised in the map; the base is at `pose` (3,)."""
+    """A lost or kidnapped robot was recognised in the map; the base is at `pose` (3,).
+
+    The keyframes from `first` on, which it has mapped since then, are in their places in the map now.
+    """
 
     stamp: float
     pose: Pose
+    first: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from .checks import find_suspects
-from .checks.adapter import drive_of
+from .checks.adapter import drive_of, unconnected_parts
 from .errors import MapError
 from .estimation.map_view import final_result
 from .estimation.refinement import refine
@@ -63,7 +63,8 @@ def optimise(session: StoredSession, sinks: Sequence[Sink] = ()) -> OptimisedSes
     segments = OdometrySegments(session.odometry, session.starts)
     poses = slam_state.mapper.keyframe_poses
     placed = slam_state.trajectory.at_scans(poses)
-    suspects = find_suspects(drive_of(session.scans, session.starts, placed, slam_state.odometry_model, session.config))
+    drive = drive_of(session.scans, session.starts, placed, slam_state.odometry_model, session.config)
+    suspects = [*unconnected_parts(refined.mapper, slam_state.keyframe_stamps), *find_suspects(drive)]
     publisher.publish_suspects(suspects, slam_state.keyframe_stamps)
     result = final_result(
         slam_state,

@@ -5,18 +5,19 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
+import numpy as np
+
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry, Scan, delay_odometry
 
 from .checks import find_suspects
-from .checks.adapter import drive_of
+from .checks.adapter import drive_of, unconnected_parts
 from .config import Config
 from .errors import MapError, SlamError
 from .estimation.estimator import Estimator, ScanResult
 from .estimation.journal import Journal
 from .estimation.map_view import final_result, map_features
 from .estimation.refinement import match_trajectory, refine
-from .estimation.relocalisation_session import KidnappingMonitor, RelocalisationSession
 from .estimation.slam_state import SlamState
 from .estimation.stage_timer import StageTimer
 from .events import Finished, GroundTruthReceived, Notice, Relocalised, Sink
@@ -26,7 +27,7 @@ from .localisation.state import LocalisationEvent, LocalisationState, Localisati
 from .localisation.tracker import PoseFix
 from .loop_closure.agreement import LoopAgreement
 from .mapping.map_features import MapCorners, MapWalls
-from .preprocessing.preprocessor import Preprocessor, ProcessedScan
+from .preprocessing.preprocessor import Preprocessor
 from .publisher import Publisher
 from .run_statistics import RunStatistics, run_summary
 
@@ -66,8 +67,6 @@ class Slam:
         self._publisher = Publisher(sinks)
         self._statistics = RunStatistics()
         self._localisation = LocalisationStateMachine()
-        self._relocalisation: RelocalisationSession | None = None  # while the robot is lost
-        self._kidnapping: KidnappingMonitor | None = None  # for some metres after the view changed abruptly
         self._has_odometry = False
         self._session: StoredSession | None = None
         self._preprocessor = Preprocessor(self.config, None if resumed is None else resumed.sigma_range)
@@ -76,6 +75,8 @@ class Slam:
             self._estimator = Estimator(SlamState(self.config, loops))
             self._journal = Journal(keep_all_features=keep)
         else:
+            mapper = resumed.slam_state.mapper
+            mapper.gauge.hold(mapper)
             self._estimator = Estimator(resumed.slam_state)
             self._journal = Journal(
                 resumed.scans, resumed.odometry, resumed.starts, resumed.latest, keep_all_features=keep
@@ -104,14 +105,11 @@ class Slam:
         processed = self._preprocessor.process(scan, self.slam_state.odometry_model)
         timer.lap("features")
         self._journal.add(processed)
-        if self._relocalisation is not None:
-            self._try_to_relocalise(self._relocalisation, processed)
-            return
         result = self._estimator.process(processed, timer)
         if self.slam_state.in_familiar_place and not self._frozen:
             self._journal.mark_last_familiar()
         self._statistics.add_tracking(result.tracking)
-        self._publish_state(processed.stamp, self._localisation.update(result.tracking))
+        self._statistics.lost_scans += self._localisation.lost
         self._publisher.publish_tracking(processed, result.tracking, self.slam_state.mapper)
         if result.update is not None:
             self._statistics.add_keyframe(processed.stamp, result.update, timer)
@@ -121,9 +119,7 @@ class Slam:
         if result.retracted is not None:
             self._statistics.add_loop(processed.stamp, result.retracted)
             self._publisher.publish_loop(result.retracted, processed.stamp, self.slam_state.mapper, result.mapper)
-        self._check_for_kidnapping(processed, result)
-        if self.slam_state.lost:
-            self._start_relocalisation(processed.stamp)
+        self._update_localisation(processed.stamp, result)
 
     # --- localisation state
 
@@ -138,51 +134,27 @@ class Slam:
         if not self._journal.segments.is_continued_by(first):
             self._process_queue(len(self._resumed.queued_scans))
             self._preprocessor.odometry = self._journal.start_odometry_segment()
-            self._relocalisation = RelocalisationSession(self.config, self.slam_state, (), kidnapped=True)
+            self._estimator.begin_part(self.slam_state.pose, first.pose, kidnapped=True)
             self._publish_state(first.stamp, self._localisation.handle(LocalisationEvent.STARTED_ANYWHERE))
 
-    def _check_for_kidnapping(self, scan: ProcessedScan, result: ScanResult) -> None:
-        """After an abrupt change of the view, check for some metres whether the robot is elsewhere in the map."""
-        if result.checkpoint is not None and self._kidnapping is None:
-            self._kidnapping = KidnappingMonitor(self.config, result.checkpoint)
-        if self._kidnapping is None:
-            return
-        self._kidnapping.add(scan, result.tracking)
-        relocalised = self._kidnapping.attempt()
-        if relocalised is not None:
-            self._publisher.publish(Relocalised(scan.stamp, relocalised.state.pose.copy()))
-            text = "the robot was kidnapped: relocalised elsewhere in the map"
-            self._continue_with(relocalised, LocalisationEvent.RELOCALISED, scan.stamp, text)
-        elif self._kidnapping.over:
-            self._kidnapping = None
-
-    def _start_relocalisation(self, stamp: float) -> None:
-        """Map the last scans separately until their place is recognised in the map."""
-        state = self.slam_state
-        kidnapped = state.view_changed or self._kidnapping is not None
-        self._relocalisation = RelocalisationSession(self.config, state, state.untracked_scans, kidnapped=kidnapped)
-        self._kidnapping = None
-        self._publish_state(stamp, self._localisation.handle(LocalisationEvent.TRACKING_LOST))
-
-    def _try_to_relocalise(self, session: RelocalisationSession, scan: ProcessedScan) -> None:
-        """Add a scan to the relocalisation session; continue in the map if the place is recognised, or is new."""
-        session.add(scan)
-        self._statistics.lost_scans += 1
-        relocalised = session.attempt()
-        if relocalised is not None:
-            self._publisher.publish(Relocalised(scan.stamp, relocalised.state.pose.copy()))
-            self._continue_with(relocalised, LocalisationEvent.RELOCALISED, scan.stamp, "relocalised in the map")
-        elif session.over:
+    def _update_localisation(self, stamp: float, result: ScanResult) -> None:
+        """Update the localisation status by a scan: lost, recognised, placed by odometry, or tracked."""
+        if result.began_part:
+            self._publisher.publish(Notice(stamp, "the pose is lost: a new part of the map begins here"))
+            self._publisher.publish_map(stamp, self.slam_state.mapper)
+            self._publish_state(stamp, self._localisation.handle(LocalisationEvent.TRACKING_LOST))
+        elif result.joined is not None:
+            self._publisher.publish(Relocalised(stamp, self.slam_state.pose.copy(), result.joined))
+            self._publisher.publish(Notice(stamp, "relocalised in the map"))
+            self._publish_state(stamp, self._localisation.handle(LocalisationEvent.RELOCALISED))
+        elif result.retracted is not None and result.retracted.joins:
+            self._publish_state(stamp, self._localisation.handle(LocalisationEvent.TRACKING_LOST))
+        elif not self._localisation.lost:
+            self._publish_state(stamp, self._localisation.update(result.tracking))
+        elif self._estimator.placed_by_odometry:
             text = "the place is not in the map near the pose from odometry; it is mapped as a new place"
-            placed = session.continue_by_odometry()
-            self._continue_with(placed, LocalisationEvent.PLACED_BY_ODOMETRY, scan.stamp, text)
-
-    def _continue_with(self, estimator: Estimator, event: LocalisationEvent, stamp: float, text: str) -> None:
-        """Replace the estimator by one that has the scans since the robot got lost in the map."""
-        self._estimator, self._relocalisation, self._kidnapping = estimator, None, None
-        self._publisher.publish(Notice(stamp, text))
-        self._publisher.publish_map(stamp, self.slam_state.mapper)
-        self._publish_state(stamp, self._localisation.handle(event))
+            self._publisher.publish(Notice(stamp, text))
+            self._publish_state(stamp, self._localisation.handle(LocalisationEvent.PLACED_BY_ODOMETRY))
 
     def _publish_state(self, stamp: float, state: LocalisationState | None) -> None:
         """Publish a localisation state if it has changed."""
@@ -195,12 +167,12 @@ class Slam:
     @property
     def slam_state(self) -> SlamState:
         """Current state of the estimate: pose, trajectory and the map under construction."""
-        return self._estimator.state
+        return self._estimator.result
 
     @property
     def pose(self) -> se2.Pose:
         """Pose of the base [x, y, heading] in the map at the last scan; see `state` for how well it is known."""
-        return (self.slam_state if self._relocalisation is None else self._relocalisation).pose.copy()
+        return self._estimator.state.pose.copy()
 
     @property
     def state(self) -> LocalisationState:
@@ -241,12 +213,12 @@ class Slam:
             raise MapError(f"{self._preprocessor.scans} scans, but no odometry; SLAM needs both")
         session = self._session_with_queue()
         self._process_queue()
-        if self._relocalisation is not None:
-            self._end_lost(self._relocalisation)
+        self._leave_out_unknown_session()
         self._session = session or self._stored(self.slam_state.copy())
         if not self._frozen:
             self._statistics.merged_walls += self.slam_state.mapper.converge()
-        summary = run_summary(self._preprocessor, self.slam_state, self._statistics) | self._refine_or_match()
+        end = self._journal.scans[-1].stamp
+        summary = run_summary(self._preprocessor, self.slam_state, self._statistics, end) | self._refine_or_match()
         if self._refine:
             self._session = self._stored(self.slam_state)
         state, journal = self.slam_state, self._journal
@@ -263,7 +235,7 @@ class Slam:
         state, journal = self.slam_state, self._journal
         placed = state.trajectory.at_scans(state.mapper.keyframe_poses)
         drive = drive_of(journal.scans, journal.segments.starts, placed, state.odometry_model, self.config)
-        suspects = find_suspects(drive)
+        suspects = [*unconnected_parts(state.mapper, state.keyframe_stamps), *find_suspects(drive)]
         if self._frozen:
             suspects = [suspect for suspect in suspects if suspect.stamp > journal.resumed_at]
         self._publisher.publish_suspects(suspects, state.keyframe_stamps)
@@ -278,42 +250,48 @@ class Slam:
     def _session_with_queue(self) -> StoredSession | None:
         """Return the session with the queued scans still in the queue, as if the run had not ended.
 
-        None if no scan is queued, or if the robot is lost and the end decides where it is.
+        None if no scan is queued, or if the robot was never recognised in an earlier session, which the end decides on.
         """
         queued = self._preprocessor.queued
-        if self._relocalisation is not None or not queued or not self.slam_state.mapper.keyframe_count:
+        if self._is_unknown_place or not queued or not self.slam_state.mapper.keyframe_count:
             return None
         session = self._stored(self.slam_state.copy())
         session.scans, session.queued_scans = list(self._journal.scans), queued
         return session
 
-    def _end_lost(self, session: RelocalisationSession) -> None:
-        """End the run of a robot that was not relocalised.
+    @property
+    def _is_unknown_place(self) -> bool:
+        """True if nothing of this run is in a place that is known to be in the map of the earlier session."""
+        journal, parts = self._journal, self._estimator.state.mapper.landmarks.parts
+        if self._resumed is None or not journal.in_new_odometry_segment:
+            return False
+        if self._frozen:
+            return not journal.any_tracked(self.slam_state.trajectory)
+        stamps = np.array(self.slam_state.keyframe_stamps)
+        return not parts.connected(np.flatnonzero(stamps > journal.stamp_before), 0).any()
 
-        Its scans are placed by odometry, or, if nothing of this run was ever in the earlier session's map, mapped alone
-        without that session. Raises MapError in the latter case if the map is frozen.
+    def _leave_out_unknown_session(self) -> None:
+        """Map this run alone if it was never recognised in the map of the earlier session.
+
+        Raises MapError if that map is frozen.
         """
-        journal, event = self._journal, LocalisationEvent.PLACED_BY_ODOMETRY
-        stamp = journal.scans[-1].stamp
-        connected = not journal.in_new_odometry_segment or journal.any_tracked(self.slam_state.trajectory)
-        if connected or self._resumed is None:
-            if not self._frozen:
-                text = "not relocalised until the end: the last scans are placed by odometry"
-                self._continue_with(session.continue_by_odometry(), event, stamp, text)
-            self._relocalisation = None
+        journal = self._journal
+        if not self._is_unknown_place:
             return
         if self._frozen:
             raise MapError("the robot was never relocalised in the map of the session")
         journal.drop_earlier_session()
         self._resumed = None
-        alone = Estimator(SlamState(self.config))
+        self._estimator = Estimator(SlamState(self.config))
         for scan in journal.scans:
-            result = alone.process(scan)
+            result = self._estimator.process(scan)
             for decision in (result.update.loop if result.update else None, result.retracted):
                 if decision is not None:
                     self._statistics.add_loop(scan.stamp, decision)
+        stamp = journal.scans[-1].stamp
         text = "never relocalised in the map of the session: that map is left out of the results"
-        self._continue_with(alone, event, stamp, text)
+        self._publisher.publish(Notice(stamp, text))
+        self._publisher.publish_map(stamp, self.slam_state.mapper)
 
     def _refine_or_match(self) -> dict[str, object]:
         """Match all scans to the final map, after refining the map if that is wanted; return the summary's part."""
@@ -341,6 +319,7 @@ class Slam:
 
     def _stored(self, state: SlamState) -> StoredSession:
         resumed, journal = self._resumed, self._journal
+        state.mapper.gauge.release(state.mapper)
         return StoredSession(
             config=self.config,
             slam_state=state,

@@ -11,10 +11,11 @@ from .estimation.scan_update import KeyframeUpdate
 from .estimation.slam_state import SlamState
 from .estimation.stage_timer import StageTimer
 from .graph.range_bias import RangeBias
-from .localisation.state import LocalisationState
+from .localisation.state import LocalisationState, LocalisationStatus
 from .localisation.tracker import TrackingResult, TrackingStatus
 from .loop_closure.decision import LoopDecision
 from .loop_closure.loop_status import LoopStatus
+from .mapping.mapper import Mapper
 from .preprocessing.preprocessor import Preprocessor
 
 
@@ -76,6 +77,12 @@ class RunStatistics:
             {"stamp": stamp, "state": state.status.value, "direction": state.direction} for stamp, state in self.states
         ]
 
+    def lost_spans(self, end: float) -> list[tuple[float, float]]:
+        """Return from when to when the robot was LOST, as stamps; `end` is that of the end of the run."""
+        stamps = [stamp for stamp, _ in self.states] + [end]
+        lost = [state.status is LocalisationStatus.LOST for _, state in self.states]
+        return [(stamps[k], stamps[k + 1]) for k, is_lost in enumerate(lost) if is_lost]
+
     def timings(self) -> dict[str, float]:
         """Return milliseconds per keyframe: median, 99th percentile, maximum, and the mean of each stage."""
         if not self.keyframe_times:
@@ -103,6 +110,28 @@ class RunStatistics:
         }
 
 
+def part_rows(state: SlamState) -> list[dict[str, object]]:
+    """Return where each part of the map begins, and whether it is joined with the first; empty if there is only one.
+
+    If it is not joined, `sigma` are the standard deviations (metres, metres, radians) of its pose relative to the
+    keyframe before it, by odometry; large ones if odometry did not measure the motion.
+    """
+    parts, stamps, mapper = state.mapper.landmarks.parts, state.keyframe_stamps, state.mapper
+    if len(parts) == 1:
+        return []
+    return [
+        {"keyframe": first, "stamp": stamps[first], "joined": group == 0, "odometry": measured}
+        | ({"sigma": _step_sigmas(mapper, first)} if group else {})
+        for first, group, measured in zip(parts.firsts, parts.groups, parts.measured, strict=True)
+        if first < len(stamps)
+    ]
+
+
+def _step_sigmas(mapper: Mapper, keyframe: int) -> list[float]:
+    """Return the standard deviations (metres, metres, radians) of a keyframe's pose relative to the one before."""
+    return [round(float(sigma), 4) for sigma in np.sqrt(np.diag(mapper.relative_covariance(keyframe - 1, keyframe)))]
+
+
 def loop_row(stamp: float, decision: LoopDecision) -> dict[str, object]:
     """Return a loop decision and its scores as plain data."""
     scores = {
@@ -126,9 +155,11 @@ def loop_row(stamp: float, decision: LoopDecision) -> dict[str, object]:
     }
 
 
-def run_summary(preprocessor: Preprocessor, state: SlamState, statistics: RunStatistics) -> dict[str, object]:
-    """Return the summary of a run as plain data."""
-    mapper = state.mapper
+def run_summary(
+    preprocessor: Preprocessor, state: SlamState, statistics: RunStatistics, end: float
+) -> dict[str, object]:
+    """Return the summary of a run that ended at the stamp `end` as plain data."""
+    mapper, parts, lost = state.mapper, part_rows(state), statistics.lost_spans(end)
     return {
         "scans": preprocessor.scans,
         "keyframes": mapper.keyframe_count,
@@ -138,6 +169,8 @@ def run_summary(preprocessor: Preprocessor, state: SlamState, statistics: RunSta
         "loops": statistics.loop_counts(),
         "loop_decisions": statistics.loops,
         "states": statistics.state_rows(),
+        **({"lost": lost} if lost else {}),
+        **({"parts": parts} if parts else {}),
         "odometry_deviation_per_metre": state.odometry_model.deviations.round(5).tolist(),
         "sigma_range": round(preprocessor.sigma_range, 5),
         "range_bias": _range_bias(mapper.graph.range_bias),

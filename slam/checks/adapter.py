@@ -10,9 +10,11 @@ from drivers import se2
 
 from ..config import Config
 from ..geometry.segments import Floats
+from ..mapping.mapper import Mapper
 from ..odometry.error_model import OdometryModel
 from ..preprocessing.preprocessor import ProcessedScan
 from .drive import Drive
+from .suspect import PARTS, Suspect
 
 
 def drive_of(
@@ -43,6 +45,35 @@ def drive_of(
         deviations=odometry_model.deviations,
         floors=np.array([config.odometry.translation_floor, config.odometry.rotation_floor]),
     )
+
+
+def unconnected_parts(mapper: Mapper, keyframe_stamps: Sequence[float]) -> list[Suspect]:
+    """Return a suspect where parts of the map begin that are not connected with its first part; empty without any.
+
+    `keyframe_stamps` (k,) are the times of the keyframes, seconds.
+    """
+    parts = mapper.landmarks.parts
+    apart = [group for group in parts.apart if parts.firsts[group] < mapper.keyframe_count]
+    if not apart:
+        return []
+    firsts = [parts.firsts[group] for group in apart]
+    stamps = [float(keyframe_stamps[first]) for first in firsts]
+    where = "from here on" if len(apart) == 1 else f"beginning at {', '.join(f'{stamp:.1f}' for stamp in stamps)} s"
+    how = "their relative pose is not known, as the robot may have been carried"
+    if all(parts.measured[group] for group in apart):
+        sigma, turn_sigma = _largest_deviations(mapper, firsts)
+        sigmas = f"standard deviations {sigma:.2f} m and {np.degrees(turn_sigma):.0f} degrees"
+        how = f"their relative pose is from odometry only ({sigmas})"
+    text = f"the map has {len(apart) + 1} unconnected parts, {where}; {how}"
+    last = float(keyframe_stamps[-1])
+    return [Suspect(PARTS, stamps[0], stamps[0], last, mapper.keyframe_poses[firsts[0], :2].copy(), 1.0, text)]
+
+
+def _largest_deviations(mapper: Mapper, firsts: Sequence[int]) -> tuple[float, float]:
+    """Return the largest standard deviations (metres, radians) of keyframes relative to those before them."""
+    covariances = [mapper.relative_covariance(first - 1, first) for first in firsts]
+    positions = [float(np.linalg.eigvalsh(covariance[:2, :2])[-1]) for covariance in covariances]
+    return float(np.sqrt(max(positions))), float(np.sqrt(max(covariance[2, 2] for covariance in covariances)))
 
 
 def _corrected_path(odometry: Floats, model: OdometryModel) -> Floats:

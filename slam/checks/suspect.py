@@ -9,14 +9,14 @@ from ..geometry.segments import Floats
 # Seconds from which the interval of a suspect is stated besides its time. Origin: chosen, for readability.
 MIN_INTERVAL = 1.0
 # Names of the checks. Origin: definition.
-PLACEMENT, ODOMETRY, MAP = "placement", "odometry", "map"
+PLACEMENT, ODOMETRY, MAP, PARTS = "placement", "odometry", "map", "parts"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Suspect:
     """A place in a finished run where path, scans and odometry contradict each other.
 
-    check     PLACEMENT (of a scan), ODOMETRY, or MAP
+    check     PLACEMENT (of a scan), ODOMETRY, MAP, or PARTS (of the map that are not connected)
     stamp     seconds, where the contradiction is largest
     first     seconds, begin of the interval
     last      seconds, end of the interval

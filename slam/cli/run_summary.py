@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 SHOWN_WARNINGS = 4
 SHOWN_SUSPECTS = 5
+SHOWN_SPANS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,8 +82,11 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
         rows.append(
             ("accuracy", f"{truth['ate_rmse']:.3f} m error of the path (ATE RMSE), at most {truth['ate_max']:.3f} m")
         )
+    rows += _lost(summary)
     if skipped := summary["skipped"]["messages"]:
         rows.append(("skipped", f"{skipped} messages; first: {summary['skipped']['first']}"))
+    if shift := ((summary.get("recordings") or [{}])[-1]).get("shift"):
+        rows.append(("stamps", f"{shift:.0f} s later than recorded, to follow those of the session"))
     rows += [("read as", text) for text in summary.get("interpretations") or ()]
     rows += [("device", _device(device)) for device in summary.get("devices", ())]
     left_out = summary.get("review") or {}
@@ -100,6 +104,24 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
         f"{summary['path_length']:.1f} m driven"
     )
     return [head] + [f"  {name:<11}{text}" for name, text in rows] + _suspects(summary)
+
+
+def _lost(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return when the robot was lost and for how long, and which parts of the map were joined."""
+    slam = summary.get("slam") or {}
+    spans = slam.get("lost") or []
+    rows = []
+    if spans:
+        times = ", ".join(f"at {begin:.1f} s for {end - begin:.1f} s" for begin, end in spans[:SHOWN_SPANS])
+        more = f", and {len(spans) - SHOWN_SPANS} more times" if len(spans) > SHOWN_SPANS else ""
+        share = slam["health"]["lost"] / max(1, slam["scans"])
+        rows.append(("LOST", f"{times}{more}; {share:.1%} of the scans"))
+    later = (slam.get("parts") or [])[1:]
+    if later:
+        joined = [f"{row['stamp']:.1f} s {'joined' if row['joined'] else 'not joined'}" for row in later[:SHOWN_SPANS]]
+        more = ", …" if len(later) > SHOWN_SPANS else ""
+        rows.append(("parts", f"{len(later) + 1} in the map; those from {', '.join(joined)}{more}"))
+    return rows
 
 
 def _suspects(summary: dict[str, Any]) -> list[str]:

@@ -1,8 +1,18 @@
-"""Process scans one by one: track, map, close loops on trial, and retract closures that later scans contradict."""
+"""Process scans one by one: track, map, close loops on trial, and retract closures that later scans contradict.
+
+If the robot loses its pose, a new part of the map begins at once, and the scans that fitted nowhere are processed again
+in it. On a frozen map this is a map on trial: when its place is recognised, it is discarded, and only the poses of its
+scans are kept.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drivers import se2
 
 from ..localisation.tracker import TrackingResult
 from ..loop_closure.decision import LoopDecision
@@ -10,9 +20,14 @@ from ..loop_closure.loop_status import LoopStatus
 from ..mapping.mapper import Mapper
 from ..preprocessing.preprocessor import ProcessedScan
 from .closure_monitor import ClosureMonitor
-from .scan_update import KeyframeUpdate, close_loop, track, update_map
+from .loop_update import close_loop
+from .scan_update import KeyframeUpdate, track, update_map
 from .slam_state import SlamState
 from .stage_timer import StageTimer
+
+# Metres of driving after which a robot that was not carried, and is not recognised where odometry has it, is in a new
+# place. Origin: chosen; not measured.
+MAX_SEARCH_DISTANCE = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,14 +38,16 @@ class ScanResult:
     update      changes of the map; None if the scan did not become a keyframe
     retracted   closure that was undone because this scan contradicts it, if any
     mapper      map with the scan, before a closure was undone
-    checkpoint  state before the scan, if the scan fits abruptly worse than the one before
+    began_part  true if the pose was lost and a new part of the map began
+    joined      first keyframe of the last part of the map if it was recognised in another one, or in the frozen map
     """
 
     tracking: TrackingResult
     update: KeyframeUpdate | None
     retracted: LoopDecision | None
     mapper: Mapper
-    checkpoint: SlamState | None
+    began_part: bool = False
+    joined: int | None = None
 
 
 class Estimator:
@@ -39,26 +56,73 @@ class Estimator:
     def __init__(self, state: SlamState) -> None:
         self.state = state
         self._monitor = ClosureMonitor()
+        self._frozen: SlamState | None = None  # state of a frozen map while the robot is lost in it
+
+    @property
+    def result(self) -> SlamState:
+        """State with the results: that of the frozen map if the robot is lost in it, else the present state."""
+        return self.state if self._frozen is None else self._frozen
+
+    @property
+    def placed_by_odometry(self) -> bool:
+        """True if the robot has driven on without being recognised where odometry has it: the place is new."""
+        parts, travelled = self.state.mapper.landmarks.parts, self.state.mapper.travelled
+        if self._frozen is not None or not parts.reachable(np.zeros(1, dtype=np.int64))[0]:
+            return False
+        return travelled[-1] - travelled[parts.current_first] > MAX_SEARCH_DISTANCE
 
     def process(self, scan: ProcessedScan, timer: StageTimer | None = None) -> ScanResult:
         """Update the state by one scan. `timer` measures the stages."""
         timer = timer or StageTimer()
+        on_trial = self._frozen is not None
         tracking = track(self.state, scan, timer)
-        checkpoint = self.state.copy() if tracking.abrupt else None
+        if tracking.abrupt:  # it fits here by chance, as in a look-alike place
+            return self._begin_part_with([scan], timer, kidnapped=True)
         update = update_map(self.state, scan, tracking, timer)
         self._monitor.record(scan)  # before a closure, whose checkpoint includes this scan
         if update is not None and update.loop is not None and update.loop.status is LoopStatus.CONFIRMED:
-            update = self._close_loop(update, update.loop)
+            update = self._close_loop(scan, update, update.loop)
             timer.lap("closing")
-        mapper = self.state.mapper
-        return ScanResult(tracking, update, self._retract_contradicted_closure(), mapper, checkpoint)
+        result = ScanResult(tracking, update, None, self.state.mapper, joined=_joined_part(update))
+        result = replace(result, retracted=self._retract_contradicted_closure())
+        if self.state.lost:
+            began = self._begin_part_with(self.state.untracked_scans, timer, kidnapped=self.state.view_changed)
+            result = replace(began, retracted=result.retracted)
+        if on_trial or self._frozen is not None:  # the map on trial is not a result
+            return replace(result, update=None, mapper=self.result.mapper)
+        return result
 
-    def _close_loop(self, update: KeyframeUpdate, decision: LoopDecision) -> KeyframeUpdate:
-        """Close a confirmed loop on a copy of the state; keep the copy if the map fits together."""
+    def begin_part(self, pose: se2.Pose, odometry: se2.Pose, *, kidnapped: bool) -> None:
+        """Map in a new part from now on, beginning at a pose; see `SlamState.begin_part`."""
+        if self.state.frozen:
+            self._frozen = self.state
+            self.state = self.state.copy()
+            self.state.frozen = False
+        self.state.begin_part(pose, odometry, kidnapped=kidnapped)
+        self._monitor = ClosureMonitor()
+
+    def _begin_part_with(self, scans: Sequence[ProcessedScan], timer: StageTimer, *, kidnapped: bool) -> ScanResult:
+        """Begin a part of the map with scans that did not fit; the result is that of the last one."""
+        odometry = scans[0].odometry
+        self.begin_part(self.state.predict(odometry), odometry, kidnapped=kidnapped)
+        for scan in scans:
+            tracking = track(self.state, scan, timer)
+            update = update_map(self.state, scan, tracking, timer)
+        return ScanResult(tracking, update, None, self.state.mapper, began_part=True)
+
+    def _close_loop(self, scan: ProcessedScan, update: KeyframeUpdate, decision: LoopDecision) -> KeyframeUpdate:
+        """Close a confirmed loop on a copy of the state; keep the copy if the map fits together.
+
+        If the loop joins the map on trial with the frozen one, the robot is relocalised in that.
+        """
         trial, superseded = self.state.copy(), self.state.mapper
         decision = close_loop(trial, update.observations, decision)
         if decision.status is not LoopStatus.ACCEPTED:
             return replace(update, loop=decision)
+        if self._frozen is not None and decision.old < self._frozen.mapper.keyframe_count:
+            self.state, self._frozen = self._frozen.copy(), None
+            self.state.relocalise(trial, scan.odometry)
+            return replace(update, loop=replace(decision, since=self.state.mapper.keyframe_count))
         self._monitor.add(self.state, decision)
         self.state = trial
         return replace(update, loop=decision, superseded=superseded)
@@ -69,7 +133,16 @@ class Estimator:
         if closure is None:
             return None
         self.state = closure.checkpoint
-        self.state.loops.exclude(closure.decision.correction)
+        excluding = self.state.joins if closure.decision.joins else self.state.loops
+        excluding.exclude(closure.decision.correction)
         for scan in closure.scans:
             update_map(self.state, scan, track(self.state, scan, StageTimer()), StageTimer())
         return closure.decision
+
+
+def _joined_part(update: KeyframeUpdate | None) -> int | None:
+    """Return the first keyframe of what a keyframe joined with the first part of the map; None if it joined nothing."""
+    decision = None if update is None else update.loop
+    if decision is None or not decision.joins or decision.status is not LoopStatus.ACCEPTED:
+        return None
+    return decision.since or None

@@ -67,10 +67,15 @@ class Journal:
         """True if this run has an odometry segment of its own."""
         return self.segments.starts[-1] >= self.first_row
 
+    @property
+    def stamp_before(self) -> float:
+        """Stamp of the last scan before those of this run, seconds; -inf if there is none."""
+        return self.scans[self.first_row - 1].stamp if self.first_row else -np.inf
+
     def any_tracked(self, trajectory: TrajectoryBuilder) -> bool:
         """Return True if any scan of this run is on the trajectory."""
         stamps = trajectory.relative_poses()[0]
-        return bool(len(stamps)) and bool(stamps[-1] > self.resumed_at)
+        return bool(len(stamps)) and bool(stamps[-1] > self.stamp_before)
 
     def history(self, state: SlamState) -> ScanHistory:
         """Return all scans with their poses relative to keyframes, for refinement."""

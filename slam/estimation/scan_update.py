@@ -14,21 +14,20 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.degeneracy import weakest_direction
+from ..geometry.pose_covariance import covariance_after
 from ..geometry.segments import Floats
 from ..localisation.match_target import MatchTarget
 from ..localisation.tracker import TrackingResult, TrackingStatus
-from ..loop_closure import closing
 from ..loop_closure.decision import LoopDecision
-from ..loop_closure.loop_status import LoopStatus
 from ..mapping.data_association import associate
 from ..mapping.keyframes import KeyframeMotion, KeyframeObservations, PointMotion, WallMerge
 from ..mapping.mapper import LOCAL_MAP_MARGIN, Mapper
 from ..matching.bias_correction import correct_range_bias
 from ..matching.line_matcher import Registration
-from ..matching.offset_tiles import MAX_DISTANCE
 from ..matching.point_matcher import point_information
 from ..preprocessing.preprocessor import ProcessedScan
-from .slam_state import RELOCALISED_RADIUS, Anchor, SlamState, covariance_after
+from .loop_update import MAX_LINK_SIGMA, MAX_LINK_TURN_SIGMA, link_revisited, search_loop
+from .slam_state import RELOCALISED_RADIUS, Anchor, SlamState
 from .stage_timer import StageTimer
 
 # A place is familiar after this many visits with keyframes near the robot (metres, radians) if the overlap ratio is at
@@ -41,10 +40,6 @@ FAMILIAR_OVERLAP = 0.8  # Origin: as FAMILIAR_VISITS.
 # are needed: later scans can only improve the position of keyframes. Origin: chosen; not measured.
 FAMILIAR_SIGMA = 0.05
 FAMILIAR_VISITS_IF_DEGENERATE = 6  # Origin: chosen; not measured.
-# Metres and radians: standard deviations of the pose of a new scan relative to an old one up to which it is matched to
-# both. Origin: definition, a third of what Gauss-Newton on the distance field corrects: MAX_DISTANCE, and that at 4 m.
-MAX_LINK_SIGMA = MAX_DISTANCE / 3.0
-MAX_LINK_TURN_SIGMA = MAX_LINK_SIGMA / 4.0  # Origin: as MAX_LINK_SIGMA.
 # Keyframes made elsewhere between two visits. Origin: chosen, about 7 m of driving; not measured.
 VISIT_GAP = 20
 # Metres, metres, radians: prior of a motion that odometry did not measure. Origin: chosen, weak in a building.
@@ -77,7 +72,8 @@ def track(state: SlamState, scan: ProcessedScan, timer: StageTimer) -> TrackingR
     features = correct_range_bias(scan.features, state.mapper.graph.range_bias.metres)
     tracking = state.tracker.track(scan.stamp, scan.odometry, features, target)
     timer.lap("registration")
-    state.untracked_scans = [*state.untracked_scans, scan] if tracking.status is TrackingStatus.FAILED else []
+    untracked = tracking.status in (TrackingStatus.FAILED, TrackingStatus.TENTATIVE)
+    state.untracked_scans = [*state.untracked_scans, scan] if untracked else []
     if tracking.status is TrackingStatus.TRACKED:
         state.pose = tracking.pose
         state.slipped = state.slipped or tracking.slipped
@@ -102,28 +98,11 @@ def update_map(
     return update
 
 
-def close_loop(state: SlamState, observations: KeyframeObservations, decision: LoopDecision) -> LoopDecision:
-    """Close a confirmed loop right after the keyframe of `observations`; returns the final decision.
-
-    If that is a rejection, the map does not fit together and the state must be discarded: try it on a copy.
-    """
-    decision = closing.close_loop(state.mapper, decision)
-    if decision.status is LoopStatus.ACCEPTED:
-        state.loops.clear()
-        state.local_field.link(decision.old, decision.keyframe)
-        for match in decision.matches:
-            state.local_field.link(match.old, match.keyframe)
-        state.mapper.free_space_evidence.clear()
-        state.local_map = state.mapper.local_map(observations)
-        _move_to_last_keyframe(state)
-    return decision
-
-
 def _follow_prediction(state: SlamState, scan: ProcessedScan) -> None:
     """Take the local map from around the predicted pose if the robot has driven on without being tracked."""
     predicted = state.predict(scan.odometry)
     far = np.hypot(*(predicted - state.pose)[:2]) > MAX_UNTRACKED_DISTANCE
-    if state.anchor is not None and not state.kidnapped and far:
+    if state.anchor is not None and not state.kidnapped and not state.at_part_begin and far:
         state.local_map = state.mapper.local_map_at(predicted, RELOCALISED_RADIUS)
 
 
@@ -131,7 +110,7 @@ def _moved_enough(state: SlamState) -> bool:
     """Return True if the robot is far enough from the anchor for a new keyframe."""
     motion, mapping = se2.between(state.anchor_pose, state.pose), state.config.mapping
     far = np.hypot(motion[0], motion[1]) > mapping.keyframe_distance or abs(motion[2]) > mapping.keyframe_turn
-    return state.anchor is None or bool(far)
+    return state.anchor is None or state.at_part_begin or bool(far)
 
 
 def _familiar_keyframe(state: SlamState, tracking: TrackingResult) -> int | None:
@@ -143,7 +122,7 @@ def _familiar_keyframe(state: SlamState, tracking: TrackingResult) -> int | None
     mapper = state.mapper
     if state.frozen:
         return int(mapper.keyframes_near(state.pose, np.inf, np.inf)[0])
-    if state.kidnapped or tracking.registration.overlap_ratio < FAMILIAR_OVERLAP:
+    if state.kidnapped or state.at_part_begin or tracking.registration.overlap_ratio < FAMILIAR_OVERLAP:
         return None
     near = mapper.keyframes_near(state.pose, FAMILIAR_DISTANCE, FAMILIAR_TURN)
     before = np.sort(near[near < mapper.keyframe_count - VISIT_GAP])  # without those of the current visit
@@ -166,7 +145,7 @@ def _pass_familiar_place(state: SlamState, keyframe: int, scan: ProcessedScan, t
 
 def _extend_trajectory(state: SlamState, stamp: float, tracking: TrackingResult) -> None:
     """Append the pose of a tracked scan to the trajectory."""
-    if state.anchor is None or tracking.status is not TrackingStatus.TRACKED:
+    if state.anchor is None or state.at_part_begin or tracking.status is not TrackingStatus.TRACKED:
         return
     keyframe = state.anchor.keyframe
     relative = se2.between(state.mapper.keyframe_poses[keyframe], state.pose)
@@ -186,6 +165,7 @@ def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
         mapper.roughness.variance,
     )
     timer.lap("association")
+    begins_part = state.at_part_begin
     motion = None if state.anchor is None else _motion_since(state, state.anchor, scan.odometry, tracking.registration)
     point_motion = _point_motion(state, scan, tracking)
     observations = mapper.add_keyframe(
@@ -197,13 +177,11 @@ def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
     if mapper.remove_walls_seen_through(mapper.pose, features.points.all):
         state.local_map = mapper.local_map(observations)
     state.anchor = Anchor(mapper.keyframe_count - 1, np.zeros(3), np.zeros((3, 3)), scan.odometry)
-    state.local_field.add(scan.features, _undetermined_share(tracking))
-    _link_revisited(state)
-    _move_to_last_keyframe(state)
+    state.local_field.add(scan.features, 1.0 if begins_part else _undetermined_share(tracking))
+    link_revisited(state)
+    state.move_to_last_keyframe()
     timer.lap("local map")
-    decision = state.loops.search(mapper, state.local_field) if state.config.loop_closure.enabled else None
-    if state.loops.correction_likely:
-        mapper.free_space_evidence.suspend(mapper.travelled[-1])
+    decision = search_loop(state)
     timer.lap("loops")
     return KeyframeUpdate(observations, merge, decision)
 
@@ -223,35 +201,6 @@ def _undetermined_share(tracking: TrackingResult) -> float:
     if turn > MAX_LINK_TURN_SIGMA**2:
         share += float(tracking.covariance[2, 2]) / MAX_LINK_TURN_SIGMA**2
     return share
-
-
-def _link_revisited(state: SlamState) -> None:
-    """Link the last keyframe with the nearest one that the distance field lacks, if their relative pose is well known.
-
-    That is, if Gauss-Newton would find the pose of the new scan among the points of the old one.
-    """
-    mapper, last = state.mapper, state.mapper.keyframe_count - 1
-    old = state.local_field.nearest_missing(mapper.keyframe_poses, last)
-    if old is None:
-        return
-    # The bound costs nothing, and is small enough in most places.
-    if _is_well_known(mapper.relative_covariance_bound(old, last)) or _is_well_known(
-        mapper.relative_covariance(old, last)
-    ):
-        state.local_field.link(old, last)
-
-
-def _is_well_known(covariance: Floats) -> bool:
-    """True if scans of two keyframes can be matched, given the covariance (3, 3) of their relative pose."""
-    position = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
-    return position < MAX_LINK_SIGMA and bool(np.sqrt(covariance[2, 2]) < MAX_LINK_TURN_SIGMA)
-
-
-def _move_to_last_keyframe(state: SlamState) -> None:
-    """Set pose, distance field and tracker to the solved pose of the last keyframe."""
-    state.pose = state.mapper.pose
-    state.update_local_field()
-    state.tracker.correct(state.pose)
 
 
 def _point_motion(state: SlamState, scan: ProcessedScan, tracking: TrackingResult) -> PointMotion | None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from ..geometry.segments import Floats
 from ..localisation.local_field import LocalField, LocalFieldState
 from ..localisation.tracker import PoseFix, Tracker, TrackerState
 from ..loop_closure.agreement import LoopAgreement
+from ..loop_closure.join_search import JoinSearch
 from ..loop_closure.loop_hypothesis import LoopAgreementState
 from ..mapping.local_map import empty_local_map
 from ..mapping.mapper import LOCAL_MAP_MARGIN, Mapper
@@ -73,6 +74,7 @@ class SlamState:
     odometry_model       learned errors of the odometry
     tracker              last pose fix and what tracking remembers
     loops                search for loop closures
+    joins                search for the place of a part of the map that is not connected
     keyframe_stamps      seconds
     pose                 (3,) of the base in the map at the last tracked scan
     local_map            landmarks around the robot
@@ -81,7 +83,7 @@ class SlamState:
     kidnapped            True if the robot was moved since the anchor without odometry noticing
     kidnapped_keyframes  keyframes reached in this way
     frozen               True if only the trajectory is estimated and the map stays as it is
-    untracked_scans      the last scans in a row that fitted nowhere
+    untracked_scans      the last scans in a row that fitted nowhere, or only tentatively
     """
 
     def __init__(self, config: Config, loops: LoopAgreement | None = None) -> None:
@@ -91,6 +93,7 @@ class SlamState:
         self.trajectory = TrajectoryBuilder()
         self.tracker = Tracker(self.odometry_model)
         self.loops = loops or LoopAgreement()
+        self.joins = JoinSearch()
         self.keyframe_stamps: list[float] = []
         self.pose = np.zeros(3)
         self.local_map = empty_local_map()
@@ -112,11 +115,13 @@ class SlamState:
         checkpoint: TrackingCheckpoint,
         loops: LoopAgreementState,
         scans: Mapping[int, ProcessedScan],
+        joins: Mapping[int, LoopAgreementState] | None = None,
     ) -> SlamState:
         """Restore a state from saved parts.
 
         `stamps` and `scans` are those of the keyframes, `odometry_samples` the samples of the odometry model. The
-        checkpoints of closures that were still monitored are not saved: these closures stay.
+        checkpoints of closures that were still monitored are not saved: these closures stay. `joins` are the states of
+        the searches for joins, by group of parts.
         """
         state = cls(config)
         state.odometry_model.add_samples(odometry_samples)
@@ -130,6 +135,7 @@ class SlamState:
             state._rebuild_surroundings(scans)
             state.local_field.restore(checkpoint.field)
             state.loops.restore(loops, state.local_field)
+            state.joins.restore(joins or {}, state.local_field)
         return state
 
     def copy(self) -> SlamState:
@@ -144,7 +150,7 @@ class SlamState:
 
     @property
     def lost(self) -> bool:
-        """True if too many scans in a row fitted nowhere."""
+        """True if too many scans in a row were not tracked."""
         return self.tracker.lost
 
     @property
@@ -168,34 +174,55 @@ class SlamState:
         """Return the base's pose in the map, by odometry alone since the last fix."""
         return self.tracker.predict(odometry)
 
-    def covariance_since(self, keyframe: int, odometry: se2.Pose) -> Floats:
-        """Return the covariance (3, 3) of the base's pose relative to a keyframe, in the base's frame.
-
-        The pose is extrapolated by odometry alone from the anchor to `odometry`.
-        """
-        assert self.anchor is not None
-        anchor, covariance = self.anchor, np.zeros((3, 3))
-        if keyframe != anchor.keyframe:
-            covariance = self.mapper.relative_covariance(keyframe, anchor.keyframe)
-        covariance = covariance_after(covariance, anchor.relative) + anchor.covariance
-        motion = self.odometry_model.correct(se2.between(anchor.odometry, odometry))
-        return covariance_after(covariance, motion) + self.odometry_model.covariance(motion)
-
     def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
         """Set the base's pose in the map at `odometry`, regardless of the pose tracked so far."""
         self.tracker.move_to(pose, odometry)
         self.pose, self.kidnapped, self.untracked_scans = pose, True, []
         self.local_map = self.mapper.local_map_at(pose, RELOCALISED_RADIUS)
 
-    def start_new_area(self, odometry: se2.Pose, *, kidnapped: bool) -> None:
-        """Continue at the pose predicted by odometry, in an area without a map.
+    def relocalise(self, joined: SlamState, odometry: se2.Pose) -> None:
+        """Continue where the robot is in a copy of this state, in which it has mapped on and its map was joined.
 
-        `kidnapped` is True if the robot may have been moved there without odometry noticing.
+        Its scans are added to the trajectory, unless the robot was carried and has not been recognised between them and
+        now. `odometry` is the present pose of odometry.
         """
-        before = self.kidnapped
-        self.move_to(self.predict(odometry), odometry)
-        self.kidnapped = before or kidnapped
+        count = self.mapper.keyframe_count
+        old_poses, poses = joined.mapper.keyframe_poses[:count], joined.mapper.keyframe_poses
+        known = joined.mapper.landmarks.parts.reachable(np.arange(len(poses)))
+        rows = joined.trajectory.relative_poses()
+        for stamp, keyframe, relative, information in list(zip(*rows, strict=True))[len(self.trajectory) :]:
+            if known[keyframe]:
+                nearest, pose = _relative_to_nearest(old_poses, se2.compose(poses[keyframe], relative))
+                self.trajectory.add(float(stamp), nearest, pose, information)
+        nearest, pose = _relative_to_nearest(old_poses, joined.pose)
+        self.move_to(se2.compose(self.mapper.keyframe_poses[nearest], pose), odometry)
+
+    def begin_part(self, pose: se2.Pose, odometry: se2.Pose, *, kidnapped: bool) -> None:
+        """Continue at a pose in a new part of the map, as the place in the map is not known.
+
+        odometry   pose of odometry at the same time
+        kidnapped  true if the robot may have been moved without odometry noticing
+        """
+        self.kidnapped = self.kidnapped or kidnapped
+        self.mapper.begin_part(measured=not self.kidnapped)
+        self.mapper.free_space_evidence.clear()
+        self.tracker.start_again(pose, odometry)
+        self.pose, self.untracked_scans = pose, []
         self.local_map = empty_local_map()
+        self.local_field.begin_part()
+        self.loops.clear()
+        self.joins = JoinSearch()
+
+    @property
+    def at_part_begin(self) -> bool:
+        """True if the next keyframe is the first one of a part of the map."""
+        return bool(0 < self.mapper.landmarks.parts.firsts[-1] == self.mapper.keyframe_count)
+
+    def move_to_last_keyframe(self) -> None:
+        """Set pose, distance field and tracker to the solved pose of the last keyframe."""
+        self.pose = self.mapper.pose
+        self.update_local_field()
+        self.tracker.correct(self.pose)
 
     def freeze(self) -> None:
         """Settle the map and keep it unchanged from now on."""
@@ -211,31 +238,31 @@ class SlamState:
         `fix` is that of the last scan, `scans` are those of the keyframes. Hypotheses on loops are discarded, which
         were motions in the map before.
         """
-        links = self.local_field.state.links
+        field = self.local_field.state
         self.mapper, self.trajectory, self.pose = mapper, trajectory, fix.pose
         self.tracker.move_to(fix.pose, fix.odometry)
         self.loops.clear()
-        self._rebuild_surroundings(scans, links)
+        self._rebuild_surroundings(scans, field)
 
     def update_local_field(self) -> None:
         """Bring the distance field up to date with the keyframes and their current poses."""
         keyframe = self.mapper.keyframe_count - 1 if self.anchor is None else self.anchor.keyframe
         self.local_field.update(keyframe, self.mapper.keyframe_poses, self.mapper.travelled)
 
-    def _rebuild_surroundings(self, scans: Mapping[int, ProcessedScan], links: Sequence[tuple[int, int]] = ()) -> None:
-        """Rebuild local map and distance field from the keyframes; `links` are those of the field, see `LocalField`."""
+    def _rebuild_surroundings(self, scans: Mapping[int, ProcessedScan], field: LocalFieldState | None = None) -> None:
+        """Rebuild local map and distance field from the keyframes, with the links and gaps of the field before."""
         count = self.mapper.keyframe_count
         self.local_field = LocalField()
         for keyframe in range(count):
             self.local_field.add(scans[keyframe].features)
-        for keyframe, other in links:
-            self.local_field.link(keyframe, other)
+        if field is not None:
+            self.local_field.restore(replace(field, inserted=(), inserted_poses=np.zeros((0, 3))))
         self.update_local_field()
         reach = scans[count - 1].features.segments.reach()
         self.local_map = self.mapper.local_map_at(self.pose, LOCAL_MAP_MARGIN + reach)
 
 
-def covariance_after(covariance: Floats, motion: se2.Pose) -> Floats:
-    """Transform the covariance (3, 3) of a pose, in its own frame, by a motion without error that follows it."""
-    adjoint = se2.adjoint(se2.inverse(motion))
-    return np.asarray(adjoint @ covariance @ adjoint.T)
+def _relative_to_nearest(poses: Floats, pose: se2.Pose) -> tuple[int, se2.Pose]:
+    """Return which of some poses (n, 3) is nearest to another one, and that one in its frame."""
+    nearest = int(np.hypot(*(poses[:, :2] - pose[:2]).T).argmin())
+    return nearest, se2.between(poses[nearest], pose)

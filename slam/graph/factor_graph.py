@@ -65,10 +65,10 @@ class FactorGraph(GraphEstimate):
 
     # --- additions
 
-    def add_first_keyframe(self, pose: se2.Pose) -> None:
-        """Add keyframe 0, which defines the map's frame."""
-        self._values.insert(X(0), to_pose2(pose))
-        self._add(FactorKind.POSE_PRIOR, 0, 0, pose, np.diag(FIRST_POSE_SIGMAS**2))
+    def add_first_keyframe(self, pose: se2.Pose, index: int = 0) -> None:
+        """Add the first keyframe of a map, or of a part of it that is not connected yet: it defines the frame."""
+        self._values.insert(X(index), to_pose2(pose))
+        self._add(FactorKind.POSE_PRIOR, index, index, pose, np.diag(FIRST_POSE_SIGMAS**2))
 
     def add_keyframe(self, index: int, pose: se2.Pose, start: int, motion: se2.Pose, covariance: Floats) -> None:
         """Add a keyframe with the initial value `pose`, and the `motion` to it from the keyframe `start`.

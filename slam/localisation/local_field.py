@@ -120,6 +120,11 @@ class LocalField:
         """True if scans do not determine the whole motion from one keyframe to a later one."""
         return any(since < gap <= keyframe for gap in self._gaps)
 
+    def begin_part(self) -> None:
+        """Empty the field: the next keyframe may be anywhere."""
+        self.field, self._linked = DistanceField.empty(self.field.centre), True
+        self._inserted, self._inserted_poses = [], np.zeros((0, 3))
+
     def link(self, keyframe: int, other: int) -> None:
         """State that two keyframes saw the same place, so that their relative pose is well known."""
         self._links.append((keyframe, other))
@@ -133,9 +138,13 @@ class LocalField:
         oldest = int(np.where(near, self._inserted, len(self._points)).argmin())
         return (self._inserted[oldest], self._inserted_poses[oldest]) if near.any() else None
 
-    def nearest_missing(self, poses: Floats, keyframe: int) -> int | None:
-        """Return the keyframe nearest to another one, within REFERENCE_DISTANCE, whose points are not in the field."""
-        distances = np.hypot(*(poses[:, :2] - poses[keyframe, :2]).T)
+    def nearest_missing(self, poses: Floats, keyframe: int, connected: NDArray[np.bool_]) -> int | None:
+        """Return the keyframe nearest to another one, within REFERENCE_DISTANCE, whose points are not in the field.
+
+        poses      (k, 3) of all keyframes in the map
+        connected  (k,) which of them are in a part of the map that is connected with the other one
+        """
+        distances = np.where(connected, np.hypot(*(poses[:, :2] - poses[keyframe, :2]).T), np.inf)
         distances[[*self._inserted, keyframe]] = np.inf
         nearest = int(distances.argmin())
         return nearest if distances[nearest] < REFERENCE_DISTANCE else None

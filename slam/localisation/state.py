@@ -19,7 +19,7 @@ class LocalisationStatus(StrEnum):
 
     OK = "OK"
     DEGENERATE = "DEGENERATE"  # in one direction by odometry alone, e.g. along a bare corridor
-    LOST = "LOST"  # the pose is unknown; scans are mapped in a frame of their own
+    LOST = "LOST"  # the pose in the map is unknown; a new part of the map has begun
 
 
 class LocalisationEvent(Enum):
@@ -46,10 +46,11 @@ TRANSITIONS = {
     (_STATUS.DEGENERATE, _EVENT.STARTED_ANYWHERE): _STATUS.LOST,
     (_STATUS.DEGENERATE, _EVENT.RELOCALISED): _STATUS.OK,
     (_STATUS.LOST, _EVENT.STARTED_ANYWHERE): _STATUS.LOST,
+    (_STATUS.LOST, _EVENT.TRACKING_LOST): _STATUS.LOST,
     (_STATUS.LOST, _EVENT.RELOCALISED): _STATUS.OK,
     (_STATUS.LOST, _EVENT.PLACED_BY_ODOMETRY): _STATUS.OK,
 }
-"""New status by status and event. Pairs that are missing cannot occur: a lost robot is not tracked."""
+"""New status by status and event. Pairs that are missing cannot occur."""
 
 
 @dataclass(frozen=True, slots=True)

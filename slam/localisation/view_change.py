@@ -1,7 +1,9 @@
-"""Detect that two scans in a row show different places.
+"""Detect that two scans in a row show different places although the wheels hardly moved between them.
 
-The view of a kidnapped robot changes abruptly while its wheels do not move. The view of a driving robot changes little
-from scan to scan, even if the scan fits the map nowhere: then the map or the estimated trajectory is wrong.
+A robot that is lifted does not drive, so only such scans are evidence that it was kidnapped. Between scans of a driving
+robot the view changes by the motion itself, which may be wrong, by what comes into sight behind other surfaces, and by
+what comes into the range of the lidar: in a large hall two scans in a row may have little in common. If its scans fit
+nowhere, the map or the estimated trajectory is wrong.
 """
 
 from __future__ import annotations
@@ -34,9 +36,9 @@ FIELD_RADIUS = 12.0
 MAX_COMPARED_POINTS = 120
 # Points that both scans need for a comparison; few points fit nearly everywhere. Origin: chosen; not measured.
 MIN_POINTS = 30
-# Metres of wheel travel between two scans above which they are not compared. Origin: chosen, views overlap for longer;
-# not measured.
-MAX_TRAVEL = 1.0
+# Metres of wheel travel between two scans above which the robot has driven. Origin: definition, the largest error in
+# ODOMETRY_ERRORS: within it the pose of a robot that stands, or is lifted, is known as well as the comparison needs.
+MAX_TRAVEL = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,18 +49,23 @@ class View:
     points: Floats
 
     @property
+    def near(self) -> Floats:
+        """Points (p, 2) that are compared: others may be outside the field of the other view."""
+        return self.points[np.hypot(self.points[:, 0], self.points[:, 1]) < FIELD_RADIUS]
+
+    @property
     def comparable(self) -> bool:
         """True if the scan has enough points for a comparison."""
-        return len(self.points) >= MIN_POINTS
+        return len(self.near) >= MIN_POINTS
 
     def differs_from(self, other: View, motion: se2.Pose) -> bool:
         """Return True if another view, after a `motion` [x, y, heading] from this one, shows another place.
 
-        False if they cannot be compared: either has too few points, or they are too far apart.
+        False if they cannot be compared: either has too few points, or the robot has driven in between.
         """
         if not self.comparable or not other.comparable or wheel_travel(motion) > MAX_TRAVEL:
             return False
-        field = DistanceField.empty(np.zeros(2), FIELD_RADIUS)
+        field = DistanceField.empty(np.zeros(2), FIELD_RADIUS + MAX_TRAVEL)
         field.insert(np.zeros(3), self.points)
-        points = subsample(other.points, MAX_COMPARED_POINTS)
+        points = subsample(other.near, MAX_COMPARED_POINTS)
         return bool(likelihoods(field, points, se2.compose(motion, ODOMETRY_ERRORS)).max() < SAME_PLACE_SCORE)

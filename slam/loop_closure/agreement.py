@@ -6,14 +6,18 @@ map. One match may be wrong, as places look alike, so each later look tests all 
 enough looks support its hypothesis, at least two of them without common points, and if few contradict it or support a
 rival. Mangelson et al. (2018) also accept sets of matches, by pairwise consistency. The estimate itself is the first
 hypothesis: if it fits, the robot has returned, and nothing is corrected.
+
+Parts of the map that are not connected are joined in the same way. Then the estimate is no hypothesis: the parts are
+where odometry has put them, and a pose that fits there is one of the matches.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers import se2
 
@@ -59,15 +63,19 @@ class _Vote:
 
 
 class LoopAgreement:
-    """Hypotheses of the last metres, and the search for new ones. `search` returns the matches of a look at a place."""
+    """Hypotheses of the last metres, and the search for new ones.
 
-    def __init__(self, search: Search = Look.search) -> None:
-        self._search_place = search
+    search  returns the matches of a look at a place
+    joins   true if the places are in parts of the map that are not connected with the last keyframe
+    """
+
+    def __init__(self, search: Search = Look.search, *, joins: bool = False) -> None:
+        self._search_place, self._joins = search, joins
         self._restore(LoopAgreementState(), Submaps())
 
     def __deepcopy__(self, memo: dict[int, object]) -> LoopAgreement:
         """Return an independent copy; matches and submaps are never changed and are shared."""
-        other = LoopAgreement(self._search_place)
+        other = LoopAgreement(self._search_place, joins=self._joins)
         other._restore(self.state, self._submaps.copy())
         return other
 
@@ -101,6 +109,11 @@ class LoopAgreement:
         contradicted = self._last_search in self._estimate.contradictions[-1:]
         return contradicted and any(h.support[-1].travelled == self._last_search for h in self._hypotheses)
 
+    def number(self, decision: LoopDecision) -> LoopDecision:
+        """Return a decision with the next number."""
+        self._candidates += 1
+        return replace(decision, candidate=self._candidates)
+
     def exclude(self, motion: se2.Pose) -> None:
         """Reject the motion of a retracted closure from now on."""
         self._retracted.append(motion)
@@ -112,8 +125,13 @@ class LoopAgreement:
         self._estimate, self._hypotheses = state.estimate.copy(), [h.copy() for h in state.hypotheses]
         self._candidates, self._retracted = state.candidates, list(state.retracted)
 
-    def search(self, mapper: Mapper, local_field: LocalField) -> LoopDecision | None:
-        """Look for the last keyframe's place in old parts of the map; return a closure that looks agree on, if any."""
+    def search(
+        self, mapper: Mapper, local_field: LocalField, among: NDArray[np.bool_] | None = None
+    ) -> LoopDecision | None:
+        """Look for the last keyframe's place in old parts of the map; return a closure that looks agree on, if any.
+
+        among  (k,) keyframes whose places are searched; None for all
+        """
         now = float(mapper.travelled[mapper.keyframe_count - 1])
         if now - self._last_search < SEARCH_INTERVAL:
             return None
@@ -121,16 +139,15 @@ class LoopAgreement:
         self._hypotheses = [h for h in self._hypotheses if now - h.support[-1].travelled < MEMORY]
         self._returns = [at for at in self._returns if now - at < MEMORY]
         self._searched = {place: at for place, at in self._searched.items() if now - at < MEMORY}
-        look = Look(mapper, local_field, self._submaps)
+        look = Look(mapper, local_field, self._submaps, among, apart=self._joins)
         places = look.possible_places()
         if not places:
             return None
         self._vote(look, self._search(look, places), local_field)
         decision = self._accepted(look, places)
-        if decision is None or not all(_differ(look, decision.correction, motion) for motion in self._retracted):
+        if decision is None or not all(differ(look, decision.correction, motion) for motion in self._retracted):
             return None
-        self._candidates += 1
-        return decision
+        return self.number(decision)
 
     def _search(self, look: Look, places: Sequence[int]) -> list[_Vote]:
         """Return the matches with old places; those that were not searched for the longest time come first."""
@@ -138,26 +155,26 @@ class LoopAgreement:
         for old in sorted(places, key=lambda place: self._searched.get(place, -np.inf))[:MAX_PLACES]:
             self._searched[old] = look.travelled
             for match in self._search_place(look, old):
-                if _fits(match) and _is_determined(match):
+                if fits(match) and is_determined(match):
                     votes.append(_Vote(old, match, look.motion(old, match.pose)))
         votes.sort(key=lambda vote: -vote.match.score)
         distinct: list[_Vote] = []
         for vote in votes:
-            if all(_differ(look, vote.motion, other.motion) for other in distinct):
+            if all(differ(look, vote.motion, other.motion) for other in distinct):
                 distinct.append(vote)
         return distinct
 
     def _vote(self, look: Look, found: Sequence[_Vote], local_field: LocalField) -> None:
         """Let a look support or contradict all hypotheses, and propose new ones."""
-        tested = [(h, self._test(look, h)) for h in (self._estimate, *self._hypotheses)]
-        new = [vote for vote in found if all(_differ(look, vote.motion, t.motion) for _, t in tested if t is not None)]
-        fitting = [vote for _, vote in tested if vote is not None and _fits(vote.match)]
+        tested = [(h, self._test(look, h)) for h in self._all_hypotheses]
+        new = [vote for vote in found if all(differ(look, vote.motion, t.motion) for _, t in tested if t is not None)]
+        fitting = [vote for _, vote in tested if vote is not None and fits(vote.match)]
         least = RIVAL_QUALITY * max((vote.match.quality for vote in (*fitting, *new)), default=0.0)
         for hypothesis, vote in tested:
             if vote is None:
                 continue
-            if _fits(vote.match) and vote.match.quality >= least:
-                if _is_determined(vote.match):
+            if fits(vote.match) and vote.match.quality >= least:
+                if is_determined(vote.match):
                     self._add_support(hypothesis, look, vote, local_field)
             elif vote.match.known >= MIN_KNOWN:
                 hypothesis.contradictions.append(look.travelled)
@@ -176,9 +193,13 @@ class LoopAgreement:
         has_returned = self._returns[-1:] == [look.travelled]
         kept = [self._estimate] if self._estimate.support or has_returned else []
         for hypothesis in sorted(self._hypotheses, key=lambda h: -len(h.support)):
-            if all(_differ(look, hypothesis.motion, other.motion) for other in kept):
+            if all(differ(look, hypothesis.motion, other.motion) for other in kept):
                 kept.append(hypothesis)
         self._hypotheses = [hypothesis for hypothesis in kept if hypothesis is not self._estimate]
+
+    @property
+    def _all_hypotheses(self) -> list[LoopHypothesis]:
+        return self._hypotheses if self._joins else [self._estimate, *self._hypotheses]
 
     def _test(self, look: Look, hypothesis: LoopHypothesis) -> _Vote | None:
         """Return the match of a look with the place where a hypothesis has the robot, if there is one."""
@@ -203,7 +224,7 @@ class LoopAgreement:
         """Return a closure that enough looks support, that few contradict and that has no equal rival."""
         if any(place not in self._searched for place in places):
             return None  # one of them may be a rival
-        hypotheses = [self._estimate, *self._hypotheses]
+        hypotheses = self._all_hypotheses
         for hypothesis in hypotheses:
             if not hypothesis.support or hypothesis.support[-1].keyframe != look.last:
                 continue
@@ -241,7 +262,7 @@ class LoopAgreement:
         against = hypothesis.contradictions_since(first)
         doubted = min([first, *self._estimate.contradictions])
         return LoopDecision(
-            self._candidates + 1,
+            0,
             last.keyframe,
             last.old,
             se2.between(look.pose, se2.compose(hypothesis.motion, look.pose)),
@@ -252,8 +273,9 @@ class LoopAgreement:
             max((rival.support_since(first) for rival in rivals), default=0) / count,
             against / (count + against),
             checks,
-            look.keyframe_at(doubted - SUBMAP_LENGTH),
+            look.first_of_part if self._joins else look.keyframe_at(doubted - SUBMAP_LENGTH),
             look.compared_points(last.old),
+            joins=self._joins,
         )
 
     def _prevails(self, hypothesis: LoopHypothesis, rival: LoopHypothesis) -> bool:
@@ -266,16 +288,16 @@ class LoopAgreement:
         return hypothesis.discriminating_looks(rival) >= SUPPORT_RATIO * max(1, against)
 
 
-def _fits(match: SubmapMatch) -> bool:
+def fits(match: SubmapMatch) -> bool:
     """True if a match shows enough of what the old place has seen, and that fits."""
     return match.known >= MIN_KNOWN and match.fit >= MIN_LOOP_FIT
 
 
-def _is_determined(match: SubmapMatch) -> bool:
+def is_determined(match: SubmapMatch) -> bool:
     """True if a match determines the position in every direction."""
     return bool(np.linalg.eigvalsh(match.covariance[:2, :2])[-1] < MAX_MATCH_SIGMA**2)
 
 
-def _differ(look: Look, motion: se2.Pose, other: se2.Pose) -> bool:
+def differ(look: Look, motion: se2.Pose, other: se2.Pose) -> bool:
     """True if two motions in the map lead the robot to different places."""
     return are_distinct(se2.compose(motion, look.pose), se2.compose(other, look.pose))

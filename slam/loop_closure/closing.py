@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers import se2
 
@@ -38,11 +39,16 @@ def close_loop(mapper: Mapper, decision: LoopDecision) -> LoopDecision:
     """Move the recent keyframes to their poses by the decision's matches, then merge the walls that coincide.
 
     Observations of old walls by the recent keyframes, and their matches with old keyframes, would hold the map in
-    place: they are removed first. Returns the decision with status ACCEPTED; or REJECTED if too many matches do not
-    agree with the corrected map, and then the mapper must be discarded.
+    place: they are removed first. If the decision joins parts of the map, there are none: the last part is moved as a
+    whole instead, or the old one if the last is that of the first keyframe. Returns the decision with status ACCEPTED;
+    or REJECTED if too many matches do not agree with the corrected map, and then the mapper must be discarded.
     """
-    before, graph = mapper.pose, mapper.graph
-    _separate_passes(mapper, decision.since)
+    before, recent = mapper.pose, _is_recent(mapper, decision)
+    if decision.joins:
+        mapper.join_part(decision.old, decision.correction)
+    else:
+        _separate_passes(mapper, decision.since)
+    graph = mapper.graph
     for match in decision.matches:
         graph.add_loop(match.old, match.keyframe, match.relative, LOOP_FACTOR_SIGMAS)
     numbers = graph.update()
@@ -52,7 +58,7 @@ def close_loop(mapper: Mapper, decision: LoopDecision) -> LoopDecision:
     if len(agreeing) * (SUPPORT_RATIO + 1.0) < len(decision.matches) * SUPPORT_RATIO:
         reason = "the matches do not fit the corrected map"
         return replace(decision, status=LoopStatus.REJECTED, reason=reason)
-    merged = _merge_coinciding_walls(mapper, decision.since)
+    merged = _merge_coinciding_walls(mapper, recent)
     graph.remove_factors(numbers)
     for match in agreeing:
         graph.add_loop_match(match.old, match.keyframe, match.relative, POINT_SHARING * match.covariance)
@@ -90,11 +96,18 @@ def _agrees(mapper: Mapper, match: LoopMatch) -> bool:
     return bool(error @ np.linalg.solve(match.covariance, error) < MAX_SQUARED_DISTANCE)
 
 
-def _merge_coinciding_walls(mapper: Mapper, since: int) -> list[tuple[int, int]]:
-    """Merge walls first seen before and since a keyframe that coincide; return their ids (old, recent)."""
+def _is_recent(mapper: Mapper, decision: LoopDecision) -> NDArray[np.bool_]:
+    """Return (n,) which walls are of the pass that a decision moves, or of the part of the map that it joins."""
+    if decision.joins:
+        return mapper.landmarks.connected()
+    return np.asarray(mapper.landmarks.walls.rows["first_seen"] >= decision.since)
+
+
+def _merge_coinciding_walls(mapper: Mapper, is_recent: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Merge walls of which one `is_recent` (n,) and the other not, if they coincide; return their ids (old, recent)."""
     walls = mapper.landmarks.walls.rows
-    rows = np.flatnonzero(walls["in_graph"] & mapper.landmarks.active())
-    recent, merged = walls["first_seen"][rows] >= since, []
+    rows = np.flatnonzero(walls["in_graph"] & mapper.landmarks.active() & mapper.landmarks.connected())
+    recent, merged = is_recent[rows], []
     for pair in find_overlaps(walls["frame"][rows], walls["low"][rows], walls["high"][rows]):
         one, other = int(rows[pair.first]), int(rows[pair.second])
         if recent[pair.first] == recent[pair.second] or not _are_separate(walls, one, other):

@@ -66,6 +66,7 @@ class LoopDecision:
     compared      points (n, 2) of the recent submap, in the map before the closure, and (m, 2) of the old place
     merged        landmark ids (old, recent) of walls that were merged
     shift         metres by which the last keyframe moved
+    joins         true if it joins parts of the map that were not connected
     """
 
     candidate: int
@@ -83,6 +84,7 @@ class LoopDecision:
     compared: tuple[Floats, Floats]
     merged: tuple[tuple[int, int], ...] = ()
     shift: float = 0.0
+    joins: bool = False
 
     @property
     def fit(self) -> float:

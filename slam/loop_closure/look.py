@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers import se2
 
@@ -68,18 +69,35 @@ class Submaps:
 
 
 class Look:
-    """The submap of the last keyframe, to be matched with those of old places."""
+    """The submap of the last keyframe, or of another one, to be matched with those of old places.
 
-    def __init__(self, mapper: Mapper, local_field: LocalField, submaps: Submaps) -> None:
+    among     (k,) keyframes that may be old places; None for all
+    apart     true if they are in parts of the map that are not connected with the keyframe; else only those of earlier
+              passes are old places
+    keyframe  the other one
+    """
+
+    def __init__(
+        self,
+        mapper: Mapper,
+        local_field: LocalField,
+        submaps: Submaps,
+        among: NDArray[np.bool_] | None = None,
+        *,
+        apart: bool = False,
+        keyframe: int | None = None,
+    ) -> None:
         self._mapper, self._field, self._submaps = mapper, local_field, submaps
         self._travelled = np.asarray(mapper.travelled)
         self._ways = local_field.ways(mapper.travelled)
         self._covariances: dict[int, Floats] = {}
-        self.last = mapper.keyframe_count - 1
+        self.last = mapper.keyframe_count - 1 if keyframe is None else keyframe
         self.travelled = float(self._travelled[self.last])
         poses = mapper.keyframe_poses
         self.pose = poses[self.last]
-        old = np.flatnonzero(self._travelled < self.travelled - 2 * SUBMAP_LENGTH)
+        self._apart, eligible = apart, np.ones(len(poses), dtype=bool) if among is None else among
+        self._seen_before = eligible & (apart | (self._travelled < self.travelled - SUBMAP_LENGTH))
+        old = np.flatnonzero(eligible & (apart | (self._travelled < self.travelled - 2 * SUBMAP_LENGTH)))
         number = np.floor(self._travelled[old] / SUBMAP_INTERVAL)
         self._old = old[np.flatnonzero(np.diff(number, prepend=-1.0))]  # keyframes in the middle of old submaps
         self._distances = np.hypot(*(poses[self._old, :2] - self.pose[:2]).T)
@@ -89,8 +107,9 @@ class Look:
     def submap(self) -> Submap:
         """Submap of the last keyframes."""
         if self._submap is None:
-            recent = np.flatnonzero(self._ways > self._ways[self.last] - SUBMAP_LENGTH)
-            self._submap = _build(self._place(recent, self.last), self._field)
+            recent = self._ways > self._ways[self.last] - SUBMAP_LENGTH
+            recent[self.last + 1 :] = False
+            self._submap = _build(self._place(np.flatnonzero(recent), self.last), self._field)
         return self._submap
 
     def reference(self, old: int) -> Submap:
@@ -99,7 +118,7 @@ class Look:
 
     def _place_around(self, old: int) -> OldPlace:
         around = np.abs(self._ways - self._ways[old]) < SUBMAP_LENGTH
-        around &= self._travelled < self.travelled - SUBMAP_LENGTH
+        around &= self._seen_before
         return self._place(np.flatnonzero(around), old)
 
     def _place(self, keyframes: Integers, centre: int) -> OldPlace:
@@ -130,13 +149,20 @@ class Look:
         Places closer together than REFERENCE_DISTANCE are represented by the oldest of them.
         """
         poses, spread = self._mapper.keyframe_poses, _position_sigmas(self._mapper.pose_covariances)
-        bound = SEARCH_DEVIATIONS * (spread[self._old] + spread[self.last] + UNMODELLED_SIGMAS[0])
+        bound = SEARCH_DEVIATIONS * (spread[self._old] + self._spread(spread) + UNMODELLED_SIGMAS[0])
         chosen = list[int]()
         for keyframe in self._old[self._distances < bound + REFERENCE_DISTANCE].tolist():
             if np.hypot(*(poses[chosen, :2] - poses[keyframe, :2]).T).min(initial=np.inf) > REFERENCE_DISTANCE:
                 chosen.append(keyframe)
         reach = {old: self.search_radius(old) + REFERENCE_DISTANCE for old in chosen}
         return [old for old in chosen if np.hypot(*(poses[old, :2] - self.pose[:2])) < reach[old]]
+
+    def _spread(self, spread: Floats) -> float:
+        """Return the standard deviation (metres) of the last position, given those (k,) of all in their own parts."""
+        if not self._apart or not len(self._old):
+            return float(spread[self.last])
+        nearest = int(self._old[-1])
+        return float(spread[nearest] + np.sqrt(np.linalg.eigvalsh(self.covariance(nearest)[:2, :2])[-1]))
 
     def search_radius(self, old: int) -> float:
         """Return the metres by which the position relative to an old keyframe may be wrong."""
@@ -166,6 +192,11 @@ class Look:
     def keyframe_at(self, travelled: float) -> int:
         """Return the first keyframe from a distance driven (metres) on."""
         return int(np.searchsorted(self._travelled, travelled))
+
+    @property
+    def first_of_part(self) -> int:
+        """First keyframe of the connected part of the map of the last one."""
+        return self._mapper.landmarks.parts.current_first
 
     def agrees(self, old: int, match: SubmapMatch) -> bool:
         """True if the estimate agrees with a match: the robot is back, and nothing has to be corrected."""

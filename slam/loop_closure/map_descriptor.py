@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers import se2
 
@@ -47,10 +48,16 @@ class MapDescriptor:
         return len(self.walls)
 
 
-def describe_map(landmarks: Landmarks, roughness: float) -> MapDescriptor:
-    """Describe all confirmed landmarks; `roughness` is the variance of the wall roughness, metres squared."""
+def describe_map(landmarks: Landmarks, roughness: float, observers: NDArray[np.bool_] | None = None) -> MapDescriptor:
+    """Describe the confirmed landmarks; `roughness` is the variance of the wall roughness, metres squared.
+
+    With `observers` (k,), only those that one of these keyframes saw last.
+    """
     rows = landmarks.walls.rows
-    walls = np.flatnonzero(rows["in_graph"] & landmarks.active())
+    chosen = rows["in_graph"] & landmarks.active()
+    if observers is not None:
+        chosen &= observers[rows["last_seen"]]
+    walls = np.flatnonzero(chosen)
     rows = rows[walls]
     middle, half = 0.5 * (rows["low"] + rows["high"]), 0.5 * (rows["high"] - rows["low"])
     along = np.column_stack([middle, np.zeros((len(walls), 2))])
@@ -62,6 +69,8 @@ def describe_map(landmarks: Landmarks, roughness: float) -> MapDescriptor:
     stretches = [_observed_stretches(landmarks, int(wall)) - by for wall, by in zip(walls, middle, strict=True)]
     confirmed = np.flatnonzero(landmarks.corners.rows["in_graph"])
     corners = landmarks.corners.rows[confirmed[landmarks.active_corners(confirmed)]]
+    if observers is not None:
+        corners = corners[observers[corners["last_seen"]]]
     return MapDescriptor(
         walls=walls,
         frame=se2.compose(rows["frame"], along).reshape(-1, 3),

@@ -146,16 +146,23 @@ class _Candidate:
     score: float
 
 
-def index_map(mapper: Mapper) -> MapIndex:
-    """Prepare a map for relocalisation. Takes a few milliseconds per hundred walls."""
-    descriptor = describe_map(mapper.landmarks, mapper.roughness.variance)
+def index_map(mapper: Mapper, observers: NDArray[np.bool_] | None = None) -> MapIndex:
+    """Prepare a map for relocalisation. Takes a few milliseconds per hundred walls.
+
+    With `observers` (k,), only of landmarks that one of these keyframes saw last.
+    """
+    descriptor = describe_map(mapper.landmarks, mapper.roughness.variance, observers)
     return MapIndex(descriptor, build_pair_table(descriptor))
 
 
-def submap_of(mapper: Mapper) -> Submap:
-    """Return the map of a short drive as a submap."""
-    views = [(mapper.graph.keyframe_pose(keyframe), segments) for keyframe, segments in mapper.recent_segments]
-    return Submap(describe_map(mapper.landmarks, mapper.roughness.variance), mapper.pose, views)
+def submap_of(mapper: Mapper, observers: NDArray[np.bool_] | None = None) -> Submap:
+    """Return the map of a short drive as a submap; with `observers` (k,), what these keyframes of it saw last."""
+    views = [
+        (mapper.graph.keyframe_pose(keyframe), segments)
+        for keyframe, segments in mapper.recent_segments
+        if observers is None or observers[keyframe]
+    ]
+    return Submap(describe_map(mapper.landmarks, mapper.roughness.variance, observers), mapper.pose, views)
 
 
 def relocalise(submap: Submap, index: MapIndex) -> Relocalisation | None:

@@ -17,6 +17,7 @@ from drivers import se2
 
 from ..geometry.segments import Floats, Integers
 from .landmark_table import CORNER_DTYPE, NEVER_REMOVED, UNOBSERVED, WALL_DTYPE, LandmarkTable
+from .map_parts import MapParts
 
 # Metres by which the robot may be behind a wall's line and still be about to see the wall: covers drift, and the far
 # ends of long walls. Origin: chosen, more than the drift within a local map; not measured.
@@ -35,6 +36,7 @@ class Landmarks:
     covered         for each wall, the cells of WALL_CELL metres along it that were observed
     opened          for each wall with openings, the opened cells and the keyframe after which each was no longer
                     there; a cell can be covered again by later observations
+    parts           parts of the map; a landmark belongs to that of the keyframe that observed it last
     """
 
     def __init__(self) -> None:
@@ -42,6 +44,7 @@ class Landmarks:
         self.corners = LandmarkTable(CORNER_DTYPE)
         self.covered: list[frozenset[int]] = []
         self.opened: dict[int, dict[int, int]] = {}
+        self.parts = MapParts()
 
     @classmethod
     def from_tables(
@@ -50,13 +53,15 @@ class Landmarks:
         corners: NDArray[np.void],
         covered: Sequence[frozenset[int]],
         opened: Mapping[int, Mapping[int, int]],
+        parts: MapParts | None = None,
     ) -> Landmarks:
-        """Build landmarks from rows of WALL_DTYPE and CORNER_DTYPE, and from the covered and opened cells."""
+        """Build landmarks from rows of WALL_DTYPE and CORNER_DTYPE, the covered and opened cells, and the parts."""
         landmarks = cls()
         landmarks.walls.replace_rows(walls)
         landmarks.corners.replace_rows(corners)
         landmarks.covered = list(covered)
         landmarks.opened = {wall: dict(cells) for wall, cells in opened.items()}
+        landmarks.parts = parts or landmarks.parts
         return landmarks
 
     def __deepcopy__(self, memo: dict[int, object]) -> Landmarks:
@@ -64,6 +69,7 @@ class Landmarks:
         other.walls, other.corners = copy.deepcopy(self.walls), copy.deepcopy(self.corners)
         other.covered = list(self.covered)  # the sets are immutable
         other.opened = {wall: dict(cells) for wall, cells in self.opened.items()}
+        other.parts = copy.deepcopy(self.parts)
         return other
 
     # --- observations
@@ -198,6 +204,13 @@ class Landmarks:
                 for cell in opened.keys() | also_opened.keys()
             }
 
+    def move(self, walls: Integers, corners: Integers, motion: se2.Pose) -> None:
+        """Move walls (n,) and corners (m,) rigidly by a motion [x, y, heading] in the map."""
+        wall_rows, corner_rows = self.walls.rows, self.corners.rows
+        wall_rows["frame"][walls] = se2.compose(motion, wall_rows["frame"][walls])
+        corner_rows["position"][corners] = se2.transform(motion, corner_rows["position"][corners])
+        corner_rows["headings"][corners] = se2.wrap(corner_rows["headings"][corners] + motion[2])
+
     def remove_wall(self, wall: int, keyframe: int) -> None:
         """Mark a wall as no longer there after a keyframe. Its row is kept."""
         self.walls.rows["removed_at"][wall] = keyframe
@@ -237,6 +250,13 @@ class Landmarks:
             there |= removed_at >= keyframe
         return np.asarray(there & (rows["merged_into"][walls] == walls))
 
+    def connected(self, *, keyframe: int | None = None) -> NDArray[np.bool_]:
+        """Return (n,) which walls are in the part of the map of a keyframe, or in a part joined with it.
+
+        The keyframe is the last one if `keyframe` is None.
+        """
+        return self.parts.connected(self.walls.rows["last_seen"], keyframe)
+
     def removed_walls(self) -> NDArray[np.int64]:
         """Return the ids of the confirmed walls that have been removed."""
         walls = self.walls.rows
@@ -273,7 +293,7 @@ class Landmarks:
     def walls_near(self, pose: se2.Pose, radius: float, *, keyframe: int | None = None) -> NDArray[np.int64]:
         """Return the ids of the active walls with a part within `radius` metres of a pose on their visible side.
 
-        `keyframe` as in `active`.
+        `keyframe` as in `active`; only walls that are connected with it, see `connected`.
         """
         walls = self.walls.rows
         if not len(walls):
@@ -281,12 +301,14 @@ class Landmarks:
         viewpoint = se2.transform(se2.inverse(walls["frame"]), pose[:2])
         beyond = np.maximum(0.0, np.maximum(walls["low"] - viewpoint[:, 0], viewpoint[:, 0] - walls["high"]))
         near = np.flatnonzero((np.hypot(beyond, viewpoint[:, 1]) < radius) & (viewpoint[:, 1] > -BEHIND_MARGIN))
+        near = near[self.parts.connected(walls["last_seen"][near], keyframe)]
         return near[self.active(near, keyframe=keyframe)]
 
     def corners_near(self, pose: se2.Pose, radius: float, *, keyframe: int | None = None) -> NDArray[np.int64]:
-        """Return the ids of the active corners within `radius` metres of a pose; `keyframe` as in `active`."""
+        """Return the ids of the active corners within `radius` metres of a pose; `keyframe` as in `walls_near`."""
         offset = self.corners.rows["position"] - pose[:2]
         near = np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) < radius)
+        near = near[self.parts.connected(self.corners.rows["last_seen"][near], keyframe)]
         return near[self.active_corners(near, keyframe)]
 
 

@@ -21,8 +21,10 @@ from .keyframes import KeyframeMotion, KeyframeObservations, KeyframeRecords, La
 from .landmark_ids import assign_landmark_ids
 from .landmarks import Landmarks
 from .local_map import LocalMap, local_map_around
+from .part_gauge import PartGauge
+from .read_back import read_back_covariances, read_back_landmarks
 from .unconfirmed_observations import UnconfirmedObservations
-from .wall_merging import MIN_OBSERVATIONS_TO_MERGE, find_duplicate_wall, merge_duplicate_walls
+from .wall_merging import find_observed_duplicate, merge_duplicate_walls
 from .wall_removal import FreeSpaceEvidence
 from .wall_roughness import WallRoughness
 from .wall_splitting import find_splits, split_landmark, with_new_walls
@@ -30,9 +32,6 @@ from .wall_splitting import find_splits, split_landmark, with_new_walls
 # Metres by which the local map reaches beyond what the last keyframe observed; the next scans are matched to it.
 # Origin: chosen, several times the distance between keyframes; not measured.
 LOCAL_MAP_MARGIN = 2.0
-# Keyframes that must have observed a wall before residuals about it are used for the wall roughness.
-# Origin: chosen, the wall's own error must be small; not measured.
-MIN_OBSERVATIONS_FOR_ROUGHNESS = 4
 # Keyframes whose segments are kept for verifying loop closures. Origin: chosen, some 8 m of driving; not measured.
 MAX_RECENT_SEGMENTS = 25
 # Keyframes after which the estimate of all landmarks is read back, not only of those nearby.
@@ -54,6 +53,7 @@ class Mapper:
     landmark_ids         of each keyframe, as assigned when it was added
     pose_covariances     (3, 3) of each keyframe when it was added, in the map's axes, correlated drift included
     correlated_drift     (k, 2, 2) accumulated up to each keyframe, in the map's axes; see `slam.odometry`
+    gauge                what holds the group of the last part of the map while it is not connected
     """
 
     def __init__(
@@ -73,6 +73,7 @@ class Mapper:
         self.landmark_ids: list[LandmarkIds] = []
         self.pose_covariances: list[Floats] = []
         self.correlated_drift: Floats = np.zeros((0, 2, 2))
+        self.gauge = PartGauge()
         self._unconfirmed = UnconfirmedObservations()
 
     @classmethod
@@ -143,6 +144,12 @@ class Mapper:
 
     def relative_covariance(self, old: int, keyframe: int) -> Floats:
         """Return (3, 3) the covariance of a keyframe's pose relative to an older one, in its own frame."""
+        if self.gauge.separates(self, old, keyframe):
+            return self.gauge.covariance_across(self, old, keyframe)
+        return self.relative_covariance_in_graph(old, keyframe)
+
+    def relative_covariance_in_graph(self, old: int, keyframe: int) -> Floats:
+        """Return the covariance as `relative_covariance` does, of keyframes that factors of the graph connect."""
         correlated = embed_position_covariance(self.correlated_drift[keyframe] - self.correlated_drift[old])
         heading = self.graph.keyframe_pose(keyframe)[2]
         return self.graph.relative_covariance(old, keyframe) + rotate_covariance(correlated, -heading)
@@ -151,7 +158,10 @@ class Mapper:
         """Return (3, 3) an upper bound of `relative_covariance`, from the stored covariances, so it costs nothing.
 
         The difference of two errors a and b has a covariance of at most 2 (Cov a + Cov b), whatever their correlation.
+        The stored covariances of parts of the map that are not connected have different gauges: there it is exact.
         """
+        if self.gauge.separates(self, old, keyframe):
+            return self.gauge.covariance_across(self, old, keyframe)
         heading = self.keyframe_poses[keyframe, 2]
         of_old, of_keyframe = (rotate_covariance(self.pose_covariances[k], -heading) for k in (old, keyframe))
         lever = se2.between(self.keyframe_poses[keyframe], self.keyframe_poses[old])
@@ -159,9 +169,10 @@ class Mapper:
         return np.asarray(2.0 * (adjoint @ of_old @ adjoint.T + of_keyframe))
 
     def keyframes_near(self, pose: se2.Pose, distance: float, turn: float) -> Integers:
-        """Return the keyframes within a distance (metres) and turn (radians) of a pose, nearest first."""
+        """Return the connected keyframes within a distance (metres) and turn (radians) of a pose, nearest first."""
         distances = np.hypot(*(self.keyframe_poses[:, :2] - pose[:2]).T)
         near = np.flatnonzero((distances < distance) & (np.abs(se2.wrap(self.keyframe_poses[:, 2] - pose[2])) < turn))
+        near = near[self.landmarks.parts.connected(near)]
         return near[np.argsort(distances[near], kind="stable")]
 
     # --- adding keyframes
@@ -185,7 +196,8 @@ class Mapper:
         keyframe = self.keyframe_count
         wall_count = len(self.landmarks.walls)
         landmark_ids = assign_landmark_ids(self.landmarks, keyframe, pose, segments, corners, association, local_map)
-        self.add_keyframe_with_ids(pose, motion, segments, corners, landmark_ids)
+        apart = keyframe > 0 and keyframe == self.landmarks.parts.firsts[-1]
+        self.add_keyframe_with_ids(pose, motion, segments, corners, landmark_ids, apart=apart)
         if point_motion is not None:
             self.graph.add_point_map(point_motion.start, point_motion.start_covariance)
             self.graph.add_scan_match(point_motion.start, keyframe, point_motion.relative, point_motion.covariance)
@@ -205,8 +217,13 @@ class Mapper:
         segments: Segments,
         corners: CornerPoints,
         landmark_ids: LandmarkIds,
+        *,
+        apart: bool = False,
     ) -> None:
-        """Add a keyframe whose landmark ids are known. Takes effect with the graph's next update, or with `solve`."""
+        """Add a keyframe whose landmark ids are known. Takes effect with the graph's next update, or with `solve`.
+
+        If `apart`, it is the first one of a part of the map that is not connected; `motion` is kept for later.
+        """
         keyframe = self.keyframe_count
         self.keyframe_count += 1
         correlated_drift = np.zeros((2, 2))
@@ -215,7 +232,10 @@ class Mapper:
         else:
             own_drift = rotate_covariance(embed_position_covariance(motion.correlated_drift), pose[2])[:2, :2]
             correlated_drift = self.correlated_drift[motion.start] + own_drift
-            self.graph.add_keyframe(keyframe, pose, motion.start, motion.motion, motion.covariance)
+            if apart:
+                self.gauge = PartGauge.begin(self.graph, keyframe, pose, motion)
+            else:
+                self.graph.add_keyframe(keyframe, pose, motion.start, motion.motion, motion.covariance)
             self.travelled.append(self.travelled[-1] + float(np.hypot(motion.motion[0], motion.motion[1])))
         self.keyframe_poses = np.vstack([self.keyframe_poses, pose])
         self.correlated_drift = np.concatenate([self.correlated_drift, correlated_drift[None]])
@@ -231,11 +251,15 @@ class Mapper:
         """
         everything = (self.keyframe_count - 1) % FULL_READ_BACK_INTERVAL == 0
         self._read_back(None if everything else LOCAL_MAP_MARGIN + observations.segments.reach())
-        self._store_covariances(observations)
-        self._update_roughness(observations)
+        independent = read_back_covariances(self.landmarks, self.graph, self.keyframe_count - 1, observations)
+        self.pose_covariances.append(independent + embed_position_covariance(self.correlated_drift[-1]))
+        self.roughness.add_observations(self.landmarks.walls.rows, self.pose, observations)
         local_map = self.local_map(observations)
-        merge = self._merge_duplicate(local_map, observations)
-        return self.local_map(observations) if merge else local_map, merge
+        merge = find_observed_duplicate(self.landmarks, local_map, observations, self.roughness.variance)
+        if merge is None:
+            return local_map, None
+        self.merge_walls(merge.kept, merge.absorbed)
+        return self.local_map(observations), merge
 
     def local_map(self, observations: KeyframeObservations) -> LocalMap:
         """Return the map around the last keyframe, LOCAL_MAP_MARGIN beyond its own observations."""
@@ -244,6 +268,21 @@ class Mapper:
     def local_map_at(self, pose: se2.Pose, reach: float) -> LocalMap:
         """Return the map within `reach` metres of a pose, with covariances relative to the last keyframe."""
         return local_map_around(self.landmarks, pose, reach, self.pose_covariances)
+
+    # --- parts of the map
+
+    def begin_part(self, *, measured: bool) -> None:
+        """Begin a part of the map with the next keyframe: nothing in it is connected with the map so far.
+
+        measured  true if odometry measures the motion to it; that is then the only information on its place
+        """
+        self.gauge.release(self)
+        self.landmarks.parts.begin(self.keyframe_count, measured=measured)
+
+    def join_part(self, old: int, motion: se2.Pose) -> None:
+        """Move the last part by a `motion` [x, y, heading] in the map, and join it with that of the keyframe `old`."""
+        self.gauge.join(self, old, motion)
+        self.landmarks.parts.join(old, self.keyframe_count - 1)
 
     # --- correcting the map
 
@@ -272,8 +311,11 @@ class Mapper:
     def converge(self) -> int:
         """Merge duplicate walls of the whole map, split those that are two, iterate to convergence, and read all back.
 
+        A part of the map that is not connected is held by odometry from then on.
+
         Return the number of walls merged.
         """
+        self.gauge.release(self)
         self.read_back_all()
         merged = merge_duplicate_walls(self.landmarks, self.graph, self.roughness.variance, self.merge_walls)
         if merged:
@@ -340,48 +382,4 @@ class Mapper:
         """Read back the landmarks within `radius` metres of the last keyframe; if None, all landmarks and poses."""
         if radius is None:
             self.keyframe_poses = self.graph.keyframe_poses(self.keyframe_count)
-        walls, corners = self.landmarks.walls.rows, self.landmarks.corners.rows
-        near_walls = np.arange(len(walls)) if radius is None else self.landmarks.walls_near(self.pose, radius)
-        near_corners = np.arange(len(corners)) if radius is None else self.landmarks.corners_near(self.pose, radius)
-        near_walls = near_walls[walls["in_graph"][near_walls]]
-        near_corners = near_corners[corners["in_graph"][near_corners]]
-        walls["frame"][near_walls] = self.graph.wall_frames(near_walls)
-        corners["position"][near_corners] = self.graph.corner_positions(near_corners)
-
-    def _store_covariances(self, observations: KeyframeObservations) -> None:
-        """Store the covariances of the last keyframe and of the landmarks it observed: cheap right after an update."""
-        walls, corners = self.landmarks.walls.rows, self.landmarks.corners.rows
-        association = observations.association
-        observed_walls = np.unique(association.walls[association.walls >= 0])
-        observed_walls = observed_walls[walls["in_graph"][observed_walls]]
-        observed_corners = np.unique(association.corners[association.corners >= 0])
-        observed_corners = observed_corners[corners["in_graph"][observed_corners]]
-        covariances = self.graph.relative_covariances(self.keyframe_count - 1, observed_walls, observed_corners)
-        self.landmarks.set_wall_covariances(observed_walls, covariances.walls, covariances.walls_in_map)
-        self.landmarks.set_corner_covariances(observed_corners, covariances.corners, covariances.corners_in_map)
-        self.pose_covariances.append(covariances.pose + embed_position_covariance(self.correlated_drift[-1]))
-
-    # --- learning from observations
-
-    def _merge_duplicate(self, local_map: LocalMap, observations: KeyframeObservations) -> WallMerge | None:
-        """Merge the most certain pair of duplicate walls of the local map of which one was just observed."""
-        rows = self.landmarks.walls.rows[local_map.walls]
-        mature = rows["in_graph"] & (rows["observations"] >= MIN_OBSERVATIONS_TO_MERGE)
-        observed = np.isin(local_map.walls, observations.association.walls)
-        found = find_duplicate_wall(local_map, mature, observed, self.roughness.variance)
-        if found is None:
-            return None
-        first, second = int(local_map.walls[found.first]), int(local_map.walls[found.second])
-        self.merge_walls(first, second)
-        return WallMerge(first, second, found.distance)
-
-    def _update_roughness(self, observations: KeyframeObservations) -> None:
-        """Update the wall roughness with the residuals of the segments about well-observed walls."""
-        rows, ids = self.landmarks.walls.rows, observations.association.walls
-        matched = np.flatnonzero(ids >= 0)
-        matched = matched[rows["observations"][ids[matched]] >= MIN_OBSERVATIONS_FOR_ROUGHNESS]
-        if not len(matched):
-            return
-        segments, walls = observations.segments, rows[ids[matched]]
-        residuals = se2.between(walls["frame"], se2.compose(self.pose, segments.frame[matched]))
-        self.roughness.add_residuals(residuals[:, 1:], segments.covariance[matched], segments.half_length[matched])
+        read_back_landmarks(self.landmarks, self.graph, self.pose, radius)

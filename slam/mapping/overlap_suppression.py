@@ -34,14 +34,16 @@ def suppress_overlapping_walls(landmarks: Landmarks) -> Landmarks:
     """Return a copy of the landmarks in which each stretch belongs to only one of several overlapping confirmed walls.
 
     Walls with more observations have priority. A wall of which nothing remains is merged into the one that overlaps it
-    most.
+    most. Walls of parts of the map that are not connected do not count as overlapping.
     """
     shown = copy.deepcopy(landmarks)
     rows = shown.walls.rows
     walls = np.flatnonzero(rows["in_graph"] & shown.active())
     ranked = walls[np.lexsort((walls, -rows["observations"][walls]))]
+    group = shown.parts.groups_of(rows["last_seen"])
     for wall, others in _walls_alongside(rows[ranked], ranked).items():  # walls of higher rank are done already
-        shared = {other: _shared_cells(shown, wall, other) for other in others if rows["merged_into"][other] == other}
+        others = [other for other in others if rows["merged_into"][other] == other and group[other] == group[wall]]
+        shared = {other: _shared_cells(shown, wall, other) for other in others}
         if not any(shared.values()):
             continue
         remaining = _long_runs(shown.covered[wall].difference(*shared.values()))

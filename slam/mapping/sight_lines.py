@@ -70,7 +70,7 @@ def walls_in_view(landmarks: Landmarks, pose: se2.Pose, points: Floats) -> Walls
     reach = float(np.hypot(points[:, 0], points[:, 1]).max(initial=0.0))
     walls = _within_reach(all_rows["frame"], all_rows["low"], all_rows["high"], pose, reach).nonzero()[0]
     rows = all_rows[walls]
-    active = landmarks.active(walls)
+    active = landmarks.active(walls) & landmarks.parts.connected(rows["last_seen"])
     walls, rows = walls[active], rows[active]
     first = np.floor(rows["low"] / WALL_CELL).astype(np.int64)
     sizes = np.ceil(rows["high"] / WALL_CELL).astype(np.int64) - first

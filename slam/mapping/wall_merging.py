@@ -17,6 +17,7 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 from ..graph.factor_graph import FactorGraph
+from .keyframes import KeyframeObservations, WallMerge
 from .landmarks import Landmarks
 from .local_map import MAX_PREDICTED_TURN_VARIANCE, MAX_PREDICTED_VARIANCE, LocalMap
 
@@ -107,17 +108,35 @@ def find_duplicate_wall(
     return best
 
 
+def find_observed_duplicate(
+    landmarks: Landmarks, local_map: LocalMap, observations: KeyframeObservations, roughness: float
+) -> WallMerge | None:
+    """Return the most certain pair of duplicate walls of the local map of which one was just observed, if any.
+
+    `roughness` as in `find_duplicate_wall`.
+    """
+    rows = landmarks.walls.rows[local_map.walls]
+    mature = rows["in_graph"] & (rows["observations"] >= MIN_OBSERVATIONS_TO_MERGE)
+    observed = np.isin(local_map.walls, observations.association.walls)
+    found = find_duplicate_wall(local_map, mature, observed, roughness)
+    if found is None:
+        return None
+    return WallMerge(int(local_map.walls[found.first]), int(local_map.walls[found.second]), found.distance)
+
+
 def merge_duplicate_walls(
     landmarks: Landmarks, graph: FactorGraph, roughness: float, merge: Callable[[int, int], None]
 ) -> int:
     """Call `merge(kept, absorbed)` for each pair of duplicate walls, smallest distance first; return their number.
 
-    All confirmed walls are compared, with their joint covariances in `graph`. `roughness` is the variance of the wall
-    roughness (m^2).
+    All confirmed walls of connected parts of the map are compared, with their joint covariances in `graph`.
+    `roughness` is the variance of the wall roughness (m^2).
     """
     walls = landmarks.walls.rows
     rows = np.flatnonzero(walls["in_graph"] & landmarks.active())
     overlaps = find_overlaps(walls["frame"][rows], walls["low"][rows], walls["high"][rows])
+    group = landmarks.parts.groups_of(walls["last_seen"][rows])
+    overlaps = [pair for pair in overlaps if group[pair.first] == group[pair.second]]
     pairs = np.array([rows[[pair.first, pair.second]] for pair in overlaps], dtype=np.int64).reshape(-1, 2)
     found = []
     for pair, (first, second), joint in zip(overlaps, pairs.tolist(), graph.wall_pair_covariances(pairs), strict=True):

@@ -9,8 +9,12 @@ either end of a segment of length l adds the variance f to its offset and 12 f /
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
+
+from drivers import se2
 
 from ..geometry.segments import Floats
+from .keyframes import KeyframeObservations
 
 # Latest samples used, two per observation: some fifty keyframes. Origin: chosen, follows a change of building; not
 # measured.
@@ -21,6 +25,9 @@ INITIAL_VARIANCE = 0.0003**2
 # Samples from which on the initial variance has no weight. Origin: tuned on simulated drives: with more, the roughness
 # was learned too late for consistent covariances.
 FULL_WEIGHT_SAMPLES = 200
+# Keyframes that must have observed a wall before residuals about it are used for the wall roughness.
+# Origin: chosen, the wall's own error must be small; not measured.
+MIN_OBSERVATIONS_FOR_ROUGHNESS = 4
 # Median of a squared standard normal variable. Origin: definition, chi-square, 1 dof.
 NORMAL_MEDIAN = 0.4549
 
@@ -56,6 +63,21 @@ class WallRoughness:
         excess = residuals**2 / NORMAL_MEDIAN - np.diagonal(covariances, axis1=1, axis2=2)
         excess[:, 1] *= half_lengths**2 / 3
         self.add_samples(excess.ravel())
+
+    def add_observations(self, walls: NDArray[np.void], pose: se2.Pose, observations: KeyframeObservations) -> None:
+        """Update the estimate with the residuals of a keyframe's segments about well-observed walls.
+
+        walls  rows of all walls in the landmark table
+        pose   of the keyframe in the map
+        """
+        ids = observations.association.walls
+        matched = np.flatnonzero(ids >= 0)
+        matched = matched[walls["observations"][ids[matched]] >= MIN_OBSERVATIONS_FOR_ROUGHNESS]
+        if not len(matched):
+            return
+        segments = observations.segments
+        residuals = se2.between(walls["frame"][ids[matched]], se2.compose(pose, segments.frame[matched]))
+        self.add_residuals(residuals[:, 1:], segments.covariance[matched], segments.half_length[matched])
 
     def _estimate(self) -> None:
         if not len(self._samples):

@@ -65,7 +65,8 @@ class FullMapMatcher:
     ) -> None:
         self._history, self._landmarks, self._poses, self._roughness = history, landmarks, poses, roughness
         self._range_bias = range_bias
-        self._tile: tuple[int, int] | None = None
+        self._groups = landmarks.parts.groups_of(np.arange(len(poses)))
+        self._tile: tuple[int, int, int] | None = None
         self._fields: dict[int, DistanceField] = {}
         self._prior = np.diag(PRIOR_SIGMAS**-2)
 
@@ -113,18 +114,19 @@ class FullMapMatcher:
 
         With its own points in the field a scan would stay where it is.
         """
-        tile = (int(self._poses[keyframe, 0] // TILE), int(self._poses[keyframe, 1] // TILE))
+        group = int(self._groups[keyframe])
+        tile = (int(self._poses[keyframe, 0] // TILE), int(self._poses[keyframe, 1] // TILE), group)
         if tile != self._tile:
             self._tile, self._fields = tile, {}
         parity = 1 - keyframe % 2
         if parity not in self._fields:
-            self._fields[parity] = self._build_field((np.array(tile) + 0.5) * TILE, parity)
+            self._fields[parity] = self._build_field((np.array(tile[:2]) + 0.5) * TILE, parity, group)
         return self._fields[parity]
 
-    def _build_field(self, centre: Floats, parity: int) -> DistanceField:
-        """Build the distance field around `centre` from the keyframes with even (0) or odd (1) indices."""
+    def _build_field(self, centre: Floats, parity: int, group: int) -> DistanceField:
+        """Build the distance field around `centre` from the keyframes of a group with even (0) or odd (1) indices."""
         near = np.flatnonzero(np.hypot(*(self._poses[:, :2] - centre).T) < FIELD_RADIUS)
-        near = near[near % 2 == parity]
+        near = near[(near % 2 == parity) & (self._groups[near] == group)]
         near = near[:: max(1, -(-len(near) // MAX_FIELD_KEYFRAMES))]
         field = DistanceField.empty(centre, FIELD_HALF_WIDTH)
         scans = [self._history.scans[self._history.keyframes[keyframe]].features for keyframe in near.tolist()]

@@ -62,13 +62,13 @@ class LoopScorer:
 
     decisions              all loop decisions
     revisits               all keyframes at places visited before
-    relocalisation_errors  metres, of each relocalisation relative to the nearest keyframe
+    relocalisation_errors  metres, of each relocalisation relative to the nearest keyframe from before the loss
     """
 
     def __init__(self, simulation: Simulation) -> None:
         self._trajectory, self._walls = simulation.trajectory, true_walls(simulation.world, np.zeros(3))
         self._tracked = np.zeros(3)  # last estimated pose before a loop closure moves it
-        # By keyframe index, of those published; keyframes of a lost robot are not.
+        # By keyframe index, of those published; not of those that were processed again.
         self._estimate: dict[int, se2.Pose] = {}
         self._truth: dict[int, se2.Pose] = {}
         self._travelled: dict[int, float] = {}
@@ -137,7 +137,7 @@ class LoopScorer:
         self.decisions.append(ScoredDecision(event.index, event.status, event.reason, error, angle_error))
 
     def _score_relocalisation(self, event: Relocalised) -> None:
-        indices = list(self._truth)
+        indices = [index for index in self._truth if index < event.first]
         offsets = np.array([self._estimate[index] for index in indices])[:, :2] - event.pose[:2]
         nearest = indices[int(np.hypot(*offsets.T).argmin())]
         estimated = se2.between(self._estimate[nearest], event.pose)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from ...geometry.segments import Floats
 from ...localisation.local_field import LocalFieldState
 from ...localisation.tracker import PoseFix, TrackerState
 from ...loop_closure.loop_hypothesis import LoopAgreementState
+from ...mapping.map_parts import MapParts
 from .agreement import AgreementRecord, agreement_record
 from .records import Finite, Matrix, Pose, Record, to_matrix, to_pose
 
@@ -88,6 +90,12 @@ class _Graph(Record):
     range_bias: Finite
 
 
+class _Part(Record):
+    first: int = Field(ge=0)
+    group: int = Field(ge=0)
+    measured: bool
+
+
 class _SensorModels(Record):
     sigma_range: Finite
     odometry_samples: list[list[Finite]]
@@ -102,6 +110,8 @@ class SessionHeader(Record):
     agreement       state of the search for agreement, see `LoopAgreementState`
     graph           see `GraphState`
     sensor_models   what was learned online
+    parts           see `MapParts`; empty if the map has one part
+    joins           as `agreement`, of the searches for the place of the last part in other groups of parts, by group
     """
 
     format: str = FORMAT
@@ -112,6 +122,14 @@ class SessionHeader(Record):
     agreement: AgreementRecord
     graph: _Graph
     sensor_models: _SensorModels
+    parts: list[_Part] = Field(default_factory=list)
+    joins: dict[int, AgreementRecord] = Field(default_factory=dict)
+
+    @model_serializer(mode="wrap")
+    def _without_single_part(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Return the fields; those of parts, which few maps have, only if there are several."""
+        fields: dict[str, Any] = serialize(self)
+        return fields if self.parts else {n: value for n, value in fields.items() if n not in ("parts", "joins")}
 
     @classmethod
     def from_parts(
@@ -120,12 +138,14 @@ class SessionHeader(Record):
         segment_starts: list[int],
         checkpoint: TrackingCheckpoint,
         loops: LoopAgreementState,
+        joins: Mapping[int, LoopAgreementState],
         graph: tuple[int, bool, float],
         sensor_models: tuple[float, Floats, Floats],
+        parts: MapParts,
     ) -> SessionHeader:
         """Make the header of a session.
 
-        loops          state of the search for loops
+        loops, joins   state of the search for loops, and of those for joins, by the group of parts that is searched
         graph          updates, True if QR is used, and range bias (metres); see `GraphState`
         sensor_models  standard deviation of a range (metres), samples of the odometry model (n, 6), and samples of the
                        wall roughness (m,)
@@ -141,7 +161,17 @@ class SessionHeader(Record):
                 odometry_samples=sensor_models[1].tolist(),
                 roughness_samples=sensor_models[2].tolist(),
             ),
+            parts=_part_records(parts),
+            joins={group: agreement_record(state) for group, state in joins.items()} if parts.apart else {},
         )
+
+    @property
+    def map_parts(self) -> MapParts:
+        """Parts of the map."""
+        if not self.parts:
+            return MapParts()
+        first, group, measured = zip(*((part.first, part.group, part.measured) for part in self.parts), strict=True)
+        return MapParts(first, group, measured)
 
     @property
     def tracking_checkpoint(self) -> TrackingCheckpoint:
@@ -212,6 +242,16 @@ def _checkpoint_record(checkpoint: TrackingCheckpoint) -> _Checkpoint:
         kidnapped=checkpoint.kidnapped,
         kidnapped_keyframes=list(checkpoint.kidnapped_keyframes),
     )
+
+
+def _part_records(parts: MapParts) -> list[_Part]:
+    """Return a record of each part; none if there is only one."""
+    if len(parts) == 1:
+        return []
+    return [
+        _Part(first=first, group=group, measured=measured)
+        for first, group, measured in zip(parts.firsts, parts.groups, parts.measured, strict=True)
+    ]
 
 
 def write_header(file: Path, header: SessionHeader) -> None:

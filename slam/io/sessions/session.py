@@ -111,8 +111,10 @@ def write_session(directory: Path, session: StoredSession) -> None:
         list(session.starts),
         slam_state.checkpoint,
         slam_state.loops.state,
+        slam_state.joins.states,
         (graph.updates, graph.qr, graph.bias),
         (session.sigma_range, slam_state.odometry_model.samples, mapper.roughness.samples),
+        mapper.landmarks.parts,
     )
     write_header(folder / HEADER, header)
 
@@ -134,6 +136,7 @@ def read_session(path: Path) -> StoredSession:
     scans = read_scans(folder / SCANS, folder / RECENT_KEYFRAMES)
     landmarks = read_landmarks(folder / WALLS, folder / CORNERS)
     _check_references(folder / HEADER, header, scans, landmarks)
+    landmarks.parts = header.map_parts
     return StoredSession(
         config=config,
         slam_state=_read_slam_state(path, config, header, scans, landmarks),
@@ -174,6 +177,7 @@ def _read_slam_state(
                 header.tracking_checkpoint,
                 agreement_state(header.agreement),
                 keyframes,
+                {group: agreement_state(record) for group, record in header.joins.items()},
             )
     except (MapError, ArithmeticError, IndexError, RuntimeError, ValueError) as error:  # the tables do not fit together
         raise MapError(f"{path}: the session cannot be restored: {str(error).splitlines()[0]}") from error
@@ -186,11 +190,17 @@ def _check_references(file: Path, header: SessionHeader, scans: ScanRecords, lan
         raise MapError(f"{file}: checkpoint.anchor: keyframe {anchor.keyframe} of {count} does not exist")
     if any(not 0 <= keyframe < count for keyframe in header.checkpoint.kidnapped_keyframes):
         raise MapError(f"{file}: checkpoint.kidnapped_keyframes: there are {count} keyframes")
+    parts = header.map_parts
+    if parts.firsts[0] != 0 or parts.groups[0] != 0 or any(np.diff(parts.firsts) <= 0) or parts.firsts[-1] > count:
+        raise MapError(f"{file}: parts: these are not parts of {count} keyframes in their order")
+    if any(group > part or parts.groups[group] != group for part, group in enumerate(parts.groups)):
+        raise MapError(f"{file}: parts: a part is joined with a part that does not exist")
     field = header.checkpoint.field
     if any(not 0 <= keyframe < count for keyframe in [*field.inserted, *(k for link in field.links for k in link)]):
         raise MapError(f"{file}: checkpoint.field: there are {count} keyframes")
-    if any(not 0 <= keyframe < count for keyframe in agreement_state(header.agreement).keyframes):
-        raise MapError(f"{file}: agreement: there are {count} keyframes")
+    for name, record in [("agreement", header.agreement), *(("joins", record) for record in header.joins.values())]:
+        if any(not 0 <= keyframe < count for keyframe in agreement_state(record).keyframes):
+            raise MapError(f"{file}: {name}: there are {count} keyframes")
     if any(not 0 <= row <= len(scans.scans) for row in header.segment_starts):
         raise MapError(f"{file}: segment_starts: there are {len(scans.scans)} scans")
     walls = max((int(ids.walls.max(initial=-1)) for ids in scans.landmark_ids), default=-1)

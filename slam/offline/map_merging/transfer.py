@@ -90,6 +90,7 @@ def merge_landmarks(first: Mapper, second: Mapper, motion: se2.Pose) -> Landmark
         np.concatenate([corners, more_corners]),
         [*first.landmarks.covered, *second.landmarks.covered],
         first.landmarks.opened | more_opened,
+        first.landmarks.parts.followed_by(second.landmarks.parts, first.keyframe_count),
     )
     landmarks.unconfirm_all()
     return landmarks

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from ...checks.suspect import MAP, ODOMETRY, PLACEMENT
+from ...checks.suspect import MAP, ODOMETRY, PARTS, PLACEMENT
 from ...io.tum import Trajectory
 from ...loop_closure.loop_status import LoopStatus
 from .formatting import clock, counted, percent
@@ -22,13 +22,14 @@ MAX_SHOWN_SUSPECTS = 10
 SUSPECT_DETAILS = {
     PLACEMENT: "From there on, the path may be displaced or turned.",
     MAP: "Walls may be doubled, or a part of the map may be displaced.",
+    PARTS: "The robot lost its pose there, and the place was not recognised. The parts of the map do not fit together.",
     ODOMETRY: "The scans were enough to correct it, or the path is wrong from there on.",
 }
 STAMPED = re.compile(r"(?P<text>.*) \(at (?P<stamp>-?\d+(\.\d+)?) s\)", re.DOTALL)
 STATUS_FINDINGS = {
     "LOST": (
         "the robot was lost",
-        "Its pose in the map was unknown. Scans of that time were added to the map after relocalisation.",
+        "Its pose in the map was unknown. It was mapping a new part of the map, which is joined if it is recognised.",
     ),
     "DEGENERATE": (
         "one direction was degenerate",

@@ -11,6 +11,7 @@ from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.localisation.local_field import LocalField
 from slam.loop_closure.agreement import MIN_SUPPORT, SUBMAP_LENGTH, LoopAgreement
 from slam.loop_closure.decision import LoopDecision
+from slam.mapping.landmarks import Landmarks
 from slam.matching.line_matcher import ScanFeatures
 from slam.matching.scan_points import ScanPoints
 
@@ -32,6 +33,7 @@ class StubMap:
     covariance: Floats
     keyframe_poses: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     travelled: list[float] = field(default_factory=list)
+    landmarks: Landmarks = field(default_factory=Landmarks)
 
     @property
     def keyframe_count(self) -> int:
@@ -48,17 +50,20 @@ class StubMap:
 
 
 def drive_twice(
-    drift: se2.Pose, elsewhere: se2.Pose, *, interrupted: bool = False
+    drift: se2.Pose, elsewhere: se2.Pose, *, interrupted: bool = False, apart: bool = False
 ) -> tuple[list[LoopDecision], LocalField]:
     """Drive through the room, and after LENGTH metres again, with a drift of the estimate.
 
     The second time the robot is in truth in a copy of the room that is moved by `elsewhere`. If
-    `interrupted`, the state is saved and restored every few keyframes. Returns what was accepted.
+    `interrupted`, the state is saved and restored every few keyframes. If `apart`, it has lost its pose in between,
+    and joins of both parts of the map are searched for. Returns what was accepted.
     """
-    agreement, local_field = LoopAgreement(), LocalField()
+    agreement, local_field = LoopAgreement(joins=apart), LocalField()
     state = StubMap(np.diag(SIGMAS**2))
     random, found = np.random.default_rng(0), []
     for lap, moved in enumerate([np.zeros(3), se2.compose(elsewhere, drift)]):
+        if apart and lap:
+            state.landmarks.parts.begin(state.keyframe_count, measured=True)
         for x in np.arange(1.0, 15.0, STEP):
             inside = np.array([x, 1.5, 0.0])
             points = with_noise(visible(ROOM, inside), random)
@@ -66,7 +71,8 @@ def drive_twice(
             state.keyframe_poses = np.vstack([state.keyframe_poses, se2.compose(moved, inside)])
             state.travelled.append(x + lap * (LENGTH + 14.0))
             local_field.update(state.keyframe_count - 1, state.keyframe_poses, state.travelled)
-            accepted = agreement.search(state, local_field)  # type: ignore[arg-type]
+            among = ~state.landmarks.parts.connected(np.arange(state.keyframe_count)) if apart else None
+            accepted = agreement.search(state, local_field, among)  # type: ignore[arg-type]
             found += [] if accepted is None else [accepted]
             if interrupted and state.keyframe_count % 5 == 0:
                 saved, agreement = agreement.state, LoopAgreement()
@@ -108,3 +114,15 @@ def test_similar_room_elsewhere_is_not_taken_for_the_first_one() -> None:
     found, local_field = drive_twice(np.zeros(3), np.array([0.0, 6.0, 0.0]))
     assert found == []
     assert not local_field.state.links
+
+
+def test_parts_are_joined_although_nothing_has_to_be_corrected() -> None:
+    """They are where odometry has put them, which is no hypothesis, so looks must agree on that as on any other."""
+    found, _ = drive_twice(np.array([0.01, -0.01, 0.002]), np.zeros(3), apart=True)
+    assert found[0].joins
+    assert len(found[0].matches) >= MIN_SUPPORT
+    assert found[0].since == len(np.arange(1.0, 15.0, STEP))  # the whole part
+
+
+def test_part_in_a_similar_room_is_not_joined() -> None:
+    assert drive_twice(np.zeros(3), np.array([0.0, 6.0, 0.0]), apart=True)[0] == []

@@ -256,8 +256,8 @@ def test_a_relocalisation_is_in_the_text_log_and_its_pose_in_the_map(tmp_path):
         bare_keyframe(0),
         bare_keyframe(1),
         StateChanged(1.2, "LOST", None),
-        Relocalised(1.5, np.zeros(3)),
-        Relocalised(1.7, pose),
+        Relocalised(1.5, np.zeros(3), 3),
+        Relocalised(1.7, pose, 5),
     ]
     review = log_events(path, events)
     assert review.failures == 0, review.first_failure

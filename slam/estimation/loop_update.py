@@ -1,0 +1,84 @@
+"""Update the state by loops: search for them after a keyframe, close them, and link keyframes of one place."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..geometry.segments import Floats
+from ..loop_closure import closing
+from ..loop_closure.decision import LoopDecision
+from ..loop_closure.loop_status import LoopStatus
+from ..mapping.keyframes import KeyframeObservations
+from ..matching.offset_tiles import MAX_DISTANCE
+from .slam_state import SlamState
+
+# Metres and radians: standard deviations of the pose of a new scan relative to an old one up to which it is matched to
+# both. Origin: definition, a third of what Gauss-Newton on the distance field corrects: MAX_DISTANCE, and that at 4 m.
+MAX_LINK_SIGMA = MAX_DISTANCE / 3.0
+MAX_LINK_TURN_SIGMA = MAX_LINK_SIGMA / 4.0  # Origin: as MAX_LINK_SIGMA.
+
+
+def search_loop(state: SlamState) -> LoopDecision | None:
+    """Return the decision to close a loop after a keyframe, or to join parts of the map, if there is one."""
+    decision = _search_connected(state) if state.config.loop_closure.enabled else None
+    return decision or _search_join(state)
+
+
+def _search_connected(state: SlamState) -> LoopDecision | None:
+    """Return the decision to close a loop in the connected part of the map, if there is one."""
+    mapper, parts = state.mapper, state.mapper.landmarks.parts
+    connected = None if len(parts) == 1 else parts.connected(np.arange(mapper.keyframe_count))
+    decision = state.loops.search(mapper, state.local_field, connected)
+    if state.loops.correction_likely:
+        mapper.free_space_evidence.suspend(mapper.travelled[-1])
+    return decision
+
+
+def _search_join(state: SlamState) -> LoopDecision | None:
+    """Return the decision to join the last part of the map with another one, if it is recognised there."""
+    if not state.mapper.landmarks.parts.apart:
+        return None
+    decision = state.joins.search(state.mapper, state.local_field)
+    return None if decision is None else state.loops.number(decision)
+
+
+def close_loop(state: SlamState, observations: KeyframeObservations, decision: LoopDecision) -> LoopDecision:
+    """Close a confirmed loop right after the keyframe of `observations`; returns the final decision.
+
+    If that is a rejection, the map does not fit together and the state must be discarded: try it on a copy.
+    """
+    decision = closing.close_loop(state.mapper, decision)
+    if decision.status is LoopStatus.ACCEPTED:
+        state.mapper.gauge.hold(state.mapper)
+        state.loops.clear()
+        state.joins.clear()
+        state.local_field.link(decision.old, decision.keyframe)
+        for match in decision.matches:
+            state.local_field.link(match.old, match.keyframe)
+        state.mapper.free_space_evidence.clear()
+        state.local_map = state.mapper.local_map(observations)
+        state.move_to_last_keyframe()
+    return decision
+
+
+def link_revisited(state: SlamState) -> None:
+    """Link the last keyframe with the nearest one that the distance field lacks, if their relative pose is well known.
+
+    That is, if Gauss-Newton would find the pose of the new scan among the points of the old one.
+    """
+    mapper, last = state.mapper, state.mapper.keyframe_count - 1
+    connected = mapper.landmarks.parts.connected(np.arange(last + 1))
+    old = state.local_field.nearest_missing(mapper.keyframe_poses, last, connected)
+    if old is None:
+        return
+    # The bound costs nothing, and is small enough in most places.
+    if _is_well_known(mapper.relative_covariance_bound(old, last)) or _is_well_known(
+        mapper.relative_covariance(old, last)
+    ):
+        state.local_field.link(old, last)
+
+
+def _is_well_known(covariance: Floats) -> bool:
+    """Return True if scans of two keyframes can be matched, given the covariance (3, 3) of their relative pose."""
+    position = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+    return position < MAX_LINK_SIGMA and bool(np.sqrt(covariance[2, 2]) < MAX_LINK_TURN_SIGMA)

@@ -1,0 +1,116 @@
+"""Gauge of a part of the map that is not connected with the rest.
+
+While such a part is mapped, a prior holds its first keyframe where odometry has it, and odometry's motion to it is kept
+aside. So all covariances around the robot are relative to the part: with the motion in the graph they would contain its
+error, metres and radians if the robot was carried, and gates would admit everything. When the part is joined, left or
+stored, the motion takes the place of the prior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drivers import se2
+
+from ..geometry.pose_covariance import covariance_after
+from ..geometry.segments import Floats
+from ..graph.factor_graph import FIRST_POSE_SIGMAS, FactorGraph
+from ..graph.factors import Factor, FactorKind
+from ..graph.rebuilding import RigidMotion, rebuild
+from .keyframes import KeyframeMotion
+
+if TYPE_CHECKING:
+    from .mapper import Mapper
+
+
+class PartGauge:
+    """What holds the group of the last part: `motion` is kept aside; None if the group is connected by its factors."""
+
+    def __init__(self, motion: Factor | None = None) -> None:
+        self.motion = motion
+
+    @classmethod
+    def begin(cls, graph: FactorGraph, keyframe: int, pose: se2.Pose, motion: KeyframeMotion) -> PartGauge:
+        """Add the first keyframe of a part to the graph, and return its gauge with odometry's motion to it."""
+        graph.add_first_keyframe(pose, keyframe)
+        return cls(Factor(FactorKind.ODOMETRY, motion.start, keyframe, motion.motion, motion.covariance))
+
+    def separates(self, mapper: Mapper, old: int, keyframe: int) -> bool:
+        """Return True if the motion kept aside is on the way from one keyframe to another one in the last part."""
+        if self.motion is None:
+            return False
+        of_old, of_keyframe = mapper.landmarks.parts.connected(np.array([old, keyframe]))
+        return bool(of_keyframe and not of_old)
+
+    def covariance_across(self, mapper: Mapper, old: int, keyframe: int) -> Floats:
+        """Return the covariance (3, 3) of a keyframe of the last part relative to one of another group, in its frame.
+
+        It is that of the keyframe where the motion starts, that of the motion, and that of the way in the part.
+        """
+        assert self.motion is not None
+        start, first = self.motion.first, self.motion.second
+        covariance = np.zeros((3, 3)) if old == start else mapper.relative_covariance_in_graph(old, start)
+        covariance = covariance_after(covariance, self.motion.measured) + self.motion.covariance
+        if keyframe == first:
+            return covariance
+        motion = se2.between(mapper.keyframe_poses[first], mapper.keyframe_poses[keyframe])
+        return covariance_after(covariance, motion) + mapper.relative_covariance_in_graph(first, keyframe)
+
+    def join(self, mapper: Mapper, old: int, motion: se2.Pose) -> None:
+        """Move the group of the last part by a `motion` [x, y, heading] in the map, and connect it by odometry.
+
+        If it is the group of the first keyframe, which stays, the group of the keyframe `old` moves the other way.
+        """
+        if self.motion is not None:
+            self.release(mapper, motion)
+        else:
+            _rebuild(mapper, old, se2.inverse(motion), lambda _: False, [])
+
+    def release(self, mapper: Mapper, motion: se2.Pose | None = None) -> None:
+        """Connect the group of the last part by odometry, after moving it by a `motion` in the map."""
+        kept, self.motion = self.motion, None
+        if kept is not None:
+            moved = np.zeros(3) if motion is None else motion
+            _rebuild(mapper, kept.second, moved, lambda f: _holds(f, kept.second), [kept])
+
+    def hold(self, mapper: Mapper) -> None:
+        """Hold the group of the last part by a prior if it is not connected with the first part."""
+        first = mapper.landmarks.parts.current_first
+        if self.motion is not None or not 0 < first < mapper.keyframe_count:
+            return
+        self.motion = next(f for f in mapper.graph.solver.factors.values() if _leads_to(f, first))
+        pose, covariance = mapper.graph.keyframe_pose(first), np.diag(FIRST_POSE_SIGMAS**2)
+        prior = Factor(FactorKind.POSE_PRIOR, first, first, pose, covariance)
+        _rebuild(mapper, first, np.zeros(3), lambda f: _leads_to(f, first), [prior])
+
+
+def _holds(factor: Factor, keyframe: int) -> bool:
+    """Return True if a factor is the prior of a keyframe."""
+    return factor.kind is FactorKind.POSE_PRIOR and factor.first == keyframe
+
+
+def _leads_to(factor: Factor, keyframe: int) -> bool:
+    """Return True if a factor is odometry's motion to a keyframe."""
+    return factor.kind is FactorKind.ODOMETRY and factor.second == keyframe
+
+
+def _rebuild(
+    mapper: Mapper, keyframe: int, motion: se2.Pose, remove: Callable[[Factor], bool], add: Sequence[Factor]
+) -> None:
+    """Replace factors of the graph, and move the group of a keyframe by a motion in the map.
+
+    The covariances of its keyframes' poses are set to that of the last one: they have nearly all of their error in
+    common, and only differences of these covariances are used.
+    """
+    landmarks, parts = mapper.landmarks, mapper.landmarks.parts
+    keyframes = np.flatnonzero(parts.connected(np.arange(mapper.keyframe_count), keyframe))
+    walls = np.flatnonzero(parts.connected(landmarks.walls.rows["last_seen"], keyframe))
+    corners = np.flatnonzero(parts.connected(landmarks.corners.rows["last_seen"], keyframe))
+    mapper.graph = rebuild(mapper.graph, RigidMotion(motion, keyframes, walls, corners), remove, add)
+    landmarks.move(walls, corners, motion)
+    mapper.read_back_all()
+    for moved in keyframes.tolist():
+        mapper.pose_covariances[moved] = mapper.pose_covariances[-1]
