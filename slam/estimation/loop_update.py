@@ -27,8 +27,11 @@ def search_loop(state: SlamState) -> LoopDecision | None:
 def _search_connected(state: SlamState) -> LoopDecision | None:
     """Return the decision to close a loop in the connected part of the map, if there is one."""
     mapper, parts = state.mapper, state.mapper.landmarks.parts
-    connected = None if len(parts) == 1 else parts.connected(np.arange(mapper.keyframe_count))
-    decision = state.loops.search(mapper, state.local_field, connected)
+    if parts.apart:
+        among = parts.connected(np.arange(mapper.keyframe_count))
+        decision = state.loops.search(mapper, state.local_field, among)
+    else:
+        decision = state.loops.search(mapper, state.local_field)
     if state.loops.correction_likely:
         mapper.free_space_evidence.suspend(mapper.travelled[-1])
     return decision

@@ -62,6 +62,10 @@ class _Vote:
     motion: se2.Pose
 
 
+_Tested = tuple[LoopHypothesis, _Vote | None]
+"""A hypothesis, and the match where it has the robot, if a place was mapped there."""
+
+
 class LoopAgreement:
     """Hypotheses of the last metres, and the search for new ones.
 
@@ -143,11 +147,22 @@ class LoopAgreement:
         places = look.possible_places()
         if not places:
             return None
-        self._vote(look, self._search(look, places), local_field)
+        tested = [(hypothesis, self._test(look, hypothesis)) for hypothesis in self._all_hypotheses]
+        found = [] if self._is_settled(look, places, tested) else self._search(look, places)
+        self._vote(look, tested, found, local_field)
         decision = self._accepted(look, places)
         if decision is None or not all(differ(look, decision.correction, motion) for motion in self._retracted):
             return None
         return self.number(decision)
+
+    def _is_settled(self, look: Look, places: Sequence[int], tested: Sequence[_Tested]) -> bool:
+        """True if the look agrees with the estimate, which is certain: other places need not be searched."""
+        votes = [vote for hypothesis, vote in tested if hypothesis is self._estimate and vote is not None]
+        agrees = any(fits(v.match) and is_determined(v.match) and look.agrees(v.old, v.match) for v in votes)
+        settled = agrees and all(look.is_certain(place) for place in places)
+        if settled:
+            self._searched |= dict.fromkeys(places, look.travelled)
+        return settled
 
     def _search(self, look: Look, places: Sequence[int]) -> list[_Vote]:
         """Return the matches with old places; those that were not searched for the longest time come first."""
@@ -164,9 +179,12 @@ class LoopAgreement:
                 distinct.append(vote)
         return distinct
 
-    def _vote(self, look: Look, found: Sequence[_Vote], local_field: LocalField) -> None:
-        """Let a look support or contradict all hypotheses, and propose new ones."""
-        tested = [(h, self._test(look, h)) for h in self._all_hypotheses]
+    def _vote(self, look: Look, tested: Sequence[_Tested], found: Sequence[_Vote], local_field: LocalField) -> None:
+        """Let a look support or contradict all hypotheses, and propose new ones.
+
+        tested  all hypotheses, with the look's match where each has the robot
+        found   the matches with old places, wherever the robot may be
+        """
         new = [vote for vote in found if all(differ(look, vote.motion, t.motion) for _, t in tested if t is not None)]
         fitting = [vote for _, vote in tested if vote is not None and fits(vote.match)]
         least = RIVAL_QUALITY * max((vote.match.quality for vote in (*fitting, *new)), default=0.0)

@@ -138,10 +138,14 @@ class Look:
         """
         if old not in self._covariances:
             estimated = self._mapper.relative_covariance_bound(old, self.last)
-            if np.linalg.eigvalsh(estimated / np.outer(UNMODELLED_SIGMAS, UNMODELLED_SIGMAS))[-1] > 1.0:
+            if not _is_minor(estimated):
                 estimated = self._mapper.relative_covariance(old, self.last)
             self._covariances[old] = estimated + np.diag(UNMODELLED_SIGMAS**2)
         return self._covariances[old]
+
+    def is_certain(self, old: int) -> bool:
+        """True if the pose relative to an old keyframe is certain except for UNMODELLED_SIGMAS."""
+        return _is_minor(self.covariance(old) - np.diag(UNMODELLED_SIGMAS**2))
 
     def possible_places(self) -> list[int]:
         """Return the places where the robot may be by the uncertainty of the estimate.
@@ -232,6 +236,11 @@ class Look:
     def loop_match(self, old: int, match: SubmapMatch) -> LoopMatch:
         """Return a match as one that a loop can be closed with."""
         return LoopMatch(self.last, old, match.pose, match.covariance, self.travelled, match.fit, match.known)
+
+
+def _is_minor(covariance: Floats) -> bool:
+    """True if a covariance (3, 3) is below that of UNMODELLED_SIGMAS in every direction."""
+    return bool(np.linalg.eigvalsh(covariance / np.outer(UNMODELLED_SIGMAS, UNMODELLED_SIGMAS))[-1] <= 1.0)
 
 
 def _build(place: OldPlace, local_field: LocalField) -> Submap:
