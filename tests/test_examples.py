@@ -8,7 +8,7 @@ import pytest
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 EXPECTED = {
-    "map_a_recording.py": ["sim:room?duration=10: 251 poses", "m, standard deviations"],
+    "map_a_recording.py": ["sim:room?duration=10: 350 poses", "m, standard deviations"],
     "own_sensors.py": [" 9.9 s: at ", "the room has 4 walls and 4 corners"],
     "features_of_a_scan.py": ["a wall 3.9998 m", "a corner at -2.0"],
 }

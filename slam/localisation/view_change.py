@@ -16,7 +16,7 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 from ..matching.distance_field import DistanceField
-from ..matching.point_matcher import likelihoods
+from ..matching.point_costs import likelihoods
 from ..matching.scan_points import subsample
 from ..odometry.history import wheel_travel
 

@@ -20,15 +20,8 @@ from drivers.compiled import compiled
 
 from ..geometry.segments import Floats
 from ..matching.distance_field import DistanceField
-from ..matching.point_matcher import (
-    COARSE_SIGMA,
-    MISFIT,
-    UNSEEN,
-    Prediction,
-    match_from,
-    point_cost,
-    points_cost,
-)
+from ..matching.point_costs import COARSE_SIGMA, MISFIT, UNSEEN, points_cost
+from ..matching.point_matcher import Prediction, match_from, point_cost
 from ..matching.scan_points import subsample
 
 # Metres and radians between the poses of the coarse grid. Origin: definition, half of what Gauss-Newton corrects at the
@@ -82,7 +75,7 @@ class SubmapMatch:
 
     @property
     def quality(self) -> float:
-        """Log-likelihood ratio per point in seen space to a place that was not seen; see UNSEEN of `point_matcher`."""
+        """Log-likelihood ratio per point in seen space to a place that was not seen; see UNSEEN of `point_costs`."""
         return MISFIT * self.fit - (MISFIT - UNSEEN)
 
     @property

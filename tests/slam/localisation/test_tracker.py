@@ -14,7 +14,8 @@ from slam import Finished, Slam
 from slam.events import Notice
 from slam.geometry.segments import Floats
 from slam.matching.offset_tiles import FIELD_CELL
-from slam.matching.point_matcher import Prediction, likelihoods, match_points
+from slam.matching.point_costs import likelihoods
+from slam.matching.point_matcher import Prediction, match_points
 
 from ..listeners import EventCollector
 from ..outlines import noisy_field, outline, scan_points

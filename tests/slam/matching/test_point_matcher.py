@@ -11,10 +11,10 @@ from drivers import se2
 from slam.geometry.segments import Floats, Segments
 from slam.matching.distance_field import DistanceField
 from slam.matching.offset_tiles import FIELD_CELL
+from slam.matching.point_costs import UNSEEN
 from slam.matching.point_matcher import (
     POINT_SPACING,
     POINTS_PER_OBJECT,
-    UNSEEN,
     Prediction,
     judge_pose,
     match_points,

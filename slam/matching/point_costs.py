@@ -1,0 +1,130 @@
+"""Costs of a scan's points at poses in the distance field, and the search for the pose with the lowest cost.
+
+The cost of a point is minus the logarithm of its likelihood; see `point_matcher`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from drivers.compiled import compiled, inlined
+
+from ..geometry.segments import Floats
+from .distance_field import ALL_POINTS, DistanceField, facing_grid, is_seen, nearest_distance
+from .offset_tiles import FIELD_CELL, MAX_DISTANCE
+
+# Metres, scale of the wide kernel. Origin: chosen, a fifth of MAX_DISTANCE; not measured.
+COARSE_SIGMA = 0.10
+# Cost of a point that fits nowhere, and of one in a cell that was not seen. Origin: chosen, a point that fits nowhere
+# is 2.8 standard deviations off; an unseen one costs the mean of fitting and not fitting.
+MISFIT = 4.0
+UNSEEN = 2.0  # Origin: as MISFIT.
+# Metres and radians between searched poses. Origin: chosen, Gauss-Newton reaches more than half a step.
+SEARCH_STEP = 0.15
+SEARCH_TURN_STEP = math.radians(3.0)  # Origin: as SEARCH_STEP.
+
+
+def likelihoods(field: DistanceField, points: Floats, poses: Floats) -> Floats:
+    """Return (n,) the mean of exp(-d^2 / (2 COARSE_SIGMA^2)) over a scan's points (p, 2) at each of the poses (n, 3).
+
+    d is the distance of a point to the nearest one of the field; points outside count 0.
+    """
+    return np.asarray(_likelihoods(field.arrays, points, poses))
+
+
+@compiled
+def points_cost(field, points, pose):  # type: ignore[no-untyped-def]
+    """Return cost, fit and known points of points (p, 4) with normals at a pose; see `point_matcher.PointMatch`."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    total, of_known, known = 0.0, 0.0, 0
+    for k in range(len(points)):
+        cost, evidence = _point_cost(field, points, k, pose, c, s)
+        total += cost
+        if evidence:
+            of_known += cost
+            known += 1
+    return total, 1.0 - of_known / (MISFIT * max(known, 1)), known
+
+
+@compiled
+def _cost_below(field, points, pose, limit):  # type: ignore[no-untyped-def]
+    """Return the cost of points (p, 4) with normals at a pose, or any value from `limit` on if it reaches that."""
+    total = 0.0
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    for k in range(len(points)):
+        total += _point_cost(field, points, k, pose, c, s)[0]
+        if total >= limit:
+            break
+    return total
+
+
+@inlined
+def _point_cost(field, points, k, pose, c, s):  # type: ignore[no-untyped-def]
+    """Return the cost of point k at a pose with cosine `c` and sine `s`, and if it is in seen space."""
+    x = (pose[0] + c * points[k, 0] - s * points[k, 1] - field[0][0]) / FIELD_CELL
+    y = (pose[1] + s * points[k, 0] + c * points[k, 1] - field[0][1]) / FIELD_CELL
+    grid = facing_grid(c * points[k, 2] - s * points[k, 3], s * points[k, 2] + c * points[k, 3])
+    value, evidence = nearest_distance(field, grid, x, y), is_seen(field[3], x, y)
+    if value >= MAX_DISTANCE:  # beside a surface that faces elsewhere: perhaps the other side of a wall
+        evidence = evidence and nearest_distance(field, ALL_POINTS, x, y) >= MAX_DISTANCE
+    if evidence:
+        return min(0.5 * value * value / (COARSE_SIGMA * COARSE_SIGMA), MISFIT), True
+    return UNSEEN, False
+
+
+@compiled
+def search_grid(field, points, share, prediction, prior, kernel, shift, turn):  # type: ignore[no-untyped-def]
+    """Return the pose with the lowest cost on a grid around the prediction; each point's cost counts `share` times."""
+    turns, steps = math.ceil(turn / SEARCH_TURN_STEP), math.ceil(shift / SEARCH_STEP)
+    c, s = math.cos(prediction[2]), math.sin(prediction[2])
+    best, pose = prediction.copy(), prediction.copy()
+    lowest = share * points_cost(field, points, pose)[0]
+    # From the prediction outwards: a low cost found early ends the others' sums early.
+    for k in range(2 * turns + 1):
+        angle = _outwards(k) * SEARCH_TURN_STEP
+        pose[2] = prediction[2] + angle
+        for i in range(2 * steps + 1):
+            for j in range(2 * steps + 1):
+                x, y = _outwards(i) * SEARCH_STEP, _outwards(j) * SEARCH_STEP
+                ahead, left = math.cos(angle) * x + math.sin(angle) * y, math.cos(angle) * y - math.sin(angle) * x
+                cost = 0.5 * kernel**2 * math.log(1.0 + _quadratic_form(prior, ahead, left, angle) / kernel**2)
+                if cost >= lowest:
+                    continue
+                pose[0] = prediction[0] + c * x - s * y
+                pose[1] = prediction[1] + s * x + c * y
+                cost += share * _cost_below(field, points, pose, (lowest - cost) / share)
+                if cost < lowest:
+                    lowest = cost
+                    best[:] = pose
+    return best
+
+
+@inlined
+def _outwards(number):  # type: ignore[no-untyped-def]
+    """Return 0, 1, -1, 2, -2, ... for the numbers from 0 on."""
+    return (number + 1) // 2 if number % 2 == 1 else -(number // 2)
+
+
+@inlined
+def _quadratic_form(matrix, x, y, z):  # type: ignore[no-untyped-def]
+    """Return v' M v of a symmetric matrix (3, 3) and the vector (x, y, z)."""
+    squares = matrix[0, 0] * x * x + matrix[1, 1] * y * y + matrix[2, 2] * z * z
+    return squares + 2.0 * (matrix[0, 1] * x * y + matrix[0, 2] * x * z + matrix[1, 2] * y * z)
+
+
+@compiled
+def _likelihoods(field, points, poses):  # type: ignore[no-untyped-def]
+    origin, result = field[0], np.zeros(len(poses))
+    for index in range(len(poses)):
+        pose = poses[index]
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        for k in range(len(points)):
+            x = (pose[0] + c * points[k, 0] - s * points[k, 1] - origin[0]) / FIELD_CELL
+            y = (pose[1] + s * points[k, 0] + c * points[k, 1] - origin[1]) / FIELD_CELL
+            value = nearest_distance(field, ALL_POINTS, x, y)
+            if value < MAX_DISTANCE:
+                result[index] += math.exp(-0.5 * (value / COARSE_SIGMA) ** 2)
+        result[index] /= max(1, len(points))
+    return result
