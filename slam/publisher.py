@@ -172,8 +172,9 @@ class Publisher:
             self.publish(WallsRemoved(index, stamp, tuple(sorted(news))))
 
     def publish_residuals(self, stamp: float, mapper: Mapper) -> None:
-        """Publish the residual of every factor."""
+        """Publish the residual of every factor, and the walls removed since the map was published last."""
         if self._sinks:
+            self._publish_removed(mapper.keyframe_count - 1, stamp, mapper)
             self._inspected_keyframes = mapper.keyframe_count
             self.publish(GraphInspected(mapper.keyframe_count - 1, stamp, mapper.graph.residuals()))
 

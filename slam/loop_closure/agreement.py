@@ -302,8 +302,13 @@ class LoopAgreement:
         supported_now = bool(rival.support) and rival.support[-1].keyframe == last.keyframe
         if not supported_now and len(hypothesis.support) >= SUPPORT_RATIO * rival.support_since(first):
             return True
-        against = rival.discriminating_looks(hypothesis)
-        return hypothesis.discriminating_looks(rival) >= SUPPORT_RATIO * max(1, against)
+        return tell_apart(hypothesis, rival)
+
+
+def tell_apart(hypothesis: LoopHypothesis, rival: LoopHypothesis) -> bool:
+    """True if enough looks support a hypothesis and contradict a rival, and few do the opposite."""
+    against = rival.discriminating_looks(hypothesis)
+    return hypothesis.discriminating_looks(rival) >= SUPPORT_RATIO * max(1, against)
 
 
 def fits(match: SubmapMatch) -> bool:

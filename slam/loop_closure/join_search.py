@@ -2,15 +2,15 @@
 
 If odometry measured the way from the other part, the place is searched as in loop closure, within its uncertainty. A
 robot that was carried may be anywhere, and trying all poses in the whole map takes too long: there the constellation of
-the walls seen recently is searched in all walls. It must be unambiguous, or the best one repeatedly, and looks along
-the way must agree with it. If the place is ambiguous, the part stays apart, and the search goes on as the robot drives.
+the walls seen recently is searched in all walls. Looks along the way must agree with it, and tell it from every pose
+that the walls match nearly as well. If the place is ambiguous, the part stays apart, and the search goes on as the
+robot drives.
 """
 
 from __future__ import annotations
 
 import copy
-import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,7 +22,17 @@ from ..geometry.segments import Integers
 from ..localisation.local_field import LocalField
 from ..mapping.mapper import Mapper
 from ..matching.point_matcher import SEARCH_FIT
-from .agreement import MIN_KNOWN, SEARCH_INTERVAL, SUPPORT_RATIO, LoopAgreement, differ, fits, is_determined
+from .agreement import (
+    MIN_KNOWN,
+    RIVAL_QUALITY,
+    SEARCH_INTERVAL,
+    SUPPORT_RATIO,
+    LoopAgreement,
+    differ,
+    fits,
+    is_determined,
+    tell_apart,
+)
 from .decision import Check, LoopDecision
 from .look import Look, Submaps
 from .loop_hypothesis import LoopAgreementState, LoopHypothesis
@@ -34,12 +44,6 @@ ATTEMPT_KEYFRAMES = 3
 ATTEMPT_DISTANCE = 1.0  # Origin: as ATTEMPT_KEYFRAMES.
 # Metres of driving whose walls are searched. Origin: chosen, some rooms; not measured.
 RECENT_DISTANCE = 15.0
-# Attempts in a row that must find the same place if alternatives are close behind.
-# Origin: chosen; no measurement recorded.
-CONFIRMING_ATTEMPTS = 4
-# Metres and radians by which these attempts may differ. Origin: chosen; not measured.
-AGREEMENT_DISTANCE = 0.3
-AGREEMENT_TURN = math.radians(3.0)  # Origin: as AGREEMENT_DISTANCE.
 # Looks that must agree with the constellation of walls. Origin: definition, fewer cannot contradict each other.
 MIN_LOOKS = 2
 
@@ -53,7 +57,6 @@ class JoinSearch:
     def __init__(self) -> None:
         self.agreements: dict[int, LoopAgreement] = {}
         self._last_keyframe, self._last_distance = -ATTEMPT_KEYFRAMES, -ATTEMPT_DISTANCE
-        self._agreeing: list[se2.Pose] = []  # motions of the part, of the last attempts in a row
         self._index: MapIndex | None = None  # of the other parts
         self._retracted: list[se2.Pose] = []
 
@@ -62,13 +65,13 @@ class JoinSearch:
         other = JoinSearch()
         other.agreements = copy.deepcopy(self.agreements)
         other._last_keyframe, other._last_distance = self._last_keyframe, self._last_distance
-        other._agreeing, other._index = list(self._agreeing), self._index
+        other._index = self._index
         other._retracted = list(self._retracted)
         return other
 
     def clear(self) -> None:
         """Discard all that was found: the map has been corrected."""
-        self._agreeing, self._index = [], None
+        self._index = None
         for agreement in self.agreements.values():
             agreement.clear()
 
@@ -114,20 +117,13 @@ class JoinSearch:
             self._index = index_map(mapper, apart)
         recent = connected & (travelled > now - RECENT_DISTANCE)
         found = relocalise(submap_of(mapper, recent), self._index)
-        if found is None or not self._is_confirmed(found):
+        if found is None or not found.verdict.plausible:
             return None
         seen_by = mapper.landmarks.walls.rows["last_seen"][found.pairs[:, 0]]
         looks = _Looks(mapper, local_field, mapper.landmarks.parts.connected(keyframes, _most_frequent(seen_by)))
         if any(not differ(looks.at(last), found.motion, motion) for motion in self._retracted):
             return None
         return looks.decide(found, _spaced(np.flatnonzero(recent), travelled), int(connected.argmax()))
-
-    def _is_confirmed(self, found: Relocalisation) -> bool:
-        """Return True if the place is accepted at once, or was the best one in several attempts in a row."""
-        differences = [se2.between(before, found.motion) for before in self._agreeing]
-        agrees = all(np.hypot(x, y) < AGREEMENT_DISTANCE and abs(turn) < AGREEMENT_TURN for x, y, turn in differences)
-        self._agreeing = [*(self._agreeing if agrees else []), found.motion] if found.verdict.plausible else []
-        return found.verdict.accepted or len(self._agreeing) >= CONFIRMING_ATTEMPTS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,16 +141,7 @@ class _Looks:
 
     def decide(self, found: Relocalisation, keyframes: list[int], since: int) -> LoopDecision | None:
         """Return the decision to join where walls were found, if looks from some keyframes agree; None if not."""
-        hypothesis = LoopHypothesis(found.motion)
-        for look in map(self.at, keyframes):
-            old = look.place_at(se2.compose(hypothesis.motion, look.pose))
-            if old is None:
-                continue
-            match = look.test(old, hypothesis.motion, look.last)
-            if not fits(match) or differ(look, look.motion(old, match.pose), hypothesis.motion):
-                hypothesis.contradictions += [look.travelled] if match.known >= MIN_KNOWN else []
-            elif is_determined(match):
-                hypothesis.support.append(look.loop_match(old, match))
+        hypothesis, *rivals = self._judge([found.motion, *found.rivals], keyframes)
         count, against = len(hypothesis.support), len(hypothesis.contradictions)
         if not count:
             return None
@@ -163,7 +150,7 @@ class _Looks:
             Check("contradicted", against / count, 1.0 / SUPPORT_RATIO, at_least=False),
             Check("fit", hypothesis.mean_fit, SEARCH_FIT, at_least=True),
         )
-        if not all(check.passed for check in checks):
+        if not all(check.passed for check in checks) or not all(tell_apart(hypothesis, r) for r in rivals):
             return None
         last, look = hypothesis.support[-1], self.at(hypothesis.support[-1].keyframe)
         return LoopDecision(
@@ -175,13 +162,33 @@ class _Looks:
             LoopStatus.CONFIRMED,
             f"walls and {count} submap matches agree",
             tuple(hypothesis.support),
-            found.verdict.runner_up / max(found.verdict.score, 1e-9),
+            max((len(rival.support) for rival in rivals), default=0) / count,
             against / (count + against),
             checks,
             since,
             look.compared_points(last.old),
             joins=True,
         )
+
+    def _judge(self, motions: Sequence[se2.Pose], keyframes: list[int]) -> list[LoopHypothesis]:
+        """Return a hypothesis for each motion in the map, supported or contradicted by looks from some keyframes."""
+        hypotheses = [LoopHypothesis(motion) for motion in motions]
+        for look in map(self.at, keyframes):
+            tested = [(h, old, look.test(old, h.motion, look.last)) for h, old in self._places(look, hypotheses)]
+            least = RIVAL_QUALITY * max((match.quality for _, _, match in tested if fits(match)), default=0.0)
+            for hypothesis, old, match in tested:
+                moved = differ(look, look.motion(old, match.pose), hypothesis.motion)
+                if moved or not fits(match) or match.quality < least:
+                    hypothesis.contradictions += [look.travelled] if match.known >= MIN_KNOWN else []
+                elif is_determined(match):
+                    hypothesis.support.append(look.loop_match(old, match))
+        return hypotheses
+
+    @staticmethod
+    def _places(look: Look, hypotheses: Sequence[LoopHypothesis]) -> list[tuple[LoopHypothesis, int]]:
+        """Return the hypotheses that have the robot at an old place, with its keyframe."""
+        places = [(h, look.place_at(se2.compose(h.motion, look.pose))) for h in hypotheses]
+        return [(hypothesis, old) for hypothesis, old in places if old is not None]
 
 
 def _most_frequent(keyframes: Integers) -> int:

@@ -61,9 +61,6 @@ MAX_ALTERNATIVE_SCORE = 0.60
 MIN_LENGTH_LEAD = 4.0
 # Share of the matched wall length that an alternative may reach. Origin: chosen, see MIN_LENGTH_LEAD; not measured.
 MAX_ALTERNATIVE_LENGTH = 0.75
-# Share of the score that an alternative may reach if the same pose must be found repeatedly.
-# Origin: chosen; not measured.
-MAX_ALTERNATIVE_SCORE_REPEATED = 0.85
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,8 +89,7 @@ class Submap:
 class PlaceVerdict:
     """Decision on the best pose of a submap, with its scores.
 
-    plausible      true if the pose would be acceptable when found repeatedly as more is seen: all checks pass except
-                   those of alternatives, and no alternative scores more than MAX_ALTERNATIVE_SCORE_REPEATED
+    plausible      true if all checks pass except those of alternatives: something else must tell these apart
     overlap_ratio  share of the submap's observed wall length that lies on the map's walls: `length` metres
     matches        matched walls
     corners        matched corners
@@ -127,12 +123,14 @@ class Relocalisation:
     pose        [x, y, heading] of the robot in the map
     covariance  (3, 3) of the pose, in the map's axes
     motion      [x, y, heading] of the submap's frame in the map
+    rivals      the same for each alternative that comes too near the best pose
     pairs       (n, 2) landmark ids of matched walls: in the map, in the submap
     """
 
     pose: se2.Pose
     covariance: Floats
     motion: se2.Pose
+    rivals: Sequence[se2.Pose]
     pairs: Integers
     verdict: PlaceVerdict
 
@@ -179,10 +177,13 @@ def relocalise(submap: Submap, index: MapIndex) -> Relocalisation | None:
     alternatives = [candidate for candidate, other in zip(candidates, distinct, strict=True) if other]
     covariance = np.asarray(np.linalg.inv(best.alignment.information))
     matched = np.flatnonzero(best.alignment.matches >= 0)
+    near = [other for other in alternatives if not all(passed for passed, _ in _check_alternatives(best, [other]))]
+    to_submap = se2.inverse(submap.pose)
     return Relocalisation(
         pose=best.alignment.pose,
         covariance=covariance,
-        motion=se2.compose(best.alignment.pose, se2.inverse(submap.pose)),
+        motion=se2.compose(best.alignment.pose, to_submap),
+        rivals=[se2.compose(other.alignment.pose, to_submap) for other in near],
         pairs=np.column_stack([index.descriptor.walls[best.alignment.matches[matched]], observed.walls[matched]]),
         verdict=_decide(best, alternatives, covariance),
     )
@@ -252,7 +253,7 @@ def _decide(best: _Candidate, alternatives: Sequence[_Candidate], covariance: Fl
     reason = next((text for passed, text in checks if not passed), "")
     return PlaceVerdict(
         accepted=not reason,
-        plausible=fits and runner_up <= MAX_ALTERNATIVE_SCORE_REPEATED * best.score,
+        plausible=fits,
         reason=reason or "all checks passed",
         overlap_ratio=overlap_ratio,
         length=alignment.length,

@@ -33,7 +33,8 @@ def box(x: float, y: float, width: float, depth: float) -> list[list[float]]:
     return [[*a, *b] for a, b in zip(ends, ends[1:] + ends[:1], strict=True)]
 
 
-ROOM = np.array([*box(4.0, 3.0, 8.0, 6.0), *box(7.6, 5.8, 0.8, 0.4), *box(0.25, 0.2, 0.5, 0.4)])
+CABINET = box(7.0, 5.7, 2.0, 0.6)  # large enough to tell the room from the room turned by 180 degrees
+ROOM = np.array([*box(4.0, 3.0, 8.0, 6.0), *CABINET, *box(0.25, 0.2, 0.5, 0.4)])
 PARTITION = np.array(box(4.0, 3.0, 3.0, 0.1))
 
 
