@@ -134,10 +134,12 @@ class Look:
     def covariance(self, old: int) -> Floats:
         """Return the covariance (3, 3) of the last keyframe's pose relative to an old one, in its own frame.
 
-        Where the errors that the estimate does not contain dominate, the rest is an upper bound, which costs nothing.
+        Where the errors that the estimate does not contain dominate, the rest is an upper bound, which costs little.
         """
         if old not in self._covariances:
-            estimated = self._mapper.relative_covariance_bound(old, self.last)
+            estimated = self._mapper.relative_covariance_bound(old, self.last, stored=True)
+            if not _is_minor(estimated):
+                estimated = self._mapper.relative_covariance_bound(old, self.last, stored=False)
             if not _is_minor(estimated):
                 estimated = self._mapper.relative_covariance(old, self.last)
             self._covariances[old] = estimated + np.diag(UNMODELLED_SIGMAS**2)

@@ -154,16 +154,22 @@ class Mapper:
         heading = self.graph.keyframe_pose(keyframe)[2]
         return self.graph.relative_covariance(old, keyframe) + rotate_covariance(correlated, -heading)
 
-    def relative_covariance_bound(self, old: int, keyframe: int) -> Floats:
-        """Return (3, 3) an upper bound of `relative_covariance`, from the stored covariances, so it costs nothing.
+    def relative_covariance_bound(self, old: int, keyframe: int, *, stored: bool) -> Floats:
+        """Return (3, 3) an upper bound of `relative_covariance`, which takes much less time.
 
         The difference of two errors a and b has a covariance of at most 2 (Cov a + Cov b), whatever their correlation.
-        The stored covariances of parts of the map that are not connected have different gauges: there it is exact.
+        Those of parts of the map that are not connected have different gauges: there it is exact.
+
+        stored  take the covariances from when the keyframes were added, which costs nothing; else the present ones
         """
         if self.gauge.separates(self, old, keyframe):
             return self.gauge.covariance_across(self, old, keyframe)
         heading = self.keyframe_poses[keyframe, 2]
-        of_old, of_keyframe = (rotate_covariance(self.pose_covariances[k], -heading) for k in (old, keyframe))
+        if stored:
+            of_old, of_keyframe = (rotate_covariance(self.pose_covariances[k], -heading) for k in (old, keyframe))
+        else:
+            own = [(k, float(self.keyframe_poses[k, 2]) - heading) for k in (old, keyframe)]
+            of_old, of_keyframe = (rotate_covariance(self.keyframe_covariance(k), turn) for k, turn in own)
         lever = se2.between(self.keyframe_poses[keyframe], self.keyframe_poses[old])
         adjoint = se2.adjoint(np.array([lever[0], lever[1], 0.0]))  # both are in the axes of the keyframe
         return np.asarray(2.0 * (adjoint @ of_old @ adjoint.T + of_keyframe))
@@ -230,11 +236,12 @@ class Mapper:
         if motion is None:
             self.graph.add_first_keyframe(pose)
         else:
-            own_drift = rotate_covariance(embed_position_covariance(motion.correlated_drift), pose[2])[:2, :2]
-            correlated_drift = self.correlated_drift[motion.start] + own_drift
+            correlated_drift = self.correlated_drift[motion.start]
             if apart:
                 self.gauge = PartGauge.begin(self.graph, keyframe, pose, motion)
             else:
+                own_drift = rotate_covariance(embed_position_covariance(motion.correlated_drift), pose[2])[:2, :2]
+                correlated_drift = correlated_drift + own_drift
                 self.graph.add_keyframe(keyframe, pose, motion.start, motion.motion, motion.covariance)
             self.travelled.append(self.travelled[-1] + float(np.hypot(motion.motion[0], motion.motion[1])))
         self.keyframe_poses = np.vstack([self.keyframe_poses, pose])

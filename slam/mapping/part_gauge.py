@@ -20,6 +20,7 @@ from ..geometry.segments import Floats
 from ..graph.factor_graph import FIRST_POSE_SIGMAS, FactorGraph
 from ..graph.factors import Factor, FactorKind
 from ..graph.rebuilding import RigidMotion, rebuild
+from ..odometry.correlated_drift import embed_position_covariance
 from .keyframes import KeyframeMotion
 
 if TYPE_CHECKING:
@@ -34,9 +35,13 @@ class PartGauge:
 
     @classmethod
     def begin(cls, graph: FactorGraph, keyframe: int, pose: se2.Pose, motion: KeyframeMotion) -> PartGauge:
-        """Add the first keyframe of a part to the graph, and return its gauge with odometry's motion to it."""
+        """Add the first keyframe of a part to the graph, and return its gauge with odometry's motion to it.
+
+        The correlated drift of this motion is part of its covariance: a join corrects it.
+        """
         graph.add_first_keyframe(pose, keyframe)
-        return cls(Factor(FactorKind.ODOMETRY, motion.start, keyframe, motion.motion, motion.covariance))
+        covariance = motion.covariance + embed_position_covariance(motion.correlated_drift)
+        return cls(Factor(FactorKind.ODOMETRY, motion.start, keyframe, motion.motion, covariance))
 
     def separates(self, mapper: Mapper, old: int, keyframe: int) -> bool:
         """Return True if the motion kept aside is on the way from one keyframe to another one in the last part."""

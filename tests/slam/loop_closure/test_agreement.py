@@ -46,7 +46,8 @@ class StubMap:
     def relative_covariance(self, old: int, keyframe: int) -> Floats:
         return self.covariance
 
-    relative_covariance_bound = relative_covariance
+    def relative_covariance_bound(self, old: int, keyframe: int, *, stored: bool) -> Floats:
+        return self.covariance
 
 
 def drive_twice(

@@ -15,5 +15,7 @@ def test_bound_of_a_relative_covariance_is_no_smaller_than_that(world: str) -> N
     mapper = slam.slam_state.mapper
     last = mapper.keyframe_count - 1
     for old in range(0, last, max(1, last // 6)):
-        surplus = mapper.relative_covariance_bound(old, last) - mapper.relative_covariance(old, last)
-        assert np.linalg.eigvalsh(surplus)[0] > -1e-9
+        exact = mapper.relative_covariance(old, last)
+        for stored in (True, False):
+            surplus = mapper.relative_covariance_bound(old, last, stored=stored) - exact
+            assert np.linalg.eigvalsh(surplus)[0] > -1e-9
