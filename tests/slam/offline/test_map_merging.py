@@ -204,7 +204,7 @@ def submap_match(
     verdict = PlaceVerdict(True, True, "", 1.0, 10.0, len(walls), 0, 1.0, 0.0, 0.01, 0.01, score, 0.0)
     place = se2.compose(np.array(motion), np.array(pose))
     pairs = np.column_stack([walls, walls])
-    return SubmapMatch(range(2), np.array(pose), Relocalisation(place, np.eye(3), np.array(motion), pairs, verdict))
+    return SubmapMatch(range(2), np.array(pose), Relocalisation(place, np.eye(3), np.array(motion), (), pairs, verdict))
 
 
 def consensus_of(matches: Sequence[SubmapMatch]) -> Consensus:
