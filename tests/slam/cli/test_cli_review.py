@@ -13,6 +13,7 @@ import time
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlparse
@@ -46,7 +47,13 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @contextmanager
 def running(*arguments: object) -> Iterator[subprocess.Popen[str]]:
     command_line = [sys.executable, "-c", WCLM, *map(str, arguments)]
-    process = subprocess.Popen(command_line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command_line,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),  # ignored in tests that run in the background
+    )
     try:
         yield process
     finally:
