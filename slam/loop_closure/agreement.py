@@ -276,23 +276,16 @@ class LoopAgreement:
         self, hypothesis: LoopHypothesis, rivals: Sequence[LoopHypothesis], look: Look, checks: tuple[Check, ...]
     ) -> LoopDecision:
         """Return the decision to close the loop of a hypothesis."""
-        count, first, last = len(hypothesis.support), hypothesis.support[0].travelled, hypothesis.support[-1]
-        against = hypothesis.contradictions_since(first)
+        count, first = len(hypothesis.support), hypothesis.support[0].travelled
         doubted = min([first, *self._estimate.contradictions])
-        return LoopDecision(
-            0,
-            last.keyframe,
-            last.old,
-            se2.between(look.pose, se2.compose(hypothesis.motion, look.pose)),
-            hypothesis.motion,
-            LoopStatus.CONFIRMED,
+        return confirm(
+            look,
+            hypothesis,
             f"{count} submap matches over {hypothesis.span:.0f} m agree",
-            tuple(hypothesis.support),
-            max((rival.support_since(first) for rival in rivals), default=0) / count,
-            against / (count + against),
-            checks,
-            look.first_of_part if self._joins else look.keyframe_at(doubted - SUBMAP_LENGTH),
-            look.compared_points(last.old),
+            rival_support=max((rival.support_since(first) for rival in rivals), default=0),
+            contradictions=hypothesis.contradictions_since(first),
+            checks=checks,
+            since=look.first_of_part if self._joins else look.keyframe_at(doubted - SUBMAP_LENGTH),
             joins=self._joins,
         )
 
@@ -303,6 +296,43 @@ class LoopAgreement:
         if not supported_now and len(hypothesis.support) >= SUPPORT_RATIO * rival.support_since(first):
             return True
         return tell_apart(hypothesis, rival)
+
+
+def confirm(
+    look: Look,
+    hypothesis: LoopHypothesis,
+    reason: str,
+    *,
+    rival_support: int,
+    contradictions: int,
+    checks: tuple[Check, ...],
+    since: int,
+    joins: bool,
+) -> LoopDecision:
+    """Return the decision to close the loop of a hypothesis, or to join parts of the map if `joins`.
+
+    look            at the last place that supports it
+    rival_support   number of looks that support its strongest rival
+    contradictions  number of looks that contradict it
+    since           first keyframe of the recent pass, or of the part that is joined
+    """
+    count, last = len(hypothesis.support), hypothesis.support[-1]
+    return LoopDecision(
+        0,
+        last.keyframe,
+        last.old,
+        se2.between(look.pose, se2.compose(hypothesis.motion, look.pose)),
+        hypothesis.motion,
+        LoopStatus.CONFIRMED,
+        reason,
+        tuple(hypothesis.support),
+        rival_support / count,
+        contradictions / (count + contradictions),
+        checks,
+        since,
+        look.compared_points(last.old),
+        joins=joins,
+    )
 
 
 def tell_apart(hypothesis: LoopHypothesis, rival: LoopHypothesis) -> bool:

@@ -28,6 +28,7 @@ from .agreement import (
     SEARCH_INTERVAL,
     SUPPORT_RATIO,
     LoopAgreement,
+    confirm,
     differ,
     fits,
     is_determined,
@@ -36,7 +37,6 @@ from .agreement import (
 from .decision import Check, LoopDecision
 from .look import Look, Submaps
 from .loop_hypothesis import LoopAgreementState, LoopHypothesis
-from .loop_status import LoopStatus
 from .relocalisation import MapIndex, Relocalisation, index_map, relocalise, submap_of
 
 # Keyframes and metres of driving between two searches by walls. Origin: chosen; not measured.
@@ -152,21 +152,14 @@ class _Looks:
         )
         if not all(check.passed for check in checks) or not all(tell_apart(hypothesis, r) for r in rivals):
             return None
-        last, look = hypothesis.support[-1], self.at(hypothesis.support[-1].keyframe)
-        return LoopDecision(
-            0,
-            last.keyframe,
-            last.old,
-            se2.between(look.pose, se2.compose(hypothesis.motion, look.pose)),
-            hypothesis.motion,
-            LoopStatus.CONFIRMED,
+        return confirm(
+            self.at(hypothesis.support[-1].keyframe),
+            hypothesis,
             f"walls and {count} submap matches agree",
-            tuple(hypothesis.support),
-            max((len(rival.support) for rival in rivals), default=0) / count,
-            against / (count + against),
-            checks,
-            since,
-            look.compared_points(last.old),
+            rival_support=max((len(rival.support) for rival in rivals), default=0),
+            contradictions=against,
+            checks=checks,
+            since=since,
             joins=True,
         )
 
