@@ -16,9 +16,9 @@ from ...mapping.mapper import LOCAL_MAP_MARGIN
 from ...matching.bias_correction import correct_range_bias
 from ...matching.distance_field import DistanceField
 from ...matching.line_matcher import Registration, ScanFeatures
-from ...matching.point_matcher import POINT_SPACING, Prediction
+from ...matching.point_matcher import KERNEL, POINT_SPACING, Prediction
 from ...matching.scan_points import surface_points
-from .scan_history import ScanHistory
+from .scan_history import WRONG_ODOMETRY_SIGMAS, ScanHistory
 
 # Metres; side of the square tiles: scans of one tile use the same distance field.
 # Origin: chosen; not measured.
@@ -30,14 +30,9 @@ FIELD_HALF_WIDTH = 14.0
 FIELD_RADIUS = 6.0
 # Maximum number of keyframes per distance field, evenly selected. Origin: chosen, bounds the time; not measured.
 MAX_FIELD_KEYFRAMES = 40
-# Metres, metres, radians: prior of a scan's pose, for directions that walls and points do not determine.
-# Origin: chosen, weak; not measured.
-PRIOR_SIGMAS = np.array([0.2, 0.2, 0.1])
-# Cost, a log-likelihood, by which a scan must fit better on an even motion. Origin: chosen; not measured.
-MIN_COST_GAIN = 1.0
-# Metres; if a scan is farther than this from an even motion between its neighbours, it is matched there as well.
+# Metres, metres, radians: standard deviations of the pose, relative to its keyframe, of a scan that was tracked.
 # Origin: chosen; not measured.
-MAX_UNEVEN_OFFSET = 0.2
+TRACKED_SIGMAS = np.array([0.02, 0.02, 0.01])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +40,7 @@ class FullMapMatch:
     """Match of a scan to the whole map.
 
     plausible       False if the scan does not fit the map
-    odometry_wrong  True if the scan fits clearly better on an even motion between its neighbours
+    odometry_wrong  True if the scan was not tracked, and does not fit where odometry places it
     """
 
     registration: Registration
@@ -68,7 +63,7 @@ class FullMapMatcher:
         self._groups = landmarks.parts.groups_of(np.arange(len(poses)))
         self._tile: tuple[int, int, int] | None = None
         self._fields: dict[int, DistanceField] = {}
-        self._prior = np.diag(PRIOR_SIGMAS**-2)
+        self._unmatched = np.diag(WRONG_ODOMETRY_SIGMAS**-2)
 
     def local_map(self, row: int, pose: se2.Pose) -> LocalMap:
         """Return the landmarks that a scan may observe from `pose`: those that existed at that time."""
@@ -83,22 +78,26 @@ class FullMapMatcher:
     def match(self, row: int, poses: Floats, local_map: LocalMap) -> FullMapMatch:
         """Match the scan `row`, given the poses (n, 3) of all scans and the landmarks around it.
 
-        If an even motion between its neighbours predicts a different pose, that is tried as well.
+        It is searched for within the uncertainty of its pose. If an even motion between its neighbours leads outside of
+        that, it is searched for there as well.
         """
         scan = self.features(row)
         target = MatchTarget(local_map, self._field(int(self._history.anchors[row])), self._roughness)
-        match = target.match(scan, [Prediction(poses[row], self._prior)], exhaustive=True)
-        interpolated = self._interpolate(row, poses)
-        odometry_wrong = False
-        if np.hypot(*(interpolated - poses[row])[:2]) > MAX_UNEVEN_OFFSET:
-            other = target.match(scan, [Prediction(interpolated, self._prior)], exhaustive=True)
-            odometry_wrong = other.cost < match.cost - MIN_COST_GAIN
-            match = other if odometry_wrong else match
+        present = Prediction(poses[row], self._prior(row))
+        even = Prediction(self._interpolate(row, poses), self._unmatched)
+        predictions = [present, even] if present.squared_distance(even.pose) > KERNEL**2 else [present]
+        match = target.match(scan, predictions, exhaustive=True)
+        odometry_wrong = match.plausible and match.prediction is even
         return FullMapMatch(match.registration, match.plausible, odometry_wrong)
+
+    def _prior(self, row: int) -> Floats:
+        """Return the information (3, 3) of a scan's present pose: weak in directions that its own match left open."""
+        of_match = np.linalg.inv(self._history.informations[row] + self._unmatched)
+        return np.asarray(np.linalg.inv(of_match + np.diag(TRACKED_SIGMAS**2)))
 
     def covariance(self, registration: Registration) -> Floats:
         """Return the covariance (3, 3) of a matched pose, in the base's frame."""
-        information = registration.information + registration.point_information + self._prior
+        information = registration.information + registration.point_information + np.diag(TRACKED_SIGMAS**-2)
         return np.asarray(np.linalg.inv(information))
 
     def _interpolate(self, row: int, poses: Floats) -> se2.Pose:

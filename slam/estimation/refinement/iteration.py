@@ -18,14 +18,9 @@ from ...mapping.landmark_ids import assign_landmark_ids
 from ...mapping.mapper import Mapper
 from ...mapping.wall_merging import merge_duplicate_walls
 from ...odometry.error_model import OdometryModel
-from .full_map_matcher import FullMapMatcher
+from .full_map_matcher import TRACKED_SIGMAS, FullMapMatcher
 from .landmark_recount import recompute_covariances, recount_observations
 from .scan_history import ScanHistory
-
-# Metres, metres, radians: standard deviations of the pose, relative to its keyframe, of a scan in a familiar place.
-# Origin: chosen; not measured.
-PASSING_SIGMAS = np.array([0.02, 0.02, 0.01])
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IterationResult:
@@ -127,7 +122,7 @@ def motion_to_keyframe(
     correlated_drift = history.correlated_drift(start, row, model, odometry_wrong)
     if start != history.keyframes[keyframe - 1]:
         adjoint = se2.adjoint(se2.inverse(motion))
-        covariance = covariance + adjoint @ np.diag(PASSING_SIGMAS**2) @ adjoint.T
+        covariance = covariance + adjoint @ np.diag(TRACKED_SIGMAS**2) @ adjoint.T
     return KeyframeMotion(anchor, se2.compose(relative, motion), covariance, correlated_drift)
 
 
