@@ -93,8 +93,8 @@ class Acquisition:
             name="wclm-acquisition",
             daemon=True,
         )
-        # Ctrl-C interrupts all processes of a terminal; this process forwards it to the reading one.
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        # A terminal sends these signals to all its processes; this process forwards them to the reading one.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
         try:
             self._process.start()
         finally:
@@ -260,6 +260,7 @@ class _DeviceReader:
 def _acquire(pipe: Connection, specs: Sequence[DeviceSpec], offset: float) -> None:
     """Run the reading process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
     reader = _DeviceReader(pipe, specs, offset)
     signal.signal(signal.SIGTERM, lambda *_: reader.stop.set())
     with suppress(EOFError, OSError):  # the other process has ended
