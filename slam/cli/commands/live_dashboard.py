@@ -97,6 +97,7 @@ class LiveDashboard:
         if self._notice:
             table.add_row("notice", self._notice)
         table.add_row("dropped, late", f"{snapshot.dropped}, {snapshot.late}")
+        table.add_row("keys", "s: save the map now, Ctrl-C: save and end")
         return table
 
     def _delay(self) -> str:

@@ -55,8 +55,8 @@ class LiveInput:
         self.sinks: Sequence[Sink] = (self._dashboard,)
 
     @contextmanager
-    def opened(self) -> Iterator[Iterable[Message]]:
-        """Start the devices and provide their messages until SIGINT or SIGTERM.
+    def opened(self, idle: Callable[[], None]) -> Iterator[Iterable[Message]]:
+        """Start the devices and provide their messages until SIGINT, SIGTERM or SIGHUP.
 
         Raises DriverError if a device cannot be started. Iterating raises RecordingError if the recording cannot be
         created.
@@ -65,7 +65,7 @@ class LiveInput:
 
         with self._acquisition as acquisition, stop_on_signals(acquisition, STOP_MESSAGE):
             self._print_devices()
-            yield self._messages()
+            yield self._messages(idle)
 
     @property
     def reopen(self) -> str | None:
@@ -90,7 +90,7 @@ class LiveInput:
         if self._server is not None:
             print_message(f"view with: {' '.join(connect_command(self._server.url))}")
 
-    def _messages(self) -> Iterator[Message]:
+    def _messages(self, idle: Callable[[], None]) -> Iterator[Message]:
         from drivers.devices.device_source import count_losses
         from drivers.devices.recorder import Recorder
         from drivers.errors import DriverError
@@ -109,6 +109,7 @@ class LiveInput:
             def on_snapshot(snapshot: Snapshot) -> None:
                 monitor.show(snapshot)
                 self._record(lambda recorder: recorder.write_diagnostics_if_due(snapshot))
+                idle()
 
             try:
                 for message in receive_messages(self._acquisition, self._duration, on_snapshot):

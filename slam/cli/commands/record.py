@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..device_options import BaseOption, LidarOption, check_recording_name, parse_device_options
+from ..device_options import BaseOption, LidarOption, check_recording_file, parse_device_options
 from ..options import DurationOption, OverwriteOption
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def record(
     from drivers.recordings.mcap import McapWriter
 
     specs = parse_device_options(lidar, base)
-    check_recording_name(file, overwrite)
+    check_recording_file(file, overwrite)
     with Acquisition(specs) as acquisition, McapWriter(file, overwrite) as writer:
         recorder = Recorder(writer)
         _record(acquisition, recorder, duration)

@@ -69,6 +69,7 @@ def live_session(tmp_path_factory: pytest.TempPathFactory) -> LiveSession:
         url = run.line("wclm: view with: ").split()[-1]
         begun = time.monotonic()
         time.sleep(DURATION / 3)
+        run.process.send_signal(signal.SIGUSR1)  # saving must not change the results
         views = [keyframes_sent(url, folder / "early.rrd", more_than=FIRST_KEYFRAMES)]
         foreign_address_answers = accepts_connection("127.0.0.2", int(url.split(":")[-1].split("/")[0]))
         time.sleep(max(0.0, begun + DURATION - time.monotonic()))

@@ -1,0 +1,50 @@
+"""Copy of a run as it is at one moment, to be saved while the run goes on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from .estimation.map_view import covariances_when_last_seen, map_features
+from .events import Finished
+from .io.sessions import StoredSession
+from .mapping.odometry_segments import OdometrySegments
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunSnapshot:
+    """Copy of a run that shares nothing with it that changes; may be used in another thread.
+
+    session  estimate, to be stored and continued
+    summary  of the run so far, for `Finished.summary`
+    after    stamp (seconds) after which poses belong to this run
+    """
+
+    session: StoredSession
+    summary: dict[str, Any]
+    after: float
+
+    def finished(self) -> Finished:
+        """Return map and trajectory so far.
+
+        Covariances of walls and corners are those from when each was last seen; those of keyframes are not computed,
+        which would take seconds in a large map.
+        """
+        state = self.session.slam_state
+        mapper = state.mapper
+        walls, corners = map_features(mapper, covariances=False)
+        of_walls, of_corners = covariances_when_last_seen(mapper, walls, corners)
+        segments = OdometrySegments(self.session.odometry, self.session.starts)
+        stamps, poses = segments.trajectory(state.trajectory, mapper.keyframe_poses)
+        later = stamps > self.after
+        return Finished(
+            walls=replace(walls, covariance=of_walls),
+            corners=replace(corners, covariance=of_corners),
+            keyframe_stamps=np.array(state.keyframe_stamps),
+            keyframes=mapper.keyframe_poses,
+            stamps=stamps[later],
+            poses=poses[later],
+            summary=self.summary,
+        )
