@@ -13,7 +13,8 @@ from .console import print_message
 from .signals import detach_from_terminal, ending_signals
 
 if TYPE_CHECKING:
-    from drivers.devices.acquisition import Acquisition, Snapshot
+    from drivers.devices.acquisition import Acquisition
+    from drivers.devices.snapshot import Snapshot
     from drivers.messages import Message
 
 RECEIVE_TIMEOUT = 0.1

@@ -13,7 +13,7 @@ from .console import print_message
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from drivers.devices.acquisition import Snapshot
+    from drivers.devices.snapshot import Snapshot
 
 REFRESH_PERIOD = 0.25
 """Seconds between two updates of the table."""

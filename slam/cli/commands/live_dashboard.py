@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.table import Table
 
-    from drivers.devices.acquisition import Snapshot
+    from drivers.devices.snapshot import Snapshot
 
 COLOURS = {"OK": "green", "DEGENERATE": "yellow", "LOST": "red"}
 

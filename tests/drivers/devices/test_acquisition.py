@@ -19,8 +19,9 @@ import pytest
 
 import drivers
 from drivers import DriverError, Message, Odometry, Scan
-from drivers.devices.acquisition import Acquisition, Snapshot
+from drivers.devices.acquisition import Acquisition
 from drivers.devices.device_spec import parse_devices
+from drivers.devices.snapshot import Snapshot
 from drivers.devices.supervisor import DeviceState
 
 RATE, TURNS = 9200.0, 9.7

@@ -20,7 +20,7 @@ import rerun_cli
 from rerun.chunk import RrdReader
 from rich.console import Console
 
-from drivers.devices.acquisition import Snapshot
+from drivers.devices.snapshot import Snapshot
 from drivers.devices.supervisor import DeviceState, DeviceStatus
 from drivers.messages import Odometry, Scan
 from drivers.recordings.mcap import McapReader
