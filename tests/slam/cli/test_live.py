@@ -200,7 +200,8 @@ def test_a_failure_of_the_reader_process_keeps_earlier_measurements(tmp_path: Pa
     assert "Traceback" not in err
     assert "results " in out
     assert run.summary["walls"] > 3
-    assert len(list(McapReader(tmp_path / "drive.mcap"))) == run.summary["scans"] + run.summary["odometry"]
+    recorded, mapped = list(McapReader(tmp_path / "drive.mcap")), read_tum(run.out / TRAJECTORY).stamps
+    assert mapped[-1] - recorded[-1].stamp < 1.5  # the recorder was in the reader process
 
 
 def test_a_full_disk_ends_the_recording_but_not_the_mapping(tmp_path: Path) -> None:
