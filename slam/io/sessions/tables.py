@@ -17,13 +17,19 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from ...errors import MapError
+from ...errors import MapError, first_line
 from ...geometry.segments import Floats
 
 Array = NDArray[Any]
 
 TABLE_NAME = b"wclm-slam table"
 """Key of the file's metadata that holds the table's name."""
+VALUE_SIZE = 8
+"""Bytes of a value in memory."""
+MAX_RATIO = 200
+"""Ratio of the sizes of a table in memory and as a file. Tables of long sessions have 3 to 20."""
+ALWAYS_ALLOWED = 1 << 26
+"""Bytes of a table in memory, whatever the ratio."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,18 +86,28 @@ class TableReader:
         """Read the file. Raises MapError naming it if it cannot be read or is another table."""
         self._path = path
         try:
+            self._check_size()
             self._table = pq.read_table(path)
             self._names = self._table.column_names
         except FileNotFoundError as error:
             raise MapError(f"{path}: file is missing; the session is incomplete") from error
-        except (OSError, UnicodeDecodeError, pa.ArrowException) as error:
-            raise MapError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from error
+        except (OSError, ValueError, pa.ArrowException) as error:
+            raise MapError(f"{path}: cannot be read: {first_line(error)}") from error
         name = (self._table.schema.metadata or {}).get(TABLE_NAME, b"")
         if name != path.stem.encode():
             raise MapError(f"{path}: is not the table {path.stem} of a session")
 
     def __len__(self) -> int:
         return int(self._table.num_rows)
+
+    def _check_size(self) -> None:
+        """Raise MapError if the table would be far larger in memory than any that is written."""
+        metadata = pq.read_metadata(self._path)
+        groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
+        values = sum(group.column(k).num_values for group in groups for k in range(group.num_columns))
+        size = max(VALUE_SIZE * values, sum(group.total_byte_size for group in groups))
+        if size > max(ALWAYS_ALLOWED, MAX_RATIO * self._path.stat().st_size):
+            raise MapError(f"{self._path}: has {values} values, which is more than {MAX_RATIO} times its size")
 
     def floats(self, *names: str, finite: bool = True) -> Floats:
         """Return columns of floats: (n,) for one name, (n, d) for several.
