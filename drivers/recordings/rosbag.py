@@ -61,4 +61,8 @@ class BagReader(RosReader):
                     return
                 number += 1
                 connection, received, data = following
+                if data is None:  # NULL in a database
+                    if final:
+                        self.skip(number, "message has no data")
+                    continue
                 yield StoredMessage(number, connection.topic, connection.msgtype, encoding, received, bytes(data))

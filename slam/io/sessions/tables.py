@@ -76,6 +76,15 @@ def _to_arrow(column: Array | Ragged | Sequence[str]) -> pa.Array:
     return pa.array(column) if isinstance(column, np.ndarray) else pa.array(list(column), pa.string())
 
 
+def are_covariances(matrices: Floats) -> bool:
+    """Return True if all symmetric matrices (n, d, d) are positive definite."""
+    deviations = np.sqrt(np.diagonal(matrices, axis1=1, axis2=2).clip(min=0.0))
+    if not (deviations > 0.0).all() or not np.isfinite(deviations).all():
+        return False
+    correlations = matrices / deviations[:, :, None] / deviations[:, None, :]
+    return bool((np.linalg.eigvalsh(correlations) > 0.0).all()) if len(matrices) else True
+
+
 class TableReader:
     """Table of a Parquet file; returns columns by name and checks their type.
 
@@ -89,11 +98,11 @@ class TableReader:
             self._check_size()
             self._table = pq.read_table(path)
             self._names = self._table.column_names
+            name = (self._table.schema.metadata or {}).get(TABLE_NAME, b"")
         except FileNotFoundError as error:
             raise MapError(f"{path}: file is missing; the session is incomplete") from error
         except (OSError, ValueError, pa.ArrowException) as error:
             raise MapError(f"{path}: cannot be read: {first_line(error)}") from error
-        name = (self._table.schema.metadata or {}).get(TABLE_NAME, b"")
         if name != path.stem.encode():
             raise MapError(f"{path}: is not the table {path.stem} of a session")
 

@@ -377,3 +377,20 @@ def test_only_the_script_of_the_page_may_run(tmp_path: Path, finished: Finished)
     (script,) = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
     digest = b64encode(sha256(script.encode()).digest()).decode()
     assert f"script-src 'sha256-{digest}'" in text
+
+
+def test_a_recording_without_duration_has_a_page(tmp_path: Path, finished: Finished) -> None:
+    assert "0.0 s" in page(tmp_path, finished, SUMMARY | {"duration": 0.0, "real_time_factor": 0.0})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("slam", 5), ("recordings", {"a": 1}), ("recordings", [5]), ("recordings", [{"shift": "x"}]), ("warnings", "x")],
+)
+def test_a_summary_with_an_entry_of_another_type_is_refused(
+    tmp_path: Path, finished: Finished, name: str, value: object
+) -> None:
+    make(tmp_path, finished)
+    write_json(tmp_path / "summary.json", SUMMARY | {name: value})
+    with pytest.raises(MapError, match=r"summary\.json: (recordings or )?\w+ (is not a|has an entry|is invalid)"):
+        read_run_results(tmp_path)
