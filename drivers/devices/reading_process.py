@@ -15,6 +15,7 @@ from threading import Event, Thread
 
 from ..errors import DriverError, RecordingError
 from ..messages import Message
+from ..realtime import request_realtime_priority
 from .device_spec import DeviceSpec
 from .outbox import Outbox
 from .recorder import Recorder
@@ -155,6 +156,7 @@ def acquire(pipe: Connection, job: Job, offset: float) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     sys.setswitchinterval(SWITCH_INTERVAL)
+    request_realtime_priority()  # otherwise programs that keep all processors busy delay reads by tenths of a second
     reader = _DeviceReader(pipe, job, offset)
     signal.signal(signal.SIGTERM, lambda *_: reader.stop.set())
     with suppress(EOFError, OSError):  # the other process has ended
