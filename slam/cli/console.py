@@ -24,7 +24,12 @@ Item = TypeVar("Item")
 def print_message(text: str) -> None:
     """Print `text` on stderr as one line that starts with `wclm: `. A terminal that is gone is no error."""
     with suppress(OSError):
-        typer.echo(f"wclm: {' '.join(text.split())}", err=True)
+        typer.echo(f"wclm: {printable(' '.join(text.split()))}", err=True)
+
+
+def printable(text: str) -> str:
+    """Return `text` without control characters, with which names in a foreign file could operate the terminal."""
+    return "".join(character if character.isprintable() else "\N{REPLACEMENT CHARACTER}" for character in text)
 
 
 @contextmanager
