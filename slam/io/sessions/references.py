@@ -37,12 +37,10 @@ def check_variables(file: Path, graph: GraphState, landmarks: Landmarks, keyfram
 def check_landmarks(file: Path, landmarks: Landmarks, keyframes: int) -> None:
     """Raise MapError naming `file`, the table of walls, if a landmark refers to what does not exist."""
     walls, corners = landmarks.walls.rows, landmarks.corners.rows
-    valid = (
-        _within(walls["first_seen"], 0, keyframes)
-        and _within(walls["last_seen"], 0, keyframes)
-        and _within(corners["last_seen"], 0, keyframes)
-        and _within(walls["removed_at"], NEVER_REMOVED, keyframes)
-    )
+    seen = [(walls, "first_seen"), (walls, "last_seen"), (corners, "last_seen")]
+    valid = _within(walls["removed_at"], NEVER_REMOVED, keyframes)
+    for rows, name in seen:  # -1 if no keyframe observes the landmark any more
+        valid &= _within(rows[name], -1, keyframes) and _within(rows[name][rows["in_graph"]], 0, keyframes)
     if not valid:
         raise MapError(f"{file}: a landmark was seen in a keyframe that does not exist")
     if not (_within(walls["merged_into"], UNOBSERVED, len(walls)) and _within(corners["walls"], -1, len(walls))):

@@ -28,6 +28,10 @@ VALUE_SIZE = 8
 """Bytes of a value in memory."""
 MAX_RATIO = 200
 """Ratio of the sizes of a table in memory and as a file. Tables of long sessions have 3 to 20."""
+MAX_MAGNITUDE = 1e15
+"""Largest absolute value of a number; the largest that occur are stamps, 2e9 seconds. Their squares are finite."""
+MIN_DEVIATION = 1e-9
+"""Smallest standard deviation, metres or radians: no measurement is as precise."""
 ALWAYS_ALLOWED = 1 << 26
 """Bytes of a table in memory, whatever the ratio."""
 
@@ -77,9 +81,11 @@ def _to_arrow(column: Array | Ragged | Sequence[str]) -> pa.Array:
 
 
 def are_covariances(matrices: Floats) -> bool:
-    """Return True if all symmetric matrices (n, d, d) are positive definite."""
+    """Return True if all symmetric matrices (n, d, d) are positive definite, and so far from singular that they can be
+    inverted.
+    """
     deviations = np.sqrt(np.diagonal(matrices, axis1=1, axis2=2).clip(min=0.0))
-    if not (deviations > 0.0).all() or not np.isfinite(deviations).all():
+    if not ((deviations > MIN_DEVIATION) & (deviations < MAX_MAGNITUDE)).all():
         return False
     correlations = matrices / deviations[:, :, None] / deviations[:, None, :]
     return bool((np.linalg.eigvalsh(correlations) > 0.0).all()) if len(matrices) else True
@@ -125,7 +131,7 @@ class TableReader:
         """
         columns = [np.asarray(self._column(name, pa.types.is_floating), dtype=np.float64) for name in names]
         for name, column in zip(names, columns, strict=True):
-            self._check(name, not finite or bool(np.isfinite(column).all()), "has values that are not finite")
+            self._check_values(name, column, finite=finite)
         return columns[0] if len(names) == 1 else np.column_stack(columns)
 
     def integers(self, *names: str) -> NDArray[np.int64]:
@@ -160,8 +166,7 @@ class TableReader:
         lengths = columns[0].lengths
         for name, column in zip(names, columns, strict=True):
             self._check(name, np.array_equal(column.lengths, lengths), f"has other lengths than {names[0]}")
-            valid = not finite or bool(np.isfinite(column.values).all())
-            self._check(name, valid, "has values that are not finite")
+            self._check_values(name, column.values, finite=finite)
         return np.column_stack([column.values for column in columns]).astype(dtype), lengths
 
     def _column(self, name: str, has_type: Any) -> Array:
@@ -185,6 +190,13 @@ class TableReader:
         if isinstance(column, pa.ChunkedArray):  # of an empty table
             return pa.array([], column.type)
         return column
+
+    def _check_values(self, name: str, values: Array, *, finite: bool) -> None:
+        """Raise MapError if a value is not finite, unless `finite` is False, or too large to compute with."""
+        is_finite = np.isfinite(values)
+        self._check(name, not finite or bool(is_finite.all()), "has values that are not finite")
+        large = np.abs(values[is_finite].astype(np.float64)) > MAX_MAGNITUDE
+        self._check(name, not large.any(), f"has values beyond {MAX_MAGNITUDE:g}")
 
     def _check(self, name: str, valid: bool, problem: str) -> None:
         if not valid:

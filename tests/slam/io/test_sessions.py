@@ -290,10 +290,12 @@ CHANGES: list[tuple[str, str, Any, str]] = [
     (WALLS, "first_seen", 10**6, "a landmark was seen in a keyframe that does not exist"),
     (WALLS, "merged_into", -(10**6), "a landmark refers to a wall that does not exist"),
     ("corners.parquet", "wall_before", 10**6, "a landmark refers to a wall that does not exist"),
-    ("corners.parquet", "last_seen", -1, "a landmark was seen in a keyframe that does not exist"),
+    ("corners.parquet", "last_seen", 10**6, "a landmark was seen in a keyframe that does not exist"),
     ("keyframes.parquet", "travelled", -1.0, "the travelled distance decreases"),
     ("variables.parquet", "id", 10**6, "(the keyframes are not in order|does not exist)"),
     (SCANS, "segment_offset_offset", -1.0, "the covariance of a segment is not positive definite"),
+    (SCANS, "segment_offset_offset", 1e-300, "the covariance of a segment is not positive definite"),
+    (WALLS, "x", 1e300, "the column x has values beyond 1e\\+15"),
 ]
 
 
