@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from .errors import MapError
 from .estimation.map_view import covariances_when_last_seen, map_features
 from .events import Finished
 from .io.sessions import StoredSession
@@ -30,7 +31,7 @@ class RunSnapshot:
         """Return map and trajectory so far.
 
         Covariances of walls and corners are those from when each was last seen; those of keyframes are not computed,
-        which would take seconds in a large map.
+        which would take seconds in a large map. Raises MapError if the trajectory has no pose yet.
         """
         state = self.session.slam_state
         mapper = state.mapper
@@ -39,6 +40,8 @@ class RunSnapshot:
         segments = OdometrySegments(self.session.odometry, self.session.starts)
         stamps, poses = segments.trajectory(state.trajectory, mapper.keyframe_poses)
         later = stamps > self.after
+        if not later.any():
+            raise MapError("the robot was not relocalised in the map yet")
         return Finished(
             walls=replace(walls, covariance=of_walls),
             corners=replace(corners, covariance=of_corners),

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from ..errors import MapError, OutputError
+from ..errors import MapError, OutputError, first_line
 from ..io.output_dir import OutputDirectory
 from .console import print_message
 
@@ -81,17 +81,17 @@ class Autosave:
         self._requested = True
 
     def _save(self, write: Callable[[Path], None], requested: bool) -> None:
+        before, self._problem = self._problem, ""
         try:
             self._output.save(write)
         except OutputError as error:
-            if requested or str(error) != self._problem:
-                print_message(f"{error}; the run goes on")
             self._problem = str(error)
-            self._output.announce(self._problem)
-            return
-        self._problem = ""
-        self._output.announce()
-        if requested:
+        except Exception as error:  # whatever it is, it must not end the run
+            self._problem = f"{self._output.path}: not saved: {first_line(error)}"
+        self._output.announce(self._problem)
+        if self._problem and (requested or self._problem != before):
+            print_message(f"{self._problem}; the run goes on")
+        elif requested:
             print_message(f"{self._output.path}: saved")
 
 

@@ -115,7 +115,7 @@ class OutputDirectory:
         an earlier run are kept until the block ends. Raises OutputError if the state cannot be written.
         """
         assert self._work is not None
-        work = self._work
+        work, size = self._work, 0
         try:
             shutil.rmtree(work.saved, ignore_errors=True)
             work.saved.mkdir()
@@ -125,10 +125,12 @@ class OutputDirectory:
             size = directory_size(work.saved)
             self._check_target()
             self._replace_target(work)
-            work.reserve.hold_up_to(max(MIN_RESERVE, 2 * size))
         except OSError as error:
-            shutil.rmtree(work.saved, ignore_errors=True)
             raise OutputError(f"{self.path}: cannot be saved: {error.strerror or error}") from error
+        finally:
+            shutil.rmtree(work.saved, ignore_errors=True)
+            if self._reserved:
+                work.reserve.hold_up_to(max(MIN_RESERVE, 2 * size))
 
     def finish(self, write: Callable[[Path], None]) -> None:
         """Write the final results with `write`: into the temporary directory, or another place if that fails.

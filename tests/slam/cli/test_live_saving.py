@@ -15,7 +15,18 @@ from typing import Any
 
 import pytest
 
-from slam.io.output_dir import CONFIG, KEYFRAMES, MAP, PICTURE, RESULTS, SESSION, SUMMARY, TRAJECTORY
+from slam.cli.autosave import Autosave
+from slam.io.output_dir import (
+    CONFIG,
+    KEYFRAMES,
+    MAP,
+    PICTURE,
+    RESULTS,
+    SESSION,
+    SUMMARY,
+    TRAJECTORY,
+    OutputDirectory,
+)
 from slam.io.sessions import read_session
 
 from ..robot import LiveRun, Robot, wait_for
@@ -73,6 +84,28 @@ def test_a_killed_run_leaves_the_saved_map_and_is_recovered(tmp_path: Path, wclm
     assert names(out) == RESULTS - {PICTURE}
     assert not left.exists()
     wclm.refuses("recover", out, because=["map: no killed run has left anything beside it"])
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), ValueError("a bug")])
+def test_a_failing_save_does_not_end_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], error: Exception
+) -> None:
+    monkeypatch.setattr("slam.cli.autosave.PERIOD", 0.0)
+    failures = [error, error, None]
+
+    def write(place: Path) -> None:
+        (place / SUMMARY).write_text("{}")
+        if (failure := failures.pop(0)) is not None:
+            raise failure
+
+    output = OutputDirectory(tmp_path / "map")
+    with output, Autosave(output, lambda: write) as autosave:
+        while failures:
+            autosave.poll()
+            time.sleep(0.001)
+    (message,) = capsys.readouterr().err.splitlines()  # the second one is equal
+    assert message.startswith(f"wclm: {tmp_path / 'map'}: ")
+    assert message.endswith("; the run goes on")
 
 
 LOST_IN_A_CALLBACK = """
