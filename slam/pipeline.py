@@ -202,7 +202,7 @@ class Slam:
         journal, state = self._journal, self.slam_state
         if not journal.segments.starts or not state.mapper.keyframe_count:
             raise MapError("nothing is mapped yet")
-        session = self._stored(state.copy())
+        session = self._stored(state.copy(), release=False)
         session.scans, session.queued_scans = list(journal.scans), self._preprocessor.queued
         session.starts = list(journal.segments.starts)
         session.odometry = [history.copy() for history in journal.segments.histories]
@@ -330,9 +330,10 @@ class Slam:
         self._publisher.publish_map(stamp, state.mapper)
         return {"refinement": refined.summary}
 
-    def _stored(self, state: SlamState) -> StoredSession:
+    def _stored(self, state: SlamState, *, release: bool = True) -> StoredSession:
         resumed, journal = self._resumed, self._journal
-        state.mapper.gauge.release(state.mapper)
+        if release:
+            state.mapper.gauge.release(state.mapper)
         return StoredSession(
             config=self.config,
             slam_state=state,

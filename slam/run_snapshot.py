@@ -18,7 +18,7 @@ from .mapping.odometry_segments import OdometrySegments
 class RunSnapshot:
     """Copy of a run that shares nothing with it that changes; may be used in another thread.
 
-    session  estimate, to be stored and continued
+    session  estimate, to be stored and continued after `finished`, which connects its parts
     summary  of the run so far, for `Finished.summary`
     after    stamp (seconds) after which poses belong to this run
     """
@@ -35,6 +35,7 @@ class RunSnapshot:
         """
         state = self.session.slam_state
         mapper = state.mapper
+        mapper.gauge.release(mapper)
         walls, corners = map_features(mapper, covariances=False)
         of_walls, of_corners = covariances_when_last_seen(mapper, walls, corners)
         segments = OdometrySegments(self.session.odometry, self.session.starts)
