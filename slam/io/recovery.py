@@ -28,7 +28,7 @@ def recover_results(target: Path) -> list[str]:
 
 def _recover(target: Path, folder: Path) -> list[str]:
     lines = []
-    for name in (RESERVE, CONTROL, f".{CONTROL}"):
+    for name in (RESERVE, CONTROL):
         (folder / name).unlink(missing_ok=True)
     saved, old = sibling_directories(folder)
     shutil.rmtree(saved, ignore_errors=True)  # incomplete, or replaced by the target

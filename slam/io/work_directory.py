@@ -19,6 +19,8 @@ from .disk_reserve import DiskReserve
 CONTROL = "running.json"
 """File in the directory of a run that saves on SIGUSR1: its process, how often it answered, and the last problem."""
 
+MAX_PROBLEM, CONTROL_SIZE = 400, 4096
+"""Characters of a problem, of which JSON needs at most six bytes each, and bytes of the file."""
 RESERVE = "reserve"
 """File in the directory of a run that holds disk space."""
 
@@ -49,10 +51,12 @@ class WorkDirectory:
 
     def announce(self, answers: int, problem: str = "") -> None:
         """State that this process saves its map on SIGUSR1, how often it answered, and why it could not save, if so."""
-        text = json.dumps({"process": os.getpid(), "answers": answers, "problem": problem})
-        unfinished = self.path / f".{CONTROL}"
-        unfinished.write_text(text, encoding="utf-8")
-        unfinished.replace(self.path / CONTROL)
+        text = json.dumps({"process": os.getpid(), "answers": answers, "problem": problem[:MAX_PROBLEM]})
+        descriptor = os.open(self.path / CONTROL, os.O_WRONLY | os.O_CREAT, 0o666)
+        try:  # overwritten in place, which needs no space on a full disk
+            os.pwrite(descriptor, text.ljust(CONTROL_SIZE).encode(), 0)
+        finally:
+            os.close(descriptor)
 
     def withdraw(self) -> None:
         """Remove the statement of `announce`."""

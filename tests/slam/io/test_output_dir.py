@@ -1,4 +1,5 @@
 import json
+import os
 import subprocess
 import sys
 import time
@@ -27,7 +28,7 @@ from slam.io.output_dir import (
 )
 from slam.io.recovery import recover_results
 from slam.io.tum import read_tum
-from slam.io.work_directory import left_behind
+from slam.io.work_directory import left_behind, running_process
 
 
 def contents(folder: Path) -> dict[str, str]:
@@ -281,6 +282,25 @@ def test_space_for_the_results_is_reserved(tmp_path: Path, monkeypatch: pytest.M
     with pytest.raises(OutputError, match=r"out: \d+ MB are free there, and 16 MB are needed for the results"):
         OutputDirectory(tmp_path / "other" / "out", reserved=True).__enter__()
     assert not list((tmp_path / "other").iterdir())
+
+
+def test_a_run_on_a_full_disk_answers(tmp_path: Path) -> None:
+    """Answers have one size, whatever they say, and need no other file."""
+    output = OutputDirectory(tmp_path / "out")
+    with output as directory:
+        assert running_process(tmp_path / "out") is None
+        sizes = set()
+        for problem in ("", "out: cannot be saved: No space left on device", "ü\n" * 1000, ""):
+            output.announce(problem)
+            control = running_process(tmp_path / "out")
+            assert control is not None
+            assert control["process"] == os.getpid()
+            assert problem.startswith(control["problem"])
+            sizes.add(directory_size(directory))
+        assert control["answers"] == 3
+    assert len(sizes) == 1
+    assert contents(tmp_path / "out") == {}
+    assert running_process(tmp_path / "out") is None
 
 
 def test_results_of_a_killed_run_are_recovered(tmp_path: Path) -> None:
