@@ -43,6 +43,11 @@ class PoseGraphError(SlamError):
         super().__init__(f"{place}: {reason}")
 
 
+def first_line(error: BaseException) -> str:
+    """Return the first line of an error's text that is not empty, else the name of its type."""
+    return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
+
+
 __all__ = [
     "ClusterError",
     "ConfigurationError",
@@ -53,4 +58,5 @@ __all__ = [
     "PoseGraphError",
     "RecordingError",
     "SlamError",
+    "first_line",
 ]

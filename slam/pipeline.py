@@ -29,6 +29,7 @@ from .loop_closure.agreement import LoopAgreement
 from .mapping.map_features import MapCorners, MapWalls
 from .preprocessing.preprocessor import Preprocessor
 from .publisher import Publisher
+from .run_snapshot import RunSnapshot
 from .run_statistics import RunStatistics, run_summary
 
 
@@ -196,6 +197,18 @@ class Slam:
             raise SlamError("the session is available after finish() only")
         return self._session
 
+    def snapshot(self) -> RunSnapshot:
+        """Return a copy of the run, to be saved while it goes on. Raises MapError before the first keyframe."""
+        journal, state = self._journal, self.slam_state
+        if not journal.segments.starts or not state.mapper.keyframe_count:
+            raise MapError("nothing is mapped yet")
+        session = self._stored(state.copy(), release=False)
+        session.scans, session.queued_scans = list(journal.scans), self._preprocessor.queued
+        session.starts = list(journal.segments.starts)
+        session.odometry = [history.copy() for history in journal.segments.histories]
+        summary = run_summary(self._preprocessor, state, self._statistics, journal.scans[-1].stamp)
+        return RunSnapshot(session, summary, journal.resumed_at if self._frozen else -np.inf)
+
     def keyframe_covariance(self, index: int) -> Floats:
         """Return the covariance (3, 3) of a keyframe's pose in its own frame (metres, metres, radians)."""
         return self.slam_state.mapper.keyframe_covariance(index)
@@ -317,9 +330,10 @@ class Slam:
         self._publisher.publish_map(stamp, state.mapper)
         return {"refinement": refined.summary}
 
-    def _stored(self, state: SlamState) -> StoredSession:
+    def _stored(self, state: SlamState, *, release: bool = True) -> StoredSession:
         resumed, journal = self._resumed, self._journal
-        state.mapper.gauge.release(state.mapper)
+        if release:
+            state.mapper.gauge.release(state.mapper)
         return StoredSession(
             config=self.config,
             slam_state=state,

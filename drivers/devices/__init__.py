@@ -9,8 +9,10 @@ packet_stamper  from the arrival of bytes to stamps
 ports           connections, and the list of serial ports
 supervisor      runs one device, with its reconnections
 reorder_buffer  the messages of all devices in time order, bounded
-acquisition     the reading process and the consumer's side of it
+reading_process, outbox  the reading process, and its queue to the consumer
+acquisition     the consumer's side of the reading process
+snapshot        status of all devices
 device_source   devices as a `Source`
-recorder        writes the messages and the devices' status to a file
+recorder        writes the messages and the devices' status to a file, in the reading process
 probing         identifies the device on a port
 """

@@ -5,7 +5,8 @@
             ...
 
 The processes are joined by a pipe. The reading process sends messages and, a few times a second, the status of its
-devices. It halts all devices and ends on request, or when the pipe breaks because the other process has ended.
+devices. It also writes the recording, if there is one. It halts all devices and ends on request, or when the pipe
+breaks because the other process has ended.
 As always with multiprocessing, a program that uses this must be importable without side effects: `if __name__ ==
 "__main__":`.
 """
@@ -15,14 +16,12 @@ from __future__ import annotations
 import multiprocessing
 import signal
 import time
-import traceback
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import partial
 from multiprocessing.connection import Connection
-from threading import Event, Thread
+from pathlib import Path
 from types import TracebackType
 from typing import Self
 
@@ -30,41 +29,11 @@ from ..errors import DriverError
 from ..messages import Message
 from ..timestamps import wall_clock_offset
 from .device_spec import DeviceSpec
-from .reorder_buffer import ReorderBuffer
-from .supervisor import DeviceStatus, Supervisor
+from .reading_process import POLL_PERIOD, Ended, Failed, Job, acquire
+from .snapshot import Snapshot
 
-STATUS_PERIOD = 0.2
-"""Seconds between two snapshots."""
-POLL_PERIOD = 0.05
-"""Seconds after which the processes check their state, whether or not anything has arrived."""
 HALT_TIMEOUT = 5.0
 """Seconds that halting may take before the process is killed; it covers the handshake of every device."""
-
-
-@dataclass(frozen=True, slots=True)
-class Snapshot:
-    """Status of the acquisition.
-
-    devices  status of each device, in the order of the specs
-    dropped  messages dropped for lack of room because the consumer was slow
-    late     messages discarded because later ones had been delivered before they arrived
-    """
-
-    devices: tuple[DeviceStatus, ...] = ()
-    dropped: int = 0
-    late: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class _Failed:
-    """Item of the pipe: the acquisition cannot start or continue."""
-
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
-class _Ended:
-    """Item of the pipe: nothing more will arrive; all byte captures have ended, or the acquisition was stopped."""
 
 
 @dataclass(slots=True)
@@ -73,11 +42,16 @@ class Acquisition:
 
     Entering it waits until every device runs; raises DriverError if one does not.
 
-    specs     of the devices
-    snapshot  latest status received; it is updated while messages are received
+    specs      of the devices
+    recording  file to which all messages are written, replaced if it exists; None: no recording. It is created when
+               every device runs. If it cannot be created, that is the DriverError of the acquisition
+    deliver    False if no messages are wanted, only snapshots
+    snapshot   latest status received; it is updated while messages are received
     """
 
     specs: Sequence[DeviceSpec]
+    recording: Path | None = None
+    deliver: bool = True
     snapshot: Snapshot = field(default_factory=Snapshot)
     _process: multiprocessing.process.BaseProcess | None = None
     _pipe: Connection | None = None
@@ -88,20 +62,20 @@ class Acquisition:
         context = multiprocessing.get_context("spawn")
         self._pipe, child_end = context.Pipe()
         self._process = context.Process(
-            target=_acquire,
-            args=(child_end, tuple(self.specs), wall_clock_offset()),
+            target=acquire,
+            args=(child_end, Job(tuple(self.specs), self.recording, self.deliver), wall_clock_offset()),
             name="wclm-acquisition",
             daemon=True,
         )
-        # Ctrl-C interrupts all processes of a terminal; this process forwards it to the reading one.
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        # A terminal sends these signals to all its processes; this process forwards them to the reading one.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
         try:
             self._process.start()
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
             child_end.close()
         try:
-            while not self.snapshot.devices or not all(status.has_run for status in self.snapshot.devices):
+            while not self.snapshot.all_have_run:
                 self._receive_status()
         except BaseException:
             self.close()
@@ -189,79 +163,12 @@ class Acquisition:
             raise
         if isinstance(item, Snapshot):
             self.snapshot = item
-        elif isinstance(item, _Ended):
+        elif isinstance(item, Ended):
             self._ended = True
-        elif isinstance(item, _Failed):
+        elif isinstance(item, Failed):
             self._ended = True
             raise DriverError(item.reason)
         else:
             message: Message = item
             return message
         return None
-
-
-class _DeviceReader:
-    """The reading side: a supervisor and a thread for each device; this thread sends."""
-
-    def __init__(self, pipe: Connection, specs: Sequence[DeviceSpec], offset: float) -> None:
-        self.stop = Event()
-        self._pipe = pipe
-        self._buffer = ReorderBuffer(len(specs), offset)
-        self._supervisors = [
-            Supervisor(spec, partial(self._buffer.put, device), [other.address for other in specs if other is not spec])
-            for device, spec in enumerate(specs)
-        ]
-        self._crash: BaseException | None = None
-
-    def run(self) -> None:
-        """Run until stopped, all supervisors have ended, or one has failed."""
-        threads = [Thread(target=self._run_supervisor, args=(supervisor,)) for supervisor in self._supervisors]
-        for thread in threads:
-            thread.start()
-        status_sent = 0.0
-        try:
-            while not self.stop.is_set() and any(thread.is_alive() for thread in threads):
-                read = min(supervisor.read_until for supervisor in self._supervisors)
-                for message in self._buffer.pop(read, POLL_PERIOD):
-                    self._pipe.send(message)
-                if time.monotonic() >= status_sent + STATUS_PERIOD:
-                    self._pipe.send(self._snapshot())
-                    status_sent = time.monotonic()
-                if self._pipe.poll():
-                    self._pipe.recv()
-                    break
-                if any(supervisor.failure for supervisor in self._supervisors) or self._crash:
-                    break
-        finally:
-            self.stop.set()
-            for thread in threads:
-                thread.join()
-        for message in self._buffer.flush():
-            self._pipe.send(message)
-        self._pipe.send(self._snapshot())
-        failure = self._crash or next(
-            (supervisor.failure for supervisor in self._supervisors if supervisor.failure), None
-        )
-        self._pipe.send(_Failed(str(failure)) if failure else _Ended())
-
-    def _run_supervisor(self, supervisor: Supervisor) -> None:
-        try:
-            supervisor.run(self.stop)
-        except Exception as error:  # a bug: end the acquisition with an error instead of one thread silently
-            place = traceback.extract_tb(error.__traceback__)[-1]
-            what = f"{type(error).__name__} in {place.name}, line {place.lineno}: {error}"
-            self._crash = DriverError(f"{supervisor.spec.text}: internal error: {what}")
-
-    def _snapshot(self) -> Snapshot:
-        statuses = tuple(supervisor.status() for supervisor in self._supervisors)
-        return Snapshot(statuses, self._buffer.dropped, self._buffer.late)
-
-
-def _acquire(pipe: Connection, specs: Sequence[DeviceSpec], offset: float) -> None:
-    """Run the reading process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    reader = _DeviceReader(pipe, specs, offset)
-    signal.signal(signal.SIGTERM, lambda *_: reader.stop.set())
-    with suppress(EOFError, OSError):  # the other process has ended
-        reader.run()
-    pipe.close()

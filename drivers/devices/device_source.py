@@ -6,8 +6,9 @@ from collections.abc import Iterator, Sequence
 
 from ..errors import DriverError
 from ..messages import Message, SourceReport
-from .acquisition import Acquisition, Snapshot
+from .acquisition import Acquisition
 from .device_spec import DeviceSpec
+from .snapshot import Snapshot
 
 
 class DeviceSource:

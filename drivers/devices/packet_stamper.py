@@ -20,6 +20,15 @@ MIN_LATE_READS = 2
 """Late reads in a row before packets are considered lost. A single read may be late because the host was busy between
 reading the bytes and reading its clock. Odometry tolerates one wrong stamp, not two.
 """
+LOSS_ODDS = 20.0
+"""Natural logarithm of the odds against a busy host, above which late reads are a loss. Delays of a busy host are
+distributed exponentially, so that reads late by d1, d2, ... in a row have the probability exp(-(d1 + d2 + ...) / mean).
+Once in 500 million rows such a row has another cause than a loss.
+"""
+MEAN_DELAY_READS = 50
+"""Reads over which the mean delay is averaged: a second or so, in which the load of a host hardly changes."""
+MIN_MEAN_DELAY = 2e-3
+"""Seconds; the delay of a read on an idle host, by USB frames of 1 ms and the scheduler."""
 MIN_SPACING = 1e-6
 """Seconds between two stamps of a device at least; the measurements of the fastest lidar are 30 times as far apart."""
 
@@ -55,24 +64,28 @@ class PacketCountClock:
     clock   device clock fitted to the host's
     lost    estimated number of packets that never arrived
 
-    Packets lost as a whole do not show in the bytes. They show in that all later packets stay late. A busy host does
-    not cause this, because all waiting bytes are read at once.
+    Packets lost as a whole do not show in the bytes. They show in that all later packets stay late. A busy host, which
+    reads all waiting bytes at once, delays single reads, and more of them the busier it is; therefore the mean delay
+    before decides how many late reads in a row are a loss.
     """
 
     def __init__(self, period: float) -> None:
         self.clock = DeviceClock(period)
         self.lost = 0
         self._late: dict[float, float] = {}  # delay of the last reads by arrival time; all of them late
+        self._mean_delay = LOSS_DELAY  # of the reads before; unknown at first
 
     def stamp(self, count: int, arrived: float) -> float:
         """Return the host's time (seconds) at packet number `count`, the last of the packets decoded at `arrived`."""
         stamp = self.clock.stamp(count, arrived)
         if arrived - stamp < LOSS_DELAY:
+            for delay in (*self._late.values(), arrived - stamp):
+                self._mean_delay += (max(delay, MIN_MEAN_DELAY) - self._mean_delay) / MEAN_DELAY_READS
             self._late.clear()
             return stamp
         # The delay of a read is that of its last packet, which may be decoded only after the next read.
         self._late[arrived] = arrived - stamp
-        if len(self._late) < MIN_LATE_READS:
+        if len(self._late) < MIN_LATE_READS or sum(self._late.values()) < LOSS_ODDS * self._mean_delay:
             return stamp
         self.lost += round(min(self._late.values()) / self.clock.tick)
         self._late.clear()

@@ -12,6 +12,9 @@ from ..errors import PortError
 from ..transport import CapturingTransport, ReplayTransport, SerialPort, TcpConnection, Transport
 from .device_spec import AUTO, CAPTURE_PREFIX, DeviceSpec
 
+PERMANENT_NAMES = Path("/dev/serial/by-id")
+"""Links to serial ports, named by udev after the serial numbers of their adapters."""
+
 
 @dataclass(frozen=True, slots=True)
 class Port:
@@ -27,20 +30,28 @@ def serial_ports() -> list[Port]:
     return sorted(found, key=lambda port: port.path)
 
 
-def searches_ports(spec: DeviceSpec, moved: bool) -> bool:
-    """Return whether a device is searched on ports that the user did not name; `moved` if it may be at another port
-    now.
+def permanent_names(address: str) -> list[str]:
+    """Return the names of a serial port that its adapter keeps if it gets another number, in PERMANENT_NAMES."""
+    path = Path(address).resolve()
+    if not PERMANENT_NAMES.is_dir():
+        return []
+    return sorted(str(name) for name in PERMANENT_NAMES.iterdir() if name.resolve() == path)
+
+
+def candidate_addresses(spec: DeviceSpec, names: Collection[str], other_addresses: Collection[str]) -> Iterator[str]:
+    """Yield the addresses to try, never one of another device.
+
+    Opening a port changes its modem lines, which restarts many boards. So all ports are tried only if the user allowed
+    it with `auto`. Otherwise these are the device's own address and `names`, the permanent names that it had.
     """
-    return spec.address == AUTO or (moved and spec.tcp is None and not spec.address.startswith(CAPTURE_PREFIX))
-
-
-def candidate_addresses(spec: DeviceSpec, moved: bool, other_addresses: Collection[str]) -> Iterator[str]:
-    """Yield the addresses to try: the device's own, and if it is searched, all ports except those of other devices."""
     if spec.address != AUTO:
         yield spec.address
-    if searches_ports(spec, moved):
-        named = {Path(address).resolve() for address in (*other_addresses, spec.address)}
-        yield from (port.path for port in serial_ports() if Path(port.path).resolve() not in named)
+    others = {Path(address).resolve() for address in other_addresses}
+    tried = {Path(spec.address).resolve()}
+    for name in names if spec.address != AUTO else [port.path for port in serial_ports()]:
+        path = Path(name).resolve()
+        if path.exists() and path not in others | tried:
+            yield name
 
 
 def connect(spec: DeviceSpec, address: str, baud: int, dtr: bool, append: bool = False) -> Transport:

@@ -19,7 +19,7 @@ from ..messages import Message, end_stamp
 from ..transport import Transport
 from .device import Device
 from .device_spec import AUTO, CAPTURE_PREFIX, DeviceSpec
-from .ports import candidate_addresses, connect, searches_ports
+from .ports import candidate_addresses, connect, permanent_names
 from .registry import make_device
 
 SILENCE_TIMEOUT = 1.0
@@ -111,6 +111,7 @@ class Supervisor:
         self._put = put
         self._device: Device = make_device(spec)
         self._last_location: tuple[str, int] | None = None  # address and baud rate of the last connection
+        self._names: list[str] = []  # permanent names of the port at the first connection
         self._was_connected = self._has_run = False
         self._problem = ""
         self._last_message_end: float | None = None  # end of the last message
@@ -163,13 +164,12 @@ class Supervisor:
 
     def _find_device(self, stop: Event) -> Transport:
         """Find and start the device; raises the DriverError of the first address tried."""
-        moved = self._has_run and bool(self._device.serial)
-        with SEARCH_LOCK if searches_ports(self.spec, moved) else nullcontext():
-            return self._try_ports(moved, stop)
+        with SEARCH_LOCK if self.spec.address == AUTO else nullcontext():
+            return self._try_ports(stop)
 
-    def _try_ports(self, moved: bool, stop: Event) -> Transport:
+    def _try_ports(self, stop: Event) -> Transport:
         first: DriverError | None = None
-        for address in candidate_addresses(self.spec, moved, self._other_addresses):
+        for address in candidate_addresses(self.spec, self._names, self._other_addresses):
             for baud in self._bauds(address):
                 if stop.is_set():
                     break
@@ -198,6 +198,7 @@ class Supervisor:
             self._disconnect(transport)
             raise
         self._last_location = (address, baud)
+        self._names = self._names or permanent_names(address)
         if self._device.serial:
             self._device.required_serial = self._device.serial
         return transport

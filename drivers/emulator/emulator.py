@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import time as clocks
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 from types import TracebackType
 from typing import Any
@@ -17,6 +16,7 @@ import numpy as np
 from ..bases.interface import Velocity
 from ..errors import RecordingError
 from ..lidars import ld06
+from ..realtime import realtime_priority
 from ..simulation import LidarModel, World, load_world, warm_up
 from ..timestamps import wall_clock_offset
 from . import rplidar_variants, wheel_base
@@ -142,6 +142,8 @@ class Emulator:
     def run(self, duration: float | None = None) -> None:
         """Run in real time, for a duration in seconds or until interrupted."""
         end = math.inf if duration is None else clocks.monotonic() - self.begun + duration
+        # Hardware does not wait for a processor. Without priority, an emulator on a busy computer sends later than any
+        # real device would, and programs interpret that as lost measurements.
         with realtime_priority():
             while (now := clocks.monotonic() - self.begun) < end:
                 self.step(now)
@@ -168,19 +170,3 @@ class Emulator:
             path.write_text(json.dumps(self.report(), indent=2) + "\n", encoding="utf-8")
         except OSError as failure:
             raise RecordingError(path, None, f"cannot be written: {failure.strerror}") from failure
-
-
-@contextmanager
-def realtime_priority() -> Iterator[None]:
-    """Run the block with real-time priority, if permitted.
-
-    Hardware does not wait for a processor. Without priority, an emulator on a busy computer sends later than any real
-    device would, and programs interpret that as lost measurements.
-    """
-    before = os.sched_getscheduler(0), os.sched_getparam(0)
-    with suppress(PermissionError):
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(os.sched_get_priority_min(os.SCHED_RR)))
-    try:
-        yield
-    finally:
-        os.sched_setscheduler(0, *before)

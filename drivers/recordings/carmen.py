@@ -20,6 +20,7 @@ from .. import se2
 from ..errors import RecordingError
 from ..messages import Floats, Message, Odometry, Scan
 from .carmen_lines import KINDS, LASERS, SICK_NO_RETURN, LaserLine, parse_laser, parse_odometry, written_stamps
+from .decompression import MAX_RATIO, allowed_size
 from .microseconds import restore_microseconds
 from .no_returns import find_no_return
 from .range_units import FAR, ScanInUnits, find_range_unit
@@ -75,7 +76,7 @@ class CarmenReader(RecordingReader):
         if self._length is None:
             try:
                 content = b"\n" + _content(self.path)[0]
-            except OSError:
+            except (OSError, RecordingError):  # raised again when it is read
                 return 0
             self._length = sum(content.count(b"\n" + kind + b" ") for kind in KINDS)
         return self._length
@@ -157,10 +158,15 @@ def _content(path: Path) -> tuple[bytes, str | None]:
             uncompressed.seek(0)
             return uncompressed.read(), None
     pieces: list[bytes] = []
+    left = allowed_size(path.stat().st_size)
     with gzip.open(path) as file:
         try:
             while piece := file.read(1 << 16):
                 pieces.append(piece)
+                left -= len(piece)
+                if left < 0:
+                    reason = f"decompresses to more than {MAX_RATIO} times its size; to read it anyway, gunzip it first"
+                    raise RecordingError(path, None, reason)
         except (EOFError, gzip.BadGzipFile, zlib.error):
             return b"".join(pieces), "gzip stream is damaged or truncated"
     return b"".join(pieces), None

@@ -10,6 +10,7 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -24,6 +25,7 @@ from mcap.writer import Writer
 from ..errors import RecordingError
 from ..messages import GroundTruth, Message, Odometry, Scan
 from ..timestamps import to_nanoseconds
+from .decompression import DecompressionError, decompress
 from .ros_messages import (
     BEAMS,
     DIAGNOSTICS,
@@ -104,7 +106,12 @@ class McapReader(RosReader):
 
     def _records_of(self, chunk: Chunk, final: bool) -> list[McapRecord]:
         try:
+            if chunk.compression:
+                content = decompress(chunk.data, chunk.compression)
+                chunk = replace(chunk, compression="", data=content)
             return breakup_chunk(chunk, validate_crc=True)
+        except DecompressionError as error:
+            raise RecordingError(self.path, None, str(error)) from error
         except Exception:  # see __len__; decompressors raise their own
             if final:
                 self.skip(None, "chunk is damaged")

@@ -9,8 +9,12 @@ from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag2 import Reader as Reader2
 
 from ..errors import RecordingError
+from .decompression import DecompressionError
 from .ros_messages import LASER_SCAN, ODOMETRY, POSE
 from .ros_reader import MESSAGE_TYPES, RosReader, StoredMessage
+from .rosbag_limits import limit_rosbags
+
+limit_rosbags()
 
 
 class BagReader(RosReader):
@@ -39,12 +43,16 @@ class BagReader(RosReader):
                 stack.enter_context(reader)
                 connections = [c for c in reader.connections if c.msgtype in MESSAGE_TYPES]
                 stored = reader.messages(connections) if connections else iter(())
+            except DecompressionError as error:
+                raise RecordingError(self.path, None, str(error)) from error
             except Exception as error:  # rosbags raises exceptions of any type for damaged bags
                 reason = " ".join(str(error).split()) or type(error).__name__
                 raise RecordingError(self.path, None, f"is damaged or not a bag: {reason}") from error
             while True:
                 try:
                     following = next(stored, None)
+                except DecompressionError as error:
+                    raise RecordingError(self.path, None, str(error)) from error
                 except Exception:  # as above
                     if final:
                         self.skip(number + 1, "bag is truncated or damaged; it was read up to this point")
@@ -53,4 +61,8 @@ class BagReader(RosReader):
                     return
                 number += 1
                 connection, received, data = following
+                if data is None:  # NULL in a database
+                    if final:
+                        self.skip(number, "message has no data")
+                    continue
                 yield StoredMessage(number, connection.topic, connection.msgtype, encoding, received, bytes(data))

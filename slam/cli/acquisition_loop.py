@@ -10,9 +10,11 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from .console import print_message
+from .signals import detach_from_terminal, ending_signals
 
 if TYPE_CHECKING:
-    from drivers.devices.acquisition import Acquisition, Snapshot
+    from drivers.devices.acquisition import Acquisition
+    from drivers.devices.snapshot import Snapshot
     from drivers.messages import Message
 
 RECEIVE_TIMEOUT = 0.1
@@ -40,23 +42,29 @@ def receive_messages(
 
 @contextmanager
 def stop_on_signals(acquisition: Acquisition, message: str = "") -> Iterator[None]:
-    """Stop the devices on SIGINT and SIGTERM and let the block run to its end; a second SIGINT interrupts the block.
+    """Stop the devices on SIGINT, SIGTERM or SIGHUP and let the block run to its end; a second SIGINT interrupts it.
 
-    `message` is printed when a signal arrives. No effect outside the main thread, where signals cannot be handled.
+    `message` is printed when a signal arrives; after that, further SIGTERM and SIGHUP have no effect until the process
+    ends. No effect outside the main thread, where signals cannot be handled.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
-    def stop(*_: Any) -> None:
+    def stop(number: int, _: Any) -> None:
+        for other in numbers:
+            signal.signal(other, signal.default_int_handler if other == signal.SIGINT else signal.SIG_IGN)
+        if number == signal.SIGHUP:
+            detach_from_terminal()
         acquisition.stop()
         if message:
             print_message(message)
-        signal.signal(signal.SIGINT, signal.default_int_handler)
 
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    numbers = ending_signals()
+    before = {number: signal.signal(number, stop) for number in numbers}
     try:
         yield
     finally:
         for number, handler in before.items():
-            signal.signal(number, handler)
+            if signal.getsignal(number) is stop:
+                signal.signal(number, handler)

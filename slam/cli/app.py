@@ -24,10 +24,12 @@ from .commands.map import export_map
 from .commands.merge import merge
 from .commands.optimize import optimize
 from .commands.record import record
+from .commands.recover import recover
 from .commands.replay import replay
 from .commands.report import report
 from .commands.review import review
 from .commands.run import run
+from .commands.save import save
 from .commands.simulate import simulate
 from .console import EXIT_INTERRUPTED, EXIT_USER_ERROR, print_message
 from .registration import add_command
@@ -84,7 +86,7 @@ def wclm(
 
 
 COMMANDS: dict[str, dict[str, Callable[..., Any]]] = {
-    "Mapping": {"demo": demo, "run": run, "live": live, "batch": batch},
+    "Mapping": {"demo": demo, "run": run, "live": live, "save": save, "recover": recover, "batch": batch},
     "Sessions": {"optimize": optimize, "merge": merge, "map": export_map, "report": report, "review": review},
     "Recordings and devices": {
         "info": info,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from threading import Timer
 from typing import TypeVar
 
@@ -22,8 +22,14 @@ Item = TypeVar("Item")
 
 
 def print_message(text: str) -> None:
-    """Print `text` on stderr as one line that starts with `wclm: `."""
-    typer.echo(f"wclm: {' '.join(text.split())}", err=True)
+    """Print `text` on stderr as one line that starts with `wclm: `. A terminal that is gone is no error."""
+    with suppress(OSError):
+        typer.echo(f"wclm: {printable(' '.join(text.split()))}", err=True)
+
+
+def printable(text: str) -> str:
+    """Return `text` without control characters, with which names in a foreign file could operate the terminal."""
+    return "".join(character if character.isprintable() else "\N{REPLACEMENT CHARACTER}" for character in text)
 
 
 @contextmanager

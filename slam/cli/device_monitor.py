@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
@@ -12,7 +13,7 @@ from .console import print_message
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from drivers.devices.acquisition import Snapshot
+    from drivers.devices.snapshot import Snapshot
 
 REFRESH_PERIOD = 0.25
 """Seconds between two updates of the table."""
@@ -52,7 +53,8 @@ class DeviceMonitor:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._live is not None:
-            self._live.stop()
+            with suppress(OSError):
+                self._live.stop()
 
     def show(self, snapshot: Snapshot) -> None:
         """Print changes of state, and update the table once per REFRESH_PERIOD; cheap otherwise."""
@@ -62,7 +64,8 @@ class DeviceMonitor:
             return
         self._refreshed = now
         self._update_rates(now, snapshot)
-        self._live.update(self._render(snapshot, self._rates), refresh=True)
+        with suppress(OSError):  # the terminal is gone
+            self._live.update(self._render(snapshot, self._rates), refresh=True)
 
     def _print_changes(self, snapshot: Snapshot) -> None:
         from drivers.devices.supervisor import DeviceState

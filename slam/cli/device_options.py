@@ -10,6 +10,9 @@ import typer
 if TYPE_CHECKING:
     from drivers.devices.device_spec import DeviceSpec
 
+MIN_FREE_SPACE = 10_000_000
+"""Bytes free for a recording at its start: more than a minute of driving."""
+
 LidarOption = Annotated[
     list[str] | None,
     typer.Option("--lidar", metavar="SPEC", help="Lidar, e.g. rplidar:/dev/ttyUSB0 or ld06:auto."),
@@ -37,11 +40,16 @@ def parse_device_options(lidar: list[str] | None, base: list[str] | None) -> lis
     return specs
 
 
-def check_recording_name(file: Path, overwrite: bool) -> None:
-    """Check that a recording can be written under this name. Raises BadParameter or RecordingError."""
+def check_recording_file(file: Path, overwrite: bool) -> None:
+    """Check that a recording can be written to this file. Raises BadParameter or RecordingError."""
     from drivers.errors import RecordingError
+
+    from ..io.disk_reserve import free_space
 
     if file.suffix != ".mcap":
         raise typer.BadParameter(f"{file}: the name of a recording must end with .mcap")
     if file.exists() and not overwrite:
         raise RecordingError(file, None, "exists already; choose another name or add --overwrite")
+    if file.parent.is_dir() and (free := free_space(file.parent)) < MIN_FREE_SPACE:
+        reason = f"{free / 1e6:.0f} MB are free there, and at least {MIN_FREE_SPACE / 1e6:.0f} MB are needed"
+        raise RecordingError(file, None, reason)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
@@ -45,8 +45,11 @@ class RunInput(Protocol):
         """
         ...
 
-    def opened(self) -> AbstractContextManager[Iterable[Message]]:
-        """Return a context that provides the messages and must stay open until the map is finished."""
+    def opened(self, idle: Callable[[], None]) -> AbstractContextManager[Iterable[Message]]:
+        """Return a context that provides the messages and must stay open until the map is finished.
+
+        `idle` is called between messages if the input is not finite, several times per second.
+        """
         ...
 
     def resolve(self, config: Config) -> Config:
@@ -73,8 +76,8 @@ class RecordingInput:
         return self._source.report
 
     @contextmanager
-    def opened(self) -> Iterator[Iterable[Message]]:
-        """Provide all messages."""
+    def opened(self, idle: Callable[[], None]) -> Iterator[Iterable[Message]]:
+        """Provide all messages; `idle` is not called."""
         yield progress(self._source, len(self._source), self.name)
 
     def resolve(self, config: Config) -> Config:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..io.host import peak_memory, versions
+from .console import printable
 
 if TYPE_CHECKING:
     from ..evaluation.metrics import ReferenceScore
@@ -103,7 +104,7 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
         f"{summary['recording']}: {summary['scans']} scans in {summary['duration']:.1f} s, "
         f"{summary['path_length']:.1f} m driven"
     )
-    return [head] + [f"  {name:<11}{text}" for name, text in rows] + _suspects(summary)
+    return [printable(line) for line in [head, *(f"  {name:<11}{text}" for name, text in rows), *_suspects(summary)]]
 
 
 def _lost(summary: dict[str, Any]) -> list[tuple[str, str]]:

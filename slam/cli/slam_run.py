@@ -13,25 +13,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 import typer
 
-from drivers import se2
 from drivers.messages import Message
 
 from ..config import Config, config_to_toml, load_config
 from ..errors import MapError
-from ..evaluation.metrics import ReferenceScore, score_reference
 from ..events import Event, Finished, Notice, Sink
 from ..io.host import versions
-from ..io.output_dir import CONFIG, PICTURE, REPORT, REVIEW, OutputDirectory, unfinished_file, write_results
-from ..io.tum import Trajectory
+from ..io.output_dir import CONFIG, REPORT, REVIEW, OutputDirectory, unfinished_file
+from .autosave import Autosave
 from .compilation import compile_all
 from .console import print_if_slow
+from .left_behind import print_left_behind
 from .run_input import InputStatistics, RunInput
-from .run_summary import RunResult, summarise_run
+from .run_summary import RunResult
+from .run_writer import RunWriter
 
 if TYPE_CHECKING:
     from ..io.sessions import StoredSession
     from ..pipeline import Slam
-    from ..visualisation.plots.style import Floats
     from ..visualisation.rerun_log import ReviewLog, ViewerServer
 
 READING_SESSION = "reading the session"
@@ -108,10 +107,11 @@ def run_slam(
     resumed    session to continue; if `frozen`, its map is only used for localisation and not changed
     seed       of the simulation, for the summary
 
-    Raises SlamError. On any exception nothing is left behind.
+    Raises SlamError. On any exception nothing is left behind, but the last save of a live run stays after an error.
     """
-    with OutputDirectory(out, overwrite) as directory, ExitStack() as log:
-        from ..io.sessions import write_session
+    print_left_behind(out)
+    output = OutputDirectory(out, overwrite, reserved=not run_input.finite)
+    with output as directory, ExitStack() as log, ExitStack() as saving:
         from ..pipeline import Slam
 
         compile_all()
@@ -123,30 +123,23 @@ def run_slam(
             reviewed = log.enter_context(review_log(directory, config, run_input.name, server, seed))
             sinks.append(reviewed)
         started = time.perf_counter()
-        with run_input.opened() as messages:
+        writer = RunWriter(run_input, config, statistics, notices.texts, frozen, picture, seed, started)
+        autosave = Autosave(output, lambda: writer.snapshot(slam))
+        with run_input.opened(autosave.poll) as messages:
             with print_if_slow(FINDING_TIMING):
                 resolved = run_input.resolve(config)
             slam = Slam(
                 resolved, sinks, refine=refine, keep_all_features=run_input.finite, resumed=resumed, frozen=frozen
             )
+            if not run_input.finite:
+                saving.enter_context(autosave)
             after = -np.inf if resumed is None else resumed.latest
             finished, busy = process_messages(_shifted(messages, after, statistics), slam, statistics, run_input.name)
+            saving.close()
             log.close()
-            score = score_against_truth(finished, statistics)
-            if picture:
-                _draw(directory / PICTURE, finished, statistics, score, run_input.name)
-            took = time.perf_counter() - started
-            summary = summarise_run(
-                run_input, finished, statistics, notices.texts, score, seed=seed, slam_seconds=busy, seconds=took
-            )
-            session = slam.session
-            session.recordings.append(statistics.recording(run_input))
-            recordings = session.recordings[-1:] if frozen else session.recordings
-            summary["recordings"] = [recording.model_dump() for recording in recordings]
-            summary["review"] = None if reviewed is None else reviewed.left_out()
-            write_results(directory, finished, config, summary)
-            if not frozen:
-                write_session(directory, session)
+            left_out = None if reviewed is None else reviewed.left_out()
+            summary, write = writer.final(slam, finished, busy, left_out)
+            output.finish(write)
     write_report_page(out)
     return RunResult(summary, review)
 
@@ -200,28 +193,3 @@ def write_report_page(out: Path) -> None:
 
     with unfinished_file(out / REPORT) as unfinished:
         write_page(unfinished, read_run_results(out))
-
-
-def score_against_truth(finished: Finished, statistics: InputStatistics) -> ReferenceScore | None:
-    """Score the path against the ground truth; return None if there is none for the time of the path."""
-    if not statistics.truth:
-        return None
-    truth = Trajectory(np.array(statistics.truth_stamps), np.array(statistics.truth))
-    try:
-        return score_reference(Trajectory(finished.stamps, finished.poses), truth)
-    except MapError:  # no common time
-        return None
-
-
-def _draw(
-    path: Path, finished: Finished, statistics: InputStatistics, score: ReferenceScore | None, title: str
-) -> None:
-    from ..visualisation.plots import plot_map
-
-    odometry: Floats | None = None
-    if statistics.odometry:
-        poses = np.array(statistics.odometry)
-        start = min(int(np.searchsorted(finished.stamps, statistics.first)), len(finished.poses) - 1)
-        odometry = se2.compose(finished.poses[start], se2.between(poses[0], poses))
-    truth = None if score is None else se2.compose(se2.inverse(score.alignment), score.reference)
-    plot_map(path, finished.walls, finished.corners, finished.poses, title=title, odometry=odometry, truth=truth)

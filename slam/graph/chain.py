@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
-from ..errors import MapError
+from ..errors import MapError, first_line
 from ..geometry.segments import Floats
 from .factors import ODOMETRY_KERNEL, from_pose2, to_pose2
 
@@ -36,5 +36,5 @@ def smooth_chain(poses: Floats, informations: Floats, motions: Floats, covarianc
     try:
         solved = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
     except RuntimeError as error:
-        raise MapError(f"the trajectory cannot be estimated: {str(error).strip().splitlines()[0]}") from error
+        raise MapError(f"the trajectory cannot be estimated: {first_line(error)}") from error
     return np.array([from_pose2(solved.atPose2(X(k))) for k in range(len(poses))]).reshape(-1, 3)

@@ -18,7 +18,7 @@ from gtsam.symbol_shorthand import C, L, P, X
 
 from drivers import se2
 
-from ..errors import MapError
+from ..errors import MapError, first_line
 from ..geometry.segments import Floats
 from .factors import Factor, FactorKind, GraphState, from_pose2, to_gtsam_graph, to_pose2
 from .graph_estimate import GraphEstimate
@@ -279,7 +279,7 @@ class FactorGraph(GraphEstimate):
             factors = to_gtsam_graph(self._new, self.solver.range_bias.metres)
             self._values = gtsam.LevenbergMarquardtOptimizer(factors, self._values).optimize()
         except RuntimeError as error:
-            raise MapError(f"the map cannot be estimated: {str(error).strip().splitlines()[0]}") from error
+            raise MapError(f"the map cannot be estimated: {first_line(error)}") from error
         return self.update()
 
     def settle_range_bias(self) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import gtsam
 import numpy as np
 
-from ..errors import MapError
+from ..errors import MapError, first_line
 from ..geometry.segments import Floats
 from .factors import Factor, to_gtsam_graph
 from .range_bias import RangeBias
@@ -127,7 +127,7 @@ class IncrementalSolver:
         iSAM2 holds the factors and variables of the failed update already; `new_keys` are the variables that it added.
         Raises MapError if QR fails as well, or leaves a new variable undetermined.
         """
-        reason = f"the map cannot be estimated: {str(failure).strip().splitlines()[0]}"
+        reason = f"the map cannot be estimated: {first_line(failure)}"
         if self.qr:
             raise MapError(reason) from failure
         self.qr = True

@@ -1,4 +1,4 @@
-"""Exchange two directories atomically, if the system supports that."""
+"""Exchange two directories atomically, if the system supports that, and put files on the disk before."""
 
 from __future__ import annotations
 
@@ -28,3 +28,38 @@ def swap_directories(first: Path, second: Path) -> bool:
     if error in UNSUPPORTED:
         return False
     raise OSError(error, os.strerror(error), str(second))
+
+
+def exchange_directories(new: Path, target: Path) -> None:
+    """Rename a directory to `target`; if that exists, it gets the other's name.
+
+    If the system does not support an atomic exchange, the old directory is renamed first, and back if the new one
+    cannot be renamed. Raises OSError.
+    """
+    if not target.exists():
+        new.rename(target)
+        return
+    if swap_directories(new, target):
+        return
+    aside = target.rename(new.with_name(f"{new.name}-aside"))
+    try:
+        new.rename(target)
+    except OSError:
+        aside.rename(target)
+        raise
+    aside.rename(new)
+
+
+def sync_directory(folder: Path) -> None:
+    """Wait until a directory and all files below it are on the disk. Raises OSError."""
+    for entry in [*folder.rglob("*"), folder]:
+        sync_file(entry)
+
+
+def sync_file(path: Path) -> None:
+    """Wait until a file, or the names in a directory, are on the disk. Raises OSError."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -35,6 +35,8 @@ SUPPORTED_VERSIONS = (1, 2)
 _UNKNOWN_COVARIANCE = np.full((2, 2), np.nan)
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+Identity = Annotated[int, Field(ge=0, lt=1 << 31)]
+Count = Annotated[int, Field(ge=0, lt=1 << 31)]
 Matrix = tuple[tuple[Finite, Finite], tuple[Finite, Finite]]
 
 
@@ -43,22 +45,22 @@ class _Record(BaseModel):
 
 
 class _Line(_Record):
-    identity: int
+    identity: Identity
     frame: tuple[Finite, Finite, Finite]
     low: Finite
     high: Finite
     start: tuple[Finite, Finite]
     end: tuple[Finite, Finite]
     pieces: list[tuple[Finite, Finite]] | None = None
-    observations: int = Field(ge=0)
+    observations: Count
     covariance: Matrix | None
 
 
 class _Corner(_Record):
-    identity: int
+    identity: Identity
     position: tuple[Finite, Finite]
-    lines: tuple[int, int]
-    observations: int = Field(ge=0)
+    lines: tuple[Identity | Literal[-1], Identity | Literal[-1]]
+    observations: Count
     covariance: Matrix | None
 
 

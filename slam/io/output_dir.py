@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -19,11 +20,13 @@ import numpy as np
 from ..config import Config, config_to_toml
 from ..errors import OutputError
 from ..events import Finished
-from .atomic_swap import swap_directories
+from .atomic_swap import exchange_directories, sync_directory, sync_file
+from .disk_reserve import MIN_RESERVE, directory_size, free_space
 from .keyframes_csv import Keyframes, write_keyframes
 from .map_json import write_map
 from .recorded_stamps import as_recorded
 from .tum import Trajectory, write_tum
+from .work_directory import WorkDirectory
 
 TRAJECTORY = "trajectory.tum"
 MAP = "map.json"
@@ -50,82 +53,184 @@ class OutputDirectory:
     with OutputDirectory(Path("out"), overwrite=False) as directory:
         write_results(directory, ...)            # a temporary directory beside out, renamed to out at the end
 
-    On an error or Ctrl-C the temporary directory is removed, and `out` does not change. If the process is killed, the
-    temporary directory stays. An existing directory is refused unless it is empty or `overwrite` is set, and even then
-    if it contains anything that is not a result of a run: a mistyped path must not delete other files.
+    On an error or Ctrl-C the temporary directory is removed, and `out` does not change; but after an error, a state
+    that was saved with `save` stays. If the process is killed, the temporary directory stays, too. An existing
+    directory is refused unless it is empty or `overwrite` is set, and even then if it contains anything that is not a
+    result of a run: a mistyped path must not delete other files.
+    `reserved` holds disk space for the results, also for larger ones as they grow with the saved states.
     Raises OutputError on entering; and on leaving if the results cannot be moved into place, but keeps them then.
     """
 
-    def __init__(self, path: Path, overwrite: bool = False) -> None:
+    def __init__(self, path: Path, overwrite: bool = False, *, reserved: bool = False) -> None:
+        self.path = path
         self._target = path.resolve()
-        self._shown = path
-        self._overwrite = overwrite
-        self._work: Path | None = None
+        self._overwrite, self._reserved = overwrite, reserved
+        self._work: WorkDirectory | None = None
+        self._answers = 0
+        self._own: int | None = None  # inode of the target if it is a saved state of this run
 
     def __enter__(self) -> Path:
         self._check_target()
         try:
             self._target.parent.mkdir(parents=True, exist_ok=True)
-            self._work = Path(tempfile.mkdtemp(prefix=f".{self._target.name}-", dir=self._target.parent))
-            self._work.chmod(0o777 & ~_umask())
+            self._work = WorkDirectory(self._target)
         except OSError as error:
-            raise OutputError(f"{self._shown}: cannot be written: {error.strerror or error}") from error
-        return self._work
+            raise OutputError(f"{self.path}: cannot be written: {error.strerror or error}") from error
+        if self._reserved:
+            self._hold_first_reserve(self._work)
+        return self._work.path
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         assert self._work is not None
-        if kind is None:
-            self._move_into_place(self._work)
-            return
-        shutil.rmtree(self._work, ignore_errors=True)
+        work = self._work
+        work.reserve.release()
+        work.withdraw()
+        try:
+            if kind is None:
+                self._move_into_place(work.path)
+            elif kind is KeyboardInterrupt or self._own is None:
+                self._discard(work)
+            for path in (work.path, work.saved, work.old):
+                shutil.rmtree(path, ignore_errors=True)
+        finally:
+            work.unlock()
         if isinstance(error, OSError):
-            raise OutputError(f"{self._shown}: cannot be written: {error.strerror or error}") from error
+            raise OutputError(f"{self.path}: cannot be written: {error.strerror or error}") from error
+
+    def announce(self, problem: str = "") -> None:
+        """State that this process saves on SIGUSR1, so that `running_process` finds it, and why it did not, if so."""
+        assert self._work is not None
+        with suppress(OSError):
+            self._work.announce(self._answers, problem)
+        self._answers += 1
+
+    def save(self, write: Callable[[Path], None]) -> None:
+        """Replace the output directory by a complete state of the run, while the block goes on.
+
+        write  writes the state into a directory
+
+        The state is on the disk before it replaces the one before, so one of them survives a power failure. Results of
+        an earlier run are kept until the block ends. Raises OutputError if the state cannot be written.
+        """
+        assert self._work is not None
+        work, size = self._work, 0
+        try:
+            shutil.rmtree(work.saved, ignore_errors=True)
+            work.saved.mkdir()
+            work.reserve.release()
+            write(work.saved)
+            sync_directory(work.saved)
+            size = directory_size(work.saved)
+            self._check_target()
+            self._replace_target(work)
+        except OSError as error:
+            raise OutputError(f"{self.path}: cannot be saved: {error.strerror or error}") from error
+        finally:
+            shutil.rmtree(work.saved, ignore_errors=True)
+            if self._reserved:
+                work.reserve.hold_up_to(max(MIN_RESERVE, 2 * size))
+
+    def finish(self, write: Callable[[Path], None]) -> None:
+        """Write the final results with `write`: into the temporary directory, or another place if that fails.
+
+        Raises OutputError that names the other place, or with the first error if there is none.
+        """
+        assert self._work is not None
+        self._work.reserve.release()
+        try:
+            write(self._work.path)
+        except OSError as error:
+            reason = f"{self.path}: cannot be written: {error.strerror or error}"
+            other = _write_elsewhere(write, self._target.name)
+            if other is None:
+                raise OutputError(f"{reason}, nor can the home directory and the temporary one") from error
+            for part in (part for part in self._work.path.iterdir() if part.suffix == ".rrd"):
+                with suppress(OSError):
+                    shutil.copy2(part, other)
+            raise OutputError(f"{reason}; the results are in {other} instead") from error
+
+    def _hold_first_reserve(self, work: WorkDirectory) -> None:
+        try:
+            work.reserve.hold(MIN_RESERVE)
+        except OSError as error:
+            if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+                return  # the file system cannot reserve space
+            free = free_space(self._target.parent) / 1e6
+            self._discard(work)
+            work.unlock()
+            reason = f"{free:.0f} MB are free there, and {MIN_RESERVE / 1e6:.0f} MB are needed for the results"
+            raise OutputError(f"{self.path}: {reason}") from error
 
     def _check_target(self) -> None:
         """Raise OutputError if the target exists and must not be replaced."""
         if not self._target.exists():
             return
         if not self._target.is_dir():
-            raise OutputError(f"{self._shown}: is a file, not a directory")
+            raise OutputError(f"{self.path}: is a file, not a directory")
         try:
             present = sorted(entry.name for entry in self._target.iterdir())
         except OSError as error:
-            raise OutputError(f"{self._shown}: cannot be read: {error.strerror or error}") from error
-        if present and not self._overwrite:
-            raise OutputError(f"{self._shown}: exists already; choose another directory or add --overwrite")
+            raise OutputError(f"{self.path}: cannot be read: {error.strerror or error}") from error
+        if present and not self._overwrite and self._target.stat().st_ino != self._own:
+            raise OutputError(f"{self.path}: exists already; choose another directory or add --overwrite")
         foreign = [name for name in present if name not in RESULTS | GRAPH_RESULTS | EXPORTS and not _is_log_part(name)]
         if foreign:
-            raise OutputError(f"{self._shown}: contains {foreign[0]}, which is not a result of a run; not overwritten")
+            raise OutputError(f"{self.path}: contains {foreign[0]}, which is not a result of a run; not overwritten")
+
+    def _replace_target(self, work: WorkDirectory) -> None:
+        """Exchange the target with the saved state; keep the results of an earlier run."""
+        earlier = self._target.exists() and self._target.stat().st_ino != self._own
+        identity = work.saved.stat().st_ino
+        exchange_directories(work.saved, self._target)
+        self._own = identity
+        if work.saved.exists():
+            if earlier:
+                work.saved.rename(work.old)
+            else:
+                shutil.rmtree(work.saved, ignore_errors=True)
+        sync_file(self._target.parent)
+
+    def _discard(self, work: WorkDirectory) -> None:
+        """Remove all results of this run, and restore those of an earlier one."""
+        if self._own is not None and self._target.exists() and self._target.stat().st_ino == self._own:
+            shutil.rmtree(work.saved, ignore_errors=True)
+            self._target.rename(work.saved)
+        if work.old.exists() and not self._target.exists():
+            work.old.rename(self._target)
+        shutil.rmtree(work.path, ignore_errors=True)
+        shutil.rmtree(work.saved, ignore_errors=True)
 
     def _move_into_place(self, work: Path) -> None:
         """Rename the temporary directory to the target.
 
         Older results are exchanged with the new ones atomically: whenever the process is killed, one of the two is in
-        place, complete. If the system does not support that, the older ones are renamed first, and back if the new
-        ones cannot be renamed.
+        place, complete.
         """
         try:
             self._check_target()
-            if not self._target.exists():
-                work.rename(self._target)
-                return
-            if swap_directories(work, self._target):
-                shutil.rmtree(work, ignore_errors=True)
-                return
-            aside = self._target.rename(work.with_name(f"{work.name}-old"))
-            try:
-                work.rename(self._target)
-            except OSError:
-                aside.rename(self._target)
-                raise
-            shutil.rmtree(aside, ignore_errors=True)
+            exchange_directories(work, self._target)
         except (OSError, OutputError) as error:
             reason = error.strerror if isinstance(error, OSError) else error
             raise OutputError(
-                f"the results are kept in {work}; they cannot be moved to {self._shown}: {reason}"
+                f"the results are kept in {work}; they cannot be moved to {self.path}: {reason}"
             ) from error
+        shutil.rmtree(work, ignore_errors=True)
+
+
+def _write_elsewhere(write: Callable[[Path], None], name: str) -> Path | None:
+    """Write results into a new directory in the home directory, else the temporary one; None if both fail."""
+    for folder in (Path.home(), Path(tempfile.gettempdir())):
+        with suppress(OSError):
+            other = Path(tempfile.mkdtemp(prefix=f"{name}-", dir=folder))
+            try:
+                write(other)
+            except OSError:
+                shutil.rmtree(other, ignore_errors=True)
+                raise
+            return other
+    return None
 
 
 @contextmanager
@@ -187,9 +292,3 @@ def to_json_types(value: Any) -> Any:
 def _is_log_part(name: str) -> bool:
     """Return True for a later file of a long review log."""
     return re.fullmatch(r"review-\d+\.rrd", name) is not None
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

@@ -47,7 +47,8 @@ def _open(results: RunResults, name: str, path: object, beam_order: BeamOrder) -
         raise MapError(f"{results.path}: does not say where its recording {name} is; name it with --recording FILE")
     if not path.startswith(SIMULATION) and not Path(path).exists():
         raise MapError(f"{results.path}: its recording {path} does not exist any more; name it with --recording FILE")
-    return drivers.open(path, beam_order)
+    # A foreign summary must not open devices: an absolute path is never read as the specification of one.
+    return drivers.open(absolute_recording(path), beam_order)
 
 
 class ConcatenatedSource:

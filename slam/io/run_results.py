@@ -8,13 +8,20 @@ from pathlib import Path
 from typing import Any
 
 from ..config import Config, load_config
-from ..errors import MapError
+from ..errors import MapError, first_line
 from ..mapping.map_features import MapCorners, MapWalls
 from .keyframes_csv import Keyframes, read_keyframes
 from .map_json import read_map
 from .output_dir import CONFIG, KEYFRAMES, MAP, SUMMARY, TRAJECTORY
 from .recorded_stamps import as_read
 from .tum import Trajectory, read_tum_poses
+
+TABLES = ("recordings", "devices")
+SUMMARY_TYPES: dict[str, type[dict[str, Any]] | type[list[Any]]] = {
+    **dict.fromkeys(("slam", "skipped", "truth", "versions", "timing", "review"), dict),
+    **dict.fromkeys(("warnings", "interpretations", "doubts", *TABLES), list),
+}
+"""Types of the entries of summary.json that are not plain values."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,11 +50,15 @@ def read_run_results(path: Path) -> RunResults:
     map_file = read_map(path / MAP)
     summary = _read_summary(path / SUMMARY)
     stamps, poses = read_tum_poses(path / TRAJECTORY)
+    try:
+        stamps = as_read(stamps, summary)
+    except (AttributeError, ArithmeticError, TypeError, ValueError) as error:
+        raise MapError(f"{path / SUMMARY}: recordings is invalid: {first_line(error)}") from error
     return RunResults(
         path,
         map_file.walls,
         map_file.corners,
-        Trajectory.sorted(as_read(stamps, summary), poses),
+        Trajectory.sorted(stamps, poses),
         summary,
         read_keyframes(path / KEYFRAMES) if (path / KEYFRAMES).is_file() else None,
     )
@@ -58,8 +69,13 @@ def _read_summary(path: Path) -> dict[str, Any]:
         summary = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise MapError(f"{path}: {error.strerror or error}") from error
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise MapError(f"{path}: is not JSON: {error}") from error
+    except (ValueError, RecursionError) as error:
+        raise MapError(f"{path}: is not JSON: {first_line(error)}") from error
     if not isinstance(summary, dict):
         raise MapError(f"{path}: is not the summary of a run")
+    for name, kind in SUMMARY_TYPES.items():
+        if not isinstance(summary.get(name) or kind(), kind):
+            raise MapError(f"{path}: {name} is not a {'table' if kind is dict else 'list'}")
+    if not all(isinstance(row, dict) for name in TABLES for row in summary.get(name) or ()):
+        raise MapError(f"{path}: {' or '.join(TABLES)} has an entry that is not a table")
     return summary

@@ -30,6 +30,12 @@ class OdometryHistory:
         history._stamps, history._poses = stamps.tolist(), list(poses)
         return history
 
+    def copy(self) -> OdometryHistory:
+        """Return a copy that later readings do not change."""
+        other = OdometryHistory()
+        other._stamps, other._poses = self._stamps.copy(), self._poses.copy()
+        return other
+
     def __len__(self) -> int:
         return len(self._stamps)
 

@@ -15,7 +15,8 @@ from slam.config import Config, config_to_toml
 from slam.errors import MapError
 from slam.evaluation.metrics import align
 from slam.events import Finished, Notice
-from slam.io.output_dir import CONFIG
+from slam.io.output_dir import CONFIG, write_results
+from slam.io.run_results import read_run_results
 from slam.io.sessions import read_session, write_session
 from slam.io.tum import Trajectory
 
@@ -97,6 +98,30 @@ def test_a_continued_run_equals_an_uninterrupted_one(
     assert np.abs(se2.wrap(finished.poses[:, 2] - uninterrupted.poses[:, 2])).max() < np.radians(0.2)
     assert len(finished.walls) == len(uninterrupted.walls)
     assert slam.session.starts == [0]
+
+
+def test_a_saved_state_can_be_continued_and_does_not_change_the_run(
+    first: list[Message], mapped: tuple[Path, Finished], tmp_path: Path
+) -> None:
+    _, uninterrupted = mapped
+    cut = first[0].stamp + INTERRUPTED
+    slam = Slam()
+    with pytest.raises(MapError, match="nothing is mapped yet"):
+        slam.snapshot()
+    for message in first:
+        if message.stamp >= cut and not (tmp_path / "saved").exists():
+            snapshot = slam.snapshot()
+            (tmp_path / "saved").mkdir()
+        slam.add(message)
+    finished = slam.finish()
+    np.testing.assert_array_equal(finished.poses, uninterrupted.poses)
+    saved = tmp_path / "saved"  # only now: later messages must not have changed the snapshot
+    write_results(saved, snapshot.finished(), Config(), snapshot.summary)
+    write_session(saved, snapshot.session)
+    assert read_run_results(saved).trajectory.stamps[-1] < cut
+    _, finished, _ = run([message for message in first if message.stamp >= cut], saved)
+    np.testing.assert_array_equal(finished.stamps, uninterrupted.stamps)
+    assert np.hypot(*(finished.poses - uninterrupted.poses)[:, :2].T).max() < 1e-3
 
 
 def test_keeping_all_features_does_not_change_the_result() -> None:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..console import printable
+
 if TYPE_CHECKING:
     from drivers import RecordingInfo
 
@@ -60,7 +62,7 @@ def describe(found: RecordingInfo, timing: RecordingTiming) -> list[str]:
         rows.append(("true poses", str(found.ground_truth)))
     rows += [("read as", text) for text in [*found.report.interpretations, *timing.corrections()]]
     rows += [("warning", text) for text in found.warnings]
-    return [found.name] + [f"  {name:<12}{text}" for name, text in rows]
+    return [printable(line) for line in [found.name, *(f"  {name:<12}{text}" for name, text in rows)]]
 
 
 def _time(found: RecordingInfo) -> str:

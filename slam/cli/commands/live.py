@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..device_options import BaseOption, LidarOption, check_recording_name, parse_device_options
+from ..device_options import BaseOption, LidarOption, check_recording_file, parse_device_options
 from ..options import (
     ConfigOption,
     ContinueOption,
@@ -68,7 +68,7 @@ def live(
         raise typer.BadParameter("a lidar and a base are required", param_hint="--lidar / --base")
     specs = parse_device_options(lidar, base)
     if record is not None:
-        check_recording_name(record, overwrite)
+        check_recording_file(record, overwrite)
     with _server(address, port) if review and serve else nullcontext() as server:
         live_input = LiveInput(specs, record, duration, server)
         result = run_slam(

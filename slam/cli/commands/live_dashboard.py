@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.table import Table
 
-    from drivers.devices.acquisition import Snapshot
+    from drivers.devices.snapshot import Snapshot
 
 COLOURS = {"OK": "green", "DEGENERATE": "yellow", "LOST": "red"}
 
@@ -97,6 +97,7 @@ class LiveDashboard:
         if self._notice:
             table.add_row("notice", self._notice)
         table.add_row("dropped, late", f"{snapshot.dropped}, {snapshot.late}")
+        table.add_row("keys", "s: save the map now, Ctrl-C: save and end")
         return table
 
     def _delay(self) -> str:

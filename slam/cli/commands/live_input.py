@@ -1,10 +1,9 @@
-"""Input of `wclm live`: messages of devices, recorded and displayed on the way."""
+"""Input of `wclm live`: messages of devices, whose state is displayed on the way."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from functools import partial
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,9 +11,8 @@ from ..console import print_message
 from ..viewer import connect_command
 
 if TYPE_CHECKING:
-    from drivers.devices.acquisition import Snapshot
     from drivers.devices.device_spec import DeviceSpec
-    from drivers.devices.recorder import Recorder
+    from drivers.devices.snapshot import Snapshot
     from drivers.errors import DriverError
     from drivers.messages import Message
 
@@ -47,25 +45,23 @@ class LiveInput:
         self.name, self.finite = " + ".join(spec.text for spec in specs), False
         self.report = SourceReport()
         self.failure: DriverError | None = None
-        self._acquisition = Acquisition(specs)
-        self._recording, self._duration, self._server = recording, duration, server
-        self._recorder: Recorder | None = None
+        self._acquisition = Acquisition(specs, recording)
+        self._duration, self._server = duration, server
         self._recorded = None if recording is None else {"file": str(recording), "problem": ""}
         self._dashboard = LiveDashboard()
         self.sinks: Sequence[Sink] = (self._dashboard,)
 
     @contextmanager
-    def opened(self) -> Iterator[Iterable[Message]]:
-        """Start the devices and provide their messages until SIGINT or SIGTERM.
+    def opened(self, idle: Callable[[], None]) -> Iterator[Iterable[Message]]:
+        """Start the devices and provide their messages until SIGINT, SIGTERM or SIGHUP.
 
-        Raises DriverError if a device cannot be started. Iterating raises RecordingError if the recording cannot be
-        created.
+        Raises DriverError if a device cannot be started or the recording cannot be created.
         """
         from ..acquisition_loop import stop_on_signals
 
         with self._acquisition as acquisition, stop_on_signals(acquisition, STOP_MESSAGE):
             self._print_devices()
-            yield self._messages()
+            yield self._messages(idle)
 
     @property
     def reopen(self) -> str | None:
@@ -90,44 +86,35 @@ class LiveInput:
         if self._server is not None:
             print_message(f"view with: {' '.join(connect_command(self._server.url))}")
 
-    def _messages(self) -> Iterator[Message]:
+    def _messages(self, idle: Callable[[], None]) -> Iterator[Message]:
         from drivers.devices.device_source import count_losses
-        from drivers.devices.recorder import Recorder
         from drivers.errors import DriverError
-        from drivers.recordings.mcap import McapWriter
 
         from ..acquisition_loop import receive_messages
         from ..device_monitor import DeviceMonitor
 
-        with ExitStack() as stack:
-            if self._recording is not None:
-                writer = McapWriter(self._recording, overwrite=True)
-                self._recorder = Recorder(writer)
-                stack.callback(self._record, lambda _: writer.close())
-            monitor = stack.enter_context(DeviceMonitor(self._dashboard.render))
+        with DeviceMonitor(self._dashboard.render) as monitor:
 
             def on_snapshot(snapshot: Snapshot) -> None:
                 monitor.show(snapshot)
-                self._record(lambda recorder: recorder.write_diagnostics_if_due(snapshot))
+                self._check_recording(snapshot)
+                idle()
 
             try:
                 for message in receive_messages(self._acquisition, self._duration, on_snapshot):
                     self.report.messages += 1
-                    self._record(partial(Recorder.write, message=message))
                     yield message
             except DriverError as error:
                 self.failure = error
+            self._check_recording(self._acquisition.snapshot)
             count_losses(self.report, self._acquisition.snapshot)
-            self._record(lambda recorder: recorder.write_diagnostics(self._acquisition.snapshot))
 
-    def _record(self, write: Callable[[Recorder], None]) -> None:
-        """Call `write` with the recorder, if there is one; an error ends the recording but not the mapping."""
-        from drivers.errors import RecordingError
-
-        if self._recorder is None or self._recorded is None:
+    def _check_recording(self, snapshot: Snapshot) -> None:
+        """Print a problem of the recording once: it ends the recording but not the mapping."""
+        if snapshot.recording is None or self._recorded is None:
             return
-        try:
-            write(self._recorder)
-        except RecordingError as error:
-            print_message(f"{error}; the recording ends here and is readable, mapping continues")
-            self._recorder, self._recorded["problem"] = None, error.reason
+        problem = snapshot.recording.problem
+        if problem and not self._recorded["problem"]:
+            self._recorded["problem"] = problem
+            file = self._recorded["file"]
+            print_message(f"{file}: {problem}; the recording ends here and is readable, mapping continues")

@@ -6,6 +6,9 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from ...errors import PoseGraphError
 from ..console import print_message
 
 if TYPE_CHECKING:
@@ -32,8 +35,11 @@ def optimize_graph(path: Path, out: Path, *, overwrite: bool, robust: bool, pict
         for notice in file.notices:
             print_message(notice)
         before = time.perf_counter()
-        optimised = optimise(file.graph, robust)
+        with np.errstate(all="ignore"):  # checked below
+            optimised = optimise(file.graph, robust)
         solving = time.perf_counter() - before
+        if not np.isfinite([optimised.chi2, *optimised.graph.poses.flat, *optimised.graph.landmarks.flat]).all():
+            raise PoseGraphError(path, None, "its numbers are so large that it has no finite optimum")
         write_g2o(directory / GRAPH, optimised.graph)
         if picture:
             from ...visualisation.plots import plot_pose_graph

@@ -78,7 +78,7 @@ def optimize_recording(
         )
         notices, statistics = NoticeCollector(), InputStatistics()
         started = time.perf_counter()
-        with run_input.opened() as messages:
+        with run_input.opened(lambda: None) as messages:
             slam = Slam(run_input.resolve(config), [notices], keep_all_features=True)
             finished, busy = process_messages(messages, slam, statistics, run_input.name)
         took = time.perf_counter() - started

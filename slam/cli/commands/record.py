@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..device_options import BaseOption, LidarOption, check_recording_name, parse_device_options
+from ..device_options import BaseOption, LidarOption, check_recording_file, parse_device_options
 from ..options import DurationOption, OverwriteOption
 
 if TYPE_CHECKING:
-    from drivers.devices.acquisition import Acquisition, Snapshot
-    from drivers.devices.recorder import Recorder
+    from drivers.devices.acquisition import Acquisition
+    from drivers.devices.snapshot import Snapshot
 
 
 def record(
@@ -29,30 +29,33 @@ def record(
     Example: [bold]wclm record --lidar rplidar:/dev/ttyUSB0 --base create2:/dev/ttyUSB1 drive.mcap[/bold]
     """
     from drivers.devices.acquisition import Acquisition
-    from drivers.devices.recorder import Recorder
-    from drivers.recordings.mcap import McapWriter
 
     specs = parse_device_options(lidar, base)
-    check_recording_name(file, overwrite)
-    with Acquisition(specs) as acquisition, McapWriter(file, overwrite) as writer:
-        recorder = Recorder(writer)
-        _record(acquisition, recorder, duration)
-    typer.echo(summary(file, recorder, acquisition.snapshot))
+    check_recording_file(file, overwrite)
+    with Acquisition(specs, file, deliver=False) as acquisition:
+        _wait(acquisition, duration)
+    typer.echo(summary(file, acquisition.snapshot))
 
 
-def summary(file: Path, recorder: Recorder, snapshot: Snapshot) -> str:
-    """Return a summary of the recording in one line."""
+def summary(file: Path, snapshot: Snapshot) -> str:
+    """Return a summary of the recording in one line. Raises RecordingError if it ended early."""
+    from drivers.devices.snapshot import RecordingStatus
+    from drivers.errors import RecordingError
+
+    recorded = snapshot.recording or RecordingStatus()
+    if recorded.problem:
+        kept = f"{recorded.problem}; the recording ends after {recorded.duration:.1f} s and is readable"
+        raise RecordingError(file, None, kept)
     lost = sum(device.counters["losses"] for device in snapshot.devices)
     missed = snapshot.dropped + snapshot.late
     return (
-        f"{file}: {recorder.scans} scans and {recorder.odometry} odometry readings in {recorder.duration:.1f} s"
+        f"{file}: {recorded.scans} scans and {recorded.odometry} odometry readings in {recorded.duration:.1f} s"
         f"; {lost} connections lost, {missed} messages dropped"
     )
 
 
-def _record(acquisition: Acquisition, recorder: Recorder, duration: float | None) -> None:
-    from drivers.errors import RecordingError
-
+def _wait(acquisition: Acquisition, duration: float | None) -> None:
+    """Show the status of the devices until the recording ends."""
     from ..acquisition_loop import receive_messages, stop_on_signals
     from ..device_monitor import DeviceMonitor
 
@@ -60,12 +63,8 @@ def _record(acquisition: Acquisition, recorder: Recorder, duration: float | None
 
         def on_snapshot(snapshot: Snapshot) -> None:
             monitor.show(snapshot)
-            recorder.write_diagnostics_if_due(snapshot)
+            if snapshot.recording is not None and snapshot.recording.problem:
+                acquisition.stop()
 
-        try:
-            for message in receive_messages(acquisition, duration, on_snapshot):
-                recorder.write(message)
-            recorder.write_diagnostics(acquisition.snapshot)
-        except RecordingError as error:
-            kept = f"{error.reason}; the recording ends after {recorder.duration:.1f} s and is readable"
-            raise RecordingError(error.path, None, kept) from error
+        for _ in receive_messages(acquisition, duration, on_snapshot):
+            pass

@@ -163,7 +163,7 @@ def _loop_closures(results: RunResults) -> Iterator[str]:
         start, end = results.keyframes.poses[[row["keyframe"], row["old"]], :2]
         text = f"loop {row['candidate']}, {row['status']}: keyframe {row['keyframe']} at the place of {row['old']}"
         yield (
-            f'<path class="{row["status"]}" data-loop="{row["candidate"]}" d="M{_xy(start)}L{_xy(end)}">'
+            f'<path class="{row["status"]}" data-loop="{escape(str(row["candidate"]))}" d="M{_xy(start)}L{_xy(end)}">'
             f"<title>{escape(text)}</title></path>"
         )
 

@@ -14,7 +14,7 @@ import numpy as np
 from ...errors import MapError
 from ...geometry.segments import Floats
 from ...graph.factors import Factor, FactorKind, GraphState
-from .tables import TableReader, to_ragged, write_table
+from .tables import TableReader, are_covariances, to_ragged, write_table
 
 MEASUREMENT_SIZES = {FactorKind.CORNER: 2, FactorKind.WALL_OFFSET: 4}
 """Length of a factor's measurement, if it is not a pose (3)."""
@@ -72,7 +72,7 @@ def read_factors(file: Path) -> tuple[list[Factor], list[Factor]]:
         try:
             kind = FactorKind(name)
         except ValueError as error:
-            raise MapError(f"{file}: unknown kind of factor: {name}") from error
+            raise MapError(f"{file}: unknown kind of factor: {name!r}") from error
         numbers = measured[measured_ends[row] : measured_ends[row + 1], 0]
         upper = covariances[covariance_ends[row] : covariance_ends[row + 1], 0]
         slope = slopes[slope_ends[row] : slope_ends[row + 1], 0]
@@ -85,6 +85,9 @@ def read_factors(file: Path) -> tuple[list[Factor], list[Factor]]:
         covariance[np.triu_indices(size)] = upper
         covariance.T[np.triu_indices(size)] = upper
         factors.append(Factor(kind, first, second, numbers, covariance, slope))
+    for size in sorted({len(factor.covariance) for factor in factors}):
+        if not are_covariances(np.array([f.covariance for f in factors if len(f.covariance) == size])):
+            raise MapError(f"{file}: the covariance of a factor is not positive definite")
     count = len(factors) - int(unconfirmed.sum())
     if not unconfirmed[count:].all():
         raise MapError(f"{file}: unconfirmed observations must be the last rows")

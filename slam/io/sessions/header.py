@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, ValidationError, model_serializer
 
-from ...errors import MapError
+from ...errors import MapError, first_line
 from ...estimation.slam_state import Anchor, TrackingCheckpoint
 from ...geometry.segments import Floats
 from ...localisation.local_field import LocalFieldState
@@ -71,7 +71,7 @@ class _Tracker(Record):
 class _LocalField(Record):
     centre: tuple[Finite, Finite]
     links: list[tuple[int, int]]
-    gaps: list[tuple[int, Finite]]
+    gaps: list[tuple[int, Annotated[Finite, Field(ge=0.0)]]]
     inserted: list[int]
     inserted_poses: list[Pose]
 
@@ -97,7 +97,7 @@ class _Part(Record):
 
 
 class _SensorModels(Record):
-    sigma_range: Finite
+    sigma_range: Finite = Field(gt=0.0)
     odometry_samples: list[list[Finite]]
     roughness_samples: list[Finite]
 
@@ -265,8 +265,8 @@ def read_header(file: Path) -> SessionHeader:
         data = json.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
         raise MapError(f"{file}: {error.strerror or error}") from error
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise MapError(f"{file}: is not JSON: {error}") from error
+    except (ValueError, RecursionError) as error:
+        raise MapError(f"{file}: is not JSON: {first_line(error)}") from error
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise MapError(f'{file}: is not a session: its format is not "{FORMAT}"')
     if data.get("version") != SESSION_VERSION:
@@ -278,4 +278,4 @@ def read_header(file: Path) -> SessionHeader:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        raise MapError(f"{file}: {key}: {first['msg']}") from error
+        raise MapError(f"{file}: {key}: {first_line(ValueError(first['msg']))}") from error

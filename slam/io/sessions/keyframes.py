@@ -39,6 +39,8 @@ def read_keyframes(file: Path, scans: ScanRecords) -> KeyframeRecords:
     covariances[:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]] = upper
     covariances[:, UPPER_TRIANGLE[1], UPPER_TRIANGLE[0]] = upper
     travelled = table.floats("travelled").tolist()
+    if (np.diff(travelled, prepend=0.0) < 0.0).any():
+        raise MapError(f"{file}: the travelled distance decreases")
     correlated_drift = np.zeros((len(table), 2, 2))
     for name, (row, column) in CORRELATED_DRIFT.items():
         correlated_drift[:, row, column] = correlated_drift[:, column, row] = table.floats(name)

@@ -7,8 +7,9 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field
 
 from ...geometry.segments import Floats
+from .tables import MAX_MAGNITUDE
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False, ge=-MAX_MAGNITUDE, le=MAX_MAGNITUDE)]
 Pose = tuple[Finite, Finite, Finite]
 Matrix = tuple[Pose, Pose, Pose]
 

@@ -17,7 +17,7 @@ from ...errors import MapError
 from ...geometry.segments import CornerPoints, Floats, Integers, Segments
 from ...matching.line_matcher import ScanFeatures
 from ...matching.scan_points import ScanPoints
-from .tables import Ragged, TableReader, to_ragged
+from .tables import Ragged, TableReader, are_covariances, to_ragged
 
 Number = TypeVar("Number", bound=np.generic)
 
@@ -76,6 +76,10 @@ def read_features(table: TableReader, file: Path, *, exact: bool) -> list[ScanFe
     all_points, clutter = (_read_points(table, prefix, exact=exact) for prefix in (ALL_POINTS, CLUTTER))
     contiguous = np.ascontiguousarray  # as in a run: compiled functions need not be compiled for another layout
     scans = []
+    for name, rows, first in (("segment", segments, 4), ("corner", corners, 2)):
+        upper = np.concatenate([np.zeros((0, first + 3)), *(values[:, : first + 3] for values in rows)])[:, first:]
+        if not are_covariances(upper[:, [0, 1, 1, 2]].reshape(-1, 2, 2)):
+            raise MapError(f"{file}: the covariance of a {name} is not positive definite")
     for row in range(len(table)):
         frame = contiguous(segments[row][:, :3])
         if len(pairs[row]) != len(corners[row]) or not ((pairs[row] >= 0) & (pairs[row] < len(frame))).all():

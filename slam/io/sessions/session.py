@@ -16,7 +16,7 @@ import numpy as np
 from drivers.messages import Scan
 
 from ...config import Config, load_config
-from ...errors import MapError
+from ...errors import MapError, first_line
 from ...estimation.refinement import ScanHistory, build_scan_history
 from ...estimation.slam_state import SlamState
 from ...mapping.landmarks import Landmarks
@@ -33,6 +33,7 @@ from .landmarks import read_free_space_evidence, read_landmarks, write_corners, 
 from .loop_decisions import read_loop_decisions, write_loop_decisions
 from .odometry import read_odometry, write_odometry
 from .queued_scans import read_queued_scans, write_queued_scans
+from .references import check_factors, check_landmarks, check_variables
 from .scans import ScanRecords, read_scans, write_recent_keyframes, write_scans
 
 HEADER = "session.json"
@@ -46,6 +47,8 @@ CORNERS = "corners.parquet"
 VARIABLES = "variables.parquet"
 FACTORS = "factors.parquet"
 LOOP_DECISIONS = "loop_decisions.parquet"
+RESTORING_ERRORS = (MapError, ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError)
+"""Errors of restoring a state from damaged tables."""
 
 
 @dataclass(slots=True, eq=False)
@@ -161,6 +164,9 @@ def _read_slam_state(
     factors, unconfirmed = read_factors(folder / FACTORS)
     saved = header.graph
     graph = read_graph(folder / VARIABLES, factors, updates=saved.updates, qr=saved.qr, bias=saved.range_bias)
+    check_landmarks(folder / WALLS, landmarks, len(scans.keyframe_stamps))
+    check_variables(folder / VARIABLES, graph, landmarks, len(scans.keyframe_stamps))
+    check_factors(folder / FACTORS, graph, factors, unconfirmed, landmarks)
     roughness = WallRoughness()
     roughness.add_samples(np.array(header.sensor_models.roughness_samples))
     free_space_evidence = read_free_space_evidence(folder / WALLS)
@@ -179,8 +185,8 @@ def _read_slam_state(
                 keyframes,
                 {group: agreement_state(record) for group, record in header.joins.items()},
             )
-    except (MapError, ArithmeticError, IndexError, RuntimeError, ValueError) as error:  # the tables do not fit together
-        raise MapError(f"{path}: the session cannot be restored: {str(error).splitlines()[0]}") from error
+    except RESTORING_ERRORS as error:
+        raise MapError(f"{path}: the session cannot be restored: {first_line(error)}") from error
 
 
 def _check_references(file: Path, header: SessionHeader, scans: ScanRecords, landmarks: Landmarks) -> None:

@@ -17,13 +17,23 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from ...errors import MapError
+from ...errors import MapError, first_line
 from ...geometry.segments import Floats
 
 Array = NDArray[Any]
 
 TABLE_NAME = b"wclm-slam table"
 """Key of the file's metadata that holds the table's name."""
+VALUE_SIZE = 8
+"""Bytes of a value in memory."""
+MAX_RATIO = 200
+"""Ratio of the sizes of a table in memory and as a file. Tables of long sessions have 3 to 20."""
+MAX_MAGNITUDE = 1e15
+"""Largest absolute value of a number; the largest that occur are stamps, 2e9 seconds. Their squares are finite."""
+MIN_DEVIATION = 1e-9
+"""Smallest standard deviation, metres or radians: no measurement is as precise."""
+ALWAYS_ALLOWED = 1 << 26
+"""Bytes of a table in memory, whatever the ratio."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,6 +80,17 @@ def _to_arrow(column: Array | Ragged | Sequence[str]) -> pa.Array:
     return pa.array(column) if isinstance(column, np.ndarray) else pa.array(list(column), pa.string())
 
 
+def are_covariances(matrices: Floats) -> bool:
+    """Return True if all symmetric matrices (n, d, d) are positive definite, and so far from singular that they can be
+    inverted.
+    """
+    deviations = np.sqrt(np.diagonal(matrices, axis1=1, axis2=2).clip(min=0.0))
+    if not ((deviations > MIN_DEVIATION) & (deviations < MAX_MAGNITUDE)).all():
+        return False
+    correlations = matrices / deviations[:, :, None] / deviations[:, None, :]
+    return bool((np.linalg.eigvalsh(correlations) > 0.0).all()) if len(matrices) else True
+
+
 class TableReader:
     """Table of a Parquet file; returns columns by name and checks their type.
 
@@ -80,18 +101,28 @@ class TableReader:
         """Read the file. Raises MapError naming it if it cannot be read or is another table."""
         self._path = path
         try:
+            self._check_size()
             self._table = pq.read_table(path)
             self._names = self._table.column_names
+            name = (self._table.schema.metadata or {}).get(TABLE_NAME, b"")
         except FileNotFoundError as error:
             raise MapError(f"{path}: file is missing; the session is incomplete") from error
-        except (OSError, UnicodeDecodeError, pa.ArrowException) as error:
-            raise MapError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from error
-        name = (self._table.schema.metadata or {}).get(TABLE_NAME, b"")
+        except (OSError, ValueError, pa.ArrowException) as error:
+            raise MapError(f"{path}: cannot be read: {first_line(error)}") from error
         if name != path.stem.encode():
             raise MapError(f"{path}: is not the table {path.stem} of a session")
 
     def __len__(self) -> int:
         return int(self._table.num_rows)
+
+    def _check_size(self) -> None:
+        """Raise MapError if the table would be far larger in memory than any that is written."""
+        metadata = pq.read_metadata(self._path)
+        groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
+        values = sum(group.column(k).num_values for group in groups for k in range(group.num_columns))
+        size = max(VALUE_SIZE * values, sum(group.total_byte_size for group in groups))
+        if size > max(ALWAYS_ALLOWED, MAX_RATIO * self._path.stat().st_size):
+            raise MapError(f"{self._path}: has {values} values, which is more than {MAX_RATIO} times its size")
 
     def floats(self, *names: str, finite: bool = True) -> Floats:
         """Return columns of floats: (n,) for one name, (n, d) for several.
@@ -100,7 +131,7 @@ class TableReader:
         """
         columns = [np.asarray(self._column(name, pa.types.is_floating), dtype=np.float64) for name in names]
         for name, column in zip(names, columns, strict=True):
-            self._check(name, not finite or bool(np.isfinite(column).all()), "has values that are not finite")
+            self._check_values(name, column, finite=finite)
         return columns[0] if len(names) == 1 else np.column_stack(columns)
 
     def integers(self, *names: str) -> NDArray[np.int64]:
@@ -135,8 +166,7 @@ class TableReader:
         lengths = columns[0].lengths
         for name, column in zip(names, columns, strict=True):
             self._check(name, np.array_equal(column.lengths, lengths), f"has other lengths than {names[0]}")
-            valid = not finite or bool(np.isfinite(column.values).all())
-            self._check(name, valid, "has values that are not finite")
+            self._check_values(name, column.values, finite=finite)
         return np.column_stack([column.values for column in columns]).astype(dtype), lengths
 
     def _column(self, name: str, has_type: Any) -> Array:
@@ -160,6 +190,13 @@ class TableReader:
         if isinstance(column, pa.ChunkedArray):  # of an empty table
             return pa.array([], column.type)
         return column
+
+    def _check_values(self, name: str, values: Array, *, finite: bool) -> None:
+        """Raise MapError if a value is not finite, unless `finite` is False, or too large to compute with."""
+        is_finite = np.isfinite(values)
+        self._check(name, not finite or bool(is_finite.all()), "has values that are not finite")
+        large = np.abs(values[is_finite].astype(np.float64)) > MAX_MAGNITUDE
+        self._check(name, not large.any(), f"has values beyond {MAX_MAGNITUDE:g}")
 
     def _check(self, name: str, valid: bool, problem: str) -> None:
         if not valid:

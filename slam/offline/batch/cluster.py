@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from distributed import Client as Client  # re-exported for annotations: this package alone imports Dask
 
 LOCALHOST = "127.0.0.1"
-"""Interface of local workers: they execute any code that is sent to them, so no other computer may reach them."""
+"""Interface of local workers: they execute any code that is sent to them, so no other computer may reach them; other
+users of this one are refused by `private_comm`."""
 CONNECTION_TIMEOUT = 10.0
 """Seconds to wait for an existing scheduler."""
 WORKER_TIMEOUT = 30.0
@@ -30,7 +31,7 @@ CONFIGURATION = {
 
 @contextmanager
 def start_local_workers(count: int) -> Iterator[Client]:
-    """Start `count` processes of one thread each, reachable from this computer only, without a dashboard.
+    """Start `count` processes of one thread each, reachable from this process and each other only, without a dashboard.
 
     A killed worker is restarted; its task has failed. Leaving the context ends running tasks, after some seconds by
     force. Raises MissingExtraError.
@@ -39,8 +40,13 @@ def start_local_workers(count: int) -> Iterator[Client]:
     import dask
     from distributed import Client, LocalCluster
 
-    with TemporaryDirectory(prefix="wclm-") as scratch, dask.config.set(CONFIGURATION):
+    from .private_comm import PROTOCOL, SECRET_KEY, new_secret, register_protocol
+
+    register_protocol()
+    configuration = CONFIGURATION | {SECRET_KEY: new_secret()}
+    with TemporaryDirectory(prefix="wclm-") as scratch, dask.config.set(configuration):
         cluster = LocalCluster(
+            protocol=PROTOCOL,
             n_workers=count,
             threads_per_worker=1,
             processes=True,

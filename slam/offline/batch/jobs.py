@@ -161,7 +161,7 @@ def read_completed_summary(job: Job) -> dict[str, Any] | None:
 
 def remove_leftovers(job: Job) -> None:
     """Remove the temporary directories of `OutputDirectory` (eight characters after the name) of killed workers."""
-    temporary = re.compile(rf"\.{re.escape(job.directory.name)}-[a-z0-9_]{{8}}(-old)?")
+    temporary = re.compile(rf"\.{re.escape(job.directory.name)}-[a-z0-9_]{{8}}(-(old|new|aside))?")
     if job.directory.parent.is_dir():
         for entry in job.directory.parent.iterdir():
             if temporary.fullmatch(entry.name):

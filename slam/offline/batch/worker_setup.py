@@ -1,4 +1,4 @@
-"""Set up a worker of a local cluster (Dask preload module): ignore Ctrl-C.
+"""Set up a worker of a local cluster (Dask preload module): ignore Ctrl-C, and connect with the secret of the batch.
 
 A terminal sends SIGINT to all processes. Only the process that started the workers handles it, and ends them.
 """
@@ -6,6 +6,10 @@ A terminal sends SIGINT to all processes. Only the process that started the work
 from __future__ import annotations
 
 import signal
+
+from .private_comm import register_protocol
+
+register_protocol()
 
 
 def dask_setup(worker: object) -> None:

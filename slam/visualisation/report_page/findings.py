@@ -142,7 +142,7 @@ def _source_findings(summary: dict[str, Any]) -> Iterator[Finding]:
         reasons = "; ".join(f"{reason}: {times}" for reason, times in (skipped.get("reasons") or {}).items())
         yield Finding(f"{counted(count, 'message')} of the recording could not be used.", reasons)
     factor = summary.get("real_time_factor")
-    if factor is not None and factor < 1.0:
+    if factor is not None and 0.0 < factor < 1.0:
         yield Finding(f"SLAM took {1 / factor:.1f} times as long as the recording.", "Live, it could not have kept up.")
 
 

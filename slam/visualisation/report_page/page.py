@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
+from hashlib import sha256
 from html import escape
 from importlib.resources import files
 from pathlib import Path
 from string import Template
 
-from ...errors import MapError
+from ...errors import MapError, first_line
 from ...io.exports.svg_drawing import PATH_CLASSES, SIGMAS, UNKNOWN_CLASS, Drawing, draw_map
 from ...io.output_dir import CONFIG
 from ...io.run_results import RunResults
@@ -19,8 +21,8 @@ def write_page(path: Path, session: RunResults) -> None:
     """Write the page of a run. Raises MapError if its summary lacks entries that every run writes."""
     try:
         text = _page(session)
-    except (KeyError, TypeError, AttributeError) as error:
-        raise MapError(f"{session.path}: not the summary of a run: {error}") from error
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        raise MapError(f"{session.path}: not the summary of a run: {first_line(error)}") from error
     path.write_text(text, encoding="utf-8", newline="\n")
 
 
@@ -34,7 +36,8 @@ def _page(session: RunResults) -> str:
     return Template(_part("page.html")).substitute(
         title=escape(str(summary["recording"])),
         style=_part("page.css") + colours,
-        script=_part("page.js"),
+        script=(script := _part("page.js")),
+        script_hash=b64encode(sha256(script.encode()).digest()).decode(),
         facts=sections.facts(summary),
         view_box=drawing.view_box,
         aspect=f"{drawing.width:.3f} / {drawing.height:.3f}",

@@ -40,7 +40,7 @@ def facts(summary: dict[str, Any]) -> str:
         ("keyframes", str(summary["keyframes"])),
         ("scans", str(summary["scans"])),
     ]
-    return "".join(f"<div><dt>{name}</dt><dd>{value}</dd></div>" for name, value in entries)
+    return "".join(f"<div><dt>{name}</dt><dd>{escape(value)}</dd></div>" for name, value in entries)
 
 
 def findings_list(findings: list[Finding]) -> str:
@@ -61,7 +61,7 @@ def loops(slam: dict[str, Any], start: float) -> str:
     if not counts.get("proposed"):
         return "<p>There were no loop candidates.</p>"
     by_status = ", ".join(f"{counts[status]} {status}" for status in LoopStatus if counts.get(status, 0))
-    head = f"<p>{counted(counts['proposed'], 'loop candidate')}: {by_status}.</p>"
+    head = f"<p>{escape(counted(counts['proposed'], 'loop candidate'))}: {escape(by_status)}.</p>"
     rows = slam.get("loop_decisions") or []
     applied = [row for row in rows if row["status"] in APPLIED]
     others = [row for row in rows if row["status"] not in APPLIED]
@@ -93,7 +93,9 @@ def _decisions(rows: list[dict[str, Any]], start: float) -> str:
     lines = []
     for row in rows:
         cells = "".join(f'<td data-label="{name}">{escape(_cell(value_of, row))}</td>' for name, value_of in columns)
-        lines.append(f'<tr class="{escape(str(row["status"]))}" data-loop="{row["candidate"]}">{cells}</tr>')
+        lines.append(
+            f'<tr class="{escape(str(row["status"]))}" data-loop="{escape(str(row["candidate"]))}">{cells}</tr>'
+        )
     heads = "".join(f"<th>{name}</th>" for name, _ in columns)
     return f"<table><thead><tr>{heads}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
 

@@ -46,11 +46,11 @@ def find_log(session: Path) -> LogFiles:
         return LogFiles(session.parent, log_parts(session), ended=True)
     if files := log_parts(session / REVIEW):
         return LogFiles(session, files, ended=not session.name.startswith("."))
-    if session.is_dir() and any(session.iterdir()):
-        raise MapError(f"{session}: contains no {REVIEW}; a run writes one unless --no-review is given")
     target = session.resolve()
     hidden = target.parent.glob(f".{target.name}-*/{REVIEW}") if target.parent.is_dir() else ()
     found = sorted(hidden, key=lambda log: log.stat().st_mtime)
+    if not found and session.is_dir() and any(session.iterdir()):
+        raise MapError(f"{session}: contains no {REVIEW}; a run writes one unless --no-review is given")
     if not found:
         raise MapError(f"{session}: no such session, and no unfinished run that would write it")
     return LogFiles(found[-1].parent, log_parts(found[-1]), ended=False)

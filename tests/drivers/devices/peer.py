@@ -26,12 +26,12 @@ from typing import Any
 import numpy as np
 
 from drivers.bases import Create2Device, Stream, WheelReading
-from drivers.emulator.emulator import realtime_priority
 from drivers.lidars.rplidar import dense
 from drivers.lidars.rplidar.decoding import descriptor_of
 from drivers.lidars.rplidar.modes import Modes, ScanMode, configuration_response
 from drivers.lidars.rplidar.requests import Command, Request, RequestReader
 from drivers.lidars.rplidar.responses import Descriptor, Health, HealthStatus, Info, ResponseType
+from drivers.realtime import realtime_priority
 
 RATE, TURNS, BAUD = 9200.0, 9.7, 256000
 SAMPLES = 40

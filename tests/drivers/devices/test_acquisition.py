@@ -19,9 +19,11 @@ import pytest
 
 import drivers
 from drivers import DriverError, Message, Odometry, Scan
-from drivers.devices.acquisition import Acquisition, Snapshot
+from drivers.devices.acquisition import Acquisition
 from drivers.devices.device_spec import parse_devices
+from drivers.devices.snapshot import Snapshot
 from drivers.devices.supervisor import DeviceState
+from drivers.realtime import realtime_priority
 
 RATE, TURNS = 9200.0, 9.7
 METRES_PER_READING = 10 * 0.444565e-3
@@ -96,6 +98,9 @@ def test_all_counters_are_reported_and_devices_are_halted(peer: Any) -> None:
         receive_for(acquisition, 1.0)
         lidar, base = acquisition.snapshot.devices
         assert peer.scans_since_last_stop()
+        (reader,) = multiprocessing.active_children()
+        with realtime_priority():
+            assert os.sched_getscheduler(reader.pid or 0) == os.sched_getscheduler(0)  # if permitted
     assert (lidar.state, base.state) == (DeviceState.RUNNING, DeviceState.RUNNING)
     assert "S1M1" in lidar.identity
     assert "DenseBoost" in lidar.identity

@@ -231,6 +231,19 @@ def test_stamps_and_messages_of_a_busy_host_are_right(
         assert run.errors.max() < (0.02 if longest else 0.002)  # the delay is unknown before the first prompt read
 
 
+@pytest.mark.parametrize(("chance", "longest"), [(0.6, 0.05), (0.6, 0.1)])
+def test_a_heavily_loaded_host_is_not_taken_for_lost_packets(
+    chance: float, longest: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Half of all reads are late, often several in a row; nothing is lost, and scans stay a turn apart."""
+    for seed in range(8):
+        run = simulate_run("clockless", seed, chance, longest, 0, monkeypatch)
+        assert_complete(run)
+        assert run.lidar.counters()["clock_jumps"] == 0
+        scans = [message.stamp for message in run.messages if isinstance(message, Scan)]
+        assert np.diff(scans).min() > 0.9 / TURNS
+
+
 @pytest.mark.parametrize("robot", ["clockless", "clocked"])
 @pytest.mark.parametrize(("chance", "longest"), [(0.6, 0.1), (0.3, 1.0)])
 def test_messages_stay_in_order_on_a_heavily_loaded_host(

@@ -25,6 +25,7 @@ from drivers.devices.probing import probe
 from drivers.devices.supervisor import DeviceState, Supervisor
 from drivers.errors import DriverError
 from drivers.lidars.rplidar.requests import Command
+from drivers.transport import SerialPort
 from drivers.transport.replay_port import ReplayPort
 
 from .device_peers import DRIVE, KINDS, WHEELS, BasePeer, Ld06Peer, OldRplidar, ScipPeer, plugged, serving
@@ -181,30 +182,41 @@ def test_a_lidar_is_read_over_tcp() -> None:
     assert len(messages) > 5
 
 
-def test_a_device_with_a_serial_number_is_found_on_another_port(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+@pytest.mark.parametrize("address", ["given", "auto"])
+def test_a_lost_device_is_searched_only_where_the_user_allowed_it(
+    address: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    link = tmp_path / "lidar"
+    """It comes back at another number, under the permanent name of its adapter; another port stays closed."""
+    port, other = tmp_path / "ttyUSB0", tmp_path / "ttyUSB1"
+    permanent = tmp_path / "by-id" / "usb-Hokuyo"
+    permanent.parent.mkdir()
+    permanent.symlink_to(port)
+    opened: list[str] = []
+    monkeypatch.setattr(ports, "PERMANENT_NAMES", permanent.parent)
+    monkeypatch.setattr(ports, "SerialPort", lambda path, *rest: opened.append(path) or SerialPort(path, *rest))
+    monkeypatch.setattr(ports, "serial_ports", lambda: [ports.Port(str(path), "") for path in (foreign, port, other)])
     messages: list[Message] = []
     stop = threading.Event()
     with ExitStack() as stack:
-        one = Supervisor(parse_device(f"scip:{link}?baud=115200"), messages.extend)
-        monkeypatch.setattr(ports, "serial_ports", lambda: [ports.Port(str(elsewhere), "")])
+        foreign = stack.enter_context(plugged(lambda _: b""))
+        one = Supervisor(parse_device(f"scip:{port if address == 'given' else 'auto'}?baud=115200"), messages.extend)
         first = ExitStack()
-        link.symlink_to(first.enter_context(plugged(ScipPeer())))
-        elsewhere = tmp_path / "elsewhere"
+        port.symlink_to(first.enter_context(plugged(ScipPeer())))
         thread = threading.Thread(target=one.run, args=(stop,))
         thread.start()
         wait_until(lambda: len(messages) > 2)
-        link.unlink()
+        port.unlink()
         first.close()
-        elsewhere.symlink_to(stack.enter_context(plugged(ScipPeer())))
+        other.symlink_to(stack.enter_context(plugged(ScipPeer())))
+        permanent.unlink()
+        permanent.symlink_to(other)
         count = len(messages)
         wait_until(lambda: len(messages) > count + 3)
-        assert one.status().port == str(elsewhere)
+        assert one.status().port == str(permanent if address == "given" else other)
         stop.set()
         thread.join()
     assert one.status().counters["losses"] == 1
+    assert (foreign in opened) == (address == "auto")
 
 
 @pytest.mark.slow

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import random
 import resource
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +18,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers import Odometry, RecordingError, Scan
+from drivers import Message, Odometry, RecordingError, Scan
+from drivers.devices.outbox import Outbox
+from drivers.messages import SourceReport
 from drivers.recordings.mcap import McapReader, McapWriter
 
 WCLM = [sys.executable, "-c", "from slam.cli import main; main()"]
@@ -39,11 +43,11 @@ def wait_until_recording(path: Path, process: subprocess.Popen[str]) -> None:
 
 def kill_and_read(peer: Any, path: Path, after: float) -> float:
     """Record, kill the recorder and read the file; return the seconds lost before the kill."""
-    process = start(peer, path)
+    process = start(peer, path, start_new_session=True)
     wait_until_recording(path, process)
     time.sleep(after)
     killed = time.time()
-    process.kill()
+    os.killpg(process.pid, signal.SIGKILL)
     out, err = process.communicate()
     assert out + err == ""
     source = McapReader(path)
@@ -74,6 +78,34 @@ def test_recorders_killed_at_random_times_lose_the_last_second_at_most(peer: Any
     times = random.Random(4)
     for k in range(20):
         assert_last_second_is_lost_at_most(peer, tmp_path / f"{k}.mcap", times.uniform(0.0, 3.0))
+
+
+def test_a_recording_goes_on_while_the_command_is_stopped_and_ends_if_it_is_killed(peer: Any, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    process = start(peer, path)
+    wait_until_recording(path, process)
+    process.send_signal(signal.SIGSTOP)
+    stopped = time.time()
+    while last_stamp(path) < stopped + 0.5:
+        assert time.time() < stopped + 30.0
+        time.sleep(0.1)
+    process.kill()
+    process.communicate()
+    while (report := list_messages(path)[1]).skipped:  # truncated until the other process has closed the file
+        assert time.time() < stopped + 60.0
+        time.sleep(0.1)
+    assert report.first is None
+    odometry = [message.stamp for message in list_messages(path)[0] if isinstance(message, Odometry)]
+    assert np.diff(odometry).max() < 10 * np.median(np.diff(odometry))
+
+
+def last_stamp(path: Path) -> float:
+    return list_messages(path)[0][-1].stamp
+
+
+def list_messages(path: Path) -> tuple[list[Message], SourceReport]:
+    source = McapReader(path)
+    return list(source), source.report
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
@@ -158,13 +190,41 @@ def test_watching_devices_ends_with_all_counters(peer: Any) -> None:
 def test_a_small_disk_that_fills_up_ends_the_recording(peer: Any, tmp_path: Path) -> None:
     disk = tmp_path / "disk"
     disk.mkdir()
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=200k", "tmpfs", disk], capture_output=True).returncode:
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=12m", "tmpfs", disk], capture_output=True).returncode:
         pytest.skip("cannot mount")
     try:
         process = start(peer, disk / "a.mcap")
+        wait_until_recording(disk / "a.mcap", process)
+        subprocess.run(["dd", "if=/dev/zero", "of=" + str(disk / "filler"), "bs=4096"], capture_output=True)
         _, err = process.communicate(timeout=60)
         assert process.returncode == 2
         assert "No space left on device; the recording ends after " in err
         assert {type(message) for message in McapReader(disk / "a.mcap")} == {Scan, Odometry}
     finally:
         subprocess.run(["umount", disk], check=True)
+
+
+def test_the_oldest_messages_for_a_stopped_consumer_are_dropped_and_counted() -> None:
+    consumer, sender = multiprocessing.Pipe()
+    outbox = Outbox(sender, capacity=100)
+    size, count = 10_000, 200  # bytes, more in total than a pipe holds
+    for k in range(count):
+        outbox.put(Scan(float(k), np.zeros(size), np.zeros(size), np.zeros(size), 0.1, 30.0))
+    received = threading.Thread(target=outbox.close)
+    received.start()
+    stamps = [consumer.recv().stamp for _ in range(count - outbox.dropped)]
+    received.join()
+    assert 95 <= outbox.dropped <= 100
+    assert stamps == sorted(stamps)
+    assert stamps[-100:] == list(range(100, 200))
+    sender.close()
+    assert not outbox.broken
+
+
+def test_a_consumer_that_has_ended_is_noticed() -> None:
+    consumer, sender = multiprocessing.Pipe()
+    consumer.close()
+    outbox = Outbox(sender)
+    outbox.put(Odometry(1.0, np.zeros(3)))
+    outbox.close()
+    assert outbox.broken

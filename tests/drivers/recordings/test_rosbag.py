@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -248,3 +250,15 @@ def test_damaged_messages_raise_only_value_errors(data: st.DataObject, kind: str
             tree.find_mount("laser", "base_link")
     except ValueError:
         return
+
+
+def test_a_message_without_data_is_skipped(tmp_path: Path, write_bag: WriteBag) -> None:
+    bag = write_bag(tmp_path / "sqlite3", [laser_scan(k * 10**9, [1.0, 2.0]) for k in range(3)])
+    (file,) = bag.glob("*.db3")
+    with closing(sqlite3.connect(file)) as database, database:
+        database.execute("ALTER TABLE messages RENAME TO valid")
+        database.execute("CREATE TABLE messages AS SELECT * FROM valid")  # without its constraints
+        database.execute("UPDATE messages SET data = NULL WHERE id = 2")
+    source = drivers.open(bag)
+    assert len(list(source)) == 2
+    assert source.report.reasons == {"message has no data": 1}

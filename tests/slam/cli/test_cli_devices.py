@@ -72,7 +72,7 @@ def test_devices_without_a_port_prints_a_message(wclm: Any, monkeypatch: pytest.
 
 
 def test_device_monitor_prints_changes_without_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    from drivers.devices.acquisition import Snapshot
+    from drivers.devices.snapshot import Snapshot
 
     def snapshot(state: DeviceState, problem: str = "") -> Snapshot:
         return Snapshot((DeviceStatus("ld06:/dev/a", True, state, "/dev/a", "LD06", problem, 0.1, {"messages": 3}),))

@@ -95,3 +95,11 @@ def test_invalid_files_for_eval_are_one_line_errors(wclm: Any, tmp_path: Path) -
     wclm.refuses("eval", "a.tum", "--relations", "bad.tum", because=["bad.tum:1: expected 8 numbers (t1 t2"])
     assert wclm("eval", "a.tum").exit_code == 2
     assert wclm("eval", "a.tum", "--reference", "truth.tum", "--relations", "a.relations").exit_code == 2
+
+
+@pytest.mark.parametrize("information", ["1e308", "1e200"])
+def test_a_pose_graph_without_a_finite_optimum_is_refused(wclm: Any, tmp_path: Path, information: str) -> None:
+    row = f"{information} 0 0 {information} 0 {information}"
+    (tmp_path / "a.g2o").write_text(f"VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1e200 0 0 {row}\n")
+    wclm.refuses("optimize", "a.g2o", "--out", "out", because=["a.g2o: its numbers are so large"])
+    assert not (tmp_path / "out").exists()

@@ -33,3 +33,8 @@ def test_a_slow_block_prints_a_message(capsys: pytest.CaptureFixture[str], monke
     with print_if_slow("compiling"):
         wait_for_timers()
     assert capsys.readouterr().err == "wclm: compiling\n"
+
+
+def test_control_characters_do_not_reach_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    print_message("topic /scan\x1b]0;title\x07\u202e of Zürich")
+    assert capsys.readouterr().err == "wclm: topic /scan\ufffd]0;title\ufffd\ufffd of Zürich\n"

@@ -262,3 +262,16 @@ def test_keyframes_are_read_back_with_their_covariances(tmp_path: Path, finished
     assert np.isnan(sigma[2])
     for k in (0, 1, 3, 4, 5):
         assert sigma[k] == pytest.approx(np.sqrt(np.linalg.eigvalsh(covariance[k, :2, :2]).max()))
+
+
+@pytest.mark.parametrize("spec", ["ld06:tape:in?tape={}", "ld06:tape:in?tape={} + create2:x", "replay:{}"])
+def test_a_foreign_summary_opens_no_device_and_writes_no_file(wclm: Any, ran: Path, tmp_path: Path, spec: str) -> None:
+    """Even if a file has the name of a device specification."""
+    out = tmp_path / "written-outside"
+    Path(spec.format(out)).mkdir(parents=True)
+    Path(spec.format(out), "in").touch()
+    summary = json.loads((ran / "summary.json").read_text())
+    summary |= {"recording_path": spec.format(out), "recordings": []}
+    write_json(ran / "summary.json", summary)
+    wclm.refuses("map", ran, "--format", "pgm", because=["the directory is not a ROS 2 bag"])
+    assert not out.exists()

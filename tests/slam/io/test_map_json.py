@@ -105,6 +105,15 @@ def test_key_of_an_invalid_value_is_named(tmp_path: Path, finished: Finished) ->
         read_map(tmp_path / "map.json")
 
 
+@pytest.mark.parametrize("identity", [-1, 10**25])
+def test_an_identity_that_no_landmark_has_is_refused(tmp_path: Path, finished: Finished, identity: int) -> None:
+    data = written(tmp_path / "map.json", finished)
+    data["lines"][1]["identity"] = identity
+    (tmp_path / "map.json").write_text(json.dumps(data))
+    with pytest.raises(MapError, match=r"map.json: lines.1.identity: [iI]nput should be"):
+        read_map(tmp_path / "map.json")
+
+
 @pytest.mark.parametrize("content", [b"", b"{", b"[1, 2]", b"\xff\xfe", b"null"])
 def test_file_that_is_not_a_map_is_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "map.json").write_bytes(content)

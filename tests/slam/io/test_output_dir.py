@@ -1,7 +1,9 @@
 import json
+import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +12,13 @@ import pytest
 from slam.config import Config, load_config
 from slam.errors import OutputError
 from slam.events import Finished
+from slam.io.disk_reserve import MIN_RESERVE, directory_size
 from slam.io.map_json import read_map
 from slam.io.output_dir import (
     CONFIG,
     KEYFRAMES,
     MAP,
+    REVIEW,
     SUMMARY,
     TRAJECTORY,
     OutputDirectory,
@@ -22,7 +26,9 @@ from slam.io.output_dir import (
     unfinished_file,
     write_results,
 )
+from slam.io.recovery import recover_results
 from slam.io.tum import read_tum
+from slam.io.work_directory import left_behind, running_process
 
 
 def contents(folder: Path) -> dict[str, str]:
@@ -117,7 +123,7 @@ def test_results_are_complete_if_the_process_is_killed_at_any_time(tmp_path: Pat
 def test_results_are_replaced_if_directories_cannot_be_swapped_atomically(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("slam.io.output_dir.swap_directories", lambda *_: False)
+    monkeypatch.setattr("slam.io.atomic_swap.swap_directories", lambda *_: False)
     for text in ("old", "new"):
         with OutputDirectory(tmp_path / "out", overwrite=True) as directory:
             (directory / SUMMARY).write_text(text)
@@ -188,3 +194,144 @@ def test_data_is_converted_to_json_types() -> None:
     expected = {"a": 1.5, "b": [0, 1], "c": None, "3": [True, None], "p": "x"}
     assert to_json_types(data) == expected
     json.dumps(to_json_types(data), allow_nan=False)
+
+
+def write_text(text: str) -> Callable[[Path], None]:
+    """Return a function that writes a summary."""
+    return lambda place: void((place / SUMMARY).write_text(text))
+
+
+def void(_: object) -> None:
+    pass
+
+
+def save_and_end(out: Path, error: BaseException | None) -> None:
+    """Save a state over earlier results, then end with results or an error."""
+    output = OutputDirectory(out, overwrite=True)
+    with output as directory:
+        output.save(write_text("saved"))
+        assert contents(out) == {SUMMARY: "saved"}
+        output.save(write_text("saved again"))
+        if error is not None:
+            raise error
+        (directory / SUMMARY).write_text("final")
+
+
+@pytest.mark.parametrize("present", [False, True])
+def test_saved_states_are_replaced_by_the_results(tmp_path: Path, present: bool) -> None:
+    out = earlier_results(tmp_path, present)
+    save_and_end(out, None)
+    assert contents(out) == {SUMMARY: "final"}
+    assert [entry.name for entry in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize("present", [False, True])
+def test_a_saved_state_stays_after_an_error(tmp_path: Path, present: bool) -> None:
+    out = earlier_results(tmp_path, present)
+    with pytest.raises(RuntimeError):
+        save_and_end(out, RuntimeError())
+    assert contents(out) == {SUMMARY: "saved again"}
+    assert [entry.name for entry in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize("present", [False, True])
+def test_discarding_restores_earlier_results(tmp_path: Path, present: bool) -> None:
+    out = earlier_results(tmp_path, present)
+    with pytest.raises(KeyboardInterrupt):
+        save_and_end(out, KeyboardInterrupt())
+    assert [entry.name for entry in tmp_path.iterdir()] == (["out"] if present else [])
+    assert not present or contents(out) == {SUMMARY: "earlier"}
+
+
+def test_a_state_that_cannot_be_written_leaves_the_one_before(tmp_path: Path) -> None:
+    output = OutputDirectory(tmp_path / "out")
+    with output as directory:
+        output.save(write_text("saved"))
+        with pytest.raises(OutputError, match="out: cannot be saved: No space left"):
+            output.save(full_disk)
+        assert contents(tmp_path / "out") == {SUMMARY: "saved"}
+        (directory / SUMMARY).write_text("final")
+    assert contents(tmp_path / "out") == {SUMMARY: "final"}
+
+
+def test_results_are_written_elsewhere_if_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    home = tmp_path / "home"
+    home.mkdir()
+    monkeypatch.setenv("HOME", str(home))
+    output = OutputDirectory(tmp_path / "disk" / "out")
+
+    def write(place: Path) -> None:
+        if place.parent != home:
+            full_disk(place)
+        write_text("final")(place)
+
+    with pytest.raises(OutputError, match=r"No space left on device; the results are in .*home/out-.* instead"), output:
+        output.finish(write)
+    (other,) = home.iterdir()
+    assert contents(other) == {SUMMARY: "final"}
+
+
+def test_space_for_the_results_is_reserved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    output = OutputDirectory(tmp_path / "out", reserved=True)
+    with output as directory:
+        held = directory_size(directory)
+        output.finish(lambda place: void((place / SUMMARY).write_text(f"{directory_size(place)}")))
+    assert held == MIN_RESERVE
+    assert contents(tmp_path / "out") == {SUMMARY: "0"}
+    monkeypatch.setattr("os.posix_fallocate", full_disk)
+    with pytest.raises(OutputError, match=r"out: \d+ MB are free there, and 16 MB are needed for the results"):
+        OutputDirectory(tmp_path / "other" / "out", reserved=True).__enter__()
+    assert not list((tmp_path / "other").iterdir())
+
+
+def test_a_run_on_a_full_disk_answers(tmp_path: Path) -> None:
+    """Answers have one size, whatever they say, and need no other file."""
+    output = OutputDirectory(tmp_path / "out")
+    with output as directory:
+        assert running_process(tmp_path / "out") is None
+        sizes = set()
+        for problem in ("", "out: cannot be saved: No space left on device", "ü\n" * 1000, ""):
+            output.announce(problem)
+            control = running_process(tmp_path / "out")
+            assert control is not None
+            assert control["process"] == os.getpid()
+            assert problem.startswith(control["problem"])
+            sizes.add(directory_size(directory))
+        assert control["answers"] == 3
+    assert len(sizes) == 1
+    assert contents(tmp_path / "out") == {}
+    assert running_process(tmp_path / "out") is None
+
+
+def test_results_of_a_killed_run_are_recovered(tmp_path: Path) -> None:
+    out = earlier_results(tmp_path, True)
+    code = (
+        "import os, pathlib, sys; from slam.io.output_dir import *; output = OutputDirectory(pathlib.Path(sys.argv[1]),"
+        " True, reserved=True); work = output.__enter__(); (work / REVIEW).write_text('log'); output.announce()\n"
+        "for text in ('saved', 'saved again'): output.save(lambda place: (place / SUMMARY).write_text(text))\n"
+        "os.kill(os.getpid(), 9)"
+    )
+    subprocess.run([sys.executable, "-c", code, out], check=False)
+    assert contents(out) == {SUMMARY: "saved again"}
+    (left,) = left_behind(out)
+    with OutputDirectory(tmp_path / "out", overwrite=True):
+        assert left_behind(out) == [left]  # not that of the run that goes on
+    out = earlier_results(tmp_path, True)
+    recover_results(out)
+    assert contents(out) == {SUMMARY: "earlier", REVIEW: "log"}
+    assert contents(tmp_path / "out-earlier-1") == {SUMMARY: "earlier"}
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["out", "out-earlier-1"]
+    with pytest.raises(OutputError, match="no killed run has left anything beside it"):
+        recover_results(out)
+
+
+def earlier_results(folder: Path, present: bool) -> Path:
+    out = folder / "out"
+    if present:
+        out.mkdir(exist_ok=True)
+        (out / SUMMARY).write_text("earlier")
+    return out
+
+
+def full_disk(*_: object) -> None:
+    raise OSError(28, "No space left on device")

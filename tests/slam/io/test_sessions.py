@@ -6,6 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -18,6 +21,7 @@ from slam.errors import MapError, SlamError
 from slam.io.output_dir import CONFIG, SESSION
 from slam.io.sessions import Recording, StoredSession, is_session, read_session, write_session
 from slam.io.sessions.session import FACTORS, HEADER, SCANS, WALLS
+from slam.io.sessions.tables import TableReader, write_table
 from slam.loop_closure.decision import LoopMatch
 from slam.loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis, OldPlace
 from slam.mapping.mapper import Mapper
@@ -276,3 +280,87 @@ def test_damage_is_an_error_of_one_line(
     except SlamError as error:
         message = str(error)
     assert "\n" not in message
+
+
+CHANGES: list[tuple[str, str, Any, str]] = [
+    (FACTORS, "first", -1, "has a variable that does not exist"),
+    (FACTORS, "second", 10**6, "has a variable that does not exist"),
+    (FACTORS, "covariance", 0.0, "the covariance of a factor is not positive definite"),
+    (FACTORS, "kind", "", "unknown kind of factor: ''"),
+    (WALLS, "first_seen", 10**6, "a landmark was seen in a keyframe that does not exist"),
+    (WALLS, "merged_into", -(10**6), "a landmark refers to a wall that does not exist"),
+    ("corners.parquet", "wall_before", 10**6, "a landmark refers to a wall that does not exist"),
+    ("corners.parquet", "last_seen", 10**6, "a landmark was seen in a keyframe that does not exist"),
+    ("keyframes.parquet", "travelled", -1.0, "the travelled distance decreases"),
+    ("variables.parquet", "id", 10**6, "(the keyframes are not in order|does not exist)"),
+    (SCANS, "segment_offset_offset", -1.0, "the covariance of a segment is not positive definite"),
+    (SCANS, "segment_offset_offset", 1e-300, "the covariance of a segment is not positive definite"),
+    (WALLS, "x", 1e300, "the column x has values beyond 1e\\+15"),
+]
+
+
+@pytest.mark.parametrize(("name", "column", "value", "message"), CHANGES)
+def test_values_that_do_not_fit_together_are_refused(
+    written: tuple[StoredSession, Path],
+    tmp_path: Path,
+    name: str,
+    column: str,
+    value: Any,
+    message: str,
+) -> None:
+    path = shutil.copytree(written[1], tmp_path / "out")
+    change_column(path / SESSION / name, column, value)
+    with pytest.raises(MapError, match=message) as caught:
+        read_session(path)
+    assert "\n" not in str(caught.value)
+
+
+def change_column(file: Path, name: str, value: Any) -> None:
+    """Replace the last value of a column, of a list its first value."""
+    table = pq.read_table(file)
+    column = table.column(name)
+    values = column.to_pylist()
+    row = max(k for k, v in enumerate(values) if v not in (value, []))
+    values[row] = [value, *values[row][1:]] if isinstance(values[row], list) else value
+    index = table.column_names.index(name)
+    pq.write_table(table.set_column(index, table.schema.field(index), pa.array(values, column.type)), file)
+
+
+@pytest.mark.parametrize("kind", ["wall", "corner"])
+def test_a_landmark_of_the_graph_without_a_variable_is_refused(
+    written: tuple[StoredSession, Path], tmp_path: Path, kind: str
+) -> None:
+    path = shutil.copytree(written[1], tmp_path / "out")
+    file = path / SESSION / "variables.parquet"
+    table = pq.read_table(file)
+    confirmed = table.filter(pc.not_equal(table.column("kind"), kind)).replace_schema_metadata(table.schema.metadata)
+    pq.write_table(confirmed, file)
+    with pytest.raises(MapError, match=rf"the {kind} \d+ is confirmed, but is no variable of the graph"):
+        read_session(path)
+
+
+@pytest.mark.parametrize("value", [0.0, -0.01])
+def test_a_range_without_noise_is_refused(written: tuple[StoredSession, Path], tmp_path: Path, value: float) -> None:
+    path = shutil.copytree(written[1], tmp_path / "out")
+    header = path / SESSION / HEADER
+    data = json.loads(header.read_text())
+    data["sensor_models"]["sigma_range"] = value
+    header.write_text(json.dumps(data))
+    with pytest.raises(MapError, match=r"sensor_models.sigma_range: Input should be greater than 0"):
+        read_session(path)
+
+
+def test_a_table_that_is_larger_in_memory_than_any_that_is_written_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "walls.parquet"
+    pq.write_table(pa.table({"x": pa.array(np.zeros(20_000_000, np.int8))}), file)
+    with pytest.raises(MapError, match=r"walls.parquet: has 20000000 values, which is more than 200 times its size"):
+        TableReader(file)
+
+
+def test_a_footer_that_is_not_utf_8_is_an_error_of_one_line(tmp_path: Path) -> None:
+    file = tmp_path / "walls.parquet"
+    write_table(file, {"frame_of_the_wall": np.zeros(3)})
+    file.write_bytes(file.read_bytes().replace(b"frame_of_the_wall", b"frame_of\xff\xfe\xfdhe_wall"))
+    with pytest.raises(MapError, match=r"walls.parquet: ") as caught:
+        TableReader(file)
+    assert len(str(caught.value).splitlines()) == 1

@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,6 +34,7 @@ from slam.offline.batch import (
 )
 from slam.offline.batch.cluster import start_local_workers
 from slam.offline.batch.dispatch import dispatch
+from slam.offline.batch.private_comm import new_secret
 
 PLAIN = JobOptions(load_config(), review=False)
 RETRIES = 1
@@ -218,10 +221,29 @@ def test_crash_of_a_worker_affects_only_its_recording(client: Client, tmp_path: 
 def test_local_workers_have_one_thread_and_are_reachable_from_this_computer_only(client: Client) -> None:
     client.wait_for_workers(2, timeout=30)
     info = client.scheduler_info(n_workers=-1)
-    assert info["address"].startswith("tcp://127.0.0.1:")
+    assert info["address"].startswith("wclm://127.0.0.1:")
     assert len(info["workers"]) == 2
     for address, worker in info["workers"].items():
-        assert address.startswith("tcp://127.0.0.1:")
+        assert address.startswith("wclm://127.0.0.1:")
         assert worker["nthreads"] == 1
     environments = client.run(lambda: {name: os.environ.get(name) for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS")})
     assert all(set(found.values()) == {"1"} for found in environments.values())
+
+
+@pytest.mark.parametrize("greeting", [b"", b"\0" * 32, b"GET / HTTP/1.1\r\n" * 4])
+def test_other_programs_cannot_connect_to_local_workers(client: Client, greeting: bytes) -> None:
+    """Neither the scheduler nor a worker says anything to a program that does not know the secret."""
+    client.wait_for_workers(2, timeout=30)
+    info = client.scheduler_info(n_workers=-1)
+    for address in (info["address"], *info["workers"]):
+        host, _, port = address.removeprefix("wclm://").partition(":")
+        with socket.create_connection((host, int(port)), 10.0) as stream:
+            stream.sendall(greeting)
+            stream.shutdown(socket.SHUT_WR)
+            with suppress(ConnectionResetError):
+                assert stream.recv(100) == b""
+    assert client.submit(int, "7").result() == 7
+
+
+def test_each_batch_has_its_own_secret() -> None:
+    assert len({new_secret() for _ in range(10)}) == 10

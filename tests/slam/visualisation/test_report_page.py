@@ -5,7 +5,10 @@ import json
 import re
 import shutil
 import subprocess
+from base64 import b64encode
+from collections.abc import Iterator
 from dataclasses import fields, replace
+from hashlib import sha256
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -14,6 +17,7 @@ import numpy as np
 import pytest
 
 from slam.config import Config
+from slam.errors import MapError
 from slam.events import Finished
 from slam.io.output_dir import write_json, write_results
 from slam.io.run_results import RunResults, read_run_results
@@ -272,7 +276,8 @@ def test_a_browser_shows_the_page_without_console_messages(tmp_path: Path, finis
     assert console == []
     assert re.search(r'<div class="scale"><i style="width: [\d.]+px;"></i><span>[125]0* (m|cm)</span>', document)
     (tmp_path / "broken.html").write_text(text.replace('"use strict";', "nothing.there();"), encoding="utf-8")
-    assert "nothing is not defined" in render(tmp_path / "broken.html")[1][0]  # an error would be reported
+    reported = render(tmp_path / "broken.html")[1][0]
+    assert "Content Security Policy" in reported  # only the script of the page may run
 
 
 PROBE = """
@@ -314,6 +319,7 @@ document.documentElement.dataset.told = JSON.stringify(told);
 @pytest.mark.parametrize("size", ["1280,900", "500,800"])
 def test_the_map_can_be_zoomed_dragged_and_queried(tmp_path: Path, finished: Finished, size: str) -> None:
     text = page(tmp_path, finished)
+    text = re.sub("'sha256-[^']*'", "'unsafe-inline'", text)  # admits the script of the test
     (tmp_path / "probe.html").write_text(text.replace("</body>", PROBE + "</body>"), encoding="utf-8")
     document, console = render(tmp_path / "probe.html", size)
     assert console == []
@@ -331,3 +337,60 @@ def test_the_map_can_be_zoomed_dragged_and_queried(tmp_path: Path, finished: Fin
     assert told["loop"] == "loop 5, accepted: keyframe 4 at the place of 1"
     assert told["again"] == told["all"]
     assert told["wide"]  # no horizontal overflow
+
+
+def hostile(value: Any) -> Iterator[Any]:
+    """Yield copies of nested data with one leaf replaced by markup, each leaf once."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from ({**value, key: bad} for bad in hostile(item))
+            yield {(MARKUP if name == key else name): kept for name, kept in value.items()}
+    elif isinstance(value, list):
+        for k, item in enumerate(value):
+            yield from ([*value[:k], bad, *value[k + 1 :]] for bad in hostile(item))
+    yield MARKUP
+    yield 0
+    yield None
+
+
+MARKUP = '"><script>alert(1)</script>'
+
+
+def test_markup_in_a_foreign_summary_is_never_executed(tmp_path: Path, finished: Finished) -> None:
+    session = make(tmp_path / "run", finished)
+    whole = SUMMARY | {"warnings": ["a"], "doubts": ["b"], "versions": {"numpy": "2"}, "recording_path": "c"}
+    written = 0
+    for summary in hostile(whole):
+        if not isinstance(summary, dict):
+            continue
+        try:
+            write_page(tmp_path / "report.html", replace(session, summary=summary))
+        except MapError:
+            continue
+        written += 1
+        assert "<script>alert" not in (tmp_path / "report.html").read_text(encoding="utf-8"), summary
+    assert written > 50
+
+
+def test_only_the_script_of_the_page_may_run(tmp_path: Path, finished: Finished) -> None:
+    text = page(tmp_path, finished)
+    (script,) = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
+    digest = b64encode(sha256(script.encode()).digest()).decode()
+    assert f"script-src 'sha256-{digest}'" in text
+
+
+def test_a_recording_without_duration_has_a_page(tmp_path: Path, finished: Finished) -> None:
+    assert "0.0 s" in page(tmp_path, finished, SUMMARY | {"duration": 0.0, "real_time_factor": 0.0})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("slam", 5), ("recordings", {"a": 1}), ("recordings", [5]), ("recordings", [{"shift": "x"}]), ("warnings", "x")],
+)
+def test_a_summary_with_an_entry_of_another_type_is_refused(
+    tmp_path: Path, finished: Finished, name: str, value: object
+) -> None:
+    make(tmp_path, finished)
+    write_json(tmp_path / "summary.json", SUMMARY | {name: value})
+    with pytest.raises(MapError, match=r"summary\.json: (recordings or )?\w+ (is not a|has an entry|is invalid)"):
+        read_run_results(tmp_path)

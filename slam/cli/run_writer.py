@@ -1,0 +1,136 @@
+"""Writing a run into a directory: its final results, or its state while it goes on."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from drivers import se2
+
+from ..config import Config
+from ..errors import MapError
+from ..evaluation.metrics import ReferenceScore, score_reference
+from ..events import Finished
+from ..io.output_dir import PICTURE, write_results
+from ..io.tum import Trajectory
+from .run_input import InputStatistics, RunInput
+from .run_summary import summarise_run
+
+if TYPE_CHECKING:
+    from ..io.sessions import StoredSession
+    from ..pipeline import Slam
+    from ..visualisation.plots.style import Floats
+
+Write = Callable[[Path], None]
+"""Function that writes results into a directory; it raises OSError."""
+
+
+@dataclass(slots=True, eq=False)
+class RunWriter:
+    """Writer of the run of `run_input`.
+
+    notices  texts, which are still added
+    frozen   True if the map is not changed, and therefore not stored
+    picture  draw the final map
+    seed     of the simulation, for the summary
+    started  time of the first message, on the clock of time.perf_counter
+    """
+
+    run_input: RunInput
+    config: Config
+    statistics: InputStatistics
+    notices: list[str]
+    frozen: bool
+    picture: bool
+    seed: int | None
+    started: float
+
+    def snapshot(self, slam: Slam) -> Write:
+        """Return a function that writes the state of this moment. Raises MapError if there is no map yet."""
+        copy = slam.snapshot()
+        took = time.perf_counter() - self.started
+
+        def write(place: Path) -> None:
+            finished = copy.finished()
+            summary = self._summarise(finished, copy.session, None, took, took) | {"unfinished": True}
+            self._write(place, finished, summary, copy.session)
+
+        return write
+
+    def final(
+        self, slam: Slam, finished: Finished, slam_seconds: float, left_out: dict[str, int] | None
+    ) -> tuple[dict[str, Any], Write]:
+        """Return the summary of the ended run and a function that writes its results.
+
+        left_out  what the review log does not contain; None without one
+        """
+        score = score_against_truth(finished, self.statistics)
+        took = time.perf_counter() - self.started
+        summary = self._summarise(finished, slam.session, score, slam_seconds, took) | {"review": left_out}
+
+        def write(place: Path) -> None:
+            self._write(place, finished, summary, slam.session)
+            if self.picture:
+                _draw(place / PICTURE, finished, self.statistics, score, self.run_input.name)
+
+        return summary, write
+
+    def _summarise(
+        self,
+        finished: Finished,
+        session: StoredSession,
+        score: ReferenceScore | None,
+        slam_seconds: float,
+        seconds: float,
+    ) -> dict[str, Any]:
+        """Return the summary; add the recording of this run to the session."""
+        summary = summarise_run(
+            self.run_input,
+            finished,
+            self.statistics,
+            self.notices,
+            score,
+            seed=self.seed,
+            slam_seconds=slam_seconds,
+            seconds=seconds,
+        )
+        session.recordings.append(self.statistics.recording(self.run_input))
+        recordings = session.recordings[-1:] if self.frozen else session.recordings
+        return summary | {"recordings": [recording.model_dump() for recording in recordings]}
+
+    def _write(self, place: Path, finished: Finished, summary: dict[str, Any], session: StoredSession) -> None:
+        from ..io.sessions import write_session
+
+        write_results(place, finished, self.config, summary)
+        if not self.frozen:
+            write_session(place, session)
+
+
+def score_against_truth(finished: Finished, statistics: InputStatistics) -> ReferenceScore | None:
+    """Score the path against the ground truth; return None if there is none for the time of the path."""
+    if not statistics.truth:
+        return None
+    truth = Trajectory(np.array(statistics.truth_stamps), np.array(statistics.truth))
+    try:
+        return score_reference(Trajectory(finished.stamps, finished.poses), truth)
+    except MapError:  # no common time
+        return None
+
+
+def _draw(
+    path: Path, finished: Finished, statistics: InputStatistics, score: ReferenceScore | None, title: str
+) -> None:
+    from ..visualisation.plots import plot_map
+
+    odometry: Floats | None = None
+    if statistics.odometry:
+        poses = np.array(statistics.odometry)
+        start = min(int(np.searchsorted(finished.stamps, statistics.first)), len(finished.poses) - 1)
+        odometry = se2.compose(finished.poses[start], se2.between(poses[0], poses))
+    truth = None if score is None else se2.compose(se2.inverse(score.alignment), score.reference)
+    plot_map(path, finished.walls, finished.corners, finished.poses, title=title, odometry=odometry, truth=truth)

@@ -1,0 +1,76 @@
+"""Checks that the tables of a session fit together, before anything is computed from them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import MapError
+from ...graph.factors import Factor, FactorKind, GraphState
+from ...mapping.landmark_table import NEVER_REMOVED, UNOBSERVED
+from ...mapping.landmarks import Landmarks
+
+Ids = NDArray[np.int64]
+
+TO_KEYFRAME = (FactorKind.ODOMETRY, FactorKind.LOOP, FactorKind.SCAN_MATCH)
+TO_WALL = (FactorKind.GAUGE_PRIOR, FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET, FactorKind.WALL_EQUALITY)
+"""Kinds of factors whose `second` is a variable of that kind."""
+
+
+def check_variables(file: Path, graph: GraphState, landmarks: Landmarks, keyframes: int) -> None:
+    """Raise MapError naming `file`, the table of variables, if they are not those of the keyframes and landmarks."""
+    if len(graph.keyframes) != keyframes:
+        raise MapError(f"{file}: has {len(graph.keyframes)} keyframes, and the table of scans {keyframes}")
+    if not _within(graph.point_maps, 0, keyframes):
+        raise MapError(f"{file}: has a point map of a keyframe that does not exist")
+    for name, ids, table in (("wall", graph.walls, landmarks.walls), ("corner", graph.corners, landmarks.corners)):
+        if not _within(ids, 0, len(table)):
+            raise MapError(f"{file}: has a {name} that does not exist")
+        missing = np.setdiff1d(np.flatnonzero(table.rows["in_graph"]), ids)
+        if len(missing):
+            raise MapError(f"{file}: the {name} {missing[0]} is confirmed, but is no variable of the graph")
+
+
+def check_landmarks(file: Path, landmarks: Landmarks, keyframes: int) -> None:
+    """Raise MapError naming `file`, the table of walls, if a landmark refers to what does not exist."""
+    walls, corners = landmarks.walls.rows, landmarks.corners.rows
+    seen = [(walls, "first_seen"), (walls, "last_seen"), (corners, "last_seen")]
+    valid = _within(walls["removed_at"], NEVER_REMOVED, keyframes)
+    for rows, name in seen:  # -1 if no keyframe observes the landmark any more
+        valid &= _within(rows[name], -1, keyframes) and _within(rows[name][rows["in_graph"]], 0, keyframes)
+    if not valid:
+        raise MapError(f"{file}: a landmark was seen in a keyframe that does not exist")
+    if not (_within(walls["merged_into"], UNOBSERVED, len(walls)) and _within(corners["walls"], -1, len(walls))):
+        raise MapError(f"{file}: a landmark refers to a wall that does not exist")
+
+
+def check_factors(
+    file: Path, graph: GraphState, factors: Sequence[Factor], unconfirmed: Sequence[Factor], landmarks: Landmarks
+) -> None:
+    """Raise MapError naming `file`, the table of factors, if a factor is between variables that do not exist."""
+    keyframes = set(range(len(graph.keyframes)))
+    walls, corners, point_maps = (set(ids.tolist()) for ids in (graph.walls, graph.corners, graph.point_maps))
+    for factor in factors:
+        firsts = walls if factor.kind is FactorKind.WALL_EQUALITY else keyframes
+        firsts = point_maps if factor.kind in (FactorKind.SCAN_MATCH, FactorKind.POINT_MAP) else firsts
+        seconds = keyframes if factor.kind in TO_KEYFRAME else walls if factor.kind in TO_WALL else None
+        seconds = corners if factor.kind is FactorKind.CORNER else seconds
+        if factor.first not in firsts or (seconds is not None and factor.second not in seconds):
+            raise _not_found(file, factor)
+    for factor in unconfirmed:
+        known = len(landmarks.corners if factor.kind is FactorKind.CORNER else landmarks.walls)
+        if factor.first not in keyframes or not 0 <= factor.second < known:
+            raise _not_found(file, factor)
+
+
+def _not_found(file: Path, factor: Factor) -> MapError:
+    between = f"from {factor.first} to {factor.second}"
+    return MapError(f"{file}: a factor of kind {factor.kind} {between} has a variable that does not exist")
+
+
+def _within(values: NDArray[np.int64], low: int, end: int) -> bool:
+    """Return True if all values are in [low, end)."""
+    return bool(((values >= low) & (values < end)).all())

@@ -1,0 +1,144 @@
+"""Saving during `wclm live`, and what is left if the run is killed or its terminal is gone."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import signal
+import subprocess
+import sys
+import termios
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from slam.cli.autosave import Autosave
+from slam.io.output_dir import (
+    CONFIG,
+    KEYFRAMES,
+    MAP,
+    PICTURE,
+    RESULTS,
+    SESSION,
+    SUMMARY,
+    TRAJECTORY,
+    OutputDirectory,
+)
+from slam.io.sessions import read_session
+
+from ..robot import LiveRun, Robot, wait_for
+
+SAVED = {TRAJECTORY, KEYFRAMES, MAP, CONFIG, SUMMARY, SESSION}
+
+
+def use_as_terminal() -> None:
+    """Make standard input the controlling terminal of a new session."""
+    os.setsid()
+    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+
+
+def names(folder: Path) -> set[str]:
+    return {entry.name for entry in folder.iterdir()}
+
+
+def test_a_lost_terminal_ends_the_run_with_a_complete_map(tmp_path: Path, wclm: Any) -> None:
+    out = tmp_path / "a" / "map"
+    out.parent.mkdir()
+    terminal, inner = pty.openpty()
+    with Robot(tmp_path) as robot:
+        run = LiveRun(robot, out, "--no-serve", stdin=inner, preexec_fn=use_as_terminal)
+        os.close(inner)
+        wait_for(lambda: wclm("save", out).exit_code == 0, run.process)
+        assert names(out) == SAVED
+        assert run.summary["unfinished"]
+        first = out.stat().st_ino
+        os.write(terminal, b"s")
+        wait_for(lambda: out.exists() and out.stat().st_ino != first, run.process)
+        os.close(terminal)  # sends SIGHUP, as the end of an SSH session does
+        status, _, err = run.wait()
+    assert (status, "Traceback" in err) == (0, False), err
+    assert names(out) == RESULTS - {PICTURE}
+    assert names(out.parent) == {"map", "stdout", "stderr"}
+    assert "unfinished" not in run.summary
+
+
+@pytest.mark.slow
+def test_a_killed_run_leaves_the_saved_map_and_is_recovered(tmp_path: Path, wclm: Any) -> None:
+    out = tmp_path / "map"
+    with Robot(tmp_path) as robot:
+        run = LiveRun(robot, out)
+        wait_for(lambda: wclm("save", out).exit_code == 0, run.process)
+        run.end(signal.SIGKILL)
+    assert names(out) == SAVED
+    assert read_session(out).slam_state.mapper.keyframe_count == run.summary["keyframes"]
+    (left,) = tmp_path.glob(".map-*")
+    wclm.refuses("save", out, because=["map: no live run is writing it"])
+    again = wclm("live", "--lidar", "ld06:/dev/nothing", "--base", "kobuki:/dev/void", "--out", out)
+    assert f"a killed run left {left} behind" in again.stderr
+    assert f"wclm recover {out}" in again.stderr
+    recovered = wclm("recover", out)
+    assert recovered.exit_code == 0, recovered.output
+    assert names(out) == RESULTS - {PICTURE}
+    assert not left.exists()
+    wclm.refuses("recover", out, because=["map: no killed run has left anything beside it"])
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), ValueError("a bug")])
+def test_a_failing_save_does_not_end_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], error: Exception
+) -> None:
+    monkeypatch.setattr("slam.cli.autosave.PERIOD", 0.0)
+    failures = [error, error, None]
+
+    def write(place: Path) -> None:
+        (place / SUMMARY).write_text("{}")
+        if (failure := failures.pop(0)) is not None:
+            raise failure
+
+    output = OutputDirectory(tmp_path / "map")
+    with output, Autosave(output, lambda: write) as autosave:
+        while failures:
+            autosave.poll()
+            time.sleep(0.001)
+    (message,) = capsys.readouterr().err.splitlines()  # the second one is equal
+    assert message.startswith(f"wclm: {tmp_path / 'map'}: ")
+    assert message.endswith("; the run goes on")
+
+
+LOST_IN_A_CALLBACK = """
+import ctypes, os, signal, sys, time
+from slam.cli.signals import exit_on_signals
+
+exit_on_signals()
+number = int(sys.argv[1])
+callback = ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), number) or time.sleep(0.01))
+callback()
+for _ in range(1000):
+    time.sleep(0.01)
+"""
+
+
+@pytest.mark.parametrize(
+    ("number", "status"), [(signal.SIGTERM, 128 + signal.SIGTERM), (signal.SIGHUP, 128 + signal.SIGHUP)]
+)
+def test_a_signal_within_a_callback_of_a_compiler_is_not_lost(number: int, status: int) -> None:
+    started = time.monotonic()
+    ended = subprocess.run([sys.executable, "-c", LOST_IN_A_CALLBACK, f"{number}"], timeout=60.0, check=False)
+    assert ended.returncode == status
+    assert time.monotonic() - started < 9.0  # it did not sleep to its end
+
+
+def test_a_command_started_with_nohup_ignores_a_lost_terminal() -> None:
+    code = f"import os; os.kill(os.getpid(), {signal.SIGHUP}); print('goes on')"
+    command = "import signal; from slam.cli.signals import exit_on_signals; exit_on_signals(); " + code
+    ended = subprocess.run(
+        [sys.executable, "-c", command],
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (ended.returncode, ended.stdout) == (0, "goes on\n")
