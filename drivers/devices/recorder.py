@@ -6,7 +6,7 @@ import time
 
 from ..messages import Message, Scan, end_stamp
 from ..recordings.mcap import McapWriter
-from ..recordings.ros_messages import Diagnostic
+from ..recordings.ros_encoder import Diagnostic
 from .acquisition import Snapshot
 from .supervisor import DeviceState
 

@@ -24,6 +24,7 @@ from mcap.writer import Writer
 from ..errors import RecordingError
 from ..messages import GroundTruth, Message, Odometry, Scan
 from ..timestamps import to_nanoseconds
+from .ros_encoder import BASE_FRAME, Diagnostic, RosEncoder
 from .ros_messages import (
     BEAMS,
     DIAGNOSTICS,
@@ -31,9 +32,7 @@ from .ros_messages import (
     ODOMETRY,
     POSE,
     TRANSFORMS,
-    Diagnostic,
     LidarMount,
-    RosEncoder,
     decode,
     scan_of,
 )
@@ -216,7 +215,7 @@ class McapWriter:
             count = len(self._frames)
             self._frames[key] = "laser" if count == 0 else f"laser_{count + 1}"
             if scan.mount is not None:
-                data = self._encoder.mount(scan.stamp, scan.mount, self._frames[key])
+                data = self._encoder.transform(scan.stamp, BASE_FRAME, self._frames[key], scan.mount)
                 self._add("/tf_static", TRANSFORMS, stamp, data)
         return self._frames[key]
 

@@ -31,6 +31,7 @@ from .ros_messages import (
     LidarMount,
     decode,
     exact_scan_of,
+    odometry_of,
     planar_pose,
     ranges_of,
     scan_of,
@@ -242,4 +243,4 @@ class RosReader(RecordingReader):
 
 def _odometry(stored: StoredMessage) -> Odometry:
     message = decode(stored.data, ODOMETRY, stored.encoding)
-    return Odometry(stamp_of(message.header, stored.received), planar_pose(message.pose.pose))
+    return odometry_of(message, stored.received)

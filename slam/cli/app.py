@@ -27,6 +27,7 @@ from .commands.record import record
 from .commands.replay import replay
 from .commands.report import report
 from .commands.review import review
+from .commands.ros import ros
 from .commands.run import run
 from .commands.simulate import simulate
 from .console import EXIT_INTERRUPTED, EXIT_USER_ERROR, print_message
@@ -84,7 +85,7 @@ def wclm(
 
 
 COMMANDS: dict[str, dict[str, Callable[..., Any]]] = {
-    "Mapping": {"demo": demo, "run": run, "live": live, "batch": batch},
+    "Mapping": {"demo": demo, "run": run, "live": live, "ros": ros, "batch": batch},
     "Sessions": {"optimize": optimize, "merge": merge, "map": export_map, "report": report, "review": review},
     "Recordings and devices": {
         "info": info,

@@ -12,7 +12,6 @@ from ..console import print_message
 from ..viewer import connect_command
 
 if TYPE_CHECKING:
-    from drivers.devices.acquisition import Snapshot
     from drivers.devices.device_spec import DeviceSpec
     from drivers.devices.recorder import Recorder
     from drivers.errors import DriverError
@@ -106,12 +105,13 @@ class LiveInput:
                 stack.callback(self._record, lambda _: writer.close())
             monitor = stack.enter_context(DeviceMonitor(self._dashboard.render))
 
-            def on_snapshot(snapshot: Snapshot) -> None:
+            def after_each() -> None:
+                snapshot = self._acquisition.snapshot
                 monitor.show(snapshot)
                 self._record(lambda recorder: recorder.write_diagnostics_if_due(snapshot))
 
             try:
-                for message in receive_messages(self._acquisition, self._duration, on_snapshot):
+                for message in receive_messages(self._acquisition, self._duration, after_each):
                     self.report.messages += 1
                     self._record(partial(Recorder.write, message=message))
                     yield message

@@ -58,12 +58,12 @@ def _record(acquisition: Acquisition, recorder: Recorder, duration: float | None
 
     with stop_on_signals(acquisition), DeviceMonitor() as monitor:
 
-        def on_snapshot(snapshot: Snapshot) -> None:
-            monitor.show(snapshot)
-            recorder.write_diagnostics_if_due(snapshot)
+        def after_each() -> None:
+            monitor.show(acquisition.snapshot)
+            recorder.write_diagnostics_if_due(acquisition.snapshot)
 
         try:
-            for message in receive_messages(acquisition, duration, on_snapshot):
+            for message in receive_messages(acquisition, duration, after_each):
                 recorder.write(message)
             recorder.write_diagnostics(acquisition.snapshot)
         except RecordingError as error:

@@ -19,7 +19,7 @@ from rosbags.highlevel import AnyReader
 
 from drivers import GroundTruth, Message, Odometry, RecordingError, Scan
 from drivers.recordings.mcap import McapReader, McapWriter
-from drivers.recordings.ros_messages import quaternion_of
+from drivers.recordings.ros_encoder import quaternion_of
 from drivers.timestamps import to_nanoseconds, to_seconds
 
 Same = Callable[[list[Message], list[Message]], None]

@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 
 import drivers
 from drivers import Message, Odometry, RecordingError, Scan
+from drivers.recordings.ros_encoder import RosEncoder
 from drivers.recordings.ros_messages import (
     LASER_SCAN,
     ODOMETRY,
     TRANSFORMS,
     LidarMount,
-    RosEncoder,
     decode,
     planar_pose,
     scan_of,
