@@ -24,7 +24,7 @@ from mcap.writer import Writer
 from ..errors import RecordingError
 from ..messages import GroundTruth, Message, Odometry, Scan
 from ..timestamps import to_nanoseconds
-from .ros_encoder import BASE_FRAME, Diagnostic, RosEncoder
+from .ros_encoder import BASE_FRAME, ODOMETRY_FRAME, Diagnostic, RosEncoder
 from .ros_messages import (
     BEAMS,
     DIAGNOSTICS,
@@ -36,8 +36,9 @@ from .ros_messages import (
     decode,
     scan_of,
 )
-from .ros_reader import BEAMS_TOPIC, GROUND_TRUTH_TOPIC, MESSAGE_TYPES, RosReader, StoredMessage
+from .ros_reader import BEAMS_TOPIC, GROUND_TRUTH_TOPIC, MESSAGE_TYPES, RosReader
 from .stamp_units import is_valid_stamp
+from .stored_messages import StoredMessage
 
 FLUSH_PERIOD = 0.5
 """Seconds of wall time between flushes; flushed messages survive a killed process or a power failure."""
@@ -200,6 +201,8 @@ class McapWriter:
     def _write(self, message: Message, stamp: int) -> None:
         if isinstance(message, Odometry):
             self._add("/odom", ODOMETRY, stamp, self._encoder.odometry(message))
+            moved = self._encoder.transform(message.stamp, ODOMETRY_FRAME, BASE_FRAME, message.pose)
+            self._add("/tf", TRANSFORMS, stamp, moved)  # viewers place scans by it
         elif isinstance(message, GroundTruth):
             self._add(GROUND_TRUTH_TOPIC, POSE, stamp, self._encoder.ground_truth(message))
         else:

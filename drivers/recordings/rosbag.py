@@ -10,7 +10,8 @@ from rosbags.rosbag2 import Reader as Reader2
 
 from ..errors import RecordingError
 from .ros_messages import LASER_SCAN, ODOMETRY, POSE
-from .ros_reader import MESSAGE_TYPES, RosReader, StoredMessage
+from .ros_reader import MESSAGE_TYPES, RosReader
+from .stored_messages import StoredMessage
 
 
 class BagReader(RosReader):

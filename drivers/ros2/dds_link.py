@@ -6,6 +6,7 @@ configures Cyclone DDS as usual.
 
 from __future__ import annotations
 
+import threading
 from importlib.metadata import version
 from typing import Any
 
@@ -19,7 +20,7 @@ from cyclonedds.util import duration
 
 from ..errors import DriverError
 from ..recordings.ros_messages import type_store
-from .dds_types import Serialised, dds_type
+from .dds_types import dds_type
 from .link import Answer, Put, QoS, Receive
 
 BLOCKING_TIME = 0.1
@@ -54,10 +55,10 @@ class DdsLink:
 
     def subscribe(self, topic: str, msgtype: str, qos: QoS, receive: Receive) -> None:
         """Subscribe to a topic, see `Link`."""
-        listener = _Receiver(receive)
-        reader: DataReader[Any] = DataReader(
-            self._participant, self._topic(topic, msgtype), _policies(msgtype, qos), listener
-        )
+        reader: DataReader[Any] = DataReader(self._participant, self._topic(topic, msgtype), _policies(msgtype, qos))
+        listener = _Receiver(reader, receive)
+        reader.set_listener(listener)
+        listener.on_data_available(reader)  # what arrived before it was set
         self._keep.append((reader, listener))
 
     def serve(self, service: str, srvtype: str, answer: Answer) -> None:
@@ -79,18 +80,19 @@ class DdsLink:
 
 
 class _Receiver(Listener):
-    """Listener that passes on the bytes of all messages."""
+    """Listener that passes on the bytes of all messages of a reader."""
 
-    def __init__(self, receive: Receive) -> None:
+    def __init__(self, reader: DataReader[Any], receive: Receive) -> None:
         super().__init__()
-        self._receive = receive
+        self._reader, self._receive, self._lock = reader, receive, threading.Lock()
 
-    def on_data_available(self, reader: DataReader[Any]) -> None:
+    def on_data_available(self, _: DataReader[Any]) -> None:
         """Take all messages that have arrived."""
-        while samples := reader.take(BATCH):
-            for sample in samples:
-                if isinstance(sample, Serialised):
-                    self._receive(sample.data)
+        with self._lock:
+            while samples := self._reader.take(BATCH):
+                for sample in samples:
+                    if isinstance(sample, self._reader.topic.data_type):
+                        self._receive(sample.data)
 
 
 def _policies(msgtype: str, qos: QoS) -> Qos:

@@ -27,37 +27,33 @@ PRIMITIVES: dict[str, Any] = {
 }
 
 
-class Serialised:
-    """Sample of a type: `data` are the bytes of the message in CDR, with their header."""
-
-    def __init__(self, data: bytes) -> None:
-        self.data = data
-
-    def serialize(self, *_: Any, **__: Any) -> bytes:
-        """Return the bytes."""
-        return self.data
-
-    @classmethod
-    def deserialize(cls, data: bytes, *_: Any, **__: Any) -> Serialised:
-        """Return a sample of the bytes."""
-        return cls(bytes(data))
-
-
 @cache
 def dds_type(msgtype: str) -> type[Any]:
-    """Return the type of a ROS message, for example nav_msgs/msg/Odometry, with samples of the class Serialised."""
-    structure = structure_of(msgtype)
-    kind: type[Any] = type(structure.__name__, (Serialised, structure), {})
+    """Return the type of a ROS message whose samples `kind(data)` are bytes of CDR with their header, in `data`."""
+
+    def create(self: Any, data: bytes) -> None:
+        self.data = data
+
+    def serialise(self: Any, *_: Any, **__: Any) -> bytes:
+        return bytes(self.data)
+
+    def deserialise(cls: type[Any], data: bytes, *_: Any, **__: Any) -> Any:
+        return cls(bytes(data))
+
+    kind = _build(msgtype)  # not a subclass: that would be another type for Cyclone DDS
+    kind.__init__, kind.serialize, kind.deserialize = create, serialise, classmethod(deserialise)  # type: ignore[misc]
     return kind
 
 
 @cache
 def structure_of(msgtype: str) -> type[Any]:
     """Return the type of a ROS message with members, which Cyclone DDS itself can serialise."""
+    return _build(msgtype)
+
+
+def _build(msgtype: str) -> type[Any]:
     fields = type_store("cdr").fielddefs[msgtype][1]
     members = {name: _member(description) for name, description in fields}
-    if not members:  # as ROS does it
-        members = {"structure_needs_at_least_one_member": types.uint8}
     name = mangled_type(msgtype)
     structure: type[Any] = final(make_idl_struct(name.rpartition("::")[2], name, members))
     return structure

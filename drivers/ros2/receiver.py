@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -33,6 +33,8 @@ NO_MOUNT = "dropped, as no transform connects the scan's frame with the base"
 PAUSED = "dropped while new measurements are paused"
 THROTTLED = "dropped by throttle_scans"
 LATE = "older than one received before"
+CLOCK_CONFIRMATIONS = 5
+"""Messages in a row that are older than those before, after which the clock was set back. Origin: as in recordings."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +84,7 @@ class RosReceiver:
         self._messages: deque[Message] = deque()
         self._waiting = self._scans = 0
         self._latest: dict[type[Message], float] = {}
+        self._older: Counter[type[Message]] = Counter()  # messages in a row that are older than the latest one
         self._silence = Silence(time.monotonic(), time.monotonic())
         self._changed, self._stopped = threading.Condition(), False
         subscribe = partial(self._subscribe, link)
@@ -128,6 +131,8 @@ class RosReceiver:
         if now - silence.odometry > SILENCE:
             wanted = f"transform {inputs.odometry_frame} -> {inputs.base_frame} on {inputs.transforms}"
             lines.append(f"no odometry: no message on {inputs.odometry}" if inputs.odometry else f"no {wanted}")
+        if max(self._older.values(), default=0) >= CLOCK_CONFIRMATIONS:
+            lines.append("the clock was set back; messages are dropped until it has caught up: start the node again")
         for frame in sorted(silence.unconnected):
             lines.append(f"no transform {inputs.base_frame} -> {frame}; scans are dropped until there is one")
         return lines
@@ -193,8 +198,10 @@ class RosReceiver:
         if self._stopped or message.stamp == latest:
             return False
         if message.stamp < latest:
+            self._older[kind] += 1
             self._skip(LATE)
             return False
+        self._older[kind] = 0
         self._latest[kind] = message.stamp
         self._messages.append(message)
         if isinstance(message, Scan):

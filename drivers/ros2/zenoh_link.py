@@ -34,10 +34,11 @@ SESSION = """{
     gossip: { enabled: true, target: { router: ["router", "peer"], peer: ["router"] } },
   },
   timestamping: { enabled: { router: true, peer: true, client: true } },
+  queries_default_timeout: 600000,
 }"""
-"""Session of a node of rmw_zenoh: it meets others through the router, then they talk directly."""
-HISTORY_TIMEOUT = 600.0
-"""Seconds that a query for latched messages may take."""
+"""Session of a node of rmw_zenoh: it meets others through the router, then they talk directly. Timeout: milliseconds,
+also of the query for latched messages.
+"""
 
 
 class ZenohLink:
@@ -81,7 +82,6 @@ class ZenohLink:
         options: dict[str, Any] = {"subscriber_detection": True}
         if qos.latched:
             options["history"] = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=qos.depth)
-            options["query_timeout"] = HISTORY_TIMEOUT
         subscriber = zenoh.ext.declare_advanced_subscriber(
             self._session, key, lambda sample: receive(sample.payload.to_bytes()), **options
         )

@@ -91,9 +91,10 @@ class LiveGrid:
         return self._problem
 
     def close(self) -> None:
-        """Stop the thread."""
+        """Stop the thread, after a last update."""
         self._ended.set()
         self._thread.join()
+        self._update()
 
     def _run(self) -> None:
         pause = 0.0
@@ -114,8 +115,6 @@ class LiveGrid:
             for keyframe, pose in zip(keyframes[len(self._drawn) :], poses[len(self._drawn) :], strict=True):
                 self._grid.add(keyframe.placed(pose))
                 self._drawn.append(pose)
-                if self._ended.is_set():
-                    return
             self._publish(keyframes[-1].stamp, self._grid.occupancy())
             self._problem = ""
         except MapError as error:

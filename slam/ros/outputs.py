@@ -130,6 +130,7 @@ class NodeOutputs:
             case SuspectFound():
                 self._run.suspects.append(event.text)
             case Finished():
+                self.grid.move(event.keyframes)
                 self._publish_markers(float(event.stamps[-1]), event.walls, event.corners, event.keyframes)
                 self._publish_status(float(event.stamps[-1]))
 

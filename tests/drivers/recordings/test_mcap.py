@@ -109,6 +109,7 @@ def test_ros_tools_read_the_recording(tmp_path: Path, drive: list[Message]) -> N
         kinds = {connection.topic: connection.msgtype for connection in reader.connections}
         assert kinds == {
             "/odom": "nav_msgs/msg/Odometry",
+            "/tf": "tf2_msgs/msg/TFMessage",
             "/scan": "sensor_msgs/msg/LaserScan",
             "/tf_static": "tf2_msgs/msg/TFMessage",
             "/ground_truth": "geometry_msgs/msg/PoseStamped",
