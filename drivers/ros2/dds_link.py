@@ -10,7 +10,7 @@ import threading
 from importlib.metadata import version
 from typing import Any
 
-from cyclonedds.core import DDSException, Listener
+from cyclonedds.core import DDSException, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
@@ -25,6 +25,8 @@ from .link import Answer, Put, QoS, Receive
 
 BLOCKING_TIME = 0.1
 """Seconds that a reliable writer may wait for room in its queue, as in ROS 2."""
+POLL_PERIOD = 0.1
+"""Seconds after which the receiving thread checks for its end."""
 BATCH = 64
 """Messages taken at once."""
 
@@ -41,7 +43,10 @@ class DdsLink:
         except DDSException as error:
             raise DriverError(f"Cyclone DDS: {' '.join(str(error).split())}") from error
         self._topics: dict[str, Topic[Any]] = {}
-        self._keep: list[Any] = []  # entities end when they are garbage
+        self._subscriptions: list[tuple[DataReader[Any], ReadCondition, Receive]] = []
+        self._waiting, self._ended = WaitSet(self._participant), threading.Event()
+        self._thread = threading.Thread(target=self._receive, name="dds", daemon=True)
+        self._thread.start()
 
     def publish(self, topic: str, msgtype: str, qos: QoS) -> Put:
         """Advertise a topic, see `Link`."""
@@ -56,10 +61,9 @@ class DdsLink:
     def subscribe(self, topic: str, msgtype: str, qos: QoS, receive: Receive) -> None:
         """Subscribe to a topic, see `Link`."""
         reader: DataReader[Any] = DataReader(self._participant, self._topic(topic, msgtype), _policies(msgtype, qos))
-        listener = _Receiver(reader, receive)
-        reader.set_listener(listener)
-        listener.on_data_available(reader)  # what arrived before it was set
-        self._keep.append((reader, listener))
+        condition = ReadCondition(reader, SampleState.NotRead | ViewState.Any | InstanceState.Alive)
+        self._subscriptions.append((reader, condition, receive))
+        self._waiting.attach(condition)
 
     def serve(self, service: str, srvtype: str, answer: Answer) -> None:
         """Raise DriverError: see the module."""
@@ -67,32 +71,24 @@ class DdsLink:
 
     def close(self) -> None:
         """Leave the domain."""
-        for reader, _ in self._keep:
-            reader.set_listener(None)
-        self._keep.clear()
+        self._ended.set()
+        self._thread.join()
+        self._subscriptions.clear()
         self._topics.clear()
-        del self._participant
+        del self._waiting, self._participant
+
+    def _receive(self) -> None:
+        """Pass on the bytes of all messages, in a thread: a listener of Cyclone DDS must not write."""
+        while not self._ended.is_set():
+            self._waiting.wait(duration(seconds=POLL_PERIOD))
+            for reader, condition, receive in list(self._subscriptions):
+                for sample in reader.take(BATCH, condition):
+                    receive(sample.data)
 
     def _topic(self, name: str, msgtype: str) -> Topic[Any]:
         if name not in self._topics:
             self._topics[name] = Topic(self._participant, f"rt{name}", dds_type(msgtype))
         return self._topics[name]
-
-
-class _Receiver(Listener):
-    """Listener that passes on the bytes of all messages of a reader."""
-
-    def __init__(self, reader: DataReader[Any], receive: Receive) -> None:
-        super().__init__()
-        self._reader, self._receive, self._lock = reader, receive, threading.Lock()
-
-    def on_data_available(self, _: DataReader[Any]) -> None:
-        """Take all messages that have arrived."""
-        with self._lock:
-            while samples := self._reader.take(BATCH):
-                for sample in samples:
-                    if isinstance(sample, self._reader.topic.data_type):
-                        self._receive(sample.data)
 
 
 def _policies(msgtype: str, qos: QoS) -> Qos:
@@ -101,6 +97,7 @@ def _policies(msgtype: str, qos: QoS) -> Qos:
         reliability if qos.reliable else Policy.Reliability.BestEffort,
         Policy.Durability.TransientLocal if qos.latched else Policy.Durability.Volatile,
         Policy.History.KeepLast(qos.depth),
+        Policy.IgnoreLocal.Participant,
         Policy.DataRepresentation(use_cdrv0_representation=True),
         Policy.Userdata(f"typehash={type_store('cdr').hash_rihs01(msgtype)};".encode()),
     )

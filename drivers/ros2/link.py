@@ -34,7 +34,7 @@ class QoS:
 
 SENSOR_DATA = QoS(depth=5, reliable=False)
 """Of scans and odometry. It is compatible with publishers of either reliability."""
-TRANSFORMS = QoS(depth=100)
+MOVING_TRANSFORMS = QoS(depth=100)
 """Of /tf, as in tf2."""
 STATIC_TRANSFORMS = QoS(depth=100, latched=True)
 """Of /tf_static, which every publisher latches."""

@@ -20,8 +20,7 @@ from ..messages import Message, Odometry, Scan, SourceReport
 from ..recordings.ros_messages import LASER_SCAN, ODOMETRY, TRANSFORMS, LidarMount, decode, odometry_of, scan_of
 from ..recordings.tf_odometry import TransformOdometry
 from ..recordings.transforms import TransformTree
-from .link import SENSOR_DATA, STATIC_TRANSFORMS, Link
-from .link import TRANSFORMS as TRANSFORMS_QOS
+from .link import MOVING_TRANSFORMS, SENSOR_DATA, STATIC_TRANSFORMS, Link, QoS
 
 MAX_WAITING_SCANS = 40
 """Scans that wait for a busy consumer before the oldest is dropped: some seconds of a common lidar."""
@@ -83,13 +82,14 @@ class RosReceiver:
         self._mounts: dict[str, LidarMount] = {}
         self._messages: deque[Message] = deque()
         self._waiting = self._scans = 0
+        self._reading: float | None = None  # stamp of the odometry in the message that is being added
         self._latest: dict[type[Message], float] = {}
         self._older: Counter[type[Message]] = Counter()  # messages in a row that are older than the latest one
         self._silence = Silence(time.monotonic(), time.monotonic())
         self._changed, self._stopped = threading.Condition(), False
         subscribe = partial(self._subscribe, link)
         subscribe(inputs.static_transforms, TRANSFORMS, self._add_fixed, STATIC_TRANSFORMS)
-        subscribe(inputs.transforms, TRANSFORMS, self._add_moving, TRANSFORMS_QOS)
+        subscribe(inputs.transforms, TRANSFORMS, self._add_moving, MOVING_TRANSFORMS)
         subscribe(inputs.scan, LASER_SCAN, self._add_scan, SENSOR_DATA)
         if inputs.odometry:
             subscribe(inputs.odometry, ODOMETRY, self._add_odometry, SENSOR_DATA)
@@ -137,12 +137,16 @@ class RosReceiver:
             lines.append(f"no transform {inputs.base_frame} -> {frame}; scans are dropped until there is one")
         return lines
 
-    def _subscribe(self, link: Link, topic: str, msgtype: str, add: Callable[[Any, int], None], qos: Any) -> None:
+    def _subscribe(self, link: Link, topic: str, msgtype: str, add: Callable[[Any, int], None], qos: QoS) -> None:
         def receive(data: bytes) -> None:
             try:
                 message = decode(data, msgtype, "cdr")
                 with self._changed:
+                    self._reading = None
                     add(message, time.time_ns())
+                    reading = self._reading
+                if reading is not None:
+                    self._on_odometry(reading)
             except ValueError as error:
                 self._skip(f"{topic}: {error}")
 
@@ -189,7 +193,7 @@ class RosReceiver:
     def _put_odometry(self, reading: Odometry) -> None:
         self._silence.odometry = time.monotonic()
         if self._put(reading):
-            self._on_odometry(reading.stamp)
+            self._reading = reading.stamp
 
     def _put(self, message: Message) -> bool:
         """Append a message if it is later than the last one of its kind; transforms are often sent twice."""

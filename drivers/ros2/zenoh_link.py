@@ -79,7 +79,7 @@ class ZenohLink:
     def subscribe(self, topic: str, msgtype: str, qos: QoS, receive: Receive) -> None:
         """Subscribe to a topic, see `Link`."""
         key = self._key(topic, msgtype, _type_hash(msgtype))
-        options: dict[str, Any] = {"subscriber_detection": True}
+        options: dict[str, Any] = {"subscriber_detection": True, "allowed_origin": zenoh.Locality.REMOTE}
         if qos.latched:
             options["history"] = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=qos.depth)
         subscriber = zenoh.ext.declare_advanced_subscriber(

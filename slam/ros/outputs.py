@@ -22,8 +22,7 @@ from drivers.ros2.encoder import (
     NodeEncoder,
     Shape,
 )
-from drivers.ros2.link import DEFAULT, LATCHED, Link
-from drivers.ros2.link import TRANSFORMS as TRANSFORMS_QOS
+from drivers.ros2.link import DEFAULT, LATCHED, MOVING_TRANSFORMS, Link
 from drivers.ros2.names import NodeNames
 
 from ..events import Event, Finished, KeyframeAdded, MapUpdated, Notice, ScanTracked, StateChanged, SuspectFound
@@ -83,7 +82,7 @@ class NodeOutputs:
         self.lidar: Floats = np.zeros(2)
         self.shift = 0.0
         self._parameters, self._encoder, self._node = parameters, NodeEncoder(), names.node
-        self._put_transform = link.publish(names.resolve("/tf"), TRANSFORMS, TRANSFORMS_QOS)
+        self._put_transform = link.publish(names.resolve("/tf"), TRANSFORMS, MOVING_TRANSFORMS)
         self._put_pose = link.publish(names.resolve("pose"), POSE_WITH_COVARIANCE, DEFAULT)
         self._put_grid = link.publish(names.resolve(parameters.map_name), GRID, LATCHED)
         self._put_grid_info = link.publish(names.resolve(f"{parameters.map_name}_metadata"), GRID_INFO, LATCHED)

@@ -98,6 +98,7 @@ class RosInput:
         """Print what is missing when that changes."""
         missing = self._receiver.missing()
         if missing != self._missing:
-            for line in missing or ["scans, odometry and transforms arrive"]:
+            news = [line for line in missing if line not in self._missing]
+            for line in news if missing else ["scans, odometry and transforms arrive"]:
                 print_message(line)
             self._missing = missing
