@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import threading
 from collections import defaultdict, deque
+from typing import Any
 
 from drivers.ros2.link import Answer, Put, QoS, Receive
+from drivers.ros2.services import encode_request, service_store
 
 
 class MemoryLink:
@@ -54,6 +56,12 @@ class MemoryLink:
     def serve(self, service: str, srvtype: str, answer: Answer) -> None:
         """Offer a service."""
         self.services[service] = (srvtype, answer)
+
+    def call(self, service: str, **members: object) -> Any:
+        """Call a service and return its response."""
+        srvtype, answer = self.services[service]
+        data = answer(encode_request(srvtype, members))
+        return service_store().deserialize_cdr(data, f"{srvtype}_Response")
 
     def close(self) -> None:
         """Leave."""

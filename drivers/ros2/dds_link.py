@@ -7,6 +7,7 @@ configures Cyclone DDS as usual.
 from __future__ import annotations
 
 import threading
+from contextlib import suppress
 from importlib.metadata import version
 from typing import Any
 
@@ -54,7 +55,8 @@ class DdsLink:
         kind = dds_type(msgtype)
 
         def put(data: bytes) -> None:
-            writer.write(kind(data))
+            with suppress(DDSException):  # no room for BLOCKING_TIME: the message is dropped, as in ROS 2
+                writer.write(kind(data))
 
         return put
 

@@ -41,7 +41,7 @@ def dds_type(msgtype: str) -> type[Any]:
         return cls(bytes(data))
 
     kind = _build(msgtype)  # not a subclass: that would be another type for Cyclone DDS
-    kind.__init__, kind.serialize, kind.deserialize = create, serialise, classmethod(deserialise)  # type: ignore[misc]
+    kind.__init__, kind.serialize, kind.deserialize = create, serialise, classmethod(deserialise)
     return kind
 
 

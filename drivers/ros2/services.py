@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
+import numpy as np
+from rosbags.interfaces import Nodetype
 from rosbags.typesys import get_types_from_msg
 from rosbags.typesys.store import Typestore
 
@@ -61,6 +64,46 @@ def _renamed(part: Any) -> Any:
     if isinstance(part, str):
         return _service_name(part)
     return type(part)(_renamed(inner) for inner in part) if isinstance(part, tuple | list) else part
+
+
+def decode_request(srvtype: str, data: bytes) -> Any:
+    """Deserialise a request of a service."""
+    return service_store().deserialize_cdr(data, f"{srvtype}_Request")
+
+
+def encode_response(srvtype: str, members: Mapping[str, Any]) -> bytes:
+    """Serialise a response of a service; members that are not given are empty."""
+    return _encode(f"{srvtype}_Response", members)
+
+
+def encode_request(srvtype: str, members: Mapping[str, Any]) -> bytes:
+    """Serialise a request of a service; members that are not given are empty."""
+    return _encode(f"{srvtype}_Request", members)
+
+
+def _encode(name: str, members: Mapping[str, Any]) -> bytes:
+    message = empty_message(name)
+    for member, value in members.items():
+        object.__setattr__(message, member, value)
+    return bytes(service_store().serialize_cdr(message, name))
+
+
+def empty_message(name: str) -> Any:
+    """Return a message of a registered type in which all numbers are zero and all strings and lists are empty."""
+    store = service_store()
+    return store.types[name](**{field: _empty(kind) for field, kind in store.fielddefs[name][1]})
+
+
+def _empty(description: Any) -> Any:
+    kind, content = description
+    if kind == Nodetype.NAME:
+        return empty_message(content)
+    if kind == Nodetype.BASE:
+        return {"string": "", "bool": False}.get(content[0], 0)
+    (element, inner), count = content
+    if element == Nodetype.BASE and inner[0] != "string":
+        return np.zeros(count if kind == Nodetype.ARRAY else 0, dtype=inner[0])
+    return [_empty((element, inner)) for _ in range(count if kind == Nodetype.ARRAY else 0)]
 
 
 def service_hash(name: str) -> str:

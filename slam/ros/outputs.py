@@ -90,12 +90,13 @@ class NodeOutputs:
         self._put_diagnostics = link.publish(names.resolve("/diagnostics"), DIAGNOSTICS, DEFAULT)
         self._lock = threading.Lock()
         self._run = _RunState()
+        self._grid: LiveGrid | None = None
 
     def begin(self, session: StoredSession | None) -> None:
         """Begin a run, with the keyframes of a session that it continues."""
         self._run, self.shift = _RunState(), 0.0
         parameters = self._parameters
-        self.grid = LiveGrid(
+        self._grid = grid = LiveGrid(
             parameters.resolution, parameters.map_update_interval, parameters.max_laser_range, self._publish_grid
         )
         if session is None:
@@ -103,23 +104,29 @@ class NodeOutputs:
         poses = session.slam_state.mapper.keyframe_poses
         for keyframe, row in enumerate(session.scan_history().keyframes.tolist()):
             scan = session.scans[row]
-            self.grid.add(scan.stamp, scan.features.points.all, self.lidar, poses[keyframe])
+            grid.add(scan.stamp, scan.features.points.all, self.lidar, poses[keyframe])
 
     def end(self) -> None:
         """End a run: no grid is drawn any more."""
-        self.grid.close()
+        if self._grid is not None:
+            self._grid.close()
+
+    def current_grid(self) -> tuple[float, Occupancy] | None:
+        """Return the stamp of the last keyframe and a grid with all keyframes; None if there is nothing to draw."""
+        return None if self._grid is None else self._grid.current()
 
     def handle(self, event: Event) -> None:
-        """Process one event."""
+        """Process one event of a run that has begun."""
+        assert self._grid is not None
         match event:
             case ScanTracked():
                 self._publish_pose(event)
             case KeyframeAdded():
                 self._run.keyframe, self._run.covariance = event.pose, event.pose_covariance
                 self._run.counts = {name: str(count) for name, count in event.counts.items()}
-                self.grid.add(event.stamp - self.shift, event.points, self.lidar, event.pose)
+                self._grid.add(event.stamp - self.shift, event.points, self.lidar, event.pose)
             case MapUpdated():
-                self.grid.move(event.keyframes)
+                self._grid.move(event.keyframes)
                 self._publish_markers(event.stamp, event.walls, event.corners, event.keyframes)
             case StateChanged():
                 self._run.status = LocalisationStatus(event.state)
@@ -129,7 +136,7 @@ class NodeOutputs:
             case SuspectFound():
                 self._run.suspects.append(event.text)
             case Finished():
-                self.grid.move(event.keyframes)
+                self._grid.move(event.keyframes)
                 self._publish_markers(float(event.stamps[-1]), event.walls, event.corners, event.keyframes)
                 self._publish_status(float(event.stamps[-1]))
 
@@ -168,7 +175,7 @@ class NodeOutputs:
         level, text = LEVELS[run.status], run.status.value
         if run.suspects:
             level, text = max(level, Level.WARN), f"{text}, SUSPECT {run.suspects[0]}"
-        values = {**run.counts, "notice": run.notice, "grid": self.grid.problem}
+        values = {**run.counts, "notice": run.notice, "grid": self._grid.problem if self._grid else ""}
         name = f"{self._node}: localisation"
         self._put_diagnostics(self._encoder.status(stamp - self.shift, name, level, text, values))
 

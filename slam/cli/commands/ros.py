@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import tempfile
-from contextlib import ExitStack, closing
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
 
     from ...ros.parameters import NodeParameters
     from ..slam_run import RunSetup
+    from .ros_node import RosNode
 
 
 def ros(
@@ -69,7 +69,9 @@ def ros(
     with closing(open_link(names, link)) as opened:
         services = "" if opened.serves_services else "; topics only, no services"
         print_message(f"node {names.qualified} by {opened.description}{services}")
-        _run(opened, names, parameters, start, out, overwrite=overwrite, review=review, duration=duration)
+        node = _start(opened, names, parameters, start)
+        lines = node.run(start, out, overwrite=overwrite, review=review, duration=duration)
+    typer.echo("\n".join(lines))
 
 
 def _load_parameters(files: list[Path], assignments: list[str], names: NodeNames) -> NodeParameters:
@@ -116,54 +118,35 @@ def _inputs(names: NodeNames, parameters: NodeParameters, start: RunSetup) -> In
     )
 
 
-def _run(
-    link: Link,
-    names: NodeNames,
-    parameters: NodeParameters,
-    start: RunSetup,
-    out: Path | None,
-    *,
-    overwrite: bool,
-    review: bool,
-    duration: float | None,
-) -> None:
-    """Run the node until it is stopped."""
+def _start(link: Link, names: NodeNames, parameters: NodeParameters, start: RunSetup) -> RosNode:
+    """Advertise and subscribe to all topics, and offer the services."""
     from drivers.ros2.receiver import RosReceiver
 
     from ...ros.outputs import NodeOutputs
     from ..compilation import compile_all
-    from ..run_summary import format_summary
-    from ..slam_run import run_slam
-    from .live_dashboard import LiveDashboard
-    from .ros_input import DiscardedError, RosInput
+    from .ros_node import RosNode
 
     compile_all()
     outputs = NodeOutputs(link, names, parameters)
     receiver = RosReceiver(link, _inputs(names, parameters, start), outputs.publish_transform)
     receiver.paused = parameters.paused_new_measurements
-    with ExitStack() as stack:
-        run_input = RosInput(
-            receiver,
-            outputs,
-            start.config.lidar,
-            start.resumed,
-            duration=duration,
-            keep=out is not None,
-            sinks=(LiveDashboard(),),
-        )
-        target = out or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="wclm-ros-"))) / "map"
-        try:
-            result = run_slam(
-                run_input,
-                start.config,
-                target,
-                overwrite=overwrite,
-                review=review and out is not None,
-                picture=False,
-                resumed=start.resumed,
-                frozen=start.frozen,
-            )
-        except DiscardedError:
-            print_message("stopped; nothing was written, as there is no --out")
-            return
-    typer.echo("\n".join(format_summary(result, target)))
+    node = RosNode(receiver, outputs)
+    if link.serves_services:
+        _serve(link, names, parameters, node)
+    return node
+
+
+def _serve(link: Link, names: NodeNames, parameters: NodeParameters, node: RosNode) -> None:
+    from ...io.sessions import read_session
+    from ...ros.services import NodeServices
+
+    NodeServices(
+        link,
+        names,
+        parameters.map_frame,
+        node.receiver,
+        node.control,
+        current_grid=node.outputs.current_grid,
+        read_session=read_session,
+        report=print_message,
+    )

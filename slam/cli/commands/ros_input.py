@@ -6,9 +6,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from drivers.messages import Scan, SourceReport
+from drivers.messages import Odometry, Scan, SourceReport
+from drivers.ros2.receiver import MAX_WAITING_SCANS
 
 from ...preprocessing.deskew import lidar_mount
+from ...ros.run_control import Restart, RestartRequestedError, Save
 from ..acquisition_loop import receive_messages, stop_on_signals
 from ..console import print_message
 from ..slam_run import shift_after
@@ -21,12 +23,17 @@ if TYPE_CHECKING:
     from ...events import Sink
     from ...io.sessions import StoredSession
     from ...ros.outputs import NodeOutputs
+    from ...ros.run_control import RunControl
 
 STOP_MESSAGE = "stopping; Ctrl-C again discards the map"
 
 
 class DiscardedError(Exception):
     """The run has ended, and its results are not wanted."""
+
+
+class _SaveRequestedError(Exception):
+    """The run ends here, to be saved and continued."""
 
 
 class RosInput:
@@ -36,6 +43,7 @@ class RosInput:
     session   session that the run continues, if any
     duration  seconds; None: until a signal arrives
     keep      false: the run is discarded at its end, by DiscardedError
+    control   requests that end the run: a restart by RestartRequestedError, saving normally
     """
 
     finite = False
@@ -50,13 +58,14 @@ class RosInput:
         *,
         duration: float | None,
         keep: bool,
+        control: RunControl,
         sinks: Sequence[Sink] = (),
     ) -> None:
         self.name = f"ROS 2: {receiver.inputs.scan}"
         self.sinks: Sequence[Sink] = (*sinks, outputs)
         self._receiver = receiver
         self._outputs, self._lidar, self._session = outputs, lidar, session
-        self._duration, self._keep = duration, keep
+        self._duration, self._keep, self._control = duration, keep, control
         self._missing: list[str] = []
 
     @property
@@ -83,19 +92,37 @@ class RosInput:
         return {}
 
     def _messages(self) -> Iterator[Message]:
-        after = float("-inf") if self._session is None else self._session.latest
-        first = True
-        for message in receive_messages(self._receiver, self._duration, self._report_missing):
-            if first:
-                self._outputs.shift, first = shift_after(message.stamp, after), False
-            if isinstance(message, Scan):
-                self._outputs.lidar = lidar_mount(message, self._lidar)[:2]
-            yield message
+        try:
+            for message in self._odometry_first():
+                if isinstance(message, Scan):
+                    self._outputs.lidar = lidar_mount(message, self._lidar)[:2]
+                yield message
+        except _SaveRequestedError:
+            return
         if not self._keep:
             raise DiscardedError
 
-    def _report_missing(self) -> None:
-        """Print what is missing when that changes."""
+    def _odometry_first(self) -> Iterator[Message]:
+        """Yield the messages; the first one is odometry, whose stamp tells whether time goes on after the session."""
+        held: list[Message] | None = []
+        after = float("-inf") if self._session is None else self._session.latest
+        for message in receive_messages(self._receiver, self._duration, self._after_each):
+            if held is None:
+                yield message
+            elif isinstance(message, Odometry):
+                self._outputs.shift = shift_after(message.stamp, after)
+                yield from (message, *held)
+                held = None
+            else:
+                held = [*held[-MAX_WAITING_SCANS:], message]
+        yield from held or ()
+
+    def _after_each(self) -> None:
+        """End the run if a service requests it; print what is missing when that changes."""
+        if isinstance(self._control.pending, Restart):
+            raise RestartRequestedError
+        if isinstance(self._control.pending, Save):
+            raise _SaveRequestedError
         missing = self._receiver.missing()
         if missing != self._missing:
             news = [line for line in missing if line not in self._missing]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ from drivers.recordings.ros_messages import (
     planar_pose,
     planar_transform,
     scan_of,
+    type_store,
 )
 from drivers.ros2 import receiver, selection
 from drivers.ros2.encoder import GRID, MARKERS, POSE_WITH_COVARIANCE
@@ -37,12 +39,13 @@ from slam.io.tum import read_tum
 
 from ...memory_link import MemoryLink
 
-WORLD = "sim:office?duration=20&lidar=short"
+WORLD = "sim:office?duration=12&lidar=short"
 START = 1000.0
 """Stamp of the first message, seconds."""
 MOUNT = [0.1, 0.0, 0.0]
 """Pose of the lidar on the simulated robot."""
 TIMEOUT = 0.5
+SCANS_BEFORE_CALL = 40
 PATIENCE = 60.0
 """Seconds to wait for the node."""
 
@@ -63,6 +66,7 @@ class NodeRun:
 
     link: MemoryLink
     output: str
+    responses: dict[str, Any]
     online: Path
     offline: Path
     robot: list[Published]
@@ -103,8 +107,12 @@ class OpenedReceiver(RosReceiver):
         OpenedReceiver.last = self
 
 
-def feed(link: MemoryLink, robot: list[Published]) -> None:
-    """Publish the robot's messages as fast as the node answers its scans, then end the run."""
+def feed(link: MemoryLink, robot: list[Published], calls: dict[int, Callable[[], None]], patience: float) -> None:
+    """Publish the robot's messages as fast as the node answers its scans, then end the run.
+
+    calls     called after as many scans
+    patience  seconds to wait for an answer; a lost robot gives none
+    """
     puts = {item.topic: link.publish(item.topic, item.msgtype, STATIC_TRANSFORMS) for item in robot}
     with link.changed:
         link.changed.wait_for(lambda: "/scan" in link.received, PATIENCE)
@@ -113,8 +121,35 @@ def feed(link: MemoryLink, robot: list[Published]) -> None:
         puts[item.topic](item.data)
         scans += item.topic == "/scan"
         with link.changed:  # the last scan waits for odometry
-            link.changed.wait_for(lambda wanted=scans - 2: len(link.sent["/pose"]) >= wanted, PATIENCE)
+            link.changed.wait_for(lambda wanted=scans - 2: len(link.sent["/pose"]) >= wanted, patience)
+        if item.topic == "/scan" and scans in calls:
+            calls[scans]()
     OpenedReceiver.last.stop()
+
+
+def run_node(
+    link: MemoryLink,
+    robot: list[Published],
+    out: Path,
+    calls: dict[int, Callable[[], None]],
+    patience: float = PATIENCE,
+) -> str:
+    """Run `wclm ros` on the robot's messages; return what it printed."""
+    parameters = out.with_suffix(".yaml")
+    parameters.write_text(
+        "slam_toolbox:\n  ros__parameters:\n    base_frame: base_link\n    map_update_interval: 0.2\n"
+        f"    transform_timeout: {TIMEOUT}\n    solver_plugin: solver_plugins::CeresSolver\n"
+    )
+    feeder = threading.Thread(target=feed, args=(link, robot, calls, patience), daemon=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(selection, "open_link", lambda names, backend: link)
+        patch.setattr(receiver, "RosReceiver", OpenedReceiver)
+        feeder.start()
+        arguments = ["--out", str(out), "--no-review", "--ros-args", "--params-file", str(parameters)]
+        result = CliRunner().invoke(app, ["ros", *arguments])
+    assert result.exit_code == 0, result.output
+    feeder.join(PATIENCE)
+    return result.output
 
 
 @pytest.fixture(scope="module")
@@ -122,25 +157,21 @@ def node_run(tmp_path_factory: pytest.TempPathFactory) -> NodeRun:
     folder = tmp_path_factory.mktemp("node")
     recording = folder / "office.mcap"
     record_office(recording)
-    runner = CliRunner()
-    offline = runner.invoke(app, ["run", str(recording), "--out", str(folder / "offline"), "--no-review"])
+    arguments = ["run", str(recording), "--out", str(folder / "offline"), "--no-review"]
+    offline = CliRunner().invoke(app, arguments)
     assert offline.exit_code == 0, offline.output
-    link, robot = MemoryLink(), robot_messages(recording)
-    parameters = folder / "slam.yaml"
-    parameters.write_text(
-        "slam_toolbox:\n  ros__parameters:\n    base_frame: base_link\n    map_update_interval: 0.2\n"
-        f"    transform_timeout: {TIMEOUT}\n    solver_plugin: solver_plugins::CeresSolver\n"
-    )
-    feeder = threading.Thread(target=feed, args=(link, robot), daemon=True)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(selection, "open_link", lambda names, backend: link)
-        patch.setattr(receiver, "RosReceiver", OpenedReceiver)
-        feeder.start()
-        arguments = ["--out", str(folder / "online"), "--no-review", "--ros-args", "--params-file", str(parameters)]
-        online = runner.invoke(app, ["ros", *arguments])
-    assert online.exit_code == 0, online.output
-    feeder.join(PATIENCE)
-    return NodeRun(link, online.output, folder / "online", folder / "offline", robot)
+    link, responses = MemoryLink(), {}
+
+    def call_services() -> None:
+        service = "/slam_toolbox/"
+        responses["grid"] = link.call(f"{service}dynamic_map").map
+        name = type_store("cdr").types["std_msgs/msg/String"](str(folder / "picture"))
+        responses["save"] = link.call(f"{service}save_map", name=name).result
+        responses["paused"] = [link.call(f"{service}pause_new_measurements").status for _ in range(2)]
+
+    robot = robot_messages(recording)
+    output = run_node(link, robot, folder / "online", {40: call_services})
+    return NodeRun(link, output, responses, folder / "online", folder / "offline", robot)
 
 
 def sent(run: NodeRun, topic: str, msgtype: str) -> list[Any]:
@@ -154,6 +185,42 @@ def seconds(stamp: Any) -> float:
 def test_results_are_those_of_the_recording_byte_for_byte(node_run: NodeRun) -> None:
     for name in (TRAJECTORY, MAP, KEYFRAMES):
         assert (node_run.online / name).read_bytes() == (node_run.offline / name).read_bytes()
+
+
+def test_services_answer(node_run: NodeRun) -> None:
+    grid = node_run.responses["grid"]
+    assert grid.info.width * grid.info.height == len(grid.data) > 100
+    assert node_run.responses["paused"] == [True, False]
+    assert node_run.responses["save"] == 0
+    assert {path.name for path in node_run.online.parent.glob("picture.*")} == {"picture.pgm", "picture.yaml"}
+
+
+def test_a_run_is_saved_continued_discarded_and_begun_in_a_map(node_run: NodeRun, tmp_path: Path) -> None:
+    link, saved, results = MemoryLink(), tmp_path / "saved", []
+    robot = [item for item in node_run.robot if item.arrival < START + 8.0]
+
+    def save() -> None:
+        results.append(link.call("/slam_toolbox/serialize_map", filename=str(saved)).result)
+        results.append(link.call("/slam_toolbox/serialize_map", filename="").result)
+
+    def begin_in_map() -> None:
+        link.call("/slam_toolbox/deserialize_map", filename=str(tmp_path / "nothing"), match_type=1)
+        link.call("/slam_toolbox/deserialize_map", filename=str(saved), match_type=1)
+
+    def reset() -> None:
+        results.append(link.call("/slam_toolbox/reset", pause_new_measurements=False).result)
+
+    output = run_node(link, robot, tmp_path / "end", {10: save, 15: begin_in_map, 20: reset}, patience=0.02)
+    assert results == [0, 255, 0]
+    assert f"wclm: deserialize_map: {tmp_path / 'nothing'}: is not a directory" in output
+    assert output.count("the map is discarded; a new run begins") == 2
+    whole = read_tum(node_run.online / TRAJECTORY)
+    first = read_tum(saved / TRAJECTORY)
+    assert first.stamps[-1] < START + 2.5
+    assert first.poses == pytest.approx(whole.poses[: len(first.poses)], abs=0.02)
+    scans = [item for item in robot if item.topic == "/scan"]
+    last = read_tum(tmp_path / "end" / TRAJECTORY)
+    assert last.stamps[0] > scans[19].arrival - 1.0
 
 
 def test_every_scan_is_answered_with_its_pose(node_run: NodeRun) -> None:
