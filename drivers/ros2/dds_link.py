@@ -44,6 +44,7 @@ class DdsLink:
         except DDSException as error:
             raise DriverError(f"Cyclone DDS: {' '.join(str(error).split())}") from error
         self._topics: dict[str, Topic[Any]] = {}
+        self._writers: list[DataWriter[Any]] = []  # an entity ends when it is garbage
         self._subscriptions: list[tuple[DataReader[Any], ReadCondition, Receive]] = []
         self._waiting, self._ended = WaitSet(self._participant), threading.Event()
         self._thread = threading.Thread(target=self._receive, name="dds", daemon=True)
@@ -52,6 +53,7 @@ class DdsLink:
     def publish(self, topic: str, msgtype: str, qos: QoS) -> Put:
         """Advertise a topic, see `Link`."""
         writer: DataWriter[Any] = DataWriter(self._participant, self._topic(topic, msgtype), _policies(msgtype, qos))
+        self._writers.append(writer)
         kind = dds_type(msgtype)
 
         def put(data: bytes) -> None:
@@ -76,6 +78,7 @@ class DdsLink:
         self._ended.set()
         self._thread.join()
         self._subscriptions.clear()
+        self._writers.clear()
         self._topics.clear()
         del self._waiting, self._participant
 
