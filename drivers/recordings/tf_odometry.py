@@ -18,11 +18,14 @@ class TransformOdometry:
     base_frame      frame whose pose is wanted. If the odometry moves another frame, for example base_footprint
                     instead of base_link, fixed transforms must connect the two
     fixed           tree with the fixed transforms
+
+    others  frames that the odometry moves, but which nothing connects with the base
     """
 
     def __init__(self, odometry_frame: str, base_frame: str, fixed: TransformTree) -> None:
         self._odometry_frame, self._base_frame = normalize_frame(odometry_frame), normalize_frame(base_frame)
         self._fixed = fixed
+        self.others: set[str] = set()
 
     def readings(self, message: Any, received: int) -> list[Odometry]:
         """Return the readings in a TFMessage; raises ValueError if a transform is invalid.
@@ -32,8 +35,11 @@ class TransformOdometry:
         readings = []
         for stamped in message.transforms:
             if normalize_frame(stamped.header.frame_id) == self._odometry_frame:
-                offset = self._base_in(normalize_frame(stamped.child_frame_id))
-                if offset is not None:
+                child = normalize_frame(stamped.child_frame_id)
+                offset = self._base_in(child)
+                if offset is None:
+                    self.others.add(child)
+                else:
                     pose = planar_transform(stamped.transform)
                     moved = pose if offset is IN_PLACE else se2.compose(pose, offset)
                     readings.append(Odometry(stamp_of(stamped.header, received), moved))

@@ -129,13 +129,19 @@ class RosReceiver:
         if now - silence.scan > SILENCE:
             lines.append(f"no scans on {inputs.scan}")
         if now - silence.odometry > SILENCE:
-            wanted = f"transform {inputs.odometry_frame} -> {inputs.base_frame} on {inputs.transforms}"
-            lines.append(f"no odometry: no message on {inputs.odometry}" if inputs.odometry else f"no {wanted}")
+            lines.append(self._missing_odometry())
         if max(self._older.values(), default=0) >= CLOCK_CONFIRMATIONS:
             lines.append("the clock was set back; messages are dropped until it has caught up: start the node again")
         for frame in sorted(silence.unconnected):
             lines.append(f"no transform {inputs.base_frame} -> {frame}; scans are dropped until there is one")
         return lines
+
+    def _missing_odometry(self) -> str:
+        inputs, others = self.inputs, sorted(self._tf_odometry.others)
+        if inputs.odometry:
+            return f"no odometry on {inputs.odometry}"
+        hint = f", but to {', '.join(others)}: is base_frame set correctly?" if others else ""
+        return f"no transform {inputs.odometry_frame} -> {inputs.base_frame} on {inputs.transforms}{hint}"
 
     def _subscribe(self, link: Link, topic: str, msgtype: str, add: Callable[[Any, int], None], qos: QoS) -> None:
         def receive(data: bytes) -> None:

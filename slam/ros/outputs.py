@@ -27,7 +27,7 @@ from drivers.ros2.names import NodeNames
 
 from ..events import Event, Finished, KeyframeAdded, MapUpdated, Notice, ScanTracked, StateChanged, SuspectFound
 from ..geometry.segments import Floats
-from ..io.exports import Occupancy
+from ..io.exports import Occupancy, OccupancyGrid, PlacedScan
 from ..localisation.state import LocalisationStatus
 from ..mapping.map_features import MapCorners, MapWalls
 from .live_grid import LiveGrid
@@ -192,6 +192,19 @@ class NodeOutputs:
         grid = message_grid(occupancy)
         self._put_grid(self._encoder.grid(stamp, self._parameters.map_frame, grid))
         self._put_grid_info(self._encoder.grid_info(stamp, grid))
+
+
+def warm_up() -> None:
+    """Draw a grid and encode a message of each type, which compiles or loads what that needs."""
+    drawn = OccupancyGrid(1.0)
+    drawn.add(PlacedScan(0.0, np.zeros(2), np.ones((1, 2))))
+    encoder, grid, pose = NodeEncoder(), message_grid(drawn.occupancy()), np.zeros(3)
+    encoder.grid(0.0, "", grid)
+    encoder.grid_info(0.0, grid)
+    encoder.pose(0.0, "", pose, np.zeros((3, 3)))
+    encoder.transform(0.0, "", "", pose)
+    encoder.markers(0.0, "", [Drawing("", Shape.POINTS, np.zeros((1, 2)), 0.0, PATH_COLOUR)])
+    encoder.status(0.0, "", Level.OK, "", {})
 
 
 def message_grid(occupancy: Occupancy) -> Grid:

@@ -122,11 +122,12 @@ def _start(link: Link, names: NodeNames, parameters: NodeParameters, start: RunS
     """Advertise and subscribe to all topics, and offer the services."""
     from drivers.ros2.receiver import RosReceiver
 
-    from ...ros.outputs import NodeOutputs
+    from ...ros.outputs import NodeOutputs, warm_up
     from ..compilation import compile_all
     from .ros_node import RosNode
 
     compile_all()
+    warm_up()
     outputs = NodeOutputs(link, names, parameters)
     receiver = RosReceiver(link, _inputs(names, parameters, start), outputs.publish_transform)
     receiver.paused = parameters.paused_new_measurements

@@ -119,6 +119,8 @@ def test_missing_topics_are_named(link: MemoryLink, monkeypatch: pytest.MonkeyPa
     assert receiver.missing() == []
     now += receiver_module.SILENCE + 1.0
     assert receiver.missing() == ["no scans on /scan", "no transform odom -> base_footprint on /tf"]
+    robot.move(2.0, np.zeros(3), child="base_link")
+    assert receiver.missing()[1].endswith("on /tf, but to base_link: is base_frame set correctly?")
 
 
 def test_busy_consumer_loses_the_oldest_scans_and_no_odometry(link: MemoryLink, robot: Robot) -> None:
