@@ -32,8 +32,10 @@ class QoS:
     latched: bool = False
 
 
-SENSOR_DATA = QoS(depth=5, reliable=False)
-"""Of scans and odometry. It is compatible with publishers of either reliability."""
+SENSOR_DATA = QoS(depth=50, reliable=False)
+"""Of scans and odometry. It is compatible with publishers of either reliability. ROS 2's own depth of 5 loses scans of
+a fast lidar whenever the computer is busy for an eighth of a second.
+"""
 MOVING_TRANSFORMS = QoS(depth=100)
 """Of /tf, as in tf2."""
 STATIC_TRANSFORMS = QoS(depth=100, latched=True)
@@ -63,7 +65,7 @@ class Link(Protocol):
 
     def serve(self, service: str, srvtype: str, answer: Answer) -> None:
         """Offer an absolute service of a type, for example nav_msgs/srv/GetMap, of which `type_store` has the request
-        and the response.
+        and the response. Raises DriverError if that is not possible.
         """
         ...
 

@@ -12,6 +12,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.signals import SignalHandlerOptions
 from rosidl_runtime_py.utilities import get_message, get_service
 
+from ..errors import DriverError
 from .link import Answer, Put, QoS, Receive
 from .names import NodeNames
 
@@ -43,8 +44,11 @@ class RclpyLink:
         self._node.create_subscription(get_message(msgtype), topic, receive, _profile(qos), raw=True)
 
     def serve(self, service: str, srvtype: str, answer: Answer) -> None:
-        """Offer a service, see `Link`."""
-        kind = get_service(srvtype)
+        """Offer a service, see `Link`; raises DriverError if the package of its type is not installed."""
+        try:
+            kind = get_service(srvtype)
+        except (ImportError, AttributeError, LookupError, ValueError) as error:
+            raise DriverError(f"{service}: {srvtype} is not installed in ROS 2") from error
 
         def call(request: Any, _: Any) -> Any:
             return deserialize_message(answer(bytes(serialize_message(request))), kind.Response)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from drivers.errors import SlamError
+from drivers.errors import DriverError, SlamError
 from drivers.ros2 import services
 from drivers.ros2.encoder import NodeEncoder
 from drivers.ros2.link import Link
@@ -34,7 +34,7 @@ class Receiver(Protocol):
 
 
 class NodeServices:
-    """Services of a node, offered from construction on.
+    """Services of a node, offered from construction on; one that the link cannot offer is reported.
 
     current_grid  returns the stamp of the map and its occupancy grid; None if there is none yet
     read_session  reads the session in a directory; raises SlamError
@@ -64,7 +64,10 @@ class NodeServices:
             ("pause_new_measurements", services.PAUSE, self._pause),
             ("reset", services.RESET, self._reset),
         ):
-            link.serve(names.resolve(f"slam_toolbox/{name}"), srvtype, self._answer(srvtype, call))
+            try:
+                link.serve(names.resolve(f"slam_toolbox/{name}"), srvtype, self._answer(srvtype, call))
+            except DriverError as error:
+                report(f"service is not offered: {error}")
 
     def _answer(self, srvtype: str, call: Callable[[Any], dict[str, Any]]) -> Callable[[bytes], bytes]:
         return lambda request: encode_response(srvtype, call(decode_request(srvtype, request)))
