@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from drivers.messages import Message
     from drivers.ros2.receiver import RosReceiver
 
-    from ...config import Config, LidarConfig
+    from ...config import Config
     from ...events import Sink
-    from ...io.sessions import StoredSession
     from ...ros.outputs import NodeOutputs
     from ...ros.run_control import RunControl
+    from ..slam_run import RunSetup
 
 STOP_MESSAGE = "stopping; Ctrl-C again discards the map"
 
@@ -39,8 +39,7 @@ class _SaveRequestedError(Exception):
 class RosInput:
     """A `RunInput` from ROS 2, which reports missing topics and transforms.
 
-    lidar     settings of the lidar
-    session   session that the run continues, if any
+    start     settings, and the session that the run continues, if any
     duration  seconds; None: until a signal arrives
     keep      false: the run is discarded at its end, by DiscardedError
     control   requests that end the run: a restart by RestartRequestedError, saving normally
@@ -53,8 +52,7 @@ class RosInput:
         self,
         receiver: RosReceiver,
         outputs: NodeOutputs,
-        lidar: LidarConfig,
-        session: StoredSession | None,
+        start: RunSetup,
         *,
         duration: float | None,
         keep: bool,
@@ -64,7 +62,7 @@ class RosInput:
         self.name = f"ROS 2: {receiver.inputs.scan}"
         self.sinks: Sequence[Sink] = (*sinks, outputs)
         self._receiver = receiver
-        self._outputs, self._lidar, self._session = outputs, lidar, session
+        self._outputs, self._start = outputs, start
         self._duration, self._keep, self._control = duration, keep, control
         self._missing: list[str] = []
 
@@ -76,7 +74,7 @@ class RosInput:
     @contextmanager
     def opened(self) -> Iterator[Iterable[Message]]:
         """Provide the messages that arrive from now on, until SIGINT or SIGTERM."""
-        self._outputs.begin(self._session)
+        self._outputs.begin(self._start.resumed)
         try:
             with stop_on_signals(self._receiver, STOP_MESSAGE):
                 yield self._messages()
@@ -95,7 +93,7 @@ class RosInput:
         try:
             for message in self._odometry_first():
                 if isinstance(message, Scan):
-                    self._outputs.lidar = lidar_mount(message, self._lidar)[:2]
+                    self._outputs.lidar = lidar_mount(message, self._start.config.lidar)[:2]
                 yield message
         except _SaveRequestedError:
             return
@@ -105,7 +103,8 @@ class RosInput:
     def _odometry_first(self) -> Iterator[Message]:
         """Yield the messages; the first one is odometry, whose stamp tells whether time goes on after the session."""
         held: list[Message] | None = []
-        after = float("-inf") if self._session is None else self._session.latest
+        session = self._start.resumed
+        after = float("-inf") if session is None else session.latest
         for message in receive_messages(self._receiver, self._duration, self._after_each):
             if held is None:
                 yield message
@@ -122,7 +121,10 @@ class RosInput:
         if isinstance(self._control.pending, Restart):
             raise RestartRequestedError
         if isinstance(self._control.pending, Save):
-            raise _SaveRequestedError
+            if not self._start.frozen:
+                raise _SaveRequestedError
+            print_message("serialize_map: the map is only localised in and does not change; nothing is written")
+            self._control.answer(False)
         missing = self._receiver.missing()
         if missing != self._missing:
             news = [line for line in missing if line not in self._missing]

@@ -67,8 +67,7 @@ class RosNode:
         run_input = RosInput(
             self.receiver,
             self.outputs,
-            start.config.lidar,
-            start.resumed,
+            start,
             duration=duration,
             keep=keep,
             control=self.control,
@@ -96,10 +95,7 @@ class RosNode:
         return RunSetup(start.config, request.session, request.frozen)
 
     def _saved(self, start: RunSetup, target: Path) -> RunSetup:
-        """Copy the finished run to where it was requested; return the setup of the run that continues it.
-
-        A frozen run has no session of its own and continues with the one that it had.
-        """
+        """Copy the finished run to where it was requested; return the setup of the run that continues it."""
         request = self.control.pending
         assert isinstance(request, Save)
         succeeded = False
@@ -110,7 +106,6 @@ class RosNode:
             succeeded = True
         except (SlamError, OSError) as error:
             print_message(f"serialize_map: {error}")
-        if not start.frozen:
-            start = replace(start, resumed=read_session(target))
+        following = replace(start, resumed=read_session(target))
         self.control.answer(succeeded)
-        return start
+        return following

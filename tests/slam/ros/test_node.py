@@ -205,14 +205,16 @@ def test_a_run_is_saved_continued_discarded_and_begun_in_a_map(node_run: NodeRun
 
     def begin_in_map() -> None:
         link.call("/slam_toolbox/deserialize_map", filename=str(tmp_path / "nothing"), match_type=1)
-        link.call("/slam_toolbox/deserialize_map", filename=str(saved), match_type=1)
+        link.call("/slam_toolbox/deserialize_map", filename=str(saved), match_type=3)
+        results.append(link.call("/slam_toolbox/serialize_map", filename=str(tmp_path / "unchanged")).result)
 
     def reset() -> None:
         results.append(link.call("/slam_toolbox/reset", pause_new_measurements=False).result)
 
     output = run_node(link, robot, tmp_path / "end", {10: save, 15: begin_in_map, 20: reset}, patience=0.02)
-    assert results == [0, 255, 0]
+    assert results == [0, 255, 255, 0]
     assert f"wclm: deserialize_map: {tmp_path / 'nothing'}: is not a directory" in output
+    assert not (tmp_path / "unchanged").exists()
     assert output.count("the map is discarded; a new run begins") == 2
     whole = read_tum(node_run.online / TRAJECTORY)
     first = read_tum(saved / TRAJECTORY)
