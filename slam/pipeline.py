@@ -89,7 +89,10 @@ class Slam:
     # --- input
 
     def add(self, message: Message) -> None:
-        """Add the next message. A scan is processed once odometry covers its sweep."""
+        """Add the next message. A scan is processed once odometry covers its sweep.
+
+        Scans must come in the order of their stamps, and odometry too; a scan may come after later odometry.
+        """
         message = delay_odometry(message, self.config.lidar.delay or 0.0)
         if isinstance(message, GroundTruth):
             self._publisher.publish(GroundTruthReceived(message.stamp, message.pose))

@@ -15,13 +15,16 @@ CONFINED = {
     "rerun": "slam/visualisation/rerun_log",
     "serial": "drivers",
     "distributed": "slam/offline/batch",
+    "zenoh": "drivers/ros2",
+    "cyclonedds": "drivers/ros2",
+    "rclpy": "drivers/ros2",
 }
 """Libraries and the one folder that may import them."""
 
 LAYERS = (
     "errors", "extras", "config", "geometry", "graph", "odometry", "mapping", "matching", "preprocessing",
     "localisation", "loop_closure", "checks", "events", "estimation", "run_statistics", "io", "run_snapshot",
-    "publisher", "pipeline", "optimisation", "warmup", "offline", "evaluation", "visualisation", "cli",
+    "publisher", "pipeline", "optimisation", "warmup", "offline", "evaluation", "visualisation", "ros", "cli",
 )  # fmt: skip
 """Packages and modules of `slam`, from bottom to top: each may import those before it."""
 

@@ -13,7 +13,7 @@ from threading import Condition, Thread
 from ..errors import RecordingError
 from ..messages import Message, Scan, end_stamp
 from ..recordings.mcap import McapWriter
-from ..recordings.ros_messages import Diagnostic
+from ..recordings.ros_encoder import Diagnostic
 from .snapshot import RecordingStatus, Snapshot
 from .supervisor import DeviceState
 

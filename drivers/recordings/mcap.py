@@ -26,6 +26,7 @@ from ..errors import RecordingError
 from ..messages import GroundTruth, Message, Odometry, Scan
 from ..timestamps import to_nanoseconds
 from .decompression import DecompressionError, decompress
+from .ros_encoder import BASE_FRAME, ODOMETRY_FRAME, Diagnostic, RosEncoder
 from .ros_messages import (
     BEAMS,
     DIAGNOSTICS,
@@ -33,14 +34,13 @@ from .ros_messages import (
     ODOMETRY,
     POSE,
     TRANSFORMS,
-    Diagnostic,
     LidarMount,
-    RosEncoder,
     decode,
     scan_of,
 )
-from .ros_reader import BEAMS_TOPIC, GROUND_TRUTH_TOPIC, MESSAGE_TYPES, RosReader, StoredMessage
+from .ros_reader import BEAMS_TOPIC, GROUND_TRUTH_TOPIC, MESSAGE_TYPES, RosReader
 from .stamp_units import is_valid_stamp
+from .stored_messages import StoredMessage
 
 FLUSH_PERIOD = 0.5
 """Seconds of wall time between flushes; flushed messages survive a killed process or a power failure."""
@@ -208,6 +208,8 @@ class McapWriter:
     def _write(self, message: Message, stamp: int) -> None:
         if isinstance(message, Odometry):
             self._add("/odom", ODOMETRY, stamp, self._encoder.odometry(message))
+            moved = self._encoder.transform(message.stamp, ODOMETRY_FRAME, BASE_FRAME, message.pose)
+            self._add("/tf", TRANSFORMS, stamp, moved)  # viewers place scans by it
         elif isinstance(message, GroundTruth):
             self._add(GROUND_TRUTH_TOPIC, POSE, stamp, self._encoder.ground_truth(message))
         else:
@@ -223,7 +225,7 @@ class McapWriter:
             count = len(self._frames)
             self._frames[key] = "laser" if count == 0 else f"laser_{count + 1}"
             if scan.mount is not None:
-                data = self._encoder.mount(scan.stamp, scan.mount, self._frames[key])
+                data = self._encoder.transform(scan.stamp, BASE_FRAME, self._frames[key], scan.mount)
                 self._add("/tf_static", TRANSFORMS, stamp, data)
         return self._frames[key]
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from .. import se2
 from ..errors import RecordingError
-from ..messages import GroundTruth, Message, Odometry, Scan
+from ..messages import GroundTruth, Message, Scan
 from ..se2 import Pose
 from .no_returns import SpreadSample, find_no_return
 from .range_units import ScanInUnits, find_range_unit
@@ -37,6 +37,7 @@ from .ros_messages import (
     stamp_of,
 )
 from .scan_topics import ScanTopic, choose_scan_topic
+from .stored_messages import OdometryTopic, StoredMessage, find_odometry_frames
 from .transforms import TransformTree
 
 GROUND_TRUTH_TOPIC = "/ground_truth"
@@ -44,24 +45,6 @@ BEAMS_TOPIC = "/scan_beams"
 MESSAGE_TYPES = frozenset({LASER_SCAN, ODOMETRY, POSE, BEAMS, TRANSFORMS, TRANSFORMS_ROS1})
 MAX_TF_MESSAGES = 1000
 """Messages on /tf that are searched for the lidar's mount, which older robots publish there repeatedly."""
-
-
-@dataclass(frozen=True, slots=True)
-class StoredMessage:
-    """Serialised ROS message of a recording.
-
-    number    1-based
-    msgtype   ROS type name, as ROS 2 writes it
-    encoding  cdr or ros1
-    received  time of reception, nanoseconds
-    """
-
-    number: int
-    topic: str
-    msgtype: str
-    encoding: str
-    received: int
-    data: bytes
 
 
 @dataclass(slots=True)
@@ -132,7 +115,9 @@ class RosReader(RecordingReader):
         scans, reason = self._chosen_scan_topic
         if reason is not None:
             self.interpret(reason)
-        odometry = self._choose_topic(contents, ODOMETRY, self.odometry_topic)
+        odometry = self._odometry
+        if odometry.frames is not None:
+            self.interpret(f"odometry from the transforms {' -> '.join(odometry.frames)} on /tf")
         readings = [ranges_of(message) for message, _ in contents.sample(scans)]
         per_metre = find_range_unit(readings, self._drive(scans, odometry, contents), self)
         no_return = contents.find_no_return(scans, per_metre)
@@ -146,8 +131,9 @@ class RosReader(RecordingReader):
                     scan = self._scan(stored, beams, contents, mounts, per_metre, no_return)
                     beams = None
                     yield stored.number, scan
-                elif stored.msgtype == ODOMETRY and stored.topic == odometry:
-                    yield stored.number, _odometry(stored)
+                elif odometry.is_in(stored):
+                    for reading in odometry.readings(stored):
+                        yield stored.number, reading
                 elif stored.msgtype == POSE and stored.topic == GROUND_TRUTH_TOPIC:
                     pose = decode(stored.data, POSE, stored.encoding)
                     yield stored.number, GroundTruth(stamp_of(pose.header, stored.received), planar_pose(pose.pose))
@@ -174,13 +160,13 @@ class RosReader(RecordingReader):
         scan = scan_of(message, stored.received, mounts[frame], per_metre)
         return replace(scan, ranges=np.where(scan.ranges < no_return, scan.ranges, np.nan))
 
-    def _drive(self, scans: str | None, odometry: str | None, contents: _Contents) -> Iterator[ScanInUnits]:
+    def _drive(self, scans: str | None, odometry: OdometryTopic, contents: _Contents) -> Iterator[ScanInUnits]:
         """Yield all scans of a topic in the recording's order and in their own unit, with the odometry before them."""
         base: Pose | None = None
         for stored in self._stored_messages(final=False):
             with suppress(ValueError):  # counted on the final pass
-                if stored.msgtype == ODOMETRY and stored.topic == odometry:
-                    base = _odometry(stored).pose
+                if odometry.is_in(stored):
+                    base = next((reading.pose for reading in odometry.readings(stored)), base)
                 elif stored.msgtype == LASER_SCAN and stored.topic == scans and base is not None:
                     message = replace(decode(stored.data, LASER_SCAN, stored.encoding), range_min=0.0, range_max=0.0)
                     mount = contents.find_mount(message.header.frame_id)
@@ -227,6 +213,17 @@ class RosReader(RecordingReader):
                     candidates[stored.topic].add(scan_of(message, stored.received, LidarMount()))
         return choose_scan_topic(list(candidates.values()))
 
+    @cached_property
+    def _odometry(self) -> OdometryTopic:
+        """Topic with odometry; transforms if there are no messages of the type Odometry."""
+        contents = self._contents
+        topic = self._choose_topic(contents, ODOMETRY, self.odometry_topic)
+        if topic is not None or not contents.counts.keys() & {TRANSFORMS, TRANSFORMS_ROS1}:
+            return OdometryTopic(topic)
+        frames = find_odometry_frames(self._stored_messages(final=False))
+        contents.base = contents.base if frames is None else frames[1]
+        return OdometryTopic(None, frames)
+
     def _choose_topic(self, contents: _Contents, msgtype: str, named: str | None) -> str | None:
         topics = contents.counts.get(msgtype, Counter())
         if named is None:
@@ -238,8 +235,3 @@ class RosReader(RecordingReader):
 
     def _empty_reason(self) -> str:
         return f"contains no readable {LASER_SCAN} and no {ODOMETRY}"
-
-
-def _odometry(stored: StoredMessage) -> Odometry:
-    message = decode(stored.data, ODOMETRY, stored.encoding)
-    return Odometry(stamp_of(message.header, stored.received), planar_pose(message.pose.pose))

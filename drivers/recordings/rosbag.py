@@ -11,8 +11,9 @@ from rosbags.rosbag2 import Reader as Reader2
 from ..errors import RecordingError
 from .decompression import DecompressionError
 from .ros_messages import LASER_SCAN, ODOMETRY, POSE
-from .ros_reader import MESSAGE_TYPES, RosReader, StoredMessage
+from .ros_reader import MESSAGE_TYPES, RosReader
 from .rosbag_limits import limit_rosbags
+from .stored_messages import StoredMessage
 
 limit_rosbags()
 

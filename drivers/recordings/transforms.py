@@ -51,30 +51,28 @@ class TransformTree:
         The base is the child frame of the odometry (`odometry_child`), else one of BASE_FRAMES. The mount's heading is
         the direction of the lidar's x axis, seen from above.
         """
-        stored = self._stored_mount(frame, odometry_child)
-        if stored is not None:
-            return LidarMount(stored)
-        root, lidar = self._from_root(normalize_frame(frame))
-        for base in (normalize_frame(odometry_child or ""), *BASE_FRAMES):
-            base_root, base_pose = self._from_root(base)
-            is_known = base in self._parents or base in {link.parent for link in self._parents.values()}
-            if base_root != root or not is_known:
-                continue
-            relative = np.linalg.inv(base_pose) @ lidar
-            heading = float(np.arctan2(relative[1, 0], relative[0, 0]))
-            mount = np.array([relative[0, 3], relative[1, 3], _without_pi(heading)])
-            mount.flags.writeable = False
-            return LidarMount(mount, upside_down=bool(relative[2, 2] < 0.0))
-        return LidarMount()
+        frame, child = normalize_frame(frame), normalize_frame(odometry_child or "")
+        for base in (child,) if child else BASE_FRAMES:
+            if (stored := self._stored_mount(base, frame)) is not None:
+                return LidarMount(stored)
+        chained = (self._chained_mount(base, frame) for base in (child, *BASE_FRAMES))
+        return next((mount for mount in chained if mount is not None), LidarMount())
 
-    def _stored_mount(self, frame: str, odometry_child: str | None) -> Pose | None:
-        """Return the mount bit for bit as stored if a single planar transform connects lidar and base, else None.
+    def mount_on(self, base: str, frame: str) -> LidarMount:
+        """Return the mount of a frame on this base and no other; unknown if no chain of transforms connects them."""
+        base, frame = normalize_frame(base), normalize_frame(frame)
+        if base == frame:
+            return LidarMount(np.zeros(3))
+        stored = self._stored_mount(base, frame)
+        return LidarMount(stored) if stored is not None else self._chained_mount(base, frame) or LidarMount()
+
+    def _stored_mount(self, base: str, frame: str) -> Pose | None:
+        """Return the mount bit for bit as stored if a single planar transform connects frame and base, else None.
 
         Products of matrices would round it.
         """
-        link = self._parents.get(normalize_frame(frame))
-        bases = {normalize_frame(odometry_child)} if odometry_child else set(BASE_FRAMES)
-        if link is None or link.parent not in bases:
+        link = self._parents.get(frame)
+        if link is None or link.parent != base:
             return None
         transform = link.transform
         if transform.rotation.x != 0.0 or transform.rotation.y != 0.0:
@@ -82,6 +80,18 @@ class TransformTree:
         mount = np.array([transform.translation.x, transform.translation.y, heading_of(transform.rotation)])
         mount.flags.writeable = False
         return mount
+
+    def _chained_mount(self, base: str, frame: str) -> LidarMount | None:
+        root, lidar = self._from_root(frame)
+        base_root, base_pose = self._from_root(base)
+        is_known = base in self._parents or base in {link.parent for link in self._parents.values()}
+        if base_root != root or not is_known:
+            return None
+        relative = np.linalg.inv(base_pose) @ lidar
+        heading = float(np.arctan2(relative[1, 0], relative[0, 0]))
+        mount = np.array([relative[0, 3], relative[1, 3], _without_pi(heading)])
+        mount.flags.writeable = False
+        return LidarMount(mount, upside_down=bool(relative[2, 2] < 0.0))
 
     def _from_root(self, frame: str) -> tuple[str, Floats]:
         """Return the root of a frame's tree, and the frame's pose in the root, a (4, 4) matrix."""

@@ -1,4 +1,4 @@
-"""Receiving messages from running devices until a time is over or a signal arrives."""
+"""Receiving messages from running devices or from ROS 2 until a time is over or a signal arrives."""
 
 from __future__ import annotations
 
@@ -7,42 +7,55 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from .console import print_message
 from .signals import detach_from_terminal, ending_signals
 
 if TYPE_CHECKING:
-    from drivers.devices.acquisition import Acquisition
-    from drivers.devices.snapshot import Snapshot
     from drivers.messages import Message
 
 RECEIVE_TIMEOUT = 0.1
-"""Seconds to wait for a message before the snapshot and the end of the duration are checked again."""
+"""Seconds to wait for a message before the end of the duration is checked again."""
 
 
-def receive_messages(
-    acquisition: Acquisition, seconds: float | None, on_snapshot: Callable[[Snapshot], None]
-) -> Iterator[Message]:
-    """Yield the messages of the devices until they are stopped.
+class Receiver(Protocol):
+    """Receiver of messages that arrive while it runs."""
 
-    They are stopped after `seconds`; None: never. `on_snapshot` is called after each message and at least every
-    RECEIVE_TIMEOUT. Raises DriverError if the acquisition fails.
+    @property
+    def ended(self) -> bool:
+        """True if no message is left and none will arrive."""
+        ...
+
+    def receive(self, timeout: float) -> Message | None:
+        """Return the next message; None if none arrives within `timeout` seconds or the receiver has ended."""
+        ...
+
+    def stop(self) -> None:
+        """Stop receiving; messages that were measured so far can still be fetched."""
+        ...
+
+
+def receive_messages(receiver: Receiver, seconds: float | None, after_each: Callable[[], None]) -> Iterator[Message]:
+    """Yield the messages until the receiver is stopped.
+
+    It is stopped after `seconds`; None: never. `after_each` is called after each message and at least every
+    RECEIVE_TIMEOUT. Raises DriverError if devices fail.
     """
     end = float("inf") if seconds is None else time.monotonic() + seconds
-    while not acquisition.ended:
-        message = acquisition.receive(RECEIVE_TIMEOUT)
+    while not receiver.ended:
+        message = receiver.receive(RECEIVE_TIMEOUT)
         if message is not None:
             yield message
-        on_snapshot(acquisition.snapshot)
+        after_each()
         if time.monotonic() >= end:
             end = float("inf")
-            acquisition.stop()
+            receiver.stop()
 
 
 @contextmanager
-def stop_on_signals(acquisition: Acquisition, message: str = "") -> Iterator[None]:
-    """Stop the devices on SIGINT, SIGTERM or SIGHUP and let the block run to its end; a second SIGINT interrupts it.
+def stop_on_signals(receiver: Receiver, message: str = "") -> Iterator[None]:
+    """Stop the receiver on SIGINT, SIGTERM or SIGHUP and let the block run to its end; a second SIGINT interrupts it.
 
     `message` is printed when a signal arrives; after that, further SIGTERM and SIGHUP have no effect until the process
     ends. No effect outside the main thread, where signals cannot be handled.
@@ -56,7 +69,7 @@ def stop_on_signals(acquisition: Acquisition, message: str = "") -> Iterator[Non
             signal.signal(other, signal.default_int_handler if other == signal.SIGINT else signal.SIG_IGN)
         if number == signal.SIGHUP:
             detach_from_terminal()
-        acquisition.stop()
+        receiver.stop()
         if message:
             print_message(message)
 

@@ -28,6 +28,7 @@ from .commands.recover import recover
 from .commands.replay import replay
 from .commands.report import report
 from .commands.review import review
+from .commands.ros import ros
 from .commands.run import run
 from .commands.save import save
 from .commands.simulate import simulate
@@ -86,7 +87,15 @@ def wclm(
 
 
 COMMANDS: dict[str, dict[str, Callable[..., Any]]] = {
-    "Mapping": {"demo": demo, "run": run, "live": live, "save": save, "recover": recover, "batch": batch},
+    "Mapping": {
+        "demo": demo,
+        "run": run,
+        "live": live,
+        "ros": ros,
+        "save": save,
+        "recover": recover,
+        "batch": batch,
+    },
     "Sessions": {"optimize": optimize, "merge": merge, "map": export_map, "report": report, "review": review},
     "Recordings and devices": {
         "info": info,

@@ -157,9 +157,14 @@ def review_log(
 def _shifted(messages: Iterable[Message], after: float, statistics: InputStatistics) -> Iterator[Message]:
     """Yield the messages; shift all stamps to later than `after` (seconds) if the first one is earlier than that."""
     for message in messages:
-        if statistics.first == np.inf and message.stamp < after:
-            statistics.shift = float(np.ceil(after - message.stamp)) + 1.0
+        if statistics.first == np.inf:
+            statistics.shift = shift_after(message.stamp, after)
         yield replace(message, stamp=message.stamp + statistics.shift) if statistics.shift else message
+
+
+def shift_after(first: float, after: float) -> float:
+    """Return the seconds by which stamps are shifted if the first one is earlier than `after`, else zero."""
+    return float(np.ceil(after - first)) + 1.0 if first < after else 0.0
 
 
 def process_messages(

@@ -21,7 +21,7 @@ from .blocks import NEEDS, PAGES, ROOT, Block, blocks, mentions
 from .conftest import Reader, fill, simulations_of
 
 PLACEHOLDERS = {"FILE", "FORMAT", "WORLD", "SESSION", "DIR", "RECORDING", "GRAPH"}
-OTHER_PROGRAMS = {"make", "pip", "python3", "sudo", ".", "rerun", "dask"}
+OTHER_PROGRAMS = {"make", "pip", "python3", "sudo", ".", "rerun", "dask", "ros2"}
 """Other commands; those of `make` must be targets."""
 SHORTER = {"--seeds": "1", "--runs": "2", "--count": "5", "--laps": "1"}
 """Smaller values for options that determine the duration of benchmarks."""

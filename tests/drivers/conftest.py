@@ -14,7 +14,8 @@ from rosbags.rosbag2 import Writer as Writer2
 
 from drivers.messages import GroundTruth, Message, Odometry, Scan
 from drivers.recordings.mcap import McapWriter
-from drivers.recordings.ros_messages import LASER_SCAN, ODOMETRY, POSE, TRANSFORMS, RosEncoder, type_store
+from drivers.recordings.ros_encoder import RosEncoder
+from drivers.recordings.ros_messages import LASER_SCAN, ODOMETRY, POSE, TRANSFORMS, type_store
 from drivers.simulation import LidarModel, Simulation
 from drivers.timestamps import to_nanoseconds
 
@@ -58,7 +59,12 @@ def ros_entries(messages: list[Message], encoder: RosEncoder) -> list[Stored]:
         if isinstance(message, Scan):
             if message.mount is not None and not any(kind == TRANSFORMS for _, kind, _, _ in entries):
                 entries.append(
-                    ("/tf_static", TRANSFORMS, received, encoder.mount(message.stamp, message.mount, "laser"))
+                    (
+                        "/tf_static",
+                        TRANSFORMS,
+                        received,
+                        encoder.transform(message.stamp, "base_link", "laser", message.mount),
+                    )
                 )
             entries.append(("/scan", LASER_SCAN, received, encoder.scan(message, "laser")))
         elif isinstance(message, Odometry):

@@ -70,7 +70,7 @@ def _watch(specs: list[DeviceSpec], seconds: float | None) -> None:
     from ..device_monitor import DeviceMonitor
 
     with Acquisition(specs) as acquisition, stop_on_signals(acquisition), DeviceMonitor() as monitor:
-        for _ in receive_messages(acquisition, seconds, monitor.show):
+        for _ in receive_messages(acquisition, seconds, lambda: monitor.show(acquisition.snapshot)):
             pass
     for device in acquisition.snapshot.devices:
         typer.echo(f"{device.spec}\n    {device.identity}")

@@ -95,13 +95,14 @@ class LiveInput:
 
         with DeviceMonitor(self._dashboard.render) as monitor:
 
-            def on_snapshot(snapshot: Snapshot) -> None:
+            def after_each() -> None:
+                snapshot = self._acquisition.snapshot
                 monitor.show(snapshot)
                 self._check_recording(snapshot)
                 idle()
 
             try:
-                for message in receive_messages(self._acquisition, self._duration, on_snapshot):
+                for message in receive_messages(self._acquisition, self._duration, after_each):
                     self.report.messages += 1
                     yield message
             except DriverError as error:

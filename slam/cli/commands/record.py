@@ -61,10 +61,11 @@ def _wait(acquisition: Acquisition, duration: float | None) -> None:
 
     with stop_on_signals(acquisition), DeviceMonitor() as monitor:
 
-        def on_snapshot(snapshot: Snapshot) -> None:
+        def after_each() -> None:
+            snapshot = acquisition.snapshot
             monitor.show(snapshot)
             if snapshot.recording is not None and snapshot.recording.problem:
                 acquisition.stop()
 
-        for _ in receive_messages(acquisition, duration, on_snapshot):
+        for _ in receive_messages(acquisition, duration, after_each):
             pass

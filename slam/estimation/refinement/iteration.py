@@ -22,6 +22,7 @@ from .full_map_matcher import TRACKED_SIGMAS, FullMapMatcher
 from .landmark_recount import recompute_covariances, recount_observations
 from .scan_history import ScanHistory
 
+
 @dataclass(frozen=True, slots=True, eq=False)
 class IterationResult:
     """Result of one iteration.

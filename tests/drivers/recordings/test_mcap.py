@@ -19,7 +19,7 @@ from rosbags.highlevel import AnyReader
 
 from drivers import GroundTruth, Message, Odometry, RecordingError, Scan
 from drivers.recordings.mcap import McapReader, McapWriter
-from drivers.recordings.ros_messages import quaternion_of
+from drivers.recordings.ros_encoder import quaternion_of
 from drivers.timestamps import to_nanoseconds, to_seconds
 
 Same = Callable[[list[Message], list[Message]], None]
@@ -109,6 +109,7 @@ def test_ros_tools_read_the_recording(tmp_path: Path, drive: list[Message]) -> N
         kinds = {connection.topic: connection.msgtype for connection in reader.connections}
         assert kinds == {
             "/odom": "nav_msgs/msg/Odometry",
+            "/tf": "tf2_msgs/msg/TFMessage",
             "/scan": "sensor_msgs/msg/LaserScan",
             "/tf_static": "tf2_msgs/msg/TFMessage",
             "/ground_truth": "geometry_msgs/msg/PoseStamped",

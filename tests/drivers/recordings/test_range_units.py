@@ -13,7 +13,7 @@ from drivers import Message, Odometry, Scan, SourceReport, se2
 from drivers.recordings.carmen import CarmenReader
 from drivers.recordings.mcap import McapReader
 from drivers.recordings.range_units import ScanInUnits, find_range_unit
-from drivers.recordings.ros_messages import RosEncoder
+from drivers.recordings.ros_encoder import RosEncoder
 from drivers.simulation import LidarModel, Simulation
 
 from ...recordings import dataset_file, recording_file

@@ -1,0 +1,77 @@
+"""Serialised messages of a ROS recording, and which of them contain its odometry."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+
+from ..messages import Odometry
+from .ros_messages import ODOMETRY, TRANSFORMS, TRANSFORMS_ROS1, decode, odometry_of
+from .tf_odometry import TransformOdometry
+from .transforms import TransformTree, normalize_frame
+
+
+@dataclass(frozen=True, slots=True)
+class StoredMessage:
+    """Serialised ROS message of a recording.
+
+    number    1-based
+    msgtype   ROS type name, as ROS 2 writes it
+    encoding  cdr or ros1
+    received  time of reception, nanoseconds
+    """
+
+    number: int
+    topic: str
+    msgtype: str
+    encoding: str
+    received: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryTopic:
+    """Where the odometry of a recording is.
+
+    topic   of type Odometry; None if it is not in such messages
+    frames  frame of the odometry and frame of the base whose transforms are the odometry; None for a topic
+    """
+
+    topic: str | None
+    frames: tuple[str, str] | None = None
+
+    def is_in(self, stored: StoredMessage) -> bool:
+        """Return true if a message may contain odometry."""
+        if self.frames is not None:
+            return is_moving_transform(stored)
+        return stored.msgtype == ODOMETRY and stored.topic == self.topic
+
+    def readings(self, stored: StoredMessage) -> list[Odometry]:
+        """Return the odometry in a message; raises ValueError if it is invalid."""
+        message = decode(stored.data, stored.msgtype, stored.encoding)
+        if self.frames is None:
+            return [odometry_of(message, stored.received)]
+        return TransformOdometry(*self.frames, TransformTree()).readings(message, stored.received)
+
+
+def is_moving_transform(stored: StoredMessage) -> bool:
+    """Return true for messages with transforms that may change."""
+    return stored.msgtype in (TRANSFORMS, TRANSFORMS_ROS1) and not stored.topic.endswith("tf_static")
+
+
+def find_odometry_frames(messages: Iterable[StoredMessage]) -> tuple[str, str] | None:
+    """Return the frame of the odometry and the frame that it moves, from the transforms of a recording.
+
+    The name of the odometry's frame contains `odom`, by REP 105. Of several such transforms it is the one sent most
+    often; None if there is none.
+    """
+    counts: Counter[tuple[str, str]] = Counter()
+    for stored in messages:
+        if is_moving_transform(stored):
+            with suppress(ValueError):  # counted on the final pass
+                for stamped in decode(stored.data, stored.msgtype, stored.encoding).transforms:
+                    frames = normalize_frame(stamped.header.frame_id), normalize_frame(stamped.child_frame_id)
+                    counts[frames] += "odom" in frames[0].rpartition("/")[2]
+    return counts.most_common(1)[0][0] if counts.total() else None

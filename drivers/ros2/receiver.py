@@ -1,0 +1,230 @@
+"""Receive scans and odometry from ROS 2, as the messages of this project.
+
+Scans wait until the transform from their frame to the base is known, and are dropped if it never is. Messages are
+handed on as they arrive, those of each kind in the order of their stamps: a scan arrives when its sweep is over, so it
+comes after odometry that was measured later than its stamp. `Slam` needs no other order, and waiting for one would
+delay every scan until the next one.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+from ..messages import Message, Odometry, Scan, SourceReport
+from ..recordings.ros_messages import LASER_SCAN, ODOMETRY, TRANSFORMS, LidarMount, decode, odometry_of, scan_of
+from ..recordings.tf_odometry import TransformOdometry
+from ..recordings.transforms import TransformTree
+from .link import MOVING_TRANSFORMS, SENSOR_DATA, STATIC_TRANSFORMS, Link, QoS
+
+MAX_WAITING_SCANS = 40
+"""Scans that wait for a busy consumer before the oldest is dropped: some seconds of a common lidar."""
+SILENCE = 5.0
+"""Seconds without any message of a kind after which it is missing."""
+
+TOO_SLOW = "dropped, as scans arrive faster than they are processed"
+NO_MOUNT = "dropped, as no transform connects the scan's frame with the base"
+PAUSED = "dropped while new measurements are paused"
+THROTTLED = "dropped by throttle_scans"
+LATE = "older than one received before"
+CLOCK_CONFIRMATIONS = 5
+"""Messages in a row that are older than those before, after which the clock was set back. Origin: as in recordings."""
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """What a node receives, with absolute names of topics.
+
+    odometry        topic of type Odometry; empty: odometry is on /tf
+    mount_is_set    true if the settings state the lidar's mount, so that no transform is needed
+    throttle_scans  only every so many-th scan is used
+    """
+
+    scan: str = "/scan"
+    odometry: str = ""
+    transforms: str = "/tf"
+    static_transforms: str = "/tf_static"
+    odometry_frame: str = "odom"
+    base_frame: str = "base_footprint"
+    mount_is_set: bool = False
+    throttle_scans: int = 1
+
+
+@dataclass(slots=True)
+class Silence:
+    """Time of the last message of each kind, on the steady clock, and the frames of scans without a transform."""
+
+    scan: float
+    odometry: float
+    unconnected: set[str] = field(default_factory=set)
+
+
+class RosReceiver:
+    """Receiver of the messages of a link, from construction until `stop`.
+
+    inputs       what is received
+    on_odometry  called with the stamp of each odometry reading (seconds), from a thread of the link
+    paused       true: scans are dropped
+    report       counts of what was received and dropped
+    """
+
+    def __init__(self, link: Link, inputs: Inputs, on_odometry: Callable[[float], None] = lambda stamp: None) -> None:
+        self.report = SourceReport()
+        self.paused = False
+        self.inputs, self._on_odometry = inputs, on_odometry
+        self._tree = TransformTree()
+        self._tf_odometry = TransformOdometry(inputs.odometry_frame, inputs.base_frame, self._tree)
+        self._mounts: dict[str, LidarMount] = {}
+        self._messages: deque[Message] = deque()
+        self._waiting = self._scans = 0
+        self._reading: float | None = None  # stamp of the odometry in the message that is being added
+        self._latest: dict[type[Message], float] = {}
+        self._older: Counter[type[Message]] = Counter()  # messages in a row that are older than the latest one
+        self._silence = Silence(time.monotonic(), time.monotonic())
+        self._changed, self._stopped = threading.Condition(), False
+        subscribe = partial(self._subscribe, link)
+        subscribe(inputs.static_transforms, TRANSFORMS, self._add_fixed, STATIC_TRANSFORMS)
+        subscribe(inputs.transforms, TRANSFORMS, self._add_moving, MOVING_TRANSFORMS)
+        subscribe(inputs.scan, LASER_SCAN, self._add_scan, SENSOR_DATA)
+        if inputs.odometry:
+            subscribe(inputs.odometry, ODOMETRY, self._add_odometry, SENSOR_DATA)
+
+    def receive(self, timeout: float) -> Message | None:
+        """Return the next message; None if there is none within `timeout` seconds or after the end."""
+        with self._changed:
+            if not self._messages and not self._stopped:
+                self._changed.wait(timeout)
+            if not self._messages:
+                return None
+            message = self._messages.popleft()
+            self._waiting -= isinstance(message, Scan)
+            self.report.messages += 1
+            return message
+
+    @property
+    def ended(self) -> bool:
+        """True if no message is left and none will arrive."""
+        return self._stopped and not self._messages
+
+    def stop(self) -> None:
+        """Receive nothing more; what has arrived can still be fetched."""
+        self._stopped = True
+        with self._changed:
+            self._changed.notify_all()
+
+    def discard(self) -> None:
+        """Drop what has arrived and was not fetched yet."""
+        with self._changed:
+            self._messages.clear()
+            self._waiting = 0
+
+    def missing(self) -> list[str]:
+        """Return what has not arrived for SILENCE seconds, one line of text each, or cannot be used."""
+        now, inputs, silence, lines = time.monotonic(), self.inputs, self._silence, []
+        if now - silence.scan > SILENCE:
+            lines.append(f"no scans on {inputs.scan}")
+        if now - silence.odometry > SILENCE:
+            lines.append(self._missing_odometry())
+        if max(self._older.values(), default=0) >= CLOCK_CONFIRMATIONS:
+            lines.append("the clock was set back; messages are dropped until it has caught up: start the node again")
+        for frame in sorted(silence.unconnected):
+            lines.append(f"no transform {inputs.base_frame} -> {frame}; scans are dropped until there is one")
+        return lines
+
+    def _missing_odometry(self) -> str:
+        inputs, others = self.inputs, sorted(self._tf_odometry.others)
+        if inputs.odometry:
+            return f"no odometry on {inputs.odometry}"
+        hint = f", but to {', '.join(others)}: is base_frame set correctly?" if others else ""
+        return f"no transform {inputs.odometry_frame} -> {inputs.base_frame} on {inputs.transforms}{hint}"
+
+    def _subscribe(self, link: Link, topic: str, msgtype: str, add: Callable[[Any, int], None], qos: QoS) -> None:
+        def receive(data: bytes) -> None:
+            try:
+                message = decode(data, msgtype, "cdr")
+                with self._changed:
+                    self._reading = None
+                    add(message, time.time_ns())
+                    reading = self._reading
+                if reading is not None:
+                    self._on_odometry(reading)
+            except ValueError as error:
+                self._skip(f"{topic}: {error}")
+
+        link.subscribe(topic, msgtype, qos, receive)
+
+    def _add_fixed(self, message: Any, _: int) -> None:
+        self._tree.add(message)
+
+    def _add_moving(self, message: Any, received: int) -> None:
+        if not self.inputs.odometry:
+            for reading in self._tf_odometry.readings(message, received):
+                self._put_odometry(reading)
+        if self._silence.unconnected:
+            self._tree.add(message)  # older robots publish the mount here
+
+    def _add_odometry(self, message: Any, received: int) -> None:
+        self._put_odometry(odometry_of(message, received))
+
+    def _add_scan(self, message: Any, received: int) -> None:
+        self._silence.scan = time.monotonic()
+        self._scans += 1
+        mount = self._mount(message.header.frame_id)
+        if self.paused:
+            self._skip(PAUSED)
+        elif (self._scans - 1) % self.inputs.throttle_scans:
+            self._skip(THROTTLED)
+        elif mount.pose is None and not self.inputs.mount_is_set:
+            self._skip(NO_MOUNT)
+        else:
+            self._put(scan_of(message, received, mount))
+
+    def _mount(self, frame: str) -> LidarMount:
+        """Return the mount of a scan's frame, which never changes once it is known."""
+        if frame not in self._mounts:
+            mount = self._tree.mount_on(self.inputs.base_frame, frame)
+            if mount.pose is None:
+                if not self.inputs.mount_is_set:
+                    self._silence.unconnected.add(frame)
+                return mount
+            self._mounts[frame] = mount
+            self._silence.unconnected.discard(frame)
+        return self._mounts[frame]
+
+    def _put_odometry(self, reading: Odometry) -> None:
+        self._silence.odometry = time.monotonic()
+        if self._put(reading):
+            self._reading = reading.stamp
+
+    def _put(self, message: Message) -> bool:
+        """Append a message if it is later than the last one of its kind; transforms are often sent twice."""
+        kind = type(message)
+        latest = self._latest.get(kind, float("-inf"))
+        if self._stopped or message.stamp == latest:
+            return False
+        if message.stamp < latest:
+            self._older[kind] += 1
+            self._skip(LATE)
+            return False
+        self._older[kind] = 0
+        self._latest[kind] = message.stamp
+        self._messages.append(message)
+        if isinstance(message, Scan):
+            self._waiting += 1
+            if self._waiting > MAX_WAITING_SCANS:
+                self._messages.remove(next(waiting for waiting in self._messages if isinstance(waiting, Scan)))
+                self._waiting -= 1
+                self._skip(TOO_SLOW)
+        self._changed.notify()
+        return True
+
+    def _skip(self, reason: str) -> None:
+        report = self.report
+        report.skipped += 1
+        report.reasons[reason] = report.reasons.get(reason, 0) + 1
+        report.first = report.first or reason

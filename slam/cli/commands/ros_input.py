@@ -1,0 +1,136 @@
+"""Input of `wclm ros`: the messages of a link to ROS 2."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from drivers.messages import Odometry, Scan, SourceReport
+from drivers.ros2.receiver import MAX_WAITING_SCANS
+
+from ...preprocessing.deskew import lidar_mount
+from ...ros.run_control import Restart, RestartRequestedError, Save
+from ..acquisition_loop import receive_messages, stop_on_signals
+from ..console import print_message
+from ..slam_run import shift_after
+
+if TYPE_CHECKING:
+    from drivers.messages import Message
+    from drivers.ros2.receiver import RosReceiver
+
+    from ...config import Config
+    from ...events import Sink
+    from ...ros.outputs import NodeOutputs
+    from ...ros.run_control import RunControl
+    from ..slam_run import RunSetup
+
+STOP_MESSAGE = "stopping; Ctrl-C again discards the map"
+
+
+class DiscardedError(Exception):
+    """The run has ended, and its results are not wanted."""
+
+
+class _SaveRequestedError(Exception):
+    """The run ends here, to be saved and continued."""
+
+
+class RosInput:
+    """A `RunInput` from ROS 2, which reports missing topics and transforms.
+
+    start     settings, and the session that the run continues, if any
+    duration  seconds; None: until a signal arrives
+    keep      false: the run is discarded at its end, by DiscardedError
+    control   requests that end the run: a restart by RestartRequestedError, saving normally
+    """
+
+    finite = False
+    reopen = None
+
+    def __init__(
+        self,
+        receiver: RosReceiver,
+        outputs: NodeOutputs,
+        start: RunSetup,
+        *,
+        duration: float | None,
+        keep: bool,
+        control: RunControl,
+        sinks: Sequence[Sink] = (),
+    ) -> None:
+        self.name = f"ROS 2: {receiver.inputs.scan}"
+        self.sinks: Sequence[Sink] = (*sinks, outputs)
+        self._receiver = receiver
+        self._outputs, self._start = outputs, start
+        self._duration, self._keep, self._control = duration, keep, control
+        self._missing: list[str] = []
+        self._idle: Callable[[], None] = lambda: None
+
+    @property
+    def report(self) -> SourceReport:
+        """Report of the receiver."""
+        return self._receiver.report
+
+    @contextmanager
+    def opened(self, idle: Callable[[], None]) -> Iterator[Iterable[Message]]:
+        """Provide the messages that arrive from now on, until SIGINT, SIGTERM or SIGHUP."""
+        self._idle = idle
+        self._outputs.begin(self._start.resumed)
+        try:
+            with stop_on_signals(self._receiver, STOP_MESSAGE):
+                yield self._messages()
+        finally:
+            self._outputs.end()
+
+    def resolve(self, config: Config) -> Config:
+        """Return the settings unchanged."""
+        return config
+
+    def facts(self) -> dict[str, Any]:
+        """Return nothing: there are no devices."""
+        return {}
+
+    def _messages(self) -> Iterator[Message]:
+        try:
+            for message in self._odometry_first():
+                if isinstance(message, Scan):
+                    self._outputs.lidar = lidar_mount(message, self._start.config.lidar)[:2]
+                yield message
+        except _SaveRequestedError:
+            return
+        if not self._keep:
+            raise DiscardedError
+
+    def _odometry_first(self) -> Iterator[Message]:
+        """Yield the messages; the first one is odometry, whose stamp tells whether time goes on after the session."""
+        held: list[Message] | None = []
+        session = self._start.resumed
+        after = float("-inf") if session is None else session.latest
+        for message in receive_messages(self._receiver, self._duration, self._after_each):
+            if held is None:
+                yield message
+            elif isinstance(message, Odometry):
+                self._outputs.shift = shift_after(message.stamp, after)
+                yield from (message, *held)
+                held = None
+            else:
+                held = [*held[-MAX_WAITING_SCANS:], message]
+        yield from held or ()
+
+    def _after_each(self) -> None:
+        """End the run if a service requests it; print what is missing when that changes."""
+        self._idle()
+        if isinstance(self._control.pending, Restart):
+            raise RestartRequestedError
+        if isinstance(self._control.pending, Save):
+            if not self._start.frozen:
+                raise _SaveRequestedError
+            print_message("serialize_map: the map is only localised in and does not change; nothing is written")
+            self._control.answer(False)
+        missing = self._receiver.missing()
+        if missing != self._missing:
+            news = [line for line in missing if line not in self._missing]
+            for line in news if missing else ["scans, odometry and transforms arrive"]:
+                print_message(line)
+            self._missing = missing

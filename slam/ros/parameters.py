@@ -1,0 +1,101 @@
+"""Parameters of the node, with the names of slam_toolbox where the meaning is the same."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from ..errors import ConfigurationError
+
+Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class NodeParameters(BaseModel):
+    """Parameters of the node; the defaults are those of slam_toolbox."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    odom_frame: str = Field("odom", min_length=1, description="frame of the odometry")
+    map_frame: str = Field("map", min_length=1, description="frame of the map")
+    base_frame: str = Field("base_footprint", min_length=1, description="frame of the robot's base")
+    scan_topic: str = Field("/scan", min_length=1, description="topic with the scans")
+    odom_topic: str = Field(
+        "", description="topic of type nav_msgs/msg/Odometry; by default the transform odom_frame -> base_frame on /tf"
+    )
+    map_name: str = Field("/map", min_length=1, description="topic of the occupancy grid")
+    mode: Literal["mapping", "localization"] = Field(
+        "mapping", description="continue the map of map_file_name, or only localise in it"
+    )
+    map_file_name: str = Field("", description="output directory of an earlier run; empty: an empty map")
+    resolution: float = Field(0.05, ge=0.001, lt=100, description="side of a cell of the grid, metres")
+    max_laser_range: float = Field(
+        float("inf"), gt=0, description="metres; longer beams are not drawn into the grid, but are used otherwise"
+    )
+    map_update_interval: float = Field(
+        10.0, gt=0, allow_inf_nan=False, description="seconds between two grids, at least"
+    )
+    transform_publish_period: Seconds = Field(
+        0.05, description="seconds of odometry between two transforms, at least; 0: no transforms"
+    )
+    transform_timeout: Seconds = Field(
+        0.5, description="seconds by which the transform is stamped later than the last measurement"
+    )
+    throttle_scans: int = Field(1, ge=1, description="use every so many-th scan")
+    paused_new_measurements: bool = Field(False, description="start paused")
+    do_loop_closing: bool | None = Field(None, description="the setting loop_closure.enabled")
+    minimum_travel_distance: float | None = Field(
+        None, gt=0, allow_inf_nan=False, description="metres, the setting mapping.keyframe_distance"
+    )
+    minimum_travel_heading: float | None = Field(
+        None, gt=0, allow_inf_nan=False, description="radians, the setting mapping.keyframe_turn"
+    )
+    use_sim_time: bool = Field(False, description="no effect: all times are those of the messages")
+
+    def settings(self) -> list[str]:
+        """Return the settings of the estimator that parameters set, as GROUP.KEY=VALUE."""
+        values = {
+            "mapping.keyframe_distance": self.minimum_travel_distance,
+            "mapping.keyframe_turn": self.minimum_travel_heading,
+            "loop_closure.enabled": self.do_loop_closing,
+        }
+        return [f"{name}={str(value).lower()}" for name, value in values.items() if value is not None]
+
+
+WITHOUT_COUNTERPART = """
+solver_plugin ceres_linear_solver ceres_preconditioner ceres_trust_strategy ceres_dogleg_type ceres_loss_function
+debug_logging minimum_time_interval tf_buffer_duration stack_size_to_use enable_interactive_mode interactive_mode
+use_scan_matching use_scan_barycenter scan_buffer_size scan_buffer_maximum_scan_distance scan_queue_size
+link_match_minimum_response_fine link_scan_maximum_distance loop_search_maximum_distance
+loop_match_minimum_chain_size loop_match_maximum_variance_coarse loop_match_minimum_response_coarse
+loop_match_minimum_response_fine correlation_search_space_dimension correlation_search_space_resolution
+correlation_search_space_smear_deviation loop_search_space_dimension loop_search_space_resolution
+loop_search_space_smear_deviation distance_variance_penalty angle_variance_penalty fine_search_angle_offset
+coarse_search_angle_offset coarse_angle_resolution minimum_angle_penalty minimum_distance_penalty
+use_response_expansion position_covariance_scale yaw_covariance_scale map_start_pose map_start_at_dock
+min_laser_range minimum_laser_range min_pass_through occupancy_threshold restamp_tf use_map_saver
+use_lifecycle_manager localization_on_configure paused_processing lifelong_search_use_tree lifelong_minimum_score
+lifelong_iou_match lifelong_node_removal_score lifelong_overlap_score_scale lifelong_constraint_multiplier
+lifelong_nearby_penalty lifelong_candidates_scale autostart qos_overrides start_type_description_service
+bond_disable_heartbeat_timeout
+"""
+IGNORED = frozenset(WITHOUT_COUNTERPART.split())
+"""Parameters of slam_toolbox and of every ROS 2 node that have no counterpart; what they are for is not needed here."""
+
+
+def parse_parameters(values: Mapping[str, Any], place: str) -> tuple[NodeParameters, list[str]]:
+    """Return the parameters, and the names of those that are ignored because they have no counterpart.
+
+    place  file or option that the values are from, for errors
+
+    Raises ConfigurationError if a parameter is unknown or its value is invalid.
+    """
+    known = {name: value for name, value in values.items() if name not in IGNORED}
+    try:
+        return NodeParameters.model_validate(known), sorted(set(values) - set(known))
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = ".".join(str(part) for part in first["loc"])
+        reason = "no such parameter" if first["type"] == "extra_forbidden" else first["msg"]
+        raise ConfigurationError(f"{place}: {name}: {reason[:1].lower()}{reason[1:]}") from error

@@ -1,0 +1,80 @@
+"""Odometry that a robot publishes on /tf only is read; recordings contain it on /tf for viewers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import drivers
+from drivers.messages import GroundTruth, Message, Odometry, Scan
+from drivers.recordings.mcap import McapWriter
+from drivers.recordings.ros_encoder import RosEncoder
+from drivers.recordings.ros_messages import LASER_SCAN, ODOMETRY, TRANSFORMS
+from drivers.recordings.stored_messages import find_odometry_frames
+
+from ..conftest import ros_entries
+
+Stored = tuple[str, str, int, bytes]
+ENCODER = RosEncoder()
+
+
+def on_tf(entries: list[Stored], drive: list[Message]) -> list[Stored]:
+    """Return the entries with transforms in place of the odometry."""
+    readings = iter([message for message in drive if isinstance(message, Odometry)])
+    changed = []
+    for topic, kind, received, data in entries:
+        if kind == ODOMETRY:
+            reading = next(readings)
+            data = ENCODER.transform(reading.stamp, "odom_combined", "base_link", reading.pose)
+            topic, kind = "/tf", TRANSFORMS
+        changed.append((topic, kind, received, data))
+    return changed
+
+
+@pytest.mark.parametrize("name", ["a.bag", "sqlite3", "mcap"])
+def test_transforms_take_the_place_of_odometry(
+    tmp_path: Path, drive: list[Message], write_bag: Callable[[Path, list[Stored]], Path], name: str
+) -> None:
+    """Also with other transforms, such as those of wheels, and of the map, which must not be mistaken for odometry."""
+    others: list[Stored] = [
+        ("/tf", TRANSFORMS, received, ENCODER.transform(0.01, parent, child, np.full(3, 0.5)))
+        for received in range(20)
+        for parent, child in (("map", "odom_combined"), ("base_link", "wheel"))
+    ]
+    entries = [*others, *on_tf(ros_entries(drive, ENCODER), drive)]
+    source = drivers.open(write_bag(tmp_path / name, entries))
+    read = list(source)
+    expected = [message for message in drive if isinstance(message, Odometry)]
+    odometry = [message for message in read if isinstance(message, Odometry)]
+    stamps = [message.stamp for message in odometry]
+    assert stamps[1:] == [message.stamp for message in expected][1:]  # zero stands for the time of reception
+    assert np.array_equal([message.pose for message in odometry], [message.pose for message in expected])
+    first = next(message for message in drive if isinstance(message, Scan))
+    assert np.array_equal(next(message for message in read if isinstance(message, Scan)).mount, first.mount)
+    assert "odometry from the transforms odom_combined -> base_link on /tf" in source.report.interpretations
+
+
+def test_recordings_place_the_scans_for_viewers(tmp_path: Path, drive: list[Message]) -> None:
+    """The transforms on /tf alone say where the scans of a recording are."""
+    path = tmp_path / "drive.mcap"
+    with McapWriter(path) as writer:
+        for message in drive:
+            writer.write(message)
+    reader = drivers.open(path)
+    transforms = [stored for stored in reader._stored_messages(False) if stored.topic == "/tf"]  # type: ignore[attr-defined]
+    assert len(transforms) == sum(isinstance(message, Odometry) for message in drive)
+    assert find_odometry_frames(transforms) == ("odom", "base_link")
+    kept = [message for message in reader if not isinstance(message, GroundTruth)]
+    assert len(kept) == sum(not isinstance(message, GroundTruth) for message in drive)
+
+
+def test_transforms_without_odometry_are_none(
+    tmp_path: Path, write_bag: Callable[[Path, list[Stored]], Path], drive: list[Message]
+) -> None:
+    scans = [entry for entry in ros_entries(drive, ENCODER) if entry[1] == LASER_SCAN]
+    wheel = ("/tf", TRANSFORMS, 1, ENCODER.transform(0.01, "base_link", "wheel", np.zeros(3)))
+    read = list(drivers.open(write_bag(tmp_path / "a.bag", [wheel, *scans])))
+    assert {type(message) for message in read} == {Scan}

@@ -1,0 +1,159 @@
+"""Scans and odometry of ROS 2 arrive as messages, with what is missing named."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers import se2
+from drivers.messages import Odometry, Scan
+from drivers.recordings.ros_encoder import RosEncoder
+from drivers.recordings.ros_messages import LASER_SCAN, ODOMETRY, TRANSFORMS
+from drivers.ros2 import receiver as receiver_module
+from drivers.ros2.link import STATIC_TRANSFORMS, QoS
+from drivers.ros2.receiver import LATE, MAX_WAITING_SCANS, NO_MOUNT, PAUSED, TOO_SLOW, Inputs, RosReceiver
+
+from ...memory_link import MemoryLink
+
+MOUNT = np.array([0.1, -0.05, 1.0])
+ENCODER = RosEncoder()
+
+
+class Robot:
+    """A robot that publishes on a link."""
+
+    def __init__(self, link: MemoryLink) -> None:
+        self._scan = link.publish("/scan", LASER_SCAN, QoS())
+        self._moving = link.publish("/tf", TRANSFORMS, QoS())
+        self._fixed = link.publish("/tf_static", TRANSFORMS, STATIC_TRANSFORMS)
+        self._odometry = link.publish("/odom", ODOMETRY, QoS())
+
+    def scan(self, stamp: float, frame: str = "laser") -> None:
+        beams = np.linspace(-1.0, 1.0, 5)
+        self._scan(ENCODER.scan(Scan(stamp, beams + 2.0, beams, np.zeros(5), 0.1, 10.0), frame))
+
+    def move(self, stamp: float, pose: se2.Pose, child: str = "base_footprint") -> None:
+        self._moving(ENCODER.transform(stamp, "odom", child, pose))
+
+    def mount(self, parent: str, child: str, pose: se2.Pose) -> None:
+        self._fixed(ENCODER.transform(0.0, parent, child, pose))
+
+    def odometry(self, stamp: float, pose: se2.Pose) -> None:
+        self._odometry(ENCODER.odometry(Odometry(stamp, pose)))
+
+
+@pytest.fixture
+def link() -> MemoryLink:
+    return MemoryLink()
+
+
+@pytest.fixture
+def robot(link: MemoryLink) -> Robot:
+    return Robot(link)
+
+
+def messages(receiver: RosReceiver) -> list[Scan | Odometry]:
+    receiver.stop()
+    found = []
+    while (message := receiver.receive(0.0)) is not None:
+        assert isinstance(message, Scan | Odometry)
+        found.append(message)
+    return found
+
+
+def test_scan_and_transform_arrive_bit_for_bit(link: MemoryLink, robot: Robot) -> None:
+    robot.mount("base_footprint", "laser", MOUNT)  # latched: before the node starts
+    receiver = RosReceiver(link, Inputs())
+    pose = np.array([0.1, 0.2, 0.3])
+    robot.move(1.0, pose)
+    robot.scan(0.9)
+    odometry, scan = messages(receiver)
+    assert isinstance(scan, Scan)
+    assert odometry.stamp == 1.0
+    assert np.array_equal(odometry.pose, pose)
+    assert scan.stamp == 0.9
+    assert np.array_equal(scan.mount, MOUNT)
+
+
+def test_odometry_of_another_base_frame_is_moved(link: MemoryLink, robot: Robot) -> None:
+    """TurtleBots publish odom -> base_footprint; base_link is fixed above it, here also beside it."""
+    offset = np.array([0.2, 0.0, 0.5])
+    robot.mount("base_footprint", "base_link", offset)
+    robot.mount("base_link", "laser", MOUNT)
+    receiver = RosReceiver(link, Inputs(base_frame="base_link"))
+    robot.move(1.0, np.array([1.0, 2.0, 0.3]))
+    robot.move(1.1, np.array([9.0, 9.0, 0.0]), child="elsewhere")
+    robot.scan(1.0)
+    odometry, scan = messages(receiver)
+    assert isinstance(scan, Scan)
+    assert odometry.pose == pytest.approx(se2.compose([1.0, 2.0, 0.3], offset))
+    assert np.array_equal(scan.mount, MOUNT)
+
+
+def test_odometry_messages_take_the_place_of_transforms(link: MemoryLink, robot: Robot) -> None:
+    stamps: list[float] = []
+    receiver = RosReceiver(link, Inputs(odometry="/odom"), stamps.append)
+    robot.move(1.0, np.zeros(3))
+    robot.odometry(2.0, np.array([1.0, 0.0, 0.0]))
+    assert [message.stamp for message in messages(receiver)] == stamps == [2.0]
+
+
+def test_scans_wait_for_their_transform(link: MemoryLink, robot: Robot) -> None:
+    receiver = RosReceiver(link, Inputs())
+    robot.scan(1.0)
+    assert receiver.missing() == ["no transform base_footprint -> laser; scans are dropped until there is one"]
+    robot.mount("base_footprint", "laser", MOUNT)
+    robot.scan(2.0)
+    assert receiver.missing() == []
+    assert [message.stamp for message in messages(receiver)] == [2.0]
+    assert receiver.report.reasons == {NO_MOUNT: 1}
+
+
+def test_missing_topics_are_named(link: MemoryLink, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 100.0
+    monkeypatch.setattr(receiver_module.time, "monotonic", lambda: now)
+    receiver = RosReceiver(link, Inputs(mount_is_set=True))
+    robot = Robot(link)
+    robot.scan(1.0)
+    robot.move(1.0, np.zeros(3))
+    assert receiver.missing() == []
+    now += receiver_module.SILENCE + 1.0
+    assert receiver.missing() == ["no scans on /scan", "no transform odom -> base_footprint on /tf"]
+    robot.move(2.0, np.zeros(3), child="base_link")
+    assert receiver.missing()[1].endswith("on /tf, but to base_link: is base_frame set correctly?")
+
+
+def test_busy_consumer_loses_the_oldest_scans_and_no_odometry(link: MemoryLink, robot: Robot) -> None:
+    receiver = RosReceiver(link, Inputs(mount_is_set=True))
+    count = MAX_WAITING_SCANS + 10
+    for stamp in range(1, count + 1):
+        robot.move(float(stamp), np.zeros(3))
+        robot.scan(float(stamp))
+    found = messages(receiver)
+    assert [message.stamp for message in found if isinstance(message, Scan)] == list(range(11, count + 1))
+    assert len([message for message in found if isinstance(message, Odometry)]) == count
+    assert receiver.report.reasons == {TOO_SLOW: 10}
+
+
+def test_late_paused_and_damaged_messages_are_counted(link: MemoryLink, robot: Robot) -> None:
+    receiver = RosReceiver(link, Inputs(mount_is_set=True))
+    robot.scan(2.0)
+    robot.scan(1.0)
+    receiver.paused = True
+    robot.scan(3.0)
+    receiver.paused = False
+    link.publish("/scan", LASER_SCAN, QoS())(b"\0\1\0\0abc")
+    assert len(messages(receiver)) == 1
+    damaged = "/scan: sensor_msgs/msg/LaserScan cannot be decoded"
+    assert receiver.report.reasons == {LATE: 1, PAUSED: 1, damaged: 1}
+
+
+def test_clock_that_was_set_back_is_named(link: MemoryLink, robot: Robot) -> None:
+    receiver = RosReceiver(link, Inputs(mount_is_set=True))
+    for stamp in (100.0, 1.0, 2.0, 3.0, 4.0):
+        robot.scan(stamp)
+    assert receiver.missing() == []
+    robot.scan(5.0)
+    assert ["the clock was set back" in line for line in receiver.missing()] == [True]
+    robot.scan(101.0)
+    assert receiver.missing() == []

@@ -1,0 +1,288 @@
+"""`wclm ros` on a simulated robot whose ROS 2 is this process: same results as offline, and what it publishes."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from typer.testing import CliRunner
+
+import drivers
+from drivers import se2
+from drivers.messages import Scan
+from drivers.recordings.mcap import McapWriter
+from drivers.recordings.ros_encoder import RosEncoder
+from drivers.recordings.ros_messages import (
+    DIAGNOSTICS,
+    LASER_SCAN,
+    TRANSFORMS,
+    LidarMount,
+    decode,
+    planar_pose,
+    planar_transform,
+    scan_of,
+    type_store,
+)
+from drivers.ros2 import receiver, selection
+from drivers.ros2.encoder import GRID, MARKERS, POSE_WITH_COVARIANCE
+from drivers.ros2.link import STATIC_TRANSFORMS
+from drivers.ros2.receiver import RosReceiver
+from slam.cli.app import app
+from slam.io.output_dir import KEYFRAMES, MAP, TRAJECTORY
+from slam.io.tum import read_tum
+
+from ...memory_link import MemoryLink
+
+WORLD = "sim:office?duration=12&lidar=short"
+START = 1000.0
+"""Stamp of the first message, seconds."""
+MOUNT = [0.1, 0.0, 0.0]
+"""Pose of the lidar on the simulated robot."""
+TIMEOUT = 0.5
+SCANS_BEFORE_CALL = 40
+PATIENCE = 60.0
+"""Seconds to wait for the node."""
+
+
+@dataclass(frozen=True)
+class Published:
+    """A message of the robot: it arrives at `arrival`, seconds."""
+
+    arrival: float
+    topic: str
+    msgtype: str
+    data: bytes
+
+
+@dataclass
+class NodeRun:
+    """A run of the node: what it sent, and its output directory beside that of `wclm run`."""
+
+    link: MemoryLink
+    output: str
+    responses: dict[str, Any]
+    online: Path
+    offline: Path
+    robot: list[Published]
+
+
+def record_office(path: Path) -> None:
+    """Record a drive whose ranges fit into a LaserScan exactly."""
+    encoder = RosEncoder()
+    with McapWriter(path) as writer:
+        for message in drivers.open(WORLD):
+            if isinstance(message, Scan):
+                laser_scan = decode(encoder.scan(message, "laser"), LASER_SCAN, "cdr")
+                message = scan_of(laser_scan, 0, LidarMount(message.mount))
+            writer.write(replace(message, stamp=message.stamp + START))
+
+
+def robot_messages(path: Path) -> list[Published]:
+    """Return the messages of a recording in the order in which they would arrive: scans after their sweep."""
+    published = []
+    with path.open("rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages(log_time_order=True):
+            assert schema is not None
+            arrival = message.log_time / 1e9
+            if schema.name == LASER_SCAN:
+                arrival += scan_of(decode(message.data, LASER_SCAN, "cdr"), 0, LidarMount()).duration
+            if channel.topic in ("/scan", "/tf", "/tf_static"):
+                published.append(Published(arrival, channel.topic, schema.name, message.data))
+    return sorted(published, key=lambda item: item.arrival)
+
+
+class OpenedReceiver(RosReceiver):
+    """Receiver that the test can stop."""
+
+    last: RosReceiver
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        OpenedReceiver.last = self
+
+
+def feed(link: MemoryLink, robot: list[Published], calls: dict[int, Callable[[], None]], patience: float) -> None:
+    """Publish the robot's messages as fast as the node answers its scans, then end the run.
+
+    calls     called after as many scans
+    patience  seconds to wait for an answer; a lost robot gives none
+    """
+    puts = {item.topic: link.publish(item.topic, item.msgtype, STATIC_TRANSFORMS) for item in robot}
+    with link.changed:
+        link.changed.wait_for(lambda: "/scan" in link.received, PATIENCE)
+    scans = 0
+    for item in robot:
+        puts[item.topic](item.data)
+        scans += item.topic == "/scan"
+        with link.changed:  # the last scan waits for odometry
+            link.changed.wait_for(lambda wanted=scans - 2: len(link.sent["/pose"]) >= wanted, patience)
+        if item.topic == "/scan" and scans in calls:
+            calls[scans]()
+    OpenedReceiver.last.stop()
+
+
+def run_node(
+    link: MemoryLink,
+    robot: list[Published],
+    out: Path,
+    calls: dict[int, Callable[[], None]],
+    patience: float = PATIENCE,
+) -> str:
+    """Run `wclm ros` on the robot's messages; return what it printed."""
+    parameters = out.with_suffix(".yaml")
+    parameters.write_text(
+        "slam_toolbox:\n  ros__parameters:\n    base_frame: base_link\n    map_update_interval: 0.2\n"
+        f"    transform_timeout: {TIMEOUT}\n    solver_plugin: solver_plugins::CeresSolver\n"
+    )
+    feeder = threading.Thread(target=feed, args=(link, robot, calls, patience), daemon=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(selection, "open_link", lambda names, backend: link)
+        patch.setattr(receiver, "RosReceiver", OpenedReceiver)
+        feeder.start()
+        arguments = ["--out", str(out), "--no-review", "--ros-args", "--params-file", str(parameters)]
+        result = CliRunner().invoke(app, ["ros", *arguments])
+    assert result.exit_code == 0, result.output
+    feeder.join(PATIENCE)
+    return result.output
+
+
+@pytest.fixture(scope="module")
+def node_run(tmp_path_factory: pytest.TempPathFactory) -> NodeRun:
+    folder = tmp_path_factory.mktemp("node")
+    recording = folder / "office.mcap"
+    record_office(recording)
+    arguments = ["run", str(recording), "--out", str(folder / "offline"), "--no-review"]
+    offline = CliRunner().invoke(app, arguments)
+    assert offline.exit_code == 0, offline.output
+    link, responses = MemoryLink(), {}
+
+    def call_services() -> None:
+        service = "/slam_toolbox/"
+        responses["grid"] = link.call(f"{service}dynamic_map").map
+        name = type_store("cdr").types["std_msgs/msg/String"](str(folder / "picture"))
+        responses["save"] = link.call(f"{service}save_map", name=name).result
+        responses["paused"] = [link.call(f"{service}pause_new_measurements").status for _ in range(2)]
+
+    robot = robot_messages(recording)
+    output = run_node(link, robot, folder / "online", {40: call_services})
+    return NodeRun(link, output, responses, folder / "online", folder / "offline", robot)
+
+
+def sent(run: NodeRun, topic: str, msgtype: str) -> list[Any]:
+    return [decode(data, msgtype, "cdr") for data in run.link.sent[topic]]
+
+
+def seconds(stamp: Any) -> float:
+    return float(stamp.sec + stamp.nanosec * 1e-9)
+
+
+def test_results_are_those_of_the_recording_byte_for_byte(node_run: NodeRun) -> None:
+    for name in (TRAJECTORY, MAP, KEYFRAMES):
+        assert (node_run.online / name).read_bytes() == (node_run.offline / name).read_bytes()
+
+
+def test_services_answer(node_run: NodeRun) -> None:
+    grid = node_run.responses["grid"]
+    assert grid.info.width * grid.info.height == len(grid.data) > 100
+    assert node_run.responses["paused"] == [True, False]
+    assert node_run.responses["save"] == 0
+    assert {path.name for path in node_run.online.parent.glob("picture.*")} == {"picture.pgm", "picture.yaml"}
+
+
+def test_a_run_is_saved_continued_discarded_and_begun_in_a_map(node_run: NodeRun, tmp_path: Path) -> None:
+    link, saved, results = MemoryLink(), tmp_path / "saved", []
+    robot = [item for item in node_run.robot if item.arrival < START + 8.0]
+
+    def save() -> None:
+        results.append(link.call("/slam_toolbox/serialize_map", filename=str(saved)).result)
+        results.append(link.call("/slam_toolbox/serialize_map", filename="").result)
+
+    def begin_in_map() -> None:
+        link.call("/slam_toolbox/deserialize_map", filename=str(tmp_path / "nothing"), match_type=1)
+        link.call("/slam_toolbox/deserialize_map", filename=str(saved), match_type=3)
+        results.append(link.call("/slam_toolbox/serialize_map", filename=str(tmp_path / "unchanged")).result)
+
+    def reset() -> None:
+        results.append(link.call("/slam_toolbox/reset", pause_new_measurements=False).result)
+
+    output = run_node(link, robot, tmp_path / "end", {10: save, 15: begin_in_map, 20: reset}, patience=0.02)
+    assert results == [0, 255, 255, 0]
+    assert f"wclm: deserialize_map: {tmp_path / 'nothing'}: is not a directory" in output
+    assert not (tmp_path / "unchanged").exists()
+    assert output.count("the map is discarded; a new run begins") == 2
+    whole = read_tum(node_run.online / TRAJECTORY)
+    first = read_tum(saved / TRAJECTORY)
+    assert first.stamps[-1] < START + 2.5
+    assert first.poses == pytest.approx(whole.poses[: len(first.poses)], abs=0.02)
+    scans = [item for item in robot if item.topic == "/scan"]
+    last = read_tum(tmp_path / "end" / TRAJECTORY)
+    assert last.stamps[0] > scans[19].arrival - 1.0
+
+
+def test_every_scan_is_answered_with_its_pose(node_run: NodeRun) -> None:
+    scans = sum(item.topic == "/scan" for item in node_run.robot)
+    poses = sent(node_run, "/pose", POSE_WITH_COVARIANCE)
+    assert len(poses) == scans
+    final = read_tum(node_run.online / TRAJECTORY)
+    for message in poses[5:]:
+        at = int(np.argmin(np.abs(final.stamps - seconds(message.header.stamp))))
+        assert planar_pose(message.pose.pose) == pytest.approx(final.poses[at], abs=0.05)
+        variances = np.diag(message.pose.covariance.reshape(6, 6))
+        assert (variances[[0, 1, 5]] > 0.0).all()
+        assert message.header.frame_id == "map"
+
+
+def test_transforms_place_the_robot_where_it_is_and_are_ahead_of_time(node_run: NodeRun) -> None:
+    moving = [decode(item.data, TRANSFORMS, "cdr").transforms[0] for item in node_run.robot if item.topic == "/tf"]
+    by_stamp = {seconds(item.header.stamp): planar_transform(item.transform) for item in moving}
+    ahead = [item.transforms[0] for item in sent(node_run, "/tf", TRANSFORMS)]
+    ahead = [item for item in ahead if item.header.frame_id == "map"]
+    stamps = [seconds(item.header.stamp) for item in ahead]
+    assert (np.diff(stamps) > 0.0).all()
+    final = read_tum(node_run.online / TRAJECTORY)
+    for item, stamp in list(zip(ahead, stamps, strict=True))[5:]:
+        measured = min(by_stamp, key=lambda other: abs(other + TIMEOUT - stamp))
+        assert measured + TIMEOUT == pytest.approx(stamp, abs=1e-6)
+        pose = se2.compose(planar_transform(item.transform), by_stamp[measured])
+        at = int(np.argmin(np.abs(final.stamps - measured)))
+        assert pose == pytest.approx(final.poses[at], abs=0.05)
+        assert item.child_frame_id == "odom"
+
+
+def test_grid_shows_the_room(node_run: NodeRun) -> None:
+    """The last grid has the walls of the map at occupied cells, and the driven path on free ones."""
+    grid = sent(node_run, "/map", GRID)[-1]
+    info = grid.info
+    assert sent(node_run, "/map_metadata", "nav_msgs/msg/MapMetaData")[-1] == info
+    cells = grid.data.reshape(info.height, info.width)
+    origin = np.array([info.origin.position.x, info.origin.position.y])
+    keyframes = np.loadtxt(node_run.online / KEYFRAMES, delimiter=",", skiprows=1, usecols=(1, 2, 3))
+    lidar = se2.compose(keyframes, MOUNT)[:, :2]
+    columns, rows = np.floor((lidar - origin) / info.resolution).astype(int).T
+    assert (cells[rows, columns] == 0).all()
+    assert info.resolution == pytest.approx(0.05)
+    assert (cells == 100).sum() > 100
+
+
+def test_state_and_markers_are_published(node_run: NodeRun) -> None:
+    states = sent(node_run, "/diagnostics", DIAGNOSTICS)
+    assert {status.message for message in states for status in message.status} == {"OK"}
+    assert {status.level for message in states for status in message.status} == {0}
+    markers = sent(node_run, "/slam_toolbox/graph_visualization", MARKERS)[-1].markers
+    points = {marker.ns: len(marker.points) for marker in markers}
+    assert points["walls"] > 10
+    assert points["corners"] > 3
+    assert points["path"] > 10
+
+
+def test_one_line_says_what_is_used(node_run: NodeRun) -> None:
+    lines = node_run.output.splitlines()
+    assert "wclm: node /slam_toolbox by memory" in lines
+    assert "wclm: parameters without a counterpart are ignored: solver_plugin" in lines
+    assert node_run.link.closed
