@@ -149,7 +149,7 @@ class Publisher:
         moved = keyframes[:common, :2] - self._published_keyframes[:common, :2]
         self._published_keyframes = keyframes
         self._publish_removed(len(keyframes) - 1 if index is None else index, stamp, mapper)
-        walls, corners = map_features(mapper, covariances=False)
+        walls, corners = map_features(mapper)
         of_walls, of_corners = covariances_when_last_seen(mapper, walls, corners)
         self.publish(
             MapUpdated(
@@ -241,7 +241,7 @@ def _correction(decision: LoopDecision, mapper: Mapper, superseded: Mapper) -> C
     return Correction(
         keyframes_before=superseded.graph.keyframe_poses(count),
         keyframes=mapper.graph.keyframe_poses(count),
-        walls_before=map_features(superseded, covariances=False)[0],
+        walls_before=map_features(superseded)[0],
         chi2_before=superseded.graph.chi2(),
         chi2_strained=mapper.graph.chi2_at(superseded.graph) if closed else math.nan,
         chi2=mapper.graph.chi2(),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from gtsam.symbol_shorthand import C, L, P, X
@@ -18,6 +18,30 @@ from .residuals import Residuals, residuals_of
 
 # Pairs of walls whose joint covariance is computed at once. Origin: measured, 50 walls take three times as long as 2.
 PAIRS_TOGETHER = 25
+
+
+class Marginals:
+    """Covariances of all variables of a graph, times ROBUST_COVARIANCE_SCALE."""
+
+    def __init__(self, covariances: Mapping[int, Floats]) -> None:
+        """Take the covariances of the graph by the keys of the variables."""
+        self._covariances = covariances
+
+    def keyframes(self, indices: Iterable[int]) -> Floats:
+        """Return the covariances (n, 3, 3) of keyframes' poses, each in its own frame."""
+        return self._scaled([self._covariances[X(k)] for k in indices], 3)
+
+    def walls(self, walls: Iterable[int]) -> Floats:
+        """Return the covariances (n, 2, 2) of walls' offsets across and headings in the map, each at its frame."""
+        return self._scaled([self._covariances[L(j)][1:, 1:] for j in walls], 2)
+
+    def corners(self, corners: Iterable[int]) -> Floats:
+        """Return the covariances (n, 2, 2) of corners' positions in the map."""
+        return self._scaled([self._covariances[C(j)] for j in corners], 2)
+
+    @staticmethod
+    def _scaled(covariances: Sequence[Floats], size: int) -> Floats:
+        return ROBUST_COVARIANCE_SCALE * np.array(covariances).reshape(-1, size, size)
 
 
 class GraphEstimate:
@@ -72,23 +96,19 @@ class GraphEstimate:
         """Return the residuals of all factors; takes ten microseconds a factor."""
         return residuals_of(self.solver.isam.getFactorsUnsafe(), self.solver.isam.calculateEstimate())
 
+    def marginals(self) -> Marginals:
+        """Return the covariances of all variables: takes as long as that of some hundred alone."""
+        return Marginals(self.solver.marginal_covariances())
+
     def keyframe_covariance(self, index: int) -> Floats:
         """Return the covariance (3, 3) of a keyframe's pose, in its own frame."""
         return ROBUST_COVARIANCE_SCALE * self.solver.marginal_covariance(X(index))
-
-    def wall_covariance(self, wall: int) -> Floats:
-        """Return the covariance (2, 2) of a wall's offset across and heading in the map, at its frame."""
-        return ROBUST_COVARIANCE_SCALE * self.solver.marginal_covariance(L(wall))[1:, 1:]
 
     def wall_covariances(self, walls: Sequence[int]) -> Floats:
         """Return the joint covariance (2 n, 2 n) of walls: offset and heading in the map, of each at its own frame."""
         joint = self.solver.joint_covariance([L(wall) for wall in walls])
         rows = np.flatnonzero(np.arange(len(joint)) % 3)  # offset and heading of (along, offset, heading)
         return ROBUST_COVARIANCE_SCALE * joint[np.ix_(rows, rows)]
-
-    def corner_covariance(self, corner: int) -> Floats:
-        """Return the covariance (2, 2) of a corner's position in the map."""
-        return ROBUST_COVARIANCE_SCALE * self.solver.marginal_covariance(C(corner))
 
     def wall_pair_covariances(self, pairs: Integers) -> Floats:
         """Return the joint covariances (n, 4, 4) of pairs (n, 2) of walls: offset and heading in the map, of each wall
@@ -118,7 +138,7 @@ class GraphEstimate:
         """Return the covariances of a keyframe in the map and of landmarks relative to it.
 
         Cheap for the last keyframe and the landmarks it observed. The landmarks' covariances in the map are a
-        by-product, scaled as those of `wall_covariance` and `corner_covariance`.
+        by-product, scaled as those of `marginals`.
         """
         keys = [X(keyframe), *(L(j) for j in walls), *(C(j) for j in corners)]
         joint = self.solver.joint_covariance(keys)
