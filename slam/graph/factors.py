@@ -143,7 +143,7 @@ def to_pose2(pose: se2.Pose) -> gtsam.Pose2:
 
 def from_pose2(pose: gtsam.Pose2) -> se2.Pose:
     """Convert GTSAM's pose into [x, y, heading]."""
-    return np.array([pose.x(), pose.y(), pose.theta()])
+    return np.array((pose.x(), pose.y(), pose.theta()))
 
 
 def to_gtsam_graph(factors: Iterable[Factor], bias: float = 0.0) -> gtsam.NonlinearFactorGraph:
