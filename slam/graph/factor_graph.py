@@ -111,13 +111,14 @@ class FactorGraph(GraphEstimate):
         error of the offset is k = C_dh / C_hh times that. So the second factor is d + (l - k) h, which is independent
         of the first.
         """
-        observed = se2.between(predicted, frame)
-        k = covariance[0, 1] / covariance[1, 1]
-        across = np.array([0.0, observed[1] - k * observed[2], 0.0])
-        self._add(FactorKind.WALL_HEADING, keyframe, wall, frame, covariance[1:, 1:], bias_slope[1:])
-        measured = np.append(se2.compose(predicted, across), observed[0] - k)
-        variance = covariance[:1, :1] - k * covariance[:1, 1:]
-        self._add(FactorKind.WALL_OFFSET, keyframe, wall, measured, variance, bias_slope[:1] - k * bias_slope[1:])
+        along, offset, turn = se2.between(predicted, frame).tolist()
+        (offset_variance, mixed), (_, turn_variance) = covariance.tolist()
+        of_offset, of_turn = bias_slope.tolist()
+        k = mixed / turn_variance
+        self._add(FactorKind.WALL_HEADING, keyframe, wall, frame, np.array([[turn_variance]]), np.array([of_turn]))
+        measured = np.array([*se2.compose(predicted, [0.0, offset - k * turn, 0.0]).tolist(), along - k])
+        variance = np.array([[offset_variance - k * mixed]])
+        self._add(FactorKind.WALL_OFFSET, keyframe, wall, measured, variance, np.array([of_offset - k * of_turn]))
 
     def add_corner(self, corner: int, position: Floats) -> None:
         """Add a corner with the initial value `position` (2,) in the map."""

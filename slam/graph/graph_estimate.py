@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
+import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import C, L, P, X
 
@@ -61,7 +62,7 @@ class GraphEstimate:
     def keyframe_poses(self, count: int) -> Floats:
         """Return the poses (count, 3) of the first `count` keyframes."""
         values = self.solver.isam.calculateEstimate()
-        return np.array([from_pose2(values.atPose2(X(k))) for k in range(count)]).reshape(-1, 3)
+        return _as_array(values.atPose2(X(k)) for k in range(count))
 
     def keyframe_poses_of(self, keyframes: Sequence[int]) -> Floats:
         """Return the poses (n, 3) of the given keyframes."""
@@ -69,11 +70,11 @@ class GraphEstimate:
 
     def wall_frames(self, walls: Sequence[int]) -> Floats:
         """Return the frames (n, 3) of walls in the map."""
-        return np.array([from_pose2(self.solver.isam.calculateEstimatePose2(L(j))) for j in walls]).reshape(-1, 3)
+        return _as_array(self.solver.isam.calculateEstimatePose2(L(j)) for j in walls)
 
     def point_map_poses(self, keyframes: Sequence[int]) -> Floats:
         """Return the poses (n, 3) of the points of some keyframes, which scans are matched with."""
-        return np.array([from_pose2(self.solver.isam.calculateEstimatePose2(P(k))) for k in keyframes]).reshape(-1, 3)
+        return _as_array(self.solver.isam.calculateEstimatePose2(P(k)) for k in keyframes)
 
     def corner_positions(self, corners: Sequence[int]) -> Floats:
         """Return the positions (n, 2) of corners in the map."""
@@ -144,3 +145,8 @@ class GraphEstimate:
         joint = self.solver.joint_covariance(keys)
         pose = self.keyframe_pose(keyframe)
         return landmark_covariances(joint, pose, self.wall_frames(walls), self.corner_positions(corners))
+
+
+def _as_array(poses: Iterable[gtsam.Pose2]) -> Floats:
+    """Convert GTSAM's poses into an array (n, 3)."""
+    return np.array([(pose.x(), pose.y(), pose.theta()) for pose in poses]).reshape(-1, 3)
