@@ -99,9 +99,8 @@ def _corners(mapper: Mapper, landmarks: Landmarks, marginals: Marginals | None) 
     if marginals is not None:
         covariance = marginals.corners(chosen.tolist())
         moved = np.array(jacobians).reshape(-1, 2, 4)
-        covariance[intersecting] = (
-            moved @ mapper.graph.wall_pair_covariances(wall_ids[intersecting]) @ moved.transpose(0, 2, 1)
-        )
+        joint = np.array(mapper.graph.wall_covariances(wall_ids[intersecting].tolist())).reshape(-1, 4, 4)
+        covariance[intersecting] = moved @ joint @ moved.transpose(0, 2, 1)
         # the keyframe that first saw a corner is not stored, the last one is
         covariance += mapper.correlated_drift[rows["last_seen"][chosen]]
     return MapCorners(

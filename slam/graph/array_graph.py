@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..errors import MapError
 from ..geometry.segments import Floats
 from .array_factors import BETWEEN, POINT, PRIOR, add_normal_equations, moved, robust_cost
-from .block_cholesky import Pattern, factorise, inverse_diagonal, solve
+from .block_cholesky import Pattern, factorise, inverse_blocks, solve
 from .factors import CAUCHY_SCALES, Factor, FactorKind, covariance_in_polar, root_information
 
 # Keys of the first and the second variable with number 0, from which the others follow. Other kinds of factors lead
@@ -40,8 +40,12 @@ class ArrayGraph:
     corners  (n,) true for corners, whose third component is always zero
     """
 
-    def __init__(self, factors: Sequence[Factor], bias: float) -> None:
-        """Convert factors. The noise of corners, by bearing and range, is that without a range bias (metres)."""
+    def __init__(self, factors: Sequence[Factor], bias: float, groups: Sequence[Sequence[int]] = ()) -> None:
+        """Convert factors.
+
+        bias    range bias (metres) without which the noise of corners is converted to bearing and range
+        groups  keys of variables whose joint covariances are wanted
+        """
         self._form = np.full(len(factors), BETWEEN)
         self._measured, self._direction = np.zeros((len(factors), 3)), np.zeros((len(factors), 3))
         self._information, self._scale = np.zeros((len(factors), 3, 3)), np.full(len(factors), np.inf)
@@ -60,9 +64,12 @@ class ArrayGraph:
         self.corners = np.zeros(len(keys), dtype=bool)
         self.corners[self._ends[self._form == POINT, 1]] = True
         relative = self._form != PRIOR
-        self._pattern = Pattern.of_pairs(len(self.keys), self._ends[relative])
+        self._groups = [np.searchsorted(keys, np.array(group, dtype=np.uint64)) for group in groups]
+        pairs = [np.stack(np.triu_indices(len(rows), 1), axis=1) for rows in self._groups]
+        joint = [rows[pair] for rows, pair in zip(self._groups, pairs, strict=True)]
+        self._pattern = Pattern.of_pairs(len(self.keys), np.concatenate([self._ends[relative], *joint]))
         self._slots = np.zeros(len(factors), dtype=np.int64)
-        self._slots[relative] = self._pattern.slots
+        self._slots[relative] = self._pattern.slots[: relative.sum()]
 
     def _convert(self, kind: FactorKind, rows: list[int], factors: Sequence[Factor], bias: float) -> None:
         """Fill in the rows of the factors of one kind; what they measure is described in FactorKind."""
@@ -137,7 +144,28 @@ class ArrayGraph:
         Raises MapError if it is not determined.
         """
         diagonal, below, _ = self._factorised(values, bias)
-        return inverse_diagonal(self._pattern, diagonal, below)[self._pattern.rank]
+        return inverse_blocks(self._pattern, diagonal, below)[0][self._pattern.rank]
+
+    def joint_covariances(self, values: Floats, bias: float) -> list[Floats]:
+        """Return the joint covariance (3 k, 3 k) of each group of k variables, with three components of each.
+
+        Raises MapError if they are not determined.
+        """
+        diagonal, below, _ = self._factorised(values, bias)
+        on_diagonal, off_diagonal = inverse_blocks(self._pattern, diagonal, below)
+        result, slot = [], int((self._form != PRIOR).sum())
+        for rows in self._groups:
+            ranks = self._pattern.rank[rows]
+            blocks = np.zeros((len(rows), len(rows), 3, 3))
+            blocks[np.arange(len(rows)), np.arange(len(rows))] = on_diagonal[ranks]
+            first, second = np.triu_indices(len(rows), 1)
+            later = np.where(ranks[first] > ranks[second], first, second)
+            earlier = first + second - later
+            between = off_diagonal[self._pattern.slots[slot : slot + len(first)]]
+            blocks[later, earlier], blocks[earlier, later] = between, between.transpose(0, 2, 1)
+            result.append(blocks.transpose(0, 2, 1, 3).reshape(3 * len(rows), 3 * len(rows)))
+            slot += len(first)
+        return result
 
     def _arrays(self, bias: float) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats, Floats, Floats]:
         """Return forms, ends, measurements without a range bias, information and scale of the kernels."""

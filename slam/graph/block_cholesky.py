@@ -68,9 +68,13 @@ def solve(pattern: Pattern, diagonal: Floats, below: Floats, right: Floats) -> F
     return np.asarray(_solve(pattern.starts, pattern.rows, diagonal, below, right.copy()))
 
 
-def inverse_diagonal(pattern: Pattern, diagonal: Floats, below: Floats) -> Floats:
-    """Return the blocks (n, 3, 3) of the inverse on the diagonal, given L as `factorise` left it."""
-    return np.asarray(_inverse_diagonal(pattern.starts, pattern.rows, diagonal, below))
+def inverse_blocks(pattern: Pattern, diagonal: Floats, below: Floats) -> tuple[Floats, Floats]:
+    """Return the blocks of the inverse on the diagonal, (n, 3, 3), and at the places of those below it, (b, 3, 3).
+
+    L is as `factorise` left it.
+    """
+    blocks: tuple[Floats, Floats] = _inverse_blocks(pattern.starts, pattern.rows, diagonal, below)
+    return blocks
 
 
 @compiled
@@ -228,8 +232,8 @@ def _add_product_of_transposed(target, a, b):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _inverse_diagonal(starts, rows, diagonal, below):  # type: ignore[no-untyped-def]
-    """Return the blocks of the inverse on the diagonal.
+def _inverse_blocks(starts, rows, diagonal, below):  # type: ignore[no-untyped-def]
+    """Return the blocks of the inverse on the diagonal and below it; see `inverse_blocks`.
 
     With the column l of L below the diagonal, d on it, and Z the part of the inverse in the rows and columns of l, the
     blocks of the inverse in this column are -Z l d^-1, and d^-T (1 + l' Z l) d^-1 on the diagonal.
@@ -254,4 +258,4 @@ def _inverse_diagonal(starts, rows, diagonal, below):  # type: ignore[no-untyped
         for p, k in enumerate(column):
             inverse[starts[j] + p] = -product[k]
             _add_product_of_transposed(on_diagonal[j], scaled[k], product[k])
-    return on_diagonal
+    return on_diagonal, inverse

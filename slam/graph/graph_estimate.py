@@ -10,15 +10,12 @@ from gtsam.symbol_shorthand import C, L, P, X
 
 from drivers import se2
 
-from ..geometry.segments import Floats, Integers
+from ..geometry.segments import Floats
 from .covariances import ROBUST_COVARIANCE_SCALE, LandmarkCovariances, landmark_covariances
 from .factors import from_pose2
 from .isam2 import IncrementalSolver
 from .range_bias import RangeBias
 from .residuals import Residuals, residuals_of
-
-# Pairs of walls whose joint covariance is computed at once. Origin: measured, 50 walls take three times as long as 2.
-PAIRS_TOGETHER = 25
 
 
 class Marginals:
@@ -105,28 +102,14 @@ class GraphEstimate:
         """Return the covariance (3, 3) of a keyframe's pose, in its own frame."""
         return ROBUST_COVARIANCE_SCALE * self.solver.marginal_covariance(X(index))
 
-    def wall_covariances(self, walls: Sequence[int]) -> Floats:
-        """Return the joint covariance (2 n, 2 n) of walls: offset and heading in the map, of each at its own frame."""
-        joint = self.solver.joint_covariance([L(wall) for wall in walls])
-        rows = np.flatnonzero(np.arange(len(joint)) % 3)  # offset and heading of (along, offset, heading)
-        return ROBUST_COVARIANCE_SCALE * joint[np.ix_(rows, rows)]
-
-    def wall_pair_covariances(self, pairs: Integers) -> Floats:
-        """Return the joint covariances (n, 4, 4) of pairs (n, 2) of walls: offset and heading in the map, of each wall
-        at its own frame.
-
-        Up to a limit many pairs cost little more than one; neighbouring pairs should stand together.
-        """
-        covariances = np.zeros((len(pairs), 4, 4))
-        for first in range(0, len(pairs), PAIRS_TOGETHER):
-            chunk = pairs[first : first + PAIRS_TOGETHER]
-            walls, index = np.unique(chunk, return_inverse=True)
-            joint = self.solver.joint_covariance([L(wall) for wall in walls.tolist()])
-            rows = (3 * index.reshape(-1, 2, 1) + [1, 2]).reshape(
-                -1, 4
-            )  # offset and heading of (along, offset, heading)
-            covariances[first : first + len(chunk)] = joint[rows[:, :, None], rows[:, None, :]]
-        return ROBUST_COVARIANCE_SCALE * covariances
+    def wall_covariances(self, groups: Sequence[Sequence[int]]) -> list[Floats]:
+        """Return the joint covariance (2 n, 2 n) of each group of n walls: offset and heading in the map, of each at
+        its own frame."""
+        result = []
+        for joint in self.solver.joint_covariances([[L(wall) for wall in walls] for walls in groups]):
+            rows = np.flatnonzero(np.arange(len(joint)) % 3)  # offset and heading of (along, offset, heading)
+            result.append(ROBUST_COVARIANCE_SCALE * joint[np.ix_(rows, rows)])
+        return result
 
     def relative_covariance(self, old: int, keyframe: int) -> Floats:
         """Return the covariance (3, 3) of a keyframe's pose relative to an older one, in its own frame."""

@@ -124,6 +124,21 @@ class IncrementalSolver:
             return {key: self.marginal_covariance(key) for key in graph.keys}
         return {key: block + bias.covariance([key]) for key, block in graph.by_key(blocks).items()}
 
+    def joint_covariances(self, groups: Sequence[Sequence[int]]) -> list[Floats]:
+        """Return the joint covariance of each group of poses or walls, by keys, in the time of some few alone.
+
+        Raises MapError as `update` does.
+        """
+        if not groups:
+            return []
+        bias = self.range_bias
+        graph = ArrayGraph(self.sorted_factors(), bias.metres, groups)
+        try:
+            joint = graph.joint_covariances(graph.values_of(self.isam.getLinearizationPoint()), bias.metres)
+        except MapError:  # undetermined in this form; QR may still manage
+            return [self.joint_covariance(group) for group in groups]
+        return [covariance + bias.covariance(group) for covariance, group in zip(joint, groups, strict=True)]
+
     def joint_covariance(self, keys: Sequence[int]) -> Floats:
         """Return the joint covariance of variables, in the order of `keys`. Raises MapError as `update` does."""
         joint = self._query(lambda isam: np.asarray(isam.jointMarginalCovariance(keys).fullMatrix()))

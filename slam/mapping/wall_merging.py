@@ -137,9 +137,9 @@ def merge_duplicate_walls(
     overlaps = find_overlaps(walls["frame"][rows], walls["low"][rows], walls["high"][rows])
     group = landmarks.parts.groups_of(walls["last_seen"][rows])
     overlaps = [pair for pair in overlaps if group[pair.first] == group[pair.second]]
-    pairs = np.array([rows[[pair.first, pair.second]] for pair in overlaps], dtype=np.int64).reshape(-1, 2)
+    pairs = [[int(rows[pair.first]), int(rows[pair.second])] for pair in overlaps]
     found = []
-    for pair, (first, second), joint in zip(overlaps, pairs.tolist(), graph.wall_pair_covariances(pairs), strict=True):
+    for pair, (first, second), joint in zip(overlaps, pairs, graph.wall_covariances(pairs), strict=True):
         covariance = _relative_covariance(joint, pair)
         comparable = covariance[0, 0] < MAX_PREDICTED_VARIANCE and covariance[1, 1] < MAX_PREDICTED_TURN_VARIANCE
         distance = pair.distance(covariance, roughness)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 import pytest
+from gtsam.symbol_shorthand import L, P, X
 
 from drivers import se2
 from slam.errors import MapError
 from slam.graph.array_graph import ArrayGraph
-from slam.graph.block_cholesky import Pattern, factorise, inverse_diagonal, solve
+from slam.graph.block_cholesky import Pattern, factorise, inverse_blocks, solve
 from slam.graph.factor_graph import FactorGraph
 from slam.graph.factors import to_gtsam_graph
 
@@ -68,12 +69,21 @@ def test_marginals_are_those_of_the_incremental_solver() -> None:
         np.testing.assert_allclose(covariance, solver.marginal_covariance(key), rtol=1e-5, atol=1e-12)
 
 
+def test_joint_covariances_are_those_of_the_incremental_solver() -> None:
+    solver = graph_of_all_kinds(np.random.default_rng(4)).solver
+    groups = [[L(2), L(0)], [X(2), L(1), X(0), P(0)], [L(1)]]
+    for group, covariance in zip(groups, solver.joint_covariances(groups), strict=True):
+        np.testing.assert_allclose(covariance, solver.joint_covariance(group), rtol=1e-5, atol=1e-12)
+
+
 def test_marginals_that_cholesky_cannot_compute_are_left_to_the_incremental_solver(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     solver = graph_of_all_kinds(np.random.default_rng(4)).solver
     expected = solver.marginal_covariances()
+    joint = solver.joint_covariances([[L(2), L(0)]])
     monkeypatch.setattr("slam.graph.array_graph.factorise", lambda *_: False)
+    np.testing.assert_allclose(solver.joint_covariances([[L(2), L(0)]]), joint, rtol=1e-5, atol=1e-12)
     for key, covariance in solver.marginal_covariances().items():
         np.testing.assert_allclose(covariance, expected[key], rtol=1e-5, atol=1e-12)
 
@@ -105,8 +115,11 @@ def test_sparse_factorisation_solves_and_inverts() -> None:
     right, inverse = random.normal(size=(count, 3)), np.linalg.inv(matrix)
     assert factorise(pattern, diagonal, below)
     np.testing.assert_allclose(solve(pattern, diagonal, below, right).ravel(), inverse @ right.ravel(), atol=1e-10)
-    expected = np.array([inverse[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] for k in range(count)])
-    np.testing.assert_allclose(inverse_diagonal(pattern, diagonal, below), expected, atol=1e-10)
+    blocks = inverse.reshape(count, 3, count, 3).transpose(0, 2, 1, 3)
+    on_diagonal, off_diagonal = inverse_blocks(pattern, diagonal, below)
+    np.testing.assert_allclose(on_diagonal, blocks[np.arange(count), np.arange(count)], atol=1e-10)
+    columns = np.repeat(np.arange(count), np.diff(pattern.starts))
+    np.testing.assert_allclose(off_diagonal, blocks[pattern.rows, columns], atol=1e-10)
 
 
 def vector_values(arrays: ArrayGraph, vectors: np.ndarray) -> gtsam.VectorValues:
