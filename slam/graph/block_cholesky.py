@@ -49,9 +49,8 @@ class Pattern:
         ranked = np.sort(rank[pairs], axis=1)
         given = np.unique(ranked[:, 0] * count + ranked[:, 1])
         starts, rows = _fill_in(count, given // count, given % count)
-        columns = np.repeat(np.arange(count), np.diff(starts))
-        slots = np.searchsorted(columns * count + rows, ranked[:, 0] * count + ranked[:, 1])
-        return cls(rank, starts, rows, slots)
+        places = np.sort(np.repeat(np.arange(count), np.diff(starts)) * count + rows)
+        return cls(rank, starts, places % count, np.searchsorted(places, ranked[:, 0] * count + ranked[:, 1]))
 
 
 def factorise(pattern: Pattern, diagonal: Floats, below: Floats) -> bool:
@@ -79,11 +78,10 @@ def inverse_blocks(pattern: Pattern, diagonal: Floats, below: Floats) -> tuple[F
 
 @compiled
 def _fill_in(count, columns, rows):  # type: ignore[no-untyped-def]
-    """Return starts and rows of L, given the places of the matrix's blocks below the diagonal, sorted by column.
+    """Return starts and unsorted rows of L, given the places of the matrix's blocks below the diagonal by column.
 
     The rows of a column are those of the matrix, and those of all columns whose first row it is.
     """
-    parent = np.full(count, -1)
     children = np.full(count, -1)  # of each column, the last column whose first row it is
     sibling = np.full(count, -1)  # of each column, the next one with the same first row
     mark = np.full(count, -1)
@@ -107,12 +105,21 @@ def _fill_in(count, columns, rows):  # type: ignore[no-untyped-def]
                     found[end] = found[p]
                     end += 1
             child = sibling[child]
-        found[begin:end].sort()
         starts[j + 1] = end
         if end > begin:
-            parent[j] = found[begin]
-            sibling[j], children[parent[j]] = children[parent[j]], j
+            parent = count
+            for p in range(begin, end):
+                parent = min(parent, found[p])
+            sibling[j], children[parent] = children[parent], j
     return starts, found[: starts[count]].copy()
+
+
+@inlined
+def _copy(target, block):  # type: ignore[no-untyped-def]
+    """Copy a block. Assigning it as an array would take some seconds to compile."""
+    for r in range(3):
+        for c in range(3):
+            target[r, c] = block[r, c]
 
 
 @inlined
@@ -133,9 +140,9 @@ def _factorise(starts, rows, diagonal, below):  # type: ignore[no-untyped-def]
     place = starts[:-1].copy()  # of each column, its next block
     inverse = np.zeros((3, 3))
     for j in range(count):
-        pivots = np.array([diagonal[j, 0, 0], diagonal[j, 1, 1], diagonal[j, 2, 2]])
+        pivots = (diagonal[j, 0, 0], diagonal[j, 1, 1], diagonal[j, 2, 2])
         for p in range(starts[j], starts[j + 1]):
-            column[rows[p]] = below[p]
+            _copy(column[rows[p]], below[p])
         k = first[j]
         while k >= 0:
             next_column = following[k]
@@ -149,7 +156,7 @@ def _factorise(starts, rows, diagonal, below):  # type: ignore[no-untyped-def]
             k = next_column
         if not _invert_root(diagonal[j], pivots, inverse):
             return False
-        diagonal[j] = inverse
+        _copy(diagonal[j], inverse)
         for p in range(starts[j], starts[j + 1]):
             block = column[rows[p]]
             for r in range(3):
@@ -190,13 +197,8 @@ def _invert_root(block, pivots, inverse):  # type: ignore[no-untyped-def]
 def _solve(starts, rows, diagonal, below, x):  # type: ignore[no-untyped-def]
     """Solve L L' x = b in place."""
     for j in range(len(diagonal)):
-        x[j] = np.array(
-            [
-                diagonal[j, 0, 0] * x[j, 0],
-                diagonal[j, 1, 0] * x[j, 0] + diagonal[j, 1, 1] * x[j, 1],
-                diagonal[j, 2, 0] * x[j, 0] + diagonal[j, 2, 1] * x[j, 1] + diagonal[j, 2, 2] * x[j, 2],
-            ]
-        )
+        d, (u, v, w) = diagonal[j], x[j]
+        x[j, 0], x[j, 1], x[j, 2] = d[0, 0] * u, d[1, 0] * u + d[1, 1] * v, d[2, 0] * u + d[2, 1] * v + d[2, 2] * w
         for p in range(starts[j], starts[j + 1]):
             for r in range(3):
                 x[rows[p], r] -= below[p, r, 0] * x[j, 0] + below[p, r, 1] * x[j, 1] + below[p, r, 2] * x[j, 2]
@@ -205,13 +207,8 @@ def _solve(starts, rows, diagonal, below, x):  # type: ignore[no-untyped-def]
             for c in range(3):
                 other = x[rows[p]]
                 x[j, c] -= below[p, 0, c] * other[0] + below[p, 1, c] * other[1] + below[p, 2, c] * other[2]
-        x[j] = np.array(
-            [
-                diagonal[j, 0, 0] * x[j, 0] + diagonal[j, 1, 0] * x[j, 1] + diagonal[j, 2, 0] * x[j, 2],
-                diagonal[j, 1, 1] * x[j, 1] + diagonal[j, 2, 1] * x[j, 2],
-                diagonal[j, 2, 2] * x[j, 2],
-            ]
-        )
+        d, (u, v, w) = diagonal[j], x[j]
+        x[j, 0], x[j, 1], x[j, 2] = d[0, 0] * u + d[1, 0] * v + d[2, 0] * w, d[1, 1] * v + d[2, 1] * w, d[2, 2] * w
     return x
 
 
@@ -256,6 +253,8 @@ def _inverse_blocks(starts, rows, diagonal, below):  # type: ignore[no-untyped-d
                     _add_product_of_transposed(product[k], inverse[q], scaled[rows[q]])
         _add_product_of_transposed(on_diagonal[j], diagonal[j], diagonal[j])
         for p, k in enumerate(column):
-            inverse[starts[j] + p] = -product[k]
+            for r in range(3):
+                for c in range(3):
+                    inverse[starts[j] + p, r, c] = -product[k, r, c]
             _add_product_of_transposed(on_diagonal[j], scaled[k], product[k])
     return on_diagonal, inverse

