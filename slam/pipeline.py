@@ -186,12 +186,12 @@ class Slam:
     @property
     def walls(self) -> MapWalls:
         """Current walls, without covariances, which cost time: `finish` returns them."""
-        return map_features(self.slam_state.mapper, covariances=False)[0]
+        return map_features(self.slam_state.mapper)[0]
 
     @property
     def corners(self) -> MapCorners:
         """Current corners, without covariances."""
-        return map_features(self.slam_state.mapper, covariances=False)[1]
+        return map_features(self.slam_state.mapper)[1]
 
     @property
     def session(self) -> StoredSession:

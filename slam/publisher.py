@@ -1,4 +1,4 @@
-"""Publish what happens as events with copied data. Events are only built if a sink listens."""
+"""Publish what happens as events with copied data. Those that take time are only built if a sink receives them."""
 
 from __future__ import annotations
 
@@ -52,15 +52,20 @@ class Publisher:
     """Sends events to sinks."""
 
     def __init__(self, sinks: Sequence[Sink]) -> None:
-        self._sinks = tuple(sinks)
+        self._sinks: list[tuple[Sink, tuple[type, ...]]] = [(s, getattr(s, "handled", (object,))) for s in sinks]
         self._published_keyframes = np.zeros((0, 3))
         self._published_removed: frozenset[int] | None = None  # wall ids; None before the first map of a session
         self._inspected_keyframes = 0  # at the last inspection of the graph
 
     def publish(self, event: Event) -> None:
-        """Send an event that is cheap to build."""
-        for sink in self._sinks:
-            sink.handle(event)
+        """Send an event to the sinks that receive its type."""
+        for sink, handled in self._sinks:
+            if isinstance(event, handled):
+                sink.handle(event)
+
+    def _is_received(self, *types: type[Event]) -> bool:
+        """True if a sink receives events of one of these types."""
+        return any(issubclass(one, handled) for one in types for _, handled in self._sinks)
 
     def publish_tracking(self, scan: ProcessedScan, tracking: TrackingResult, mapper: Mapper) -> None:
         """Publish the pose of a scan, and a notice if it was not tracked normally."""
@@ -86,14 +91,13 @@ class Publisher:
         self, scan: ProcessedScan, mapper: Mapper, update: KeyframeUpdate, sigma_range: float, timer: StageTimer
     ) -> None:
         """Publish the last keyframe, its changes of the map, and at intervals the whole map."""
-        if not self._sinks:
-            return
         index, stamp = mapper.keyframe_count - 1, scan.stamp
-        self.publish(_keyframe_event(scan, mapper, update, sigma_range, dict(timer.laps)))
+        if self._is_received(KeyframeAdded):
+            self.publish(_keyframe_event(scan, mapper, update, sigma_range, dict(timer.laps)))
         if update.merge is not None:
             merge = update.merge
             self.publish(WallsMerged(index, stamp, merge.kept, merge.absorbed, merge.distance))
-        if update.loop is not None:
+        if update.loop is not None and self._is_received(LoopDecided):
             self.publish(_loop_event(update.loop, stamp, mapper, update.superseded))
         if update.superseded is not None:
             self.publish_map(stamp, mapper)
@@ -105,15 +109,14 @@ class Publisher:
 
     def publish_loop(self, decision: LoopDecision, stamp: float, mapper: Mapper, superseded: Mapper) -> None:
         """Publish a retracted closure, and the map without it."""
-        if not self._sinks:
-            return
-        self.publish(_loop_event(decision, stamp, mapper, superseded))
+        if self._is_received(LoopDecided):
+            self.publish(_loop_event(decision, stamp, mapper, superseded))
         self.publish_map(stamp, mapper)
         self.publish_residuals(stamp, mapper)
 
     def publish_keyframes(self, mapper: Mapper, scans: Mapping[int, ProcessedScan], sigma_range: float) -> None:
         """Publish all keyframes of a finished map; `scans` are theirs, by keyframe."""
-        if not self._sinks:
+        if not self._is_received(KeyframeAdded):
             return
         for index, scan in scans.items():
             landmark_ids = mapper.landmark_ids[index]
@@ -142,14 +145,14 @@ class Publisher:
 
     def publish_map(self, stamp: float, mapper: Mapper, index: int | None = None) -> None:
         """Publish the whole map, as it is after the last keyframe or after the one of `index`."""
-        if not self._sinks:
+        if not self._is_received(MapUpdated, WallsRemoved):
             return
         keyframes = mapper.graph.keyframe_poses(mapper.keyframe_count)
         common = min(len(keyframes), len(self._published_keyframes))
         moved = keyframes[:common, :2] - self._published_keyframes[:common, :2]
         self._published_keyframes = keyframes
         self._publish_removed(len(keyframes) - 1 if index is None else index, stamp, mapper)
-        walls, corners = map_features(mapper, covariances=False)
+        walls, corners = map_features(mapper)
         of_walls, of_corners = covariances_when_last_seen(mapper, walls, corners)
         self.publish(
             MapUpdated(
@@ -173,7 +176,7 @@ class Publisher:
 
     def publish_residuals(self, stamp: float, mapper: Mapper) -> None:
         """Publish the residual of every factor, and the walls removed since the map was published last."""
-        if self._sinks:
+        if self._is_received(GraphInspected, WallsRemoved):
             self._publish_removed(mapper.keyframe_count - 1, stamp, mapper)
             self._inspected_keyframes = mapper.keyframe_count
             self.publish(GraphInspected(mapper.keyframe_count - 1, stamp, mapper.graph.residuals()))
@@ -241,7 +244,7 @@ def _correction(decision: LoopDecision, mapper: Mapper, superseded: Mapper) -> C
     return Correction(
         keyframes_before=superseded.graph.keyframe_poses(count),
         keyframes=mapper.graph.keyframe_poses(count),
-        walls_before=map_features(superseded, covariances=False)[0],
+        walls_before=map_features(superseded)[0],
         chi2_before=superseded.graph.chi2(),
         chi2_strained=mapper.graph.chi2_at(superseded.graph) if closed else math.nan,
         chi2=mapper.graph.chi2(),

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import typer
@@ -77,6 +77,7 @@ def prepare_run(
 class NoticeCollector:
     """Sink that collects the texts of notices."""
 
+    handled: ClassVar[tuple[type[Event], ...]] = (Notice,)
     texts: list[str] = field(default_factory=list)
 
     def handle(self, event: Event) -> None:

@@ -8,6 +8,7 @@ from drivers import se2
 
 from ..events import Finished
 from ..geometry.segments import Floats
+from ..graph.graph_estimate import Marginals
 from ..mapping.landmarks import Landmarks
 from ..mapping.map_features import MapCorners, MapWalls
 from ..mapping.mapper import Mapper
@@ -25,8 +26,8 @@ MAX_INTERSECTION_DISTANCE = 0.1
 def final_result(state: SlamState, trajectory: tuple[Floats, Floats], summary: dict[str, object]) -> Finished:
     """Return the result of a settled estimate with all covariances; `trajectory` is stamps (m,) and poses (m, 3)."""
     mapper = state.mapper
-    walls, corners = map_features(mapper, covariances=True)
-    covariances = [mapper.keyframe_covariance(index) for index in range(mapper.keyframe_count)]
+    marginals = mapper.graph.marginals()
+    walls, corners = map_features(mapper, marginals)
     return Finished(
         walls=walls,
         corners=corners,
@@ -35,26 +36,25 @@ def final_result(state: SlamState, trajectory: tuple[Floats, Floats], summary: d
         stamps=trajectory[0],
         poses=trajectory[1],
         summary=summary,
-        keyframe_covariance=np.array(covariances).reshape(-1, 3, 3),
+        keyframe_covariance=mapper.keyframe_covariances(marginals),
     )
 
 
-def map_features(mapper: Mapper, *, covariances: bool) -> tuple[MapWalls, MapCorners]:
+def map_features(mapper: Mapper, marginals: Marginals | None = None) -> tuple[MapWalls, MapCorners]:
     """Return the confirmed walls, no two of them along the same stretch, and the corners.
 
-    Marginal covariances cost about a millisecond per landmark; without them covariances are NaN.
+    Without `marginals`, those of the mapper's graph, covariances are NaN.
     """
     shown = suppress_overlapping_walls(mapper.landmarks)
-    return _walls(mapper, shown, covariances=covariances), _corners(mapper, shown, covariances=covariances)
+    return _walls(mapper, shown, marginals), _corners(mapper, shown, marginals)
 
 
-def _walls(mapper: Mapper, landmarks: Landmarks, *, covariances: bool) -> MapWalls:
+def _walls(mapper: Mapper, landmarks: Landmarks, marginals: Marginals | None) -> MapWalls:
     rows = landmarks.walls.rows
     chosen = np.flatnonzero(rows["in_graph"] & landmarks.active())
     covariance = np.full((len(chosen), 2, 2), np.nan)
-    if covariances:
-        for row, wall in enumerate(chosen):
-            covariance[row] = mapper.graph.wall_covariance(int(wall))
+    if marginals is not None:
+        covariance = marginals.walls(chosen.tolist())
         normals = np.column_stack([-np.sin(rows["frame"][chosen, 2]), np.cos(rows["frame"][chosen, 2])])
         covariance[:, 0, 0] += np.einsum(
             "ij,ijk,ik->i", normals, mapper.correlated_drift[rows["first_seen"][chosen]], normals
@@ -71,7 +71,7 @@ def _walls(mapper: Mapper, landmarks: Landmarks, *, covariances: bool) -> MapWal
     )
 
 
-def _corners(mapper: Mapper, landmarks: Landmarks, *, covariances: bool) -> MapCorners:
+def _corners(mapper: Mapper, landmarks: Landmarks, marginals: Marginals | None) -> MapCorners:
     """Return the corners.
 
     A corner lies on both of its walls, and they carry most of its information. If both are in the map, the corner is
@@ -96,14 +96,12 @@ def _corners(mapper: Mapper, landmarks: Landmarks, *, covariances: bool) -> MapC
             position[row] = intersection
             intersecting.append(row)
             jacobians.append(jacobian)
-        elif covariances:
-            covariance[row] = mapper.graph.corner_covariance(int(corner))
-    if covariances and intersecting:
-        moved = np.array(jacobians)
-        covariance[intersecting] = (
-            moved @ mapper.graph.wall_pair_covariances(wall_ids[intersecting]) @ moved.transpose(0, 2, 1)
-        )
-    if covariances:  # the keyframe that first saw a corner is not stored, the last one is
+    if marginals is not None:
+        covariance = marginals.corners(chosen.tolist())
+        moved = np.array(jacobians).reshape(-1, 2, 4)
+        joint = np.array(mapper.graph.wall_covariances(wall_ids[intersecting].tolist())).reshape(-1, 4, 4)
+        covariance[intersecting] = moved @ joint @ moved.transpose(0, 2, 1)
+        # the keyframe that first saw a corner is not stored, the last one is
         covariance += mapper.correlated_drift[rows["last_seen"][chosen]]
     return MapCorners(
         identity=chosen,

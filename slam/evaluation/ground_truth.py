@@ -62,7 +62,8 @@ def measure(
     for message in simulation if messages is None else messages:
         slam.add(message)
     finished = slam.finish()
-    covariances = np.array([slam.keyframe_covariance(k) for k in range(len(finished.keyframes))])
+    covariances = finished.keyframe_covariance
+    assert covariances is not None
     truth = simulation.trajectory.poses_at(finished.keyframe_stamps)
     walls = true_walls(simulation.world if straight is None else straight, truth[0])
     return Nees(

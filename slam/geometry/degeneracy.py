@@ -12,7 +12,7 @@ from .segments import Floats
 
 # Information (per square metre and square radian) added in all directions, so that its inverse exists: corresponds to
 # a standard deviation of 1 km. Origin: numerical.
-_MIN_INFORMATION = 1e-6
+_MIN_INFORMATION = 1e-6 * np.eye(3)
 
 
 def weakest_direction(pose: se2.Pose, information: Floats, sigma: float) -> float | None:
@@ -21,7 +21,9 @@ def weakest_direction(pose: se2.Pose, information: Floats, sigma: float) -> floa
     None if its standard deviation is at most `sigma` metres in every direction. `information` (3, 3) is that of the
     pose, in its own frame.
     """
-    covariance = np.linalg.inv(information + _MIN_INFORMATION * np.eye(3))[:2, :2]
+    covariance = np.linalg.inv(information + _MIN_INFORMATION)[:2, :2]
+    if covariance[0, 0] + covariance[1, 1] <= sigma**2:  # the sum of both variances
+        return None
     variances, directions = np.linalg.eigh(covariance)
     if variances[-1] <= sigma**2:
         return None

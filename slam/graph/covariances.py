@@ -54,14 +54,12 @@ def landmark_covariances(joint: Floats, pose: se2.Pose, frames: Floats, position
     jacobian[:, 0, 0] = jacobian[:, 1, 1] = 1.0
     jacobian[:, 0, 2], jacobian[:, 1, 2] = -lever[:, 1], lever[:, 0]
     corner_covariances = _relative(joint, starts[len(frames) : -1], 2, jacobian @ rotation)
-    blocks = [joint[k : k + 3, k : k + 3][1:, 1:] for k in starts[: len(frames)]]
-    points = [joint[k : k + 2, k : k + 2] for k in starts[len(frames) : -1]]
     return LandmarkCovariances(
         rotation @ own @ rotation.T,
         wall_covariances[:, 1:, 1:],
         corner_covariances,
-        ROBUST_COVARIANCE_SCALE * np.array(blocks).reshape(-1, 2, 2),
-        ROBUST_COVARIANCE_SCALE * np.array(points).reshape(-1, 2, 2),
+        ROBUST_COVARIANCE_SCALE * _blocks(joint, starts[: len(frames)] + 1, 2),  # without the position along the wall
+        ROBUST_COVARIANCE_SCALE * _blocks(joint, starts[len(frames) : -1], 2),
     )
 
 
@@ -74,8 +72,11 @@ def _relative(joint: Floats, starts: Floats, size: int, jacobian: Floats) -> Flo
     rows = starts[:, None] + np.arange(size)
     own, cross = joint[:3, :3], joint[rows, :3] @ jacobian.transpose(0, 2, 1)
     return np.asarray(
-        joint[rows[:, :, None], rows[:, None, :]]
-        + jacobian @ own @ jacobian.transpose(0, 2, 1)
-        - cross
-        - cross.transpose(0, 2, 1)
+        _blocks(joint, starts, size) + jacobian @ own @ jacobian.transpose(0, 2, 1) - cross - cross.transpose(0, 2, 1)
     )
+
+
+def _blocks(joint: Floats, starts: Floats, size: int) -> Floats:
+    """Return the blocks (n, size, size) on the diagonal of a joint covariance that begin in some rows (n,)."""
+    rows = starts[:, None] + np.arange(size)
+    return np.asarray(joint[rows[:, :, None], rows[:, None, :]])

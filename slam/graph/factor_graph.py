@@ -5,12 +5,14 @@ only the wall's heading, the other only its offset at the observed segment. Neit
 GTSAM's Pose2 uses the full exponential map, in which an offset along the wall times the error in heading leaks into the
 offset across it. The offset is therefore measured from the predicted heading, not from the observed one: then the leak
 is of second order, whereas the noise of the observed heading would give information along a bare corridor, and pull the
-robot back. A corner is a Point2 observed by bearing and range with a full covariance. All arithmetic is GTSAM's.
+robot back. A corner is a Point2 observed by bearing and range with a full covariance. All arithmetic is GTSAM's, or the
+same on arrays (`array_graph`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 
 import gtsam
 import numpy as np
@@ -20,6 +22,7 @@ from drivers import se2
 
 from ..errors import MapError, first_line
 from ..geometry.segments import Floats
+from .array_graph import ArrayGraph
 from .factors import Factor, FactorKind, GraphState, from_pose2, to_gtsam_graph, to_pose2
 from .graph_estimate import GraphEstimate
 from .isam2 import RELINEARIZE_SKIP, IncrementalSolver
@@ -27,7 +30,7 @@ from .range_bias import RangeBias, estimate_range_bias
 from .wall_correlation import with_correlated_errors
 from .wall_segments import WallSegment
 
-# Gauss-Newton steps of `relinearize_all`. Origin: chosen; not measured.
+# Gauss-Newton steps of `relinearize_all`, the last one by the incremental solver. Origin: chosen; not measured.
 BATCH_STEPS = 3
 # Maximum of updates of `update_until_converged`; the first one moves by what was below the relinearisation threshold.
 # Origin: measured, the fifth update moves everything by less than a micrometre.
@@ -108,13 +111,14 @@ class FactorGraph(GraphEstimate):
         error of the offset is k = C_dh / C_hh times that. So the second factor is d + (l - k) h, which is independent
         of the first.
         """
-        observed = se2.between(predicted, frame)
-        k = covariance[0, 1] / covariance[1, 1]
-        across = np.array([0.0, observed[1] - k * observed[2], 0.0])
-        self._add(FactorKind.WALL_HEADING, keyframe, wall, frame, covariance[1:, 1:], bias_slope[1:])
-        measured = np.append(se2.compose(predicted, across), observed[0] - k)
-        variance = covariance[:1, :1] - k * covariance[:1, 1:]
-        self._add(FactorKind.WALL_OFFSET, keyframe, wall, measured, variance, bias_slope[:1] - k * bias_slope[1:])
+        along, offset, turn = se2.between(predicted, frame).tolist()
+        (offset_variance, mixed), (_, turn_variance) = covariance.tolist()
+        of_offset, of_turn = bias_slope.tolist()
+        k = mixed / turn_variance
+        self._add(FactorKind.WALL_HEADING, keyframe, wall, frame, np.array([[turn_variance]]), np.array([of_turn]))
+        measured = np.array([*se2.compose(predicted, [0.0, offset - k * turn, 0.0]).tolist(), along - k])
+        variance = np.array([[offset_variance - k * mixed]])
+        self._add(FactorKind.WALL_OFFSET, keyframe, wall, measured, variance, np.array([of_offset - k * of_turn]))
 
     def add_corner(self, corner: int, position: Floats) -> None:
         """Add a corner with the initial value `position` (2,) in the map."""
@@ -200,17 +204,9 @@ class FactorGraph(GraphEstimate):
         """
         return self._update()
 
-    def _update(
-        self,
-        *,
-        gtsam_factors: gtsam.NonlinearFactorGraph | None = None,
-        relinearize: bool = False,
-        remove: Sequence[int] = (),
-    ) -> list[int]:
+    def _update(self, *, relinearize: bool = False, remove: Sequence[int] = ()) -> list[int]:
         """Pass the additions to the solver; for the arguments see there."""
-        numbers = self.solver.update(
-            self._new, self._values, gtsam_factors=gtsam_factors, relinearize=relinearize, remove=remove
-        )
+        numbers = self.solver.update(self._new, self._values, relinearize=relinearize, remove=remove)
         self._new, self._values = [], gtsam.Values()
         return numbers
 
@@ -246,7 +242,7 @@ class FactorGraph(GraphEstimate):
 
     def _factors_of(self, *kinds: FactorKind) -> list[Factor]:
         """Return the factors of some kinds, in the order in which they were added."""
-        return [factor for _, factor in sorted(self.solver.factors.items()) if factor.kind in kinds]
+        return [factor for factor in self.solver.sorted_factors() if factor.kind in kinds]
 
     def _remove_if(self, condition: Callable[[Factor], bool]) -> None:
         """Remove the factors that satisfy a condition."""
@@ -287,10 +283,10 @@ class FactorGraph(GraphEstimate):
 
         The estimate has converged. If no observation depends on the range bias, none is estimated.
         """
-        factors = [factor for _, factor in sorted(self.solver.factors.items())]
-        estimate = estimate_range_bias(factors, self.solver.isam.calculateEstimate(), self.solver.range_bias)
-        if estimate is not None:
-            self.solver.range_bias = estimate
+        solver = self.solver
+        graph = ArrayGraph(solver.sorted_factors(), solver.range_bias.metres)
+        values = graph.values_of(solver.isam.calculateEstimate())
+        solver.range_bias = estimate_range_bias(graph, values, solver.range_bias) or solver.range_bias
         self.relinearize_all()
 
     def correlate_wall_errors(self) -> None:
@@ -315,12 +311,16 @@ class FactorGraph(GraphEstimate):
         Incremental solving relinearises only variables that move by more than a threshold; robust weights of the others
         are those of their last linearisation.
         """
-        factors = [factor for _, factor in sorted(self.solver.factors.items())]
-        gtsam_factors = to_gtsam_graph(factors, self.solver.range_bias.metres)
-        for _ in range(BATCH_STEPS):
-            self._values, self._new = self.solver.isam.calculateEstimate(), factors
-            self.solver.reset()
-            self._update(gtsam_factors=gtsam_factors)
+        solver = self.solver
+        self._new = solver.sorted_factors()
+        graph, bias = ArrayGraph(self._new, solver.range_bias.metres), solver.range_bias.metres
+        values = graph.values_of(solver.isam.calculateEstimate())
+        with suppress(MapError):  # undetermined in this form; the incremental solver may still manage with QR
+            for _ in range(BATCH_STEPS - 1):
+                values = graph.retract(values, graph.step(values, bias))
+        self._values = graph.to_values(values)
+        solver.reset()
+        self.update()
 
     # --- copying and storing
 
@@ -338,7 +338,7 @@ class FactorGraph(GraphEstimate):
             symbol = gtsam.Symbol(key)
             keys[chr(symbol.chr())].append(symbol.index())
         return GraphState(
-            factors=[factor for _, factor in sorted(self.solver.factors.items())],
+            factors=self.solver.sorted_factors(),
             keyframes=np.array([from_pose2(values.atPose2(X(k))) for k in keys["x"]]).reshape(-1, 3),
             walls=np.array(keys["l"], dtype=np.int64),
             frames=np.array([from_pose2(values.atPose2(L(j))) for j in keys["l"]]).reshape(-1, 3),

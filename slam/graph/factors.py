@@ -143,7 +143,7 @@ def to_pose2(pose: se2.Pose) -> gtsam.Pose2:
 
 def from_pose2(pose: gtsam.Pose2) -> se2.Pose:
     """Convert GTSAM's pose into [x, y, heading]."""
-    return np.array([pose.x(), pose.y(), pose.theta()])
+    return np.array((pose.x(), pose.y(), pose.theta()))
 
 
 def to_gtsam_graph(factors: Iterable[Factor], bias: float = 0.0) -> gtsam.NonlinearFactorGraph:
@@ -188,13 +188,19 @@ def to_gtsam(factor: Factor, bias: float = 0.0) -> gtsam.NonlinearFactor:
 
 def _corner_factor(keyframe: int, corner: int, position: Floats, covariance: Floats) -> gtsam.NonlinearFactor:
     """Convert the observation of a corner into bearing and range."""
+    noise = gtsam.noiseModel.Gaussian.Covariance(covariance_in_polar(position, covariance))
+    robust = gtsam.noiseModel.Robust.Create(CORNER_KERNEL, noise)
+    x, y = float(position[0]), float(position[1])
+    bearing = gtsam.Rot2.fromAngle(math.atan2(y, x))
+    return gtsam.BearingRangeFactor2D(X(keyframe), C(corner), bearing, math.hypot(x, y), robust)
+
+
+def covariance_in_polar(position: Floats, covariance: Floats) -> Floats:
+    """Return the covariance (2, 2) of bearing and range of a position (2,) with a covariance (2, 2)."""
     x, y = float(position[0]), float(position[1])
     distance = math.hypot(x, y)
     to_polar = np.array([[-y / distance**2, x / distance**2], [x / distance, y / distance]])
-    noise = gtsam.noiseModel.Gaussian.Covariance(to_polar @ covariance @ to_polar.T)
-    robust = gtsam.noiseModel.Robust.Create(CORNER_KERNEL, noise)
-    bearing = gtsam.Rot2.fromAngle(math.atan2(y, x))
-    return gtsam.BearingRangeFactor2D(X(keyframe), C(corner), bearing, distance, robust)
+    return np.asarray(to_polar @ covariance @ to_polar.T)
 
 
 def root_information(factor: Factor) -> Floats:

@@ -2,22 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
+import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import C, L, P, X
 
 from drivers import se2
 
-from ..geometry.segments import Floats, Integers
+from ..geometry.segments import Floats
 from .covariances import ROBUST_COVARIANCE_SCALE, LandmarkCovariances, landmark_covariances
 from .factors import from_pose2
 from .isam2 import IncrementalSolver
 from .range_bias import RangeBias
 from .residuals import Residuals, residuals_of
 
-# Pairs of walls whose joint covariance is computed at once. Origin: measured, 50 walls take three times as long as 2.
-PAIRS_TOGETHER = 25
+
+class Marginals:
+    """Covariances of all variables of a graph, times ROBUST_COVARIANCE_SCALE."""
+
+    def __init__(self, covariances: Mapping[int, Floats]) -> None:
+        """Take the covariances of the graph by the keys of the variables."""
+        self._covariances = covariances
+
+    def keyframes(self, indices: Iterable[int]) -> Floats:
+        """Return the covariances (n, 3, 3) of keyframes' poses, each in its own frame."""
+        return self._scaled([self._covariances[X(k)] for k in indices], 3)
+
+    def walls(self, walls: Iterable[int]) -> Floats:
+        """Return the covariances (n, 2, 2) of walls' offsets across and headings in the map, each at its frame."""
+        return self._scaled([self._covariances[L(j)][1:, 1:] for j in walls], 2)
+
+    def corners(self, corners: Iterable[int]) -> Floats:
+        """Return the covariances (n, 2, 2) of corners' positions in the map."""
+        return self._scaled([self._covariances[C(j)] for j in corners], 2)
+
+    @staticmethod
+    def _scaled(covariances: Sequence[Floats], size: int) -> Floats:
+        return ROBUST_COVARIANCE_SCALE * np.array(covariances).reshape(-1, size, size)
 
 
 class GraphEstimate:
@@ -37,7 +59,7 @@ class GraphEstimate:
     def keyframe_poses(self, count: int) -> Floats:
         """Return the poses (count, 3) of the first `count` keyframes."""
         values = self.solver.isam.calculateEstimate()
-        return np.array([from_pose2(values.atPose2(X(k))) for k in range(count)]).reshape(-1, 3)
+        return _as_array(values.atPose2(X(k)) for k in range(count))
 
     def keyframe_poses_of(self, keyframes: Sequence[int]) -> Floats:
         """Return the poses (n, 3) of the given keyframes."""
@@ -45,11 +67,11 @@ class GraphEstimate:
 
     def wall_frames(self, walls: Sequence[int]) -> Floats:
         """Return the frames (n, 3) of walls in the map."""
-        return np.array([from_pose2(self.solver.isam.calculateEstimatePose2(L(j))) for j in walls]).reshape(-1, 3)
+        return _as_array(self.solver.isam.calculateEstimatePose2(L(j)) for j in walls)
 
     def point_map_poses(self, keyframes: Sequence[int]) -> Floats:
         """Return the poses (n, 3) of the points of some keyframes, which scans are matched with."""
-        return np.array([from_pose2(self.solver.isam.calculateEstimatePose2(P(k))) for k in keyframes]).reshape(-1, 3)
+        return _as_array(self.solver.isam.calculateEstimatePose2(P(k)) for k in keyframes)
 
     def corner_positions(self, corners: Sequence[int]) -> Floats:
         """Return the positions (n, 2) of corners in the map."""
@@ -72,40 +94,22 @@ class GraphEstimate:
         """Return the residuals of all factors; takes ten microseconds a factor."""
         return residuals_of(self.solver.isam.getFactorsUnsafe(), self.solver.isam.calculateEstimate())
 
+    def marginals(self) -> Marginals:
+        """Return the covariances of all variables: takes as long as that of some hundred alone."""
+        return Marginals(self.solver.marginal_covariances())
+
     def keyframe_covariance(self, index: int) -> Floats:
         """Return the covariance (3, 3) of a keyframe's pose, in its own frame."""
         return ROBUST_COVARIANCE_SCALE * self.solver.marginal_covariance(X(index))
 
-    def wall_covariance(self, wall: int) -> Floats:
-        """Return the covariance (2, 2) of a wall's offset across and heading in the map, at its frame."""
-        return ROBUST_COVARIANCE_SCALE * self.solver.marginal_covariance(L(wall))[1:, 1:]
-
-    def wall_covariances(self, walls: Sequence[int]) -> Floats:
-        """Return the joint covariance (2 n, 2 n) of walls: offset and heading in the map, of each at its own frame."""
-        joint = self.solver.joint_covariance([L(wall) for wall in walls])
-        rows = np.flatnonzero(np.arange(len(joint)) % 3)  # offset and heading of (along, offset, heading)
-        return ROBUST_COVARIANCE_SCALE * joint[np.ix_(rows, rows)]
-
-    def corner_covariance(self, corner: int) -> Floats:
-        """Return the covariance (2, 2) of a corner's position in the map."""
-        return ROBUST_COVARIANCE_SCALE * self.solver.marginal_covariance(C(corner))
-
-    def wall_pair_covariances(self, pairs: Integers) -> Floats:
-        """Return the joint covariances (n, 4, 4) of pairs (n, 2) of walls: offset and heading in the map, of each wall
-        at its own frame.
-
-        Up to a limit many pairs cost little more than one; neighbouring pairs should stand together.
-        """
-        covariances = np.zeros((len(pairs), 4, 4))
-        for first in range(0, len(pairs), PAIRS_TOGETHER):
-            chunk = pairs[first : first + PAIRS_TOGETHER]
-            walls, index = np.unique(chunk, return_inverse=True)
-            joint = self.solver.joint_covariance([L(wall) for wall in walls.tolist()])
-            rows = (3 * index.reshape(-1, 2, 1) + [1, 2]).reshape(
-                -1, 4
-            )  # offset and heading of (along, offset, heading)
-            covariances[first : first + len(chunk)] = joint[rows[:, :, None], rows[:, None, :]]
-        return ROBUST_COVARIANCE_SCALE * covariances
+    def wall_covariances(self, groups: Sequence[Sequence[int]]) -> list[Floats]:
+        """Return the joint covariance (2 n, 2 n) of each group of n walls: offset and heading in the map, of each at
+        its own frame."""
+        result = []
+        for joint in self.solver.joint_covariances([[L(wall) for wall in walls] for walls in groups]):
+            rows = np.flatnonzero(np.arange(len(joint)) % 3)  # offset and heading of (along, offset, heading)
+            result.append(ROBUST_COVARIANCE_SCALE * joint[np.ix_(rows, rows)])
+        return result
 
     def relative_covariance(self, old: int, keyframe: int) -> Floats:
         """Return the covariance (3, 3) of a keyframe's pose relative to an older one, in its own frame."""
@@ -118,9 +122,14 @@ class GraphEstimate:
         """Return the covariances of a keyframe in the map and of landmarks relative to it.
 
         Cheap for the last keyframe and the landmarks it observed. The landmarks' covariances in the map are a
-        by-product, scaled as those of `wall_covariance` and `corner_covariance`.
+        by-product, scaled as those of `marginals`.
         """
         keys = [X(keyframe), *(L(j) for j in walls), *(C(j) for j in corners)]
         joint = self.solver.joint_covariance(keys)
         pose = self.keyframe_pose(keyframe)
         return landmark_covariances(joint, pose, self.wall_frames(walls), self.corner_positions(corners))
+
+
+def _as_array(poses: Iterable[gtsam.Pose2]) -> Floats:
+    """Convert GTSAM's poses into an array (n, 3)."""
+    return np.array([(pose.x(), pose.y(), pose.theta()) for pose in poses]).reshape(-1, 3)

@@ -8,7 +8,6 @@ variables with b unknown is theirs with b known, plus x' x'^T times the variance
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -16,8 +15,9 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import C
 
+from ..errors import MapError
 from ..geometry.segments import Floats
-from .factors import Factor, FactorKind, to_gtsam, to_gtsam_graph
+from .array_graph import ArrayGraph
 
 # Metres by which the bias is moved for derivatives, first and near the estimate, where the weights of robust kernels
 # must hardly change. Origin: numerical.
@@ -58,76 +58,36 @@ CORNER = gtsam.Symbol(C(0)).chr()
 
 
 def estimate_range_bias(
-    factors: Sequence[Factor], values: gtsam.Values, start: RangeBias, prior_sigma: float = PRIOR_SIGMA
+    graph: ArrayGraph, values: Floats, start: RangeBias, prior_sigma: float = PRIOR_SIGMA
 ) -> RangeBias | None:
-    """Return the estimate of the range bias, given the graph's factors and their solution `values` with `start`.
+    """Return the estimate of the range bias, given the graph and its solution `values` (n, 3) with `start`.
 
     `prior_sigma` (metres) is the standard deviation of the bias before the drive. Returns None if no factor depends on
     the bias, or if the linearised graph cannot be solved.
     """
-    moving = [factor for factor in factors if factor.bias_slope.any()]
-    if not moving:
+    if not graph.depends_on_bias:
         return None
-    observations = _Observations(moving, start.metres)
-    fixed = to_gtsam_graph(factor for factor in factors if not factor.bias_slope.any())
     step = FIRST_STEP if np.isnan(start.sigma) else BIAS_STEP
-    bias, sigma, response = start.metres, prior_sigma, gtsam.VectorValues()
+    bias, sigma, response = start.metres, prior_sigma, np.zeros_like(values)
     for _ in range(MAX_PARABOLAS):
         try:
             (_, low), (here, middle), (beyond, high) = (
-                _solve(observations.graph(bias + change), fixed, values) for change in (-step, 0.0, step)
+                _solve(graph, values, bias + change) for change in (-step, 0.0, step)
             )
-        except RuntimeError:  # undetermined in this form; the incremental solver may still manage with QR
+        except MapError:  # undetermined in this form; the incremental solver may still manage with QR
             return None
-        response = beyond.subtract(here).scale(1.0 / step)
+        response = (beyond - here) / step
         curvature = max((low - 2.0 * middle + high) / step**2, 0.0) + 2.0 / prior_sigma**2
         change = -((high - low) / (2.0 * step) + 2.0 * bias / prior_sigma**2) / curvature
         sigma = float(np.sqrt(2.0 / curvature))
-        bias, values = bias + change, values.retract(here.add(response.scale(change)))
+        bias, values = bias + change, graph.retract(values, here + change * response)
         if step == BIAS_STEP and abs(change) < CONVERGED_SHARE * sigma:
             break
         step = BIAS_STEP
-    return RangeBias(float(bias), sigma, {key: np.asarray(response.at(key)) for key in list(values.keys())})
+    return RangeBias(float(bias), sigma, graph.by_key(response))
 
 
-class _Observations:
-    """Factors of GTSAM that depend on the range bias, whose measurements follow it.
-
-    The noise of corners, by range and bearing, is that with the first bias.
-    """
-
-    def __init__(self, factors: Sequence[Factor], bias: float) -> None:
-        # What does not depend on the bias: keys, noise, and whether it is a corner.
-        self._kept: list[tuple[int, int, gtsam.noiseModel.Base, bool]] = []
-        self._measured, self._direction = np.zeros((len(factors), 3)), np.zeros((len(factors), 3))
-        for row, factor in enumerate(factors):
-            converted = to_gtsam(factor, bias)
-            assert isinstance(converted, gtsam.NoiseModelFactor)
-            first, second = converted.keys()
-            self._kept.append((first, second, converted.noiseModel(), factor.kind is FactorKind.CORNER))
-            measured, direction = factor.measured[:3], factor.bias_direction()[:3]
-            self._measured[row, : len(measured)] = measured
-            self._direction[row, : len(direction)] = direction
-
-    def graph(self, bias: float) -> gtsam.NonlinearFactorGraph:
-        """Return the factors without a range bias (metres)."""
-        graph, measured = gtsam.NonlinearFactorGraph(), (self._measured - bias * self._direction).tolist()
-        for (first, second, noise, is_corner), (x, y, heading) in zip(self._kept, measured, strict=True):
-            if is_corner:
-                bearing = gtsam.Rot2.fromAngle(math.atan2(y, x))
-                graph.add(gtsam.BearingRangeFactor2D(first, second, bearing, math.hypot(x, y), noise))
-            else:
-                graph.add(gtsam.BetweenFactorPose2(first, second, gtsam.Pose2(x, y, heading), noise))
-        return graph
-
-
-def _solve(
-    graph: gtsam.NonlinearFactorGraph, fixed: gtsam.NonlinearFactorGraph, values: gtsam.Values
-) -> tuple[gtsam.VectorValues, float]:
-    """Return a Gauss-Newton step from `values`, and twice the robust cost after it.
-
-    graph, fixed  factors that depend on the bias, and those that do not
-    """
-    graph.push_back(fixed)
-    step = graph.linearize(values).optimize()
-    return step, 2.0 * graph.error(values.retract(step))
+def _solve(graph: ArrayGraph, values: Floats, bias: float) -> tuple[Floats, float]:
+    """Return a Gauss-Newton step from `values` with a range bias, and twice the robust cost after it."""
+    step = graph.step(values, bias)
+    return step, graph.cost(graph.retract(values, step), bias)

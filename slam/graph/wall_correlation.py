@@ -56,7 +56,8 @@ def with_correlated_errors(
         variance = _variances_of_walls(np.array([result[number].second for number in numbers]), influence)
         for number in numbers:
             factor = result[number]
-            result[number] = replace(factor, covariance=factor.covariance * max(1.0, variance[factor.second]))
+            if variance[factor.second] > 1.0:
+                result[number] = replace(factor, covariance=factor.covariance * variance[factor.second])
     return list(result.values())
 
 

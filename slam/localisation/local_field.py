@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from drivers import se2
 
-from ..geometry.segments import Floats
+from ..geometry.segments import Floats, Integers
 from ..matching.distance_field import DistanceField
 from ..matching.line_matcher import ScanFeatures
 from ..matching.point_matcher import POINT_SPACING
@@ -58,7 +58,7 @@ class LocalField:
         self._points: list[NDArray[np.float32]] = []  # of each keyframe, in its frame
         self._links: list[tuple[int, int]] = []
         self._gaps: dict[int, float] = {}
-        self._inserted: list[int] = []  # keyframes whose points are in the field
+        self._inserted: Integers = np.zeros(0, dtype=np.int64)  # keyframes whose points are in the field
         self._inserted_poses: Floats = np.zeros((0, 3))  # at which they were inserted
         self._linked = True  # True if other keyframes may have become near
         self._outdated = False  # True if some of the keyframes in the field may be near no longer
@@ -70,13 +70,13 @@ class LocalField:
         other._points, other._links, other._linked = list(self._points), list(self._links), self._linked
         other._gaps = dict(self._gaps)
         other._outdated = self._outdated
-        other._inserted, other._inserted_poses = list(self._inserted), self._inserted_poses.copy()
+        other._inserted, other._inserted_poses = self._inserted, self._inserted_poses  # replaced, never changed
         return other
 
     @property
     def state(self) -> LocalFieldState:
         """State to be saved."""
-        links, inserted = tuple(self._links), tuple(self._inserted)
+        links, inserted = tuple(self._links), tuple(self._inserted.tolist())
         return LocalFieldState(self.field.centre, links, dict(self._gaps), inserted, self._inserted_poses)
 
     def restore(self, state: LocalFieldState) -> None:
@@ -85,12 +85,12 @@ class LocalField:
         If no keyframe was inserted, those around the robot are inserted by the next update.
         """
         self.field, self._linked = DistanceField.empty(state.centre), not state.inserted
-        self._links, self._gaps, self._inserted = list(state.links), dict(state.gaps), list(state.inserted)
-        self._inserted_poses = state.inserted_poses
+        self._links, self._gaps = list(state.links), dict(state.gaps)
+        self._inserted, self._inserted_poses = np.array(state.inserted, dtype=np.int64), state.inserted_poses
         self.field.insert_scans(self._inserted_poses, [self.points(keyframe) for keyframe in self._inserted])
 
     @property
-    def inserted(self) -> Sequence[int]:
+    def inserted(self) -> Integers:
         """Keyframes whose points are in the field."""
         return self._inserted
 
@@ -123,7 +123,7 @@ class LocalField:
     def begin_part(self) -> None:
         """Empty the field: the next keyframe may be anywhere."""
         self.field, self._linked = DistanceField.empty(self.field.centre), True
-        self._inserted, self._inserted_poses = [], np.zeros((0, 3))
+        self._inserted, self._inserted_poses = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
 
     def link(self, keyframe: int, other: int) -> None:
         """State that two keyframes saw the same place, so that their relative pose is well known."""
@@ -132,11 +132,11 @@ class LocalField:
 
     def reference(self, pose: se2.Pose) -> tuple[int, se2.Pose] | None:
         """Return the oldest keyframe near a pose whose points are in the field, and its pose in the field."""
-        if not self._inserted:
+        if not len(self._inserted):
             return None
         near = np.hypot(*(self._inserted_poses[:, :2] - pose[:2]).T) < REFERENCE_DISTANCE
         oldest = int(np.where(near, self._inserted, len(self._points)).argmin())
-        return (self._inserted[oldest], self._inserted_poses[oldest]) if near.any() else None
+        return (int(self._inserted[oldest]), self._inserted_poses[oldest]) if near.any() else None
 
     def nearest_missing(self, poses: Floats, keyframe: int, connected: NDArray[np.bool_]) -> int | None:
         """Return the keyframe nearest to another one, within REFERENCE_DISTANCE, whose points are not in the field.
@@ -145,7 +145,7 @@ class LocalField:
         connected  (k,) which of them are in a part of the map that is connected with the other one
         """
         distances = np.where(connected, np.hypot(*(poses[:, :2] - poses[keyframe, :2]).T), np.inf)
-        distances[[*self._inserted, keyframe]] = np.inf
+        distances[self._inserted] = distances[keyframe] = np.inf
         nearest = int(distances.argmin())
         return nearest if distances[nearest] < REFERENCE_DISTANCE else None
 
@@ -160,18 +160,19 @@ class LocalField:
         moved = np.abs(poses[self._inserted, :2] - self._inserted_poses[:, :2]).max(initial=0.0)
         left = self.field.centre_distance(poses[keyframe]) > MAX_CENTRE_DISTANCE
         if moved > MAX_DISPLACEMENT or left or self._outdated:
-            self.field, self._inserted, self._linked = DistanceField.empty(poses[keyframe]), [], True
+            self.field, self._inserted, self._linked = DistanceField.empty(poses[keyframe]), self._inserted[:0], True
             self._outdated = False
         if self._linked:
-            inserted = set(self._inserted)
-            new, self._linked = [k for k in self._near(keyframe, travelled) if k not in inserted], False
+            near, self._linked = self._near(keyframe, travelled), False
+            new = near[~np.isin(near, self._inserted)]
         else:
-            new = list(range(max(self._inserted, default=-1) + 1, len(self._points)))
+            new = np.arange(int(self._inserted.max(initial=-1)) + 1, len(self._points))
         self.field.insert_scans(poses[new], [self.points(k) for k in new])
         before = self._inserted_poses[: len(self._inserted)]
-        self._inserted, self._inserted_poses = self._inserted + new, np.concatenate([before, poses[new]])
+        self._inserted = np.concatenate([self._inserted, new])
+        self._inserted_poses = np.concatenate([before, poses[new]])
 
-    def _near(self, keyframe: int, travelled: Sequence[float]) -> list[int]:
+    def _near(self, keyframe: int, travelled: Sequence[float]) -> Integers:
         """Return the keyframes within MAX_PATH of one, along the drive and the links, in ascending order."""
         distance = np.full(len(self._points), np.inf)  # to the keyframe
         distance[keyframe] = 0.0
@@ -186,4 +187,4 @@ class LocalField:
             np.minimum.at(distance, one, linked)
             np.minimum.at(distance, other, linked)
             if not (distance < before - ROUNDING).any():
-                return np.flatnonzero(distance < MAX_PATH).tolist()
+                return np.flatnonzero(distance < MAX_PATH)

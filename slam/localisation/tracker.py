@@ -25,6 +25,7 @@ from .view_change import View
 # Metres, metres, radians: standard deviations of a prediction beside odometry's own, from the error of the reference
 # and from clock differences. Origin: chosen; no measurement recorded.
 PREDICTION_SIGMAS = np.array([0.02, 0.02, np.radians(1.0)])
+PREDICTION_COVARIANCE = np.diag(PREDICTION_SIGMAS**2)  # Origin: definition.
 # Cost, minus the logarithm of the probability, of odometry failing from one scan to the next.
 # Origin: chosen, once in twenty scans that fit badly; not measured.
 SLIP_COST = 3.0
@@ -277,7 +278,7 @@ class Tracker:
 
     def _information(self, reference: PoseFix, odometry: se2.Pose) -> Floats:
         """Return the information (3, 3) of the pose predicted from the reference, in the base's frame."""
-        covariance = self._model.covariance(reference.odometry_motion(odometry)) + np.diag(PREDICTION_SIGMAS**2)
+        covariance = self._model.covariance(reference.odometry_motion(odometry)) + PREDICTION_COVARIANCE
         return np.asarray(np.linalg.inv(covariance))
 
 

@@ -298,9 +298,11 @@ class Landmarks:
         walls = self.walls.rows
         if not len(walls):
             return np.zeros(0, dtype=np.int64)
-        viewpoint = se2.transform(se2.inverse(walls["frame"]), pose[:2])
-        beyond = np.maximum(0.0, np.maximum(walls["low"] - viewpoint[:, 0], viewpoint[:, 0] - walls["high"]))
-        near = np.flatnonzero((np.hypot(beyond, viewpoint[:, 1]) < radius) & (viewpoint[:, 1] > -BEHIND_MARGIN))
+        x, y, heading = walls["frame"].T
+        x, y, c, s = pose[0] - x, pose[1] - y, np.cos(heading), np.sin(heading)
+        along, ahead = c * x + s * y, c * y - s * x  # the pose as seen from the walls' frames
+        beyond = np.maximum(0.0, np.maximum(walls["low"] - along, along - walls["high"]))
+        near = np.flatnonzero((np.hypot(beyond, ahead) < radius) & (ahead > -BEHIND_MARGIN))
         near = near[self.parts.connected(walls["last_seen"][near], keyframe)]
         return near[self.active(near, keyframe=keyframe)]
 

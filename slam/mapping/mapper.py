@@ -14,6 +14,7 @@ from ..geometry.segments import CornerPoints, Floats, Integers, Segments
 from ..graph.covariances import ROBUST_COVARIANCE_SCALE
 from ..graph.factor_graph import FactorGraph
 from ..graph.factors import Factor, GraphState
+from ..graph.graph_estimate import Marginals
 from ..graph.range_bias import RangeBias
 from ..odometry.correlated_drift import embed_position_covariance, rotate_covariance
 from .data_association import Association
@@ -141,6 +142,13 @@ class Mapper:
         correlated = embed_position_covariance(self.correlated_drift[keyframe])
         heading = self.graph.keyframe_pose(keyframe)[2]
         return self.graph.keyframe_covariance(keyframe) + rotate_covariance(correlated, -heading)
+
+    def keyframe_covariances(self, marginals: Marginals) -> Floats:
+        """Return (k, 3, 3) those of all keyframes, given the marginals of the graph."""
+        correlated = [embed_position_covariance(drift) for drift in self.correlated_drift]
+        headings = self.graph.keyframe_poses(self.keyframe_count)[:, 2].tolist()
+        turned = [rotate_covariance(drift, -heading) for drift, heading in zip(correlated, headings, strict=True)]
+        return marginals.keyframes(range(self.keyframe_count)) + np.array(turned).reshape(-1, 3, 3)
 
     def relative_covariance(self, old: int, keyframe: int) -> Floats:
         """Return (3, 3) the covariance of a keyframe's pose relative to an older one, in its own frame."""

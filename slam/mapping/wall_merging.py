@@ -137,9 +137,9 @@ def merge_duplicate_walls(
     overlaps = find_overlaps(walls["frame"][rows], walls["low"][rows], walls["high"][rows])
     group = landmarks.parts.groups_of(walls["last_seen"][rows])
     overlaps = [pair for pair in overlaps if group[pair.first] == group[pair.second]]
-    pairs = np.array([rows[[pair.first, pair.second]] for pair in overlaps], dtype=np.int64).reshape(-1, 2)
+    pairs = [[int(rows[pair.first]), int(rows[pair.second])] for pair in overlaps]
     found = []
-    for pair, (first, second), joint in zip(overlaps, pairs.tolist(), graph.wall_pair_covariances(pairs), strict=True):
+    for pair, (first, second), joint in zip(overlaps, pairs, graph.wall_covariances(pairs), strict=True):
         covariance = _relative_covariance(joint, pair)
         comparable = covariance[0, 0] < MAX_PREDICTED_VARIANCE and covariance[1, 1] < MAX_PREDICTED_TURN_VARIANCE
         distance = pair.distance(covariance, roughness)
@@ -158,20 +158,17 @@ def find_overlaps(frame: Floats, low: Floats, high: Floats) -> list[Overlap]:
 
     The walls have frames (n, 3) and extend from `low` to `high` (n,) metres along them.
     """
-    other = se2.between(frame[:, None], frame[None, :])  # (n, n, 3): the second wall's frame in the first's
-    turn = other[..., 2]
-    along = other[..., 0]
-    start = np.maximum(low[:, None], along + low[None, :])
-    end = np.minimum(high[:, None], along + high[None, :])
+    heading = frame[:, 2]
+    parallel = np.abs(se2.wrap(heading[None, :] - heading[:, None])) < MAX_MERGE_HEADING
+    first, second = np.nonzero(np.triu(parallel, 1))
+    along, across, turn = se2.between(frame[first], frame[second]).T  # the second wall's frame in the first's
+    start = np.maximum(low[first], along + low[second])
+    end = np.minimum(high[first], along + high[second])
     middle = 0.5 * (start + end)
-    offset = other[..., 1] + (middle - along) * np.tan(turn)
-    close = (
-        (np.abs(turn) < MAX_MERGE_HEADING) & (np.abs(offset) < MAX_MERGE_OFFSET) & (end - start > MIN_OVERLAP_LENGTH)
-    )
-    return [
-        Overlap(int(i), int(j), along[i, j], middle[i, j], end[i, j] - start[i, j], offset[i, j], turn[i, j])
-        for i, j in np.argwhere(np.triu(close, 1))
-    ]
+    offset = across + (middle - along) * np.tan(turn)
+    close = (np.abs(offset) < MAX_MERGE_OFFSET) & (end - start > MIN_OVERLAP_LENGTH)
+    columns = (first, second, along, middle, end - start, offset, turn)
+    return [Overlap(*row) for row in zip(*(column[close].tolist() for column in columns), strict=True)]
 
 
 def _covariance_along(covariance: Floats, along: float) -> Floats:

@@ -101,8 +101,8 @@ def find_splits(landmarks: Landmarks, graph: FactorGraph, poses: Floats, roughne
     trial.move_wall_segments(moves)
     trial.update_until_converged(CLOSING_UPDATES)
     splits = []
-    for stretches, own in zip(walls, ids, strict=True):
-        groups = _group_compatible(stretches, trial.wall_frames(own), trial.wall_covariances(own), roughness)
+    for stretches, own, covariance in zip(walls, ids, trial.wall_covariances(ids), strict=True):
+        groups = _group_compatible(stretches, trial.wall_frames(own), covariance, roughness)
         kept = next(group for group in groups if 0 in group)
         rest = set().union(*(stretches[i].keyframes for i in kept))
         splits += [

@@ -127,7 +127,7 @@ class OdometryModel:
             error[:, 2] ** 2 / NORMAL_MEDIAN / travel,
         )
         observed = np.maximum(
-            [np.median(rates) if len(rates) else MIN_VARIANCE_RATE for rates in squared], MIN_VARIANCE_RATE
+            [_median(rates) if len(rates) else MIN_VARIANCE_RATE for rates in squared], MIN_VARIANCE_RATE
         )
         weight = len(measured) / (len(measured) + PRIOR_SAMPLES)
         self._rates = np.maximum(self._initial_rates, MIN_VARIANCE_RATE) ** (1 - weight) * observed**weight
@@ -138,7 +138,9 @@ class OdometryModel:
         bend = 0.5 * (turn - motion[..., 2])  # the chord of an arc points half its turn ahead
         x, y = self._length_factor * motion[..., 0], self._length_factor * motion[..., 1]
         c, s = np.cos(bend), np.sin(bend)
-        return np.stack([c * x - s * y, s * x + c * y, se2.wrap(turn)], axis=-1)
+        corrected = np.empty(motion.shape)
+        corrected[..., 0], corrected[..., 1], corrected[..., 2] = c * x - s * y, s * x + c * y, se2.wrap(turn)
+        return corrected
 
     def variances(self, travel: Floats) -> tuple[Floats, Floats]:
         """Return the variances (...,) of translation along each axis and of heading after `travel` metres (...,)."""
@@ -153,18 +155,21 @@ class OdometryModel:
         """
         travel = wheel_travel(motion)
         translation, rotation = self.variances(travel)
-        c, s = math.cos(motion[2]), math.sin(motion[2])
-        along = np.array([c * motion[0] + s * motion[1], c * motion[1] - s * motion[0]])  # in the end frame
-        across = np.array([-along[1], along[0]])
-        length, turning, veering = self._systematic_variances
-        constant = turning * motion[2] ** 2 + veering * motion[0] ** 2
-        covariance = np.zeros((3, 3))
-        covariance[:2, :2] = (translation + self._config.translation_floor**2) * np.eye(2)
-        covariance[:2, :2] += length * np.outer(along, along)
-        covariance[:2, :2] += (rotation / 3.0 + constant / 4.0) * np.outer(across, across)
-        covariance[:2, 2] = covariance[2, :2] = 0.5 * (rotation + constant) * across
-        covariance[2, 2] = rotation + constant + self._config.rotation_floor**2
-        return covariance
+        ahead, left, turn = motion.tolist()
+        c, s = math.cos(turn), math.sin(turn)
+        x, y = c * ahead + s * left, c * left - s * ahead  # in the end frame
+        length, turning, veering = self._systematic_variances.tolist()
+        constant = turning * turn**2 + veering * ahead**2
+        own = translation + self._config.translation_floor**2
+        bending, mixed = rotation / 3.0 + constant / 4.0, 0.5 * (rotation + constant)
+        of_xy = length * (x * y) - bending * (x * y)
+        return np.array(
+            [
+                [own + length * (x * x) + bending * (y * y), of_xy, -mixed * y],
+                [of_xy, own + length * (y * y) + bending * (x * x), mixed * x],
+                [-mixed * y, mixed * x, rotation + constant + self._config.rotation_floor**2],
+            ]
+        )
 
     def limit_information(self, information: Floats, travel: float) -> Floats:
         """Return the information (3, 3) of a pose from the points of a scan, limited by the motion during its sweep.
@@ -194,6 +199,12 @@ class OdometryModel:
         return np.asarray(self._rates[0] * wheel_travel(motion) * CORRELATION_LENGTH * np.outer(along, along))
 
 
+def _median(values: Floats) -> float:
+    """Return the median of values (n,), in a fifth of the time of NumPy's."""
+    ordered = np.sort(values)
+    return float(0.5 * (ordered[(len(values) - 1) // 2] + ordered[len(values) // 2]))
+
+
 def _posterior(values: Floats, sigma: float) -> tuple[float, float]:
     """Return mean and variance of an error, from samples (n,) and the standard deviation `sigma` before them.
 
@@ -201,7 +212,7 @@ def _posterior(values: Floats, sigma: float) -> tuple[float, float]:
     """
     if not len(values):
         return 0.0, sigma**2
-    median = float(np.median(values))
-    spread = float(np.median((values - median) ** 2)) / NORMAL_MEDIAN
+    median = _median(values)
+    spread = _median((values - median) ** 2) / NORMAL_MEDIAN
     share = sigma**2 / (sigma**2 + 0.5 * math.pi * spread / len(values))
     return share * median, (1.0 - share) * sigma**2

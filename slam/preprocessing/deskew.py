@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers import se2
+from drivers.compiled import compiled, inlined
 from drivers.messages import Scan
 
 from ..config import LidarConfig
@@ -70,25 +70,35 @@ class DeskewedScan:
         """
         points = np.column_stack([self.ranges * np.cos(self.bearings), self.ranges * np.sin(self.bearings)])
         valid = np.asarray(np.isfinite(points).all(axis=1))
-        loose = valid.copy()
-        for first, last in zip(lines.first, lines.last, strict=True):
-            if first <= last:
-                loose[first : last + 1] = False
-            else:  # over the end of a full revolution
-                loose[first:] = False
-                loose[: last + 1] = False
-        loose[loose] = ~_on_continuation(points[loose], lines)
-        return points[valid], points[loose]
+        return points[valid], points[valid & _is_loose(points, lines.first, lines.last, lines.start, lines.end)]
 
 
-def _on_continuation(points: Floats, lines: Lines) -> NDArray[np.bool_]:
-    """Return which points (q, 2) lie on the continuation of a line, which is as long again on either side."""
-    half = 0.5 * (lines.end - lines.start)
-    from_middle = points[:, None] - 0.5 * (lines.start + lines.end)
-    length = np.hypot(half[:, 0], half[:, 1])
-    along = (from_middle * half).sum(axis=-1) / length
-    across = (half[:, 0] * from_middle[..., 1] - half[:, 1] * from_middle[..., 0]) / length
-    return np.asarray(((np.abs(across) < LINE_DISTANCE) & (np.abs(along) < CONTINUATION * length)).any(axis=1))
+@compiled
+def _is_loose(points, first, last, start, end):  # type: ignore[no-untyped-def]
+    """Return which points (p, 2) are on no line and no continuation of one."""
+    loose = np.ones(len(points), np.bool_)
+    for j in range(len(first)):
+        if first[j] <= last[j]:
+            loose[first[j] : last[j] + 1] = False
+        else:  # over the end of a full revolution
+            loose[first[j] :] = False
+            loose[: last[j] + 1] = False
+    for k in range(len(points)):
+        loose[k] = loose[k] and not _is_on_continuation(points[k, 0], points[k, 1], start, end)
+    return loose
+
+
+@inlined
+def _is_on_continuation(x, y, start, end):  # type: ignore[no-untyped-def]
+    """True if a point lies on the continuation of a line, which is as long again on either side."""
+    for j in range(len(start)):
+        half_x, half_y = 0.5 * (end[j, 0] - start[j, 0]), 0.5 * (end[j, 1] - start[j, 1])
+        dx, dy = x - 0.5 * (start[j, 0] + end[j, 0]), y - 0.5 * (start[j, 1] + end[j, 1])
+        length = math.hypot(half_x, half_y)
+        along, across = (dx * half_x + dy * half_y) / length, (half_x * dy - half_y * dx) / length
+        if abs(across) < LINE_DISTANCE and abs(along) < CONTINUATION * length:
+            return True
+    return False
 
 
 def sweep_middle(scan: Scan) -> float:

@@ -16,7 +16,7 @@ from drivers.simulation import Simulation
 from slam import Config, Slam
 from slam.errors import MapError, SlamError
 from slam.evaluation.metrics import score_reference
-from slam.events import Finished, GroundTruthReceived, KeyframeAdded, MapUpdated, ScanTracked
+from slam.events import Finished, GroundTruthReceived, KeyframeAdded, MapUpdated, Notice, ScanTracked
 from slam.io.tum import Trajectory
 from slam.localisation.local_field import LocalField
 from slam.loop_closure.agreement import LoopAgreement
@@ -109,6 +109,22 @@ def test_repeated_runs_with_and_without_sinks_are_identical(drive: list[Message]
     assert again.walls.frame.tobytes() == drive_result.walls.frame.tobytes()
     assert again.walls.covariance.tobytes() == drive_result.walls.covariance.tobytes()
     assert again.corners.position.tobytes() == drive_result.corners.position.tobytes()
+
+
+def test_sinks_receive_what_they_handle_and_the_rest_is_not_built(
+    drive: list[Message], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Notices(EventCollector):
+        handled = (Notice, ScanTracked)
+
+    def fail(*_: object) -> None:
+        raise AssertionError("an event was built that no sink receives")
+
+    for name in ("publisher.map_features", "publisher._keyframe_event", "graph.graph_estimate.residuals_of"):
+        monkeypatch.setattr(f"slam.{name}", fail)
+    listener = Notices()
+    run(drive, listener=listener)
+    assert {type(event) for event in listener.events} == {ScanTracked}
 
 
 def test_ground_truth_is_not_used(drive: list[Message], drive_result: Finished) -> None:

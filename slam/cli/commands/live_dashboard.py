@@ -5,23 +5,16 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from typing import TYPE_CHECKING, assert_never
+from typing import TYPE_CHECKING
 
 from ...events import (
     Event,
-    Finished,
-    GraphInspected,
-    GroundTruthReceived,
     KeyframeAdded,
     LoopDecided,
-    MapUpdated,
     Notice,
     Relocalised,
     ScanTracked,
     StateChanged,
-    SuspectFound,
-    WallsMerged,
-    WallsRemoved,
 )
 from ...loop_closure.loop_status import LoopStatus
 from ..console import print_message
@@ -38,6 +31,8 @@ COLOURS = {"OK": "green", "DEGENERATE": "yellow", "LOST": "red"}
 
 class LiveDashboard:
     """Sink that keeps the current state of the run and prints changes of it as messages."""
+
+    handled = (ScanTracked, KeyframeAdded, StateChanged, LoopDecided, Notice, Relocalised)
 
     def __init__(self) -> None:
         self._start = time.monotonic()
@@ -66,12 +61,6 @@ class LiveDashboard:
             case Relocalised():
                 x, y, heading = event.pose
                 print_message(f"relocalised at {x:.2f} m, {y:.2f} m, {math.degrees(heading):.0f}°")
-            case MapUpdated() | GraphInspected() | WallsMerged() | WallsRemoved() | GroundTruthReceived():
-                pass
-            case SuspectFound() | Finished():
-                pass
-            case _:
-                assert_never(event)
 
     def render(self, snapshot: Snapshot, rates: Rates) -> RenderableType:
         """Return the state of the run above that of the devices."""

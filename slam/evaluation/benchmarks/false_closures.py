@@ -93,6 +93,8 @@ class Adversary:
 class _AcceptedLoops:
     """A sink that collects the accepted loops."""
 
+    handled = (LoopDecided,)
+
     def __init__(self) -> None:
         self.accepted: list[LoopDecided] = []
 

@@ -163,7 +163,7 @@ def _differences(first: MapWalls, second: MapWalls, pairs: Integers, points: Flo
 
 def _covariance(mapper: Mapper, walls: MapWalls, rows: Integers, points: Floats) -> Floats:
     """Return the joint covariance (2 n, 2 n) of offset and heading of walls, each `points` (n,) metres along it."""
-    joint = mapper.graph.wall_covariances([int(walls.identity[row]) for row in rows])
+    joint = mapper.graph.wall_covariances([[int(walls.identity[row]) for row in rows]])[0]
     lever = np.eye(len(joint))
     lever[np.arange(0, len(joint), 2), np.arange(1, len(joint), 2)] = points
     return np.asarray(lever @ joint @ lever.T)

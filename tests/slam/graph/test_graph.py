@@ -188,8 +188,11 @@ def test_covariances_equal_exact_ones(seed: int) -> None:
     # with so little noise the kernels reduce no weight, but the correction for it is applied all the same
     exact = replace(at, information=jacobian.T @ jacobian / ROBUST_COVARIANCE_SCALE)
     differences = [relative_difference(graph.keyframe_covariance(k), exact.covariance(3 * k, 3)) for k in range(1, 7)]
-    differences += [relative_difference(graph.wall_covariance(j), exact.covariance(21 + 2 * j, 2)) for j in range(5)]
-    differences += [relative_difference(graph.corner_covariance(j), exact.covariance(31 + 2 * j, 2)) for j in range(3)]
+    marginals = graph.marginals()
+    poses, walls, corners = marginals.keyframes(range(7)), marginals.walls(range(5)), marginals.corners(range(3))
+    differences += [relative_difference(poses[k], exact.covariance(3 * k, 3)) for k in range(1, 7)]
+    differences += [relative_difference(walls[j], exact.covariance(21 + 2 * j, 2)) for j in range(5)]
+    differences += [relative_difference(corners[j], exact.covariance(31 + 2 * j, 2)) for j in range(3)]
     assert np.mean(differences) < 0.04
     assert max(differences) < 0.15
 

@@ -1,0 +1,171 @@
+"""Errors of factors as arrays, their Jacobians, and the normal equations they add to: the arithmetic of `array_graph`.
+
+A pose or the frame of a wall is [x, y, heading], a corner [x, y, 0]. Steps of poses are in their own frames, and the
+error of a relative pose is its logarithm in SE(2) as seen from the measured one. A factor k has
+
+forms        (f,) PRIOR, BETWEEN or POINT
+ends         (f, 2) rows of its variables; the same one twice for a prior
+measured     (f, 3) the pose, the relative pose, or bearing and range
+information  (f, 3, 3) of the error; may be singular
+scales       (f,) of the Cauchy kernel, infinite if the factor has none
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from drivers.compiled import compiled, inlined
+
+# The measurements of factors: a pose, a pose relative to another one, and bearing and range of a point.
+# Origin: definition.
+PRIOR, BETWEEN, POINT = 0, 1, 2
+# Radians; smaller angles are taken as zero in quotients. Origin: numerical.
+MIN_ANGLE = 1e-9
+
+
+@inlined
+def _wrapped(angle):  # type: ignore[no-untyped-def]
+    return (angle + math.pi) % (2 * math.pi) - math.pi
+
+
+@inlined
+def _error(form, measured, first, second, error):  # type: ignore[no-untyped-def]
+    """Compute the error (3,) of a factor: of a pose, the logarithm of the estimate as seen from the measurement."""
+    x, y, heading = second[0] - first[0], second[1] - first[1], first[2]
+    if form == PRIOR:
+        x, y, turn = second[0] - measured[0], second[1] - measured[1], _wrapped(second[2] - measured[2])
+        heading, c, s = measured[2], math.cos(measured[2]), math.sin(measured[2])
+        x, y = c * x + s * y, c * y - s * x
+    else:
+        c, s = math.cos(heading), math.sin(heading)
+        x, y = c * x + s * y, c * y - s * x
+        if form == POINT:
+            error[0], error[1], error[2] = _wrapped(math.atan2(y, x) - measured[0]), math.hypot(x, y) - measured[1], 0.0
+            return
+        x, y, turn = x - measured[0], y - measured[1], _wrapped(second[2] - first[2] - measured[2])
+        c, s = math.cos(measured[2]), math.sin(measured[2])
+        x, y = c * x + s * y, c * y - s * x
+    half = 0.5 * turn
+    a = half / math.tan(half) if abs(turn) > MIN_ANGLE else 1.0
+    error[0], error[1], error[2] = a * x + half * y, a * y - half * x, turn
+
+
+@inlined
+def _squared(error, information):  # type: ignore[no-untyped-def]
+    """Return the squared Mahalanobis distance of an error (3,)."""
+    total = 0.0
+    for r in range(3):
+        for c in range(3):
+            total += error[r] * information[r, c] * error[c]
+    return total
+
+
+@inlined
+def _jacobians(form, first, second, error, of_first, of_second):  # type: ignore[no-untyped-def]
+    """Compute the Jacobians (3, 3) of an error by both variables."""
+    dx, dy = second[0] - first[0], second[1] - first[1]
+    of_first[:], of_second[:] = 0.0, 0.0
+    if form == PRIOR:
+        for r in range(3):
+            of_first[r, r] = 1.0
+        return
+    c, s = math.cos(first[2]), math.sin(first[2])
+    if form == POINT:
+        x, y = c * dx + s * dy, c * dy - s * dx
+        distance = math.hypot(x, y)
+        along, across = (x / distance, y / distance), (-y / distance**2, x / distance**2)
+        for r, (u, v) in enumerate((across, along)):
+            of_first[r, 0], of_first[r, 1], of_first[r, 2] = -u, -v, u * y - v * x
+            of_second[r, 0], of_second[r, 1] = u * c - v * s, u * s + v * c
+        return
+    # the inverse of the right Jacobian of SE(2) at the error
+    turn, half = error[2], 0.5 * error[2]
+    a = half / math.tan(half) if abs(turn) > MIN_ANGLE else 1.0
+    b = (1.0 - a) / turn if abs(turn) > MIN_ANGLE else 0.0
+    of_second[0, 0], of_second[0, 1], of_second[0, 2] = a, -half, error[0] * b + 0.5 * error[1]
+    of_second[1, 0], of_second[1, 1], of_second[1, 2] = half, a, error[1] * b - 0.5 * error[0]
+    of_second[2, 2] = 1.0
+    # times minus the adjoint of the first variable as seen from the second one
+    c, s = math.cos(second[2] - first[2]), math.sin(second[2] - first[2])
+    cs, ss = math.cos(second[2]), math.sin(second[2])
+    x, y = -cs * dx - ss * dy, ss * dx - cs * dy
+    for r in range(3):
+        u, v, w = of_second[r, 0], of_second[r, 1], of_second[r, 2]
+        of_first[r, 0], of_first[r, 1], of_first[r, 2] = s * v - c * u, -s * u - c * v, v * x - u * y - w
+
+
+@compiled
+def robust_cost(forms, ends, measured, information, scales, values):  # type: ignore[no-untyped-def]
+    """Return twice the robust cost."""
+    total, error = 0.0, np.zeros(3)
+    for k in range(len(forms)):
+        _error(forms[k], measured[k], values[ends[k, 0]], values[ends[k, 1]], error)
+        squared = _squared(error, information[k])
+        scale = scales[k] ** 2
+        total += squared if scale == np.inf else scale * math.log1p(squared / scale)
+    return total
+
+
+@compiled
+def add_normal_equations(  # type: ignore[no-untyped-def]
+    forms, ends, measured, information, scales, values, rank, slots, diagonal, below, right
+):
+    """Add the normal equations of all factors at `values` (n, 3), with robust weights, to a matrix and its right side.
+
+    rank             (n,) block of each variable in the matrix
+    slots            (f,) block of `below` that a factor adds to
+    diagonal, below  blocks (n, 3, 3) and (b, 3, 3) of the matrix
+    right            (n, 3)
+    """
+    error, of_first, of_second = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
+    weighted_first, weighted_second = np.zeros((3, 3)), np.zeros((3, 3))
+    for k in range(len(forms)):
+        first, second = ends[k]
+        _error(forms[k], measured[k], values[first], values[second], error)
+        _jacobians(forms[k], values[first], values[second], error, of_first, of_second)
+        weight = 1.0 / (1.0 + _squared(error, information[k]) / scales[k] ** 2)
+        for r in range(3):
+            for c in range(3):
+                one = other = 0.0
+                for i in range(3):
+                    one += information[k, r, i] * of_first[i, c]
+                    other += information[k, r, i] * of_second[i, c]
+                weighted_first[r, c], weighted_second[r, c] = weight * one, weight * other
+        i, j = rank[first], rank[second]
+        for r in range(3):
+            for c in range(3):
+                for m in range(3):
+                    diagonal[i, r, c] += of_first[m, r] * weighted_first[m, c]
+                right[i, c] -= weighted_first[r, c] * error[r]
+        if forms[k] == PRIOR:
+            continue
+        for r in range(3):
+            for c in range(3):
+                for m in range(3):
+                    diagonal[j, r, c] += of_second[m, r] * weighted_second[m, c]
+                    if i < j:
+                        below[slots[k], r, c] += of_second[m, r] * weighted_first[m, c]
+                    else:
+                        below[slots[k], r, c] += of_first[m, r] * weighted_second[m, c]
+                right[j, c] -= weighted_second[r, c] * error[r]
+
+
+@compiled
+def moved(values, step, corners):  # type: ignore[no-untyped-def]
+    """Return the values moved by a step: poses by its exponential in their own frames."""
+    result = values.copy()
+    for k in range(len(values)):
+        x, y, turn = step[k]
+        if corners[k]:
+            result[k, 0] += x
+            result[k, 1] += y
+            continue
+        a, b = (math.sin(turn) / turn, 2.0 * math.sin(0.5 * turn) ** 2 / turn) if abs(turn) > MIN_ANGLE else (1.0, 0.0)
+        x, y = a * x - b * y, b * x + a * y
+        c, s = math.cos(values[k, 2]), math.sin(values[k, 2])
+        result[k, 0] += c * x - s * y
+        result[k, 1] += s * x + c * y
+        result[k, 2] = _wrapped(values[k, 2] + turn)
+    return result

@@ -1,0 +1,187 @@
+"""A whole graph as arrays: Gauss-Newton steps, the robust cost and marginal covariances in a few compiled calls.
+
+The incremental solver holds each factor as an object of GTSAM, of which some ten thousand take a second to build and to
+linearise. At the end of a run the graph is linearised some dozens of times. The errors, their Jacobians, the robust
+weights and the retraction of poses are those of GTSAM, so that both have the same optimum and the same covariances.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import C, L, P, X
+from numpy.typing import NDArray
+
+from ..errors import MapError
+from ..geometry.segments import Floats
+from .array_factors import BETWEEN, POINT, PRIOR, add_normal_equations, moved, robust_cost
+from .block_cholesky import Pattern, factorise, inverse_blocks, solve
+from .factors import CAUCHY_SCALES, Factor, FactorKind, covariance_in_polar, root_information
+
+# Keys of the first and the second variable with number 0, from which the others follow. Other kinds of factors lead
+# from a keyframe to a wall. Origin: definition.
+_FIRST_KEYS = {
+    FactorKind.POSE_PRIOR: (X(0), X(0)),
+    FactorKind.WALL_EQUALITY: (L(0), L(0)),
+    FactorKind.CORNER: (X(0), C(0)),
+    FactorKind.POINT_MAP: (X(0), P(0)),
+    FactorKind.SCAN_MATCH: (P(0), X(0)),
+    FactorKind.ODOMETRY: (X(0), X(0)),
+    FactorKind.LOOP: (X(0), X(0)),
+}
+
+
+class ArrayGraph:
+    """Factors of a graph as arrays.
+
+    keys     of the n variables, ascending
+    corners  (n,) true for corners, whose third component is always zero
+    """
+
+    def __init__(self, factors: Sequence[Factor], bias: float, groups: Sequence[Sequence[int]] = ()) -> None:
+        """Convert factors.
+
+        bias    range bias (metres) without which the noise of corners is converted to bearing and range
+        groups  keys of variables whose joint covariances are wanted
+        """
+        self._form = np.full(len(factors), BETWEEN)
+        self._measured, self._direction = np.zeros((len(factors), 3)), np.zeros((len(factors), 3))
+        self._information, self._scale = np.zeros((len(factors), 3, 3)), np.full(len(factors), np.inf)
+        ends = np.zeros((len(factors), 2), dtype=np.uint64)
+        by_kind: dict[FactorKind, list[int]] = {}
+        for row, factor in enumerate(factors):
+            by_kind.setdefault(factor.kind, []).append(row)
+        for kind, rows in by_kind.items():
+            chosen = [factors[row] for row in rows]
+            ends[rows] = np.array([(f.first, f.second) for f in chosen], dtype=np.uint64)
+            ends[rows] += np.array(_FIRST_KEYS.get(kind, (X(0), L(0))), dtype=np.uint64)
+            self._convert(kind, rows, chosen, bias)
+        keys, index = np.unique(ends, return_inverse=True)
+        self.keys: list[int] = keys.tolist()
+        self._ends = index.reshape(-1, 2)
+        self.corners = np.zeros(len(keys), dtype=bool)
+        self.corners[self._ends[self._form == POINT, 1]] = True
+        relative = self._form != PRIOR
+        self._groups = [np.searchsorted(keys, np.array(group, dtype=np.uint64)) for group in groups]
+        pairs = [np.stack(np.triu_indices(len(rows), 1), axis=1) for rows in self._groups]
+        joint = [rows[pair] for rows, pair in zip(self._groups, pairs, strict=True)]
+        self._pattern = Pattern.of_pairs(len(self.keys), np.concatenate([self._ends[relative], *joint]))
+        self._slots = np.zeros(len(factors), dtype=np.int64)
+        self._slots[relative] = self._pattern.slots[: relative.sum()]
+
+    def _convert(self, kind: FactorKind, rows: list[int], factors: Sequence[Factor], bias: float) -> None:
+        """Fill in the rows of the factors of one kind; what they measure is described in FactorKind."""
+        size = 2 if kind is FactorKind.CORNER else 3
+        self._measured[rows, :size] = np.array([factor.measured[:size] for factor in factors])
+        if any(len(factor.bias_slope) for factor in factors):
+            self._direction[rows, :size] = np.array([factor.bias_direction()[:size] for factor in factors])
+        self._scale[rows] = CAUCHY_SCALES.get(kind, np.inf)
+        match kind:
+            case FactorKind.CORNER:
+                self._form[rows] = POINT
+                polar = [covariance_in_polar(factor.without_range_bias(bias), factor.covariance) for factor in factors]
+                self._information[rows, :2, :2] = np.linalg.inv(np.array(polar))
+            case FactorKind.WALL_HEADING | FactorKind.WALL_OFFSET | FactorKind.GAUGE_PRIOR | FactorKind.WALL_EQUALITY:
+                root = np.array([root_information(factor) for factor in factors])
+                self._information[rows] = root.transpose(0, 2, 1) @ root
+            case _:
+                self._form[rows] = PRIOR if kind is FactorKind.POSE_PRIOR else BETWEEN
+                self._information[rows] = np.linalg.inv(np.array([factor.covariance for factor in factors]))
+
+    def values_of(self, values: gtsam.Values) -> Floats:
+        """Return the variables as an array (n, 3): poses and frames [x, y, heading], corners [x, y, 0]."""
+        result = np.zeros((len(self.keys), 3))
+        for row, (key, is_corner) in enumerate(zip(self.keys, self.corners.tolist(), strict=True)):
+            if is_corner:
+                result[row, :2] = values.atPoint2(key)
+            else:
+                pose = values.atPose2(key)
+                result[row] = pose.x(), pose.y(), pose.theta()
+        return result
+
+    def to_values(self, values: Floats) -> gtsam.Values:
+        """Return the variables (n, 3) as GTSAM's."""
+        result = gtsam.Values()
+        for key, is_corner, (x, y, heading) in zip(self.keys, self.corners.tolist(), values.tolist(), strict=True):
+            if is_corner:
+                result.insert(key, np.array([x, y]))
+            else:
+                result.insert(key, gtsam.Pose2(x, y, heading))
+        return result
+
+    @property
+    def depends_on_bias(self) -> bool:
+        """True if any measurement depends on the range bias."""
+        return bool(self._direction.any())
+
+    def by_key(self, of_variables: Floats) -> dict[int, Floats]:
+        """Return vectors (n, 3), or matrices (n, 3, 3), by the keys of their variables; corners have two components."""
+        axes = of_variables.ndim - 1
+        sizes = np.where(self.corners, 2, 3).tolist()
+        return {key: one[(slice(size),) * axes] for key, size, one in zip(self.keys, sizes, of_variables, strict=True)}
+
+    def step(self, values: Floats, bias: float) -> Floats:
+        """Return the Gauss-Newton step (n, 3) from some values, in the variables' tangent spaces.
+
+        Raises MapError if it is not determined.
+        """
+        diagonal, below, gradient = self._factorised(values, bias)
+        return solve(self._pattern, diagonal, below, gradient)[self._pattern.rank]
+
+    def retract(self, values: Floats, step: Floats) -> Floats:
+        """Return values moved by a step."""
+        return np.asarray(moved(values, step, self.corners))
+
+    def cost(self, values: Floats, bias: float) -> float:
+        """Return twice the robust cost."""
+        return float(robust_cost(*self._arrays(bias), values))
+
+    def covariances(self, values: Floats, bias: float) -> Floats:
+        """Return the marginal covariance (n, 3, 3) of each variable in its own tangent space.
+
+        Raises MapError if it is not determined.
+        """
+        diagonal, below, _ = self._factorised(values, bias)
+        return inverse_blocks(self._pattern, diagonal, below)[0][self._pattern.rank]
+
+    def joint_covariances(self, values: Floats, bias: float) -> list[Floats]:
+        """Return the joint covariance (3 k, 3 k) of each group of k variables, with three components of each.
+
+        Raises MapError if they are not determined.
+        """
+        diagonal, below, _ = self._factorised(values, bias)
+        on_diagonal, off_diagonal = inverse_blocks(self._pattern, diagonal, below)
+        result, slot = [], int((self._form != PRIOR).sum())
+        for rows in self._groups:
+            ranks = self._pattern.rank[rows]
+            blocks = np.zeros((len(rows), len(rows), 3, 3))
+            blocks[np.arange(len(rows)), np.arange(len(rows))] = on_diagonal[ranks]
+            first, second = np.triu_indices(len(rows), 1)
+            later = np.where(ranks[first] > ranks[second], first, second)
+            earlier = first + second - later
+            between = off_diagonal[self._pattern.slots[slot : slot + len(first)]]
+            blocks[later, earlier], blocks[earlier, later] = between, between.transpose(0, 2, 1)
+            result.append(blocks.transpose(0, 2, 1, 3).reshape(3 * len(rows), 3 * len(rows)))
+            slot += len(first)
+        return result
+
+    def _arrays(self, bias: float) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats, Floats, Floats]:
+        """Return forms, ends, measurements without a range bias, information and scale of the kernels."""
+        measured = self._measured - bias * self._direction
+        points = self._form == POINT
+        x, y = measured[points, 0], measured[points, 1]
+        measured[points, 0], measured[points, 1] = np.arctan2(y, x), np.hypot(x, y)
+        return self._form, self._ends, measured, self._information, self._scale
+
+    def _factorised(self, values: Floats, bias: float) -> tuple[Floats, Floats, Floats]:
+        """Return the Cholesky factor of the normal equations, and their right side, in the order of elimination."""
+        rank = self._pattern.rank
+        diagonal, below = np.zeros((len(rank), 3, 3)), np.zeros((len(self._pattern.rows), 3, 3))
+        diagonal[rank[self.corners], 2, 2] = 1.0
+        gradient = np.zeros((len(rank), 3))
+        add_normal_equations(*self._arrays(bias), values, rank, self._slots, diagonal, below, gradient)
+        if not factorise(self._pattern, diagonal, below):
+            raise MapError("the map cannot be estimated: it is not determined by the measurements")
+        return diagonal, below, gradient

@@ -1,0 +1,260 @@
+"""Cholesky factorisation of a sparse symmetric matrix of blocks (3, 3), one block row per variable.
+
+The matrix is L L'. Only the blocks of L below the diagonal that are not zero are stored, column by column, in the order
+of elimination. The blocks of the inverse at the same places follow from L without computing the others (Takahashi,
+Fagan and Chin 1973): those on the diagonal are the marginal covariances of the variables.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array, csc_array, eye_array
+from scipy.sparse.linalg import splu
+
+from drivers.compiled import compiled, inlined
+
+from ..geometry.segments import Floats, Integers
+
+# Options of SuperLU, with which it orders a symmetric matrix without pivoting. Origin: definition.
+SYMMETRIC = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+# A diagonal element that elimination leaves smaller than this share of what it was is zero but for rounding errors.
+# Origin: numerical.
+MIN_PIVOT_SHARE = 1e-14
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pattern:
+    """Where the blocks of L are. Variables are numbered in the order of elimination.
+
+    rank    (n,) of each variable in this order
+    starts  (n + 1,) first block below the diagonal of each column
+    rows    (b,) row of each such block, ascending in each column
+    slots   (m,) of each given pair of variables, its block in the column of the one that is eliminated first
+    """
+
+    rank: Integers
+    starts: Integers
+    rows: Integers
+    slots: Integers
+
+    @classmethod
+    def of_pairs(cls, count: int, pairs: Integers) -> Pattern:
+        """Find an order with little fill-in for `count` variables, given the pairs (m, 2) whose blocks are not zero."""
+        links = coo_array((np.full(len(pairs), -1.0), (pairs[:, 0], pairs[:, 1])), shape=(count, count)).tocsr()
+        adjacency = (links + links.T).tocsc()
+        dominant = adjacency + (1.0 - adjacency.sum(axis=0).min(initial=0.0)) * eye_array(count)
+        rank = splu(csc_array(dominant), **SYMMETRIC).perm_c.astype(np.int64)
+        ranked = np.sort(rank[pairs], axis=1)
+        given = np.unique(ranked[:, 0] * count + ranked[:, 1])
+        starts, rows = _fill_in(count, given // count, given % count)
+        places = np.sort(np.repeat(np.arange(count), np.diff(starts)) * count + rows)
+        return cls(rank, starts, places % count, np.searchsorted(places, ranked[:, 0] * count + ranked[:, 1]))
+
+
+def factorise(pattern: Pattern, diagonal: Floats, below: Floats) -> bool:
+    """Replace a matrix by L, and return True; False if it is not positive definite.
+
+    diagonal  (n, 3, 3) blocks on the diagonal, symmetric; of L, their inverses
+    below     (b, 3, 3) blocks below the diagonal
+    """
+    return bool(_factorise(pattern.starts, pattern.rows, diagonal, below))
+
+
+def solve(pattern: Pattern, diagonal: Floats, below: Floats, right: Floats) -> Floats:
+    """Return the solution (n, 3) for a right-hand side (n, 3), given L as `factorise` left it."""
+    return np.asarray(_solve(pattern.starts, pattern.rows, diagonal, below, right.copy()))
+
+
+def inverse_blocks(pattern: Pattern, diagonal: Floats, below: Floats) -> tuple[Floats, Floats]:
+    """Return the blocks of the inverse on the diagonal, (n, 3, 3), and at the places of those below it, (b, 3, 3).
+
+    L is as `factorise` left it.
+    """
+    blocks: tuple[Floats, Floats] = _inverse_blocks(pattern.starts, pattern.rows, diagonal, below)
+    return blocks
+
+
+@compiled
+def _fill_in(count, columns, rows):  # type: ignore[no-untyped-def]
+    """Return starts and unsorted rows of L, given the places of the matrix's blocks below the diagonal by column.
+
+    The rows of a column are those of the matrix, and those of all columns whose first row it is.
+    """
+    children = np.full(count, -1)  # of each column, the last column whose first row it is
+    sibling = np.full(count, -1)  # of each column, the next one with the same first row
+    mark = np.full(count, -1)
+    starts = np.zeros(count + 1, np.int64)
+    found = np.empty(4 * len(rows) + count, np.int64)
+    given = 0
+    for j in range(count):
+        begin = end = starts[j]
+        if end + count > len(found):
+            found = np.concatenate((found, np.empty(len(found) + count, np.int64)))
+        mark[j] = j
+        while given < len(rows) and columns[given] == j:
+            mark[rows[given]] = j
+            found[end] = rows[given]
+            given, end = given + 1, end + 1
+        child = children[j]
+        while child >= 0:
+            for p in range(starts[child], starts[child + 1]):
+                if mark[found[p]] != j:
+                    mark[found[p]] = j
+                    found[end] = found[p]
+                    end += 1
+            child = sibling[child]
+        starts[j + 1] = end
+        if end > begin:
+            parent = count
+            for p in range(begin, end):
+                parent = min(parent, found[p])
+            sibling[j], children[parent] = children[parent], j
+    return starts, found[: starts[count]].copy()
+
+
+@inlined
+def _copy(target, block):  # type: ignore[no-untyped-def]
+    """Copy a block. Assigning it as an array would take some seconds to compile."""
+    for r in range(3):
+        for c in range(3):
+            target[r, c] = block[r, c]
+
+
+@inlined
+def _subtract_product(target, a, b):  # type: ignore[no-untyped-def]
+    """Subtract a b' from a block."""
+    for r in range(3):
+        for c in range(3):
+            target[r, c] -= a[r, 0] * b[c, 0] + a[r, 1] * b[c, 1] + a[r, 2] * b[c, 2]
+
+
+@compiled
+def _factorise(starts, rows, diagonal, below):  # type: ignore[no-untyped-def]
+    """Replace the blocks of a matrix by those of L, column by column, as `factorise` says."""
+    count = len(diagonal)
+    column = np.zeros((count, 3, 3))  # the column that is computed, by rows
+    first = np.full(count, -1)  # of each row, the first of the columns whose next block is in it
+    following = np.full(count, -1)  # of each column, the next of these
+    place = starts[:-1].copy()  # of each column, its next block
+    inverse = np.zeros((3, 3))
+    for j in range(count):
+        pivots = (diagonal[j, 0, 0], diagonal[j, 1, 1], diagonal[j, 2, 2])
+        for p in range(starts[j], starts[j + 1]):
+            _copy(column[rows[p]], below[p])
+        k = first[j]
+        while k >= 0:
+            next_column = following[k]
+            begin, end = place[k], starts[k + 1]
+            _subtract_product(diagonal[j], below[begin], below[begin])
+            for p in range(begin + 1, end):
+                _subtract_product(column[rows[p]], below[p], below[begin])
+            if begin + 1 < end:
+                place[k] = begin + 1
+                following[k], first[rows[begin + 1]] = first[rows[begin + 1]], k
+            k = next_column
+        if not _invert_root(diagonal[j], pivots, inverse):
+            return False
+        _copy(diagonal[j], inverse)
+        for p in range(starts[j], starts[j + 1]):
+            block = column[rows[p]]
+            for r in range(3):
+                for c in range(3):
+                    below[p, r, c] = (
+                        block[r, 0] * inverse[c, 0] + block[r, 1] * inverse[c, 1] + block[r, 2] * inverse[c, 2]
+                    )
+        if starts[j] < starts[j + 1]:
+            following[j], first[rows[starts[j]]] = first[rows[starts[j]]], j
+    return True
+
+
+@inlined
+def _invert_root(block, pivots, inverse):  # type: ignore[no-untyped-def]
+    """Compute the inverse of the lower Cholesky factor of a block; return False if it is not positive definite."""
+    a = block[0, 0]
+    if not a > MIN_PIVOT_SHARE * pivots[0]:
+        return False
+    a = np.sqrt(a)
+    b, d = block[1, 0] / a, block[2, 0] / a
+    c = block[1, 1] - b * b
+    if not c > MIN_PIVOT_SHARE * pivots[1]:
+        return False
+    c = np.sqrt(c)
+    e = (block[2, 1] - d * b) / c
+    f = block[2, 2] - d * d - e * e
+    if not f > MIN_PIVOT_SHARE * pivots[2]:
+        return False
+    f = np.sqrt(f)
+    inverse[0, 0], inverse[1, 1], inverse[2, 2] = 1.0 / a, 1.0 / c, 1.0 / f
+    inverse[1, 0] = -b / (a * c)
+    inverse[2, 0] = (b * e / c - d) / (a * f)
+    inverse[2, 1] = -e / (c * f)
+    return True
+
+
+@compiled
+def _solve(starts, rows, diagonal, below, x):  # type: ignore[no-untyped-def]
+    """Solve L L' x = b in place."""
+    for j in range(len(diagonal)):
+        d, (u, v, w) = diagonal[j], x[j]
+        x[j, 0], x[j, 1], x[j, 2] = d[0, 0] * u, d[1, 0] * u + d[1, 1] * v, d[2, 0] * u + d[2, 1] * v + d[2, 2] * w
+        for p in range(starts[j], starts[j + 1]):
+            for r in range(3):
+                x[rows[p], r] -= below[p, r, 0] * x[j, 0] + below[p, r, 1] * x[j, 1] + below[p, r, 2] * x[j, 2]
+    for j in range(len(diagonal) - 1, -1, -1):
+        for p in range(starts[j], starts[j + 1]):
+            for c in range(3):
+                other = x[rows[p]]
+                x[j, c] -= below[p, 0, c] * other[0] + below[p, 1, c] * other[1] + below[p, 2, c] * other[2]
+        d, (u, v, w) = diagonal[j], x[j]
+        x[j, 0], x[j, 1], x[j, 2] = d[0, 0] * u + d[1, 0] * v + d[2, 0] * w, d[1, 1] * v + d[2, 1] * w, d[2, 2] * w
+    return x
+
+
+@inlined
+def _add_product(target, a, b):  # type: ignore[no-untyped-def]
+    """Add a b to a block."""
+    for r in range(3):
+        for c in range(3):
+            target[r, c] += a[r, 0] * b[0, c] + a[r, 1] * b[1, c] + a[r, 2] * b[2, c]
+
+
+@inlined
+def _add_product_of_transposed(target, a, b):  # type: ignore[no-untyped-def]
+    """Add a' b to a block."""
+    for r in range(3):
+        for c in range(3):
+            target[r, c] += a[0, r] * b[0, c] + a[1, r] * b[1, c] + a[2, r] * b[2, c]
+
+
+@compiled
+def _inverse_blocks(starts, rows, diagonal, below):  # type: ignore[no-untyped-def]
+    """Return the blocks of the inverse on the diagonal and below it; see `inverse_blocks`.
+
+    With the column l of L below the diagonal, d on it, and Z the part of the inverse in the rows and columns of l, the
+    blocks of the inverse in this column are -Z l d^-1, and d^-T (1 + l' Z l) d^-1 on the diagonal.
+    """
+    count = len(diagonal)
+    on_diagonal, inverse = np.zeros((count, 3, 3)), np.zeros((len(rows), 3, 3))
+    scaled, product = np.zeros((count, 3, 3)), np.zeros((count, 3, 3))  # l d^-1 and Z l d^-1, by rows
+    mark = np.full(count, -1)
+    for j in range(count - 1, -1, -1):
+        column = rows[starts[j] : starts[j + 1]]
+        for p, k in enumerate(column):
+            mark[k] = j
+            scaled[k], product[k] = 0.0, 0.0
+            _add_product(scaled[k], below[starts[j] + p], diagonal[j])
+        for k in column:
+            _add_product(product[k], on_diagonal[k], scaled[k])
+            for q in range(starts[k], starts[k + 1]):
+                if mark[rows[q]] == j:
+                    _add_product(product[rows[q]], inverse[q], scaled[k])
+                    _add_product_of_transposed(product[k], inverse[q], scaled[rows[q]])
+        _add_product_of_transposed(on_diagonal[j], diagonal[j], diagonal[j])
+        for p, k in enumerate(column):
+            for r in range(3):
+                for c in range(3):
+                    inverse[starts[j] + p, r, c] = -product[k, r, c]
+            _add_product_of_transposed(on_diagonal[j], scaled[k], product[k])
+    return on_diagonal, inverse

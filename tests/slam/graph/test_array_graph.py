@@ -1,0 +1,130 @@
+"""The graph as arrays: the same cost, steps, retraction and covariances as those of GTSAM, for all kinds of factors."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import L, P, X
+
+from drivers import se2
+from slam.errors import MapError
+from slam.graph.array_graph import ArrayGraph
+from slam.graph.block_cholesky import Pattern, factorise, inverse_blocks, solve
+from slam.graph.factor_graph import FactorGraph
+from slam.graph.factors import to_gtsam_graph
+
+BIAS = 0.02
+
+
+def graph_of_all_kinds(random: np.random.Generator) -> FactorGraph:
+    """Return a solved graph with three keyframes and factors of all kinds, with large residuals."""
+    graph = FactorGraph()
+    poses = np.array([[0.1, -0.2, 0.3], [1.2, 0.1, 2.9], [2.0, 0.4, -2.8]])
+    frames = np.array([[1.0, -1.0, 0.1], [2.5, -1.0, 0.1], [3.0, 0.5, 1.6]])
+    covariance = random.normal(0.0, 0.05, (3, 3))
+    covariance = covariance @ covariance.T + 1e-4 * np.eye(3)
+    graph.add_first_keyframe(poses[0])
+    for k in (1, 2):
+        motion = se2.compose(se2.between(poses[k - 1], poses[k]), random.normal(0.0, 0.1, 3))
+        graph.add_keyframe(k, poses[k], k - 1, motion, covariance)
+    for j, frame in enumerate(frames):
+        graph.add_wall(0, j, frame, se2.between(poses[0], frame))
+    graph.add_corner(0, np.array([3.0, -1.0]))
+    for k, pose in enumerate(poses):
+        for j, frame in enumerate(frames):
+            predicted = se2.between(pose, frame)
+            seen = se2.compose(predicted, random.normal(0.0, 0.1, 3))
+            graph.add_wall_observation(k, j, seen, covariance[1:, 1:], predicted, np.array([0.9, 0.1]))
+        seen = se2.transform(se2.inverse(pose), [3.0, -1.0]) + random.normal(0.0, 0.1, 2)
+        graph.add_corner_observation(k, 0, seen, covariance[:2, :2], np.array([0.7, 0.7]))
+    graph.add_wall_equality(0, 1, 1.5)
+    graph.add_loop_match(0, 2, se2.between(poses[0], poses[2]), covariance)
+    graph.add_point_map(0, covariance)
+    graph.add_scan_match(0, 2, se2.compose(se2.between(poses[0], poses[2]), [0.2, 0.1, 0.1]), covariance)
+    graph.update()
+    return graph
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_arithmetic_is_that_of_gtsam(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    graph = graph_of_all_kinds(random)
+    factors = graph.solver.sorted_factors()
+    arrays, expected = ArrayGraph(factors, BIAS), to_gtsam_graph(factors, BIAS)
+    start = arrays.values_of(graph.solver.isam.calculateEstimate())
+    moved = np.where(arrays.corners[:, None], [0.1, 0.1, 0.0], [0.1, 0.1, 0.3]) * random.normal(size=start.shape)
+    values = arrays.retract(start, moved)
+    as_gtsam = arrays.to_values(start).retract(vector_values(arrays, moved))
+    np.testing.assert_allclose(arrays.values_of(as_gtsam), values, atol=1e-12)
+    assert arrays.cost(values, BIAS) == pytest.approx(2.0 * expected.error(as_gtsam), rel=1e-9)
+    step = expected.linearize(as_gtsam).optimize()
+    for key, vector in arrays.by_key(arrays.step(values, BIAS)).items():
+        np.testing.assert_allclose(vector, step.at(key), atol=1e-7)
+
+
+def test_marginals_are_those_of_the_incremental_solver() -> None:
+    solver = graph_of_all_kinds(np.random.default_rng(4)).solver
+    for key, covariance in solver.marginal_covariances().items():
+        np.testing.assert_allclose(covariance, solver.marginal_covariance(key), rtol=1e-5, atol=1e-12)
+
+
+def test_joint_covariances_are_those_of_the_incremental_solver() -> None:
+    solver = graph_of_all_kinds(np.random.default_rng(4)).solver
+    groups = [[L(2), L(0)], [X(2), L(1), X(0), P(0)], [L(1)]]
+    for group, covariance in zip(groups, solver.joint_covariances(groups), strict=True):
+        np.testing.assert_allclose(covariance, solver.joint_covariance(group), rtol=1e-5, atol=1e-12)
+
+
+def test_marginals_that_cholesky_cannot_compute_are_left_to_the_incremental_solver(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    solver = graph_of_all_kinds(np.random.default_rng(4)).solver
+    expected = solver.marginal_covariances()
+    joint = solver.joint_covariances([[L(2), L(0)]])
+    monkeypatch.setattr("slam.graph.array_graph.factorise", lambda *_: False)
+    np.testing.assert_allclose(solver.joint_covariances([[L(2), L(0)]]), joint, rtol=1e-5, atol=1e-12)
+    for key, covariance in solver.marginal_covariances().items():
+        np.testing.assert_allclose(covariance, expected[key], rtol=1e-5, atol=1e-12)
+
+
+def test_undetermined_graph_raises_map_error() -> None:
+    graph = FactorGraph()
+    graph.add_first_keyframe(np.zeros(3))
+    graph.add_wall(0, 0, np.array([1.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))
+    arrays = ArrayGraph(graph._new, 0.0)
+    with pytest.raises(MapError, match="the map cannot be estimated"):
+        arrays.step(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), 0.0)
+
+
+def test_sparse_factorisation_solves_and_inverts() -> None:
+    random, count = np.random.default_rng(0), 30
+    pairs = np.array([(a, b) for a in range(count) for b in range(a) if b == a - 1 or random.random() < 0.1])
+    pattern = Pattern.of_pairs(count, pairs)
+    diagonal, below = np.tile(0.1 * np.eye(3), (count, 1, 1)), np.zeros((len(pattern.rows), 3, 3))
+    matrix = 0.1 * np.eye(3 * count)
+    for (a, b), slot in zip(pattern.rank[pairs], pattern.slots, strict=True):
+        first, last = min(a, b), max(a, b)
+        root = random.normal(size=(4, 6))
+        block = root.T @ root
+        rows = np.concatenate([3 * first + np.arange(3), 3 * last + np.arange(3)])
+        matrix[np.ix_(rows, rows)] += block
+        diagonal[first] += block[:3, :3]
+        diagonal[last] += block[3:, 3:]
+        below[slot] += block[3:, :3]
+    right, inverse = random.normal(size=(count, 3)), np.linalg.inv(matrix)
+    assert factorise(pattern, diagonal, below)
+    np.testing.assert_allclose(solve(pattern, diagonal, below, right).ravel(), inverse @ right.ravel(), atol=1e-10)
+    blocks = inverse.reshape(count, 3, count, 3).transpose(0, 2, 1, 3)
+    on_diagonal, off_diagonal = inverse_blocks(pattern, diagonal, below)
+    np.testing.assert_allclose(on_diagonal, blocks[np.arange(count), np.arange(count)], atol=1e-10)
+    columns = np.repeat(np.arange(count), np.diff(pattern.starts))
+    np.testing.assert_allclose(off_diagonal, blocks[pattern.rows, columns], atol=1e-10)
+
+
+def vector_values(arrays: ArrayGraph, vectors: np.ndarray) -> gtsam.VectorValues:
+    """Return tangent vectors (n, 3) as GTSAM's."""
+    result = gtsam.VectorValues()
+    for key, vector in arrays.by_key(vectors).items():
+        result.insert(key, vector)
+    return result
