@@ -36,7 +36,7 @@ class RunSnapshot:
         state = self.session.slam_state
         mapper = state.mapper
         mapper.gauge.release(mapper)
-        walls, corners = map_features(mapper, covariances=False)
+        walls, corners = map_features(mapper)
         of_walls, of_corners = covariances_when_last_seen(mapper, walls, corners)
         segments = OdometrySegments(self.session.odometry, self.session.starts)
         stamps, poses = segments.trajectory(state.trajectory, mapper.keyframe_poses)

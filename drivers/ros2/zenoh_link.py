@@ -107,7 +107,7 @@ class ZenohLink:
 
     def close(self) -> None:
         """Close the session."""
-        self._session.close()
+        self._session.close()  # type: ignore[no-untyped-call]
 
     def _key(self, name: str, msgtype: str, type_hash: str) -> str:
         return f"{self._domain}/{name.strip('/')}/{mangled_type(msgtype)}/{type_hash}"
