@@ -33,13 +33,12 @@ def _wrapped(angle):  # type: ignore[no-untyped-def]
 @inlined
 def _error(form, measured, first, second, error):  # type: ignore[no-untyped-def]
     """Compute the error (3,) of a factor: of a pose, the logarithm of the estimate as seen from the measurement."""
-    x, y, heading = second[0] - first[0], second[1] - first[1], first[2]
     if form == PRIOR:
         x, y, turn = second[0] - measured[0], second[1] - measured[1], _wrapped(second[2] - measured[2])
-        heading, c, s = measured[2], math.cos(measured[2]), math.sin(measured[2])
+        c, s = math.cos(measured[2]), math.sin(measured[2])
         x, y = c * x + s * y, c * y - s * x
     else:
-        c, s = math.cos(heading), math.sin(heading)
+        x, y, c, s = second[0] - first[0], second[1] - first[1], math.cos(first[2]), math.sin(first[2])
         x, y = c * x + s * y, c * y - s * x
         if form == POINT:
             error[0], error[1], error[2] = _wrapped(math.atan2(y, x) - measured[0]), math.hypot(x, y) - measured[1], 0.0

@@ -40,7 +40,7 @@ class FullMapMatch:
     """Match of a scan to the whole map.
 
     plausible       False if the scan does not fit the map
-    odometry_wrong  True if the scan was not tracked, and does not fit where odometry places it
+    odometry_wrong  True if the scan fits better on an even motion between its neighbours than at its present pose
     """
 
     registration: Registration
@@ -78,8 +78,8 @@ class FullMapMatcher:
     def match(self, row: int, poses: Floats, local_map: LocalMap) -> FullMapMatch:
         """Match the scan `row`, given the poses (n, 3) of all scans and the landmarks around it.
 
-        It is searched for within the uncertainty of its pose. If an even motion between its neighbours leads outside of
-        that, it is searched for there as well.
+        The poses within the uncertainty of its present pose are searched. If an even motion between its neighbours
+        leads outside of these, the poses around that are searched as well.
         """
         scan = self.features(row)
         target = MatchTarget(local_map, self._field(int(self._history.anchors[row])), self._roughness)
@@ -91,7 +91,11 @@ class FullMapMatcher:
         return FullMapMatch(match.registration, match.plausible, odometry_wrong)
 
     def _prior(self, row: int) -> Floats:
-        """Return the information (3, 3) of a scan's present pose: weak in directions that its own match left open."""
+        """Return the information (3, 3) of a scan's present pose.
+
+        It is low in directions that the match while driving did not determine. A scan that was not matched has the
+        uncertainty of wrong odometry in all directions.
+        """
         of_match = np.linalg.inv(self._history.informations[row] + self._unmatched)
         return np.asarray(np.linalg.inv(of_match + np.diag(TRACKED_SIGMAS**2)))
 
