@@ -72,8 +72,13 @@ class LidarConfig(_Group):
 
 
 class OdometryConfig(_Group):
-    """Standard deviations of wheel odometry: drift over the travelled distance, and noise of a single reading."""
+    """Wheel odometry, and its standard deviations: drift over the travelled distance, and noise of a single reading."""
 
+    source: Literal["wheels", "none"] = Field(
+        "wheels",
+        description="'none': there is no odometry, or it is ignored; motions are predicted at constant velocity and "
+        "corrected by the scans. A recording without odometry sets it",
+    )
     translation_error: Finite = Field(0.1, ge=0, description="drift of the position, metres per metre")
     rotation_walk: Finite = Field(
         0.06,

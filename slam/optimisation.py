@@ -63,7 +63,7 @@ def optimise(session: StoredSession, sinks: Sequence[Sink] = ()) -> OptimisedSes
     segments = OdometrySegments(session.odometry, session.starts)
     poses = slam_state.mapper.keyframe_poses
     placed = slam_state.trajectory.at_scans(poses)
-    drive = drive_of(session.scans, session.starts, placed, slam_state.odometry_model, session.config)
+    drive = drive_of(session.scans, session.starts, placed, slam_state.odometry_model)
     suspects = [*unconnected_parts(refined.mapper, slam_state.keyframe_stamps), *find_suspects(drive)]
     publisher.publish_suspects(suspects, slam_state.keyframe_stamps)
     result = final_result(

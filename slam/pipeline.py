@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry, Scan, delay_odometry
 
 from .checks import find_suspects
-from .checks.adapter import drive_of, unconnected_parts
+from .checks.adapter import drive_of, unconnected_parts, unconstrained_stretches
 from .config import Config
 from .errors import MapError, SlamError
 from .estimation.estimator import Estimator, ScanResult
@@ -24,9 +25,12 @@ from .events import Finished, GroundTruthReceived, Notice, Relocalised, Sink
 from .geometry.segments import Floats
 from .io.sessions import StoredSession
 from .localisation.state import LocalisationEvent, LocalisationState, LocalisationStateMachine
-from .localisation.tracker import PoseFix
+from .localisation.tracker import PoseFix, TrackingResult, TrackingStatus
 from .loop_closure.agreement import LoopAgreement
 from .mapping.map_features import MapCorners, MapWalls
+from .odometry.constant_velocity import ConstantVelocity
+from .odometry.error_model import UNOBSERVED_SIGMA
+from .odometry.predicted_motion import BLIND_SIGMA
 from .preprocessing.preprocessor import Preprocessor
 from .publisher import Publisher
 from .run_snapshot import RunSnapshot
@@ -67,15 +71,19 @@ class Slam:
         self._resumed = resumed
         self._publisher = Publisher(sinks)
         self._statistics = RunStatistics()
-        self._localisation = LocalisationStateMachine()
+        predicted = self.config.odometry.source == "none"
+        self._localisation = LocalisationStateMachine(BLIND_SIGMA if predicted else UNOBSERVED_SIGMA)
         self._has_odometry = False
         self._session: StoredSession | None = None
+        self._velocity = ConstantVelocity() if predicted else None
         self._preprocessor = Preprocessor(self.config, None if resumed is None else resumed.sigma_range)
         keep = refine or keep_all_features
         if resumed is None:
             self._estimator = Estimator(SlamState(self.config, loops))
             self._journal = Journal(keep_all_features=keep)
         else:
+            if resumed.config.odometry.source != self.config.odometry.source:
+                resumed.slam_state.replace_odometry(self.config)
             mapper = resumed.slam_state.mapper
             mapper.gauge.hold(mapper)
             self._estimator = Estimator(resumed.slam_state)
@@ -97,6 +105,15 @@ class Slam:
         if isinstance(message, GroundTruth):
             self._publisher.publish(GroundTruthReceived(message.stamp, message.pose))
             return
+        if self._velocity is None:
+            self._add_measurement(message)
+        elif isinstance(message, Scan):
+            for reading in self._velocity.readings(message):
+                self._add_measurement(reading)
+            self._add_measurement(message)
+
+    def _add_measurement(self, message: Scan | Odometry) -> None:
+        """Add a scan, or measured or predicted odometry; process the scans that it covers."""
         if isinstance(message, Odometry) and not self._has_odometry:
             self._start(message)
         self._preprocessor.add(message)
@@ -109,7 +126,11 @@ class Slam:
         processed = self._preprocessor.process(scan, self.slam_state.odometry_model)
         timer.lap("features")
         self._journal.add(processed)
+        before = self._estimator.state.matched_pose
         result = self._estimator.process(processed, timer)
+        if self._velocity is not None:
+            self._velocity.correct(*_motion_since(before, result.tracking))
+            result = replace(result, tracking=replace(result.tracking, slipped=False))  # there is nothing that can slip
         if self.slam_state.in_familiar_place and not self._frozen:
             self._journal.mark_last_familiar()
         self._statistics.add_tracking(result.tracking)
@@ -135,7 +156,7 @@ class Slam:
             return
         self._publisher.publish_map(first.stamp, self.slam_state.mapper)
         self._preprocessor.odometry = self._journal.segments.histories[-1]
-        if not self._journal.segments.is_continued_by(first):
+        if self._velocity is not None or not self._journal.segments.is_continued_by(first):
             self._process_queue(len(self._resumed.queued_scans))
             self._preprocessor.odometry = self._journal.start_odometry_segment()
             self._estimator.begin_part(self.slam_state.pose, first.pose, kidnapped=True)
@@ -226,7 +247,7 @@ class Slam:
         if not self._preprocessor.scans:
             raise MapError("no laser scan in it, so there is nothing to map")
         if not self._has_odometry:
-            raise MapError(f"{self._preprocessor.scans} scans, but no odometry; SLAM needs both")
+            raise MapError(f"{self._preprocessor.scans} scans, but no odometry; add --no-odometry to map without")
         session = self._session_with_queue()
         self._process_queue()
         self._leave_out_unknown_session()
@@ -250,8 +271,10 @@ class Slam:
         """Check the finished run against itself; publish the findings and return the summary's part."""
         state, journal = self.slam_state, self._journal
         placed = state.trajectory.at_scans(state.mapper.keyframe_poses)
-        drive = drive_of(journal.scans, journal.segments.starts, placed, state.odometry_model, self.config)
+        drive = drive_of(journal.scans, journal.segments.starts, placed, state.odometry_model)
         suspects = [*unconnected_parts(state.mapper, state.keyframe_stamps), *find_suspects(drive)]
+        if self._velocity is not None:
+            suspects += unconstrained_stretches(state.trajectory, state.mapper.keyframe_poses)
         if self._frozen:
             suspects = [suspect for suspect in suspects if suspect.stamp > journal.resumed_at]
         self._publisher.publish_suspects(suspects, state.keyframe_stamps)
@@ -347,3 +370,12 @@ class Slam:
             recordings=[] if resumed is None else list(resumed.recordings),
             loop_decisions=[*(() if resumed is None else resumed.loop_decisions), *self._statistics.loops],
         )
+
+
+def _motion_since(before: se2.Pose | None, tracking: TrackingResult) -> tuple[se2.Pose | None, Floats]:
+    """Return the motion from the pose of the last scan to that of this one, and the covariance (3, 3) of a pose.
+
+    The motion is None if one of the scans was not matched.
+    """
+    matched = tracking.status in (TrackingStatus.TRACKED, TrackingStatus.TENTATIVE)
+    return se2.between(before, tracking.pose) if before is not None and matched else None, tracking.covariance

@@ -41,6 +41,7 @@ class Inputs:
     """What a node receives, with absolute names of topics.
 
     odometry        topic of type Odometry; empty: odometry is on /tf
+    uses_odometry   false if the robot has none, or it is ignored
     mount_is_set    true if the settings state the lidar's mount, so that no transform is needed
     throttle_scans  only every so many-th scan is used
     """
@@ -53,6 +54,7 @@ class Inputs:
     base_frame: str = "base_footprint"
     mount_is_set: bool = False
     throttle_scans: int = 1
+    uses_odometry: bool = True
 
 
 @dataclass(slots=True)
@@ -91,7 +93,7 @@ class RosReceiver:
         subscribe(inputs.static_transforms, TRANSFORMS, self._add_fixed, STATIC_TRANSFORMS)
         subscribe(inputs.transforms, TRANSFORMS, self._add_moving, MOVING_TRANSFORMS)
         subscribe(inputs.scan, LASER_SCAN, self._add_scan, SENSOR_DATA)
-        if inputs.odometry:
+        if inputs.odometry and inputs.uses_odometry:
             subscribe(inputs.odometry, ODOMETRY, self._add_odometry, SENSOR_DATA)
 
     def receive(self, timeout: float) -> Message | None:
@@ -128,7 +130,7 @@ class RosReceiver:
         now, inputs, silence, lines = time.monotonic(), self.inputs, self._silence, []
         if now - silence.scan > SILENCE:
             lines.append(f"no scans on {inputs.scan}")
-        if now - silence.odometry > SILENCE:
+        if inputs.uses_odometry and now - silence.odometry > SILENCE:
             lines.append(self._missing_odometry())
         if max(self._older.values(), default=0) >= CLOCK_CONFIRMATIONS:
             lines.append("the clock was set back; messages are dropped until it has caught up: start the node again")
@@ -162,7 +164,7 @@ class RosReceiver:
         self._tree.add(message)
 
     def _add_moving(self, message: Any, received: int) -> None:
-        if not self.inputs.odometry:
+        if self.inputs.uses_odometry and not self.inputs.odometry:
             for reading in self._tf_odometry.readings(message, received):
                 self._put_odometry(reading)
         if self._silence.unconnected:

@@ -8,13 +8,22 @@ import numpy as np
 
 from drivers import se2
 
-from ..config import Config
+from ..geometry.degeneracy import weakest_direction
 from ..geometry.segments import Floats
 from ..mapping.mapper import Mapper
+from ..mapping.trajectory_builder import TrajectoryBuilder
 from ..odometry.error_model import OdometryModel
+from ..odometry.history import wheel_travel
+from ..odometry.predicted_motion import BLIND_SIGMA
 from ..preprocessing.preprocessor import ProcessedScan
-from .drive import Drive
-from .suspect import PARTS, Suspect
+from .drive import Drive, consecutive_groups
+from .suspect import PARTS, UNCONSTRAINED, Suspect
+
+# Metres of driving that are reported if nothing determines them: velocities hardly change before.
+# Origin: chosen, about two seconds; not measured.
+MIN_BLIND_LENGTH = 1.0
+# Scans within a stretch that may determine the motion by chance. Origin: chosen; not measured.
+MAX_SEEING_SCANS = 2
 
 
 def drive_of(
@@ -22,7 +31,6 @@ def drive_of(
     starts: Sequence[int],
     placed: tuple[Floats, Floats],
     odometry_model: OdometryModel,
-    config: Config,
 ) -> Drive:
     """Return the drive for the checks.
 
@@ -43,8 +51,35 @@ def drive_of(
         segment=segment,
         points=[scans[row].features.points.all for row in rows.tolist()],
         deviations=odometry_model.deviations,
-        floors=np.array([config.odometry.translation_floor, config.odometry.rotation_floor]),
+        floors=odometry_model.floors,
+        measured=odometry_model.measured,
     )
+
+
+def unconstrained_stretches(trajectory: TrajectoryBuilder, keyframe_poses: Floats) -> list[Suspect]:
+    """Return a suspect for each stretch, in a drive without odometry, whose scans do not determine the motion along it.
+
+    `keyframe_poses` (k, 3) are those of the finished map. The length of such a stretch is a guess.
+    """
+    stamps, poses = trajectory.at_scans(keyframe_poses)
+    informations = trajectory.relative_poses()[3]
+    blind = [
+        weakest_direction(pose, information, BLIND_SIGMA) is not None
+        for pose, information in zip(poses, informations, strict=True)
+    ]
+    travelled = np.concatenate([[0.0], np.cumsum(wheel_travel(se2.between(poses[:-1], poses[1:])))])
+    suspects = []
+    for group in consecutive_groups(np.flatnonzero(blind), MAX_SEEING_SCANS):
+        first, last = int(group[0]), int(group[-1])
+        length = float(travelled[last] - travelled[first])
+        if length > MIN_BLIND_LENGTH:
+            text = (
+                f"for {length:.1f} m the scans do not determine the motion in one direction, and there is no odometry: "
+                "constant velocity is assumed, and the length may be wrong"
+            )
+            weight, times = length / MIN_BLIND_LENGTH, (float(stamps[first]), float(stamps[last]))
+            suspects.append(Suspect(UNCONSTRAINED, times[0], *times, poses[first, :2].copy(), weight, text))
+    return suspects
 
 
 def unconnected_parts(mapper: Mapper, keyframe_stamps: Sequence[float]) -> list[Suspect]:

@@ -34,6 +34,7 @@ class Drive:
     deviations  (2,) standard deviations of odometry after one metre of travel: of the position (metres; proportional
                 to the travel) and of the heading (radians; proportional to its square root)
     floors      (2,) standard deviations of a single odometry reading, metres and radians
+    measured    False if odometry is predicted at constant velocity
     """
 
     stamps: Floats
@@ -43,6 +44,7 @@ class Drive:
     points: Sequence[Floats]
     deviations: Floats
     floors: Floats
+    measured: bool = True
 
     def __len__(self) -> int:
         return len(self.stamps)
@@ -59,6 +61,7 @@ class Drive:
             [np.ascontiguousarray(self.points[row], dtype=np.float64) for row in rows.tolist()],
             self.deviations,
             self.floors,
+            self.measured,
         )
 
     def travelled(self) -> Floats:

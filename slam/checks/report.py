@@ -27,7 +27,7 @@ def find_suspects(drive: Drive) -> list[Suspect]:
     # at a misplaced scan, the path says nothing about odometry
     odometry = [
         suspect
-        for suspect in wrong_odometry(sampled, steps)
+        for suspect in (wrong_odometry(sampled, steps) if sampled.measured else ())
         if not any(suspect.first <= other.stamp <= suspect.last for other in misplaced)
     ]
     found = [*misplaced, *odometry, *contradicting_passes(sampled)]

@@ -9,14 +9,15 @@ from ..geometry.segments import Floats
 # Seconds from which the interval of a suspect is stated besides its time. Origin: chosen, for readability.
 MIN_INTERVAL = 1.0
 # Names of the checks. Origin: definition.
-PLACEMENT, ODOMETRY, MAP, PARTS = "placement", "odometry", "map", "parts"
+PLACEMENT, ODOMETRY, MAP, PARTS, UNCONSTRAINED = "placement", "odometry", "map", "parts", "unconstrained"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Suspect:
     """A place in a finished run where path, scans and odometry contradict each other.
 
-    check     PLACEMENT (of a scan), ODOMETRY, MAP, or PARTS (of the map that are not connected)
+    check     PLACEMENT (of a scan), ODOMETRY, MAP, PARTS (of the map that are not connected), or
+              UNCONSTRAINED (a motion that nothing measures)
     stamp     seconds, where the contradiction is largest
     first     seconds, begin of the interval
     last      seconds, end of the interval

@@ -52,6 +52,10 @@ LocalizeOption = Annotated[
         help="Output directory of an earlier run on whose map to localise only; the map is not changed.",
     ),
 ]
+NoOdometryOption = Annotated[
+    bool,
+    typer.Option("--no-odometry", help="Map by the scans alone; done anyway if there is no odometry."),
+]
 RefineOption = Annotated[
     bool, typer.Option("--refine", help="Refine the whole session after the last scan, as `wclm optimize` does.")
 ]

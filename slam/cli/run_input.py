@@ -61,6 +61,11 @@ class RunInput(Protocol):
         ...
 
 
+def has_odometry(source: Source) -> bool:
+    """Return True if a recording contains odometry. All of it is read if there is none."""
+    return any(isinstance(message, Odometry) for message in source)
+
+
 class RecordingInput:
     """A `RunInput` from a recording or a simulation, with a progress bar."""
 

@@ -22,7 +22,7 @@ from ..io.host import versions
 from ..io.output_dir import CONFIG, REPORT, REVIEW, OutputDirectory, unfinished_file
 from .autosave import Autosave
 from .compilation import compile_all
-from .console import print_if_slow
+from .console import print_if_slow, print_message
 from .left_behind import print_left_behind
 from .run_input import InputStatistics, RunInput
 from .run_summary import RunResult
@@ -71,6 +71,13 @@ def prepare_run(
     if not resumed.slam_state.mapper.keyframe_count:
         raise MapError(f"{session}: has no keyframe and cannot be continued")
     return RunSetup(load_config(config or session / CONFIG, settings or ()), resumed, localized is not None)
+
+
+def without_odometry(start: RunSetup, reason: str) -> RunSetup:
+    """Return a setup that maps by the scans alone, and print so; `reason` is why."""
+    print_message(f"{reason}: motions are predicted at constant velocity and corrected by the scans")
+    odometry = start.config.odometry.model_copy(update={"source": "none"})
+    return replace(start, config=start.config.model_copy(update={"odometry": odometry}))
 
 
 @dataclass(slots=True)

@@ -86,7 +86,8 @@ class Estimator:
         result = ScanResult(tracking, update, None, self.state.mapper, joined=_joined_part(update))
         result = replace(result, retracted=self._retract_contradicted_closure())
         if self.state.lost:
-            began = self._begin_part_with(self.state.untracked_scans, timer, kidnapped=self.state.view_changed)
+            unmeasured = self.state.view_changed or not self.state.odometry_model.measured
+            began = self._begin_part_with(self.state.untracked_scans, timer, kidnapped=unmeasured)
             result = replace(began, retracted=result.retracted)
         if on_trial or self._frozen is not None:  # the map on trial is not a result
             return replace(result, update=None, mapper=self.result.mapper)

@@ -24,7 +24,7 @@ from ..loop_closure.loop_hypothesis import LoopAgreementState
 from ..mapping.local_map import empty_local_map
 from ..mapping.mapper import LOCAL_MAP_MARGIN, Mapper
 from ..mapping.trajectory_builder import TrajectoryBuilder
-from ..odometry.error_model import OdometryModel
+from ..odometry.predicted_motion import motion_model
 from ..preprocessing.preprocessor import ProcessedScan
 
 # Metres of local map around a robot whose pose was set from outside. Origin: chosen, as far as the distance field
@@ -89,7 +89,7 @@ class SlamState:
     def __init__(self, config: Config, loops: LoopAgreement | None = None) -> None:
         self.config = config
         self.mapper = Mapper()
-        self.odometry_model = OdometryModel(config.odometry)
+        self.odometry_model = motion_model(config.odometry)
         self.trajectory = TrajectoryBuilder()
         self.tracker = Tracker(self.odometry_model)
         self.loops = loops or LoopAgreement()
@@ -138,6 +138,11 @@ class SlamState:
             state.joins.restore(joins or {}, state.local_field)
         return state
 
+    def replace_odometry(self, config: Config) -> None:
+        """Use another source of odometry from now on, whose errors are not known yet."""
+        self.config, self.odometry_model = config, motion_model(config.odometry)
+        self.tracker.replace_model(self.odometry_model)
+
     def copy(self) -> SlamState:
         """Return a copy to return to, or to try a change on."""
         return copy.deepcopy(self)
@@ -157,6 +162,11 @@ class SlamState:
     def view_changed(self) -> bool:
         """True if the view has changed abruptly within the last metres: the robot may have been kidnapped."""
         return self.tracker.view_changed
+
+    @property
+    def matched_pose(self) -> se2.Pose | None:
+        """Pose of the base in the map at the last scan, tracked or tentative; None if that was not matched."""
+        return self.tracker.matched_pose
 
     @property
     def in_familiar_place(self) -> bool:

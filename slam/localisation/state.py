@@ -64,7 +64,9 @@ class LocalisationState:
 class LocalisationStateMachine:
     """Current localisation state, changed by events and by the tracking results of scans."""
 
-    def __init__(self) -> None:
+    def __init__(self, unobserved_sigma: float = UNOBSERVED_SIGMA) -> None:
+        """`unobserved_sigma` (metres): standard deviation above which scans do not determine the position."""
+        self._unobserved_sigma = unobserved_sigma
         self.state = LocalisationState(LocalisationStatus.OK)
         self._contradicting_scans = 0  # in a row
 
@@ -87,7 +89,7 @@ class LocalisationStateMachine:
         """Apply a scan's tracking result; return the new state, or None if it is the same as before."""
         if tracking.status is not TrackingStatus.TRACKED:
             return None
-        direction = weakest_direction(tracking.pose, tracking.registration.total_information, UNOBSERVED_SIGMA)
+        direction = weakest_direction(tracking.pose, tracking.registration.total_information, self._unobserved_sigma)
         event = LocalisationEvent.OBSERVABLE if direction is None else LocalisationEvent.UNOBSERVABLE
         changes = TRANSITIONS[self.state.status, event] is not self.state.status
         self._contradicting_scans = self._contradicting_scans + 1 if changes else 0

@@ -148,6 +148,17 @@ class Tracker:
         self.move_to(pose, odometry)
         self._last_score = 0.0
 
+    def replace_model(self, model: OdometryModel) -> None:
+        """Use another error model of odometry from now on."""
+        self._model = model
+
+    @property
+    def matched_pose(self) -> se2.Pose | None:
+        """Pose of the base in the map at the last scan, tracked or tentative; None if that was not matched."""
+        if self._tentative is not None:
+            return self._tentative.pose
+        return None if self._fix is None or self._untracked_in_a_row else self._fix.pose
+
     @property
     def fix(self) -> PoseFix | None:
         """Last fix; None before the first scan."""
@@ -201,7 +212,12 @@ class Tracker:
         return replace(result, abrupt=result.abrupt and self.view_changed)
 
     def _view_differs(self, view: View) -> bool:
-        """Return True if a view shows another place than the last one, or if there is no last one."""
+        """Return True if a view shows another place than the last one, or if there is no last one.
+
+        False without odometry, as the robot may have driven in between.
+        """
+        if not self._model.measured:
+            return False
         if self._view is None:
             return True
         motion = self._model.correct(se2.between(self._view.odometry, view.odometry))
@@ -239,7 +255,7 @@ class Tracker:
         self._measure_speed(stamp, odometry, interrupted=confirmed)
         self._fix, self._fix_stamp, self._untracked_in_a_row = fix, stamp, 0
         slipped = confirmed or match.prediction.squared_distance(fix.pose) > KERNEL**2
-        if slipped:  # odometry continues from here
+        if slipped or not self._model.measured:  # odometry continues from here
             self._reference = fix
         return self._result(match, TrackingStatus.TRACKED, prior, slipped=slipped)
 

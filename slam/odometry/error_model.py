@@ -64,8 +64,12 @@ class OdometryModel:
     limits them.
     """
 
+    measured = True
+    """False if the motions are predicted, see `PredictedMotionModel`."""
+
     def __init__(self, config: OdometryConfig) -> None:
         self._config = config
+        self._floors = np.array([config.translation_floor, config.rotation_floor])
         self._initial_rates = np.array([config.translation_error**2, config.rotation_walk**2])
         self._samples: Floats = np.zeros((0, 6))
         self._rates = self._initial_rates
@@ -82,6 +86,11 @@ class OdometryModel:
     def systematic_errors(self) -> Floats:
         """(3,) factor of length, factor of turning, and veering in radians per metre; (1, 1, 0) for perfect wheels."""
         return np.array([self._length_factor, self._turn_factor, self._veer])
+
+    @property
+    def floors(self) -> Floats:
+        """(2,) standard deviations of a single reading, of position (metres) and heading (radians)."""
+        return self._floors
 
     @property
     def samples(self) -> Floats:
@@ -117,7 +126,12 @@ class OdometryModel:
         self._length_factor, self._veer = 1.0 + length[0], veer[0]
         self._turn_factor = 1.0 / np.clip(1.0 + inverse[0], 1 / MAX_TURN_FACTOR, MAX_TURN_FACTOR)
         self._systematic_variances = np.array([length[1], inverse[1], veer[1]])
-        self._estimate_rates(measured[-RANDOM_ERROR_SAMPLES:], registered[-RANDOM_ERROR_SAMPLES:])
+        self._estimate_rates(*self._latest_samples())
+
+    def _latest_samples(self) -> tuple[Floats, Floats]:
+        """Return the latest motions as measured (n, 3) and as registered (n, 3), for the random errors."""
+        latest = self._samples[-RANDOM_ERROR_SAMPLES:]
+        return latest[:, :3], latest[:, 3:]
 
     def _estimate_rates(self, measured: Floats, registered: Floats) -> None:
         """Estimate the variances of the random errors that remain after correction."""
@@ -160,14 +174,14 @@ class OdometryModel:
         x, y = c * ahead + s * left, c * left - s * ahead  # in the end frame
         length, turning, veering = self._systematic_variances.tolist()
         constant = turning * turn**2 + veering * ahead**2
-        own = translation + self._config.translation_floor**2
+        own = translation + self._floors[0] ** 2
         bending, mixed = rotation / 3.0 + constant / 4.0, 0.5 * (rotation + constant)
         of_xy = length * (x * y) - bending * (x * y)
         return np.array(
             [
                 [own + length * (x * x) + bending * (y * y), of_xy, -mixed * y],
                 [of_xy, own + length * (y * y) + bending * (x * x), mixed * x],
-                [-mixed * y, mixed * x, rotation + constant + self._config.rotation_floor**2],
+                [-mixed * y, mixed * x, rotation + constant + self._floors[1] ** 2],
             ]
         )
 

@@ -78,7 +78,11 @@ class NodeOutputs:
     shift  seconds that were added to all stamps of the run
     """
 
-    def __init__(self, link: Link, names: NodeNames, parameters: NodeParameters) -> None:
+    def __init__(
+        self, link: Link, names: NodeNames, parameters: NodeParameters, *, predicts_odometry: bool = False
+    ) -> None:
+        """`predicts_odometry` if the robot has no odometry: its transform is published, too, once for each scan."""
+        self._predicts_odometry = predicts_odometry
         self.lidar: Floats = np.zeros(2)
         self.shift = 0.0
         self._parameters, self._encoder, self._node = parameters, NodeEncoder(), names.node
@@ -161,6 +165,11 @@ class NodeOutputs:
         run = self._run
         with self._lock:
             run.odometry_in_map = se2.compose(scan.pose, se2.inverse(scan.odometry))
+        if self._predicts_odometry:
+            stamp, parameters = scan.stamp - self.shift, self._parameters
+            base = self._encoder.transform(stamp, parameters.odom_frame, parameters.base_frame, scan.odometry)
+            self._put_transform(base)
+            self.publish_transform(stamp)
         if run.status is not LocalisationStatus.LOST:
             moved = np.eye(3) if run.keyframe is None else se2.adjoint(se2.between(scan.pose, run.keyframe))
             covariance = moved @ run.covariance @ moved.T

@@ -14,6 +14,7 @@ from ..options import (
     ContinueOption,
     DurationOption,
     LocalizeOption,
+    NoOdometryOption,
     OutOption,
     OverwriteOption,
     PlotOption,
@@ -36,6 +37,7 @@ def live(
     duration: DurationOption = None,
     overwrite: OverwriteOption = False,
     refine: RefineOption = False,
+    no_odometry: NoOdometryOption = False,
     continued: ContinueOption = None,
     localized: LocalizeOption = None,
     config: ConfigOption = None,
@@ -55,17 +57,19 @@ def live(
     ] = None,
     plot: PlotOption = False,
 ) -> None:
-    """Map online with a lidar and a wheel base until Ctrl-C, then write trajectory, map and review log.
+    """Map online with a lidar, and a wheel base if there is one, until Ctrl-C; then write the results.
 
     Example: [bold]wclm live --lidar rplidar:/dev/ttyUSB0 --base create2:/dev/ttyUSB1 --out map --record map.mcap[/bold]
     """
     from ..run_summary import format_summary
-    from ..slam_run import prepare_run, run_slam
+    from ..slam_run import prepare_run, run_slam, without_odometry
     from .live_input import LiveInput
 
     start = prepare_run(continued, localized, config, settings)
-    if not (lidar and base):
-        raise typer.BadParameter("a lidar and a base are required", param_hint="--lidar / --base")
+    if not lidar:
+        raise typer.BadParameter("a lidar is required", param_hint="--lidar")
+    if no_odometry or not base:
+        start = without_odometry(start, "--no-odometry" if no_odometry else "no --base")
     specs = parse_device_options(lidar, base)
     if record is not None:
         check_recording_file(record, overwrite)

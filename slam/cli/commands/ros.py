@@ -11,7 +11,15 @@ import typer
 from drivers.ros2.selection import Backend
 
 from ..console import print_message
-from ..options import ConfigOption, ContinueOption, DurationOption, LocalizeOption, OverwriteOption, SetOption
+from ..options import (
+    ConfigOption,
+    ContinueOption,
+    DurationOption,
+    LocalizeOption,
+    NoOdometryOption,
+    OverwriteOption,
+    SetOption,
+)
 
 if TYPE_CHECKING:
     from drivers.ros2.link import Link
@@ -48,6 +56,7 @@ def ros(
     ] = False,
     duration: DurationOption = None,
     overwrite: OverwriteOption = False,
+    no_odometry: NoOdometryOption = False,
     continued: ContinueOption = None,
     localized: LocalizeOption = None,
     config: ConfigOption = None,
@@ -63,9 +72,13 @@ def ros(
     from drivers.ros2.names import NodeNames
     from drivers.ros2.selection import open_link
 
+    from ..slam_run import without_odometry
+
     names = NodeNames.from_rules(remap or ())
     parameters = _load_parameters(params_file or [], param or [], names)
     start = _prepare(parameters, continued, localized, config, settings)
+    if no_odometry:
+        start = without_odometry(start, "--no-odometry")
     with closing(open_link(names, link)) as opened:
         services = "" if opened.serves_services else "; topics only, no services"
         print_message(f"node {names.qualified} by {opened.description}{services}")
@@ -113,6 +126,7 @@ def _inputs(names: NodeNames, parameters: NodeParameters, start: RunSetup) -> In
         static_transforms=names.resolve("/tf_static"),
         odometry_frame=parameters.odom_frame,
         base_frame=parameters.base_frame,
+        uses_odometry=start.config.odometry.source == "wheels",
         mount_is_set=start.config.lidar.mount is not None,
         throttle_scans=parameters.throttle_scans,
     )
@@ -128,8 +142,9 @@ def _start(link: Link, names: NodeNames, parameters: NodeParameters, start: RunS
 
     compile_all()
     warm_up()
-    outputs = NodeOutputs(link, names, parameters)
-    receiver = RosReceiver(link, _inputs(names, parameters, start), outputs.publish_transform)
+    inputs = _inputs(names, parameters, start)
+    outputs = NodeOutputs(link, names, parameters, predicts_odometry=not inputs.uses_odometry)
+    receiver = RosReceiver(link, inputs, outputs.publish_transform)
     receiver.paused = parameters.paused_new_measurements
     node = RosNode(receiver, outputs)
     if link.serves_services:

@@ -103,14 +103,18 @@ class RosInput:
             raise DiscardedError
 
     def _odometry_first(self) -> Iterator[Message]:
-        """Yield the messages; the first one is odometry, whose stamp tells whether time goes on after the session."""
+        """Yield the messages; the first one is odometry, whose stamp tells whether time goes on after the session.
+
+        Without odometry it is the first scan.
+        """
+        first = Odometry if self._receiver.inputs.uses_odometry else Scan
         held: list[Message] | None = []
         session = self._start.resumed
         after = float("-inf") if session is None else session.latest
         for message in receive_messages(self._receiver, self._duration, self._after_each):
             if held is None:
                 yield message
-            elif isinstance(message, Odometry):
+            elif isinstance(message, first):
                 self._outputs.shift = shift_after(message.stamp, after)
                 yield from (message, *held)
                 held = None

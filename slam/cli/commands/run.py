@@ -8,6 +8,7 @@ from ..options import (
     ConfigOption,
     ContinueOption,
     LocalizeOption,
+    NoOdometryOption,
     OutOption,
     OverwriteOption,
     PlotOption,
@@ -23,6 +24,7 @@ def run(
     out: OutOption,
     overwrite: OverwriteOption = False,
     refine: RefineOption = False,
+    no_odometry: NoOdometryOption = False,
     continued: ContinueOption = None,
     localized: LocalizeOption = None,
     config: ConfigOption = None,
@@ -39,14 +41,17 @@ def run(
     import drivers
 
     from ...io.recordings import absolute_recording
-    from ..run_input import RecordingInput
+    from ..run_input import RecordingInput, has_odometry
     from ..run_summary import format_summary
-    from ..slam_run import prepare_run, run_slam
+    from ..slam_run import prepare_run, run_slam, without_odometry
 
     start = prepare_run(continued, localized, config, settings)
-    run_input = RecordingInput(
-        drivers.open(recording, start.config.lidar.beam_order), reopen=absolute_recording(recording)
-    )
+    source = drivers.open(recording, start.config.lidar.beam_order)
+    if no_odometry:
+        start = without_odometry(start, "--no-odometry")
+    elif start.config.odometry.source != "none" and not has_odometry(source):
+        start = without_odometry(start, f"{source.name}: no odometry in it")
+    run_input = RecordingInput(source, reopen=absolute_recording(recording))
     result = run_slam(
         run_input,
         start.config,

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from ...checks.suspect import MAP, ODOMETRY, PARTS, PLACEMENT
+from ...checks.suspect import MAP, ODOMETRY, PARTS, PLACEMENT, UNCONSTRAINED
 from ...io.tum import Trajectory
 from ...loop_closure.loop_status import LoopStatus
 from .formatting import clock, counted, percent
@@ -23,6 +23,7 @@ SUSPECT_DETAILS = {
     PLACEMENT: "From there on, the path may be displaced or turned.",
     MAP: "Walls may be doubled, or a part of the map may be displaced.",
     PARTS: "The robot lost its pose there, and the place was not recognised. The parts of the map do not fit together.",
+    UNCONSTRAINED: "Its length there is a guess: the robot may have stopped, or driven faster.",
     ODOMETRY: "The scans were enough to correct it, or the path is wrong from there on.",
 }
 STAMPED = re.compile(r"(?P<text>.*) \(at (?P<stamp>-?\d+(\.\d+)?) s\)", re.DOTALL)

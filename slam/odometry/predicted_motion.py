@@ -1,0 +1,76 @@
+"""Error model of motions that are predicted at constant velocity, as there is no odometry."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from drivers import se2
+
+from ..config import OdometryConfig
+from ..geometry.degeneracy import weakest_direction
+from ..geometry.segments import Floats
+from .error_model import NORMAL_MEDIAN, PLANE_MEDIAN, PRIOR_SAMPLES, OdometryModel
+from .history import wheel_travel
+
+# Metres and radians: errors of a prediction before any driving. Origin: chosen, an acceleration of 1 m/s^2 or 3 rad/s^2
+# for half a second.
+INITIAL_FLOORS = np.array([0.12, 0.37])
+# Metres and radians: smallest errors of a prediction, which no wheels have measured. Origin: chosen, the noise of the
+# poses that the velocity is taken from.
+MIN_FLOORS = np.array([0.02, math.radians(1.0)])
+# Metres: without odometry, the motion is not determined in a direction in which the standard deviation of registration
+# exceeds this: then it rests on one object, which may fit by chance, as the last points of a corridor's walls do at the
+# end of the lidar's range. Origin: geometry, five points with a standard deviation of 0.03 m.
+BLIND_SIGMA = 0.03 / math.sqrt(5.0)
+# Metres per metre: error of a predicted motion that nothing corrects. Origin: chosen, robots often become half as fast,
+# or half as fast again.
+BLIND_ERROR = 0.5
+# Metres over which this error is common to neighbouring motions. Origin: chosen, robots change their speed every few
+# seconds; not measured.
+BLIND_LENGTH = 2.0
+
+
+class PredictedMotionModel(OdometryModel):
+    """Errors of motions predicted at constant velocity, learned by comparing them with registration.
+
+    They have no systematic part. A prediction errs by the acceleration since the last scan: the error belongs to each
+    motion, however short, and its standard deviation is estimated from the median of the errors. Motions that are not
+    corrected for a while err in proportion to the travel, as those of wheels.
+    """
+
+    measured = False
+
+    def __init__(self, config: OdometryConfig) -> None:
+        super().__init__(config)
+        self._floors, self._systematic_variances = INITIAL_FLOORS, np.zeros(3)
+
+    def _estimate(self) -> None:
+        measured, registered = self._latest_samples()
+        self._estimate_rates(measured, registered)
+        error = se2.between(measured, registered)
+        squared = np.array(
+            [
+                np.median(error[:, 0] ** 2 + error[:, 1] ** 2) / PLANE_MEDIAN,
+                np.median(error[:, 2] ** 2) / NORMAL_MEDIAN,
+            ]
+        )
+        weight = len(error) / (len(error) + PRIOR_SAMPLES)
+        self._floors = INITIAL_FLOORS ** (1 - weight) * np.maximum(np.sqrt(squared), MIN_FLOORS) ** weight
+
+    def correlated_drift(self, motion: se2.Pose, information: Floats) -> Floats:
+        """Return (2, 2) the position covariance of a motion along the direction that registration does not determine.
+
+        Nothing measures the motion there, see `OdometryModel.correlated_drift`.
+        """
+        direction = weakest_direction(np.zeros(3), information, BLIND_SIGMA)
+        if direction is None:
+            return np.zeros((2, 2))
+        along = np.array([math.cos(direction), math.sin(direction)])
+        return np.asarray(BLIND_ERROR**2 * wheel_travel(motion) * BLIND_LENGTH * np.outer(along, along))
+
+
+def motion_model(config: OdometryConfig) -> OdometryModel:
+    """Return the error model of the motions between scans, by where they come from."""
+    return OdometryModel(config) if config.source == "wheels" else PredictedMotionModel(config)
