@@ -50,6 +50,22 @@ class Odometry:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class YawRate:
+    """Rate (radians per second) at which the base turns counter-clockwise, as a gyroscope measures it, at a stamp."""
+
+    stamp: float
+    rate: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InitialPose:
+    """Pose [x, y, heading] of the base in the map (metres, radians), roughly, as a user set it at a stamp (seconds)."""
+
+    stamp: float
+    pose: Pose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class GroundTruth:
     """True pose [x, y, heading] of the base in the world's frame (metres, radians) at a stamp (seconds).
 
@@ -60,7 +76,7 @@ class GroundTruth:
     pose: Pose
 
 
-Message: TypeAlias = Scan | Odometry | GroundTruth
+Message: TypeAlias = Scan | Odometry | YawRate | InitialPose | GroundTruth
 
 
 def with_reversed_times(scan: Scan) -> Scan:
@@ -70,11 +86,12 @@ def with_reversed_times(scan: Scan) -> Scan:
 
 
 def delay_odometry(message: Message, seconds: float) -> Message:
-    """Return the message on the lidar's clock: odometry's stamp is moved by the lidar's delay, seconds.
+    """Return the message on the lidar's clock: stamps of odometry and gyroscope are moved by the delay, seconds.
 
     The stamps of scans stay, and with them whatever refers to a scan by its stamp.
     """
-    return replace(message, stamp=message.stamp + seconds) if seconds and isinstance(message, Odometry) else message
+    moved = seconds and isinstance(message, Odometry | YawRate)
+    return replace(message, stamp=message.stamp + seconds) if moved else message
 
 
 def end_stamp(message: Message) -> float:

@@ -79,6 +79,7 @@ class OdometryConfig(_Group):
         description="'none': there is no odometry, or it is ignored; motions are predicted at constant velocity and "
         "corrected by the scans. A recording without odometry sets it",
     )
+    gyroscope: bool = Field(True, description="use the turns of a gyroscope, if there is one, instead of the wheels'")
     translation_error: Finite = Field(0.1, ge=0, description="drift of the position, metres per metre")
     rotation_walk: Finite = Field(
         0.06,

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from drivers import se2
-from drivers.messages import GroundTruth, Message, Odometry, Scan, delay_odometry
+from drivers.messages import GroundTruth, InitialPose, Message, Odometry, Scan, YawRate, delay_odometry
 
 from .checks import find_suspects
 from .checks.adapter import drive_of, unconnected_parts, unconstrained_stretches
@@ -30,8 +30,9 @@ from .loop_closure.agreement import LoopAgreement
 from .mapping.map_features import MapCorners, MapWalls
 from .odometry.constant_velocity import ConstantVelocity
 from .odometry.error_model import UNOBSERVED_SIGMA
+from .odometry.gyroscope import Gyroscope, GyroscopeOdometry
 from .odometry.predicted_motion import BLIND_SIGMA
-from .preprocessing.preprocessor import Preprocessor
+from .preprocessing.preprocessor import Preprocessor, ProcessedScan
 from .publisher import Publisher
 from .run_snapshot import RunSnapshot
 from .run_statistics import RunStatistics, run_summary
@@ -56,6 +57,7 @@ class Slam:
         loops: LoopAgreement | None = None,
         resumed: StoredSession | None = None,
         frozen: bool = False,
+        start: se2.Pose | None = None,
     ) -> None:
         """Create an empty map, or continue a session.
 
@@ -65,7 +67,10 @@ class Slam:
         loops              search for loop closures in another way than the default
         resumed            session to continue: directly if odometry is continuous, else after relocalisation in its map
         frozen             keep the map of the session unchanged and only estimate the trajectory in it
+        start              roughly known pose [x, y, heading] of the base in the map of the session at the first scan;
+                           without it the robot may be anywhere
         """
+        self._initial_pose = start
         self.config = config or Config()
         self._refine, self._frozen = refine, frozen
         self._resumed = resumed
@@ -75,7 +80,9 @@ class Slam:
         self._localisation = LocalisationStateMachine(BLIND_SIGMA if predicted else UNOBSERVED_SIGMA)
         self._has_odometry = False
         self._session: StoredSession | None = None
-        self._velocity = ConstantVelocity() if predicted else None
+        self._gyroscope = Gyroscope()
+        self._turning = GyroscopeOdometry(self._gyroscope)
+        self._velocity = ConstantVelocity(self._gyroscope) if predicted else None
         self._preprocessor = Preprocessor(self.config, None if resumed is None else resumed.sigma_range)
         keep = refine or keep_all_features
         if resumed is None:
@@ -105,8 +112,14 @@ class Slam:
         if isinstance(message, GroundTruth):
             self._publisher.publish(GroundTruthReceived(message.stamp, message.pose))
             return
-        if self._velocity is None:
-            self._add_measurement(message)
+        if isinstance(message, InitialPose):
+            self._initial_pose = message.pose
+        elif isinstance(message, YawRate):
+            if self.config.odometry.gyroscope:
+                self._gyroscope.add(message)
+        elif self._velocity is None:
+            wheels = isinstance(message, Odometry)
+            self._add_measurement(self._turning.combined(message) if wheels else message)
         elif isinstance(message, Scan):
             for reading in self._velocity.readings(message):
                 self._add_measurement(reading)
@@ -127,9 +140,15 @@ class Slam:
         timer.lap("features")
         self._journal.add(processed)
         before = self._estimator.state.matched_pose
+        if self._initial_pose is not None:
+            self._place(processed, self._initial_pose)
+            before = None
         result = self._estimator.process(processed, timer)
+        motion, covariance = _motion_since(before, result.tracking)
+        turn = None if motion is None else float(motion[2])
+        self._gyroscope.correct(processed.stamp, turn, float(covariance[2, 2]))
         if self._velocity is not None:
-            self._velocity.correct(*_motion_since(before, result.tracking))
+            self._velocity.correct(motion, covariance)
             result = replace(result, tracking=replace(result.tracking, slipped=False))  # there is nothing that can slip
         if self.slam_state.in_familiar_place and not self._frozen:
             self._journal.mark_last_familiar()
@@ -161,6 +180,17 @@ class Slam:
             self._preprocessor.odometry = self._journal.start_odometry_segment()
             self._estimator.begin_part(self.slam_state.pose, first.pose, kidnapped=True)
             self._publish_state(first.stamp, self._localisation.handle(LocalisationEvent.STARTED_ANYWHERE))
+
+    def _place(self, scan: ProcessedScan, pose: se2.Pose) -> None:
+        """Move the robot to the pose that was set, if the scan fits near it."""
+        self._initial_pose = None
+        if not self._estimator.place(pose, scan):
+            text = "the initial pose is not used: the scan does not fit near it"
+            self._publisher.publish(Notice(scan.stamp, text))
+            return
+        self._publisher.publish(Notice(scan.stamp, "the robot is placed at the initial pose"))
+        if self._localisation.lost:
+            self._publish_state(scan.stamp, self._localisation.handle(LocalisationEvent.RELOCALISED))
 
     def _update_localisation(self, stamp: float, result: ScanResult) -> None:
         """Update the localisation status by a scan: lost, recognised, placed by odometry, or tracked."""
@@ -230,7 +260,7 @@ class Slam:
         session.scans, session.queued_scans = list(journal.scans), self._preprocessor.queued
         session.starts = list(journal.segments.starts)
         session.odometry = [history.copy() for history in journal.segments.histories]
-        summary = run_summary(self._preprocessor, state, self._statistics, journal.scans[-1].stamp)
+        summary = self._summary(journal.scans[-1].stamp)
         return RunSnapshot(session, summary, journal.resumed_at if self._frozen else -np.inf)
 
     def keyframe_covariance(self, index: int) -> Floats:
@@ -255,7 +285,7 @@ class Slam:
         if not self._frozen:
             self._statistics.merged_walls += self.slam_state.mapper.converge()
         end = self._journal.scans[-1].stamp
-        summary = run_summary(self._preprocessor, self.slam_state, self._statistics, end) | self._refine_or_match()
+        summary = self._summary(end) | self._refine_or_match()
         if self._refine:
             self._session = self._stored(self.slam_state)
         state, journal = self.slam_state, self._journal
@@ -266,6 +296,13 @@ class Slam:
         result = final_result(state, (stamps, poses), summary | {"suspects": self._check()})
         self._publisher.publish(result)
         return result
+
+    def _summary(self, end: float) -> dict[str, object]:
+        """Return the summary of the run up to the stamp `end` as plain data."""
+        gyroscope = self._gyroscope
+        found = {"gyroscope": {"bias": round(gyroscope.bias, 6), "sigma": round(gyroscope.sigma, 6)}}
+        summary = run_summary(self._preprocessor, self.slam_state, self._statistics, end)
+        return summary | (found if gyroscope.present else {})
 
     def _check(self) -> list[dict[str, object]]:
         """Check the finished run against itself; publish the findings and return the summary's part."""
@@ -306,8 +343,10 @@ class Slam:
             return False
         if self._frozen:
             return not journal.any_tracked(self.slam_state.trajectory)
-        stamps = np.array(self.slam_state.keyframe_stamps)
-        return not parts.connected(np.flatnonzero(stamps > journal.stamp_before), 0).any()
+        keyframes = np.flatnonzero(np.array(self.slam_state.keyframe_stamps) > journal.stamp_before)
+        if not len(keyframes):  # placed in the map, and only in familiar places since
+            return not journal.any_tracked(self.slam_state.trajectory)
+        return not parts.connected(keyframes, 0).any()
 
     def _leave_out_unknown_session(self) -> None:
         """Map this run alone if it was never recognised in the map of the earlier session.

@@ -23,13 +23,14 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import Writer
 
 from ..errors import RecordingError
-from ..messages import GroundTruth, Message, Odometry, Scan
+from ..messages import GroundTruth, Message, Odometry, Scan, YawRate
 from ..timestamps import to_nanoseconds
 from .decompression import DecompressionError, decompress
 from .ros_encoder import BASE_FRAME, ODOMETRY_FRAME, Diagnostic, RosEncoder
 from .ros_messages import (
     BEAMS,
     DIAGNOSTICS,
+    IMU,
     LASER_SCAN,
     ODOMETRY,
     POSE,
@@ -210,9 +211,11 @@ class McapWriter:
             self._add("/odom", ODOMETRY, stamp, self._encoder.odometry(message))
             moved = self._encoder.transform(message.stamp, ODOMETRY_FRAME, BASE_FRAME, message.pose)
             self._add("/tf", TRANSFORMS, stamp, moved)  # viewers place scans by it
+        elif isinstance(message, YawRate):
+            self._add("/imu", IMU, stamp, self._encoder.yaw_rate(message))
         elif isinstance(message, GroundTruth):
             self._add(GROUND_TRUTH_TOPIC, POSE, stamp, self._encoder.ground_truth(message))
-        else:
+        elif isinstance(message, Scan):
             data = self._encoder.scan(message, self._frame(message, stamp))
             if not _is_exact(data, message):
                 self._add(BEAMS_TOPIC, BEAMS, stamp, self._encoder.beams(message))

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from ..messages import GroundTruth, Odometry, Scan
+from ..messages import GroundTruth, Odometry, Scan, YawRate
 from ..se2 import Pose, wrap
 from ..timestamps import NANOSECONDS, to_nanoseconds
-from .ros_messages import BEAMS, DIAGNOSTICS, LASER_SCAN, ODOMETRY, POSE, TRANSFORMS, type_store
+from .ros_messages import BEAMS, DIAGNOSTICS, IMU, LASER_SCAN, ODOMETRY, POSE, TRANSFORMS, type_store
 
 MAX_ROUNDING_STEPS = 32
 """Limit of the search for a quaternion, units in the last place; a few are sufficient."""
@@ -117,6 +117,20 @@ class RosEncoder:
             twist=types["geometry_msgs/msg/TwistWithCovariance"](still, unknown),
         )
         return bytes(self.store.serialize_cdr(message, ODOMETRY))
+
+    def yaw_rate(self, measured: YawRate) -> bytes:
+        """Encode an Imu of BASE_FRAME without orientation and acceleration."""
+        vector, absent = self.types["geometry_msgs/msg/Vector3"], np.array([-1.0, *np.zeros(8)])
+        message = self.types[IMU](
+            self._header(measured.stamp, BASE_FRAME),
+            orientation=self._quaternion(0.0),
+            orientation_covariance=absent,
+            angular_velocity=vector(0.0, 0.0, measured.rate),
+            angular_velocity_covariance=np.zeros(9),
+            linear_acceleration=vector(0.0, 0.0, 0.0),
+            linear_acceleration_covariance=absent,
+        )
+        return bytes(self.store.serialize_cdr(message, IMU))
 
     def ground_truth(self, truth: GroundTruth) -> bytes:
         """Encode a PoseStamped in WORLD_FRAME."""

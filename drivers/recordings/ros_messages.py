@@ -12,7 +12,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from ..messages import Floats, Odometry, Scan
+from ..messages import Floats, Odometry, Scan, YawRate
 from ..se2 import Pose, wrap
 from ..timestamps import NANOSECONDS, to_seconds
 from .range_units import FAR
@@ -21,12 +21,15 @@ LASER_SCAN = "sensor_msgs/msg/LaserScan"
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 TRANSFORMS_ROS1 = "tf/msg/tfMessage"
+IMU = "sensor_msgs/msg/Imu"
 POSE = "geometry_msgs/msg/PoseStamped"
 BEAMS = "std_msgs/msg/Float64MultiArray"
 """Exact beams: range_min, range_max, then all angles, all ranges, all time offsets (seconds), as float64."""
 
 MIN_ANGLE_STEP = 1e-6
 """Radians between beams; smaller steps are invalid."""
+MAX_RATE = 100.0
+"""Radians per second; no robot turns as fast, and no gyroscope measures it."""
 MAX_COORDINATE = 1e9
 """Metres; poses that are farther away are invalid."""
 
@@ -119,6 +122,19 @@ def ranges_of(message: Any) -> Floats:
 def odometry_of(message: Any, received: int) -> Odometry:
     """Convert an Odometry; `received` is the time of reception, nanoseconds. Raises ValueError if it is invalid."""
     return Odometry(stamp_of(message.header, received), planar_pose(message.pose.pose))
+
+
+def yaw_rate_of(message: Any, received: int, axis: Floats) -> YawRate:
+    """Convert an Imu; raises ValueError if it contains no valid rates.
+
+    received  time of reception, nanoseconds
+    axis      (3,) direction of the base's z axis in the frame of the message
+    """
+    rates = message.angular_velocity
+    rate = float(axis @ np.array([rates.x, rates.y, rates.z]))
+    if message.angular_velocity_covariance[0] == -1.0 or not abs(rate) < MAX_RATE:
+        raise ValueError("no valid angular velocity")
+    return YawRate(stamp_of(message.header, received), rate)
 
 
 def scan_of(message: Any, received: int, mount: LidarMount, per_metre: float = 1.0) -> Scan:

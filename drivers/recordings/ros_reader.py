@@ -16,13 +16,14 @@ import numpy as np
 
 from .. import se2
 from ..errors import RecordingError
-from ..messages import GroundTruth, Message, Scan
+from ..messages import GroundTruth, Message, Scan, YawRate
 from ..se2 import Pose
 from .no_returns import SpreadSample, find_no_return
 from .range_units import ScanInUnits, find_range_unit
 from .reader import RecordingReader
 from .ros_messages import (
     BEAMS,
+    IMU,
     LASER_SCAN,
     ODOMETRY,
     POSE,
@@ -35,6 +36,7 @@ from .ros_messages import (
     ranges_of,
     scan_of,
     stamp_of,
+    yaw_rate_of,
 )
 from .scan_topics import ScanTopic, choose_scan_topic
 from .stored_messages import OdometryTopic, StoredMessage, find_odometry_frames
@@ -42,7 +44,7 @@ from .transforms import TransformTree
 
 GROUND_TRUTH_TOPIC = "/ground_truth"
 BEAMS_TOPIC = "/scan_beams"
-MESSAGE_TYPES = frozenset({LASER_SCAN, ODOMETRY, POSE, BEAMS, TRANSFORMS, TRANSFORMS_ROS1})
+MESSAGE_TYPES = frozenset({LASER_SCAN, ODOMETRY, IMU, POSE, BEAMS, TRANSFORMS, TRANSFORMS_ROS1})
 MAX_TF_MESSAGES = 1000
 """Messages on /tf that are searched for the lidar's mount, which older robots publish there repeatedly."""
 
@@ -94,10 +96,11 @@ class _Contents:
 
 
 class RosReader(RecordingReader):
-    """Recording of ROS messages: LaserScan, Odometry, the lidar's mount from static transforms, and ground truth.
+    """Recording of ROS messages: LaserScan, Odometry, Imu, the lidar's mount from static transforms, and ground truth.
 
     If there are several topics with scans and none is named, the best one is read (see `scan_topics`); of several
-    topics with odometry, the one with the most messages. Raises RecordingError if a named topic does not exist.
+    topics with odometry or of a gyroscope, the one with the most messages. Raises RecordingError if a named topic does
+    not exist.
     """
 
     states_beam_times = True
@@ -121,6 +124,7 @@ class RosReader(RecordingReader):
         readings = [ranges_of(message) for message, _ in contents.sample(scans)]
         per_metre = find_range_unit(readings, self._drive(scans, odometry, contents), self)
         no_return = contents.find_no_return(scans, per_metre)
+        imu = self._choose_topic(contents, IMU, None)
         mounts: dict[str, LidarMount] = {}
         beams: StoredMessage | None = None
         for stored in self._stored_messages(final=True):
@@ -134,11 +138,18 @@ class RosReader(RecordingReader):
                 elif odometry.is_in(stored):
                     for reading in odometry.readings(stored):
                         yield stored.number, reading
+                elif stored.msgtype == IMU and stored.topic == imu:
+                    yield stored.number, self._yaw_rate(stored, contents)
                 elif stored.msgtype == POSE and stored.topic == GROUND_TRUTH_TOPIC:
                     pose = decode(stored.data, POSE, stored.encoding)
                     yield stored.number, GroundTruth(stamp_of(pose.header, stored.received), planar_pose(pose.pose))
             except ValueError as error:
                 self.skip(stored.number, str(error))
+
+    def _yaw_rate(self, stored: StoredMessage, contents: _Contents) -> YawRate:
+        message = decode(stored.data, IMU, stored.encoding)
+        axis = contents.fixed.up_axis(contents.base, message.header.frame_id)
+        return yaw_rate_of(message, stored.received, axis)
 
     def _scan(
         self,

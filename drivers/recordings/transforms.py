@@ -66,6 +66,16 @@ class TransformTree:
         stored = self._stored_mount(base, frame)
         return LidarMount(stored) if stored is not None else self._chained_mount(base, frame) or LidarMount()
 
+    def up_axis(self, base: str | None, frame: str) -> Floats:
+        """Return the direction (3,) of the base's z axis in another frame; its own z axis if that is not connected."""
+        frame = normalize_frame(frame)
+        root, sensor = self._from_root(frame)
+        for name in (normalize_frame(base),) if base else BASE_FRAMES:
+            base_root, pose = self._from_root(name)
+            if base_root == root:
+                return np.asarray((np.linalg.inv(sensor) @ pose)[:3, 2])
+        return np.array([0.0, 0.0, 1.0])
+
     def _stored_mount(self, base: str, frame: str) -> Pose | None:
         """Return the mount bit for bit as stored if a single planar transform connects frame and base, else None.
 

@@ -16,11 +16,24 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from ..messages import Message, Odometry, Scan, SourceReport
-from ..recordings.ros_messages import LASER_SCAN, ODOMETRY, TRANSFORMS, LidarMount, decode, odometry_of, scan_of
+from ..messages import InitialPose, Message, Odometry, Scan, SourceReport
+from ..recordings.ros_messages import (
+    IMU,
+    LASER_SCAN,
+    ODOMETRY,
+    TRANSFORMS,
+    LidarMount,
+    decode,
+    odometry_of,
+    planar_pose,
+    scan_of,
+    stamp_of,
+    yaw_rate_of,
+)
 from ..recordings.tf_odometry import TransformOdometry
 from ..recordings.transforms import TransformTree
-from .link import MOVING_TRANSFORMS, SENSOR_DATA, STATIC_TRANSFORMS, Link, QoS
+from .encoder import POSE_WITH_COVARIANCE
+from .link import DEFAULT, MOVING_TRANSFORMS, SENSOR_DATA, STATIC_TRANSFORMS, Link, QoS
 
 MAX_WAITING_SCANS = 40
 """Scans that wait for a busy consumer before the oldest is dropped: some seconds of a common lidar."""
@@ -31,6 +44,7 @@ TOO_SLOW = "dropped, as scans arrive faster than they are processed"
 NO_MOUNT = "dropped, as no transform connects the scan's frame with the base"
 PAUSED = "dropped while new measurements are paused"
 THROTTLED = "dropped by throttle_scans"
+WRONG_FRAME = "initial pose in another frame than the map's"
 LATE = "older than one received before"
 CLOCK_CONFIRMATIONS = 5
 """Messages in a row that are older than those before, after which the clock was set back. Origin: as in recordings."""
@@ -43,6 +57,8 @@ class Inputs:
     odometry        topic of type Odometry; empty: odometry is on /tf
     uses_odometry   false if the robot has none, or it is ignored
     mount_is_set    true if the settings state the lidar's mount, so that no transform is needed
+    initial_pose    topic with poses that a user sets, of type PoseWithCovarianceStamped; empty: none
+    imu             topic with a gyroscope's rates, of type Imu; empty: none
     throttle_scans  only every so many-th scan is used
     """
 
@@ -52,6 +68,9 @@ class Inputs:
     static_transforms: str = "/tf_static"
     odometry_frame: str = "odom"
     base_frame: str = "base_footprint"
+    imu: str = ""
+    initial_pose: str = ""
+    map_frame: str = "map"
     mount_is_set: bool = False
     throttle_scans: int = 1
     uses_odometry: bool = True
@@ -93,6 +112,10 @@ class RosReceiver:
         subscribe(inputs.static_transforms, TRANSFORMS, self._add_fixed, STATIC_TRANSFORMS)
         subscribe(inputs.transforms, TRANSFORMS, self._add_moving, MOVING_TRANSFORMS)
         subscribe(inputs.scan, LASER_SCAN, self._add_scan, SENSOR_DATA)
+        if inputs.initial_pose:
+            subscribe(inputs.initial_pose, POSE_WITH_COVARIANCE, self._add_initial_pose, DEFAULT)
+        if inputs.imu:
+            subscribe(inputs.imu, IMU, self._add_rate, SENSOR_DATA)
         if inputs.odometry and inputs.uses_odometry:
             subscribe(inputs.odometry, ODOMETRY, self._add_odometry, SENSOR_DATA)
 
@@ -172,6 +195,17 @@ class RosReceiver:
 
     def _add_odometry(self, message: Any, received: int) -> None:
         self._put_odometry(odometry_of(message, received))
+
+    def _add_initial_pose(self, message: Any, received: int) -> None:
+        if message.header.frame_id.lstrip("/") != self.inputs.map_frame:
+            self._skip(WRONG_FRAME)
+            return
+        self._messages.append(InitialPose(stamp_of(message.header, received), planar_pose(message.pose.pose)))
+        self._changed.notify()
+
+    def _add_rate(self, message: Any, received: int) -> None:
+        axis = self._tree.up_axis(self.inputs.base_frame, message.header.frame_id)
+        self._put(yaw_rate_of(message, received, axis))
 
     def _add_scan(self, message: Any, received: int) -> None:
         self._silence.scan = time.monotonic()

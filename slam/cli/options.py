@@ -56,6 +56,14 @@ NoOdometryOption = Annotated[
     bool,
     typer.Option("--no-odometry", help="Map by the scans alone; done anyway if there is no odometry."),
 ]
+StartOption = Annotated[
+    str | None,
+    typer.Option(
+        "--start",
+        metavar="X,Y,HEADING",
+        help="With --continue or --localize: roughly where the robot starts in the map (metres, radians).",
+    ),
+]
 RefineOption = Annotated[
     bool, typer.Option("--refine", help="Refine the whole session after the last scan, as `wclm optimize` does.")
 ]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 import typer
 
+from drivers import se2
 from drivers.messages import Message
 
 from ..config import Config, config_to_toml, load_config
@@ -44,15 +45,34 @@ class RunSetup:
     config   settings
     resumed  session to continue, if any
     frozen   True to localise on the map of `resumed` without changing it
+    pose     roughly known pose of the base in that map at the beginning; None if it may be anywhere
     """
 
     config: Config
     resumed: StoredSession | None
     frozen: bool
+    pose: se2.Pose | None = None
+
+
+def parse_start(text: str | None) -> se2.Pose | None:
+    """Return the pose that `--start` states; raises BadParameter if it is not three numbers."""
+    if text is None:
+        return None
+    try:
+        pose = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        pose = np.zeros(0)
+    if pose.shape != (3,) or not np.isfinite(pose).all():
+        raise typer.BadParameter(f"{text}: must be three numbers, e.g. 1.5,-2,3.14", param_hint="--start")
+    return pose
 
 
 def prepare_run(
-    continued: Path | None, localized: Path | None, config: Path | None, settings: Sequence[str] | None
+    continued: Path | None,
+    localized: Path | None,
+    config: Path | None,
+    settings: Sequence[str] | None,
+    start: str | None = None,
 ) -> RunSetup:
     """Load the settings, and the session that `--continue` or `--localize` names.
 
@@ -61,7 +81,9 @@ def prepare_run(
     """
     if continued is not None and localized is not None:
         raise typer.BadParameter("only one of the two can be given", param_hint="--continue / --localize")
-    session = continued or localized
+    session, pose = continued or localized, parse_start(start)
+    if session is None and pose is not None:
+        raise typer.BadParameter("needs a map, by --continue or --localize", param_hint="--start")
     if session is None:
         return RunSetup(load_config(config, settings or ()), None, False)
     from ..io.sessions import read_session
@@ -70,7 +92,7 @@ def prepare_run(
         resumed = read_session(session)
     if not resumed.slam_state.mapper.keyframe_count:
         raise MapError(f"{session}: has no keyframe and cannot be continued")
-    return RunSetup(load_config(config or session / CONFIG, settings or ()), resumed, localized is not None)
+    return RunSetup(load_config(config or session / CONFIG, settings or ()), resumed, localized is not None, pose)
 
 
 def without_odometry(start: RunSetup, reason: str) -> RunSetup:
@@ -105,6 +127,7 @@ def run_slam(
     seed: int | None = None,
     resumed: StoredSession | None = None,
     frozen: bool = False,
+    start: se2.Pose | None = None,
     server: ViewerServer | None = None,
 ) -> RunResult:
     """Run SLAM on `run_input` and write the output directory `out`, which appears only when it is complete.
@@ -113,6 +136,7 @@ def run_slam(
     review     write the review log; viewers can connect to it at `server` during the run
     picture    draw the map
     resumed    session to continue; if `frozen`, its map is only used for localisation and not changed
+    start      roughly known pose of the base in that map at the beginning
     seed       of the simulation, for the summary
 
     Raises SlamError. On any exception nothing is left behind, but the last save of a live run stays after an error.
@@ -137,7 +161,13 @@ def run_slam(
             with print_if_slow(FINDING_TIMING):
                 resolved = run_input.resolve(config)
             slam = Slam(
-                resolved, sinks, refine=refine, keep_all_features=run_input.finite, resumed=resumed, frozen=frozen
+                resolved,
+                sinks,
+                refine=refine,
+                keep_all_features=run_input.finite,
+                resumed=resumed,
+                frozen=frozen,
+                start=start,
             )
             if not run_input.finite:
                 saving.enter_context(autosave)

@@ -93,6 +93,20 @@ class Estimator:
             return replace(result, update=None, mapper=self.result.mapper)
         return result
 
+    def place(self, pose: se2.Pose, scan: ProcessedScan) -> bool:
+        """Set the base's pose in the map, roughly known, at a scan; return False if the scan does not fit near it.
+
+        A map on trial is discarded. False also if the robot maps a new part of the map, which has no known place.
+        """
+        trial = self.result.copy()
+        parts = trial.mapper.landmarks.parts
+        if trial.at_part_begin:
+            parts.drop_last()
+        if not trial.mapper.keyframe_count or parts.current_is_apart or not trial.place(pose, scan):
+            return False
+        self.state, self._frozen, self._monitor = trial, None, ClosureMonitor()
+        return True
+
     def begin_part(self, pose: se2.Pose, odometry: se2.Pose, *, kidnapped: bool) -> None:
         """Map in a new part from now on, beginning at a pose; see `SlamState.begin_part`."""
         if self.state.frozen:

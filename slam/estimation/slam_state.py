@@ -17,6 +17,7 @@ from drivers import se2
 from ..config import Config
 from ..geometry.segments import Floats
 from ..localisation.local_field import LocalField, LocalFieldState
+from ..localisation.match_target import MatchTarget
 from ..localisation.tracker import PoseFix, Tracker, TrackerState
 from ..loop_closure.agreement import LoopAgreement
 from ..loop_closure.join_search import JoinSearch
@@ -24,12 +25,18 @@ from ..loop_closure.loop_hypothesis import LoopAgreementState
 from ..mapping.local_map import empty_local_map
 from ..mapping.mapper import LOCAL_MAP_MARGIN, Mapper
 from ..mapping.trajectory_builder import TrajectoryBuilder
+from ..matching.bias_correction import correct_range_bias
+from ..matching.point_matcher import MIN_KNOWN_POINTS, Prediction
 from ..odometry.predicted_motion import motion_model
 from ..preprocessing.preprocessor import ProcessedScan
 
 # Metres of local map around a robot whose pose was set from outside. Origin: chosen, as far as the distance field
 # reaches; not measured.
 RELOCALISED_RADIUS = 12.0
+
+# Metres, metres, radians: standard deviations of a pose that a user sets, for example with the mouse.
+# Origin: chosen, those that RViz states, a little wider in heading.
+INITIAL_POSE_SIGMAS = np.array([0.5, 0.5, np.radians(20.0)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,6 +196,28 @@ class SlamState:
         self.tracker.move_to(pose, odometry)
         self.pose, self.kidnapped, self.untracked_scans = pose, True, []
         self.local_map = self.mapper.local_map_at(pose, RELOCALISED_RADIUS)
+
+    def place(self, pose: se2.Pose, scan: ProcessedScan) -> bool:
+        """Set the base's pose in the map, roughly known, and improve it by matching a scan.
+
+        Returns False if the scan does not fit near it; the state must not be used any more then.
+        """
+        keyframe, relative = _relative_to_nearest(self.mapper.keyframe_poses, pose)
+        covariance = np.diag(INITIAL_POSE_SIGMAS**2)
+        self.anchor = Anchor(keyframe, relative, covariance, scan.odometry)
+        self.move_to(pose, scan.odometry)
+        self.local_field.begin_part()
+        self.update_local_field()
+        target = MatchTarget(self.local_map, self.local_field.field, self.mapper.roughness.variance)
+        features = correct_range_bias(scan.features, self.mapper.graph.range_bias.metres)
+        match = target.match(features, [Prediction(pose, np.linalg.inv(covariance))], exhaustive=True)
+        if match.known < MIN_KNOWN_POINTS or not match.plausible:
+            return False
+        found = match.registration.pose
+        relative = se2.between(self.mapper.keyframe_poses[keyframe], found)
+        self.anchor = Anchor(keyframe, relative, covariance, scan.odometry)
+        self.move_to(found, scan.odometry)
+        return True
 
     def relocalise(self, joined: SlamState, odometry: se2.Pose) -> None:
         """Continue where the robot is in a copy of this state, in which it has mapped on and its map was joined.

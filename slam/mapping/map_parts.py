@@ -50,6 +50,10 @@ class MapParts:
         self.groups.append(len(self.groups))
         self.measured.append(measured)
 
+    def drop_last(self) -> None:
+        """Drop the last part, in which nothing was mapped."""
+        del self.firsts[-1], self.groups[-1], self.measured[-1]
+
     def join(self, keyframe: int, other: int) -> None:
         """Join the groups of two keyframes."""
         one, two = sorted((self.group(keyframe), self.group(other)))

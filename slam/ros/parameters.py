@@ -24,6 +24,7 @@ class NodeParameters(BaseModel):
     odom_topic: str = Field(
         "", description="topic of type nav_msgs/msg/Odometry; by default the transform odom_frame -> base_frame on /tf"
     )
+    imu_topic: str = Field("", description="topic of type sensor_msgs/msg/Imu, whose yaw rate is used; empty: none")
     map_name: str = Field("/map", min_length=1, description="topic of the occupancy grid")
     mode: Literal["mapping", "localization"] = Field(
         "mapping", description="continue the map of map_file_name, or only localise in it"

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
+from drivers import se2
+
 if TYPE_CHECKING:
     from ..io.sessions import StoredSession
 
@@ -23,10 +25,11 @@ class Save:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Restart:
-    """Discard the map and begin with a session, or with an empty map; see `RunSetup` for both members."""
+    """Discard the map and begin with a session, or with an empty map; see `RunSetup` for the members."""
 
     session: StoredSession | None
     frozen: bool
+    pose: se2.Pose | None = None
 
 
 Request: TypeAlias = Save | Restart

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+import numpy as np
+
 from drivers.errors import DriverError, SlamError
 from drivers.ros2 import services
 from drivers.ros2.encoder import NodeEncoder
@@ -23,8 +25,8 @@ if TYPE_CHECKING:
 
 SUCCESS, NO_MAP, FAILURE = 0, 1, 255
 """Results of services, as slam_toolbox defines them."""
-LOCALIZE = 3
-"""Match type of deserialize_map that leaves the map unchanged."""
+START_AT_POSE, LOCALIZE = 2, 3
+"""Match types of deserialize_map with a start pose; the second one leaves the map unchanged."""
 
 
 class Receiver(Protocol):
@@ -109,7 +111,9 @@ class NodeServices:
         except SlamError as error:
             self._report(f"deserialize_map: {error}")
         else:
-            self._control.request(Restart(session, request.match_type == LOCALIZE))
+            given = request.initial_pose if request.match_type in (START_AT_POSE, LOCALIZE) else None
+            pose = None if given is None else np.array([given.x, given.y, given.theta])
+            self._control.request(Restart(session, request.match_type == LOCALIZE, pose))
         return {}
 
     def _pause(self, _: Any) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from ..options import (
     RefineOption,
     ReviewOption,
     SetOption,
+    StartOption,
 )
 
 if TYPE_CHECKING:
@@ -40,6 +41,7 @@ def live(
     no_odometry: NoOdometryOption = False,
     continued: ContinueOption = None,
     localized: LocalizeOption = None,
+    start_pose: StartOption = None,
     config: ConfigOption = None,
     settings: SetOption = None,
     review: ReviewOption = True,
@@ -65,7 +67,7 @@ def live(
     from ..slam_run import prepare_run, run_slam, without_odometry
     from .live_input import LiveInput
 
-    start = prepare_run(continued, localized, config, settings)
+    start = prepare_run(continued, localized, config, settings, start_pose)
     if not lidar:
         raise typer.BadParameter("a lidar is required", param_hint="--lidar")
     if no_odometry or not base:
@@ -85,6 +87,7 @@ def live(
             refine=refine,
             resumed=start.resumed,
             frozen=start.frozen,
+            start=start.pose,
             server=server,
         )
     typer.echo("\n".join(format_summary(result, out)))

@@ -19,6 +19,7 @@ from ..options import (
     NoOdometryOption,
     OverwriteOption,
     SetOption,
+    StartOption,
 )
 
 if TYPE_CHECKING:
@@ -59,6 +60,7 @@ def ros(
     no_odometry: NoOdometryOption = False,
     continued: ContinueOption = None,
     localized: LocalizeOption = None,
+    start_pose: StartOption = None,
     config: ConfigOption = None,
     settings: SetOption = None,
     review: Annotated[bool, typer.Option("--review/--no-review", help="With --out: write the review log.")] = True,
@@ -76,7 +78,7 @@ def ros(
 
     names = NodeNames.from_rules(remap or ())
     parameters = _load_parameters(params_file or [], param or [], names)
-    start = _prepare(parameters, continued, localized, config, settings)
+    start = _prepare(parameters, continued, localized, config, settings, start_pose)
     if no_odometry:
         start = without_odometry(start, "--no-odometry")
     with closing(open_link(names, link)) as opened:
@@ -106,6 +108,7 @@ def _prepare(
     localized: Path | None,
     config: Path | None,
     settings: list[str] | None,
+    start_pose: str | None,
 ) -> RunSetup:
     """Load the settings and the session; options take precedence over parameters."""
     from ..slam_run import prepare_run
@@ -113,7 +116,7 @@ def _prepare(
     if parameters.map_file_name and continued is None and localized is None:
         session = Path(parameters.map_file_name)
         continued, localized = (session, None) if parameters.mode == "mapping" else (None, session)
-    return prepare_run(continued, localized, config, [*parameters.settings(), *(settings or ())])
+    return prepare_run(continued, localized, config, [*parameters.settings(), *(settings or ())], start_pose)
 
 
 def _inputs(names: NodeNames, parameters: NodeParameters, start: RunSetup) -> Inputs:
@@ -122,6 +125,9 @@ def _inputs(names: NodeNames, parameters: NodeParameters, start: RunSetup) -> In
     return Inputs(
         scan=names.resolve(parameters.scan_topic),
         odometry=names.resolve(parameters.odom_topic) if parameters.odom_topic else "",
+        imu=names.resolve(parameters.imu_topic) if parameters.imu_topic else "",
+        initial_pose=names.resolve("/initialpose"),
+        map_frame=parameters.map_frame,
         transforms=names.resolve("/tf"),
         static_transforms=names.resolve("/tf_static"),
         odometry_frame=parameters.odom_frame,

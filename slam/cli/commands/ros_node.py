@@ -82,6 +82,7 @@ class RosNode:
             picture=False,
             resumed=start.resumed,
             frozen=start.frozen,
+            start=start.pose,
         )
         return format_summary(result, target)
 
@@ -92,7 +93,7 @@ class RosNode:
         self.receiver.discard()
         self.control.answer(True)
         print_message("the map is discarded; a new run begins")
-        return RunSetup(start.config, request.session, request.frozen)
+        return RunSetup(start.config, request.session, request.frozen, request.pose)
 
     def _saved(self, start: RunSetup, target: Path) -> RunSetup:
         """Copy the finished run to where it was requested; return the setup of the run that continues it."""
@@ -106,6 +107,6 @@ class RosNode:
             succeeded = True
         except (SlamError, OSError) as error:
             print_message(f"serialize_map: {error}")
-        following = replace(start, resumed=read_session(target))
+        following = replace(start, resumed=read_session(target), pose=None)
         self.control.answer(succeeded)
         return following

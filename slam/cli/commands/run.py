@@ -16,6 +16,7 @@ from ..options import (
     RefineOption,
     ReviewOption,
     SetOption,
+    StartOption,
 )
 
 
@@ -27,6 +28,7 @@ def run(
     no_odometry: NoOdometryOption = False,
     continued: ContinueOption = None,
     localized: LocalizeOption = None,
+    start_pose: StartOption = None,
     config: ConfigOption = None,
     settings: SetOption = None,
     review: ReviewOption = True,
@@ -45,7 +47,7 @@ def run(
     from ..run_summary import format_summary
     from ..slam_run import prepare_run, run_slam, without_odometry
 
-    start = prepare_run(continued, localized, config, settings)
+    start = prepare_run(continued, localized, config, settings, start_pose)
     source = drivers.open(recording, start.config.lidar.beam_order)
     if no_odometry:
         start = without_odometry(start, "--no-odometry")
@@ -62,5 +64,6 @@ def run(
         refine=refine,
         resumed=start.resumed,
         frozen=start.frozen,
+        start=start.pose,
     )
     typer.echo("\n".join(format_summary(result, out)))
