@@ -62,7 +62,7 @@ def error(finished: Finished, messages: list[Message]) -> float:
 
 @pytest.fixture(scope="module")
 def drive() -> list[Message]:
-    return list(Simulation("office", seed=2, duration=25.0))
+    return list(Simulation("office", seed=2, duration=14.0))
 
 
 @pytest.mark.parametrize("source", ["wheels", "none"])

@@ -18,8 +18,8 @@ from slam.io.sessions import StoredSession
 
 from .listeners import EventCollector
 
-DURATION = 20.0
-LATER = 15.0
+DURATION = 14.0
+LATER = 10.0
 """Seconds after the start at which the second run begins."""
 
 
