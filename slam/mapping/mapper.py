@@ -331,12 +331,13 @@ class Mapper:
         Return the number of walls merged.
         """
         self.gauge.release(self)
-        self.read_back_all()
+        self.graph.update_until_converged()
+        self.settle_range_bias()  # before merging: iSAM2 leaves out small steps, and walls are merged where they are
         merged = merge_duplicate_walls(self.landmarks, self.graph, self.roughness.variance, self.merge_walls)
         if merged:
             self.graph.update()
-        self.graph.update_until_converged()
-        self.settle_range_bias()
+            self.graph.update_until_converged()
+            self._read_back(None)
         self.split_walls()
         self.graph.correlate_wall_errors()
         self.settle_range_bias()
