@@ -18,8 +18,9 @@ from ..matching.line_matcher import ScanFeatures
 from ..matching.scan_points import MAX_SCAN_POINTS, ScanPoints, rounded, subsample
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import OdometryHistory
-from .deskew import DeskewedScan, add_motion_uncertainty, deskew, lidar_mount
+from .deskew import DeskewedScan, deskew, lidar_mount
 from .extraction import build_extractor
+from .motion_uncertainty import add_motion_uncertainty
 
 # Scans in the queue above which the oldest is processed without odometry covering its sweep.
 # Origin: chosen, two seconds at 10 Hz; not measured.
