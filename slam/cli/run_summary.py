@@ -83,7 +83,7 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
         rows.append(
             ("accuracy", f"{truth['ate_rmse']:.3f} m error of the path (ATE RMSE), at most {truth['ate_max']:.3f} m")
         )
-    rows += _lost(summary)
+    rows += _loops(summary) + _lost(summary)
     if skipped := summary["skipped"]["messages"]:
         rows.append(("skipped", f"{skipped} messages; first: {summary['skipped']['first']}"))
     if shift := ((summary.get("recordings") or [{}])[-1]).get("shift"):
@@ -105,6 +105,16 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
         f"{summary['path_length']:.1f} m driven"
     )
     return [printable(line) for line in [head, *(f"  {name:<11}{text}" for name, text in rows), *_suspects(summary)]]
+
+
+def _loops(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return how often the robot returned to known places, and which loops were closed or rejected."""
+    from ..visualisation.report_page.loop_text import loops_text, nearest_rejection, returns_text
+
+    slam = summary.get("slam") or {}
+    nearest = nearest_rejection(slam)
+    rows = [("returns", returns_text(slam)), ("loops", loops_text(slam)), ("", nearest and f"the nearest one {nearest}")]
+    return [(name, text) for name, text in rows if text]
 
 
 def _lost(summary: dict[str, Any]) -> list[tuple[str, str]]:
