@@ -157,7 +157,7 @@ class Slam:
             self._publish_state(stamp, self._localisation.handle(LocalisationEvent.TRACKING_LOST))
         elif result.joined is not None:
             self._publisher.publish(Relocalised(stamp, self.slam_state.pose.copy(), result.joined))
-            self._publisher.publish(Notice(stamp, "relocalised in the map"))
+            self._publisher.publish(Notice(stamp, "relocalised in the map", "INFO"))
             self._publish_state(stamp, self._localisation.handle(LocalisationEvent.RELOCALISED))
         elif result.retracted is not None and result.retracted.joins:
             self._publish_state(stamp, self._localisation.handle(LocalisationEvent.TRACKING_LOST))
@@ -165,7 +165,7 @@ class Slam:
             self._publish_state(stamp, self._localisation.update(result.tracking))
         elif self._estimator.placed_by_odometry:
             text = "the place is not in the map near the pose from odometry; it is mapped as a new place"
-            self._publisher.publish(Notice(stamp, text))
+            self._publisher.publish(Notice(stamp, text, "INFO"))
             self._publish_state(stamp, self._localisation.handle(LocalisationEvent.PLACED_BY_ODOMETRY))
 
     def _publish_state(self, stamp: float, state: LocalisationState | None) -> None:

@@ -22,7 +22,7 @@ from slam.events import Finished
 from slam.io.output_dir import write_json, write_results
 from slam.io.run_results import RunResults, read_run_results
 from slam.visualisation.report_page import write_page
-from slam.visualisation.report_page.findings import findings
+from slam.visualisation.report_page.findings import findings, reason_without_walls
 
 DECISION = {
     "candidate": 5,
@@ -207,6 +207,20 @@ def test_suspects_are_findings_and_only_those_of_the_path_are_grave(tmp_path: Pa
     assert [finding.grave for finding in found] == [True, True] + 9 * [False]
     assert found[0].text == "Suspect at 0:05: the map is wrong."
     assert found[-1].text == "2 more suspects in summary.json."
+
+
+@pytest.mark.parametrize(
+    ("health", "reason"),
+    [
+        ({"empty_scans": 90}, "90 of 100 scans had no return"),
+        ({"no_features": 80}, "in 80 of 100 scans nothing was straight"),
+        ({}, "no straight line was seen from two places"),
+    ],
+)
+def test_a_map_without_walls_is_explained(health: dict[str, int], reason: str) -> None:
+    summary = {"walls": 0, "scans": 100, "slam": {"health": health}}
+    assert reason in reason_without_walls(summary)
+    assert reason_without_walls(summary | {"walls": 1}) == ""
 
 
 # The command
