@@ -92,7 +92,7 @@ def wclm(
 ) -> None:
     """Map buildings with a 2-D lidar and wheel odometry: walls and corners with covariances.
 
-    To start, [bold]wclm demo[/bold] maps a simulated office.
+    To start, [bold]wclm demo[/bold] maps a simulated museum.
     """
 
 

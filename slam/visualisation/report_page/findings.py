@@ -45,11 +45,16 @@ COUNT_FINDINGS = {
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A possible problem: what happened, in a line, and its meaning. `grave` ones may have spoilt the map."""
+    """A possible problem: what happened, in a line, and its meaning.
+
+    grave  True if it may have spoilt the map
+    stamp  when it happened first, seconds; None if it concerns the whole run
+    """
 
     text: str
     detail: str
     grave: bool = False
+    stamp: float | None = None
 
 
 def findings(summary: dict[str, Any], trajectory: Trajectory) -> list[Finding]:
@@ -60,7 +65,7 @@ def findings(summary: dict[str, Any], trajectory: Trajectory) -> list[Finding]:
         *_suspect_findings(slam.get("suspects") or [], trajectory),
         *_status_findings(slam.get("states") or [], trajectory),
         *_warning_findings(summary.get("warnings") or [], trajectory),
-        *_loop_findings(slam.get("loops") or {}),
+        *_loop_findings(slam.get("loop_decisions") or [], trajectory),
         *_health_findings(slam.get("health") or {}),
         *_odometry_findings(slam.get("odometry_deviation_per_metre")),
         *_source_findings(summary),
@@ -93,6 +98,7 @@ def _suspect_findings(rows: list[dict[str, Any]], trajectory: Trajectory) -> Ite
             f"Suspect {_times([row['stamp']], trajectory)}: {row['text']}.",
             SUSPECT_DETAILS.get(row["check"], ""),
             grave=row["check"] != ODOMETRY,
+            stamp=float(row["stamp"]),
         )
     if (more := len(rows) - MAX_SHOWN_SUSPECTS) > 0:
         yield Finding(f"{counted(more, 'more suspect')} in summary.json.", "")
@@ -106,7 +112,7 @@ def _status_findings(rows: list[dict[str, Any]], trajectory: Trajectory) -> Iter
         if spans:
             seconds = sum(end - start for start, end in spans)
             times = _times([start for start, _ in spans], trajectory)
-            yield Finding(f"For {seconds:.0f} s in total, {text}, {times}.", detail, grave=state == "LOST")
+            yield Finding(f"For {seconds:.0f} s in total, {text}, {times}.", detail, state == "LOST", spans[0][0])
 
 
 def group_warnings(texts: list[str]) -> dict[str, list[float]]:
@@ -124,14 +130,15 @@ def _warning_findings(texts: list[str], trajectory: Trajectory) -> Iterator[Find
     """Yield equal warnings once, with their times."""
     for text, at in group_warnings(texts).items():
         head = text[:1].upper() + text[1:]
-        yield Finding(f"{head}." if not at else f"{head}, {_times(at, trajectory)}.", "")
+        yield Finding(f"{head}." if not at else f"{head}, {_times(at, trajectory)}.", "", stamp=at[0] if at else None)
 
 
-def _loop_findings(loops: dict[str, int]) -> Iterator[Finding]:
-    if retracted := loops.get(LoopStatus.RETRACTED, 0):
+def _loop_findings(rows: list[dict[str, Any]], trajectory: Trajectory) -> Iterator[Finding]:
+    if stamps := [row["stamp"] for row in rows if row["status"] == LoopStatus.RETRACTED]:
         yield Finding(
-            f"{counted(retracted, 'loop closure')} had to be retracted.",
+            f"{counted(len(stamps), 'loop closure')} had to be retracted, {_times(stamps, trajectory)}.",
             "Later scans contradicted it, and the map was estimated again without it. Look-alike places cause this.",
+            stamp=stamps[0],
         )
 
 

@@ -313,7 +313,7 @@ def short_demo(monkeypatch: pytest.MonkeyPatch) -> None:
     from drivers import simulation
 
     whole = simulation.Simulation
-    monkeypatch.setattr(simulation, "Simulation", lambda world, seed: whole(world, seed=seed, duration=3.0))
+    monkeypatch.setattr(simulation, "Simulation", lambda world, **how: whole(world, **how, duration=3.0))
 
 
 def test_a_viewer_that_cannot_be_started_is_a_one_line_message(capsys: pytest.CaptureFixture[str]) -> None:
