@@ -35,13 +35,12 @@ from .commands.simulate import simulate
 from .console import EXIT_INTERRUPTED, EXIT_USER_ERROR, print_message
 from .registration import add_command
 
-
 UsageError = typer.BadParameter.__mro__[1]
 """Class of errors in the arguments; typer exports only its subclasses."""
 
 
 class _Commands(TyperGroup):
-    """Commands that report a user's mistake as one line and an exit status; other exceptions are bugs and are raised."""
+    """Commands that report mistakes as one line and an exit status; other exceptions are bugs and are raised."""
 
     def invoke(self, ctx: Any) -> Any:
         try:

@@ -124,7 +124,11 @@ def _loops(summary: dict[str, Any]) -> list[tuple[str, str]]:
 
     slam = summary.get("slam") or {}
     nearest = nearest_rejection(slam)
-    rows = [("returns", returns_text(slam)), ("loops", loops_text(slam)), ("", nearest and f"the nearest one {nearest}")]
+    rows = [
+        ("returns", returns_text(slam)),
+        ("loops", loops_text(slam)),
+        ("", nearest and f"the nearest one {nearest}"),
+    ]
     return [(name, text) for name, text in rows if text]
 
 

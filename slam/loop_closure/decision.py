@@ -62,8 +62,8 @@ class LoopDecision:
     old           keyframe that saw the place before
     motion        [x, y, heading] by which the robot would move, in its own frame
     correction    the same motion of the recent keyframes, in the map
-    status        CONFIRMED by the search, or REJECTED if a check fails; a confirmed one becomes ACCEPTED when the loop is
-                  closed, or REJECTED if the map does not fit together then; RETRACTED if later scans contradict it
+    status        CONFIRMED by the search, or REJECTED if a check fails; a confirmed one becomes ACCEPTED when the loop
+                  is closed, or REJECTED if the map does not fit together then; RETRACTED if later scans contradict it
     reason        reason of the status
     matches       of submaps, which agree
     runner_up     looks that support the strongest rival, as a share

@@ -175,8 +175,8 @@ def _loop_closures(results: RunResults, *, timed: bool) -> Iterator[str]:
         start, end = results.keyframes.poses[[row["keyframe"], row["old"]], :2]
         text = f"loop {row['candidate']}, {row['status']}: keyframe {row['keyframe']} at the place of {row['old']}"
         yield (
-            f'<path class="{escape(str(row["status"]))}" data-loop="{escape(str(row["candidate"]))}"{time} d="M{_xy(start)}L{_xy(end)}">'
-            f"<title>{escape(text)}</title></path>"
+            f'<path class="{escape(str(row["status"]))}" data-loop="{escape(str(row["candidate"]))}"{time} '
+            f'd="M{_xy(start)}L{_xy(end)}"><title>{escape(text)}</title></path>'
         )
 
 

@@ -111,7 +111,9 @@ def _draw_half(axes: Axes, walls: Floats, path: Floats, old: int) -> None:
 
     axes.add_collection(LineCollection(list(walls), color=INK, linewidth=1.3, label="wall", zorder=5))
     axes.plot(*path.T, color=SKY, linewidth=1.3, label="path", zorder=4)
-    axes.plot(*path[old], "o", color="white", markeredgecolor=BLUE, markersize=6, label="seen first from here", zorder=7)
+    axes.plot(
+        *path[old], "o", color="white", markeredgecolor=BLUE, markersize=6, label="seen first from here", zorder=7
+    )
     axes.plot(*path[-1], "o", color=BLUE, markersize=6, label="robot", zorder=7)
 
 

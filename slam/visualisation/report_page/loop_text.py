@@ -31,9 +31,11 @@ def loops_text(slam: dict[str, Any]) -> str:
     parts = []
     if closed := counts.get(LoopStatus.ACCEPTED, 0):
         shift = max((row["shift"] for row in rows if row["status"] == LoopStatus.ACCEPTED), default=0.0)
-        parts.append(f"{closed} closed" + (f", which moved the robot by up to {length(shift)}" if shift else ""))
+        parts.append(
+            f"{counted(closed, 'loop')} closed" + (f", which moved the robot by up to {length(shift)}" if shift else "")
+        )
     if retracted := counts.get(LoopStatus.RETRACTED, 0):
-        parts.append(f"{retracted} of them retracted, as later scans contradicted them")
+        parts.append(f"{retracted} of them retracted, as later scans contradicted it")
     if rejected := counts.get(LoopStatus.REJECTED, 0):
         parts.append(f"{rejected} rejected as unsafe")
     return "; ".join(parts)

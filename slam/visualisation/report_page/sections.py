@@ -58,7 +58,9 @@ def successes(summary: dict[str, Any], found: list[Finding]) -> str:
     if "lost" in health and not health["lost"] and not health.get("failed"):
         texts.append("every scan was placed in the map; the robot was never lost")
     if health.get("overlap_ratio_median") is not None and not any(finding.grave for finding in found):
-        texts.append(f"{percent(health['overlap_ratio_median'])} of the walls in a scan are on walls of the map (median)")
+        texts.append(
+            f"{percent(health['overlap_ratio_median'])} of the walls in a scan are on walls of the map (median)"
+        )
     if truth.get("ate_rmse") is not None:
         texts.append(f"the path is within {length(truth['ate_rmse'])} of the true one (RMS)")
     return "".join(f"<li>{escape(text[:1].upper() + text[1:])}.</li>" for text in texts if text)
@@ -103,7 +105,9 @@ def loops(slam: dict[str, Any], start: float) -> str:
     others = by_margin([row for row in rows if row["status"] not in APPLIED])
     body = f"<p>{escape(text[:1].upper() + text[1:])}.</p>" + (_decisions(applied, start) if applied else "")
     if others:
-        note = "Places that looked known. Closing these loops would not have been safe; the nearest to being closed first."
+        note = (
+            "Places that looked known. Closing these loops would not have been safe; the nearest to being closed first."
+        )
         body += f"<h3>Rejected as unsafe</h3><p>{note}</p>{_decisions(others, start)}"
     return body + (_column_meanings() if rows else "")
 
@@ -131,7 +135,8 @@ def _decisions(rows: list[dict[str, Any]], start: float) -> str:
     for row in rows:
         cells = "".join(f'<td data-label="{name}">{escape(_cell(value_of, row))}</td>' for name, value_of in columns)
         lines.append(
-            f'<tr class="{escape(str(row["status"]))}" data-loop="{escape(str(row["candidate"]))}" tabindex="0">{cells}</tr>'
+            f'<tr class="{escape(str(row["status"]))}" data-loop="{escape(str(row["candidate"]))}" tabindex="0">'
+            f"{cells}</tr>"
         )
     heads = "".join(f"<th>{name}</th>" for name, _ in columns)
     return f"<table><thead><tr>{heads}</tr></thead><tbody>{''.join(lines)}</tbody></table>"

@@ -15,9 +15,9 @@ from rerun.chunk import Chunk
 from ...errors import MapError
 from ...io.output_dir import SUMMARY
 from ...loop_closure.loop_status import LoopStatus
+from ..report_page.loop_text import by_margin, loops_text, returns_text
 from .log_files import LogFiles, find_log
 from .loop_layer import DECISIONS
-from ..report_page.loop_text import by_margin, loops_text, returns_text
 from .rrd_reader import Row, chunks_of, rows
 from .status_layer import ENTITY as STATUS_ENTITY
 
@@ -107,7 +107,9 @@ def _closures(data: SessionData) -> Iterator[str]:
             effect = f"moved by {decision['shift']:.2f} m, {decision['merged']} walls merged"
             reason = f": {decision['reason']}" if decision["status"] == LoopStatus.RETRACTED else ""
             yield f"  {decision['status']:<10}x{decision['keyframe']} at x{decision['old']}, {effect}{reason}"
-    for decision in by_margin([decision for decision in decisions if decision["status"] in NOT_APPLIED])[:SHOWN_REJECTED]:
+    for decision in by_margin([decision for decision in decisions if decision["status"] in NOT_APPLIED])[
+        :SHOWN_REJECTED
+    ]:
         yield f"  rejected  x{decision['keyframe']} at x{decision['old']}: {decision['reason']}"
 
 
