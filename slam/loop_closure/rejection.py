@@ -16,7 +16,7 @@ SENTENCES = {
     "fit": "the points fit by {:.1%} (requires {:.1%})",
     "mahalanobis": "the robot would move by {:.1f} standard deviations of the estimate (at most {:.1f})",
     "rival": "another place has {:.0%} as many looks that support it (at most {:.0%})",
-    "last look": "the last look fits {:.0f} places as well (at most {:.0f})",
+    "last-look": "the last look fits {:.0f} places as well (at most {:.0f})",
     "retracted": "later scans have contradicted this correction before",
 }
 """Failed check as a sentence about its value and its gate."""
@@ -33,7 +33,7 @@ def rejected(decision: LoopDecision, largest_rival: float, equal: int, was_retra
     if equal and decision.runner_up > largest_rival:
         checks.append(Check("rival", decision.runner_up, largest_rival, at_least=False))
     elif equal:
-        checks.append(Check("last look", 1.0 + equal, 1.0, at_least=False))
+        checks.append(Check("last-look", 1.0 + equal, 1.0, at_least=False))
     if was_retracted:
         checks.append(Check("retracted", 1.0, 0.0, at_least=False))
     failed = sorted((check for check in checks if not check.passed), key=lambda check: check.margin)

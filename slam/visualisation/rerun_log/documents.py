@@ -79,7 +79,7 @@ _CHECKS = {
     "fit": "mean share of the points that fit",
     "mahalanobis": "deviation from the estimate, sigmas",
     "rival": "looks that support another place / looks that support it",
-    "last look": "places that fit the last look as well",
+    "last-look": "places that fit the last look as well",
     "retracted": "equal closures that were retracted",
 }
 
