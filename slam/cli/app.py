@@ -35,7 +35,7 @@ from .commands.simulate import simulate
 from .console import EXIT_INTERRUPTED, EXIT_USER_ERROR, print_message
 from .registration import add_command
 
-UsageError = typer.BadParameter.__mro__[1]
+UsageError: Any = typer.BadParameter.__mro__[1]
 """Class of errors in the arguments; typer exports only its subclasses."""
 
 
