@@ -35,13 +35,22 @@ from .commands.simulate import simulate
 from .console import EXIT_INTERRUPTED, EXIT_USER_ERROR, print_message
 from .registration import add_command
 
+UsageError: Any = typer.BadParameter.__mro__[1]
+"""Class of errors in the arguments; typer exports only its subclasses."""
+
 
 class _Commands(TyperGroup):
-    """Commands that report a SlamError as one line and an exit status; other exceptions are bugs and are raised."""
+    """Commands that report mistakes as one line and an exit status; other exceptions are bugs and are raised."""
 
     def invoke(self, ctx: Any) -> Any:
         try:
             return super().invoke(ctx)
+        except UsageError as error:
+            text = error.format_message()
+            if error.ctx is None or not text:  # a group of commands without arguments, which has printed its help
+                raise
+            print_message(f"{text.rstrip('.')}; see {error.ctx.command_path} --help")
+            raise typer.Exit(EXIT_USER_ERROR) from error
         except SlamError as error:
             print_message(str(error))
             raise typer.Exit(EXIT_USER_ERROR) from error
@@ -82,7 +91,7 @@ def wclm(
 ) -> None:
     """Map buildings with a 2-D lidar and wheel odometry: walls and corners with covariances.
 
-    To start, [bold]wclm demo[/bold] maps a simulated office.
+    To start, [bold]wclm demo[/bold] maps a simulated museum.
     """
 
 
