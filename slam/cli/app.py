@@ -21,6 +21,7 @@ from .commands.features import features
 from .commands.info import info
 from .commands.live import live
 from .commands.map import export_map
+from .commands.measure import measure
 from .commands.merge import merge
 from .commands.optimize import optimize
 from .commands.record import record
@@ -96,7 +97,14 @@ COMMANDS: dict[str, dict[str, Callable[..., Any]]] = {
         "recover": recover,
         "batch": batch,
     },
-    "Sessions": {"optimize": optimize, "merge": merge, "map": export_map, "report": report, "review": review},
+    "Sessions": {
+        "optimize": optimize,
+        "merge": merge,
+        "map": export_map,
+        "measure": measure,
+        "report": report,
+        "review": review,
+    },
     "Recordings and devices": {
         "info": info,
         "simulate": simulate,
