@@ -12,7 +12,7 @@ from drivers import se2
 from drivers.simulation import LidarModel, Simulation
 from slam.config import Config
 from slam.errors import MapError
-from slam.evaluation.benchmarks.map_comparison import align_maps
+from slam.offline.wall_alignment import align_maps
 from slam.evaluation.benchmarks.residuals import (
     RecordingConsistency,
     ResidualStatistics,
