@@ -15,6 +15,7 @@ from .commands.bench import bench
 from .commands.calibrate import calibrate
 from .commands.demo import demo
 from .commands.devices import devices
+from .commands.diff import diff
 from .commands.emulate import emulate
 from .commands.evaluate import evaluate
 from .commands.features import features
@@ -102,6 +103,7 @@ COMMANDS: dict[str, dict[str, Callable[..., Any]]] = {
         "merge": merge,
         "map": export_map,
         "measure": measure,
+        "diff": diff,
         "report": report,
         "review": review,
     },

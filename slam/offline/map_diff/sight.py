@@ -1,8 +1,9 @@
 """Which walls of one map the scans of another one have seen, and which they have seen through.
 
-A scan votes on a stretch of a wall: that it is there if points lie on more of it than the scan sees through, else that
-it is not. If the wall is there, at most every second scan sees through it, even if it is made of glass. So the
-probability that as many of n scans see through it, or more, is at most that of as many heads of n coins (sign test).
+A scan votes on a stretch of a wall: that it is there if points lie on at least as much of it as the scan sees through,
+else that it is not. If nothing has changed, scans of both drives see through it with the same probability, which is
+that of glass, of a grating, or nearly zero. Given how many do in all, the number of those of one drive then has a
+hypergeometric distribution (Fisher's exact test).
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binom
+from scipy.stats import hypergeom
 
 from drivers import se2
 
@@ -30,19 +31,22 @@ class SeenThrough:
 
     wall     row of the wall
     span     begin and end, metres along the wall from its frame
-    through  scans that have seen through it
-    seen     scans that have seen it
+    through  scans of the other drive that have seen through it
+    seen     scans of the other drive that have seen it
+    own      (2,) the same of the drive that the wall was mapped in
     """
 
     wall: int
     span: tuple[float, float]
     through: int
     seen: int
+    own: tuple[int, int]
 
     @property
     def p_value(self) -> float:
-        """Probability of so many scans that see through it, or more, if it is there."""
-        return float(binom.sf(self.through - 1, self.through + self.seen, 0.5))
+        """Probability that so many scans of the other drive see through it, or more, if nothing has changed."""
+        through, votes = self.through + self.own[0], self.through + self.seen
+        return float(hypergeom.sf(self.through - 1, votes + sum(self.own), through, votes))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,15 +73,11 @@ def find_sightings(owner: Survey, survey: Survey, motion: se2.Pose) -> Sightings
     cells.restrict(own_seen > own_through)
     through, seen = cells.counts(survey, motion)
     spans = list(_runs(cells, through > seen))
-    votes = np.zeros((len(spans), 2), dtype=np.int64)
-    for is_through, is_seen in cells.scans(survey, motion):
-        for k, (first, last) in enumerate(spans):
-            crossed, hit = int(is_through[first : last + 1].sum()), int(is_seen[first : last + 1].sum())
-            votes[k] += (crossed > hit, 0 < hit >= crossed)
+    votes, own = cells.votes(spans, survey, motion), cells.votes(spans, owner, np.zeros(3))
     stretches = [
-        SeenThrough(int(cells.wall[first]), cells.span(first, last), *counts)
-        for (first, last), counts in zip(spans, votes.tolist(), strict=True)
-        if counts[0] > counts[1]
+        SeenThrough(int(cells.wall[first]), cells.span(first, last), *votes[k], own[k])
+        for k, (first, last) in enumerate(spans)
+        if votes[k][0] > votes[k][1]
     ]
     known = cells.covered & (through + seen > 0)
     return Sightings(stretches, cells.lengths(known & (seen >= through)), cells.lengths(known))
@@ -137,6 +137,15 @@ class _Cells:
             through += is_through
             seen += is_seen
         return through, seen
+
+    def votes(self, spans: list[tuple[int, int]], survey: Survey, motion: se2.Pose) -> list[tuple[int, int]]:
+        """Return for each span of cells, first and last, how many scans see through it, and how many see it."""
+        votes = np.zeros((len(spans), 2), dtype=np.int64)
+        for is_through, is_seen in self.scans(survey, motion):
+            for k, (first, last) in enumerate(spans):
+                crossed, hit = int(is_through[first : last + 1].sum()), int(is_seen[first : last + 1].sum())
+                votes[k] += (crossed > hit, 0 < hit >= crossed)
+        return [(through, seen) for through, seen in votes.tolist()]
 
     def scans(self, survey: Survey, motion: se2.Pose) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
         """Yield for each scan which cells it sees through, and which it sees."""
