@@ -104,7 +104,11 @@ def compare(old: Survey, new: Survey, false_discovery_rate: float) -> MapDiff:
 
     Raises MapError if the maps cannot be aligned.
     """
-    guess = locate(old, new)
+    return find_changes(old, new, locate(old, new), false_discovery_rate)
+
+
+def find_changes(old: Survey, new: Survey, guess: se2.Pose, false_discovery_rate: float) -> MapDiff:
+    """Compare two maps as `compare` does, given a guess of the pose of the new map in the old one."""
     movements = find_movements(
         old.wall_map, new.wall_map, find_pairs(old.wall_map.walls, new.wall_map.walls, guess), guess
     )
