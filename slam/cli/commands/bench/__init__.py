@@ -9,6 +9,7 @@ import typer
 
 from ...registration import add_command
 from .consistency import bench_consistency
+from .diff import bench_diff
 from .false_closures import bench_false_closures
 from .features import bench_features
 from .gate import bench_gate
@@ -27,6 +28,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "features": bench_features,
     "consistency": bench_consistency,
     "measure": bench_measure,
+    "diff": bench_diff,
     "laps": bench_laps,
     "residuals": bench_residuals,
     "robust": bench_robust,
