@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..console import print_if_slow
 from ..options import OverwriteOption
+
+if TYPE_CHECKING:
+    from drivers import se2
 
 EXIT_DIFFERENT = 1
 """Exit status if the maps are different, as of diff."""
@@ -22,6 +25,14 @@ def diff(
         float,
         typer.Option("--fdr", min=1e-9, max=0.5, help="Accepted share of false ones among the reported changes."),
     ] = 0.05,
+    at: Annotated[
+        str | None,
+        typer.Option(
+            "--at",
+            metavar="X,Y,HEADING",
+            help="Rough pose of the new map in the old one (metres, radians), if it is not recognised there.",
+        ),
+    ] = None,
     svg: Annotated[Path | None, typer.Option("--svg", metavar="FILE.svg", help="Picture of both maps.")] = None,
     geojson: Annotated[
         Path | None, typer.Option("--geojson", metavar="FILE.geojson", help="Changes as GeoJSON.")
@@ -48,10 +59,11 @@ def diff(
     for path, suffix in ((svg, ".svg"), (geojson, ".geojson")):
         if path is not None and path.suffix != suffix:
             raise OutputError(f"{path}: the name must end with {suffix}")
+    guess = None if at is None else _pose(at)
     with print_if_slow(READING_SESSION):
         earlier, later = (survey_session(path, read_session(path)) for path in (old, new))
     try:
-        found = compare(earlier, later, false_discovery_rate)
+        found = compare(earlier, later, false_discovery_rate, guess)
     except MapError as error:
         raise MapError(f"{old}, {new}: {error}") from error
     maps = earlier.wall_map, later.wall_map
@@ -64,3 +76,16 @@ def diff(
     typer.echo(diff_text(found, corners))
     if found.different:
         raise typer.Exit(EXIT_DIFFERENT)
+
+
+def _pose(text: str) -> se2.Pose:
+    """Return the pose (3,) of an option. Raises BadParameter if it is none."""
+    import numpy as np
+
+    try:
+        pose = np.array([float(word) for word in text.split(",")])
+    except ValueError:
+        pose = np.zeros(0)
+    if pose.shape != (3,) or not np.isfinite(pose).all():
+        raise typer.BadParameter("expected three numbers, as 1.5,-2,0.1", param_hint="--at")
+    return pose

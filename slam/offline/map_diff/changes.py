@@ -96,15 +96,16 @@ class MapDiff:
         return any(change.kind in DIFFERENCES for change in self.changes)
 
 
-def compare(old: Survey, new: Survey, false_discovery_rate: float) -> MapDiff:
+def compare(old: Survey, new: Survey, false_discovery_rate: float, guess: se2.Pose | None = None) -> MapDiff:
     """Compare two maps of one building.
 
     false_discovery_rate  expected share of false ones among the changes that are reported as significant, by the
                           procedure of Benjamini and Hochberg (1995) over the tests of all walls
+    guess                 rough pose of the new map in the old one; if None, the new map is searched for in the old one
 
     Raises MapError if the maps cannot be aligned.
     """
-    return find_changes(old, new, locate(old, new), false_discovery_rate)
+    return find_changes(old, new, locate(old, new, guess), false_discovery_rate)
 
 
 def find_changes(old: Survey, new: Survey, guess: se2.Pose, false_discovery_rate: float) -> MapDiff:

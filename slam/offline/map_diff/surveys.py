@@ -50,16 +50,18 @@ def survey_session(path: Path, session: StoredSession) -> Survey:
     return Survey(session, wall_map, poses[chosen], points)
 
 
-def locate(old: Survey, new: Survey) -> se2.Pose:
+def locate(old: Survey, new: Survey, guess: se2.Pose | None = None) -> se2.Pose:
     """Return the pose [x, y, heading] of the new map in the old one, by the walls that both contain.
 
-    Raises MapError with the reason if the new map is not recognised in the old one.
+    Without a guess, the new map is searched for in the old one. Raises MapError with the reason if it is not
+    recognised there, or if the maps have too few walls in common.
     """
-    mapper = new.session.slam_state.mapper
-    consensus = locate_session(mapper, new.session.scan_history(), index_map(old.session.slam_state.mapper))
-    if not consensus.accepted:
-        raise MapError(f"the maps cannot be aligned: the new one is not recognised in the old one: {consensus.reason}")
-    guess = consensus.members[0].relocalisation.motion
+    if guess is None:
+        mapper = new.session.slam_state.mapper
+        consensus = locate_session(mapper, new.session.scan_history(), index_map(old.session.slam_state.mapper))
+        if not consensus.accepted:
+            raise MapError(f"the maps cannot be aligned: the new one is not recognised: {consensus.reason}")
+        guess = consensus.members[0].relocalisation.motion
     motion, pairs = align_maps(old.wall_map.walls, new.wall_map.walls, guess)
     if len(pairs) < MIN_COMMON:
         raise MapError(f"the maps cannot be aligned: they have only {len(pairs)} walls in common")

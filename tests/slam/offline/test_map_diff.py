@@ -174,6 +174,9 @@ def test_maps_without_a_common_place_are_an_error(wclm: Any, tmp_path: Path) -> 
     result = wclm("run", "sim:room?duration=2", "--out", "room", "--no-review")
     assert result.exit_code == 0, result.output
     wclm.refuses("diff", "room", "room", because=["room, room: the maps cannot be aligned"])
+    same = wclm("diff", "room", "room", "--at", "0.1,0,0")
+    assert same.exit_code == 0, same.output
+    assert wclm("diff", "room", "room", "--at", "0.1,0").exit_code == 2
     wclm.refuses("diff", "room", "nowhere", because=["nowhere: is not a directory"])
     wclm.refuses("diff", "room", "room", "--svg", "a.png", because=["a.png", ".svg"])
 
