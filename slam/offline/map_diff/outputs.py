@@ -26,6 +26,8 @@ path { fill: none; stroke-width: .06; stroke-linecap: round }
 text { font: .3px sans-serif; fill: #1f2933 }
 """
 """Orange is only in the old map, blue only in the new one: distinguishable if colour-blind."""
+LEAST_PROBABILITY = 1e-99
+"""Least p-value that is printed."""
 MARGIN = 1.0
 """Metres around the drawing."""
 MILLIMETRES_PER_METRE = 10
@@ -53,12 +55,17 @@ def _line(change: Change) -> str:
         side = "left" if shift > 0.0 else "right"
         sigmas = 1e3 * change.sigma[0], math.degrees(change.sigma[1])
         text = f"wall {change.old}, now {change.new}: {abs(shift):.1f} mm ± {sigmas[0]:.1f} mm to its {side}"
-        return f"moved: {text}, turned by {turn:.2f}° ± {sigmas[1]:.2f}°, p = {change.p_value:.1g}"
+        return f"moved: {text}, turned by {turn:.2f}° ± {sigmas[1]:.2f}°, {_probability(change)}"
     (x0, y0), (x1, y1) = change.stretches[0].tolist()
     length = math.hypot(x1 - x0, y1 - y0)
     place = f"{length:.1f} m of wall {_named(change)} from ({x0:.2f}, {y0:.2f}) to ({x1:.2f}, {y1:.2f})"
     votes = f"seen through by {change.through} scans, seen by {change.seen}"
-    return f"{change.kind}: {place}, {votes}, p = {change.p_value:.1g}"
+    return f"{change.kind}: {place}, {votes}, {_probability(change)}"
+
+
+def _probability(change: Change) -> str:
+    """Return the p-value as text; beyond any sensible digit only that it is smaller."""
+    return f"p = {change.p_value:.1g}" if change.p_value > LEAST_PROBABILITY else f"p < {LEAST_PROBABILITY:g}"
 
 
 def _named(change: Change) -> int | None:
