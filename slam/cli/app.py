@@ -15,12 +15,14 @@ from .commands.bench import bench
 from .commands.calibrate import calibrate
 from .commands.demo import demo
 from .commands.devices import devices
+from .commands.diff import diff
 from .commands.emulate import emulate
 from .commands.evaluate import evaluate
 from .commands.features import features
 from .commands.info import info
 from .commands.live import live
 from .commands.map import export_map
+from .commands.measure import measure
 from .commands.merge import merge
 from .commands.optimize import optimize
 from .commands.record import record
@@ -105,7 +107,15 @@ COMMANDS: dict[str, dict[str, Callable[..., Any]]] = {
         "recover": recover,
         "batch": batch,
     },
-    "Sessions": {"optimize": optimize, "merge": merge, "map": export_map, "report": report, "review": review},
+    "Sessions": {
+        "optimize": optimize,
+        "merge": merge,
+        "map": export_map,
+        "measure": measure,
+        "diff": diff,
+        "report": report,
+        "review": review,
+    },
     "Recordings and devices": {
         "info": info,
         "simulate": simulate,
