@@ -156,9 +156,9 @@ def cells_seen_through(
 ) -> dict[int, list[int]]:
     """Return for each row of `view` the covered cells that are seen through with certainty.
 
-    They are at least END_MARGIN_CELLS from an end, or in the middle of a shorter wall, and the depth exceeds MIN_DEPTH
-    plus MIN_DEPTH_SIGMAS standard deviations. The variance is that of the wall at its last observation, plus the growth
-    of the pose covariance since then; see `local_map_around`.
+    They are at least END_MARGIN_CELLS from an end, and the depth exceeds MIN_DEPTH plus MIN_DEPTH_SIGMAS standard
+    deviations. The variance is that of the wall at its last observation, plus the growth of the pose covariance since
+    then; see `local_map_around`.
     """
     through: dict[int, list[int]] = {}
     rows = np.searchsorted(view.ends, view.depth.nonzero()[0], side="right") - 1
