@@ -165,7 +165,7 @@ def cells_seen_through(
     for row in dict.fromkeys(rows.tolist()):
         wall, covered = view.rows[row], landmarks.covered[view.walls[row]]
         known = covered | landmarks.opened_cells(int(view.walls[row]))
-        margin = min(END_MARGIN_CELLS, (len(covered) - 1) // 2)
+        margin = min(END_MARGIN_CELLS, (len(covered) - 1) // 4)
         depth = view.depth[view.ends[row] : view.ends[row + 1]]
         drift = pose_covariances[-1] - pose_covariances[wall["last_seen"]]
         deep = _deep_enough(depth, view.first[row], wall["frame"].copy(), wall["covariance"].copy(), pose, drift)
