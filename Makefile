@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 .PHONY: help env demo test test-slow coverage gate lint format docs reference gallery lock clean
 
 help:
-	@echo "make demo        simulate a robot in an office, map it, write demo/, open the viewer on a desktop"
+	@echo "make demo        simulate a robot in a museum, map it, write demo/, open the viewer on a desktop"
 	@echo "make test        run the tests"
 	@echo "make test-slow   run all tests, also the long ones"
 	@echo "make coverage    run the tests and report which lines they cover"

@@ -59,7 +59,7 @@ def _open(spec: str | Path) -> Source:
     path = Path(spec)
     suffix = path.suffix.lower()
     if not path.exists():
-        raise RecordingError(path, None, f"no such file or directory; supported: {SUPPORTED}")
+        raise RecordingError(path, None, "no such file or directory")
     if path.is_dir():
         return _directory(path)
     if suffix in CARMEN_SUFFIXES:

@@ -174,12 +174,16 @@ class Correction:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopDecided:
-    """Decision on a loop hypothesis after keyframe `index`; for a retraction, the keyframe of the closure.
+    """Decision on a loop hypothesis after keyframe `index`.
+
+    A retraction is published later than the closure at that keyframe, and a rejection when the hypothesis is given up,
+    40 m of driving after the last look that supports it, or at the end of the run.
 
     candidate      running number
     old            keyframe that saw the place before
     motion         (3,) [x, y, heading] by which the robot would move, in its own frame
-    status         accepted, rejected (the map does not fit together), or retracted (contradicted by later scans)
+    status         accepted, rejected (a check fails, or the map does not fit together), or retracted (contradicted by
+                   later scans)
     reason         reason of the status
     overlap_ratio  share of the recent points in space seen before that fit the old place
     matches        number of looks that support the hypothesis
@@ -188,6 +192,7 @@ class LoopDecided:
     contradicted   share of the looks that contradict the hypothesis
     merged         pairs of wall ids (old, recent) that were merged
     shift          distance that the keyframe moved, metres
+    margin         share of its requirement that the worst check meets, at most 1
     checks         all checks
     compared       points of the last match
     correction     change of trajectory and map, if the status is accepted or retracted
@@ -207,6 +212,7 @@ class LoopDecided:
     contradicted: float
     merged: tuple[tuple[int, int], ...]
     shift: float
+    margin: float = 1.0
     checks: tuple[LoopCheck, ...] = ()
     compared: ComparedPoints | None = None
     correction: Correction | None = None

@@ -160,10 +160,18 @@ class Slam:
             self._publisher.publish_keyframe(
                 processed, result.mapper, result.update, self._preprocessor.sigma_range, timer
             )
+            self._report_rejected_loops(processed.stamp)
         if result.retracted is not None:
             self._statistics.add_loop(processed.stamp, result.retracted)
             self._publisher.publish_loop(result.retracted, processed.stamp, self.slam_state.mapper, result.mapper)
         self._update_localisation(processed.stamp, result)
+
+    def _report_rejected_loops(self, stamp: float, *, ended: bool = False) -> None:
+        """Count and publish the hypotheses of loops that were given up; if the run has `ended`, also all others."""
+        state = self.slam_state
+        for decision in state.loops.take_rejected(ended=ended):
+            self._statistics.add_loop(state.keyframe_stamps[decision.keyframe], decision)
+            self._publisher.publish_rejected_loop(decision, stamp, state.mapper)
 
     # --- localisation state
 
@@ -200,7 +208,7 @@ class Slam:
             self._publish_state(stamp, self._localisation.handle(LocalisationEvent.TRACKING_LOST))
         elif result.joined is not None:
             self._publisher.publish(Relocalised(stamp, self.slam_state.pose.copy(), result.joined))
-            self._publisher.publish(Notice(stamp, "relocalised in the map"))
+            self._publisher.publish(Notice(stamp, "relocalised in the map", "INFO"))
             self._publish_state(stamp, self._localisation.handle(LocalisationEvent.RELOCALISED))
         elif result.retracted is not None and result.retracted.joins:
             self._publish_state(stamp, self._localisation.handle(LocalisationEvent.TRACKING_LOST))
@@ -208,7 +216,7 @@ class Slam:
             self._publish_state(stamp, self._localisation.update(result.tracking))
         elif self._estimator.placed_by_odometry:
             text = "the place is not in the map near the pose from odometry; it is mapped as a new place"
-            self._publisher.publish(Notice(stamp, text))
+            self._publisher.publish(Notice(stamp, text, "INFO"))
             self._publish_state(stamp, self._localisation.handle(LocalisationEvent.PLACED_BY_ODOMETRY))
 
     def _publish_state(self, stamp: float, state: LocalisationState | None) -> None:
@@ -285,6 +293,7 @@ class Slam:
         if not self._frozen:
             self._statistics.merged_walls += self.slam_state.mapper.converge()
         end = self._journal.scans[-1].stamp
+        self._report_rejected_loops(end, ended=True)
         summary = self._summary(end) | self._refine_or_match()
         if self._refine:
             self._session = self._stored(self.slam_state)
@@ -397,6 +406,7 @@ class Slam:
 
     def _stored(self, state: SlamState, *, release: bool = True) -> StoredSession:
         resumed, journal = self._resumed, self._journal
+        state.mapper.solve_waiting()
         if release:
             state.mapper.gauge.release(state.mapper)
         return StoredSession(

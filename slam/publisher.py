@@ -114,6 +114,11 @@ class Publisher:
         self.publish_map(stamp, mapper)
         self.publish_residuals(stamp, mapper)
 
+    def publish_rejected_loop(self, decision: LoopDecision, stamp: float, mapper: Mapper) -> None:
+        """Publish the decision against a hypothesis that was given up."""
+        if self._is_received(LoopDecided):
+            self.publish(_loop_event(decision, stamp, mapper, None))
+
     def publish_keyframes(self, mapper: Mapper, scans: Mapping[int, ProcessedScan], sigma_range: float) -> None:
         """Publish all keyframes of a finished map; `scans` are theirs, by keyframe."""
         if not self._is_received(KeyframeAdded):
@@ -231,6 +236,7 @@ def _loop_event(decision: LoopDecision, stamp: float, mapper: Mapper, superseded
         contradicted=decision.contradicted,
         merged=decision.merged,
         shift=decision.shift,
+        margin=decision.margin,
         checks=tuple(LoopCheck(t.name, float(t.value), t.gate, t.at_least, t.passed) for t in decision.checks),
         compared=ComparedPoints(recent, se2.transform(decision.correction, recent), old),
         correction=None if superseded is None else _correction(decision, mapper, superseded),

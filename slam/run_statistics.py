@@ -15,6 +15,7 @@ from .localisation.state import LocalisationState, LocalisationStatus
 from .localisation.tracker import TrackingResult, TrackingStatus
 from .loop_closure.decision import LoopDecision
 from .loop_closure.loop_status import LoopStatus
+from .loop_closure.returns import summarise
 from .mapping.mapper import Mapper
 from .preprocessing.preprocessor import Preprocessor
 
@@ -139,6 +140,7 @@ def loop_row(stamp: float, decision: LoopDecision) -> dict[str, object]:
         "runner_up": decision.runner_up,
         "sigma": decision.sigma,
         "contradicted": decision.contradicted,
+        "margin": decision.margin,
         "shift": decision.shift,
     }
     return {
@@ -168,6 +170,7 @@ def run_summary(
         "removed_walls": len(mapper.landmarks.removed_walls()),
         "loops": statistics.loop_counts(),
         "loop_decisions": statistics.loops,
+        "returns": summarise(state.loops.returns),
         "states": statistics.state_rows(),
         **({"lost": lost} if lost else {}),
         **({"parts": parts} if parts else {}),

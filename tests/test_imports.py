@@ -23,8 +23,9 @@ CONFINED = {
 
 LAYERS = (
     "errors", "extras", "config", "geometry", "graph", "odometry", "mapping", "matching", "preprocessing",
-    "localisation", "loop_closure", "checks", "events", "estimation", "run_statistics", "io", "run_snapshot",
-    "publisher", "pipeline", "optimisation", "warmup", "offline", "evaluation", "visualisation", "ros", "cli",
+    "localisation", "loop_closure", "checks", "events", "estimation", "measuring", "run_statistics", "io",
+    "run_snapshot", "publisher", "pipeline", "optimisation", "warmup", "offline", "evaluation", "visualisation", "ros",
+    "cli",
 )  # fmt: skip
 """Packages and modules of `slam`, from bottom to top: each may import those before it."""
 

@@ -178,7 +178,8 @@ def _warnings(info: RecordingInfo, scans: _ScanStatistics, odometry: Floats) -> 
     if info.odometry_jumps:
         count, first = len(info.odometry_jumps), info.odometry_jumps[0]
         limits = f"{MAX_SPEED:g} m/s or {MAX_TURN_RATE:g} rad/s"
-        warnings.append(f"{_count(count, 'jump')} of the odometry, faster than {limits}, first at {first:.3f} s")
+        unit = "; is it in millimetres or degrees?" if 2 * count > info.odometry else ""
+        warnings.append(f"{_count(count, 'jump')} of the odometry, faster than {limits}, first at {first:.3f} s{unit}")
     warnings += info.report.doubts
     if info.report.skipped:
         warnings.append(f"{_count(info.report.skipped, 'entry', 'entries')} skipped, first {info.report.first}")

@@ -15,12 +15,14 @@ from .commands.bench import bench
 from .commands.calibrate import calibrate
 from .commands.demo import demo
 from .commands.devices import devices
+from .commands.diff import diff
 from .commands.emulate import emulate
 from .commands.evaluate import evaluate
 from .commands.features import features
 from .commands.info import info
 from .commands.live import live
 from .commands.map import export_map
+from .commands.measure import measure
 from .commands.merge import merge
 from .commands.optimize import optimize
 from .commands.record import record
@@ -35,13 +37,22 @@ from .commands.simulate import simulate
 from .console import EXIT_INTERRUPTED, EXIT_USER_ERROR, print_message
 from .registration import add_command
 
+UsageError: Any = typer.BadParameter.__mro__[1]
+"""Class of errors in the arguments; typer exports only its subclasses."""
+
 
 class _Commands(TyperGroup):
-    """Commands that report a SlamError as one line and an exit status; other exceptions are bugs and are raised."""
+    """Commands that report mistakes as one line and an exit status; other exceptions are bugs and are raised."""
 
     def invoke(self, ctx: Any) -> Any:
         try:
             return super().invoke(ctx)
+        except UsageError as error:
+            text = error.format_message()
+            if error.ctx is None or not text:  # a group of commands without arguments, which has printed its help
+                raise
+            print_message(f"{text.rstrip('.')}; see {error.ctx.command_path} --help")
+            raise typer.Exit(EXIT_USER_ERROR) from error
         except SlamError as error:
             print_message(str(error))
             raise typer.Exit(EXIT_USER_ERROR) from error
@@ -82,7 +93,7 @@ def wclm(
 ) -> None:
     """Map buildings with a 2-D lidar and wheel odometry: walls and corners with covariances.
 
-    To start, [bold]wclm demo[/bold] maps a simulated office.
+    To start, [bold]wclm demo[/bold] maps a simulated museum.
     """
 
 
@@ -96,7 +107,15 @@ COMMANDS: dict[str, dict[str, Callable[..., Any]]] = {
         "recover": recover,
         "batch": batch,
     },
-    "Sessions": {"optimize": optimize, "merge": merge, "map": export_map, "report": report, "review": review},
+    "Sessions": {
+        "optimize": optimize,
+        "merge": merge,
+        "map": export_map,
+        "measure": measure,
+        "diff": diff,
+        "report": report,
+        "review": review,
+    },
     "Recordings and devices": {
         "info": info,
         "simulate": simulate,

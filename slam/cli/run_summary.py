@@ -74,6 +74,8 @@ def summarise_run(
 
 def format_summary(result: RunResult, out: Path) -> list[str]:
     """Return the summary as lines of text; `out` is the output directory."""
+    from ..visualisation.report_page.findings import group_warnings, reason_without_walls
+
     summary = result.summary
     rows = [
         ("map", f"{summary['walls']} walls, {summary['corners']} corners, from {summary['keyframes']} keyframes"),
@@ -83,7 +85,7 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
         rows.append(
             ("accuracy", f"{truth['ate_rmse']:.3f} m error of the path (ATE RMSE), at most {truth['ate_max']:.3f} m")
         )
-    rows += _lost(summary)
+    rows += _loops(summary) + _lost(summary)
     if skipped := summary["skipped"]["messages"]:
         rows.append(("skipped", f"{skipped} messages; first: {summary['skipped']['first']}"))
     if shift := ((summary.get("recordings") or [{}])[-1]).get("shift"):
@@ -94,8 +96,10 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
     if any(left_out.values()):
         rows.append(("log", "omitted: " + ", ".join(f"{count} {name}" for name, count in left_out.items())))
     rows += [("warning", text) for text in summary.get("doubts") or ()]
-    rows += [("warning", text) for text in summary["warnings"][:SHOWN_WARNINGS]]
-    if (more := len(summary["warnings"]) - SHOWN_WARNINGS) > 0:
+    rows += [("warning", text) for text in (reason_without_walls(summary),) if text]
+    warnings = group_warnings(summary["warnings"])
+    rows += [("warning", _repeated(text, stamps)) for text, stamps in list(warnings.items())[:SHOWN_WARNINGS]]
+    if (more := len(warnings) - SHOWN_WARNINGS) > 0:
         rows.append(("", f"and {more} more warnings in summary.json"))
     rows.append(("results", f"{out}: {', '.join(sorted(entry.name for entry in out.iterdir()))}"))
     if result.review:
@@ -105,6 +109,27 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
         f"{summary['path_length']:.1f} m driven"
     )
     return [printable(line) for line in [head, *(f"  {name:<11}{text}" for name, text in rows), *_suspects(summary)]]
+
+
+def _repeated(text: str, stamps: list[float]) -> str:
+    """Return a warning with its first stamp, and how often it was repeated."""
+    if not stamps:
+        return text
+    return f"{text} ({f'{len(stamps)} times, first ' if len(stamps) > 1 else ''}at {stamps[0]:.2f} s)"
+
+
+def _loops(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return how often the robot returned to known places, and which loops were closed or rejected."""
+    from ..visualisation.report_page.loop_text import loops_text, nearest_rejection, returns_text
+
+    slam = summary.get("slam") or {}
+    nearest = nearest_rejection(slam)
+    rows = [
+        ("returns", returns_text(slam)),
+        ("loops", loops_text(slam)),
+        ("", nearest and f"the nearest one {nearest}"),
+    ]
+    return [(name, text) for name, text in rows if text]
 
 
 def _lost(summary: dict[str, Any]) -> list[tuple[str, str]]:

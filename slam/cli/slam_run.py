@@ -104,14 +104,14 @@ def without_odometry(start: RunSetup, reason: str) -> RunSetup:
 
 @dataclass(slots=True)
 class NoticeCollector:
-    """Sink that collects the texts of notices."""
+    """Sink that collects the texts of notices that are warnings."""
 
     handled: ClassVar[tuple[type[Event], ...]] = (Notice,)
     texts: list[str] = field(default_factory=list)
 
     def handle(self, event: Event) -> None:
         """Process one event."""
-        if isinstance(event, Notice):
+        if isinstance(event, Notice) and event.level == "WARN":
             self.texts.append(f"{event.text} (at {event.stamp:.2f} s)")
 
 

@@ -91,7 +91,7 @@ def _corners(mapper: Mapper, landmarks: Landmarks, marginals: Marginals | None) 
         intersection = None
         turn = walls["frame"][second, 2] - walls["frame"][first, 2]
         if min(first, second) >= 0 and abs(np.sin(turn)) > MIN_SINE and walls["in_graph"][[first, second]].all():
-            intersection, jacobian = _intersection(walls["frame"][first], walls["frame"][second])
+            intersection, jacobian = intersect_walls(walls["frame"][first], walls["frame"][second])
         if intersection is not None and np.hypot(*(intersection - position[row])) < MAX_INTERSECTION_DISTANCE:
             position[row] = intersection
             intersecting.append(row)
@@ -112,7 +112,7 @@ def _corners(mapper: Mapper, landmarks: Landmarks, marginals: Marginals | None) 
     )
 
 
-def _intersection(first: se2.Pose, second: se2.Pose) -> tuple[Floats, Floats]:
+def intersect_walls(first: se2.Pose, second: se2.Pose) -> tuple[Floats, Floats]:
     """Return the intersection (2,) of two walls, and its Jacobian (2, 4) by offset and heading of both at their frames.
 
     A point p is on a wall with normal n through o if n . (p - o) = 0. Shifting the wall by y across itself and turning

@@ -11,26 +11,13 @@ from collections.abc import Sequence
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import C, L, P, X
 from numpy.typing import NDArray
 
 from ..errors import MapError
 from ..geometry.segments import Floats
 from .array_factors import BETWEEN, POINT, PRIOR, add_normal_equations, moved, robust_cost
 from .block_cholesky import Pattern, factorise, inverse_blocks, solve
-from .factors import CAUCHY_SCALES, Factor, FactorKind, covariance_in_polar, root_information
-
-# Keys of the first and the second variable with number 0, from which the others follow. Other kinds of factors lead
-# from a keyframe to a wall. Origin: definition.
-_FIRST_KEYS = {
-    FactorKind.POSE_PRIOR: (X(0), X(0)),
-    FactorKind.WALL_EQUALITY: (L(0), L(0)),
-    FactorKind.CORNER: (X(0), C(0)),
-    FactorKind.POINT_MAP: (X(0), P(0)),
-    FactorKind.SCAN_MATCH: (P(0), X(0)),
-    FactorKind.ODOMETRY: (X(0), X(0)),
-    FactorKind.LOOP: (X(0), X(0)),
-}
+from .factors import CAUCHY_SCALES, WALL_KINDS, Factor, FactorKind, FactorsOfKind, by_kind
 
 
 class ArrayGraph:
@@ -50,14 +37,9 @@ class ArrayGraph:
         self._measured, self._direction = np.zeros((len(factors), 3)), np.zeros((len(factors), 3))
         self._information, self._scale = np.zeros((len(factors), 3, 3)), np.full(len(factors), np.inf)
         ends = np.zeros((len(factors), 2), dtype=np.uint64)
-        by_kind: dict[FactorKind, list[int]] = {}
-        for row, factor in enumerate(factors):
-            by_kind.setdefault(factor.kind, []).append(row)
-        for kind, rows in by_kind.items():
-            chosen = [factors[row] for row in rows]
-            ends[rows] = np.array([(f.first, f.second) for f in chosen], dtype=np.uint64)
-            ends[rows] += np.array(_FIRST_KEYS.get(kind, (X(0), L(0))), dtype=np.uint64)
-            self._convert(kind, rows, chosen, bias)
+        for group in by_kind(factors):
+            ends[group.rows] = group.keys
+            self._convert(group, bias)
         keys, index = np.unique(ends, return_inverse=True)
         self.keys: list[int] = keys.tolist()
         self._ends = index.reshape(-1, 2)
@@ -71,24 +53,22 @@ class ArrayGraph:
         self._slots = np.zeros(len(factors), dtype=np.int64)
         self._slots[relative] = self._pattern.slots[: relative.sum()]
 
-    def _convert(self, kind: FactorKind, rows: list[int], factors: Sequence[Factor], bias: float) -> None:
+    def _convert(self, group: FactorsOfKind, bias: float) -> None:
         """Fill in the rows of the factors of one kind; what they measure is described in FactorKind."""
-        size = 2 if kind is FactorKind.CORNER else 3
-        self._measured[rows, :size] = np.array([factor.measured[:size] for factor in factors])
-        if any(len(factor.bias_slope) for factor in factors):
-            self._direction[rows, :size] = np.array([factor.bias_direction()[:size] for factor in factors])
+        kind, rows, size = group.kind, group.rows, 2 if group.kind is FactorKind.CORNER else 3
+        self._measured[rows, :size] = group.measured[:, :size]
+        self._direction[rows, :size] = group.bias_directions()[:, :size]
         self._scale[rows] = CAUCHY_SCALES.get(kind, np.inf)
         match kind:
             case FactorKind.CORNER:
                 self._form[rows] = POINT
-                polar = [covariance_in_polar(factor.without_range_bias(bias), factor.covariance) for factor in factors]
-                self._information[rows, :2, :2] = np.linalg.inv(np.array(polar))
-            case FactorKind.WALL_HEADING | FactorKind.WALL_OFFSET | FactorKind.GAUGE_PRIOR | FactorKind.WALL_EQUALITY:
-                root = np.array([root_information(factor) for factor in factors])
+                self._information[rows, :2, :2] = np.linalg.inv(group.covariances_in_polar(bias))
+            case _ if kind in WALL_KINDS:
+                root = group.roots_of_information()
                 self._information[rows] = root.transpose(0, 2, 1) @ root
             case _:
                 self._form[rows] = PRIOR if kind is FactorKind.POSE_PRIOR else BETWEEN
-                self._information[rows] = np.linalg.inv(np.array([factor.covariance for factor in factors]))
+                self._information[rows] = np.linalg.inv(group.covariances)
 
     def values_of(self, values: gtsam.Values) -> Floats:
         """Return the variables as an array (n, 3): poses and frames [x, y, heading], corners [x, y, 0]."""

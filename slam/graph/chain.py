@@ -8,7 +8,7 @@ from gtsam.symbol_shorthand import X
 
 from ..errors import MapError, first_line
 from ..geometry.segments import Floats
-from .factors import ODOMETRY_KERNEL, from_pose2, to_pose2
+from .factors import KERNELS, FactorKind, from_pose2, to_pose2
 
 # Per square metre and square radian; added to every pose so that unmeasured directions are determined.
 # Origin: numerical.
@@ -25,13 +25,13 @@ def smooth_chain(poses: Floats, informations: Floats, motions: Floats, covarianc
 
     Raises MapError if the chain is undetermined.
     """
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph, values, kernel = gtsam.NonlinearFactorGraph(), gtsam.Values(), KERNELS[FactorKind.ODOMETRY]
     for k, (pose, information) in enumerate(zip(poses, informations, strict=True)):
         values.insert(X(k), to_pose2(pose))
         noise = gtsam.noiseModel.Gaussian.Information(information + MIN_INFORMATION * np.eye(3))
         graph.add(gtsam.PriorFactorPose2(X(k), to_pose2(pose), noise))
     for k, (motion, covariance) in enumerate(zip(motions, covariances, strict=True)):
-        robust = gtsam.noiseModel.Robust.Create(ODOMETRY_KERNEL, gtsam.noiseModel.Gaussian.Covariance(covariance))
+        robust = gtsam.noiseModel.Robust.Create(kernel, gtsam.noiseModel.Gaussian.Covariance(covariance))
         graph.add(gtsam.BetweenFactorPose2(X(k), X(k + 1), to_pose2(motion), robust))
     try:
         solved = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from drivers import se2
 
-from ..geometry.segments import Floats
+from ..geometry.segments import Floats, Integers
 
 # Standard deviations at which the weight of a corner's observation is one half.
 # Origin: chosen; not measured.
@@ -24,10 +23,6 @@ CAUCHY_SCALE = 4.0
 WALL_CAUCHY_SCALE = CAUCHY_SCALE / 2**0.5
 # The same for odometry. Origin: chosen, smaller because single readings can be grossly wrong; not measured.
 ODOMETRY_CAUCHY_SCALE = 2.0
-
-CORNER_KERNEL = gtsam.noiseModel.mEstimator.Cauchy.Create(CAUCHY_SCALE)
-WALL_KERNEL = gtsam.noiseModel.mEstimator.Cauchy.Create(WALL_CAUCHY_SCALE)
-ODOMETRY_KERNEL = gtsam.noiseModel.mEstimator.Cauchy.Create(ODOMETRY_CAUCHY_SCALE)
 
 
 class FactorKind(StrEnum):
@@ -72,6 +67,23 @@ CAUCHY_SCALES = {
 }
 
 
+# GTSAM's kernels of the same scales.
+KERNELS = {kind: gtsam.noiseModel.mEstimator.Cauchy.Create(scale) for kind, scale in CAUCHY_SCALES.items()}
+# Kinds that measure a wall's frame only in some directions.
+WALL_KINDS = (FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET, FactorKind.GAUGE_PRIOR, FactorKind.WALL_EQUALITY)
+# Keys of the first and the second variable with number 0, from which the others follow. Other kinds of factors lead
+# from a keyframe to a wall. Origin: definition.
+_FIRST_KEYS = {
+    FactorKind.POSE_PRIOR: (X(0), X(0)),
+    FactorKind.WALL_EQUALITY: (L(0), L(0)),
+    FactorKind.CORNER: (X(0), C(0)),
+    FactorKind.POINT_MAP: (X(0), P(0)),
+    FactorKind.SCAN_MATCH: (P(0), X(0)),
+    FactorKind.ODOMETRY: (X(0), X(0)),
+    FactorKind.LOOP: (X(0), X(0)),
+}
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Factor:
     """One factor; see FactorKind.
@@ -87,23 +99,84 @@ class Factor:
     covariance: Floats
     bias_slope: Floats = field(default_factory=lambda: np.zeros(0))
 
-    def without_range_bias(self, bias: float) -> Floats:
-        """Return the measurement as if all ranges were shorter by `bias` metres."""
-        if not bias or not len(self.bias_slope):
-            return self.measured
-        return self.measured - bias * self.bias_direction()
 
-    def bias_direction(self) -> Floats:
-        """Return the change of `measured` per metre of range bias. All entries are zero if it does not depend on it."""
-        match self.kind if len(self.bias_slope) else None:
+@dataclass(frozen=True, slots=True, eq=False)
+class FactorsOfKind:
+    """n factors of one kind as arrays.
+
+    rows         (n,) of the factors among those of all kinds
+    keys         (n, 2) of their variables
+    measured     (n, d); see FactorKind
+    covariances  (n, c, c)
+    bias_slopes  (n, s); see `Factor`
+    """
+
+    kind: FactorKind
+    rows: Integers
+    keys: NDArray[np.uint64]
+    measured: Floats
+    covariances: Floats
+    bias_slopes: Floats
+
+    def bias_directions(self) -> Floats:
+        """Return the change (n, d) of `measured` per metre of range bias; zero if it does not depend on it."""
+        result, slopes = np.zeros_like(self.measured), self.bias_slopes
+        match self.kind if slopes.shape[1] else None:
             case FactorKind.WALL_HEADING:
-                return np.array([0.0, 0.0, self.bias_slope[0]])
+                result[:, 2] = slopes[:, 0]
             case FactorKind.WALL_OFFSET:
-                heading, slope = self.measured[2], self.bias_slope[0]
-                return np.array([-math.sin(heading) * slope, math.cos(heading) * slope, 0.0, 0.0])
+                heading = self.measured[:, 2]
+                result[:, 0], result[:, 1] = -np.sin(heading) * slopes[:, 0], np.cos(heading) * slopes[:, 0]
             case FactorKind.CORNER:
-                return self.bias_slope
-        return np.zeros_like(self.measured)
+                result[:] = slopes
+        return result
+
+    def without_range_bias(self, bias: float) -> Floats:
+        """Return the measurements (n, d) as if all ranges were shorter by `bias` metres."""
+        return self.measured - bias * self.bias_directions()
+
+    def covariances_in_polar(self, bias: float) -> Floats:
+        """Return the covariances (n, 2, 2) of bearing and range of corners, without a range bias (metres)."""
+        x, y = self.without_range_bias(bias).T
+        distance = np.hypot(x, y)
+        to_polar = np.stack([-y / distance**2, x / distance**2, x / distance, y / distance], axis=-1).reshape(-1, 2, 2)
+        return np.asarray(to_polar @ self.covariances @ to_polar.transpose(0, 2, 1))
+
+    def roots_of_information(self) -> Floats:
+        """Return R (n, 3, 3) with the information R' R of walls' factors on (along, across, heading)."""
+        roots, inverse_sigmas = np.zeros((len(self.measured), 3, 3)), 1.0 / np.sqrt(self.covariances[:, 0, 0])
+        match self.kind:
+            case FactorKind.GAUGE_PRIOR:
+                roots[:, 0, 0] = inverse_sigmas
+            case FactorKind.WALL_HEADING:
+                roots[:, 0, 2] = inverse_sigmas
+            case FactorKind.WALL_OFFSET:
+                roots[:, 0, 1], roots[:, 0, 2] = inverse_sigmas, self.measured[:, 3] * inverse_sigmas
+            case _:
+                roots[:, 1:, 1:] = np.linalg.cholesky(np.linalg.inv(self.covariances)).transpose(0, 2, 1)
+        return roots
+
+
+def by_kind(factors: Sequence[Factor]) -> list[FactorsOfKind]:
+    """Return factors as arrays, by their kinds."""
+    rows_of_kind: dict[FactorKind, list[int]] = {}
+    for row, factor in enumerate(factors):
+        rows_of_kind.setdefault(factor.kind, []).append(row)
+    result = []
+    for kind, rows in rows_of_kind.items():
+        chosen = [factors[row] for row in rows]
+        numbers = np.array([(f.first, f.second) for f in chosen], dtype=np.uint64)
+        result.append(
+            FactorsOfKind(
+                kind,
+                np.array(rows),
+                numbers + np.array(_FIRST_KEYS.get(kind, (X(0), L(0))), dtype=np.uint64),
+                np.array([f.measured for f in chosen]),
+                np.array([f.covariance for f in chosen]),
+                np.array([f.bias_slope for f in chosen]),
+            )
+        )
+    return result
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,74 +219,46 @@ def from_pose2(pose: gtsam.Pose2) -> se2.Pose:
     return np.array((pose.x(), pose.y(), pose.theta()))
 
 
-def to_gtsam_graph(factors: Iterable[Factor], bias: float = 0.0) -> gtsam.NonlinearFactorGraph:
+def to_gtsam_graph(factors: Sequence[Factor], bias: float = 0.0) -> gtsam.NonlinearFactorGraph:
     """Convert factors, without a range bias (metres), into a graph of GTSAM."""
+    converted: dict[int, gtsam.NonlinearFactor] = {}
+    for group in by_kind(factors):
+        converted.update(zip(group.rows.tolist(), _to_gtsam(group, bias), strict=True))
     graph = gtsam.NonlinearFactorGraph()
-    for factor in factors:
-        graph.add(to_gtsam(factor, bias))
+    for row in range(len(factors)):
+        graph.add(converted[row])
     return graph
 
 
-def to_gtsam(factor: Factor, bias: float = 0.0) -> gtsam.NonlinearFactor:
-    """Convert a factor, without a range bias (metres), into GTSAM's."""
-    first, second, covariance = factor.first, factor.second, factor.covariance
-    measured = factor.without_range_bias(bias)
-    match factor.kind:
-        case FactorKind.CORNER:
-            return _corner_factor(first, second, measured, covariance)
-        case FactorKind.POSE_PRIOR:
-            return gtsam.PriorFactorPose2(
-                X(first), to_pose2(measured), gtsam.noiseModel.Gaussian.Covariance(covariance)
+def _to_gtsam(group: FactorsOfKind, bias: float) -> list[gtsam.NonlinearFactor]:
+    """Convert factors of one kind, without a range bias (metres), into GTSAM's."""
+    ends, measured, kind = group.keys.tolist(), group.without_range_bias(bias), group.kind
+    if kind is FactorKind.CORNER:
+        angles, distances = np.arctan2(measured[:, 1], measured[:, 0]), np.hypot(measured[:, 0], measured[:, 1])
+        return [
+            gtsam.BearingRangeFactor2D(keyframe, corner, gtsam.Rot2.fromAngle(angle), distance, noise)
+            for (keyframe, corner), angle, distance, noise in zip(
+                ends, angles.tolist(), distances.tolist(), _noises(group, bias), strict=True
             )
-        case FactorKind.ODOMETRY | FactorKind.SCAN_MATCH:
-            gaussian = gtsam.noiseModel.Gaussian.Covariance(covariance)
-            robust = gtsam.noiseModel.Robust.Create(ODOMETRY_KERNEL, gaussian)
-            start = X(first) if factor.kind is FactorKind.ODOMETRY else P(first)
-            return gtsam.BetweenFactorPose2(start, X(second), to_pose2(measured), robust)
-        case FactorKind.POINT_MAP:
-            gaussian = gtsam.noiseModel.Gaussian.Covariance(covariance)
-            return gtsam.BetweenFactorPose2(X(first), P(first), to_pose2(measured), gaussian)
-        case FactorKind.LOOP:
-            gaussian = gtsam.noiseModel.Gaussian.Covariance(covariance)
-            return gtsam.BetweenFactorPose2(X(first), X(second), to_pose2(measured), gaussian)
-    partial = gtsam.noiseModel.Gaussian.SqrtInformation(root_information(factor), False)
-    match factor.kind:
-        case FactorKind.WALL_EQUALITY:
-            return gtsam.BetweenFactorPose2(L(first), L(second), to_pose2(measured), partial)
-        case FactorKind.GAUGE_PRIOR:
-            return gtsam.BetweenFactorPose2(X(first), L(second), to_pose2(measured), partial)
-    robust = gtsam.noiseModel.Robust.Create(WALL_KERNEL, partial)
-    return gtsam.BetweenFactorPose2(X(first), L(second), to_pose2(measured), robust)
+        ]
+    poses = [gtsam.Pose2(x, y, heading) for x, y, heading in measured[:, :3].tolist()]
+    if kind is FactorKind.POSE_PRIOR:
+        priors = zip(ends, poses, _noises(group, bias), strict=True)
+        return [gtsam.PriorFactorPose2(first, pose, noise) for (first, _), pose, noise in priors]
+    return [
+        gtsam.BetweenFactorPose2(first, second, pose, noise)
+        for (first, second), pose, noise in zip(ends, poses, _noises(group, bias), strict=True)
+    ]
 
 
-def _corner_factor(keyframe: int, corner: int, position: Floats, covariance: Floats) -> gtsam.NonlinearFactor:
-    """Convert the observation of a corner into bearing and range."""
-    noise = gtsam.noiseModel.Gaussian.Covariance(covariance_in_polar(position, covariance))
-    robust = gtsam.noiseModel.Robust.Create(CORNER_KERNEL, noise)
-    x, y = float(position[0]), float(position[1])
-    bearing = gtsam.Rot2.fromAngle(math.atan2(y, x))
-    return gtsam.BearingRangeFactor2D(X(keyframe), C(corner), bearing, math.hypot(x, y), robust)
-
-
-def covariance_in_polar(position: Floats, covariance: Floats) -> Floats:
-    """Return the covariance (2, 2) of bearing and range of a position (2,) with a covariance (2, 2)."""
-    x, y = float(position[0]), float(position[1])
-    distance = math.hypot(x, y)
-    to_polar = np.array([[-y / distance**2, x / distance**2], [x / distance, y / distance]])
-    return np.asarray(to_polar @ covariance @ to_polar.T)
-
-
-def root_information(factor: Factor) -> Floats:
-    """Return R (3, 3) with the information R' R of a wall's factor on (along, across, heading)."""
-    root, covariance = np.zeros((3, 3)), factor.covariance
-    match factor.kind:
-        case FactorKind.GAUGE_PRIOR:
-            root[0, 0] = 1.0 / math.sqrt(covariance[0, 0])
-        case FactorKind.WALL_HEADING:
-            root[0, 2] = 1.0 / math.sqrt(covariance[0, 0])
-        case FactorKind.WALL_OFFSET:
-            root[0, 1] = 1.0 / math.sqrt(covariance[0, 0])
-            root[0, 2] = factor.measured[3] * root[0, 1]
-        case _:
-            root[1:, 1:] = np.linalg.cholesky(np.linalg.inv(covariance)).T
-    return root
+def _noises(group: FactorsOfKind, bias: float) -> list[gtsam.noiseModel.Base]:
+    """Return GTSAM's noise model of each factor of one kind."""
+    gaussian, create = gtsam.noiseModel.Gaussian, gtsam.noiseModel.Robust.Create
+    if group.kind in WALL_KINDS:
+        noises = [gaussian.SqrtInformation(root, False) for root in group.roots_of_information()]
+    elif group.kind is FactorKind.CORNER:
+        noises = [gaussian.Covariance(covariance) for covariance in group.covariances_in_polar(bias)]
+    else:
+        noises = [gaussian.Covariance(covariance) for covariance in group.covariances]
+    kernel = KERNELS.get(group.kind)
+    return noises if kernel is None else [create(kernel, noise) for noise in noises]

@@ -21,7 +21,7 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.segments import Floats
-from .factors import WALL_CAUCHY_SCALE, Factor, FactorKind
+from .factors import WALL_CAUCHY_SCALE, Factor, FactorKind, by_kind
 
 # Keyframes over which the errors of one wall are taken as correlated. Origin: chosen, some 5 m of driving, after which
 # another part of the wall is seen; the residuals of recordings are white beyond it.
@@ -69,10 +69,11 @@ def _weighted_residuals(
     Their variance is one for white noise as modelled.
     """
     seen = se2.between(np.array([poses[f.first] for f in factors]), np.array([frames[f.second] for f in factors]))
-    measured = np.array([f.without_range_bias(bias) for f in factors])
+    (group,) = by_kind(factors)
+    measured = group.without_range_bias(bias)
     error = se2.between(measured[:, :3], seen).reshape(-1, 3)
     residual = error[:, 2] if measured.shape[1] == 3 else error[:, 1] + measured[:, 3] * error[:, 2]
-    whitened = residual / np.sqrt([f.covariance[0, 0] for f in factors])
+    whitened = residual / np.sqrt(group.covariances[:, 0, 0])
     weight = 1.0 / (1.0 + (whitened / WALL_CAUCHY_SCALE) ** 2)
     return np.asarray(weight * whitened / np.sqrt(WEIGHTED_VARIANCE))
 

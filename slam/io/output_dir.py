@@ -39,12 +39,18 @@ REPORT = "report.html"
 GRAPH = "graph.g2o"
 GRAPH_PICTURE = "graph.png"
 EXPORTED = "map"
+MEASURED = "measurements"
 POINTS = "points.ply"
 SESSION = "session"
 RESULTS = frozenset({TRAJECTORY, KEYFRAMES, MAP, CONFIG, SUMMARY, REVIEW, PICTURE, REPORT, SESSION})
 GRAPH_RESULTS = frozenset({GRAPH, GRAPH_PICTURE, SUMMARY})
-EXPORTS = frozenset({f"{EXPORTED}.{suffix}" for suffix in ("pgm", "yaml", "geojson", "svg", "dxf", "g2o")} | {POINTS})
-"""Files that `wclm map` adds to the directory of a run. They can be made again, so --overwrite removes them, too."""
+EXPORTS = frozenset(
+    {f"{EXPORTED}.{suffix}" for suffix in ("pgm", "yaml", "geojson", "svg", "dxf", "g2o")}
+    | {f"{MEASURED}.{suffix}" for suffix in ("csv", "svg", "dxf")}
+    | {POINTS}
+)
+"""Files that `wclm map` and `wclm measure` add to the directory of a run. They can be made again, so --overwrite
+removes them, too."""
 
 
 class OutputDirectory:

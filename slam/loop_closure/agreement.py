@@ -28,6 +28,8 @@ from .decision import Check, LoopDecision
 from .look import MAX_PLACES, MAX_SQUARED_DISTANCE, SUBMAP_LENGTH, Look, Submaps
 from .loop_hypothesis import LoopAgreementState, LoopHypothesis
 from .loop_status import LoopStatus
+from .rejection import MIN_REPORTED_SUPPORT, rejected
+from .returns import Return
 from .submap_search import SubmapMatch, are_distinct
 
 # Metres of driving between two looks. Origin: chosen, a third of a submap; not measured.
@@ -75,12 +77,16 @@ class LoopAgreement:
 
     def __init__(self, search: Search = Look.search, *, joins: bool = False) -> None:
         self._search_place, self._joins = search, joins
+        self._given_up: list[LoopHypothesis] = []
+        self.returns: list[Return] = []
+        """Looks of this run that agree with the estimate, for reports."""
         self._restore(LoopAgreementState(), Submaps())
 
     def __deepcopy__(self, memo: dict[int, object]) -> LoopAgreement:
         """Return an independent copy; matches and submaps are never changed and are shared."""
         other = LoopAgreement(self._search_place, joins=self._joins)
         other._restore(self.state, self._submaps.copy())
+        other._given_up, other.returns = list(self._given_up), list(self.returns)
         return other
 
     @property
@@ -118,6 +124,15 @@ class LoopAgreement:
         self._candidates += 1
         return replace(decision, candidate=self._candidates)
 
+    def take_rejected(self, *, ended: bool = False) -> list[LoopDecision]:
+        """Return the decisions against hypotheses that were given up since the last call; all if the run has `ended`.
+
+        Hypotheses that only one look supports, and rivals of a loop that was closed, are not reported.
+        """
+        decisions = [h.rejection for h in (*self._given_up, *(self._hypotheses if ended else ()))]
+        self._given_up = []
+        return [self.number(decision) for decision in decisions if decision is not None]
+
     def exclude(self, motion: se2.Pose) -> None:
         """Reject the motion of a retracted closure from now on."""
         self._retracted.append(motion)
@@ -140,6 +155,7 @@ class LoopAgreement:
         if now - self._last_search < SEARCH_INTERVAL:
             return None
         self._last_search = now
+        self._given_up += [h for h in self._hypotheses if now - h.support[-1].travelled >= MEMORY]
         self._hypotheses = [h for h in self._hypotheses if now - h.support[-1].travelled < MEMORY]
         self._returns = [at for at in self._returns if now - at < MEMORY]
         self._searched = {place: at for place, at in self._searched.items() if now - at < MEMORY}
@@ -152,6 +168,7 @@ class LoopAgreement:
         self._vote(look, tested, found, local_field)
         decision = self._accepted(look, places)
         if decision is None or not all(differ(look, decision.correction, motion) for motion in self._retracted):
+            self._note_rejections(look)
             return None
         return self.number(decision)
 
@@ -233,6 +250,7 @@ class LoopAgreement:
         if hypothesis is self._estimate and look.agrees(vote.old, vote.match):
             local_field.link(vote.old, look.last)
             self._returns.append(look.travelled)
+            self.returns.append(Return.of(look, vote.old, vote.match))
             self._estimate = LoopHypothesis(np.zeros(3))
         else:
             hypothesis.motion = vote.motion
@@ -288,6 +306,17 @@ class LoopAgreement:
             since=look.first_of_part if self._joins else look.keyframe_at(doubted - SUBMAP_LENGTH),
             joins=self._joins,
         )
+
+    def _note_rejections(self, look: Look) -> None:
+        """Keep, for reports, why the hypotheses that the look supports are not accepted."""
+        for hypothesis in self._hypotheses:
+            if len(hypothesis.support) < MIN_REPORTED_SUPPORT or hypothesis.support[-1].keyframe != look.last:
+                continue
+            rivals = [other for other in self._all_hypotheses if other is not hypothesis]
+            decision = self._decide(hypothesis, rivals, look, self._checks(hypothesis, look))
+            equal = sum(not self._prevails(hypothesis, rival) for rival in rivals)
+            was_retracted = not all(differ(look, hypothesis.motion, motion) for motion in self._retracted)
+            hypothesis.rejection = rejected(decision, 1.0 / SUPPORT_RATIO, equal, was_retracted)
 
     def _prevails(self, hypothesis: LoopHypothesis, rival: LoopHypothesis) -> bool:
         """True if a rival has little support, or if enough looks support the hypothesis and contradict the rival."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,18 +46,24 @@ class Check:
         """True if the value keeps the gate."""
         return self.value >= self.gate if self.at_least else self.value <= self.gate
 
+    @property
+    def margin(self) -> float:
+        """Share of the requirement that is met; below 1 if the check fails."""
+        reached, required = (self.value, self.gate) if self.at_least else (self.gate, self.value)
+        return reached / required if required > 0.0 else math.inf
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopDecision:
-    """Decision to close a loop, with the data that it rests on.
+    """Decision on closing a loop, with the data that it rests on.
 
     candidate     running number
     keyframe      last keyframe when the decision was made
     old           keyframe that saw the place before
     motion        [x, y, heading] by which the robot would move, in its own frame
     correction    the same motion of the recent keyframes, in the map
-    status        CONFIRMED by the search; it becomes ACCEPTED when the loop is closed, or REJECTED if the map does not
-                  fit together then; RETRACTED if later scans contradict it
+    status        CONFIRMED by the search, or REJECTED if a check fails; a confirmed one becomes ACCEPTED when the loop
+                  is closed, or REJECTED if the map does not fit together then; RETRACTED if later scans contradict it
     reason        reason of the status
     matches       of submaps, which agree
     runner_up     looks that support the strongest rival, as a share
@@ -90,6 +97,11 @@ class LoopDecision:
     def fit(self) -> float:
         """Share of the last submap's points in seen space that fit."""
         return self.matches[-1].fit
+
+    @property
+    def margin(self) -> float:
+        """Share of its requirement that the worst check meets, at most 1."""
+        return min((1.0, *(check.margin for check in self.checks)))
 
     @property
     def sigma(self) -> float:

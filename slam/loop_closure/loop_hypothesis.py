@@ -10,7 +10,7 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.segments import Floats, Integers
-from .decision import LoopMatch
+from .decision import LoopDecision, LoopMatch
 
 
 @dataclass(slots=True, eq=False)
@@ -19,11 +19,13 @@ class LoopHypothesis:
 
     support         latest match of each look that supports it
     contradictions  metres driven up to each look that contradicts it
+    rejection       decision against it at the last look that supports it, for reports; not stored in sessions
     """
 
     motion: se2.Pose
     support: list[LoopMatch] = field(default_factory=list)
     contradictions: list[float] = field(default_factory=list)
+    rejection: LoopDecision | None = None
 
     @property
     def span(self) -> float:
@@ -37,7 +39,7 @@ class LoopHypothesis:
 
     def copy(self) -> LoopHypothesis:
         """Return an independent copy."""
-        return LoopHypothesis(self.motion, list(self.support), list(self.contradictions))
+        return LoopHypothesis(self.motion, list(self.support), list(self.contradictions), self.rejection)
 
     def support_since(self, travelled: float) -> int:
         """Return the number of looks that support it from a distance driven (metres) on."""

@@ -9,7 +9,7 @@ class LoopStatus(StrEnum):
     """Status of a loop closure candidate; the values are written to files."""
 
     REJECTED = "rejected"
-    """The map did not fit together after the closure."""
+    """Not closed: a check failed, such as the number of looks that agree, or the map did not fit together then."""
     CONFIRMED = "confirmed"
     """Enough looks agree; not closed yet."""
     ACCEPTED = "accepted"

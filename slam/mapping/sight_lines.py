@@ -1,7 +1,9 @@
 """Sight lines from the robot to the points of a scan: which cells of the walls they hit, and which they cross.
 
 A sight line to a point shows that nothing stands in between. A cell that it crosses is seen through, if both ends are
-far enough from the wall, and the crossing is steep enough.
+far enough from the wall, the crossing is steep enough, and both neighbouring sight lines cross the wall's line as well.
+A beam that an edge splits (a mixed pixel) measures a range between those of two surfaces: it seems to pass through the
+nearer one.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
-from drivers.compiled import compiled
+from drivers.compiled import compiled, inlined
 
 from ..geometry.segments import Floats, Integers
 from .landmarks import WALL_CELL, Landmarks
@@ -95,7 +97,8 @@ def _within_reach(frames, lows, highs, pose, reach):  # type: ignore[no-untyped-
 def trace_sight_lines(pose, points, frames, first, ends):  # type: ignore[no-untyped-def]
     """Trace sight lines from a pose to points (p, 2), in its frame, through walls with frames (n, 3).
 
-    `first` (n,) and `ends` (n + 1,) as in `WallsInView`. Returned are the arrays
+    The points are in the order of the beams. `first` (n,) and `ends` (n + 1,) as in `WallsInView`. Returned are the
+    arrays
 
     seen    flat, True if a point lies on the cell
     depth   flat, metres: of all steep sight lines that cross the cell, the largest distance of the nearer of their two
@@ -103,6 +106,7 @@ def trace_sight_lines(pose, points, frames, first, ends):  # type: ignore[no-unt
     length  (n,) metres of each wall on which points lie
     """
     seen, depth, length = np.zeros(ends[-1], dtype=np.bool_), np.zeros(ends[-1]), np.zeros(len(frames))
+    across = np.zeros(len(points))
     for wall in range(len(frames)):
         c, s = math.cos(frames[wall, 2]), math.sin(frames[wall, 2])
         dx, dy = pose[0] - frames[wall, 0], pose[1] - frames[wall, 1]
@@ -110,13 +114,14 @@ def trace_sight_lines(pose, points, frames, first, ends):  # type: ignore[no-unt
         c, s = math.cos(pose[2] - frames[wall, 2]), math.sin(pose[2] - frames[wall, 2])
         start, size = ends[wall], ends[wall + 1] - ends[wall]
         for p in range(len(points)):
-            rise = s * points[p, 0] + c * points[p, 1]
-            across = ey + rise
-            on_wall = abs(across) < ON_WALL_DISTANCE
-            if not on_wall and (ey * across > 0.0 or min(abs(across), abs(ey)) < MIN_DEPTH):
+            across[p] = ey + s * points[p, 0] + c * points[p, 1]
+        for p in range(len(points)):
+            on_wall = abs(across[p]) < ON_WALL_DISTANCE
+            if not on_wall and not _three_cross(across, p, ey):
                 continue
             run = c * points[p, 0] - s * points[p, 1]
             if not on_wall:
+                rise = across[p] - ey
                 if abs(rise) < MIN_CROSSING_SINE * math.hypot(run, rise):
                     continue
                 run *= -ey / rise
@@ -125,12 +130,25 @@ def trace_sight_lines(pose, points, frames, first, ends):  # type: ignore[no-unt
                 if on_wall:
                     seen[start + cell] = True
                 else:
-                    depth[start + cell] = max(depth[start + cell], min(abs(across), abs(ey)))
+                    depth[start + cell] = max(depth[start + cell], min(abs(across[p]), abs(ey)))
         for cell in range(start, start + size):
             if seen[cell]:
                 depth[cell] = 0.0
                 length[wall] += WALL_CELL
     return seen, depth, length
+
+
+@inlined
+def _three_cross(across, p, eye):  # type: ignore[no-untyped-def]
+    """True if sight line p and its two neighbours have both ends more than MIN_DEPTH from a wall, on either side.
+
+    across  (p,) metres of the points from the wall's line
+    eye     metres of the viewpoint
+    """
+    crosses = abs(eye) >= MIN_DEPTH
+    for k in (p - 1, p, (p + 1) % len(across)):
+        crosses = crosses and eye * across[k] < 0.0 and abs(across[k]) >= MIN_DEPTH
+    return crosses
 
 
 def cells_seen_through(

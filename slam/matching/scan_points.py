@@ -16,6 +16,10 @@ from ..geometry.segments import Floats, Integers, Segments
 # lidar with half-degree steps: a limit of 360 left out every other of them.
 MAX_SCAN_POINTS = 400
 
+# Metres: resolution of points, a small part of any lidar's noise. Sessions store them as multiples of it, so that a run
+# that is continued from a session equals one that was not interrupted. Origin: definition.
+POINT_UNIT = 1e-3
+
 # Metres between a point and the line of a segment on which it lies.
 # Origin: chosen, as for the points that count as clutter; not measured.
 LINE_DISTANCE = 0.1
@@ -43,6 +47,11 @@ class ScanPoints:
 def subsample(points: Floats, max_count: int) -> Floats:
     """Return every k-th point, with the smallest k that leaves at most `max_count`."""
     return points[:: max(1, -(-len(points) // max_count))]
+
+
+def rounded(points: Floats) -> Floats:
+    """Return points as multiples of POINT_UNIT."""
+    return np.asarray(POINT_UNIT * np.rint(points / POINT_UNIT))
 
 
 def surface_points(points: Floats, segments: Segments, spacing: float) -> Floats:

@@ -1,16 +1,13 @@
 """Correct the beams of a scan for the robot's motion during the sweep.
 
-The motion is that of odometry without its systematic errors. Its random error is common to neighbouring beams and does
-not average out over a wall, so it is added to the covariances of the features. It does not average out over a scan
-either: the heading is a random walk from the middle of the sweep to both of its ends. With the variance q per metre and
-the travel S from the middle to an end, the mean over all beams has the variance q S / 6, a third of the mean variance
-q S / 2 of a beam. So a scan has no more than three independent errors, however many segments it has.
+The motion is that of odometry without its systematic errors. Its random error is added to the covariances of the
+features (see `motion_uncertainty`).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +17,7 @@ from drivers.compiled import compiled, inlined
 from drivers.messages import Scan
 
 from ..config import LidarConfig
-from ..geometry.segments import CornerPoints, Floats, Segments
+from ..geometry.segments import Floats
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import OdometryHistory, wheel_travel
 
@@ -39,8 +36,6 @@ REFERENCE_INTERVAL = 0.1
 MIN_SWEEP_TRAVEL = 2e-3
 # Metres, metres, radians: jitter of one odometry reading. Origin: measured, as MIN_SWEEP_TRAVEL.
 JITTER = np.array([2e-4, 2e-4, 8e-4])
-# Independent errors of the motion in one scan. Origin: geometry, see above.
-INDEPENDENT_ERRORS = 3
 # Metres from the continuation of a line within which a point may belong to the same wall. Origin: chosen; not measured.
 LINE_DISTANCE = 0.05
 # Half lengths of a line, from its middle, up to which its continuation reaches: as much again on either side.
@@ -152,31 +147,3 @@ def deskew(
     travel = np.interp(scan.time_offsets, offsets, travels)
     bearings = turned + np.where(np.isfinite(shift), shift, 0.0)
     return DeskewedScan(middle, se2.compose(reference, mean), np.hypot(x, y), bearings, travel)
-
-
-def add_motion_uncertainty(
-    segments: Segments, corners: CornerPoints, lines: Lines, scan: DeskewedScan, model: OdometryModel
-) -> tuple[Segments, CornerPoints]:
-    """Add odometry's uncertainty during the sweep to the covariances of segments and corners.
-
-    The segments enter the estimate as independent, so their variances are larger if they are more than the independent
-    errors in the scan.
-    """
-    if not len(segments) or not scan.travel.any():
-        return segments, corners
-    middle = np.where(lines.last >= lines.first, (lines.first + lines.last) // 2, 0)
-    sharing = max(1.0, len(segments) / INDEPENDENT_ERRORS)
-    translation, rotation = (sharing * variance for variance in model.variances(scan.travel[middle]))
-    across = np.column_stack([-np.sin(segments.frame[:, 2]), np.cos(segments.frame[:, 2])])
-    lever = across[:, 1] * segments.frame[:, 0] - across[:, 0] * segments.frame[:, 1]
-    covariance = segments.covariance.copy()
-    covariance[:, 0, 0] += translation + rotation * lever**2
-    covariance[:, 0, 1] += rotation * lever
-    covariance[:, 1, 0] += rotation * lever
-    covariance[:, 1, 1] += rotation
-    shift, turn = (v[corners.segments].mean(axis=1)[:, None, None] for v in (translation, rotation))
-    levers = np.column_stack([-corners.position[:, 1], corners.position[:, 0]])
-    turning = turn * levers[:, :, None] * levers[:, None, :]
-    return replace(segments, covariance=covariance), replace(
-        corners, covariance=corners.covariance + shift * np.eye(2) + turning
-    )

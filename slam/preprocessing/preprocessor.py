@@ -15,11 +15,12 @@ from features import Features
 from ..config import Config
 from ..geometry.segments import CornerPoints, Segments, corner_points, segments_from_lines
 from ..matching.line_matcher import ScanFeatures
-from ..matching.scan_points import MAX_SCAN_POINTS, ScanPoints, subsample
+from ..matching.scan_points import MAX_SCAN_POINTS, ScanPoints, rounded, subsample
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import OdometryHistory
-from .deskew import DeskewedScan, add_motion_uncertainty, deskew, lidar_mount
+from .deskew import DeskewedScan, deskew, lidar_mount
 from .extraction import build_extractor
+from .motion_uncertainty import add_motion_uncertainty
 
 # Scans in the queue above which the oldest is processed without odometry covering its sweep.
 # Origin: chosen, two seconds at 10 Hz; not measured.
@@ -120,5 +121,5 @@ def _to_base_frame(
     segments = segments_from_lines(features.lines, mount)
     corners = corner_points(features.corners, segments, mount)
     segments, corners = add_motion_uncertainty(segments, corners, features.lines, scan, odometry_model)
-    points = [subsample(se2.transform(mount, some), MAX_SCAN_POINTS) for some in scan.points(features.lines)]
+    points = [rounded(subsample(se2.transform(mount, some), MAX_SCAN_POINTS)) for some in scan.points(features.lines)]
     return ScanFeatures(segments, corners, ScanPoints(*points))

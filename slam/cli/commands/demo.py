@@ -1,4 +1,4 @@
-"""`wclm demo`: mapping of a simulated office."""
+"""`wclm demo`: mapping of a simulated museum, with a loop that is closed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ import typer
 
 from ..options import OverwriteOption, RefineOption
 
-WORLD = "office"
+WORLD = "museum"
+LIDAR, WHEELS = "short", "bad"
+"""Range of 6 m and worn wheels, so that the map drifts by metres before the loop is closed."""
+CLOSURE_PICTURE = "closure.png"
 
 
 def demo(
@@ -25,7 +28,7 @@ def demo(
         ),
     ] = None,
 ) -> None:
-    """Map a simulated office and open the review log in the viewer.
+    """Map a simulated museum with worn wheels, close the loop, and open the review log in the viewer.
 
     With --gallery all pictures of the documentation are written instead, from simulated drives and from the public
     recordings in the directory that the environment variable WCLM_DATASETS names.
@@ -38,18 +41,25 @@ def demo(
         for path in write_pictures(pictures):
             typer.echo(path)
         return
-    from drivers.simulation import Simulation
+    from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, Simulation
 
     from ...config import Config
+    from ...io.output_dir import unfinished_file
     from ..run_input import RecordingInput
     from ..run_summary import format_summary
     from ..slam_run import run_slam
     from ..viewer import has_display, open_viewer, viewer_command
+    from .demo_pictures import ClosureRecorder
 
-    run_input = RecordingInput(Simulation(WORLD, seed=seed), reopen=f"sim:{WORLD}?seed={seed}")
+    simulation = Simulation(WORLD, seed=seed, lidar=LIDAR_MODELS[LIDAR], wheels=WHEEL_MODELS[WHEELS])
+    run_input = RecordingInput(simulation, reopen=f"sim:{WORLD}?lidar={LIDAR}&odometry={WHEELS}&seed={seed}")
+    run_input.sinks = [closure := ClosureRecorder()]
     result = run_slam(
         run_input, Config(), out, overwrite=overwrite, review=True, picture=True, refine=refine, seed=seed
     )
+    if closure.found:
+        with unfinished_file(out / CLOSURE_PICTURE) as unfinished:
+            closure.plot(unfinished)
     typer.echo("\n".join(format_summary(result, out)))
     if view and has_display():
         open_viewer(viewer_command(out))

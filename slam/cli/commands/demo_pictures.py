@@ -6,15 +6,15 @@ Each picture is computed from a run that is named here; none is drawn by hand.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple, TypeVar
+from typing import ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 
 from ...errors import MapError
-from ...events import Event, GroundTruthReceived, KeyframeAdded, LoopDecided, MapUpdated, StateChanged
+from ...events import Event, GroundTruthReceived, LoopDecided, MapUpdated, Sink, StateChanged
 from ...io.output_dir import KEYFRAMES, PICTURE
 from ...io.tum import Trajectory
 from ...loop_closure.loop_status import LoopStatus
@@ -23,7 +23,7 @@ from ..output_files import make_directory
 OFFICE = "sim:office"
 SCAN = 420
 """Index of a scan of the office that shows a furnished room and a part of the corridor."""
-LOOP = "sim:large_loop?lidar=short&odometry=bad&seed=0"
+LOOP = "sim:museum?lidar=short&odometry=bad"
 CORRIDORS = {
     "40 m of corridor with doors": "sim:corridor?lidar=short",
     "80 m of bare corridor": "sim:bare_corridor?lidar=short",
@@ -54,6 +54,37 @@ class PictureSet(NamedTuple):
     make: Callable[[Path, Path], None]
 
 
+class ClosureRecorder:
+    """Sink that keeps the closure that moved the robot most, and the map right after it."""
+
+    handled: ClassVar[tuple[type[Event], ...]] = (LoopDecided, MapUpdated)
+
+    def __init__(self) -> None:
+        self.decided: LoopDecided | None = None
+        self.after: MapUpdated | None = None
+
+    def handle(self, event: Event) -> None:
+        """Process one event."""
+        if isinstance(event, LoopDecided) and event.status == LoopStatus.ACCEPTED:
+            if self.decided is None or event.shift > self.decided.shift:
+                self.decided, self.after = event, None
+        elif isinstance(event, MapUpdated) and self.after is None and self.decided is not None:
+            self.after = event
+
+    @property
+    def found(self) -> bool:
+        """True if a loop was closed."""
+        return self.after is not None
+
+    def plot(self, path: Path) -> None:
+        """Draw the map before and after the closure. Raises MapError if there was none, and OutputError."""
+        from ...visualisation.plots.run_plots import plot_closure
+
+        if self.decided is None or self.after is None:
+            raise MapError("no loop was closed")
+        plot_closure(path, self.decided, self.after)
+
+
 class EventRecorder:
     """Sink that keeps all events."""
 
@@ -79,8 +110,8 @@ def picture_sets(datasets: Path | None) -> list[PictureSet]:
     return [
         PictureSet(("inversion.png", "fit.png", "parameters.png", "corners.png"), _mathematics),
         PictureSet(("scan.png",), _scan),
-        PictureSet(("office.png", "honesty.png"), _office),
-        PictureSet(("loop.png",), _loop),
+        PictureSet(("honesty.png",), _office),
+        PictureSet(("museum.png", "loop.png"), _loop),
         PictureSet(("corridors.png",), _corridors),
         *(
             _recorded(name, file)
@@ -141,8 +172,7 @@ def _office(directory: Path, scratch: Path) -> None:
     from ...io.keyframes_csv import read_keyframes
     from ...visualisation.plots.run_plots import plot_consistency
 
-    recorder = _map(OFFICE, scratch / "out", title="A simulated office")
-    (directory / "office.png").write_bytes((scratch / "out" / PICTURE).read_bytes())
+    recorder = _map(OFFICE, scratch / "out")
     keyframes = read_keyframes(scratch / "out" / KEYFRAMES)
     plot_consistency(
         directory / "honesty.png", keyframes, recorder.truth(), title="Errors in the office and their stated deviations"
@@ -150,23 +180,10 @@ def _office(directory: Path, scratch: Path) -> None:
 
 
 def _loop(directory: Path, scratch: Path) -> None:
-    from ...visualisation.plots.run_plots import plot_closure
-
-    recorder = _map(LOOP, scratch / "out")
-    accepted = [event for event in recorder.of(LoopDecided) if event.status == LoopStatus.ACCEPTED]
-    if not accepted:
-        raise MapError(f"{LOOP}: no loop closure accepted")
-    decided = max(accepted, key=lambda event: event.shift)
-    place = recorder.events.index(decided)
-    maps = [(k, event) for k, event in enumerate(recorder.events) if isinstance(event, MapUpdated)]
-    last, before = next((k, event) for k, event in reversed(maps) if k < place)
-    after = next(event for k, event in maps if k > place)
-    added = [event for event in recorder.events[last:place] if isinstance(event, KeyframeAdded)]
-    since = [
-        event.pose for event in added if event.index < decided.index
-    ]  # its own event has the pose after the closure
-    path = np.concatenate([before.keyframes, np.reshape(since, (-1, 3))])
-    plot_closure(directory / "loop.png", before, path, decided, after)
+    closure = ClosureRecorder()
+    _map(LOOP, scratch / "out", title="A simulated museum", sinks=[closure])
+    (directory / "museum.png").write_bytes((scratch / "out" / PICTURE).read_bytes())
+    closure.plot(directory / "loop.png")
 
 
 def _corridors(directory: Path, scratch: Path) -> None:
@@ -189,7 +206,7 @@ def _recorded(name: str, recording: Path) -> PictureSet:
     return PictureSet((f"{name}.png",), make)
 
 
-def _map(spec: str, out: Path, *, title: str | None = None) -> EventRecorder:
+def _map(spec: str, out: Path, *, title: str | None = None, sinks: Sequence[Sink] = ()) -> EventRecorder:
     """Map a recording or a simulation into `out` as `wclm run --plot` does; return its events."""
     import drivers
 
@@ -200,6 +217,6 @@ def _map(spec: str, out: Path, *, title: str | None = None) -> EventRecorder:
 
     recorder = EventRecorder()
     run_input = RecordingInput(drivers.open(spec), reopen=absolute_recording(spec))
-    run_input.name, run_input.sinks = title or run_input.name, [recorder]
+    run_input.name, run_input.sinks = title or run_input.name, [recorder, *sinks]
     run_slam(run_input, Config(), out, overwrite=False, review=False, picture=True)
     return recorder

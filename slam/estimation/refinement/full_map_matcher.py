@@ -118,12 +118,14 @@ class FullMapMatcher:
         With its own points in the field a scan would stay where it is.
         """
         group = int(self._groups[keyframe])
-        tile = (int(self._poses[keyframe, 0] // TILE), int(self._poses[keyframe, 1] // TILE), group)
+        # The first keyframe, at the map's origin, is in the middle of a tile: rounding errors do not change its tile.
+        column, row = np.rint(self._poses[keyframe, :2] / TILE).astype(int).tolist()
+        tile = (column, row, group)
         if tile != self._tile:
             self._tile, self._fields = tile, {}
         parity = 1 - keyframe % 2
         if parity not in self._fields:
-            self._fields[parity] = self._build_field((np.array(tile[:2]) + 0.5) * TILE, parity, group)
+            self._fields[parity] = self._build_field(np.array(tile[:2]) * TILE, parity, group)
         return self._fields[parity]
 
     def _build_field(self, centre: Floats, parity: int, group: int) -> DistanceField:

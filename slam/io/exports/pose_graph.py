@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ...geometry.segments import Floats
-from ...graph.factors import CAUCHY_SCALES, Factor, FactorKind, root_information
+from ...graph.factors import CAUCHY_SCALES, WALL_KINDS, Factor, FactorKind, FactorsOfKind, by_kind
 from ...graph.pose_graph import Edges, PoseGraph
 from ...mapping.mapper import Mapper
 
@@ -26,8 +26,6 @@ FIRST_CORNER_ID = 2_000_000
 """Vertex id of corner 0."""
 FIRST_POINT_MAP_ID = 3_000_000
 """Vertex id of the points of keyframe 0."""
-WALL_KINDS = (FactorKind.GAUGE_PRIOR, FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET, FactorKind.WALL_EQUALITY)
-"""Factors on a wall, whose information is singular."""
 
 
 def build_pose_graph(mapper: Mapper) -> PoseGraph:
@@ -85,10 +83,10 @@ def _build_edges(
     bias  estimate of the range bias (metres), without which the measurements are exported
     """
     rows = np.array(ends, dtype=np.int64).reshape(-1, 2)
-    measured = np.array([factor.without_range_bias(bias)[:size] for factor in factors]).reshape(-1, size)
-    information = np.zeros((len(factors), size, size))
-    for row, factor in enumerate(factors):
-        information[row] = _information(factor)
+    measured, information = np.zeros((len(factors), size)), np.zeros((len(factors), size, size))
+    for group in by_kind(factors):
+        measured[group.rows] = group.without_range_bias(bias)[:, :size]
+        information[group.rows] = _information(group)
     errors = _errors(sources[rows[:, 0]], targets[rows[:, 1]], measured)
     squared = np.einsum("ki,kij,kj->k", errors, information, errors)
     scale = np.array([CAUCHY_SCALES.get(factor.kind, np.inf) for factor in factors])
@@ -97,12 +95,12 @@ def _build_edges(
     return Edges(rows[:, 0], rows[:, 1], measured, information, np.zeros(len(factors), dtype=np.int64))
 
 
-def _information(factor: Factor) -> Floats:
-    """Return the information of a factor's measurement; that of a factor on a wall is singular."""
-    if factor.kind not in WALL_KINDS:
-        return np.asarray(np.linalg.inv(factor.covariance))
-    root = root_information(factor)
-    return np.asarray(root.T @ root)
+def _information(group: FactorsOfKind) -> Floats:
+    """Return the information (n, d, d) of measurements of one kind; that of factors on a wall is singular."""
+    if group.kind not in WALL_KINDS:
+        return np.asarray(np.linalg.inv(group.covariances))
+    root = group.roots_of_information()
+    return np.asarray(root.transpose(0, 2, 1) @ root)
 
 
 def _errors(sources: Floats, targets: Floats, measured: Floats) -> NDArray[np.float64]:

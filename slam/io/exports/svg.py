@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from html import escape
 from pathlib import Path
 
+import numpy as np
+
+from ...measuring.measurement import Measurement
 from ..run_results import RunResults
+from .dimension_lines import TEXT_HEIGHT, area_texts, dimension_lines
 from .svg_drawing import PATH_CLASSES, UNKNOWN_CLASS, draw_map
 
 MILLIMETRES_PER_METRE = 10
@@ -20,19 +25,48 @@ STYLE = """
 .loops .retracted { stroke: #d55e00; stroke-dasharray: .2 .2 }
 .ends .start { fill: white; stroke: #0072b2; stroke-width: .06 }
 .ends .end { fill: #0072b2 }
+.dimensions path { stroke: #4d4d4d; stroke-width: .012; fill: none }
+.dimensions text { fill: #1f2933; stroke: white; stroke-width: .03; paint-order: stroke; text-anchor: middle;
+  font-family: sans-serif }
 """
+TICK = 0.06
+"""Half the length of the strokes at the ends of a dimension line, metres."""
 
 
-def write_svg(path: Path, results: RunResults) -> None:
-    """Write the drawing."""
+def write_svg(path: Path, results: RunResults, measurements: Sequence[Measurement] = ()) -> None:
+    """Write the drawing, with dimension lines of measurements."""
     drawing = draw_map(results)
+    elements = "\n".join([drawing.elements, *_dimensions(measurements)])
     colours = "".join(f".{c.name} {{ stroke: {c.colour} }}\n" for c in (*PATH_CLASSES, UNKNOWN_CLASS))
     width, height = MILLIMETRES_PER_METRE * drawing.width, MILLIMETRES_PER_METRE * drawing.height
     path.write_text(
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.1f}mm" height="{height:.1f}mm" '
         f'viewBox="{drawing.view_box}">\n'
         f"<title>{escape(str(results.summary.get('recording', 'map')))}</title>\n"
-        f"<style>{STYLE}{colours}</style>\n{drawing.elements}\n</svg>\n",
+        f"<style>{STYLE}{colours}</style>\n{elements}\n</svg>\n",
         encoding="utf-8",
         newline="\n",
     )
+
+
+def _dimensions(measurements: Sequence[Measurement]) -> Iterator[str]:
+    """Yield a group with a line with strokes at its ends for each length, and a text for each area."""
+    if not measurements:
+        return
+    yield '<g class="dimensions">'
+    for one in dimension_lines(measurements):
+        (x0, y0), (x1, y1) = one.line * [1.0, -1.0]
+        (u0, v0), (u1, v1) = one.measured * [1.0, -1.0]
+        dx, dy = TICK * np.array([y0 - y1, x1 - x0]) / np.hypot(x1 - x0, y1 - y0)
+        ticks = "".join(f"M{x - dx:.3f},{y - dy:.3f}L{x + dx:.3f},{y + dy:.3f}" for x, y in ((x0, y0), (x1, y1)))
+        extensions = f"M{u0:.3f},{v0:.3f}L{x0:.3f},{y0:.3f}M{u1:.3f},{v1:.3f}L{x1:.3f},{y1:.3f}"
+        yield f'<path d="M{x0:.3f},{y0:.3f}L{x1:.3f},{y1:.3f}{ticks}{extensions}"><title>{one.identity}</title></path>'
+        yield _text(one.middle[0], -one.middle[1], one.text, TEXT_HEIGHT, -float(np.degrees(one.angle)))
+    for (x, y), text in area_texts(measurements):
+        yield _text(x, -y, text, 2.0 * TEXT_HEIGHT)
+    yield "</g>"
+
+
+def _text(x: float, y: float, text: str, height: float, turn: float = 0.0) -> str:
+    place = f"translate({x:.3f} {y:.3f})" + (f"rotate({turn:.2f})" if turn else "")
+    return f'<text transform="{place}" dy="-.03" font-size="{1.4 * height:.2f}">{escape(text)}</text>'

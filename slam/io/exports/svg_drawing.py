@@ -71,21 +71,24 @@ class Drawing:
         return f"{self.left:.3f} {self.top:.3f} {self.width:.3f} {self.height:.3f}"
 
 
-def draw_map(results: RunResults) -> Drawing:
-    """Draw walls with the side they are seen from, corners with ellipses, loop closures, and the path with its ends."""
+def draw_map(results: RunResults, *, timed: bool = False) -> Drawing:
+    """Draw walls with the side they are seen from, corners with ellipses, loop closures, and the path with its ends.
+
+    timed  add the seconds since the start to the path and to loop closures, a marker for the robot, and rejected loops
+    """
     points = np.concatenate([results.walls.end_points().reshape(-1, 2), results.trajectory.poses[:, :2]])
     low, high = points.min(axis=0), points.max(axis=0)
     extent = float(max(*(high - low), 1.0))
     middle, size = (low + high) / 2, np.maximum(high - low, extent / 4) + 2 * MARGIN * extent
     runs = list(_path_runs(results.trajectory, results.keyframes))
-    used = {run_class.name for run_class, _ in runs}
+    used = {run_class.name for run_class, *_ in runs}
     groups = [
         ("seen", _bands(results.walls, SVG_BAND_WIDTH * extent)),
-        ("path", (_polyline(run_class.name, run) for run_class, run in runs)),
+        ("path", (_polyline(run_class.name, run, times if timed else None) for run_class, run, times in runs)),
         ("walls", _walls(results.walls)),
-        ("loops", _loop_closures(results)),
+        ("loops", _loop_closures(results, timed=timed)),
         ("corners", _corners(results.corners)),
-        ("ends", _end_markers(results.trajectory.poses, MARKER_SIZE * extent)),
+        ("ends", _end_markers(results.trajectory.poses, MARKER_SIZE * extent, robot=timed)),
     ]
     elements = "\n".join(f'<g class="{name}">\n' + "\n".join(group) + "\n</g>" for name, group in groups)
     left, top = middle[0] - size[0] / 2, -middle[1] - size[1] / 2
@@ -133,10 +136,13 @@ def _corners(corners: MapCorners) -> Iterator[str]:
         yield f'<path class="dot" d="M{_xy([x, y])}h0"><title>{escape(text)}</title></path>'
 
 
-def _path_runs(trajectory: Trajectory, keyframes: Keyframes | None) -> Iterator[tuple[PathClass, Floats]]:
-    """Yield runs of the path (n, 2) with one class of uncertainty; a run starts at the last point of the one before."""
+def _path_runs(trajectory: Trajectory, keyframes: Keyframes | None) -> Iterator[tuple[PathClass, Floats, Floats]]:
+    """Yield runs of the path (n, 2) with one class of uncertainty, and seconds (n,) since the start.
+
+    A run starts at the last point of the one before.
+    """
     rows = thin_path(trajectory.poses)
-    points = trajectory.poses[rows, :2]
+    points, times = trajectory.poses[rows, :2], trajectory.stamps[rows] - trajectory.stamps[0]
     classes = [UNKNOWN_CLASS] * len(points)
     if keyframes is not None and np.isfinite(sigma := keyframes.position_sigma()).any():
         known = np.isfinite(sigma)
@@ -145,37 +151,48 @@ def _path_runs(trajectory: Trajectory, keyframes: Keyframes | None) -> Iterator[
     start = 0
     for run_class, members in itertools.groupby(classes):
         count = len(list(members))
-        yield run_class, points[max(start - 1, 0) : start + count]
+        chosen = slice(max(start - 1, 0), start + count)
+        yield run_class, points[chosen], times[chosen]
         start += count
 
 
-def _polyline(name: str, points: Floats) -> str:
-    return f'<polyline class="{name}" points="{" ".join(_xy(point) for point in points)}"/>'
+def _polyline(name: str, points: Floats, times: Floats | None) -> str:
+    data = "" if times is None else f' data-times="{" ".join(f"{time:.1f}" for time in times)}"'
+    return f'<polyline class="{name}"{data} points="{" ".join(_xy(point) for point in points)}"/>'
 
 
-def _loop_closures(results: RunResults) -> Iterator[str]:
-    """Yield a line for each loop closure that was accepted or retracted, from its keyframe to the old keyframe."""
+def _loop_closures(results: RunResults, *, timed: bool) -> Iterator[str]:
+    """Yield a line for each loop closure that was accepted or retracted, from its keyframe to the old keyframe.
+
+    If `timed`, also for rejected ones, and with the seconds since the start.
+    """
     if results.keyframes is None:
         return
     for row in (results.summary.get("slam") or {}).get("loop_decisions") or []:
-        if row["status"] not in (LoopStatus.ACCEPTED, LoopStatus.RETRACTED):
+        if row["status"] not in (LoopStatus.ACCEPTED, LoopStatus.RETRACTED) and not timed:
             continue
+        time = f' data-time="{row["stamp"] - results.trajectory.stamps[0]:.1f}"' if timed else ""
         start, end = results.keyframes.poses[[row["keyframe"], row["old"]], :2]
         text = f"loop {row['candidate']}, {row['status']}: keyframe {row['keyframe']} at the place of {row['old']}"
         yield (
-            f'<path class="{row["status"]}" data-loop="{escape(str(row["candidate"]))}" d="M{_xy(start)}L{_xy(end)}">'
-            f"<title>{escape(text)}</title></path>"
+            f'<path class="{escape(str(row["status"]))}" data-loop="{escape(str(row["candidate"]))}"{time} '
+            f'd="M{_xy(start)}L{_xy(end)}"><title>{escape(text)}</title></path>'
         )
 
 
-def _end_markers(poses: Floats, size: float) -> Iterator[str]:
-    """Yield a ring at the start of the path and an arrow at its end, in the direction of the robot's heading."""
+def _end_markers(poses: Floats, size: float, *, robot: bool) -> Iterator[str]:
+    """Yield a ring at the start of the path and an arrow at its end, in the direction of the robot's heading.
+
+    If `robot`, also a disc that shows where it is at another time.
+    """
     start, end = poses[0], poses[-1]
     x, y = _xy(start).split(",")
     yield f'<circle class="start" cx="{x}" cy="{y}" r="{size:.3f}"><title>start</title></circle>'
     angles = end[2] + np.array([0.0, 2.5, -2.5])
     vertices = end[:2] + 1.5 * size * np.column_stack([np.cos(angles), np.sin(angles)])
     yield f'<polygon class="end" points="{" ".join(_xy(vertex) for vertex in vertices)}"><title>end</title></polygon>'
+    if robot:
+        yield f'<circle class="robot" r="{1.2 * size:.3f}" visibility="hidden"/>'
 
 
 def _xy(point: Floats | list[float]) -> str:

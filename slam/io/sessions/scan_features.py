@@ -16,13 +16,11 @@ from numpy.typing import NDArray
 from ...errors import MapError
 from ...geometry.segments import CornerPoints, Floats, Integers, Segments
 from ...matching.line_matcher import ScanFeatures
-from ...matching.scan_points import ScanPoints
+from ...matching.scan_points import POINT_UNIT, ScanPoints
 from .tables import Ragged, TableReader, are_covariances, to_ragged
 
 Number = TypeVar("Number", bound=np.generic)
 
-POINT_UNIT = 1e-3
-"""Metres: resolution of points that are stored as integers."""
 MAX_POINT_UNITS = 2e6
 """POINT_UNITs: 2 km, beyond the range of any lidar; larger coordinates are clipped."""
 SEGMENT_COLUMNS = (

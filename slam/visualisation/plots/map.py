@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...mapping.map_features import MapCorners, MapWalls
-from .style import BLUE, GREEN, INK, ORANGE, SKY, VERMILLION, Floats, ellipses, legend, metric_figure, save
+from .style import BLUE, GREEN, INK, ORANGE, PURPLE, SKY, Floats, ellipses, legend, metric_figure, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -75,5 +75,5 @@ def _walls(axes: Axes, lines: MapWalls) -> None:
 def _corners(axes: Axes, corners: MapCorners) -> None:
     if len(corners) == 0:
         return
-    name = ellipses(axes, corners.position, corners.covariance, VERMILLION)
-    axes.plot(*corners.position.T, ".", color=VERMILLION, markersize=3.5, label=f"corner, {name}", zorder=7)
+    name = ellipses(axes, corners.position, corners.covariance, PURPLE, enlarged=False)
+    axes.plot(*corners.position.T, ".", color=PURPLE, markersize=3.5, label=f"corner, {name}", zorder=7)

@@ -23,8 +23,6 @@ from .style import (
     SKY,
     VERMILLION,
     Floats,
-    legend,
-    metric_figure,
     save,
     style_axes,
 )
@@ -33,6 +31,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 LEGEND: dict[str, Any] = {"frameon": False, "fontsize": 8.5, "labelcolor": INK}
+CLOSURE_MARGIN = 0.8
+"""Metres around map and path in the picture of a closure."""
+CLOSURE_SIDE, CLOSURE_WIDTH = 6.0, 9.0
+"""Inches: height of panels side by side, and width of panels one above the other."""
+MAX_ASPECT_BESIDE = 1.5
+"""Width / height from which on panels are one above the other."""
 AXES = (("ahead, mm", 1e3), ("to the left, mm", 1e3), ("heading, degrees", float(np.degrees(1.0))))
 
 
@@ -62,30 +66,55 @@ def plot_consistency(path: Path, keyframes: Keyframes, truth: Trajectory, *, tit
     save(figure, path)
 
 
-def plot_closure(path: Path, before: MapUpdated, path_before: Floats, decided: LoopDecided, after: MapUpdated) -> None:
-    """Plot map and path before and after a loop closure; `path_before` (k, 3) are the keyframes. Raises OutputError."""
+def plot_closure(path: Path, decided: LoopDecided, after: MapUpdated) -> None:
+    """Plot walls and path right before a loop closure and right after it, side by side or one above the other.
+
+    Raises OutputError if the file cannot be written, ValueError if the decision corrected nothing.
+    """
+    from matplotlib.figure import Figure
+
+    correction = decided.correction
+    if correction is None:
+        raise ValueError("the loop was not closed")
+    walls = [correction.walls_before.piece_points()[0], after.walls.piece_points()[0]]
+    paths = [correction.keyframes_before[:, :2], after.keyframes[:, :2]]
+    drawn = np.concatenate([points.reshape(-1, 2) for points in (*walls, *paths)])
+    low, high = drawn.min(axis=0) - CLOSURE_MARGIN, drawn.max(axis=0) + CLOSURE_MARGIN
+    aspect = float((high - low)[0] / (high - low)[1])
+    beside = aspect < MAX_ASPECT_BESIDE
+    size = (CLOSURE_SIDE * aspect * 2, CLOSURE_SIDE) if beside else (CLOSURE_WIDTH, CLOSURE_WIDTH / aspect * 2)
+    figure = Figure(figsize=(size[0] + 0.6, size[1] + 1.5), dpi=DOTS_PER_INCH, layout="constrained")
+    title = f"A loop of {_path_length(paths[0]):.0f} m is closed: the estimate moves by {decided.shift:.2f} m"
+    figure.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold", color=INK)
+    panels: Sequence[Axes] = figure.subplots(*((1, 2) if beside else (2, 1)), sharex=True, sharey=True)
+    names = (
+        "before: odometry and scans have drifted, so the same walls are there twice",
+        f"after: {decided.matches} looks agreed on the place, {len(decided.merged)} pairs of walls are one again",
+    )
+    for axes, name, ends, positions in zip(panels, names, walls, paths, strict=True):
+        axes.set_title(name, loc="left", fontsize=9, color=MUTED, pad=8)
+        _draw_half(axes, ends, positions, decided.old)
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+        style_axes(axes)
+    moved = np.array([paths[0][decided.index], paths[1][decided.index]])
+    arrow = {"arrowstyle": "-|>", "color": VERMILLION, "linewidth": 2}
+    panels[0].annotate("", moved[1], moved[0], arrowprops=arrow, zorder=8)
+    panels[0].plot([], [], color=VERMILLION, linewidth=2, label="correction")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower left", ncols=len(labels), **LEGEND)
+    save(figure, path)
+
+
+def _draw_half(axes: Axes, walls: Floats, path: Floats, old: int) -> None:
+    """Draw walls (n, 2, 2) and path (k, 2), its last part in another colour: as long as the first up to `old`."""
     from matplotlib.collections import LineCollection
 
-    walls_before, _ = before.walls.piece_points()
-    walls_after, _ = after.walls.piece_points()
-    drawn = np.concatenate([walls_before, walls_after]).reshape(-1, 2)
-    title = f"Closure of a loop of {_path_length(path_before):.0f} m: the robot moves by {decided.shift:.2f} m"
-    subtitle = (
-        f"overlap ratio {100 * decided.overlap_ratio:.0f} %, {decided.matches} agreeing looks, "
-        f"sigma {1000 * decided.sigma:.0f} mm; strongest rival {100 * decided.runner_up:.0f} % of the looks; "
-        f"{len(decided.merged)} pairs of walls merged"
+    axes.add_collection(LineCollection(list(walls), color=INK, linewidth=1.3, label="wall", zorder=5))
+    axes.plot(*path.T, color=SKY, linewidth=1.3, label="path", zorder=4)
+    axes.plot(
+        *path[old], "o", color="white", markeredgecolor=BLUE, markersize=6, label="seen first from here", zorder=7
     )
-    figure, axes = metric_figure(np.array([drawn.min(axis=0), drawn.max(axis=0)]), title, subtitle)
-    old: dict[str, Any] = {"color": ORANGE, "linewidth": 1.3, "alpha": 0.8}
-    axes.add_collection(LineCollection(list(walls_before), label="walls before", zorder=3, **old))
-    axes.add_collection(LineCollection(list(walls_after), color=INK, linewidth=1.3, label="walls after", zorder=5))
-    axes.plot(*path_before[:, :2].T, linestyle=(0, (4, 2)), label="path before", zorder=2, **old)
-    axes.plot(*after.keyframes[:, :2].T, color=BLUE, linewidth=1.3, label="path after", zorder=4)
-    ends = np.array([path_before[-1, :2], after.keyframes[len(path_before) - 1, :2]])
-    axes.annotate("", ends[1], ends[0], arrowprops={"arrowstyle": "-|>", "color": VERMILLION, "linewidth": 2}, zorder=8)
-    axes.plot([], [], color=VERMILLION, linewidth=2, label="motion of the robot")
-    legend(axes)
-    save(figure, path)
+    axes.plot(*path[-1], "o", color=BLUE, markersize=6, label="robot", zorder=7)
 
 
 class CorridorRun(NamedTuple):

@@ -38,7 +38,7 @@ def plot_scan(path: Path, ranges: Floats, angles: Floats, features: Features, *,
     axes.plot(*points.T, ".", color=MUTED, markersize=3.0, markeredgewidth=0, label="return", zorder=2)
     _lines(axes, features.lines)
     if len(features.corners):
-        name = ellipses(axes, features.corners.position, features.corners.covariance, VERMILLION)
+        name = ellipses(axes, features.corners.position, features.corners.covariance, VERMILLION, enlarged=True)
         axes.plot(*features.corners.position.T, ".", color=VERMILLION, markersize=4, label=f"corner, {name}", zorder=7)
     axes.plot(0, 0, marker=(3, 0, -90), color=INK, markersize=9, linestyle="", label="lidar, x ahead", zorder=8)
     legend(axes)

@@ -25,6 +25,7 @@ BLUE = "#0072b2"
 SKY = "#56b4e9"
 ORANGE = "#e69f00"
 VERMILLION = "#d55e00"
+PURPLE = "#cc79a7"
 GREEN = "#009e73"
 
 DOTS_PER_INCH = 160
@@ -128,11 +129,11 @@ def legend(axes: Axes) -> None:
     )
 
 
-def ellipses(axes: Axes, centres: Floats, covariances: Floats, colour: str) -> str:
+def ellipses(axes: Axes, centres: Floats, covariances: Floats, colour: str, *, enlarged: bool) -> str:
     """Draw 3-sigma ellipses at `centres` (n, 2) and return their name for the legend.
 
-    Ellipses of millimetres would be invisible in a plot of a building, so all are enlarged by one round factor if
-    necessary, which the name states. Covariances (n, 2, 2) that are not finite are skipped.
+    If `enlarged`, all are enlarged by one round factor if they would be invisible, which the name states. In a map the
+    uncertain ones would cover rooms then. Covariances (n, 2, 2) that are not finite are skipped.
     """
     from matplotlib.collections import PolyCollection
 
@@ -141,7 +142,8 @@ def ellipses(axes: Axes, centres: Floats, covariances: Floats, colour: str) -> s
     half_axes = SIGMAS * np.sqrt(np.maximum(variances, 0.0))
     extent = max(np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim()))
     typical = float(np.median(half_axes[:, 1])) if known.any() else 0.0
-    factor = next((f for f in (1, 2, 5, 10, 20, 50) if f * typical >= MIN_VISIBLE * extent), 100)
+    factors = (1, 2, 5, 10, 20, 50) if enlarged else (1,)
+    factor = next((f for f in factors if f * typical >= MIN_VISIBLE * extent), 100 if enlarged else 1)
     angle = np.linspace(0, 2 * np.pi, 49)
     circle = np.stack([np.cos(angle), np.sin(angle)])
     outlines = directions @ (factor * half_axes[..., None] * circle)

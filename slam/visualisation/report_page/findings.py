@@ -46,26 +46,50 @@ COUNT_FINDINGS = {
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A possible problem: what happened, in a line, and its meaning. `grave` ones may have spoilt the map."""
+    """A possible problem: what happened, in a line, and its meaning.
+
+    grave  True if it may have spoilt the map
+    stamp  when it happened first, seconds; None if it concerns the whole run
+    """
 
     text: str
     detail: str
     grave: bool = False
+    stamp: float | None = None
 
 
 def findings(summary: dict[str, Any], trajectory: Trajectory) -> list[Finding]:
     """Return the findings of a run, grave ones first."""
     slam = summary.get("slam") or {}
     found = [
+        *_wall_findings(summary),
         *_suspect_findings(slam.get("suspects") or [], trajectory),
         *_status_findings(slam.get("states") or [], trajectory),
         *_warning_findings(summary.get("warnings") or [], trajectory),
-        *_loop_findings(slam.get("loops") or {}),
+        *_loop_findings(slam.get("loop_decisions") or [], trajectory),
         *_health_findings(slam.get("health") or {}),
         *_odometry_findings(slam.get("odometry_deviation_per_metre")),
         *_source_findings(summary),
     ]
     return sorted(found, key=lambda finding: not finding.grave)
+
+
+def reason_without_walls(summary: dict[str, Any]) -> str:
+    """Return why there is no wall in the map, as a sentence; empty if there are walls."""
+    if summary.get("walls") != 0:
+        return ""
+    health = (summary.get("slam") or {}).get("health") or {}
+    scans, empty, few = summary["scans"], health.get("empty_scans", 0), health.get("no_features", 0)
+    if 2 * empty > scans:
+        return f"no wall was found: {empty} of {scans} scans had no return; is the lidar covered, or all out of range?"
+    if 2 * few > scans:
+        return f"no wall was found: in {few} of {scans} scans nothing was straight and near; are ranges in metres?"
+    return "no wall was found: no straight line was seen from two places; `wclm features` shows the lines of a scan"
+
+
+def _wall_findings(summary: dict[str, Any]) -> Iterator[Finding]:
+    if text := reason_without_walls(summary):
+        yield Finding(f"{text[:1].upper()}{text[1:]}", "The path is from odometry and loose points.", grave=True)
 
 
 def _suspect_findings(rows: list[dict[str, Any]], trajectory: Trajectory) -> Iterator[Finding]:
@@ -75,6 +99,7 @@ def _suspect_findings(rows: list[dict[str, Any]], trajectory: Trajectory) -> Ite
             f"Suspect {_times([row['stamp']], trajectory)}: {row['text']}.",
             SUSPECT_DETAILS.get(row["check"], ""),
             grave=row["check"] != ODOMETRY,
+            stamp=float(row["stamp"]),
         )
     if (more := len(rows) - MAX_SHOWN_SUSPECTS) > 0:
         yield Finding(f"{counted(more, 'more suspect')} in summary.json.", "")
@@ -88,27 +113,33 @@ def _status_findings(rows: list[dict[str, Any]], trajectory: Trajectory) -> Iter
         if spans:
             seconds = sum(end - start for start, end in spans)
             times = _times([start for start, _ in spans], trajectory)
-            yield Finding(f"For {seconds:.0f} s in total, {text}, {times}.", detail, grave=state == "LOST")
+            yield Finding(f"For {seconds:.0f} s in total, {text}, {times}.", detail, state == "LOST", spans[0][0])
 
 
-def _warning_findings(texts: list[str], trajectory: Trajectory) -> Iterator[Finding]:
-    """Yield equal warnings once, with their times."""
+def group_warnings(texts: list[str]) -> dict[str, list[float]]:
+    """Return the stamps of equal warnings, by their text."""
     stamps: dict[str, list[float]] = {}
     for warning in texts:
         stamped = STAMPED.fullmatch(warning)
         at = stamps.setdefault(stamped["text"] if stamped else warning, [])
         if stamped:
             at.append(float(stamped["stamp"]))
-    for text, at in stamps.items():
+    return stamps
+
+
+def _warning_findings(texts: list[str], trajectory: Trajectory) -> Iterator[Finding]:
+    """Yield equal warnings once, with their times."""
+    for text, at in group_warnings(texts).items():
         head = text[:1].upper() + text[1:]
-        yield Finding(f"{head}." if not at else f"{head}, {_times(at, trajectory)}.", "")
+        yield Finding(f"{head}." if not at else f"{head}, {_times(at, trajectory)}.", "", stamp=at[0] if at else None)
 
 
-def _loop_findings(loops: dict[str, int]) -> Iterator[Finding]:
-    if retracted := loops.get(LoopStatus.RETRACTED, 0):
+def _loop_findings(rows: list[dict[str, Any]], trajectory: Trajectory) -> Iterator[Finding]:
+    if stamps := [row["stamp"] for row in rows if row["status"] == LoopStatus.RETRACTED]:
         yield Finding(
-            f"{counted(retracted, 'loop closure')} had to be retracted.",
+            f"{counted(len(stamps), 'loop closure')} had to be retracted, {_times(stamps, trajectory)}.",
             "Later scans contradicted it, and the map was estimated again without it. Look-alike places cause this.",
+            stamp=stamps[0],
         )
 
 

@@ -128,20 +128,62 @@
     }
   });
 
-  // Clicking a loop decision in the table shows it on the map
+  // The time slider: the path driven up to a time, the loops decided by then, and the robot
+  const slider = document.querySelector(".time input"), clock = document.querySelector(".time output");
+  const robot = svg.querySelector(".robot"), loops = svg.querySelectorAll(".loops [data-time]");
+  const runs = [...svg.querySelectorAll(".path polyline")].map((line) => {
+    const points = line.getAttribute("points").split(" ");
+    return { line, points, times: line.dataset.times.split(" ").map(Number) };
+  });
+  const setTime = (seconds) => {
+    slider.value = seconds;
+    const time = Number(slider.value), ended = time >= Number(slider.max);
+    let last = runs[0]?.points[0];
+    for (const { line, points, times } of runs) {
+      const count = ended ? points.length : times.filter((one) => one <= time).length;
+      line.setAttribute("points", points.slice(0, count).join(" "));
+      if (count) last = points[count - 1];
+    }
+    for (const loop of loops) loop.style.visibility = ended || Number(loop.dataset.time) <= time ? "" : "hidden";
+    robot.setAttribute("visibility", ended || !last ? "hidden" : "visible");
+    if (last) [robot.cx.baseVal.value, robot.cy.baseVal.value] = last.split(",").map(Number);
+    clock.textContent = `${Math.floor(time / 60)}:${String(Math.floor(time % 60)).padStart(2, "0")}`;
+  };
+  slider.addEventListener("input", () => setTime(slider.value));
+  setTime(slider.max);
+
+  /** Show the map around a point, `size` metres wide, or all of it if that is less. */
+  const showAround = (x, y, size) => {
+    const share = Math.max(0.25, Math.min(1, size / all.width));
+    view = { x: 0, y: 0, width: all.width * share, height: all.height * share };
+    view.x = x - view.width / 2;
+    view.y = y - view.height / 2;
+    clampView();
+    show();
+    svg.scrollIntoView({ block: "center", behavior: "smooth" });
+  };
+
+  // A loop decision in the table, and the picture of a doubt, show their place on the map
   for (const row of document.querySelectorAll("tr[data-loop]")) {
-    row.addEventListener("click", () => {
-      const mark = svg.querySelector(`.loops [data-loop="${row.dataset.loop}"]`);
+    const showLoop = () => {
+      const mark = svg.querySelector(`.loops [data-loop="${CSS.escape(row.dataset.loop)}"]`);
       if (!mark) return;
+      setTime(mark.dataset.time);
       choose(mark);
       const box = mark.getBBox();
-      const share = Math.max(0.25, Math.min(1, (3 * Math.max(box.width, box.height)) / all.width));
-      view = { x: 0, y: 0, width: all.width * share, height: all.height * share };
-      view.x = box.x + box.width / 2 - view.width / 2;
-      view.y = box.y + box.height / 2 - view.height / 2;
-      clampView();
-      show();
-      svg.scrollIntoView({ block: "center", behavior: "smooth" });
+      showAround(box.x + box.width / 2, box.y + box.height / 2, 3 * Math.max(box.width, box.height));
+    };
+    row.addEventListener("click", showLoop);
+    row.addEventListener("keydown", (event) => {
+      if (event.key !== "Enter" && event.key !== " ") return;
+      event.preventDefault();
+      showLoop();
+    });
+  }
+  for (const place of document.querySelectorAll(".place")) {
+    place.addEventListener("click", () => {
+      setTime(place.dataset.time);
+      showAround(Number(place.dataset.x), Number(place.dataset.y), 0);
     });
   }
 

@@ -27,7 +27,7 @@ def write_page(path: Path, session: RunResults) -> None:
 
 
 def _page(session: RunResults) -> str:
-    summary, drawing = session.summary, draw_map(session)
+    summary, drawing = session.summary, draw_map(session, timed=True)
     run_findings = findings(summary, session.trajectory)
     settings = session.path / CONFIG
     colours = "".join(
@@ -43,7 +43,9 @@ def _page(session: RunResults) -> str:
         aspect=f"{drawing.width:.3f} / {drawing.height:.3f}",
         map=drawing.elements,
         legend=_legend(drawing),
-        findings=sections.findings_list(run_findings),
+        successes=sections.successes(summary, run_findings),
+        findings=sections.findings_list(run_findings, session.trajectory, max(drawing.width, drawing.height)),
+        duration=f"{session.trajectory.duration:.1f}",
         loops=sections.loops(summary.get("slam") or {}, float(session.trajectory.stamps[0])),
         accuracy=sections.accuracy(summary.get("truth")),
         timings=sections.timings(summary),

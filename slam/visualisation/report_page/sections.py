@@ -5,9 +5,11 @@ from __future__ import annotations
 from html import escape
 from typing import Any
 
+from ...io.tum import Trajectory
 from ...loop_closure.loop_status import LoopStatus
 from .findings import Finding
-from .formatting import clock, counted, duration, length, percent
+from .formatting import clock, duration, length, percent
+from .loop_text import by_margin, loops_text, returns_text
 
 APPLIED = (LoopStatus.ACCEPTED, LoopStatus.RETRACTED)
 """Decisions that changed the map; the others are in a collapsed table."""
@@ -19,7 +21,10 @@ COLUMN_MEANINGS = {
     "σ": "standard deviation of the motion in its least certain direction",
     "contradicted": "share of the looks that contradict the closure; lower is better",
     "moved by": "correction of the robot's position",
+    "met": "share of its requirement that the worst check meets; 100 % would have closed the loop",
 }
+PICTURE_SIZE = 12.0
+"""Metres shown around the place of a finding."""
 ACCURACY = (
     ("ate_rmse", "position, RMS", "m"),
     ("ate_median", "position, median", "m"),
@@ -43,33 +48,68 @@ def facts(summary: dict[str, Any]) -> str:
     return "".join(f"<div><dt>{name}</dt><dd>{escape(value)}</dd></div>" for name, value in entries)
 
 
-def findings_list(findings: list[Finding]) -> str:
-    """Return the findings, or the statement that there are none."""
+def successes(summary: dict[str, Any], found: list[Finding]) -> str:
+    """Return what went well, as a list."""
+    slam = summary.get("slam") or {}
+    health, truth = slam.get("health") or {}, summary.get("truth") or {}
+    texts = [returns_text(slam)]
+    if closed := (slam.get("loops") or {}).get(LoopStatus.ACCEPTED, 0):
+        texts.append(loops_text({**slam, "loops": {LoopStatus.ACCEPTED: closed}}))
+    if "lost" in health and not health["lost"] and not health.get("failed"):
+        texts.append("every scan was placed in the map; the robot was never lost")
+    if health.get("overlap_ratio_median") is not None and not any(finding.grave for finding in found):
+        texts.append(
+            f"{percent(health['overlap_ratio_median'])} of the walls in a scan are on walls of the map (median)"
+        )
+    if truth.get("ate_rmse") is not None:
+        texts.append(f"the path is within {length(truth['ate_rmse'])} of the true one (RMS)")
+    return "".join(f"<li>{escape(text[:1].upper() + text[1:])}.</li>" for text in texts if text)
+
+
+def findings_list(findings: list[Finding], trajectory: Trajectory, extent: float) -> str:
+    """Return the findings, or the statement that there are none.
+
+    extent  larger side of the drawing, metres
+    """
     if not findings:
         return '<p class="good">No problems found.</p>'
-    return f"<ul>{''.join(map(_item, findings))}</ul>"
+    return f"<ul>{''.join(_item(finding, trajectory, extent) for finding in findings)}</ul>"
 
 
-def _item(finding: Finding) -> str:
+def _item(finding: Finding, trajectory: Trajectory, extent: float) -> str:
     weight = "grave" if finding.grave else "minor"
-    return f'<li class="{weight}"><b>{escape(finding.text)}</b> {escape(finding.detail)}</li>'
+    picture = "" if finding.stamp is None else _picture(finding.stamp, trajectory, extent)
+    return f'<li class="{weight}">{picture}<span><b>{escape(finding.text)}</b> {escape(finding.detail)}</span></li>'
+
+
+def _picture(stamp: float, trajectory: Trajectory, extent: float) -> str:
+    """Return a button with the part of the map around the robot at a stamp, which shows it on the map."""
+    x, y = trajectory.poses[int(trajectory.nearest([stamp])[0]), :2]
+    half = min(PICTURE_SIZE, extent) / 2
+    time = f"{stamp - trajectory.stamps[0]:.1f}"
+    return (
+        f'<button type="button" class="place" data-time="{time}" data-x="{x:.2f}" data-y="{-y:.2f}" '
+        f'aria-label="Show on the map"><svg viewBox="{x - half:.2f} {-y - half:.2f} {2 * half:.2f} {2 * half:.2f}" '
+        f'aria-hidden="true"><use href="#drawing"/><circle class="here" cx="{x:.2f}" cy="{-y:.2f}" r="{half / 6:.2f}"/>'
+        "</svg></button>"
+    )
 
 
 def loops(slam: dict[str, Any], start: float) -> str:
-    """Return the number of loop candidates by status, and each decision if the summary contains them."""
-    counts = slam.get("loops") or {}
-    if not counts.get("proposed"):
-        return "<p>There were no loop candidates.</p>"
-    by_status = ", ".join(f"{counts[status]} {status}" for status in LoopStatus if counts.get(status, 0))
-    head = f"<p>{escape(counted(counts['proposed'], 'loop candidate'))}: {escape(by_status)}.</p>"
+    """Return what became of the loops, and each decision: applied ones by time, rejected ones by their margins."""
     rows = slam.get("loop_decisions") or []
+    text = loops_text(slam)
+    if not text:
+        return "<p>No loop had to be closed.</p>"
     applied = [row for row in rows if row["status"] in APPLIED]
-    others = [row for row in rows if row["status"] not in APPLIED]
-    body = _decisions(applied, start) if applied else ""
+    others = by_margin([row for row in rows if row["status"] not in APPLIED])
+    body = f"<p>{escape(text[:1].upper() + text[1:])}.</p>" + (_decisions(applied, start) if applied else "")
     if others:
-        title = f"{len(others)} not accepted, with reasons"
-        body += f"<details><summary>{title}</summary>{_decisions(others, start)}</details>"
-    return head + body + (_column_meanings() if rows else "")
+        note = (
+            "Places that looked known. Closing these loops would not have been safe; the nearest to being closed first."
+        )
+        body += f"<h3>Rejected as unsafe</h3><p>{note}</p>{_decisions(others, start)}"
+    return body + (_column_meanings() if rows else "")
 
 
 def _column_meanings() -> str:
@@ -89,12 +129,14 @@ def _decisions(rows: list[dict[str, Any]], start: float) -> str:
         ("σ", lambda row: length(row["sigma"])),
         ("contradicted", lambda row: percent(row["contradicted"])),
         ("moved by", lambda row: length(row["shift"]) if row["shift"] else "–"),
+        ("met", lambda row: percent(row["margin"]) if row.get("margin") is not None else "–"),
     )
     lines = []
     for row in rows:
         cells = "".join(f'<td data-label="{name}">{escape(_cell(value_of, row))}</td>' for name, value_of in columns)
         lines.append(
-            f'<tr class="{escape(str(row["status"]))}" data-loop="{escape(str(row["candidate"]))}">{cells}</tr>'
+            f'<tr class="{escape(str(row["status"]))}" data-loop="{escape(str(row["candidate"]))}" tabindex="0">'
+            f"{cells}</tr>"
         )
     heads = "".join(f"<th>{name}</th>" for name, _ in columns)
     return f"<table><thead><tr>{heads}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
@@ -109,15 +151,16 @@ def _cell(value_of: Any, row: dict[str, Any]) -> str:
 
 
 def accuracy(truth: dict[str, Any] | None) -> str:
-    """Return the errors of the path against ground truth if there is any."""
+    """Return a section with the errors of the path against ground truth; empty if there is none."""
     if not truth:
-        return "<p>The recording contains no ground truth.</p>"
+        return ""
     rows = "".join(
         f"<tr><td>{name}</td><td>{length(truth[key]) if unit == 'm' else f'{truth[key]:.2f}°'}</td></tr>"
         for key, name, unit in ACCURACY
         if truth.get(key) is not None
     )
-    return f'<table class="plain"><tbody>{rows}</tbody></table>'
+    table = f'<table class="plain"><tbody>{rows}</tbody></table>'
+    return f'<section id="accuracy"><h2>Errors against ground truth</h2>{table}</section>'
 
 
 def timings(summary: dict[str, Any]) -> str:

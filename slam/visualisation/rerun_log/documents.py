@@ -78,6 +78,9 @@ _CHECKS = {
     "contradicted": "looks that contradict it / looks that support it",
     "fit": "mean share of the points that fit",
     "mahalanobis": "deviation from the estimate, sigmas",
+    "rival": "looks that support another place / looks that support it",
+    "last-look": "places that fit the last look as well",
+    "retracted": "equal closures that were retracted",
 }
 
 

@@ -217,6 +217,8 @@ class EventLog:
             self._corrections += 1
             self._chi2 = event.correction.chi2
             pose = event.correction.keyframes_before[-1]
+        elif event.index < len(self._keyframes):  # rejected some metres of driving later
+            pose = self._keyframes[event.index]
         if event.status == LoopStatus.RETRACTED:
             self._factor_graph_layer.unmerge(event.index)
         self._decision_layer.log(event, self._decisions, pose, self._chi2)

@@ -24,7 +24,7 @@ DECISIONS = "loops/decisions"
 LEVELS = {
     LoopStatus.ACCEPTED: "INFO",
     LoopStatus.REJECTED: "DEBUG",
-    LoopStatus.RETRACTED: "ERROR",
+    LoopStatus.RETRACTED: "WARN",
 }
 DASHED = (LoopStatus.RETRACTED,)
 
@@ -161,7 +161,9 @@ def _shift_arrows(before: Floats, after: Floats) -> rr.Arrows3D:
 
 
 def _colour(status: LoopStatus) -> Colour:
-    return colours.CLOSURE if status is LoopStatus.ACCEPTED else colours.REJECTED
+    """Return the colour of a decision; only a wrong closure has that of errors."""
+    shades = {LoopStatus.ACCEPTED: colours.CLOSURE, LoopStatus.RETRACTED: colours.REJECTED}
+    return shades.get(status, colours.ODOMETRY)
 
 
 def _markdown(text: str) -> rr.TextDocument:
@@ -193,6 +195,7 @@ def _row(event: LoopDecided, number: int) -> dict[str, Any]:
         "heading_deg": math.degrees(heading),
         "merged": len(event.merged),
         "shift": float(event.shift),
+        "margin": float(event.margin),
     }
     for check in event.checks:
         name = check.name.replace("-", "_")

@@ -15,12 +15,14 @@ from rerun.chunk import Chunk
 from ...errors import MapError
 from ...io.output_dir import SUMMARY
 from ...loop_closure.loop_status import LoopStatus
+from ..report_page.loop_text import by_margin, loops_text, returns_text
 from .log_files import LogFiles, find_log
 from .loop_layer import DECISIONS
 from .rrd_reader import Row, chunks_of, rows
 from .status_layer import ENTITY as STATUS_ENTITY
 
 NOT_APPLIED = (LoopStatus.REJECTED,)
+SHOWN_REJECTED = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,18 +98,19 @@ def _health(data: SessionData) -> Iterator[str]:
 def _closures(data: SessionData) -> Iterator[str]:
     decisions = list(_decisions(data))
     counts = Counter(decision["status"] for decision in decisions)
-    if not decisions:
-        yield "loops       no candidate"
-        return
-    yield "loops       " + ", ".join(f"{count} {status}" for status, count in counts.items())
+    slam = data.summary.get("slam") or {}
+    if returns := returns_text(slam):
+        yield f"returns     {returns}"
+    yield "loops       " + (loops_text(slam) or ", ".join(f"{n} {status}" for status, n in counts.items()) or "none")
     for decision in decisions:
         if decision["status"] not in NOT_APPLIED:
             effect = f"moved by {decision['shift']:.2f} m, {decision['merged']} walls merged"
             reason = f": {decision['reason']}" if decision["status"] == LoopStatus.RETRACTED else ""
             yield f"  {decision['status']:<10}x{decision['keyframe']} at x{decision['old']}, {effect}{reason}"
-    rejected = Counter(decision["failed"] for decision in decisions if decision.get("failed"))
-    if rejected:
-        yield "  failed checks: " + ", ".join(f"{name} ({count})" for name, count in rejected.most_common())
+    for decision in by_margin([decision for decision in decisions if decision["status"] in NOT_APPLIED])[
+        :SHOWN_REJECTED
+    ]:
+        yield f"  rejected  x{decision['keyframe']} at x{decision['old']}: {decision['reason']}"
 
 
 def _decisions(data: SessionData) -> Iterator[dict[str, Any]]:
@@ -124,7 +127,7 @@ def _decisions(data: SessionData) -> Iterator[dict[str, Any]]:
             "reason": value["reason"],
             "shift": value.get("max_shift", value["shift"]),
             "merged": value["merged"],
-            "failed": value.get("failed_check", ""),
+            "margin": value.get("margin"),
         }
 
 

@@ -73,6 +73,7 @@ def test_good_recording_is_described_without_warnings() -> None:
         ([*drive(), *[scan(10.1 + 0.1 * i) for i in range(50)]], "scans without odometry for 5.0 s at 10.000"),
         ([*[scan(-3.0 + 0.1 * i) for i in range(29)], *drive()], "scans without odometry for 3.0 s at -3.000"),
         ([*drive(), odometry(10.1, x=50.0)], "1 jump of the odometry"),
+        ([odometry(0.1 * i, x=40.0 * i) for i in range(50)], "is it in millimetres or degrees?"),
         ([scan(0.1 * i, offset=0.5) for i in range(9)], "longer than a revolution"),
         ([scan(0.1 * i, offset=-0.5) for i in range(9)], "before their scan's stamp"),
     ],

@@ -221,6 +221,20 @@ def test_invalid_recordings_are_one_line_errors(
     assert sorted(tmp_path.iterdir()) == before
 
 
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("eval", "Missing argument 'trajectory'"),
+        ("eval a.tum", "exactly one of the two is required"),
+        ("bench nothing", "No such command 'nothing'"),
+        ("run a.clf --bogus", "No such option: --bogus"),
+    ],
+)
+def test_wrong_arguments_are_one_line_errors_that_name_the_help(wclm: Any, command: str, words: str) -> None:
+    name = command.split()[0]
+    wclm.refuses(*command.split(), because=[words, f"{name} --help"])
+
+
 @pytest.mark.skipif(os.geteuid() == 0, reason="root can read every file")
 def test_an_unreadable_recording_is_a_one_line_error(wclm: Any, tmp_path: Path) -> None:
     (tmp_path / "a.clf").write_text("x")
@@ -299,7 +313,7 @@ def short_demo(monkeypatch: pytest.MonkeyPatch) -> None:
     from drivers import simulation
 
     whole = simulation.Simulation
-    monkeypatch.setattr(simulation, "Simulation", lambda world, seed: whole(world, seed=seed, duration=3.0))
+    monkeypatch.setattr(simulation, "Simulation", lambda world, **how: whole(world, **how, duration=3.0))
 
 
 def test_a_viewer_that_cannot_be_started_is_a_one_line_message(capsys: pytest.CaptureFixture[str]) -> None:

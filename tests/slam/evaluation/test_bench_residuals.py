@@ -12,7 +12,6 @@ from drivers import se2
 from drivers.simulation import LidarModel, Simulation
 from slam.config import Config
 from slam.errors import MapError
-from slam.evaluation.benchmarks.map_comparison import align_maps
 from slam.evaluation.benchmarks.residuals import (
     RecordingConsistency,
     ResidualStatistics,
@@ -21,6 +20,7 @@ from slam.evaluation.benchmarks.residuals import (
     residual_table,
 )
 from slam.mapping.map_features import MapWalls
+from slam.offline.wall_alignment import align_maps
 
 
 def test_independent_residuals_have_no_correlation_and_shared_errors_show() -> None:

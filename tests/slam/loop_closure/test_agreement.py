@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,6 +12,8 @@ from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.localisation.local_field import LocalField
 from slam.loop_closure.agreement import MIN_SUPPORT, SUBMAP_LENGTH, LoopAgreement
 from slam.loop_closure.decision import LoopDecision
+from slam.loop_closure.loop_status import LoopStatus
+from slam.loop_closure.returns import summarise
 from slam.mapping.landmarks import Landmarks
 from slam.matching.line_matcher import ScanFeatures
 from slam.matching.scan_points import ScanPoints
@@ -51,13 +54,13 @@ class StubMap:
 
 
 def drive_twice(
-    drift: se2.Pose, elsewhere: se2.Pose, *, interrupted: bool = False, apart: bool = False
-) -> tuple[list[LoopDecision], LocalField]:
+    drift: se2.Pose, elsewhere: se2.Pose, *, interrupted: bool = False, apart: bool = False, until: float = 15.0
+) -> tuple[list[LoopDecision], LocalField, LoopAgreement]:
     """Drive through the room, and after LENGTH metres again, with a drift of the estimate.
 
     The second time the robot is in truth in a copy of the room that is moved by `elsewhere`. If
     `interrupted`, the state is saved and restored every few keyframes. If `apart`, it has lost its pose in between,
-    and joins of both parts of the map are searched for. Returns what was accepted.
+    and joins of both parts of the map are searched for. Returns what was accepted, and the search.
     """
     agreement, local_field = LoopAgreement(joins=apart), LocalField()
     state = StubMap(np.diag(SIGMAS**2))
@@ -65,7 +68,7 @@ def drive_twice(
     for lap, moved in enumerate([np.zeros(3), se2.compose(elsewhere, drift)]):
         if apart and lap:
             state.landmarks.parts.begin(state.keyframe_count, measured=True)
-        for x in np.arange(1.0, 15.0, STEP):
+        for x in np.arange(1.0, until if lap else 15.0, STEP):
             inside = np.array([x, 1.5, 0.0])
             points = with_noise(visible(ROOM, inside), random)
             local_field.add(ScanFeatures(NO_SEGMENTS, NO_CORNERS, ScanPoints(points, points)))
@@ -78,12 +81,12 @@ def drive_twice(
             if interrupted and state.keyframe_count % 5 == 0:
                 saved, agreement = agreement.state, LoopAgreement()
                 agreement.restore(saved, local_field)
-    return found, local_field
+    return found, local_field, agreement
 
 
 def test_drift_is_corrected_once_enough_looks_agree() -> None:
     drift = np.array([0.3, 0.9, 0.08])
-    found, _ = drive_twice(drift, np.zeros(3))
+    found, _, _ = drive_twice(drift, np.zeros(3))
     assert found
     accepted = found[0]
     assert len(accepted.matches) >= MIN_SUPPORT
@@ -105,21 +108,42 @@ def test_interruptions_do_not_change_what_is_accepted() -> None:
 
 
 def test_return_without_drift_links_the_passes_and_corrects_nothing() -> None:
-    found, local_field = drive_twice(np.array([0.01, -0.01, 0.002]), np.zeros(3))
+    found, local_field, agreement = drive_twice(np.array([0.01, -0.01, 0.002]), np.zeros(3))
     assert found == []
     assert local_field.state.links
+    returns = summarise(agreement.returns)
+    assert returns["count"] == 1
+    assert returns["looks"] == len(agreement.returns) >= MIN_SUPPORT
+    assert 0.0 < returns["position_rms"] <= returns["position_max"] < 0.05  # the drift is 0.014 m
+    assert agreement.take_rejected(ended=True) == []
 
 
 def test_similar_room_elsewhere_is_not_taken_for_the_first_one() -> None:
     """The estimate is right to half a metre, and the copy of the room is six metres beside the first."""
-    found, local_field = drive_twice(np.zeros(3), np.array([0.0, 6.0, 0.0]))
+    found, local_field, agreement = drive_twice(np.zeros(3), np.array([0.0, 6.0, 0.0]))
     assert found == []
     assert not local_field.state.links
+    assert agreement.returns == []
+
+
+def test_rejected_loop_states_what_was_missing() -> None:
+    """The place is as far from the estimate as drift may have moved it, and fits, but the drive ends too early."""
+    found, _, agreement = drive_twice(np.array([0.3, 0.9, 0.08]), np.zeros(3), until=5.0)
+    assert found == []
+    copied = copy.deepcopy(agreement)
+    rejected = agreement.take_rejected(ended=True)
+    assert [decision.status for decision in rejected] == [LoopStatus.REJECTED] * len(rejected)
+    nearest = max(rejected, key=lambda decision: decision.margin)
+    failed = [check for check in nearest.checks if not check.passed]
+    assert nearest.margin == min(check.margin for check in failed) < 1.0
+    assert f"{len(nearest.matches)} looks agree (requires {MIN_SUPPORT})" in nearest.reason
+    assert len(nearest.reason.split("; ")) == len(failed)
+    assert [d.reason for d in copied.take_rejected(ended=True)] == [d.reason for d in rejected]
 
 
 def test_parts_are_joined_although_nothing_has_to_be_corrected() -> None:
     """They are where odometry has put them, which is no hypothesis, so looks must agree on that as on any other."""
-    found, _ = drive_twice(np.array([0.01, -0.01, 0.002]), np.zeros(3), apart=True)
+    found, _, _ = drive_twice(np.array([0.01, -0.01, 0.002]), np.zeros(3), apart=True)
     assert found[0].joins
     assert len(found[0].matches) >= MIN_SUPPORT
     assert found[0].since == len(np.arange(1.0, 15.0, STEP))  # the whole part

@@ -65,6 +65,18 @@ def test_sight_lines_that_do_not_count(viewpoint: Sequence[float], point: Sequen
     assert not depth.any()
 
 
+def test_a_beam_that_an_edge_splits_does_not_see_through_the_wall() -> None:
+    """Its range lies between that of the wall, which the next beam hits, and that of the background."""
+    beside, split, hit = [1.2, -3.0], [0.85, -1.0], [0.75, 0.0]
+    _, depth, _ = trace([3.0, -2.0, 0.7], 0.3, [0.0, 2.0], [hit, split, beside])
+    assert not depth.any()
+
+
+def test_three_beams_in_a_row_see_through_a_wall() -> None:
+    _, depth, _ = trace([3.0, -2.0, 0.7], 0.3, [0.0, 2.0], [[0.2, -1.0], [0.0, -1.0], [-0.2, -1.0]])
+    assert depth.any()
+
+
 def trace(
     frame: Sequence[float], heading: float, viewpoint: Sequence[float], points: Sequence[Sequence[float]]
 ) -> tuple[np.ndarray, np.ndarray, float]:

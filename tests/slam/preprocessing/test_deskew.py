@@ -13,7 +13,8 @@ from slam.config import OdometryConfig
 from slam.geometry.segments import corner_points, segments_from_lines
 from slam.odometry.error_model import OdometryModel
 from slam.odometry.history import OdometryHistory
-from slam.preprocessing.deskew import add_motion_uncertainty, deskew, sweep_middle
+from slam.preprocessing.deskew import deskew, sweep_middle
+from slam.preprocessing.motion_uncertainty import add_motion_uncertainty
 
 from ..odometry.circle import circle_history, pose_on_circle
 

@@ -83,3 +83,13 @@ def test_all_pictures_of_drives_are_made(tmp_path: Path) -> None:
         pictures.make(tmp_path, scratch)
         for name in pictures.files:
             assert (tmp_path / name).stat().st_size > 10_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_the_demo_closes_its_loop(wclm: Any, tmp_path: Path, seed: int) -> None:
+    result = wclm("demo", "--seed", seed, "--no-view")
+    assert result.exit_code == 0, result.output
+    assert "1 loop closed" in result.stdout
+    assert "rejected" not in result.stdout
+    assert (tmp_path / "demo" / "closure.png").stat().st_size > 10_000

@@ -6,10 +6,12 @@ import pytest
 
 from drivers import se2
 from features.types import Corners, Features, Lines, Noise
-from slam.errors import OutputError
+from slam.cli.commands.demo_pictures import ClosureRecorder
+from slam.errors import MapError, OutputError
 from slam.evaluation.metrics import Relations, score_reference, score_relations
-from slam.events import Finished
+from slam.events import Correction, Finished, LoopDecided, MapUpdated
 from slam.io.tum import Trajectory
+from slam.loop_closure.loop_status import LoopStatus
 from slam.visualisation.plots import plot_map, plot_reference, plot_relations, plot_scan
 
 
@@ -90,3 +92,27 @@ def test_a_picture_that_cannot_be_written_is_an_output_error(tmp_path: Path) -> 
     ranges, angles, features = scan()
     with pytest.raises(OutputError, match=r"a\.png: cannot be written: No such file"):
         plot_scan(tmp_path / "nowhere" / "a.png", ranges, angles, features, title="a scan")
+
+
+def closure(finished: Finished, shift: float) -> list[LoopDecided | MapUpdated]:
+    """Return the events of a closure at the last keyframe."""
+    before = finished.keyframes + np.linspace(0.0, shift, len(finished.keyframes))[:, None] * [1.0, 0.0, 0.0]
+    last = len(before) - 1
+    correction = Correction(before, finished.keyframes, finished.walls, 1.0, 9.0, 2.0)
+    decided = LoopDecided(
+        last, 1.0, 1, 0, np.zeros(3), LoopStatus.ACCEPTED, "", 0.9, 4, 0.0, 0.01, 0.0, (), shift, correction=correction
+    )
+    after = MapUpdated(last, 1.0, finished.keyframes, finished.walls, finished.corners, 2.0, shift)
+    return [decided, after]
+
+
+def test_the_closure_that_moved_the_robot_most_is_drawn(tmp_path: Path, finished: Finished) -> None:
+    recorder = ClosureRecorder()
+    with pytest.raises(MapError, match="no loop was closed"):
+        recorder.plot(tmp_path / "none.png")
+    for event in [*closure(finished, 0.4), *closure(finished, 1.5), *closure(finished, 0.8)]:
+        recorder.handle(event)
+    assert recorder.decided is not None
+    assert recorder.decided.shift == 1.5
+    recorder.plot(tmp_path / "closure.png")
+    assert min(size(tmp_path / "closure.png")) > 500

@@ -22,7 +22,7 @@ from slam.events import Finished
 from slam.io.output_dir import write_json, write_results
 from slam.io.run_results import RunResults, read_run_results
 from slam.visualisation.report_page import write_page
-from slam.visualisation.report_page.findings import findings
+from slam.visualisation.report_page.findings import findings, reason_without_walls
 
 DECISION = {
     "candidate": 5,
@@ -40,6 +40,7 @@ DECISION = {
     "contradicted": 0.0,
     "shift": 0.13,
 }
+REJECTED = (("rejected", 7), ("rejected", 6))
 SUMMARY: dict[str, Any] = {
     "recording": "room.mcap",
     "scans": 100,
@@ -55,8 +56,13 @@ SUMMARY: dict[str, Any] = {
     "warnings": [],
     "skipped": {"messages": 0, "reasons": {}, "first": None},
     "slam": {
-        "loops": {"proposed": 2, "accepted": 1, "pending": 0, "rejected": 1, "retracted": 0},
-        "loop_decisions": [DECISION, DECISION | {"candidate": 6, "status": "rejected", "reason": "<b>no</b>"}],
+        "loops": {"proposed": 3, "accepted": 1, "rejected": 2, "retracted": 0},
+        "loop_decisions": [
+            DECISION,
+            DECISION | {"candidate": 6, "status": "rejected", "reason": "<b>no</b>", "margin": 0.3},
+            DECISION | {"candidate": 7, "status": "rejected", "reason": "3 looks agree", "margin": 0.75},
+        ],
+        "returns": {"count": 3, "looks": 20, "position_rms": 0.012, "position_max": 0.04},
         "timings": {"keyframe_median_ms": 1.5, "keyframe_p99_ms": 9.0, "keyframe_max_ms": 30.0, "graph_mean_ms": 0.7},
         "health": {"overlap_ratio_median": 0.95},
         "states": [],
@@ -92,9 +98,10 @@ def test_the_page_shows_the_run(tmp_path: Path, finished: Finished) -> None:
         "room.mcap",
         "4.40 m",
         "No problems found.",
-        "2 loop candidates: 1 rejected, 1 accepted.",
+        "The path is within 2.1 cm of the true one (RMS).",
+        "Returned 3 times to a known place; the map was correct there to 1.2 cm (RMS of 20 comparisons),",
+        "1 loop closed, which moved the robot by up to 0.13 m; 2 rejected as unsafe.",
         "all checks passed 81 % 6 40 % 2.0 cm 0 % 0.13 m",
-        "1 not accepted, with reasons",
         "position, RMS 2.1 cm",
         "heading, RMS 0.42°",
         "20 times as fast as the recording",
@@ -105,6 +112,8 @@ def test_the_page_shows_the_run(tmp_path: Path, finished: Finished) -> None:
         assert expected in visible, expected
     assert set(re.findall(r'<polyline class="(\w+)"', text)) == {"p0", "p1", "p2", "p3"}
     assert 'class="accepted" data-loop="5"' in text
+    order = [text.index(f'<tr class="{status}" data-loop="{k}"') for status, k in (("accepted", 5), *REJECTED)]
+    assert order == sorted(order)  # the rejected loop that came nearest to being closed is the first of them
 
 
 def test_the_page_references_no_other_file(tmp_path: Path, finished: Finished) -> None:
@@ -117,7 +126,7 @@ def test_the_page_references_no_other_file(tmp_path: Path, finished: Finished) -
     text = page(tmp_path / "out", finished)
     links = Links()
     links.feed(text)
-    assert links.found == ["data:,"]
+    assert set(links.found) <= {"data:,", "#drawing"}
     assert not re.search(r"https?:|//[a-z]|@import|url\(", text.replace("data:,", ""))
 
 
@@ -138,8 +147,8 @@ def test_a_session_of_an_older_version_has_a_page(tmp_path: Path, finished: Fini
     session = read_run_results(tmp_path / "out")
     write_page(tmp_path / "a.html", session)
     text = words((tmp_path / "a.html").read_text(encoding="utf-8"))
-    assert "The recording contains no ground truth." in text
-    assert "There were no loop candidates." in text
+    assert "ground truth" not in text
+    assert "No loop had to be closed." in text
 
 
 def test_a_map_without_walls_has_a_page(tmp_path: Path, finished: Finished) -> None:
@@ -160,7 +169,7 @@ def test_a_map_without_walls_has_a_page(tmp_path: Path, finished: Finished) -> N
 
 def test_findings_describe_problems_grave_ones_first(tmp_path: Path, finished: Finished) -> None:
     slam = {
-        "loops": {"proposed": 3, "retracted": 2},
+        "loop_decisions": [{"status": "retracted", "stamp": 30.0}, {"status": "retracted", "stamp": 40.0}],
         "health": {"overlap_ratio_median": 0.6, "no_features": 1, "empty_scans": 4},
         "odometry_deviation_per_metre": [1.58, 0.02],
         "states": [
@@ -186,13 +195,14 @@ def test_findings_describe_problems_grave_ones_first(tmp_path: Path, finished: F
         "For 8 s in total, one direction was degenerate, at 0:12.",
         "No odometry for a while.",
         "The scan fits nowhere near, 6 times, first at 1:10, 1:11, 1:12, 1:13.",
-        "2 loop closures had to be retracted.",
+        "2 loop closures had to be retracted, at 0:30, 0:40.",
         "1 scan had no features.",
         "4 scans had no return at all.",
         "3 messages of the recording could not be used.",
         "SLAM took 2.0 times as long as the recording.",
     ]
     assert [finding.grave for finding in found] == [True] * 4 + [False] * 8
+    assert [finding.stamp for finding in found] == [2.0, *3 * [None], 12.0, None, 70.0, 30.0, *4 * [None]]
     assert findings(SUMMARY, make(tmp_path / "out", finished).trajectory) == []
 
 
@@ -207,6 +217,20 @@ def test_suspects_are_findings_and_only_those_of_the_path_are_grave(tmp_path: Pa
     assert [finding.grave for finding in found] == [True, True] + 9 * [False]
     assert found[0].text == "Suspect at 0:05: the map is wrong."
     assert found[-1].text == "2 more suspects in summary.json."
+
+
+@pytest.mark.parametrize(
+    ("health", "reason"),
+    [
+        ({"empty_scans": 90}, "90 of 100 scans had no return"),
+        ({"no_features": 80}, "in 80 of 100 scans nothing was straight"),
+        ({}, "no straight line was seen from two places"),
+    ],
+)
+def test_a_map_without_walls_is_explained(health: dict[str, int], reason: str) -> None:
+    summary = {"walls": 0, "scans": 100, "slam": {"health": health}}
+    assert reason in reason_without_walls(summary)
+    assert reason_without_walls(summary | {"walls": 1}) == ""
 
 
 # The command
@@ -288,7 +312,10 @@ const box = () => svg.getAttribute("viewBox").split(" ").map(Number);
 const pointer = (name, x, y, id) => svg.dispatchEvent(new PointerEvent(name,
   {clientX: x, clientY: y, pointerId: id, pointerType: "touch", bubbles: true}));
 svg.setPointerCapture = () => {};
+svg.scrollIntoView({block: "center"});
 told.all = box();
+const drawn = () => [...svg.querySelectorAll(".path polyline")].map((line) => line.getAttribute("points")).join(" ");
+told.whole = drawn().length;
 const wall = svg.querySelector(".walls path").getBoundingClientRect();
 svg.dispatchEvent(new MouseEvent("click", {clientX: wall.left + wall.width / 2, clientY: wall.top + 7, bubbles: true}));
 told.about = document.getElementById("about").textContent;
@@ -309,6 +336,22 @@ document.querySelector('tr[data-loop="5"]').click();
 told.loop = document.getElementById("about").textContent;
 document.querySelector('[data-zoom="0"]').click();
 told.again = box();
+const slider = document.querySelector(".time input");
+slider.value = slider.max / 2;
+slider.dispatchEvent(new Event("input"));
+told.half = drawn().length;
+told.robot = svg.querySelector(".robot").getAttribute("visibility");
+told.hidden = svg.querySelector('.loops [data-loop="5"]').style.visibility;
+const row = document.querySelector('tr[data-loop="7"]');
+row.focus();
+row.dispatchEvent(new KeyboardEvent("keydown", {key: "Enter", bubbles: true}));
+told.key = document.getElementById("about").textContent;
+slider.value = slider.max;
+slider.dispatchEvent(new Event("input"));
+told.end = drawn().length;
+const place = document.querySelector("button.place");
+place.click();
+told.place = [slider.value, ...box()];
 told.wide = document.documentElement.scrollWidth <= window.innerWidth;
 document.documentElement.dataset.told = JSON.stringify(told);
 </script>
@@ -318,7 +361,7 @@ document.documentElement.dataset.told = JSON.stringify(told);
 @in_a_browser
 @pytest.mark.parametrize("size", ["1280,900", "500,800"])
 def test_the_map_can_be_zoomed_dragged_and_queried(tmp_path: Path, finished: Finished, size: str) -> None:
-    text = page(tmp_path, finished)
+    text = page(tmp_path, finished, SUMMARY | {"warnings": ["the scan fits nowhere (at 5.00 s)"]})
     text = re.sub("'sha256-[^']*'", "'unsafe-inline'", text)  # admits the script of the test
     (tmp_path / "probe.html").write_text(text.replace("</body>", PROBE + "</body>"), encoding="utf-8")
     document, console = render(tmp_path / "probe.html", size)
@@ -336,6 +379,11 @@ def test_the_map_can_be_zoomed_dragged_and_queried(tmp_path: Path, finished: Fin
     assert told["wheel"][2] < told["least"][2]
     assert told["loop"] == "loop 5, accepted: keyframe 4 at the place of 1"
     assert told["again"] == told["all"]
+    assert told["half"] < 0.8 * told["whole"]
+    assert (told["robot"], told["hidden"], told["end"]) == ("visible", "hidden", told["whole"])
+    assert told["key"].startswith("loop 7, rejected")
+    assert told["place"][0] == "5"
+    assert told["place"][3] == pytest.approx(0.25 * told["all"][2], rel=1e-3)
     assert told["wide"]  # no horizontal overflow
 
 

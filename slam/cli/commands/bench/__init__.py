@@ -9,11 +9,13 @@ import typer
 
 from ...registration import add_command
 from .consistency import bench_consistency
+from .diff import bench_diff
 from .false_closures import bench_false_closures
 from .features import bench_features
 from .gate import bench_gate
 from .laps import bench_laps
 from .lookalike import bench_lookalike
+from .measure import bench_measure
 from .paper import bench_paper
 from .relocalisation import bench_relocalisation
 from .residuals import bench_residuals
@@ -25,6 +27,8 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "slam": bench_slam,
     "features": bench_features,
     "consistency": bench_consistency,
+    "measure": bench_measure,
+    "diff": bench_diff,
     "laps": bench_laps,
     "residuals": bench_residuals,
     "robust": bench_robust,

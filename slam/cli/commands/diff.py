@@ -1,0 +1,91 @@
+"""`wclm diff`: changes between two maps of one building."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..console import print_if_slow
+from ..options import OverwriteOption
+
+if TYPE_CHECKING:
+    from drivers import se2
+
+EXIT_DIFFERENT = 1
+"""Exit status if the maps are different, as of diff."""
+
+
+def diff(
+    old: Annotated[Path, typer.Argument(metavar="OLD", help="Output directory of the earlier run.")],
+    new: Annotated[Path, typer.Argument(metavar="NEW", help="Output directory of the later run.")],
+    false_discovery_rate: Annotated[
+        float,
+        typer.Option("--fdr", min=1e-9, max=0.5, help="Accepted share of false ones among the reported changes."),
+    ] = 0.05,
+    at: Annotated[
+        str | None,
+        typer.Option(
+            "--at",
+            metavar="X,Y,HEADING",
+            help="Rough pose of the new map in the old one (metres, radians), if it is not recognised there.",
+        ),
+    ] = None,
+    svg: Annotated[Path | None, typer.Option("--svg", metavar="FILE.svg", help="Picture of both maps.")] = None,
+    geojson: Annotated[
+        Path | None, typer.Option("--geojson", metavar="FILE.geojson", help="Changes as GeoJSON.")
+    ] = None,
+    overwrite: OverwriteOption = False,
+) -> None:
+    """Compare two maps of one building: walls and corners that have moved, are gone or are new.
+
+    Both maps are aligned by the walls that they have in common. A wall has moved if its new place is significantly
+    different, given the joint covariances of both maps; it is gone if scans of the new run have seen through it, and
+    new if scans of the old run have seen through its place. Walls that were not seen again are listed separately. The
+    exit status is 0 if there is no such change, 1 if there is one, and 2 after an error.
+
+    Example: [bold]wclm diff monday tuesday --svg changes.svg[/bold]
+    """
+    from ...errors import MapError, OutputError
+    from ...io.output_dir import unfinished_file
+    from ...io.sessions import read_session
+    from ...offline.map_diff import compare, survey_session
+    from ...offline.map_diff.corners import corner_changes
+    from ...offline.map_diff.outputs import diff_text, write_diff_geojson, write_diff_svg
+    from ..slam_run import READING_SESSION
+
+    for path, suffix in ((svg, ".svg"), (geojson, ".geojson")):
+        if path is not None and path.suffix != suffix:
+            raise OutputError(f"{path}: the name must end with {suffix}")
+    guess = None if at is None else _pose(at)
+    with print_if_slow(READING_SESSION):
+        earlier, later = (survey_session(path, read_session(path)) for path in (old, new))
+    try:
+        found = compare(earlier, later, false_discovery_rate, guess)
+    except MapError as error:
+        raise MapError(f"{old}, {new}: {error}") from error
+    maps = earlier.wall_map, later.wall_map
+    corners = corner_changes(found, *maps)
+    with ExitStack() as files:
+        if svg is not None:
+            write_diff_svg(files.enter_context(unfinished_file(svg, overwrite)), found, *maps)
+        if geojson is not None:
+            write_diff_geojson(files.enter_context(unfinished_file(geojson, overwrite)), found, corners)
+    typer.echo(diff_text(found, corners))
+    if found.different:
+        raise typer.Exit(EXIT_DIFFERENT)
+
+
+def _pose(text: str) -> se2.Pose:
+    """Return the pose (3,) of an option. Raises BadParameter if it is none."""
+    import numpy as np
+
+    try:
+        pose = np.array([float(word) for word in text.split(",")])
+    except ValueError:
+        pose = np.zeros(0)
+    if pose.shape != (3,) or not np.isfinite(pose).all():
+        raise typer.BadParameter("expected three numbers, as 1.5,-2,0.1", param_hint="--at")
+    return pose

@@ -1,0 +1,104 @@
+"""`wclm measure`: distances, lengths, angles and rooms of a map, with standard deviations."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..console import print_if_slow
+from ..options import OverwriteOption
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ...measuring.measurement import Measurement
+    from ...measuring.rooms import Room
+
+
+class Format(StrEnum):
+    """Output formats; those of files are the suffixes."""
+
+    TEXT = "text"
+    CSV = "csv"
+    SVG = "svg"
+    DXF = "dxf"
+
+
+def measure(
+    session: Annotated[Path, typer.Argument(help="Output directory of `wclm run`.")],
+    walls: Annotated[
+        list[int] | None,
+        typer.Argument(metavar="[WALL]...", help="Identities of walls, as in map.json; by default the whole map."),
+    ] = None,
+    form: Annotated[
+        Format,
+        typer.Option("--format", help="text; csv: table; svg, dxf: drawing with dimension lines."),
+    ] = Format.TEXT,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="FILE", help="Output file; for svg and dxf by default measurements.FORMAT."),
+    ] = None,
+    overwrite: OverwriteOption = False,
+) -> None:
+    """Measure a map: distances between walls, lengths, angles, and areas of rooms, with standard deviations.
+
+    Of the whole map: rooms with their areas, sides and angles; lengths of other walls between two corners; widths
+    between walls that face each other, and thicknesses of walls. With identities of walls: their lengths, and the
+    distance or angle of each two of them. Standard deviations follow from the joint covariance of all walls.
+
+    Example: [bold]wclm measure results/office 12 17[/bold]
+    """
+    from ...errors import OutputError
+    from ...io.exports import write_dxf, write_svg
+    from ...io.exports.measurements_csv import measurements_csv
+    from ...io.output_dir import MEASURED, unfinished_file
+    from ...io.run_results import read_run_results
+    from ...io.wall_maps import read_wall_map
+    from ...measuring.map_measurements import measure_map, measure_walls
+    from ...measuring.rooms import find_rooms
+    from ..slam_run import READING_SESSION
+
+    drawn = form in (Format.SVG, Format.DXF)
+    target = out or (session / f"{MEASURED}.{form}" if drawn else None)
+    if target is not None and target.suffix != f".{form}":
+        raise OutputError(f"{target}: the name of a {form} file must end with .{form}")
+    with print_if_slow(READING_SESSION):
+        wall_map = read_wall_map(session)
+    rooms = [] if walls else find_rooms(wall_map)
+    measurements = measure_walls(wall_map, walls) if walls else measure_map(wall_map, rooms)
+    if target is None:
+        text = measurements_csv(measurements) if form is Format.CSV else _as_text(measurements, rooms)
+        typer.echo(text.rstrip("\n"))
+        return
+    with unfinished_file(target, overwrite) as unfinished:
+        if drawn:
+            {Format.SVG: write_svg, Format.DXF: write_dxf}[form](unfinished, read_run_results(session), measurements)
+        else:
+            unfinished.write_text(measurements_csv(measurements), encoding="utf-8", newline="\n")
+    typer.echo(f"{target}: {len(rooms)} rooms, {len(measurements)} measurements")
+
+
+def _as_text(measurements: Sequence[Measurement], rooms: Sequence[Room]) -> str:
+    """Return one line per measurement, below a line per room."""
+    lines, room = [], None
+    for one in measurements:
+        if one.room != room and one.room is not None:
+            lines.append(f"room {one.room}: {rooms[one.room - 1].observed:.0%} of the outline was seen")
+        room = one.room
+        walls = "" if one.unit == "m2" or one.kind == "perimeter" else " " + " and ".join(map(str, one.walls))
+        lines.append(f"{'  ' if room is not None else ''}{one.kind}{walls}: {_with_deviation(one)}")
+    return "\n".join(lines) or "nothing to measure: no room is closed, and no walls are opposite each other"
+
+
+def _with_deviation(one: Measurement) -> str:
+    """Return value and standard deviation in units for reading."""
+    from math import degrees
+
+    if one.unit == "rad":
+        return f"{degrees(one.value):.3f}° ± {degrees(one.sigma):.3f}°"
+    if one.unit == "m2":
+        return f"{one.value:.3f} m² ± {one.sigma:.3f} m²"
+    return f"{one.value:.4f} m ± {1e3 * one.sigma:.1f} mm"

@@ -1,0 +1,75 @@
+"""Measurements as dimension lines of a drawing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...geometry.segments import Floats
+from ...measuring.measurement import Kind, Measurement
+
+SIDE_DISTANCE = 0.2
+"""Metres between the wall and the dimension line of a room's side, which is inside the room."""
+DRAWN_KINDS = (Kind.LENGTH, Kind.WIDTH, Kind.DISTANCE)
+"""Kinds that are drawn as lines; areas are texts."""
+TEXT_HEIGHT = 0.1
+"""Height of the texts, metres."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DimensionLine:
+    """A dimension line.
+
+    measured  (2, 2) points between which the quantity was measured, metres
+    line      (2, 2) ends of the dimension line, parallel to it
+    text      value and standard deviation in metres
+    identity  kind and walls, for a tooltip
+    """
+
+    measured: Floats
+    line: Floats
+    text: str
+    identity: str
+
+    @property
+    def middle(self) -> Floats:
+        """Middle (2,) of the dimension line."""
+        return np.asarray(self.line.mean(axis=0))
+
+    @property
+    def angle(self) -> float:
+        """Direction of the text, radians from -pi/2 to pi/2, so that it is not upside down."""
+        dx, dy = self.line[1] - self.line[0]
+        angle = float(np.arctan2(dy, dx))
+        return angle - np.pi * round(angle / np.pi)
+
+
+def dimension_lines(measurements: Iterable[Measurement]) -> list[DimensionLine]:
+    """Return the lines of all measurements that are long enough for their text; lengths are drawn beside the wall."""
+    lines = []
+    for one in measurements:
+        text = format_value(one)
+        if one.kind not in DRAWN_KINDS or one.value < 0.7 * TEXT_HEIGHT * len(text):
+            continue
+        along = one.ends[1] - one.ends[0]
+        left = np.array([-along[1], along[0]]) / np.hypot(*along)
+        shift = SIDE_DISTANCE * left if one.kind is Kind.LENGTH else np.zeros(2)
+        walls = " and ".join(str(wall) for wall in one.walls)
+        lines.append(DimensionLine(one.ends, one.ends + shift, text, f"{one.kind} of {walls}"))
+    return lines
+
+
+def area_texts(measurements: Iterable[Measurement]) -> list[tuple[Floats, str]]:
+    """Return place (2,) and text of each room's area."""
+    return [
+        (one.ends[0], f"room {one.room}: {one.value:.2f} ± {one.sigma:.2f} m²")
+        for one in measurements
+        if one.kind is Kind.AREA
+    ]
+
+
+def format_value(measurement: Measurement) -> str:
+    """Return a length and its standard deviation in metres, the latter rounded to millimetres, at least one."""
+    return f"{measurement.value:.3f} ± {max(round(1e3 * measurement.sigma), 1) / 1e3:.3f}"

@@ -1,0 +1,187 @@
+"""Outlines of rooms: walls followed from corner to corner, with the room on their left.
+
+A wall is seen from the left of its frame, so a robot in a room sees the walls around it in counter-clockwise order. A
+corner of the map states which wall follows another one. Where furniture hides a corner, or a door is open, the outline
+is continued along the lines of the walls: of all ways to connect loose ends, those are chosen that need the least
+length that was not seen (linear assignment, Kuhn 1955). Such a bridge crosses no wall, and around a corner not the path
+of the robot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from ..estimation.map_view import MIN_SINE
+from ..geometry.segments import Floats, Integers
+from .wall_map import WallMap
+
+# Metres of an outline that may be unobserved between two walls. Origin: chosen, a double door, or a cupboard in a
+# corner; not measured.
+MAX_BRIDGE = 2.0
+# Metres by which a wall may reach beyond a corner, or end before it. Origin: chosen, three cells of a wall's coverage.
+CORNER_MARGIN = 0.3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edges:
+    """n observed stretches of walls, none of which continues through a corner.
+
+    wall  (n,) rows of the walls
+    span  (n, 2) begin and end, metres along the wall from its frame
+    ends  (n, 2, 2) the same as points in the map
+    """
+
+    wall: Integers
+    span: Floats
+    ends: Floats
+
+    def __len__(self) -> int:
+        return len(self.wall)
+
+
+class Stretch(NamedTuple):
+    """Stretch of a wall (row) in an outline: where its observed part begins and ends along the wall, metres."""
+
+    wall: int
+    low: float
+    high: float
+
+
+def find_outlines(wall_map: WallMap) -> list[list[Stretch]]:
+    """Return all closed outlines, as stretches in their order; one that continues beyond a door is one stretch."""
+    edges = wall_edges(wall_map)
+    following = _follow(wall_map, edges)
+    outlines, done = [], np.zeros(len(edges), dtype=bool)
+    for start in range(len(edges)):
+        chain: list[int] = []
+        edge = start
+        while edge >= 0 and not done[edge]:
+            done[edge] = True
+            chain.append(edge)
+            edge = int(following[edge])
+        if chain and edge == start:
+            outlines.append(_joined([Stretch(int(edges.wall[k]), *edges.span[k].tolist()) for k in chain]))
+    return outlines
+
+
+def _joined(chain: list[Stretch]) -> list[Stretch]:
+    """Return a closed chain with successive stretches of one wall joined."""
+    first = next((k for k, stretch in enumerate(chain) if stretch.wall != chain[k - 1].wall), 0)
+    joined: list[Stretch] = []
+    for stretch in [*chain[first:], *chain[:first]]:
+        if joined and joined[-1].wall == stretch.wall:
+            joined[-1] = Stretch(stretch.wall, joined[-1].low, stretch.high)
+        else:
+            joined.append(stretch)
+    return joined
+
+
+def wall_edges(wall_map: WallMap) -> Edges:
+    """Return the observed pieces of the walls, cut at the corners."""
+    rows: list[int] = []
+    spans: list[tuple[float, float]] = []
+    cuts = _corner_places(wall_map)
+    for row, pieces in enumerate(wall_map.walls.pieces):
+        for low, high in pieces.tolist():
+            inside = sorted(c for c in cuts.get(row, []) if low + CORNER_MARGIN < c < high - CORNER_MARGIN)
+            stops = [low, *inside, high]
+            rows += [row] * (len(stops) - 1)
+            spans += pairwise(stops)
+    ends = [[wall_map.point(row, along) for along in span] for row, span in zip(rows, spans, strict=True)]
+    return Edges(np.array(rows, dtype=np.int64), np.array(spans).reshape(-1, 2), np.array(ends).reshape(-1, 2, 2))
+
+
+def _known_corners(wall_map: WallMap) -> list[tuple[int, int, Floats]]:
+    """Return the rows of both walls, and the position, of each corner whose walls are in the map."""
+    row_of = {int(identity): row for row, identity in enumerate(wall_map.walls.identity)}
+    corners = zip(wall_map.corners.walls.tolist(), wall_map.corners.position, strict=True)
+    return [(row_of[a], row_of[b], place) for (a, b), place in corners if a in row_of and b in row_of and a != b]
+
+
+def _corner_places(wall_map: WallMap) -> dict[int, list[float]]:
+    """Return for each wall with corners where they are along it, metres."""
+    places: dict[int, list[float]] = {}
+    for first, second, position in _known_corners(wall_map):
+        for row in (first, second):
+            places.setdefault(row, []).append(wall_map.along(row, position))
+    return places
+
+
+def _follow(wall_map: WallMap, edges: Edges) -> Integers:
+    """Return for each edge (n,) the one that follows it, -1 if unknown."""
+    following = np.full(len(edges), -1)
+    for first, second, position in _known_corners(wall_map):
+        before = _nearest(edges, first, 1, wall_map.along(first, position))
+        after = _nearest(edges, second, 0, wall_map.along(second, position))
+        if min(before, after) >= 0 and following[before] < 0 and after not in following:
+            following[before] = after
+    loose = np.flatnonzero(following < 0)
+    open_starts = np.setdiff1d(np.arange(len(edges)), following)
+    cost = np.full((len(loose), len(open_starts) + len(loose)), MAX_BRIDGE)  # the last columns: nothing follows
+    for i, before in enumerate(loose.tolist()):
+        for j, after in enumerate(open_starts.tolist()):
+            cost[i, j] = _bridge_cost(wall_map, edges, before, after)
+    chosen, columns = linear_sum_assignment(np.minimum(cost, 2.0 * MAX_BRIDGE))
+    for i, j in zip(chosen, columns, strict=True):
+        if j < len(open_starts) and cost[i, j] < MAX_BRIDGE:
+            following[loose[i]] = open_starts[j]
+    return following
+
+
+def _nearest(edges: Edges, wall: int, side: int, along: float) -> int:
+    """Return the edge of a wall that begins (side 0) or ends (1) nearest to a place along it; -1 without one."""
+    rows = np.flatnonzero(edges.wall == wall)
+    distance = np.abs(edges.span[rows, side] - along)
+    return int(rows[distance.argmin()]) if len(rows) and distance.min() < 2.0 * CORNER_MARGIN else -1
+
+
+def _bridge_cost(wall_map: WallMap, edges: Edges, before: int, after: int) -> float:
+    """Return the metres that were not seen if one edge follows another, infinite if it cannot."""
+    first, second = int(edges.wall[before]), int(edges.wall[after])
+    end, start = edges.ends[before, 1], edges.ends[after, 0]
+    turn = float(wall_map.walls.frame[second, 2] - wall_map.walls.frame[first, 2])
+    if abs(np.sin(turn)) <= MIN_SINE:
+        gap = wall_map.along(first, start) - float(edges.span[before, 1])
+        cost = abs(gap) + abs(float(wall_map.normal(first) @ (start - end)))
+        possible = np.cos(turn) > 0.0 and gap >= -CORNER_MARGIN and cost <= MAX_BRIDGE
+        return cost if possible and not _crosses(edges, np.stack([end, start]), (before, after)) else np.inf
+    if np.hypot(*(start - end)) > MAX_BRIDGE:
+        return np.inf
+    corner, _ = wall_map.intersection(first, second)
+    beyond = wall_map.along(first, corner) - float(edges.span[before, 1])
+    ahead = float(edges.span[after, 0]) - wall_map.along(second, corner)
+    cost = abs(beyond) + abs(ahead)
+    if min(beyond, ahead) < -CORNER_MARGIN or cost > MAX_BRIDGE:
+        return np.inf
+    bridge = np.stack([end if beyond > 0.0 else corner, corner, start if ahead > 0.0 else corner])
+    if _crosses(edges, bridge, (before, after)) or _meets(bridge, wall_map.path):
+        return np.inf
+    return cost
+
+
+def _crosses(edges: Edges, bridge: Floats, without: tuple[int, int]) -> bool:
+    """Return True if a polyline (k, 2) crosses an edge other than two."""
+    others = np.delete(edges.ends, without, axis=0)
+    return any(_crossing(a, b, others[:, 0], others[:, 1]).any() for a, b in pairwise(bridge))
+
+
+def _meets(bridge: Floats, path: Floats) -> bool:
+    """Return True if a polyline (k, 2) crosses another one (m, 2)."""
+    return any(_crossing(a, b, path[:-1], path[1:]).any() for a, b in pairwise(bridge))
+
+
+def _crossing(a: Floats, b: Floats, starts: Floats, ends: Floats) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Return (n,) which of the segments from `starts` (n, 2) to `ends` (n, 2) cross the segment from a to b."""
+
+    def side(p: Floats, q: Floats, r: Floats) -> Floats:
+        return np.asarray(
+            (q[..., 0] - p[..., 0]) * (r[..., 1] - p[..., 1]) - (q[..., 1] - p[..., 1]) * (r[..., 0] - p[..., 0])
+        )
+
+    apart = side(a, b, starts) * side(a, b, ends) < 0.0
+    return np.asarray(apart & (side(starts, ends, a) * side(starts, ends, b) < 0.0))

@@ -1,0 +1,75 @@
+"""Walls with their joint covariance, and how points on them move with it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import MapError
+from ..estimation.map_view import intersect_walls
+from ..geometry.segments import Floats
+from ..mapping.map_features import MapCorners, MapWalls
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WallMap:
+    """n walls of a map with their joint covariance, its m corners, and the path that was driven.
+
+    walls       the walls
+    corners     the corners
+    covariance  (2 n, 2 n) of offset across (metres) and heading (radians) of each wall at its frame
+    path        (k, 2) driven positions in the map, metres
+    """
+
+    walls: MapWalls
+    corners: MapCorners
+    covariance: Floats
+    path: Floats
+
+    def row(self, identity: int) -> int:
+        """Return the row of a wall. Raises MapError if the map has no such wall."""
+        rows = np.flatnonzero(self.walls.identity == identity)
+        if not len(rows):
+            raise MapError(f"the map has no wall {identity}")
+        return int(rows[0])
+
+    def sigma(self, gradient: Floats) -> float:
+        """Return the standard deviation of a quantity with this gradient (2 n,) by the walls' offsets and headings."""
+        return math.sqrt(max(float(gradient @ self.covariance @ gradient), 0.0))
+
+    def point(self, row: int, along: float) -> Floats:
+        """Return the point (2,) of a wall some metres along it from its frame."""
+        x, y, heading = self.walls.frame[row]
+        return np.array([x + along * np.cos(heading), y + along * np.sin(heading)])
+
+    def along(self, row: int, point: Floats) -> float:
+        """Return the metres along a wall, from its frame, of the point nearest to `point` (2,)."""
+        x, y, heading = self.walls.frame[row]
+        return float(np.cos(heading) * (point[0] - x) + np.sin(heading) * (point[1] - y))
+
+    def normal(self, row: int) -> Floats:
+        """Return the unit vector (2,) across a wall, to the side that it is seen from."""
+        heading = self.walls.frame[row, 2]
+        return np.array([-np.sin(heading), np.cos(heading)])
+
+    def shift(self, row: int, along: float) -> Floats:
+        """Return the gradient (2 n,) of a wall's shift across itself, some metres along it."""
+        gradient = np.zeros(len(self.covariance))
+        gradient[2 * row : 2 * row + 2] = 1.0, along
+        return gradient
+
+    def turn(self, row: int) -> Floats:
+        """Return the gradient (2 n,) of a wall's heading."""
+        gradient = np.zeros(len(self.covariance))
+        gradient[2 * row + 1] = 1.0
+        return gradient
+
+    def intersection(self, first: int, second: int) -> tuple[Floats, Floats]:
+        """Return the intersection (2,) of the lines of two walls, and its Jacobian (2, 2 n); they are not parallel."""
+        point, of_both = intersect_walls(self.walls.frame[first], self.walls.frame[second])
+        jacobian = np.zeros((2, len(self.covariance)))
+        jacobian[:, 2 * first : 2 * first + 2] = of_both[:, :2]
+        jacobian[:, 2 * second : 2 * second + 2] = of_both[:, 2:]
+        return point, jacobian

@@ -1,0 +1,6 @@
+"""Compare two maps of one building: which walls and corners are new, gone or moved, and which were not seen again."""
+
+from .changes import Change, ChangeKind, MapDiff, compare
+from .surveys import Survey, survey_session
+
+__all__ = ["Change", "ChangeKind", "MapDiff", "Survey", "compare", "survey_session"]

@@ -1,0 +1,94 @@
+"""Which of the walls that two maps have in common have moved.
+
+The differences d of all pairs, offset and heading, have the covariance C = C_old + C_new, the sum of the joint ones of
+both maps. The motion m between the maps' frames is estimated from the pairs that have not moved by generalised least
+squares. The remaining differences r = A d, with A = 1 - J G for m = G d, have the covariance A C A'. A pair has moved
+if r' (A C A')^-1 r of its own two components is significant; then it is left out of the estimate of m, until nothing
+changes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers import se2
+
+from ...geometry.segments import Floats, Integers
+from ...measuring.wall_map import WallMap
+from ..wall_alignment import numerical_jacobian, shared_points, wall_differences
+
+# Median of the chi-square distribution with 2 dof: -2 ln 0.5. Origin: chi-square, 2 dof, 50 %.
+MEDIAN_CHI_SQUARE = 2.0 * np.log(2.0)
+# Probability beyond which a pair is left out of the alignment. Origin: chosen, one of a thousand; not measured.
+OUTLIER_PROBABILITY = 1e-3
+# Iterations for the pairs that have not moved. Origin: numerical.
+MAX_ITERATIONS = 10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Movements:
+    """Movements of n pairs of walls.
+
+    pairs     (n, 2) rows of the walls: old, new
+    shift     (n,) metres by which the new wall is farther on the left of the old one, where both were seen
+    turn      (n,) radians by which it is turned
+    sigma     (n, 2) standard deviations of both
+    p_value   (n,) probability of such a difference or a larger one if the wall has not moved
+    motion    (3,) pose of the new map in the old one
+    scale     factor of all variances: 1, or more if the typical difference is larger than stated
+    """
+
+    pairs: Integers
+    shift: Floats
+    turn: Floats
+    sigma: Floats
+    p_value: Floats
+    motion: se2.Pose
+    scale: float
+
+
+def find_movements(old: WallMap, new: WallMap, pairs: Integers, motion: se2.Pose) -> Movements:
+    """Return the movements of pairs (n, 2) of walls; `motion` is a guess of the pose of the new map in the old one."""
+    points = shared_points(old.walls, new.walls, pairs, motion)
+    covariance = _at_points(old, pairs[:, 0], points[:, 0]) + _at_points(new, pairs[:, 1], points[:, 1])
+    still = np.ones(len(pairs), dtype=bool)
+    for _ in range(MAX_ITERATIONS):
+
+        def differences(change: Floats, motion: se2.Pose = motion) -> Floats:
+            return wall_differences(old.walls, new.walls, pairs, points, se2.compose(motion, change)).ravel()
+
+        values, jacobian = differences(np.zeros(3)), numerical_jacobian(differences)
+        used = np.flatnonzero(np.repeat(still, 2))
+        weighted = np.linalg.solve(covariance[np.ix_(used, used)], jacobian[used])
+        gain = np.zeros((3, len(values)))
+        gain[:, used] = np.linalg.solve(jacobian[used].T @ weighted, weighted.T)
+        projection = np.eye(len(values)) - jacobian @ gain
+        rest, remaining = projection @ values, projection @ covariance @ projection.T
+        squared, sigma = _squared(rest, remaining)
+        scale = max(float(np.median(squared[still])) / MEDIAN_CHI_SQUARE, 1.0)
+        p_value = np.exp(-0.5 * squared / scale)
+        motion = se2.compose(motion, -gain @ values)
+        now = p_value >= OUTLIER_PROBABILITY
+        if (now == still).all() or 2 * now.sum() <= len(now):
+            break
+        still = now
+    return Movements(pairs, rest[::2], rest[1::2], np.sqrt(scale) * sigma, p_value, motion, scale)
+
+
+def _squared(rest: Floats, covariance: Floats) -> tuple[Floats, Floats]:
+    """Return the squared Mahalanobis distance (n,) and the standard deviations (n, 2) of each pair."""
+    count = np.arange(len(rest) // 2)
+    blocks = covariance.reshape(len(count), 2, len(count), 2)[count, :, count, :]
+    pairs = rest.reshape(-1, 2)
+    squared = np.einsum("ni,ni->n", pairs, np.linalg.solve(blocks, pairs[..., None])[..., 0])
+    return squared, np.sqrt(np.einsum("nii->ni", blocks))
+
+
+def _at_points(wall_map: WallMap, rows: Integers, points: Floats) -> Floats:
+    """Return the joint covariance (2 n, 2 n) of offset and heading of walls (n,), each `points` (n,) metres along."""
+    columns = np.column_stack([2 * rows, 2 * rows + 1]).ravel()
+    lever = np.eye(len(columns))
+    lever[np.arange(0, len(columns), 2), np.arange(1, len(columns), 2)] = points
+    return np.asarray(lever @ wall_map.covariance[np.ix_(columns, columns)] @ lever.T)

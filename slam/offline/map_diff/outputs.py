@@ -1,0 +1,166 @@
+"""The changes between two maps as text, GeoJSON and a picture."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers import se2
+
+from ...geometry.segments import Floats
+from ...measuring.wall_map import WallMap
+from .changes import DIFFERENCES, Change, ChangeKind, MapDiff
+from .corners import CornerChange
+
+STYLE = """
+path { fill: none; stroke-width: .06; stroke-linecap: round }
+.same { stroke: #b0b7bf }
+.unseen { stroke: #b0b7bf; stroke-dasharray: .05 .12 }
+.old { stroke: #d55e00 }
+.new { stroke: #0072b2 }
+text { font: .3px sans-serif; fill: #1f2933 }
+"""
+"""Orange is only in the old map, blue only in the new one: distinguishable if colour-blind."""
+LEAST_PROBABILITY = 1e-99
+"""Least p-value that is printed."""
+MARGIN = 1.0
+"""Metres around the drawing."""
+MILLIMETRES_PER_METRE = 10
+"""Millimetres of paper per metre of the map."""
+
+
+def diff_text(diff: MapDiff, corners: Sequence[CornerChange]) -> str:
+    """Return a line for each difference, then those that were not seen, and the number of walls in both maps."""
+    lines = [_line(change) for change in diff.changes if change.kind in DIFFERENCES]
+    for kind in DIFFERENCES:
+        identities = [str(corner.identity) for corner in corners if corner.kind is kind]
+        if identities:
+            lines.append(f"corners {kind}: {', '.join(identities)}")
+    for kind in (ChangeKind.NOT_SEEN_AGAIN, ChangeKind.NOT_SEEN_BEFORE):
+        walls = [str(_named(change)) for change in diff.changes if change.kind is kind]
+        if walls:
+            lines.append(f"{kind}, which proves nothing: walls {', '.join(walls)}")
+    same = f"{diff.same} walls are the same; {diff.tests} tests"
+    return "\n".join([*lines, same if math.isclose(diff.scale, 1.0) else f"{same}, variances times {diff.scale:.2f}"])
+
+
+def _line(change: Change) -> str:
+    if change.kind is ChangeKind.MOVED:
+        shift, turn = 1e3 * change.shift, math.degrees(change.turn)
+        side = "left" if shift > 0.0 else "right"
+        sigmas = 1e3 * change.sigma[0], math.degrees(change.sigma[1])
+        text = f"wall {change.old}, now {change.new}: {abs(shift):.1f} mm ± {sigmas[0]:.1f} mm to its {side}"
+        return f"moved: {text}, turned by {turn:.2f}° ± {sigmas[1]:.2f}°, {_probability(change)}"
+    (x0, y0), (x1, y1) = change.stretches[0].tolist()
+    length = math.hypot(x1 - x0, y1 - y0)
+    place = f"{length:.1f} m of wall {_named(change)} from ({x0:.2f}, {y0:.2f}) to ({x1:.2f}, {y1:.2f})"
+    votes = f"seen through by {change.through} scans, seen by {change.seen}"
+    return f"{change.kind}: {place}, {votes}, {_probability(change)}"
+
+
+def _probability(change: Change) -> str:
+    """Return the p-value as text; beyond any sensible digit only that it is smaller."""
+    return f"p = {change.p_value:.1g}" if change.p_value > LEAST_PROBABILITY else f"p < {LEAST_PROBABILITY:g}"
+
+
+def _named(change: Change) -> int | None:
+    """Return the identity of the wall in the map that a change names."""
+    return change.new if change.old is None else change.old
+
+
+def write_diff_geojson(path: Path, diff: MapDiff, corners: Sequence[CornerChange]) -> None:
+    """Write a feature per change, in metres in the old map's frame, as in the GeoJSON export of maps."""
+    features = [*map(_wall_feature, diff.changes), *map(_corner_feature, corners)]
+    rows = ",\n".join(json.dumps(feature, allow_nan=False) for feature in features)
+    motion = json.dumps([round(value, 6) for value in diff.motion.tolist()])
+    head = f'"type": "FeatureCollection", "frame": "map", "units": "m", "new_map_at": {motion}'
+    path.write_text(f'{{{head}, "features": [\n{rows}\n]}}\n', encoding="utf-8", newline="\n")
+
+
+def _wall_feature(change: Change) -> dict[str, Any]:
+    properties = {
+        "kind": "wall",
+        "change": change.kind.value,
+        "old": change.old,
+        "new": change.new,
+        "p_value": _number(change.p_value),
+        "shift": _number(change.shift),
+        "turn": _number(change.turn),
+        "sigma_shift": _number(change.sigma[0]),
+        "sigma_turn": _number(change.sigma[1]),
+        "seen_through_by": change.through,
+        "seen_by": change.seen,
+    }
+    geometry = {"type": "MultiLineString", "coordinates": (np.round(change.stretches, 6) + 0.0).tolist()}
+    return {"type": "Feature", "geometry": geometry, "properties": properties}
+
+
+def _corner_feature(corner: CornerChange) -> dict[str, Any]:
+    shift = corner.shift.tolist() if np.isfinite(corner.shift).all() else None
+    properties = {"kind": "corner", "change": corner.kind.value, "identity": corner.identity, "shift": shift}
+    geometry = {"type": "Point", "coordinates": (np.round(corner.position, 6) + 0.0).tolist()}
+    return {"type": "Feature", "geometry": geometry, "properties": properties}
+
+
+def _number(value: float) -> float | None:
+    return float(f"{value:.4g}") if math.isfinite(value) else None
+
+
+def write_diff_svg(path: Path, diff: MapDiff, old: WallMap, new: WallMap) -> None:
+    """Draw both maps: grey walls are in both, orange ones only in the old map, blue ones only in the new one.
+
+    Dotted walls are in one map only, but nothing shows that they are gone or new.
+    """
+    elements = [*_walls(diff, old, new), *_differences(diff, new)]
+    points = np.concatenate([old.walls.end_points().reshape(-1, 2), _in_old(new, diff.motion).reshape(-1, 2)])
+    low, high = points.min(axis=0) - MARGIN, points.max(axis=0) + MARGIN
+    (width, height), left, top = high - low, low[0], -high[1]
+    size = f'width="{MILLIMETRES_PER_METRE * width:.1f}mm" height="{MILLIMETRES_PER_METRE * height:.1f}mm"'
+    view = f'viewBox="{left:.3f} {top:.3f} {width:.3f} {height:.3f}"'
+    body = "\n".join(elements)
+    text = f'<svg xmlns="http://www.w3.org/2000/svg" {size} {view}>\n<style>{STYLE}</style>\n{body}\n</svg>\n'
+    path.write_text(text, encoding="utf-8", newline="\n")
+
+
+def _in_old(new: WallMap, motion: se2.Pose) -> Floats:
+    """Return the end points (k, 2, 2) of the new walls' pieces in the old map's frame."""
+    return np.asarray(se2.transform(motion, new.walls.piece_points()[0]))
+
+
+def _walls(diff: MapDiff, old: WallMap, new: WallMap) -> Iterator[str]:
+    """Yield the walls of the old map, and those of the new one that were not seen before."""
+    classes = {change.old: "unseen" for change in diff.changes if change.kind is ChangeKind.NOT_SEEN_AGAIN}
+    points, wall = old.walls.piece_points()
+    for ends, row in zip(points, wall.tolist(), strict=True):
+        identity = int(old.walls.identity[row])
+        yield _path(classes.get(identity, "same"), ends, f"wall {identity}")
+    before = {change.new for change in diff.changes if change.kind is ChangeKind.NOT_SEEN_BEFORE}
+    for ends, row in zip(_in_old(new, diff.motion), new.walls.piece_points()[1].tolist(), strict=True):
+        identity = int(new.walls.identity[row])
+        if identity in before:
+            yield _path("unseen", ends, f"new wall {identity}")
+
+
+def _differences(diff: MapDiff, new: WallMap) -> Iterator[str]:
+    """Yield the old places of walls in one colour and the new ones in the other; of moved walls the shift as text."""
+    in_old, wall = _in_old(new, diff.motion), new.walls.piece_points()[1]
+    for change in diff.changes:
+        if change.kind not in DIFFERENCES:
+            continue
+        for ends in change.stretches:
+            yield _path("new" if change.kind is ChangeKind.NEW else "old", ends, _line(change))
+        if change.kind is ChangeKind.MOVED:
+            for ends in in_old[new.walls.identity[wall] == change.new]:
+                yield _path("new", ends, _line(change))
+            x, y = change.stretches[0].mean(axis=0).tolist()
+            yield f'<text x="{x + 0.1:.3f}" y="{-y - 0.1:.3f}">{1e3 * abs(change.shift):.0f} mm</text>'
+
+
+def _path(name: str, ends: Floats, title: str) -> str:
+    (x0, y0), (x1, y1) = ends.tolist()
+    return f'<path class="{name}" d="M{x0:z.3f},{-y0:z.3f}L{x1:z.3f},{-y1:z.3f}"><title>{title}</title></path>'

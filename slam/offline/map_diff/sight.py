@@ -1,0 +1,170 @@
+"""Which walls of one map the scans of another one have seen, and which they have seen through.
+
+A scan votes on a stretch of a wall: that it is there if points lie on at least as much of it as the scan sees through,
+else that it is not. If nothing has changed, scans of both drives see through it with the same probability, which is
+that of glass, of a grating, or nearly zero. Given how many do in all, the number of those of one drive then has a
+hypergeometric distribution (Fisher's exact test).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import hypergeom
+
+from drivers import se2
+
+from ...geometry.segments import Floats, Integers
+from ...mapping.landmarks import WALL_CELL
+from ...mapping.sight_lines import END_MARGIN_CELLS, MIN_DEPTH, MIN_DEPTH_SIGMAS, trace_sight_lines
+from ...mapping.wall_removal import MAX_GAP_CELLS, MIN_OPENING
+from ...measuring.wall_map import WallMap
+from .surveys import Survey
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenThrough:
+    """Stretch of a wall that scans have seen through.
+
+    wall     row of the wall
+    span     begin and end, metres along the wall from its frame
+    through  scans of the other drive that have seen through it
+    seen     scans of the other drive that have seen it
+    own      (2,) the same of the drive that the wall was mapped in
+    """
+
+    wall: int
+    span: tuple[float, float]
+    through: int
+    seen: int
+    own: tuple[int, int]
+
+    @property
+    def p_value(self) -> float:
+        """Probability that so many scans of the other drive see through it, or more, if nothing has changed."""
+        through, votes = self.through + self.own[0], self.through + self.seen
+        return float(hypergeom.sf(self.through - 1, votes + sum(self.own), through, votes))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sightings:
+    """What the scans of one map show of the walls of another one.
+
+    stretches  that were seen through more often than seen
+    seen       (n,) metres of each wall on which scans have seen points more often than seen through
+    looked_at  (n,) metres of each wall that scans have seen or seen through
+    """
+
+    stretches: list[SeenThrough]
+    seen: Floats
+    looked_at: Floats
+
+
+def find_sightings(owner: Survey, survey: Survey, motion: se2.Pose) -> Sightings:
+    """Return what the scans of `survey` show of the walls of the map of `owner`, in which its map is at `motion`.
+
+    Only cells count that the owner's own scans saw: a line fitted to what is on both sides of a door covers the door.
+    """
+    cells = _Cells(owner.wall_map)
+    own_through, own_seen = cells.counts(owner, np.zeros(3))
+    cells.restrict(own_seen > own_through)
+    through, seen = cells.counts(survey, motion)
+    spans = list(_runs(cells, through > seen))
+    votes, own = cells.votes(spans, survey, motion), cells.votes(spans, owner, np.zeros(3))
+    stretches = [
+        SeenThrough(int(cells.wall[first]), cells.span(first, last), *votes[k], own[k])
+        for k, (first, last) in enumerate(spans)
+        if votes[k][0] > votes[k][1]
+    ]
+    known = cells.covered & (through + seen > 0)
+    return Sightings(stretches, cells.lengths(known & (seen >= through)), cells.lengths(known))
+
+
+class _Cells:
+    """Cells of WALL_CELL metres along all walls, one wall after the other.
+
+    wall     row of the wall of each cell
+    covered  true for cells that were observed
+    inner    true for covered cells that are not at an end of an observed piece
+    """
+
+    def __init__(self, wall_map: WallMap) -> None:
+        walls = wall_map.walls
+        self._wall_map = wall_map
+        self._first = np.floor(walls.low / WALL_CELL).astype(np.int64)
+        sizes = np.ceil(walls.high / WALL_CELL).astype(np.int64) - self._first
+        self._ends = np.concatenate([[0], np.cumsum(sizes)])
+        self.count = int(self._ends[-1])
+        self.wall = np.repeat(np.arange(len(walls)), sizes)
+        self.covered, self.inner = np.zeros(self.count, dtype=bool), np.zeros(self.count, dtype=bool)
+        for row, pieces in enumerate(walls.pieces):
+            for low, high in (self._ends[row] + np.round(pieces / WALL_CELL).astype(int) - self._first[row]).tolist():
+                margin = min(END_MARGIN_CELLS, max(high - low - 1, 0) // 4)
+                begin, end = max(low, int(self._ends[row])), min(high, int(self._ends[row + 1]))
+                self.covered[begin:end] = True
+                self.inner[begin + margin : end - margin] = True
+        along = self._along(np.arange(self.count)) + 0.5 * WALL_CELL
+        covariance = walls.covariance[self.wall]
+        variance = covariance[:, 0, 0] + 2.0 * along * covariance[:, 0, 1] + along**2 * covariance[:, 1, 1]
+        self._min_depth = MIN_DEPTH + MIN_DEPTH_SIGMAS * np.sqrt(variance)
+
+    def _along(self, cells: Integers) -> Floats:
+        """Return the metres from the frame of its wall to the begin of each cell."""
+        walls = self.wall[cells]
+        return np.asarray(WALL_CELL * (self._first[walls] + cells - self._ends[walls]))
+
+    def span(self, first: int, last: int) -> tuple[float, float]:
+        """Return begin and end of successive cells of a wall, metres along it from its frame."""
+        begin, end = self._along(np.array([first, last])).tolist()
+        return begin, end + WALL_CELL
+
+    def lengths(self, chosen: NDArray[np.bool_]) -> Floats:
+        """Return for each wall the metres of its chosen cells."""
+        return np.asarray(WALL_CELL * np.bincount(self.wall[chosen], minlength=len(self._first)))
+
+    def restrict(self, chosen: NDArray[np.bool_]) -> None:
+        """Treat all cells but some chosen ones as not observed."""
+        self.covered &= chosen
+        self.inner &= chosen
+
+    def counts(self, survey: Survey, motion: se2.Pose) -> tuple[Integers, Integers]:
+        """Return how many scans see through each cell, and how many see it."""
+        through, seen = np.zeros(self.count, dtype=np.int64), np.zeros(self.count, dtype=np.int64)
+        for is_through, is_seen in self.scans(survey, motion):
+            through += is_through
+            seen += is_seen
+        return through, seen
+
+    def votes(self, spans: list[tuple[int, int]], survey: Survey, motion: se2.Pose) -> list[tuple[int, int]]:
+        """Return for each span of cells, first and last, how many scans see through it, and how many see it."""
+        votes = np.zeros((len(spans), 2), dtype=np.int64)
+        for is_through, is_seen in self.scans(survey, motion):
+            for k, (first, last) in enumerate(spans):
+                crossed, hit = int(is_through[first : last + 1].sum()), int(is_seen[first : last + 1].sum())
+                votes[k] += (crossed > hit, 0 < hit >= crossed)
+        return [(through, seen) for through, seen in votes.tolist()]
+
+    def scans(self, survey: Survey, motion: se2.Pose) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
+        """Yield for each scan which cells it sees through, and which it sees."""
+        frames = self._wall_map.walls.frame.copy()
+        for pose, points in zip(se2.compose(motion, survey.poses), survey.points, strict=True):
+            seen, depth, _ = trace_sight_lines(np.asarray(pose), points, frames, self._first, self._ends)
+            yield self.inner & (depth > self._min_depth), self.covered & seen
+
+
+def _runs(cells: _Cells, chosen: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
+    """Yield the first and last cell of each run of chosen cells in one wall that is long enough for an opening.
+
+    Gaps of up to MAX_GAP_CELLS do not divide a run. A run that is all that is observed of a short wall is long enough.
+    """
+    rows = np.flatnonzero(chosen)
+    if not len(rows):
+        return
+    breaks = np.flatnonzero((np.diff(rows) > MAX_GAP_CELLS + 1) | (np.diff(cells.wall[rows]) > 0))
+    for run in np.split(rows, breaks + 1):
+        inner = int((cells.inner & (cells.wall == cells.wall[run[0]])).sum())
+        if len(run) >= min(round(MIN_OPENING / WALL_CELL), inner):
+            yield int(run[0]), int(run[-1])

@@ -1,0 +1,68 @@
+"""What a session states about a building: walls with their joint covariance, and what its scans have seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from drivers import se2
+
+from ...errors import MapError
+from ...geometry.segments import Floats
+from ...io.sessions import StoredSession
+from ...io.wall_maps import wall_map_of
+from ...loop_closure.relocalisation import index_map
+from ...mapping.wall_removal import MIN_STEP
+from ...measuring.wall_map import WallMap
+from ..map_merging.consensus import locate_session
+from ..wall_alignment import MIN_COMMON, align_maps
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Survey:
+    """A settled session.
+
+    session   the session
+    wall_map  its walls
+    poses     (k, 3) of scans with points, at least MIN_STEP metres of driving apart
+    points    of each of these scans, (p, 2) in its frame
+    """
+
+    session: StoredSession
+    wall_map: WallMap
+    poses: Floats
+    points: Sequence[Floats]
+
+
+def survey_session(path: Path, session: StoredSession) -> Survey:
+    """Settle a session, which is changed; `path` is named in errors. Raises MapError."""
+    wall_map = wall_map_of(path, session)
+    history = session.scan_history()
+    poses = history.scan_poses(session.slam_state.mapper.keyframe_poses)
+    chosen: list[int] = []
+    for row in np.flatnonzero(history.has_features).tolist():
+        if not chosen or np.hypot(*(poses[row, :2] - poses[chosen[-1], :2])) >= MIN_STEP:
+            chosen.append(row)
+    points = [np.ascontiguousarray(history.scans[row].features.points.all) for row in chosen]
+    return Survey(session, wall_map, poses[chosen], points)
+
+
+def locate(old: Survey, new: Survey, guess: se2.Pose | None = None) -> se2.Pose:
+    """Return the pose [x, y, heading] of the new map in the old one, by the walls that both contain.
+
+    Without a guess, the new map is searched for in the old one. Raises MapError with the reason if it is not
+    recognised there, or if the maps have too few walls in common.
+    """
+    if guess is None:
+        mapper = new.session.slam_state.mapper
+        consensus = locate_session(mapper, new.session.scan_history(), index_map(old.session.slam_state.mapper))
+        if not consensus.accepted:
+            raise MapError(f"the maps cannot be aligned: the new one is not recognised: {consensus.reason}")
+        guess = consensus.members[0].relocalisation.motion
+    motion, pairs = align_maps(old.wall_map.walls, new.wall_map.walls, guess)
+    if len(pairs) < MIN_COMMON:
+        raise MapError(f"the maps cannot be aligned: they have only {len(pairs)} walls in common")
+    return motion

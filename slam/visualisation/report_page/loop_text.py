@@ -1,0 +1,52 @@
+"""Say in words how often a robot returned to known places, and what became of its loops."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ...loop_closure.loop_status import LoopStatus
+from .formatting import counted, length
+
+
+def returns_text(slam: dict[str, Any]) -> str:
+    """Return how often the robot returned and how well the map fitted there; empty if it did not, or if it is unknown.
+
+    slam  part `slam` of a run's summary
+    """
+    returns = slam.get("returns") or {}
+    if not returns.get("count"):
+        return ""
+    count = returns["count"]
+    return (
+        f"returned {'once' if count == 1 else f'{count} times'} to a known place; the map was correct there to "
+        f"{length(returns['position_rms'])} (RMS of {counted(returns['looks'], 'comparison')}), "
+        f"at worst {length(returns['position_max'])}"
+    )
+
+
+def loops_text(slam: dict[str, Any]) -> str:
+    """Return how many loops were closed, retracted and rejected; empty if there were none."""
+    counts = slam.get("loops") or {}
+    rows = slam.get("loop_decisions") or []
+    parts = []
+    if closed := counts.get(LoopStatus.ACCEPTED, 0):
+        shift = max((row["shift"] for row in rows if row["status"] == LoopStatus.ACCEPTED), default=0.0)
+        parts.append(
+            f"{counted(closed, 'loop')} closed" + (f", which moved the robot by up to {length(shift)}" if shift else "")
+        )
+    if retracted := counts.get(LoopStatus.RETRACTED, 0):
+        parts.append(f"{retracted} of them retracted, as later scans contradicted it")
+    if rejected := counts.get(LoopStatus.REJECTED, 0):
+        parts.append(f"{rejected} rejected as unsafe")
+    return "; ".join(parts)
+
+
+def nearest_rejection(slam: dict[str, Any]) -> str:
+    """Return stamp and reason of the rejected loop that came nearest to being closed; empty if there is none."""
+    rows = by_margin([row for row in slam.get("loop_decisions") or [] if row["status"] == LoopStatus.REJECTED])
+    return f"at {rows[0]['stamp']:.1f} s: {rows[0]['reason']}" if rows else ""
+
+
+def by_margin(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the rows of loop decisions, those that came nearest to being closed first."""
+    return sorted(rows, key=lambda row: -(row.get("margin") or 0.0))

@@ -1,0 +1,72 @@
+"""`wclm bench measure` and `wclm bench diff` count what they say they count."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.simulation.world import build_world
+from slam.evaluation.benchmarks.map_changes import CONDITIONS, DOORS, PairResult, changes_table, office, score
+from slam.evaluation.benchmarks.measuring import MeasuredDrive, coverage, measure_drives
+from slam.measuring.measurement import Kind
+from slam.offline.map_diff import Change, ChangeKind, MapDiff
+
+WORLD = """\
+path = [[1, 1], [4, 1], [4, 2.5]]
+walls = [
+    { from = [0, 0], to = [5, 0] }, { from = [5, 0], to = [5, 3.5] },
+    { from = [5, 3.5], to = [0, 3.5] }, { from = [0, 3.5], to = [0, 0] },
+]
+"""
+
+
+def test_coverage_is_the_share_within_the_interval_of_each_drive() -> None:
+    drives = [MeasuredDrive({Kind.WIDTH: np.array([0.0, 1.0, 3.0, -2.5])}), MeasuredDrive({Kind.WIDTH: np.zeros(2)})]
+    (row,) = coverage(drives)
+    assert (row.name, row.drives, row.count) == ("width", 2, 6)
+    assert row.covered == pytest.approx(0.75)
+    assert row.covered_error == pytest.approx(0.25)
+    assert row.squared == pytest.approx(0.5 * (1.0 + 9.0 + 6.25) / 4.0)
+
+
+def test_measurements_of_a_drive_are_compared_with_the_world(tmp_path: Path) -> None:
+    (tmp_path / "room.toml").write_text(WORLD)
+    (drive,) = measure_drives([3], str(tmp_path / "room.toml"), None)
+    assert {Kind.AREA, Kind.PERIMETER, Kind.LENGTH, Kind.WIDTH, Kind.ANGLE} <= set(drive.errors)
+    assert len(drive.errors[Kind.WIDTH]) == 2
+    assert all(np.abs(errors).max() < 5.0 for errors in drive.errors.values())
+    assert all(np.abs(errors).max() > 0.0 for errors in drive.errors.values())
+
+
+@pytest.mark.parametrize("name", CONDITIONS)
+def test_a_condition_changes_the_office_where_it_says(name: str) -> None:
+    content = office()
+    changed, areas = CONDITIONS[name].change(content)
+    before, after = (build_world("office", one).segments for one in (content, changed))
+    assert (len(areas) > 0) == (name != "unchanged")
+    if not areas:
+        np.testing.assert_array_equal(before, after)
+        return
+    old, new = ({tuple(row) for row in segments.round(6).tolist()} for segments in (before, after))
+    for x0, y0, x1, y1 in new - old:
+        if "doors" not in name:  # closing a door joins the walls beside it
+            middle = 0.5 * np.array([x0 + x1, y0 + y1])
+            assert any(np.abs(middle - [x, y]).max() <= max(hx, hy) + 1e-6 for x, y, hx, hy in areas)
+    assert len(areas) == {"added": 6, "closed-doors": len(DOORS), "shifted-doors": len(DOORS)}.get(name, 10)
+
+
+def test_reports_beside_a_change_find_it_and_others_are_false() -> None:
+    near, far = np.array([[[0.9, 0.0], [1.1, 0.0]]]), np.array([[[5.0, 5.0], [6.0, 5.0]]])
+    changes = [
+        Change(ChangeKind.NEW, None, 1, near),
+        Change(ChangeKind.MOVED, 2, 2, near),
+        Change(ChangeKind.GONE, 3, None, far),
+        Change(ChangeKind.NOT_SEEN_AGAIN, 4, None, far),
+    ]
+    diff = MapDiff(changes, np.zeros(3), 10, 20, 1.0)
+    areas = [(3.0, 2.0, 0.1, 0.1), (-3.0, -2.0, 0.1, 0.1)]
+    result = score(diff, areas, np.array([2.0, 2.0, 0.0]))
+    assert result == PairResult(changes=2, found=1, reports=3, false=1)
+    assert "| 1 of 2 | 1 (< 100 %) | 33.3 % |" in changes_table({"added": [result]})[-1]

@@ -1,0 +1,206 @@
+"""Changes between two maps are found with their significance, and nothing is reported without a change."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, cast
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from drivers import se2
+from drivers.simulation.world import load_world
+from slam.geometry.segments import Floats
+from slam.io.sessions import StoredSession
+from slam.measuring.wall_map import WallMap
+from slam.offline.map_diff import ChangeKind, MapDiff, Survey
+from slam.offline.map_diff.changes import benjamini_hochberg, find_changes, find_pairs
+from slam.offline.map_diff.corners import corner_changes
+from slam.offline.map_diff.movement import find_movements
+from slam.offline.map_diff.outputs import diff_text, write_diff_geojson, write_diff_svg
+from slam.offline.map_diff.sight import SeenThrough
+
+from ..measuring.plans import around, moved, room, wall_map
+from ..outlines import outline, visible
+
+RATE = 0.05
+NEW_MAP_AT = np.array([0.4, -0.3, 0.1])
+"""Pose of the new map in the old one."""
+SAME_FRAME = np.zeros(3)
+HALL = [(0.0, 0.0), (8.0, 0.0), (8.0, 3.0), (5.0, 3.0), (5.0, 6.0), (0.0, 6.0)]
+PATH = [np.array([x, y, 0.3]) for x, y in zip(np.linspace(0.8, 4.2, 18), np.linspace(1.0, 1.6, 18), strict=True)]
+BOX = [(2.6, 3.4), (2.6, 4.4), (3.8, 4.4), (3.8, 3.4)]
+"""Clockwise, as its sides are seen from outside."""
+
+
+def hall(
+    random: np.random.Generator, boxes: Sequence[list[tuple[float, float]]] = (), at: Floats = SAME_FRAME
+) -> Survey:
+    """Return the survey of a hall with boxes, in a map that is at a pose in the first one's, with random errors."""
+    sides = [wall for polygon in (HALL, *boxes) for wall in room(polygon)]
+    corners = [
+        pair
+        for k, polygon in enumerate((HALL, *boxes))
+        for pair in around(len(polygon), 6 * min(k, 1) + 4 * max(k - 1, 0))
+    ]
+    plan = wall_map(sides, corners)
+    factor = random.normal(0.0, 1e-3, (2 * len(sides), 2 * len(sides)))  # correlated errors of some millimetres
+    factor[1::2] *= 0.3
+    joint = factor @ factor.T
+    count = np.arange(len(sides))
+    blocks = joint.reshape(len(sides), 2, len(sides), 2)[count, :, count, :]
+    plan = replace(plan, covariance=joint, walls=replace(plan.walls, covariance=blocks))
+    plan = in_frame(moved(plan, factor @ random.normal(size=len(factor))), at)
+    surfaces = np.concatenate([outline(polygon) for polygon in (HALL, *boxes)])
+    points = [np.ascontiguousarray(visible(surfaces, pose)) for pose in PATH]
+    return Survey(cast("StoredSession", None), plan, se2.between(at, np.array(PATH)), points)
+
+
+def in_frame(plan: WallMap, at: Floats) -> WallMap:
+    """Return a map in the frame of a pose."""
+    corners = replace(plan.corners, position=se2.transform(se2.inverse(at), plan.corners.position).reshape(-1, 2))
+    return replace(plan, walls=replace(plan.walls, frame=se2.between(at, plan.walls.frame)), corners=corners)
+
+
+def changes_of(old: Survey, new: Survey) -> MapDiff:
+    guess = se2.compose(NEW_MAP_AT, [0.02, -0.03, 0.005])
+    return find_changes(old, new, guess, RATE)
+
+
+@pytest.fixture
+def random() -> np.random.Generator:
+    return np.random.default_rng(5)
+
+
+def test_an_unchanged_building_is_the_same(random: np.random.Generator) -> None:
+    found = changes_of(hall(random, [BOX]), hall(random, [BOX], NEW_MAP_AT))
+    assert not found.changes
+    assert not found.different
+    assert found.same == 10
+    np.testing.assert_allclose(found.motion, NEW_MAP_AT, atol=0.01)
+
+
+def test_p_values_of_walls_that_have_not_moved_are_uniform_or_larger(random: np.random.Generator) -> None:
+    """Few walls scatter, and variances are only increased: then p-values are larger than uniform ones."""
+    p_values = []
+    for _ in range(40):
+        old, new = hall(random, [BOX]).wall_map, hall(random, [BOX], NEW_MAP_AT).wall_map
+        pairs = find_pairs(old.walls, new.walls, NEW_MAP_AT)
+        p_values.append(find_movements(old, new, pairs, NEW_MAP_AT).p_value)
+    values = np.concatenate(p_values)
+    assert len(values) == 400
+    for level in (0.05, 0.2, 0.5):
+        assert level / 5.0 < np.mean(values < level) < level + 4.0 * np.sqrt(level * (1.0 - level) / len(values))
+
+
+def test_a_moved_wall_is_found_and_does_not_move_the_map(random: np.random.Generator) -> None:
+    old, new = hall(random, [BOX]), hall(random, [BOX], NEW_MAP_AT)
+    change = np.zeros(20)
+    change[2 * 4] = 0.06  # the wall (5, 6) to (0, 6), to its left
+    found = changes_of(old, replace(new, wall_map=moved(new.wall_map, change)))
+    (wall,) = found.changes
+    assert (wall.kind, wall.old, wall.new) == (ChangeKind.MOVED, 14, 14)
+    assert wall.shift == pytest.approx(0.06, abs=4.0 * wall.sigma[0])
+    assert wall.p_value < 1e-6
+    np.testing.assert_allclose(found.motion, NEW_MAP_AT, atol=0.01)
+    shifts = {corner.identity: corner.shift for corner in corner_changes(found, old.wall_map, new.wall_map)}
+    assert set(shifts) == {3, 4}  # the ends of this wall
+    np.testing.assert_allclose(shifts[3], [0.0, -0.06], atol=0.01)
+
+
+def test_a_box_is_gone_or_new_where_scans_have_seen_through_its_place(random: np.random.Generator) -> None:
+    empty, furnished = hall(random, at=NEW_MAP_AT), hall(random, [BOX])
+    gone = changes_of(furnished, empty)
+    assert {(change.kind, change.old) for change in gone.changes if change.kind is not ChangeKind.NOT_SEEN_AGAIN} == {
+        (ChangeKind.GONE, 19)  # the side that faces the path; nothing was known of the others from there
+    }
+    new = changes_of(hall(random), hall(random, [BOX], NEW_MAP_AT))
+    assert [(change.kind, change.new) for change in new.changes if change.kind is ChangeKind.NEW] == [
+        (ChangeKind.NEW, 19)
+    ]
+    np.testing.assert_allclose(sorted(new.changes[0].stretches[0][:, 0]), [2.6, 3.8], atol=0.25)
+
+
+def test_a_wall_that_no_scan_has_looked_at_is_not_gone(random: np.random.Generator) -> None:
+    old, new = hall(random, [BOX]), hall(random, at=NEW_MAP_AT)
+    blind = replace(new, poses=new.poses[:0], points=[])
+    kinds = {change.kind for change in changes_of(old, blind).changes}
+    assert kinds == {ChangeKind.NOT_SEEN_AGAIN}
+    assert not changes_of(old, blind).different
+
+
+def test_glass_that_both_drives_see_through_now_and_then_has_not_gone() -> None:
+    assert SeenThrough(0, (0.0, 1.0), through=9, seen=3, own=(8, 10)).p_value > 0.05
+    assert SeenThrough(0, (0.0, 1.0), through=9, seen=3, own=(0, 18)).p_value < 1e-3
+
+
+def test_false_discoveries_are_controlled(random: np.random.Generator) -> None:
+    """Of 200 tests 20 are of true changes; the mean share of false ones among the discoveries is at most the rate."""
+    shares = []
+    for _ in range(200):
+        p_values = np.concatenate([random.uniform(size=180), 1e-4 * random.uniform(size=20)])
+        found = benjamini_hochberg(p_values, 200, RATE)
+        shares.append(found[:180].sum() / max(found.sum(), 1))
+        assert found[180:].all()
+    assert np.mean(shares) < RATE + 0.015
+    assert not benjamini_hochberg(np.array([0.01]), 100, RATE).any()  # one of a hundred
+    assert not len(benjamini_hochberg(np.zeros(0), 10, RATE))
+
+
+def test_outputs_name_the_changes(random: np.random.Generator, tmp_path: Path) -> None:
+    old, new = hall(random), hall(random, [BOX], NEW_MAP_AT)
+    found = changes_of(old, new)
+    corners = corner_changes(found, old.wall_map, new.wall_map)
+    text = diff_text(found, corners)
+    assert text.splitlines()[0].startswith("new: ")
+    assert "6 walls are the same" in text
+    write_diff_geojson(tmp_path / "a.geojson", found, corners)
+    features = json.loads((tmp_path / "a.geojson").read_text())["features"]
+    wall = next(feature for feature in features if feature["properties"]["change"] == "new")
+    assert wall["properties"]["new"] == 19
+    assert wall["properties"]["seen_through_by"] > 10
+    np.testing.assert_allclose([point[1] for point in wall["geometry"]["coordinates"][0]], 3.4, atol=0.05)
+    write_diff_svg(tmp_path / "a.svg", found, old.wall_map, new.wall_map)
+    classes = [child.attrib.get("class") for child in ElementTree.parse(tmp_path / "a.svg").getroot()]
+    assert classes.count("new") == 1
+    assert classes.count("same") == 6
+
+
+def test_maps_without_a_common_place_are_an_error(wclm: Any, tmp_path: Path) -> None:
+    result = wclm("run", "sim:room?duration=2", "--out", "room", "--no-review")
+    assert result.exit_code == 0, result.output
+    wclm.refuses("diff", "room", "room", because=["room, room: the maps cannot be aligned"])
+    same = wclm("diff", "room", "room", "--at", "0.1,0,0")
+    assert same.exit_code == 0, same.output
+    assert wclm("diff", "room", "room", "--at", "0.1,0").exit_code == 2
+    wclm.refuses("diff", "room", "nowhere", because=["nowhere: is not a directory"])
+    wclm.refuses("diff", "room", "room", "--svg", "a.png", because=["a.png", ".svg"])
+
+
+@pytest.mark.slow
+def test_drives_through_an_office_with_and_without_changes(wclm: Any, tmp_path: Path) -> None:
+    """The exit status is that of diff; all changed boxes are found, and nothing else."""
+    source = Path(__file__).parents[3] / "datasets" / "worlds" / "office.toml"
+    changed = source.read_text().replace("at = [22.4, 4.7]", "at = [22.4, 4.75]")  # a cupboard, moved by 5 cm
+    changed += "\n[[boxes]]\nat = [16.5, 4.26]\nsize = [1.0, 0.4]\n"
+    (tmp_path / "changed.toml").write_text(changed)
+    assert len(load_world(tmp_path / "changed.toml").segments) == len(load_world("office").segments) + 4
+    for name, spec in (("a", "office?seed=1"), ("b", "office?seed=2"), ("c", f"{tmp_path}/changed.toml?seed=3")):
+        assert wclm("run", f"sim:{spec}&duration=100", "--out", name, "--no-review").exit_code == 0
+    same = wclm("diff", "a", "b")
+    assert same.exit_code == 0, same.output
+    different = wclm("diff", "a", "c", "--svg", "a.svg", "--geojson", "a.geojson")
+    assert different.exit_code == 1, different.output
+    walls = [
+        one for one in json.loads(Path("a.geojson").read_text())["features"] if one["properties"]["kind"] == "wall"
+    ]
+    changes = [one["properties"]["change"] for one in walls]
+    assert changes.count("moved") == 1
+    assert changes.count("new") >= 1
+    assert "gone" not in changes
+    shift = next(one["properties"] for one in walls if one["properties"]["change"] == "moved")
+    assert abs(shift["shift"]) == pytest.approx(0.05, abs=4.0 * shift["sigma_shift"])
