@@ -118,8 +118,7 @@ class Slam:
             if self.config.odometry.gyroscope:
                 self._gyroscope.add(message)
         elif self._velocity is None:
-            wheels = isinstance(message, Odometry)
-            self._add_measurement(self._turning.combined(message) if wheels else message)
+            self._add_measurement(self._turning.combined(message) if isinstance(message, Odometry) else message)
         elif isinstance(message, Scan):
             for reading in self._velocity.readings(message):
                 self._add_measurement(reading)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers import se2
 
@@ -66,7 +67,7 @@ def landmark_covariances(joint: Floats, poses: Floats, frames: Floats, positions
     )
 
 
-def _relative(joint: Floats, starts: Floats, size: int, jacobian: Floats) -> Floats:
+def _relative(joint: Floats, starts: NDArray[np.signedinteger], size: int, jacobian: Floats) -> Floats:
     """Return the covariances (n, size, size) of landmarks relative to the pose whose covariance is joint[:3, :3].
 
     starts    (n,) first row of each landmark in the joint covariance
@@ -79,7 +80,7 @@ def _relative(joint: Floats, starts: Floats, size: int, jacobian: Floats) -> Flo
     )
 
 
-def _blocks(joint: Floats, starts: Floats, size: int) -> Floats:
+def _blocks(joint: Floats, starts: NDArray[np.signedinteger], size: int) -> Floats:
     """Return the blocks (n, size, size) on the diagonal of a joint covariance that begin in some rows (n,)."""
     rows = starts[:, None] + np.arange(size)
     return np.asarray(joint[rows[:, :, None], rows[:, None, :]])

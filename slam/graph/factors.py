@@ -254,6 +254,7 @@ def _to_gtsam(group: FactorsOfKind, bias: float) -> list[gtsam.NonlinearFactor]:
 def _noises(group: FactorsOfKind, bias: float) -> list[gtsam.noiseModel.Base]:
     """Return GTSAM's noise model of each factor of one kind."""
     gaussian, create = gtsam.noiseModel.Gaussian, gtsam.noiseModel.Robust.Create
+    noises: list[gtsam.noiseModel.Base]
     if group.kind in WALL_KINDS:
         noises = [gaussian.SqrtInformation(root, False) for root in group.roots_of_information()]
     elif group.kind is FactorKind.CORNER:
