@@ -67,11 +67,11 @@ def simulations_of(seconds: float) -> Iterator[None]:
         seed: int = 0,
         duration: Any = None,
         lidar: Any = None,
-        drive: Any = None,
+        wheels: Any = None,
         *rest: Any,
         **more: Any,
     ) -> Any:
-        return whole(world, seed, min(duration or seconds, seconds), FEW_BEAMS, drive, *rest, **more)
+        return whole(world, seed, min(duration or seconds, seconds), FEW_BEAMS, wheels, *rest, **more)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(simulation, "Simulation", short)

@@ -32,7 +32,7 @@ def _waiting(mapper: Mapper) -> tuple[int, float]:
 def test_a_waiting_keyframe_has_a_pose_and_a_covariance(slam: Slam) -> None:
     mapper = slam.slam_state.mapper
     last = mapper.keyframe_count - 1
-    assert np.array_equal(mapper.graph.keyframe_poses(last + 1)[-1], mapper.pose)
+    np.testing.assert_allclose(mapper.graph.keyframe_poses(last + 1)[-1], mapper.pose, rtol=0.0, atol=1e-12)
     assert np.linalg.eigvalsh(slam.keyframe_covariance(last))[0] > 0.0
 
 

@@ -171,7 +171,7 @@ def test_outputs_name_the_changes(random: np.random.Generator, tmp_path: Path) -
 
 
 def test_maps_without_a_common_place_are_an_error(wclm: Any, tmp_path: Path) -> None:
-    result = wclm("run", "sim:room?duration=2", "--out", "room", "--no-review")
+    result = wclm("run", "sim:room?duration=6", "--out", "room", "--no-review")
     assert result.exit_code == 0, result.output
     wclm.refuses("diff", "room", "room", because=["room, room: the maps cannot be aligned"])
     same = wclm("diff", "room", "room", "--at", "0.1,0,0")
