@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 
@@ -41,9 +40,9 @@ MAX_RECENT_SEGMENTS = 25
 # Metres of driving from one solution of the graph to the next; tracking supplies the poses in between.
 # Origin: definition, half of LOCAL_MAP_MARGIN: so the scans are still matched to walls that were read back.
 SOLVE_DISTANCE = 0.5 * LOCAL_MAP_MARGIN
-# Radians of turning likewise, the sum of those between keyframes. Origin: chosen, a quarter of the field of view of a
-# half-circle lidar: most of a scan still shows walls that were read back.
-SOLVE_TURN = math.radians(45.0)
+# Keyframes likewise, while the robot turns. Origin: measured, with SOLVE_DISTANCE: half of the time that solving at
+# each keyframe takes, with no worse results.
+MAX_WAITING_KEYFRAMES = 4
 # Keyframes after which the estimate of all landmarks is read back, not only of those nearby.
 # Origin: chosen, the cost of reading all back becomes negligible; not measured.
 FULL_READ_BACK_INTERVAL = 20
@@ -223,7 +222,7 @@ class Mapper:
         point_motion: PointMotion | None = None,
         points: Floats = NO_POINTS,
     ) -> KeyframeObservations:
-        """Add a keyframe near `pose`; the graph is updated after SOLVE_DISTANCE or SOLVE_TURN.
+        """Add a keyframe near `pose`; the graph is updated every SOLVE_DISTANCE metres.
 
         motion        from an earlier keyframe; None for the first
         association   of its segments and corners with rows of `local_map`; unmatched features become landmarks
@@ -247,7 +246,9 @@ class Mapper:
         self._waiting.append((observations, points))
         # until then as uncertain as the keyframe before: local maps add the uncertainty of tracking
         self.pose_covariances.append(self.pose_covariances[-1] if keyframe else np.zeros((3, 3)))
-        if keyframe == 0 or apart or self._has_moved_on():
+        waiting = len(self._waiting)
+        far = self.travelled[keyframe] - self.travelled[max(0, keyframe - waiting)] >= SOLVE_DISTANCE
+        if far or apart or keyframe == 0 or waiting == MAX_WAITING_KEYFRAMES:
             self.graph.update()
         return observations
 
@@ -285,12 +286,6 @@ class Mapper:
         self.landmark_ids.append(landmark_ids)
         self._unconfirmed.add(keyframe, segments, corners, landmark_ids, self.roughness.variance)
         self._unconfirmed.move_confirmed(self.graph, self.landmarks, landmark_ids, keyframe, pose)
-
-    def _has_moved_on(self) -> bool:
-        """True if the robot has driven SOLVE_DISTANCE or turned SOLVE_TURN since the graph was solved."""
-        solved = max(0, self.keyframe_count - 1 - len(self._waiting))
-        turned = np.abs(se2.wrap(np.diff(self.keyframe_poses[solved:, 2]))).sum()
-        return bool(self.travelled[-1] - self.travelled[solved] >= SOLVE_DISTANCE or turned >= SOLVE_TURN)
 
     @property
     def is_solved(self) -> bool:

@@ -5,7 +5,7 @@ import pytest
 
 import drivers
 from slam import Slam
-from slam.mapping.mapper import SOLVE_DISTANCE, Mapper
+from slam.mapping.mapper import MAX_WAITING_KEYFRAMES, SOLVE_DISTANCE, Mapper
 
 
 @pytest.fixture(scope="module")
@@ -18,7 +18,7 @@ def slam() -> Slam:
         longest, farthest = max(longest, waiting), max(farthest, distance)
         if waiting == 2 and slam.slam_state.mapper.keyframe_count > 20:
             break
-    assert longest > 1
+    assert 1 < longest < MAX_WAITING_KEYFRAMES
     assert 0.0 < farthest < SOLVE_DISTANCE
     return slam
 
