@@ -405,7 +405,6 @@ class Slam:
 
     def _stored(self, state: SlamState, *, release: bool = True) -> StoredSession:
         resumed, journal = self._resumed, self._journal
-        state.mapper.solve_waiting()
         if release:
             state.mapper.gauge.release(state.mapper)
         return StoredSession(

@@ -133,7 +133,6 @@ def _familiar_keyframe(state: SlamState, tracking: TrackingResult) -> int | None
 
 def _pass_familiar_place(state: SlamState, keyframe: int, scan: ProcessedScan, tracking: TrackingResult) -> None:
     """Set the anchor relative to a keyframe of a familiar place, without changing the map."""
-    state.mapper.solve_waiting()
     relative = se2.between(state.mapper.keyframe_poses[keyframe], state.pose)
     state.anchor = Anchor(keyframe, relative, tracking.covariance, scan.odometry)
     state.kidnapped = state.kidnapped and not state.frozen
@@ -170,25 +169,19 @@ def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
     motion = None if state.anchor is None else _motion_since(state, state.anchor, scan.odometry, tracking.registration)
     point_motion = _point_motion(state, scan, tracking)
     observations = mapper.add_keyframe(
-        state.pose,
-        motion,
-        features.segments,
-        features.corners,
-        association,
-        state.local_map,
-        point_motion,
-        features.points.all,
+        state.pose, motion, features.segments, features.corners, association, state.local_map, point_motion
     )
     state.keyframe_stamps.append(scan.stamp)
     timer.lap("graph")
     state.local_map, merge = mapper.refresh(observations)
+    if mapper.remove_walls_seen_through(mapper.pose, features.points.all):
+        state.local_map = mapper.local_map(observations)
     state.anchor = Anchor(mapper.keyframe_count - 1, np.zeros(3), np.zeros((3, 3)), scan.odometry)
     state.local_field.add(scan.features, 1.0 if begins_part else _undetermined_share(tracking))
-    if mapper.is_solved:
-        link_revisited(state)
+    link_revisited(state)
     state.move_to_last_keyframe()
     timer.lap("local map")
-    decision = search_loop(state) if mapper.is_solved else None
+    decision = search_loop(state)
     timer.lap("loops")
     return KeyframeUpdate(observations, merge, decision)
 

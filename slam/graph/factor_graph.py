@@ -190,16 +190,6 @@ class FactorGraph(GraphEstimate):
             return from_pose2(self._values.atPose2(X(index)))
         return super().keyframe_pose(index)
 
-    def is_waiting(self, keyframe: int) -> bool:
-        """Return True if a keyframe waits for `update`."""
-        return bool(self._values.exists(X(keyframe)))
-
-    def keyframe_poses(self, count: int) -> Floats:
-        """Return the poses (count, 3) of the first `count` keyframes; the last ones may wait for `update`."""
-        waiting = next((k for k in range(count) if not self._values.exists(X(count - 1 - k))), count)
-        poses = [self.keyframe_pose(k) for k in range(count - waiting, count)]
-        return np.vstack([super().keyframe_poses(count - waiting), *poses])
-
     # --- solving
 
     @property
@@ -335,10 +325,9 @@ class FactorGraph(GraphEstimate):
     # --- copying and storing
 
     def __deepcopy__(self, memo: dict[int, object]) -> FactorGraph:
-        """Return an independent graph with the same estimate, and with what waits for `update`."""
+        """Return an independent graph with the same estimate. Nothing may be waiting for `update`."""
         other = FactorGraph()
         other.solver = self.solver.copy()
-        other._new, other._values = list(self._new), gtsam.Values(self._values)
         return other
 
     def state(self) -> GraphState:

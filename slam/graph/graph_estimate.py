@@ -118,18 +118,16 @@ class GraphEstimate:
         jacobian = np.hstack([-adjoint, np.eye(3)])
         return np.asarray(ROBUST_COVARIANCE_SCALE * jacobian @ joint @ jacobian.T)
 
-    def relative_covariances(
-        self, keyframes: Sequence[int], walls: Sequence[int], corners: Sequence[int]
-    ) -> LandmarkCovariances:
-        """Return the covariances of keyframes in the map and of landmarks relative to the last of them.
+    def relative_covariances(self, keyframe: int, walls: Sequence[int], corners: Sequence[int]) -> LandmarkCovariances:
+        """Return the covariances of a keyframe in the map and of landmarks relative to it.
 
-        Cheap for the last keyframes and the landmarks they observed. The landmarks' covariances in the map are a
+        Cheap for the last keyframe and the landmarks it observed. The landmarks' covariances in the map are a
         by-product, scaled as those of `marginals`.
         """
-        keys = [*(X(k) for k in keyframes), *(L(j) for j in walls), *(C(j) for j in corners)]
+        keys = [X(keyframe), *(L(j) for j in walls), *(C(j) for j in corners)]
         joint = self.solver.joint_covariance(keys)
-        poses = self.keyframe_poses_of(keyframes)
-        return landmark_covariances(joint, poses, self.wall_frames(walls), self.corner_positions(corners))
+        pose = self.keyframe_pose(keyframe)
+        return landmark_covariances(joint, pose, self.wall_frames(walls), self.corner_positions(corners))
 
 
 def _as_array(poses: Iterable[gtsam.Pose2]) -> Floats:

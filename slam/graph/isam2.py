@@ -23,7 +23,7 @@ RELINEARIZE_WALL = np.array([0.4, 0.2, 0.02])
 RELINEARIZE_CORNER = np.array([0.2, 0.2])
 # Updates from one relinearisation to the next. Origin: measured on simulated graphs of 2000 keyframes, a tenth of the
 # cost of relinearising at each update, for the same result.
-RELINEARIZE_SKIP = 3
+RELINEARIZE_SKIP = 10
 
 
 def _isam2(*, qr: bool) -> gtsam.ISAM2:

@@ -23,7 +23,7 @@ from .landmark_ids import assign_landmark_ids
 from .landmarks import Landmarks
 from .local_map import LocalMap, local_map_around
 from .part_gauge import PartGauge
-from .read_back import observed_landmarks, read_back_covariances, read_back_landmarks
+from .read_back import read_back_covariances, read_back_landmarks
 from .unconfirmed_observations import UnconfirmedObservations
 from .wall_merging import find_observed_duplicate, merge_duplicate_walls
 from .wall_removal import FreeSpaceEvidence
@@ -33,16 +33,8 @@ from .wall_splitting import find_splits, split_landmark, with_new_walls
 # Metres by which the local map reaches beyond what the last keyframe observed; the next scans are matched to it.
 # Origin: chosen, several times the distance between keyframes; not measured.
 LOCAL_MAP_MARGIN = 2.0
-# Points of a keyframe without a scan. Origin: definition.
-NO_POINTS = np.zeros((0, 2))
 # Keyframes whose segments are kept for verifying loop closures. Origin: chosen, some 8 m of driving; not measured.
 MAX_RECENT_SEGMENTS = 25
-# Metres of driving from one solution of the graph to the next; tracking supplies the poses in between.
-# Origin: definition, half of LOCAL_MAP_MARGIN: so the scans are still matched to walls that were read back.
-SOLVE_DISTANCE = 0.5 * LOCAL_MAP_MARGIN
-# Keyframes likewise, while the robot turns. Origin: measured, with SOLVE_DISTANCE: half of the time that solving at
-# each keyframe takes, with no worse results.
-MAX_WAITING_KEYFRAMES = 4
 # Keyframes after which the estimate of all landmarks is read back, not only of those nearby.
 # Origin: chosen, the cost of reading all back becomes negligible; not measured.
 FULL_READ_BACK_INTERVAL = 20
@@ -56,8 +48,7 @@ class Mapper:
     roughness            estimate of the wall roughness
     free_space_evidence  evidence against walls that may no longer exist
     keyframe_count       number of keyframes, k
-    keyframe_poses       (k, 3) in the map, as last read back: older ones only every FULL_READ_BACK_INTERVAL keyframes,
-                         and as tracked for those that the graph has not been solved with yet
+    keyframe_poses       (k, 3) in the map, as last read back: older ones only every FULL_READ_BACK_INTERVAL keyframes
     travelled            metres driven up to each keyframe; [0.0] before the first
     recent_segments      index and segments of the last MAX_RECENT_SEGMENTS keyframes
     landmark_ids         of each keyframe, as assigned when it was added
@@ -85,8 +76,6 @@ class Mapper:
         self.correlated_drift: Floats = np.zeros((0, 2, 2))
         self.gauge = PartGauge()
         self._unconfirmed = UnconfirmedObservations()
-        # observations and points of the last keyframes, with which the graph is not solved yet
-        self._waiting: list[tuple[KeyframeObservations, Floats]] = []
 
     @classmethod
     def with_landmarks_of(cls, other: Mapper) -> Mapper:
@@ -144,21 +133,12 @@ class Mapper:
 
         As `keyframe_covariance`, but from the stored covariance, so it costs nothing.
         """
-        return self._stored_covariance(self.keyframe_count - 1)
-
-    def _stored_covariance(self, keyframe: int) -> Floats:
-        correlated = embed_position_covariance(self.correlated_drift[keyframe])
-        independent = self.pose_covariances[keyframe] - correlated
-        heading = self.keyframe_poses[keyframe, 2]
-        return rotate_covariance(ROBUST_COVARIANCE_SCALE * independent + correlated, -heading)
+        correlated = embed_position_covariance(self.correlated_drift[-1])
+        independent = self.pose_covariances[-1] - correlated
+        return rotate_covariance(ROBUST_COVARIANCE_SCALE * independent + correlated, -self.pose[2])
 
     def keyframe_covariance(self, keyframe: int) -> Floats:
-        """Return (3, 3) the covariance of a keyframe's pose, in its own frame (metres, metres, radians).
-
-        That of a keyframe with which the graph is not solved yet is the stored one.
-        """
-        if self.graph.is_waiting(keyframe):
-            return self._stored_covariance(keyframe)
+        """Return (3, 3) the covariance of a keyframe's pose, in its own frame (metres, metres, radians)."""
         correlated = embed_position_covariance(self.correlated_drift[keyframe])
         heading = self.graph.keyframe_pose(keyframe)[2]
         return self.graph.keyframe_covariance(keyframe) + rotate_covariance(correlated, -heading)
@@ -220,14 +200,12 @@ class Mapper:
         association: Association,
         local_map: LocalMap,
         point_motion: PointMotion | None = None,
-        points: Floats = NO_POINTS,
     ) -> KeyframeObservations:
-        """Add a keyframe near `pose`; the graph is updated every SOLVE_DISTANCE metres.
+        """Add a keyframe near `pose` and update the graph.
 
         motion        from an earlier keyframe; None for the first
         association   of its segments and corners with rows of `local_map`; unmatched features become landmarks
         point_motion  from an earlier keyframe, by points on no known wall; None if there is no such keyframe
-        points        (p, 2) of its scan, in its frame: walls that it sees through are removed
         """
         keyframe = self.keyframe_count
         wall_count = len(self.landmarks.walls)
@@ -237,20 +215,14 @@ class Mapper:
         if point_motion is not None:
             self.graph.add_point_map(point_motion.start, point_motion.start_covariance)
             self.graph.add_scan_match(point_motion.start, keyframe, point_motion.relative, point_motion.covariance)
-        observations = KeyframeObservations(
+        self.graph.update()
+        self.keyframe_poses[-1] = self.graph.keyframe_pose(keyframe)
+        return KeyframeObservations(
             segments,
             corners,
             association.in_landmark_ids(landmark_ids.walls, landmark_ids.corners, local_map),
             landmark_ids.walls[landmark_ids.walls >= wall_count],
         )
-        self._waiting.append((observations, points))
-        # until then as uncertain as the keyframe before: local maps add the uncertainty of tracking
-        self.pose_covariances.append(self.pose_covariances[-1] if keyframe else np.zeros((3, 3)))
-        waiting = len(self._waiting)
-        far = self.travelled[keyframe] - self.travelled[max(0, keyframe - waiting)] >= SOLVE_DISTANCE
-        if far or apart or keyframe == 0 or waiting == MAX_WAITING_KEYFRAMES:
-            self.graph.update()
-        return observations
 
     def add_keyframe_with_ids(
         self,
@@ -287,58 +259,22 @@ class Mapper:
         self._unconfirmed.add(keyframe, segments, corners, landmark_ids, self.roughness.variance)
         self._unconfirmed.move_confirmed(self.graph, self.landmarks, landmark_ids, keyframe, pose)
 
-    @property
-    def is_solved(self) -> bool:
-        """True if the graph has been solved with all keyframes."""
-        return not self._waiting or not self.graph.is_waiting(self.keyframe_count - 1)
-
     def refresh(self, observations: KeyframeObservations) -> tuple[LocalMap, WallMerge | None]:
-        """Return the local map of the last keyframe, and the walls merged, if any.
+        """Read the estimate back after the last keyframe and return its local map, and the walls merged, if any.
 
-        If the graph was solved, the estimate is read back first. `observations` are those of the last keyframe.
+        `observations` are those of the last keyframe: they also update the wall roughness.
         """
-        if not self.is_solved:
-            return self.local_map(observations), None
-        observed_walls, _ = observed_landmarks([view for view, _ in self._waiting])
-        points = self._read_back_keyframes()
+        everything = (self.keyframe_count - 1) % FULL_READ_BACK_INTERVAL == 0
+        self._read_back(None if everything else LOCAL_MAP_MARGIN + observations.segments.reach())
+        independent = read_back_covariances(self.landmarks, self.graph, self.keyframe_count - 1, observations)
+        self.pose_covariances.append(independent + embed_position_covariance(self.correlated_drift[-1]))
+        self.roughness.add_observations(self.landmarks.walls.rows, self.pose, observations)
         local_map = self.local_map(observations)
-        merge = find_observed_duplicate(self.landmarks, local_map, observed_walls, self.roughness.variance)
-        if merge is not None:
-            self.merge_walls(merge.kept, merge.absorbed)
-        if self._remove_walls_seen_through_since(points) or merge is not None:
-            local_map = self.local_map(observations)
-        return local_map, merge
-
-    def solve_waiting(self) -> None:
-        """Solve the graph with the keyframes that it has not been solved with yet, if any, and read them back."""
-        if not self.is_solved:
-            self.graph.update()
-            self._remove_walls_seen_through_since(self._read_back_keyframes())
-
-    def _read_back_keyframes(self) -> list[Floats]:
-        """Read back the keyframes since the last solution and the landmarks around, and update the wall roughness.
-
-        Returns the points of each of these keyframes.
-        """
-        views, points = [view for view, _ in self._waiting], [points for _, points in self._waiting]
-        self._waiting = []
-        last, first = self.keyframe_count - 1, self.keyframe_count - len(views)
-        self.keyframe_poses[first:] = self.graph.keyframe_poses_of(range(first, last + 1))
-        everything = any(k % FULL_READ_BACK_INTERVAL == 0 for k in range(first, last + 1))
-        self._read_back(None if everything else LOCAL_MAP_MARGIN + max(view.segments.reach() for view in views))
-        independent = read_back_covariances(self.landmarks, self.graph, last, views)
-        correlated = [embed_position_covariance(drift) for drift in self.correlated_drift[first:]]
-        self.pose_covariances[first:] = list(independent + correlated)
-        for pose, view in zip(self.keyframe_poses[first:], views, strict=True):
-            self.roughness.add_observations(self.landmarks.walls.rows, pose, view)
-        return points
-
-    def _remove_walls_seen_through_since(self, points: Sequence[Floats]) -> bool:
-        """Remove walls that the last keyframes, with `points`, see through. Return True if there were any."""
-        removed = False
-        for pose, of_scan in zip(self.keyframe_poses[self.keyframe_count - len(points) :], points, strict=True):
-            removed |= self.remove_walls_seen_through(pose, of_scan)
-        return removed
+        merge = find_observed_duplicate(self.landmarks, local_map, observations, self.roughness.variance)
+        if merge is None:
+            return local_map, None
+        self.merge_walls(merge.kept, merge.absorbed)
+        return self.local_map(observations), merge
 
     def local_map(self, observations: KeyframeObservations) -> LocalMap:
         """Return the map around the last keyframe, LOCAL_MAP_MARGIN beyond its own observations."""
@@ -355,7 +291,6 @@ class Mapper:
 
         measured  true if odometry measures the motion to it; that is then the only information on its place
         """
-        self.solve_waiting()
         self.gauge.release(self)
         self.landmarks.parts.begin(self.keyframe_count, measured=measured)
 
@@ -395,7 +330,6 @@ class Mapper:
 
         Return the number of walls merged.
         """
-        self.solve_waiting()
         self.gauge.release(self)
         self.graph.update_until_converged()
         self.settle_range_bias()  # before merging: iSAM2 leaves out small steps, and walls are merged where they are
@@ -429,7 +363,7 @@ class Mapper:
         self.landmark_ids = with_new_walls(self.landmark_ids, moves)
         for wall, _, _ in moves:
             last_seen = int(self.landmarks.walls.rows["last_seen"][wall])
-            covariances = self.graph.relative_covariances([last_seen], [wall], [])
+            covariances = self.graph.relative_covariances(last_seen, [wall], [])
             self.landmarks.set_wall_covariances(np.array([wall]), covariances.walls, covariances.walls_in_map)
         self.free_space_evidence.discard([split.wall for split in splits])
         self._read_back(None)
@@ -450,13 +384,13 @@ class Mapper:
     def recompute_pose_covariances(self) -> None:
         """Compute `pose_covariances` of all keyframes from the graph, as needed after `solve`."""
         self.pose_covariances = [
-            self.graph.relative_covariances([k], [], []).poses[0] + embed_position_covariance(self.correlated_drift[k])
+            self.graph.relative_covariances(k, [], [])[0] + embed_position_covariance(self.correlated_drift[k])
             for k in range(self.keyframe_count)
         ]
 
     def read_back_all(self) -> None:
         """Read all poses and landmarks, and the last keyframe's covariance, back from the graph."""
-        independent = self.graph.relative_covariances([self.keyframe_count - 1], [], []).poses[0]
+        independent = self.graph.relative_covariances(self.keyframe_count - 1, [], []).pose
         self.pose_covariances[-1] = independent + embed_position_covariance(self.correlated_drift[-1])
         self._read_back(None)
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from drivers import se2
 
-from ..geometry.segments import Floats, Integers
+from ..geometry.segments import Floats
 from ..graph.factor_graph import FactorGraph
 from .keyframes import KeyframeObservations
 from .landmarks import Landmarks
@@ -26,27 +24,19 @@ def read_back_landmarks(landmarks: Landmarks, graph: FactorGraph, pose: se2.Pose
 
 
 def read_back_covariances(
-    landmarks: Landmarks, graph: FactorGraph, last: int, observations: Sequence[KeyframeObservations]
+    landmarks: Landmarks, graph: FactorGraph, keyframe: int, observations: KeyframeObservations
 ) -> Floats:
-    """Store the covariances of the landmarks that the last keyframes observed: cheap right after an update.
+    """Store the covariances of the landmarks that the last keyframe observed: cheap right after an update.
 
-    last          the last of these keyframes, to which the covariances are relative
-    observations  of each of them, k in a row
-    Returns (k, 3, 3) those of the keyframes' poses in the graph.
+    Returns (3, 3) that of the keyframe's pose in the graph.
     """
     walls, corners = landmarks.walls.rows, landmarks.corners.rows
-    of_walls, of_corners = observed_landmarks(observations)
-    observed_walls = of_walls[walls["in_graph"][of_walls]]
-    observed_corners = of_corners[corners["in_graph"][of_corners]]
-    keyframes = range(last + 1 - len(observations), last + 1)
-    covariances = graph.relative_covariances(keyframes, observed_walls, observed_corners)
+    association = observations.association
+    observed_walls = np.unique(association.walls[association.walls >= 0])
+    observed_walls = observed_walls[walls["in_graph"][observed_walls]]
+    observed_corners = np.unique(association.corners[association.corners >= 0])
+    observed_corners = observed_corners[corners["in_graph"][observed_corners]]
+    covariances = graph.relative_covariances(keyframe, observed_walls, observed_corners)
     landmarks.set_wall_covariances(observed_walls, covariances.walls, covariances.walls_in_map)
     landmarks.set_corner_covariances(observed_corners, covariances.corners, covariances.corners_in_map)
-    return covariances.poses
-
-
-def observed_landmarks(observations: Sequence[KeyframeObservations]) -> tuple[Integers, Integers]:
-    """Return the ids of the walls and of the corners that some keyframes observed, in ascending order."""
-    walls = np.unique(np.concatenate([view.association.walls for view in observations]))
-    corners = np.unique(np.concatenate([view.association.corners for view in observations]))
-    return walls[walls >= 0], corners[corners >= 0]
+    return covariances.pose
