@@ -93,23 +93,11 @@ def _factor(covariances, jacobians, travel, translation, rotation):  # type: ign
     travel       (n,) metres from the middle of the sweep, negative before it
     translation, rotation  variances of position and heading after one metre of travel
     """
-    count, factor = len(travel), 1.0
-    information = np.zeros((count, 3, 3))
+    factor, information = 1.0, np.zeros((len(travel), 3, 3))
     for _ in range(ITERATIONS):
-        total = CONDITIONING * np.eye(3)
-        for i in range(count):
-            jacobian, own = jacobians[i], _shared(travel[i], travel[i], translation, rotation)
-            noise = covariances[i] + factor * (jacobian * own) @ jacobian.T
-            information[i] = jacobian.T @ np.linalg.inv(noise) @ jacobian
-            total += information[i]
-        correlated, separate = np.zeros((3, 3)), np.zeros((3, 3))
-        for i in range(count):
-            for j in range(count):
-                term = (information[i] * _shared(travel[i], travel[j], translation, rotation)) @ information[j]
-                correlated += term
-                if i == j:
-                    separate += term
-        covariance = np.linalg.inv(total)
+        _set_information(information, covariances, jacobians, travel, factor * translation, factor * rotation)
+        correlated, separate = _implied_by_motion(information, travel, translation, rotation)
+        covariance = np.linalg.inv(information.sum(axis=0) + CONDITIONING * np.eye(3))
         implied = np.trace(covariance @ separate)
         if implied <= 0.0:
             return 1.0
@@ -118,8 +106,44 @@ def _factor(covariances, jacobians, travel, translation, rotation):  # type: ign
 
 
 @compiled
-def _shared(travel, other, translation, rotation):  # type: ignore[no-untyped-def]
-    """Return (3,) the diagonal of K for two beams, given their metres of travel from the middle of the sweep."""
-    position = translation * travel * other
-    heading = rotation * min(abs(travel), abs(other)) if travel * other > 0.0 else 0.0
-    return np.array([position, position, heading])
+def _set_information(information, covariances, jacobians, travel, translation, rotation):  # type: ignore[no-untyped-def]
+    """Set the information (n, 3, 3) of the pose from each segment, with the variances of the motion.
+
+    In scalars, as products of small matrices take most of their time for allocating memory.
+    """
+    for i in range(len(travel)):
+        own, x, y, lever = covariances[i], jacobians[i, 0, 0], jacobians[i, 0, 1], jacobians[i, 0, 2]
+        position, heading = translation * travel[i] ** 2, rotation * abs(travel[i])
+        across = own[0, 0] + position + heading * lever * lever
+        both, turn = own[0, 1] + heading * lever, own[1, 1] + heading
+        determinant = across * turn - both * both
+        w_across, w_both, w_turn = turn / determinant, -both / determinant, across / determinant
+        along = w_across * lever + w_both
+        result = information[i]
+        result[0, 0], result[0, 1], result[1, 1] = w_across * x * x, w_across * x * y, w_across * y * y
+        result[0, 2], result[1, 2] = along * x, along * y
+        result[2, 2] = w_across * lever * lever + 2.0 * w_both * lever + w_turn
+        result[1, 0], result[2, 0], result[2, 1] = result[0, 1], result[0, 2], result[1, 2]
+
+
+@compiled
+def _implied_by_motion(information, travel, translation, rotation):  # type: ignore[no-untyped-def]
+    """Return the sums (3, 3) over I_i K_ij I_j: for all pairs of segments, and for i = j only."""
+    count = len(travel)
+    correlated, separate, shifts, turns = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 2)), np.zeros(3)
+    for i in range(count):
+        turns[:] = 0.0
+        for j in range(count):
+            if travel[i] * travel[j] > 0.0:
+                shared = rotation * min(abs(travel[i]), abs(travel[j]))
+                for k in range(3):
+                    turns[k] += shared * information[j, k, 2]
+        for k in range(3):
+            shifts[k, 0] += travel[i] * information[i, k, 0]
+            shifts[k, 1] += travel[i] * information[i, k, 1]
+            for m in range(3):
+                correlated[k, m] += information[i, k, 2] * turns[m]
+                separate[k, m] += rotation * abs(travel[i]) * information[i, k, 2] * information[i, m, 2]
+                of_position = information[i, k, 0] * information[i, m, 0] + information[i, k, 1] * information[i, m, 1]
+                separate[k, m] += translation * travel[i] ** 2 * of_position
+    return correlated + translation * shifts @ shifts.T, separate
