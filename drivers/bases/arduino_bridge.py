@@ -45,15 +45,19 @@ class ArduinoBridge:
         """Return the request for the counts."""
         return b"e\r"
 
+    def enable_driving(self) -> bytes:
+        """Return nothing: the base always obeys drive commands."""
+        return b""
+
     def drive(self, velocity: Velocity) -> bytes:
         """Return the command with the wheels' speeds in counts per control period."""
         left, right = self.wheels.wheel_speeds(velocity.speed, velocity.turn_rate)
         counts = (left / self.wheels.left / CONTROL_RATE, right / self.wheels.right / CONTROL_RATE)
         return b"m %d %d\r" % (round(counts[0]), round(counts[1]))
 
-    def stop(self) -> bytes:
-        """Return the command to stop."""
-        return self.drive(Velocity(0.0, 0.0))
+    def end(self) -> bytes:
+        """Return nothing: the base sends on request only."""
+        return b""
 
     def feed(self, chunk: bytes) -> list[WheelReading]:
         """Return the readings that a chunk completes."""

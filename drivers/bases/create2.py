@@ -45,21 +45,27 @@ class Create2:
         self._skipped = 0  # bytes skipped until the last frame
 
     def start(self) -> bytes:
-        """Return the commands for safe mode, in which the base stops at cliffs, and for the stream of counts."""
-        return bytes([START, SAFE, STREAM]) + STREAMED_PACKETS
+        """Return the commands for passive mode, in which the base obeys its buttons, and for the stream of counts."""
+        return bytes([START, STREAM]) + STREAMED_PACKETS
 
     def poll(self) -> bytes:
         """Return nothing: the base streams."""
         return b""
+
+    def enable_driving(self) -> bytes:
+        """Return the command for safe mode: the base drives, but returns to passive mode at a cliff, if a wheel drops,
+        and on the charger.
+        """
+        return bytes([SAFE])
 
     def drive(self, velocity: Velocity) -> bytes:
         """Return the command with the wheels' speeds in mm/s, the right one first."""
         left, right = self.wheels.wheel_speeds(velocity.speed, velocity.turn_rate)
         return struct.pack(">Bhh", DRIVE_DIRECT, round(1000 * right), round(1000 * left))
 
-    def stop(self) -> bytes:
-        """Return the commands to stop, to end the stream, and to leave the interface, so that the base can sleep."""
-        return self.drive(Velocity(0.0, 0.0)) + bytes([PAUSE, 0, STOP])
+    def end(self) -> bytes:
+        """Return the commands to end the stream, and to leave the interface, so that the base can sleep."""
+        return bytes([PAUSE, 0, STOP])
 
     def feed(self, chunk: bytes) -> list[WheelReading]:
         """Return the readings that a chunk completes."""
@@ -90,7 +96,7 @@ class Create2:
 
 
 class Create2Device:
-    """Device's side of the protocol, see `WheelDevice`. It drives in safe and full mode only, after START."""
+    """Device's side of the protocol, see `WheelDevice`. It drives in safe and full mode, and stops on leaving them."""
 
     ARGUMENTS: ClassVar[dict[int, int]] = {START: 0, SAFE: 0, FULL: 0, DRIVE_DIRECT: 4, PAUSE: 1, STOP: 0}
 
@@ -116,10 +122,9 @@ class Create2Device:
                 break
             arguments = bytes(self._buffer[1:size])
             del self._buffer[:size]
-            request = self._request(opcode, arguments)
-            if request is not None:
-                requests.append(request)
-                self.counters.good += 1
+            understood = self._requests(opcode, arguments)
+            requests += understood
+            self.counters.good += len(understood)
         return requests
 
     def _arguments(self) -> int:
@@ -128,17 +133,18 @@ class Create2Device:
             return 1 + (self._buffer[1] if len(self._buffer) > 1 else 0)
         return self.ARGUMENTS.get(self._buffer[0], 0)
 
-    def _request(self, opcode: int, arguments: bytes) -> Request | None:
+    def _requests(self, opcode: int, arguments: bytes) -> list[Request]:
         if opcode not in self.ARGUMENTS and opcode != STREAM:
             self.counters.skipped += 1
         elif opcode == START or (self._mode != STOP and opcode in (SAFE, FULL, STOP)):
+            stopped = [Velocity(0.0, 0.0)] if self._mode in (SAFE, FULL) and opcode in (START, STOP) else []
             self._mode = opcode
-            return Stream(False) if opcode == STOP else None
+            return [*stopped, Stream(False)] if opcode == STOP else [*stopped]
         elif opcode == STREAM and self._mode != STOP:
-            return Stream(arguments == STREAMED_PACKETS)
+            return [Stream(arguments == STREAMED_PACKETS)]
         elif opcode == PAUSE and self._mode != STOP:
-            return Stream(arguments == b"\x01")
+            return [Stream(arguments == b"\x01")]
         elif opcode == DRIVE_DIRECT and self._mode in (SAFE, FULL):
             right, left = (speed / 1000 for speed in struct.unpack(">hh", arguments))
-            return Velocity((right + left) / 2, (right - left) / self._wheels.track)
-        return None
+            return [Velocity((right + left) / 2, (right - left) / self._wheels.track)]
+        return []

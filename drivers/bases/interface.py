@@ -92,19 +92,23 @@ class WheelBase(Protocol):
     counters: ParserCounters
 
     def start(self) -> bytes:
-        """Return the bytes that start readings and enable driving; may be empty."""
+        """Return the bytes that start readings; may be empty. They do not enable driving."""
         ...
 
     def poll(self) -> bytes:
         """Return the bytes that request one reading; empty for a base that sends without requests."""
         ...
 
+    def enable_driving(self) -> bytes:
+        """Return the bytes after which the base obeys drive commands, to be sent before each motion; may be empty."""
+        ...
+
     def drive(self, velocity: Velocity) -> bytes:
         """Return the bytes of a drive command. A velocity beyond the top speed is reduced along the same arc."""
         ...
 
-    def stop(self) -> bytes:
-        """Return the bytes that stop the wheels and, if the protocol supports it, the readings."""
+    def end(self) -> bytes:
+        """Return the bytes that end the readings, not the motion; empty if the protocol cannot end them."""
         ...
 
     def feed(self, chunk: bytes) -> list[WheelReading]:

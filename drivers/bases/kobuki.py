@@ -87,11 +87,15 @@ class Kobuki:
         self._frames = packet_parser(self.counters)
 
     def start(self) -> bytes:
-        """Return the command to stop: the base sends readings anyway."""
-        return self.drive(Velocity(0.0, 0.0))
+        """Return nothing: the base sends without requests."""
+        return b""
 
     def poll(self) -> bytes:
         """Return nothing: the base sends without requests."""
+        return b""
+
+    def enable_driving(self) -> bytes:
+        """Return nothing: the base always obeys drive commands."""
         return b""
 
     def drive(self, velocity: Velocity) -> bytes:
@@ -107,9 +111,9 @@ class Kobuki:
                 speed = outer if radius != 1 else (right - left) / 2
         return encode_packet((BASE_CONTROL, BASE_CONTROL_DATA.pack(round(speed), radius)))
 
-    def stop(self) -> bytes:
-        """Return the command to stop; the readings cannot be stopped."""
-        return self.drive(Velocity(0.0, 0.0))
+    def end(self) -> bytes:
+        """Return nothing: the readings cannot be ended."""
+        return b""
 
     def feed(self, chunk: bytes) -> list[WheelReading]:
         """Return the readings that a chunk completes; packets without the core part contain none."""

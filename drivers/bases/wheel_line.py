@@ -67,15 +67,19 @@ class WheelLine:
         """Return nothing: the base sends without requests."""
         return b""
 
+    def enable_driving(self) -> bytes:
+        """Return nothing: the base always obeys drive commands."""
+        return b""
+
     def drive(self, velocity: Velocity) -> bytes:
         """Return the drive command, which is valid for half a second."""
         left, right = self.wheels.wheel_speeds(velocity.speed, velocity.turn_rate)
         speed, turn_rate = (right + left) / 2, (right - left) / self.wheels.track
         return add_checksum(b"V,%d,%d" % (round(1000 * speed), round(1000 * turn_rate)))
 
-    def stop(self) -> bytes:
-        """Return the command to stop; the readings cannot be stopped."""
-        return self.drive(Velocity(0.0, 0.0))
+    def end(self) -> bytes:
+        """Return nothing: the readings cannot be ended."""
+        return b""
 
     def feed(self, chunk: bytes) -> list[WheelReading]:
         """Return the readings that a chunk completes."""

@@ -13,6 +13,7 @@ As always with multiprocessing, a program that uses this must be importable with
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import signal
 import time
@@ -22,15 +23,19 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
+from threading import RLock
 from types import TracebackType
 from typing import Self
 
+from ..bases.interface import Velocity
 from ..errors import DriverError
 from ..messages import Message
 from ..timestamps import wall_clock_offset
 from .device_spec import DeviceSpec
-from .reading_process import POLL_PERIOD, Ended, Failed, Job, acquire
+from .driving import DriveCommand, DriveLimits, driven_base
+from .reading_process import POLL_PERIOD, Ended, Failed, Job, PauseScans, acquire
 from .snapshot import Snapshot
+from .wheel_base import stop_base
 
 HALT_TIMEOUT = 5.0
 """Seconds that halting may take before the process is killed; it covers the handshake of every device."""
@@ -40,30 +45,40 @@ HALT_TIMEOUT = 5.0
 class Acquisition:
     """The consumer's side of the reading process; a context manager.
 
-    Entering it waits until every device runs; raises DriverError if one does not.
+    Entering it waits until every device runs; raises DriverError if one does not, or if exactly one wheel base is not
+    given to drive.
 
     specs      of the devices
     recording  file to which all messages are written, replaced if it exists; None: no recording. It is created when
                every device runs. If it cannot be created, that is the DriverError of the acquisition
     deliver    False if no messages are wanted, only snapshots
+    driving    limits of `drive`; None: no drive command is ever sent
+    in_order   True to deliver messages in the order of their stamps; False as they arrive, up to one revolution
+               earlier, for a consumer that needs no order, see `EarlyDelivery`
     snapshot   latest status received; it is updated while messages are received
     """
 
     specs: Sequence[DeviceSpec]
     recording: Path | None = None
     deliver: bool = True
+    driving: DriveLimits | None = None
+    in_order: bool = True
     snapshot: Snapshot = field(default_factory=Snapshot)
     _process: multiprocessing.process.BaseProcess | None = None
     _pipe: Connection | None = None
     _ended: bool = False
     _startup_messages: deque[Message] = field(default_factory=deque)  # received before all devices ran
+    _sending: RLock = field(default_factory=RLock)  # a handler of a signal may stop what the same thread sends
 
     def __enter__(self) -> Self:
+        if self.driving is not None:
+            driven_base(self.specs)
         context = multiprocessing.get_context("spawn")
+        job = Job(tuple(self.specs), self.recording, self.deliver, self.driving, self.in_order)
         self._pipe, child_end = context.Pipe()
         self._process = context.Process(
             target=acquire,
-            args=(child_end, Job(tuple(self.specs), self.recording, self.deliver), wall_clock_offset()),
+            args=(child_end, job, wall_clock_offset()),
             name="wclm-acquisition",
             daemon=True,
         )
@@ -110,11 +125,32 @@ class Acquisition:
         """True if no message is left and none will arrive."""
         return self._ended and not self._startup_messages
 
+    def drive(self, speed: float, turn_rate: float) -> None:
+        """Drive the base at a speed (m/s, forwards) and a turn rate (rad/s, counter-clockwise), within the limits.
+
+        The base stops half a second after the last call, and at the end. May be called from any thread; calls before
+        all devices run or after `stop` have no effect. Raises DriverError if driving was not requested or a value is
+        not finite.
+        """
+        if self.driving is None:
+            raise DriverError("the base is not driven: no limits of speed and turn rate were given")
+        if not (math.isfinite(speed) and math.isfinite(turn_rate)):
+            raise DriverError("a speed and a turn rate must be finite numbers")
+        self._send(DriveCommand(Velocity(speed, turn_rate), time.monotonic()))
+
+    def pause(self, paused: bool) -> None:
+        """Leave out all scans from now on, also in the recording, or use them again. May be called from any thread."""
+        self._send(PauseScans(paused))
+
     def stop(self) -> None:
         """Halt all devices; messages measured so far can still be received."""
-        if self._pipe is not None:
-            with suppress(OSError):
-                self._pipe.send(None)
+        self._send(None)
+
+    def _send(self, request: DriveCommand | PauseScans | None) -> None:
+        """Send a request to the reading process, unless that has ended."""
+        with self._sending, suppress(OSError):
+            if self._pipe is not None:
+                self._pipe.send(request)
 
     def close(self) -> None:
         """Halt all devices and wait for the process to end; messages not yet received are lost."""
@@ -129,10 +165,7 @@ class Acquisition:
                     self._receive_item()
         self._ended = True
         self._pipe.close()
-        self._process.join(HALT_TIMEOUT if time.monotonic() < end else 0.0)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join()
+        self._end_process(HALT_TIMEOUT if time.monotonic() < end else 0.0)
         self._process.close()
         self._process = self._pipe = None
 
@@ -146,6 +179,30 @@ class Acquisition:
                 if message is not None:
                     self._startup_messages.append(message)
 
+    def _end_process(self, timeout: float) -> None:
+        """Wait for the process to end, and kill it after `timeout` seconds."""
+        assert self._process is not None
+        self._process.join(timeout)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+
+    def _stop_orphaned_base(self) -> str:
+        """Stop the driven base, whose reading process was killed: not every base stops by itself then.
+
+        The port is in use until that process has ended, which is later than the pipe breaks. Return what to add to the
+        error if the base cannot be reached.
+        """
+        if self.driving is None or not self.snapshot.all_have_run:
+            return ""
+        self._end_process(HALT_TIMEOUT)
+        (port,) = (device.port for device in self.snapshot.devices if not device.is_lidar)
+        try:
+            stop_base(driven_base(self.specs), port)
+        except DriverError as error:
+            return f", and the base could not be stopped: {error}"
+        return ""
+
     def _poll_pipe(self, timeout: float) -> bool:
         assert self._pipe is not None
         return self._pipe.poll(timeout)
@@ -157,7 +214,9 @@ class Acquisition:
             item = self._pipe.recv()
         except (EOFError, OSError):
             self._ended = True
-            raise DriverError("the process that reads the devices ended unexpectedly") from None
+            raise DriverError(
+                f"the process that reads the devices ended unexpectedly{self._stop_orphaned_base()}"
+            ) from None
         except BaseException:  # Ctrl-C within a message: the rest of the pipe cannot be decoded
             self._ended = True
             raise

@@ -13,9 +13,9 @@ from ..transport import Received, Transport
 
 READ_TIMEOUT = 0.05
 """Seconds. It is always the same because a change reconfigures the serial port."""
-READ_PAUSE = 0.01
-"""Seconds between reads. The cost is in the number of reads; the buffers of the system hold far more than arrives
-meanwhile.
+READ_PAUSE, PROMPT_READ_PAUSE = 0.01, 0.002
+"""Seconds between reads, and if messages are needed promptly. The cost is in the number of reads; the buffers of the
+system hold far more than arrives meanwhile.
 """
 MAX_DRAIN_DURATION = 1.0
 """Seconds after which a device is assumed to send continuously."""
@@ -32,12 +32,14 @@ class Device(ABC):
     identity       description by the device itself; empty until it was identified
     serial         serial number; empty if it has none or until it was identified
     required_serial  serial number that the device must have; empty for any
+    read_pause     seconds between reads
 
     All errors raised are DriverErrors.
     """
 
     bauds: tuple[int, ...]
     dtr = False
+    read_pause = READ_PAUSE
     start_timeout = 5.0
 
     def __init__(self) -> None:
@@ -74,7 +76,7 @@ class Device(ABC):
         received = transport.read(READ_TIMEOUT)
         messages = self.feed(received)
         if received.data:
-            time.sleep(READ_PAUSE)
+            time.sleep(self.read_pause)
         return received, messages
 
     def check_serial(self, transport: Transport) -> None:

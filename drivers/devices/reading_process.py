@@ -14,9 +14,11 @@ from pathlib import Path
 from threading import Event, Thread
 
 from ..errors import DriverError, RecordingError
-from ..messages import Message
+from ..messages import Message, Scan
 from ..realtime import request_realtime_priority
 from .device_spec import DeviceSpec
+from .driving import BaseDriver, DriveCommand, DriveLimits
+from .early_delivery import EarlyDelivery
 from .outbox import Outbox
 from .recorder import Recorder
 from .reorder_buffer import ReorderBuffer
@@ -38,11 +40,23 @@ class Job:
     specs      of the devices
     recording  file to which all messages are written, replaced if it exists; None: no recording
     deliver    False if the consumer wants snapshots only
+    driving    limits of drive commands to the wheel base; None: it is not driven
+    in_order   True to deliver messages in the order of their stamps, False as they arrive, see `EarlyDelivery`. The
+               recording is in order
     """
 
     specs: tuple[DeviceSpec, ...]
     recording: Path | None = None
     deliver: bool = True
+    driving: DriveLimits | None = None
+    in_order: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class PauseScans:
+    """Item of the pipe to the reading process: leave out all scans from now on, or use them again."""
+
+    paused: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +81,18 @@ class _DeviceReader:
         self._outbox = Outbox(pipe)
         self._recorder: Recorder | None = None
         self._unrecorded: list[Message] = []  # before all devices ran
-        self._buffer = ReorderBuffer(len(specs), offset)
+        self._early = EarlyDelivery(self._outbox.put) if job.deliver and not job.in_order else None
+        self._buffer = ReorderBuffer(len(specs), offset, early=self._early)
+        self._paused = False
+        self._driver = None if job.driving is None else BaseDriver(job.driving)
         self._supervisors = [
-            Supervisor(spec, partial(self._buffer.put, device), [other.address for other in specs if other is not spec])
+            Supervisor(
+                spec,
+                partial(self._put, device),
+                [other.address for other in specs if other is not spec],
+                None if spec.is_lidar else self._driver,
+                prompt=self._early is not None,
+            )
             for device, spec in enumerate(specs)
         ]
         self._crash: BaseException | None = None
@@ -88,10 +111,7 @@ class _DeviceReader:
                 if time.monotonic() >= status_sent + STATUS_PERIOD:
                     status_sent = time.monotonic()
                     self._give_out_snapshot()
-                if self._pipe.poll():
-                    self._pipe.recv()
-                    break
-                if self._outbox.broken:
+                if self._is_asked_to_stop() or self._outbox.broken:
                     break
                 if any(supervisor.failure for supervisor in self._supervisors) or self._crash:
                     break
@@ -111,9 +131,30 @@ class _DeviceReader:
         )
         self._pipe.send(Failed(str(failure)) if failure else Ended())
 
+    def _is_asked_to_stop(self) -> bool:
+        """Execute the requests of the consumer; return True on that to stop."""
+        while self._pipe.poll():
+            request: DriveCommand | PauseScans | None = self._pipe.recv()
+            if request is None:
+                return True
+            if isinstance(request, PauseScans):
+                self._paused = request.paused
+            elif self._driver is not None:
+                self._driver.put(request)
+        return False
+
+    def _put(self, device: int, messages: list[Message]) -> None:
+        """Take messages of a device, in its thread."""
+        if self._paused and any(isinstance(message, Scan) for message in messages):
+            self._buffer.skip(device, messages)
+            return
+        self._buffer.put(device, messages)
+
     def _give_out(self, message: Message) -> None:
-        """Send and record a message."""
-        if self._job.deliver:
+        """Record a message that is in order, and send it unless it was sent when it arrived."""
+        if self._early is not None:
+            self._early.ordered(message)
+        elif self._job.deliver:
             self._outbox.put(message)
         if self._recorder is not None:
             self._recorder.put(message)
@@ -155,6 +196,7 @@ def acquire(pipe: Connection, job: Job, offset: float) -> None:
     """Run the reading process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    signal.signal(signal.SIGTSTP, signal.SIG_IGN)  # Ctrl-Z: the base must be stopped, and the recording go on
     sys.setswitchinterval(SWITCH_INTERVAL)
     request_realtime_priority()  # otherwise programs that keep all processors busy delay reads by tenths of a second
     reader = _DeviceReader(pipe, job, offset)

@@ -7,6 +7,7 @@ from typing import Any
 
 from .device import Device
 from .device_spec import DeviceSpec
+from .driving import BaseDriver
 from .ld06 import Ld06Device
 from .rplidar import RplidarDevice
 from .scip import ScipDevice
@@ -19,6 +20,6 @@ LIDAR_DEVICES: Mapping[str, Callable[[Mapping[str, Any]], Device]] = {
 }
 
 
-def make_device(spec: DeviceSpec) -> Device:
-    """Create the device of a spec, not yet connected."""
-    return LIDAR_DEVICES[spec.kind](spec.options) if spec.is_lidar else WheelBaseDevice(spec.kind, spec.options)
+def make_device(spec: DeviceSpec, driver: BaseDriver | None = None) -> Device:
+    """Create the device of a spec, not yet connected. A wheel base is driven by `driver`, if there is one."""
+    return LIDAR_DEVICES[spec.kind](spec.options) if spec.is_lidar else WheelBaseDevice(spec.kind, spec.options, driver)

@@ -8,6 +8,7 @@ from dataclasses import replace
 from threading import Condition
 
 from ..messages import Message, end_stamp
+from .early_delivery import EarlyDelivery
 
 CAPACITY = 4096
 """Messages that wait for a busy consumer: more than half a minute of a lidar and a wheel base."""
@@ -25,14 +26,19 @@ class ReorderBuffer:
     devices   number of devices that put messages
     offset    seconds to add to stamps on the steady clock
     capacity  maximum number of waiting messages; the oldest are dropped for newer ones
+    early     receives the messages that are not late as they arrive, and is to receive those that are popped; None:
+              they are only popped
 
     dropped   messages dropped for lack of room
     late      messages discarded because later ones had been delivered already: from a device that had sent nothing for
               so long that the others no longer waited for it
     """
 
-    def __init__(self, devices: int, offset: float, capacity: int = CAPACITY) -> None:
+    def __init__(
+        self, devices: int, offset: float, capacity: int = CAPACITY, early: EarlyDelivery | None = None
+    ) -> None:
         self.dropped = self.late = 0
+        self._early = early
         self._offset, self._capacity = offset, capacity
         self._ends = [float("-inf")] * devices  # end of each device's last message
         self._heap: list[tuple[float, int, Message]] = []
@@ -43,11 +49,26 @@ class ReorderBuffer:
 
     def put(self, device: int, messages: list[Message]) -> None:
         """Add messages of one device, stamped on the steady clock; none may begin before the end of an earlier one."""
+        accepted = []
         with self._changed:
             for message in messages:
-                heapq.heappush(self._heap, (message.stamp, self._sequence, message))
-                self._sequence += 1
                 self._ends[device] = max(self._ends[device], end_stamp(message))
+                if message.stamp < self._last:
+                    self.late += 1
+                    continue
+                shifted = replace(message, stamp=message.stamp + self._offset)
+                heapq.heappush(self._heap, (message.stamp, self._sequence, shifted))
+                self._sequence += 1
+                accepted.append(shifted)
+            if self._early is not None:
+                self._early.arrived(accepted)  # before they can be popped
+            self._release(min(self._ends))
+            self._changed.notify()
+
+    def skip(self, device: int, messages: list[Message]) -> None:
+        """Note that messages of one device are left out: the others do not wait for them."""
+        with self._changed:
+            self._ends[device] = max(self._ends[device], *(end_stamp(message) for message in messages))
             self._release(min(self._ends))
             self._changed.notify()
 
@@ -72,15 +93,13 @@ class ReorderBuffer:
 
     def _release(self, until: float) -> None:
         while self._heap and self._heap[0][0] <= until:
-            stamp, _, message = heapq.heappop(self._heap)
-            if stamp < self._last:
-                self.late += 1
-                continue
-            self._last = stamp
-            self._ready.append(replace(message, stamp=stamp + self._offset))
+            self._last, _, message = heapq.heappop(self._heap)
+            self._ready.append(message)
         while len(self._ready) + len(self._heap) > self._capacity:
             if self._ready:
                 self._ready.popleft()
             else:
                 heapq.heappop(self._heap)
             self.dropped += 1
+            if self._early is not None:
+                self._early.dropped()

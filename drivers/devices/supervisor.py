@@ -17,8 +17,9 @@ from threading import Event, Lock
 from ..errors import DriverError, EndOfCaptureError, NoResponseError
 from ..messages import Message, end_stamp
 from ..transport import Transport
-from .device import Device
+from .device import PROMPT_READ_PAUSE, READ_PAUSE, Device
 from .device_spec import AUTO, CAPTURE_PREFIX, DeviceSpec
+from .driving import BaseDriver
 from .ports import candidate_addresses, connect, permanent_names
 from .registry import make_device
 
@@ -96,20 +97,28 @@ class Supervisor:
     spec             of the device
     put              receives its messages, stamped on the host's steady clock
     other_addresses  addresses of other devices, at which this one is never searched
+    driver           commands to the device, if it is a wheel base that is driven
+    prompt           True if messages are needed promptly, for which the port is read more often
 
     failure  error of the first start, if it failed: the requested device is not there. A device that has run once is
              searched until it is back
     """
 
     def __init__(
-        self, spec: DeviceSpec, put: Callable[[list[Message]], None], other_addresses: Collection[str] = ()
+        self,
+        spec: DeviceSpec,
+        put: Callable[[list[Message]], None],
+        other_addresses: Collection[str] = (),
+        driver: BaseDriver | None = None,
+        prompt: bool = False,
     ) -> None:
         self.spec = spec
         self._other_addresses = other_addresses
         self.failure: DriverError | None = None
         self.state = DeviceState.CONNECTING
         self._put = put
-        self._device: Device = make_device(spec)
+        self._device: Device = make_device(spec, driver)
+        self._device.read_pause = PROMPT_READ_PAUSE if prompt else READ_PAUSE
         self._last_location: tuple[str, int] | None = None  # address and baud rate of the last connection
         self._names: list[str] = []  # permanent names of the port at the first connection
         self._was_connected = self._has_run = False

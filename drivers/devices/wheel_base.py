@@ -6,7 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
-from math import pi
+from math import inf, pi
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,12 +28,17 @@ from ..messages import Floats, Message
 from ..transport import Received, Transport
 from .device import READ_TIMEOUT, Device
 from .device_clock import DeviceClock
+from .device_spec import DeviceSpec
+from .driving import STOPPED, BaseDriver
 from .packet_stamper import MonotonicStamps, PacketCountClock
+from .ports import connect
 
 REQUEST_RETRY_PERIOD = 1.0
 """Seconds after which the start request is repeated to a base that has not sent a reading yet: boards restart when a
 port is opened, and miss requests sent meanwhile.
 """
+WAKE_PULSE = 1.0
+"""Seconds, an example of the manual of Create 2: three pulses shorter than half a second would change the baud rate."""
 POLL_TIMEOUT = 0.2
 """Seconds; a polled base responds within some milliseconds."""
 MAX_FRAME_SIZE = 256
@@ -50,16 +55,18 @@ class BaseKind(NamedTuple):
     protocol  creates the host's side of the protocol
     drive     wheel geometry; None if it is the builder's
     dtr       state of the modem line DTR
+    sleeps    True if a pulse on the modem line RTS wakes the base
     """
 
     name: str
     protocol: Callable[[DifferentialDrive], WheelBase]
     drive: DifferentialDrive | None
     dtr: bool
+    sleeps: bool = False
 
 
 BASE_KINDS: Mapping[str, BaseKind] = {
-    "create2": BaseKind("iRobot Create 2 or Roomba", Create2, create2.WHEELS, dtr=False),
+    "create2": BaseKind("iRobot Create 2 or Roomba", Create2, create2.WHEELS, dtr=False, sleeps=True),
     "kobuki": BaseKind("Kobuki", Kobuki, kobuki.WHEELS, dtr=False),
     "arduino": BaseKind("ros_arduino_bridge", ArduinoBridge, None, dtr=True),
     "wheels": BaseKind("base with the project's own line protocol", WheelLine, None, dtr=True),
@@ -79,14 +86,28 @@ def drive_geometry(kind: str, options: Mapping[str, Any]) -> DifferentialDrive:
     return replace(drive, **changed)
 
 
+def stop_base(spec: DeviceSpec, address: str) -> None:
+    """Stop the wheels of a base that no process reads any more; raises DriverError if its port cannot be opened."""
+    device = WheelBaseDevice(spec.kind, spec.options)
+    protocol = BASE_KINDS[spec.kind].protocol(drive_geometry(spec.kind, spec.options))
+    transport = connect(spec, address, device.bauds[0], device.dtr, append=True)
+    try:
+        transport.write(protocol.enable_driving() + protocol.drive(STOPPED))
+    finally:
+        transport.close()
+
+
 class WheelBaseDevice(Device):
-    """A wheel base. The pose continues over new connections. This class never makes the base drive."""
+    """A wheel base. The pose continues over new connections.
+
+    driver  velocities to drive; None: no drive command is ever sent
+    """
 
     start_timeout = 6.0
 
-    def __init__(self, kind: str, options: Mapping[str, Any]) -> None:
+    def __init__(self, kind: str, options: Mapping[str, Any], driver: BaseDriver | None = None) -> None:
         super().__init__()
-        self._kind = BASE_KINDS[kind]
+        self._kind, self._driver = BASE_KINDS[kind], driver
         self._wheels = drive_geometry(kind, options)
         self._odometer = Odometer(self._wheels)
         self._monotonic = MonotonicStamps()
@@ -94,6 +115,8 @@ class WheelBaseDevice(Device):
         self._previous_counts: Counter[str] = Counter()  # counts of earlier connections
         self._frame_size: int
         self._requested_at: float
+        self._last_reading: float  # time of the last reading of this connection
+        self._woken: bool  # on this connection
         self.dtr = options.get("dtr", self._kind.dtr)
         self.bauds = (options.get("baud", self._protocol.baud),)
         self._reset_protocol(self.bauds[0])
@@ -106,6 +129,7 @@ class WheelBaseDevice(Device):
     def identify(self, transport: Transport, baud: int) -> None:
         """Request a reading; raises NoResponseError if none arrives."""
         self.start(transport, baud)
+        self._woken = True  # the pulse would restart some boards, and this may be another device
         end = time.monotonic() + self.start_timeout
         before = self.measurement_count
         while self.measurement_count == before:
@@ -115,20 +139,24 @@ class WheelBaseDevice(Device):
         self.halt(transport)
 
     def start(self, transport: Transport, baud: int) -> None:
-        """Request readings; `step` repeats the request until they arrive."""
+        """Request readings; `step` repeats the request until they arrive. A base that was driven is stopped."""
         self._previous_counts += Counter(asdict(self._protocol.counters)) + Counter(self._clock_counters())
         self._reset_protocol(baud)
         self.identity = self._kind.name
         transport.write(self._protocol.start())
+        if self._driver is not None:
+            transport.write(self._driver.restart(self._protocol))
 
     def step(self, transport: Transport) -> tuple[Received, list[Message]]:
-        """Read once, or poll once and pause."""
+        """Read once, or poll once and pause; send the drive command that is due."""
         if self._protocol.poll_period is not None:
             return self._poll(transport, self._protocol.poll_period)
         received, messages = super().step(transport)
         if self._protocol.counters.good == 0 and received.time > self._requested_at + REQUEST_RETRY_PERIOD:
+            self._wake(transport)
             transport.write(self._protocol.start())
             self._requested_at = received.time
+        self._drive(transport)
         return received, messages
 
     def feed(self, received: Received) -> list[Message]:
@@ -136,14 +164,17 @@ class WheelBaseDevice(Device):
         before = self._bytes
         self._bytes += len(received.data)
         readings = self._protocol.feed(received.data)
+        self._last_reading = received.time if readings else self._last_reading
         if readings and before:
             self._frame_size = min(self._frame_size, max(1, round(self._bytes / self._protocol.counters.good)))
         stamps = self._monotonic.stamps(self._stamps(readings, received.time)).tolist()
         return [message for pair in zip(readings, stamps, strict=True) if (message := self._odometer.add(*pair))]
 
     def halt(self, transport: Transport) -> None:
-        """Stop the wheels, and the readings if the protocol allows it."""
-        transport.write(self._protocol.stop())
+        """Stop the wheels if the base was driven, and the readings if the protocol allows it."""
+        if self._driver is not None:
+            transport.write(self._driver.stop(self._protocol))
+        transport.write(self._protocol.end())
 
     def counters(self) -> dict[str, int]:
         """Return the counts of the protocol, the odometer and the clock."""
@@ -162,6 +193,18 @@ class WheelBaseDevice(Device):
         self._baud, self._bytes = baud, 0
         self._frame_size = MAX_FRAME_SIZE
         self._requested_at = time.monotonic()
+        self._last_reading = -inf
+        self._woken = False
+
+    def _wake(self, transport: Transport) -> None:
+        """Wake the base, once on each connection. USB cables for Create 2 connect RTS with its wake-up pin, BRC."""
+        if self._kind.sleeps and not self._woken:
+            self._woken = True
+            transport.pulse_rts(WAKE_PULSE)
+
+    def _drive(self, transport: Transport) -> None:
+        if self._driver is not None:
+            transport.write(self._driver.output(self._protocol, time.monotonic(), self._last_reading))
 
     def _clock_counters(self) -> dict[str, int]:
         clock = self._count_clock.clock if self._count_clock else self._clock
@@ -192,7 +235,9 @@ class WheelBaseDevice(Device):
             if readings:
                 message = self._odometer.add(readings[-1], (requested_at + received.time) / 2)
                 messages = [message] if message else []
+                self._last_reading = received.time
             if readings or received.time > requested_at + POLL_TIMEOUT:
                 break
+        self._drive(transport)
         time.sleep(max(0.0, requested_at + period - time.monotonic()))
         return received, messages

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se2
-from ..messages import Floats
+from ..messages import Floats, Odometry
 from ..recordings.ros_encoder import RosEncoder
-from ..recordings.ros_messages import DIAGNOSTICS
+from ..recordings.ros_messages import DIAGNOSTICS, ODOMETRY
 from ..se2 import Pose
 
 POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -85,6 +85,19 @@ class NodeEncoder(RosEncoder):
         whole[np.ix_(PLANE, PLANE)] = axes @ covariance @ axes.T
         content = self.types["geometry_msgs/msg/PoseWithCovariance"](self._pose(pose), whole.ravel())
         return self._serialise(POSE_WITH_COVARIANCE, self._header(stamp, frame), content)
+
+    def base_odometry(self, reading: Odometry, frame: str, child: str, velocity: Floats) -> bytes:
+        """Encode an Odometry of the frame `child` in `frame`, without covariances.
+
+        velocity  (3,) in the frame of `child`: m/s, m/s, rad/s
+        """
+        types, unknown = self.types, np.zeros(36)
+        vector = types["geometry_msgs/msg/Vector3"]
+        vx, vy, turn_rate = velocity.tolist()
+        twist = types["geometry_msgs/msg/Twist"](vector(vx, vy, 0.0), vector(0.0, 0.0, turn_rate))
+        pose = types["geometry_msgs/msg/PoseWithCovariance"](self._pose(reading.pose), unknown)
+        moving = types["geometry_msgs/msg/TwistWithCovariance"](twist, unknown)
+        return self._serialise(ODOMETRY, self._header(reading.stamp, frame), child, pose, moving)
 
     def grid(self, stamp: float, frame: str, grid: Grid) -> bytes:
         """Encode an OccupancyGrid."""

@@ -55,6 +55,7 @@ class Inputs:
     """What a node receives, with absolute names of topics.
 
     odometry        topic of type Odometry; empty: odometry is on /tf
+    base            name of the node's own wheel base, from which odometry comes; empty: it comes from topics
     uses_odometry   false if the robot has none, or it is ignored
     mount_is_set    true if the settings state the lidar's mount, so that no transform is needed
     initial_pose    topic with poses that a user sets, of type PoseWithCovarianceStamped; empty: none
@@ -64,6 +65,7 @@ class Inputs:
 
     scan: str = "/scan"
     odometry: str = ""
+    base: str = ""
     transforms: str = "/tf"
     static_transforms: str = "/tf_static"
     odometry_frame: str = "odom"
@@ -89,12 +91,14 @@ class RosReceiver:
     """Receiver of the messages of a link, from construction until `stop`.
 
     inputs       what is received
-    on_odometry  called with the stamp of each odometry reading (seconds), from a thread of the link
+    on_odometry  called with each odometry reading, from a thread of the link
     paused       true: scans are dropped
     report       counts of what was received and dropped
     """
 
-    def __init__(self, link: Link, inputs: Inputs, on_odometry: Callable[[float], None] = lambda stamp: None) -> None:
+    def __init__(
+        self, link: Link, inputs: Inputs, on_odometry: Callable[[Odometry], None] = lambda reading: None
+    ) -> None:
         self.report = SourceReport()
         self.paused = False
         self.inputs, self._on_odometry = inputs, on_odometry
@@ -103,7 +107,7 @@ class RosReceiver:
         self._mounts: dict[str, LidarMount] = {}
         self._messages: deque[Message] = deque()
         self._waiting = self._scans = 0
-        self._reading: float | None = None  # stamp of the odometry in the message that is being added
+        self._reading: Odometry | None = None  # odometry in the message that is being added
         self._latest: dict[type[Message], float] = {}
         self._older: Counter[type[Message]] = Counter()  # messages in a row that are older than the latest one
         self._silence = Silence(time.monotonic(), time.monotonic())
@@ -116,7 +120,7 @@ class RosReceiver:
             subscribe(inputs.initial_pose, POSE_WITH_COVARIANCE, self._add_initial_pose, DEFAULT)
         if inputs.imu:
             subscribe(inputs.imu, IMU, self._add_rate, SENSOR_DATA)
-        if inputs.odometry and inputs.uses_odometry:
+        if inputs.odometry and inputs.uses_odometry and not inputs.base:
             subscribe(inputs.odometry, ODOMETRY, self._add_odometry, SENSOR_DATA)
 
     def receive(self, timeout: float) -> Message | None:
@@ -130,6 +134,15 @@ class RosReceiver:
             self._waiting -= isinstance(message, Scan)
             self.report.messages += 1
             return message
+
+    def add_odometry(self, reading: Odometry) -> None:
+        """Add odometry of the node's own base. May be called from any thread."""
+        self._add(self._put_odometry, reading)
+
+    @property
+    def stopped(self) -> bool:
+        """True after `stop`."""
+        return self._stopped
 
     @property
     def ended(self) -> bool:
@@ -163,6 +176,8 @@ class RosReceiver:
 
     def _missing_odometry(self) -> str:
         inputs, others = self.inputs, sorted(self._tf_odometry.others)
+        if inputs.base:
+            return f"no odometry from {inputs.base}"
         if inputs.odometry:
             return f"no odometry on {inputs.odometry}"
         hint = f", but to {', '.join(others)}: is base_frame set correctly?" if others else ""
@@ -172,22 +187,26 @@ class RosReceiver:
         def receive(data: bytes) -> None:
             try:
                 message = decode(data, msgtype, "cdr")
-                with self._changed:
-                    self._reading = None
-                    add(message, time.time_ns())
-                    reading = self._reading
-                if reading is not None:
-                    self._on_odometry(reading)
+                self._add(add, message, time.time_ns())
             except ValueError as error:
                 self._skip(f"{topic}: {error}")
 
         link.subscribe(topic, msgtype, qos, receive)
 
+    def _add(self, add: Callable[..., None], *arguments: Any) -> None:
+        """Call a function that adds a message, and report the odometry that it has added."""
+        with self._changed:
+            self._reading = None
+            add(*arguments)
+            reading = self._reading
+        if reading is not None:
+            self._on_odometry(reading)
+
     def _add_fixed(self, message: Any, _: int) -> None:
         self._tree.add(message)
 
     def _add_moving(self, message: Any, received: int) -> None:
-        if self.inputs.uses_odometry and not self.inputs.odometry:
+        if self.inputs.uses_odometry and not (self.inputs.odometry or self.inputs.base):
             for reading in self._tf_odometry.readings(message, received):
                 self._put_odometry(reading)
         if self._silence.unconnected:
@@ -235,7 +254,7 @@ class RosReceiver:
     def _put_odometry(self, reading: Odometry) -> None:
         self._silence.odometry = time.monotonic()
         if self._put(reading):
-            self._reading = reading.stamp
+            self._reading = reading
 
     def _put(self, message: Message) -> bool:
         """Append a message if it is later than the last one of its kind; transforms are often sent twice."""

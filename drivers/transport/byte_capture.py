@@ -60,6 +60,10 @@ class CapturingTransport:
         """Set the connection's modem line; it is not captured."""
         return self._transport.set_dtr(asserted)
 
+    def pulse_rts(self, duration: float) -> bool:
+        """Pulse the connection's modem line; it is not captured."""
+        return self._transport.pulse_rts(duration)
+
     def cancel(self) -> None:
         """Cancel the connection's read."""
         self._transport.cancel()
@@ -122,6 +126,10 @@ class ReplayTransport:
         """Discard the bytes."""
 
     def set_dtr(self, asserted: bool) -> bool:
+        """Return False: a byte capture has no modem lines."""
+        return False
+
+    def pulse_rts(self, duration: float) -> bool:
         """Return False: a byte capture has no modem lines."""
         return False
 

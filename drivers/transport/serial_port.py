@@ -82,16 +82,17 @@ class SerialPort:
         """Set the modem line; return False for ports without one, such as pseudo terminals. It keeps its state when the
         port is closed.
         """
-        if self._closed:
-            raise ConnectionLostError(self.name, "closed")
-        try:
-            self._serial.dtr = asserted
-        except PORT_ERRORS as error:
-            if error.args[0] in NO_MODEM_LINE_CODES:
-                return False
-            raise self._connection_lost(error) from error
+        if not self._set_line("dtr", asserted):
+            return False
         self._keep_modem_lines()
         return True
+
+    def pulse_rts(self, duration: float) -> bool:
+        """Assert the modem line "request to send" for some seconds; return False for ports without one."""
+        if not self._set_line("rts", True):
+            return False
+        time.sleep(duration)
+        return self._set_line("rts", False)
 
     def cancel(self) -> None:
         """Make a waiting read, or else the next one, return at once."""
@@ -101,6 +102,18 @@ class SerialPort:
         """Close the port."""
         self._closed = True
         self._serial.close()
+
+    def _set_line(self, name: str, asserted: bool) -> bool:
+        """Set a modem line, dtr or rts; return False for ports without one."""
+        if self._closed:
+            raise ConnectionLostError(self.name, "closed")
+        try:
+            setattr(self._serial, name, asserted)
+        except PORT_ERRORS as error:
+            if error.args[0] in NO_MODEM_LINE_CODES:
+                return False
+            raise self._connection_lost(error) from error
+        return True
 
     def _keep_modem_lines(self) -> None:
         """Keep the modem lines unchanged when the port is closed; otherwise the motor of an A1 starts again."""

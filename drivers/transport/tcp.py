@@ -52,6 +52,11 @@ class TcpConnection:
         self._check_open()
         return False
 
+    def pulse_rts(self, duration: float) -> bool:
+        """Return False: TCP has no modem lines."""
+        self._check_open()
+        return False
+
     def cancel(self) -> None:
         """Make a waiting read, or else the next one, return at once."""
         if not self._closed:

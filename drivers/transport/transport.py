@@ -32,7 +32,7 @@ class Transport(Protocol):
     name  the port as a user writes it
 
     One thread reads and one writes; they may be the same. `cancel` may be called from any thread. To close a
-    connection, call `cancel`, wait for the reader to return, and call `close`. `read`, `write` and `set_dtr` raise
+    connection, call `cancel`, wait for the reader to return, and call `close`. All methods but these two raise
     ConnectionLostError once the connection is gone.
     """
 
@@ -48,6 +48,10 @@ class Transport(Protocol):
 
     def set_dtr(self, asserted: bool) -> bool:
         """Set the modem line "data terminal ready"; return False if the connection has none."""
+        ...
+
+    def pulse_rts(self, duration: float) -> bool:
+        """Assert the modem line "request to send" for some seconds; return False if the connection has none."""
         ...
 
     def cancel(self) -> None:

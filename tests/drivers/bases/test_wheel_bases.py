@@ -223,7 +223,7 @@ def test_the_host_decodes_the_readings_of_the_device(name: str) -> None:
 def test_the_device_decodes_the_commands_of_the_host(name: str, speed: float, turn_rate: float) -> None:
     device, base = DEVICES[name](), HOSTS[name]()
     device.feed(base.start())
-    (got,) = device.feed(base.drive(Velocity(speed, turn_rate)))
+    (got,) = device.feed(base.enable_driving() + base.drive(Velocity(speed, turn_rate)))
     assert isinstance(got, Velocity)
     left, right = base.wheels.wheel_speeds(speed, turn_rate)
     half = got.turn_rate * base.wheels.track / 2
@@ -236,18 +236,21 @@ def test_the_device_decodes_the_commands_of_the_host(name: str, speed: float, tu
 
 
 @pytest.mark.parametrize("name", BASES)
-def test_stop_sends_zero_velocity(name: str) -> None:
+def test_reading_a_base_sends_no_velocity(name: str) -> None:
     device, base = DEVICES[name](), HOSTS[name]()
-    device.feed(base.start())
-    assert device.feed(base.stop())[0] == Velocity(0.0, 0.0)
+    requests = device.feed(base.start() + base.poll() + base.start() + base.end())
+    assert not any(isinstance(request, Velocity) for request in requests)
 
 
-def test_create2_device_drives_only_after_the_start() -> None:
+def test_create2_device_drives_in_safe_mode_only_and_stops_on_leaving_it() -> None:
     device, base = Create2Device(), Create2()
-    assert device.feed(base.drive(Velocity(0.1, 0.0))) == []
-    assert device.feed(base.start()) == [Stream(True)]
-    assert device.feed(base.stop()) == [Velocity(0.0, 0.0), Stream(False), Stream(False)]
-    assert device.feed(base.drive(Velocity(0.1, 0.0))) == []
+    drive, stopped = base.drive(Velocity(0.1, 0.0)), Velocity(0.0, 0.0)
+    assert device.feed(base.enable_driving() + drive) == []
+    assert device.feed(base.start() + drive) == [Stream(True)]
+    assert device.feed(base.enable_driving() + drive) == [Velocity(0.1, 0.0)]
+    assert device.feed(base.start() + drive) == [stopped, Stream(True)]
+    assert device.feed(base.enable_driving() + base.end()) == [Stream(False), stopped, Stream(False)]
+    assert device.feed(drive) == []
 
 
 def test_arduino_bridge_device_decodes_requests() -> None:

@@ -116,7 +116,7 @@ def test_all_counters_are_reported_and_devices_are_halted(peer: Any) -> None:
     assert not peer.scans_since_last_stop()
     assert [event["speed"] for event in peer.events if event["event"] == "motor"] == [600, 0]
     assert peer.events[-1]["event"] == "motor" or "on=False" in peer.events[-1]["what"]
-    assert any("Velocity(speed=0.0, turn_rate=0.0)" in event.get("what", "") for event in peer.events)
+    assert not any("Velocity" in event.get("what", "") for event in peer.events)
 
 
 def test_stamps_are_right_while_the_consumer_is_busy(make_peer: Callable[..., Any]) -> None:

@@ -14,15 +14,13 @@ import numpy as np
 import pytest
 
 from drivers import Message, Odometry, Scan
-from drivers.bases import (
-    Poll,
-    Velocity,
-)
+from drivers.bases import Velocity
 from drivers.devices import ports
 from drivers.devices import supervisor as supervisor_module
 from drivers.devices.device_spec import parse_device
 from drivers.devices.probing import probe
 from drivers.devices.supervisor import DeviceState, Supervisor
+from drivers.devices.wheel_base import WAKE_PULSE
 from drivers.errors import DriverError
 from drivers.lidars.rplidar.requests import Command
 from drivers.transport import SerialPort
@@ -130,14 +128,33 @@ def sent_duties(peer: OldRplidar) -> list[int]:
     return [int.from_bytes(r.payload, "little") for r in peer.received if r.command == Command.SET_MOTOR_PWM]
 
 
-@pytest.mark.parametrize("kind", ["kobuki", "wheels", "arduino"])
-def test_wheel_bases_are_stopped_at_the_end(kind: str) -> None:
+@pytest.mark.parametrize("kind", ["create2", "kobuki", "wheels", "arduino"])
+def test_wheel_bases_that_are_only_read_receive_no_velocity(kind: str) -> None:
     make, options, _, _ = KINDS[kind]
     peer = make()
     assert isinstance(peer, BasePeer)
     with plugged(peer) as path:
-        run_supervisor(f"{kind}:{path}?{options}")
-        wait_until(lambda: [r for r in peer.requests if not isinstance(r, Poll)][-1:] == [Velocity(0.0, 0.0)])
+        run_supervisor(f"{kind}:{path}?{options}", 5)
+        time.sleep(0.1)
+    assert not any(isinstance(request, Velocity) for request in peer.requests)
+
+
+def test_a_sleeping_create_is_woken_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pulse on RTS wakes it, before the start request is repeated."""
+    asleep, peer, pulses = threading.Event(), KINDS["create2"][0](), []
+    asleep.set()
+
+    def pulse(port: SerialPort, duration: float) -> bool:
+        pulses.append(duration)
+        asleep.clear()
+        return True
+
+    monkeypatch.setattr(SerialPort, "pulse_rts", pulse)
+    with plugged(lambda received: b"" if asleep.is_set() else peer(received)) as path:
+        supervisor, messages = run_supervisor(f"create2:{path}", 20)
+    assert supervisor.failure is None
+    assert len(messages) >= 20
+    assert pulses == [WAKE_PULSE]
 
 
 def test_odometry_has_the_speed_of_the_wheels() -> None:

@@ -38,7 +38,7 @@ def started(bench: Bench, name: str) -> tuple[Host, WheelBase]:
     host = bench.open("base", protocol.baud)
     bench.go(ARDUINO_BOOT_DURATION + 0.1)
     host.forget()
-    host.port.write(protocol.start())
+    host.port.write(protocol.start() + protocol.enable_driving())
     return host, protocol
 
 
@@ -102,7 +102,7 @@ def test_velocities_are_driven(bench: MakeBench, name: str) -> None:
     assert travelled == pytest.approx(0.2 * (2.0 - 0.2 / 0.6 / 2), abs=0.02)  # acceleration of 0.6 m/s^2
     assert turned == pytest.approx(0.5 * (2.0 - 0.5 / 4.0 / 2), abs=0.03)
     assert np.hypot(*between(start, robot.emulator.motion.poses(np.array([robot.time]))[0])[:2]) > 0.3
-    host.port.write(protocol.stop())
+    host.port.write(protocol.drive(Velocity(0.0, 0.0)) + protocol.end())
     robot.go(1.0)
     at_rest = robot.emulator.motion.travelled(robot.time)
     robot.go(0.5)
@@ -140,7 +140,7 @@ def test_a_create_is_silent_until_it_is_started_and_after_it_is_stopped(bench: M
     host.port.write(Create2().start())
     robot.go(0.5)
     assert len(host.data) == pytest.approx(0.5 / 0.015 * 9, abs=18)
-    host.port.write(Create2().stop())
+    host.port.write(Create2().end())
     robot.go(0.1)
     host.forget()
     robot.go(0.5)

@@ -91,11 +91,12 @@ def test_odometry_of_another_base_frame_is_moved(link: MemoryLink, robot: Robot)
 
 
 def test_odometry_messages_take_the_place_of_transforms(link: MemoryLink, robot: Robot) -> None:
-    stamps: list[float] = []
-    receiver = RosReceiver(link, Inputs(odometry="/odom"), stamps.append)
+    readings: list[Odometry] = []
+    receiver = RosReceiver(link, Inputs(odometry="/odom"), readings.append)
     robot.move(1.0, np.zeros(3))
     robot.odometry(2.0, np.array([1.0, 0.0, 0.0]))
-    assert [message.stamp for message in messages(receiver)] == stamps == [2.0]
+    assert messages(receiver) == readings
+    assert [reading.stamp for reading in readings] == [2.0]
 
 
 def test_scans_wait_for_their_transform(link: MemoryLink, robot: Robot) -> None:

@@ -32,6 +32,9 @@ class ScriptedTransport:
     def set_dtr(self, asserted: bool) -> bool:
         return asserted
 
+    def pulse_rts(self, duration: float) -> bool:
+        return False
+
     def cancel(self) -> None:
         pass
 

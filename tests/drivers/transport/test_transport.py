@@ -174,14 +174,20 @@ def test_a_closed_connection_raises_errors(pair: tuple[Transport, Peer]) -> None
     transport.close()
     transport.close()
     transport.cancel()
-    for use in (lambda: transport.read(0.1), lambda: transport.write(b"x"), lambda: transport.set_dtr(True)):
+    for use in (
+        lambda: transport.read(0.1),
+        lambda: transport.write(b"x"),
+        lambda: transport.set_dtr(True),
+        lambda: transport.pulse_rts(0.01),
+    ):
         with pytest.raises(ConnectionLostError, match="closed"):
             use()
 
 
-def test_set_dtr_returns_false_without_modem_line(pair: tuple[Transport, Peer]) -> None:
+def test_modem_lines_that_do_not_exist_are_not_set(pair: tuple[Transport, Peer]) -> None:
     transport, _ = pair
     assert transport.set_dtr(True) is False
+    assert transport.pulse_rts(0.01) is False
 
 
 def test_a_missing_port_is_an_error(tmp_path: Path) -> None:
@@ -230,6 +236,8 @@ def test_dtr_and_rts_are_set_before_opening(terminal: tuple[str, int], monkeypat
     assert set_to == [("dtr", False), ("rts", False)]
     assert port.set_dtr(True) is True
     assert set_to[-1] == ("dtr", True)
+    assert port.pulse_rts(0.01) is True
+    assert set_to[-2:] == [("rts", True), ("rts", False)]
     port.close()
 
 
