@@ -13,6 +13,7 @@ from .geometry.segments import CornerPoints, Floats, Integers, Segments
 from .graph.residuals import Residuals
 from .loop_closure.loop_status import LoopStatus
 from .mapping.map_features import MapCorners, MapWalls
+from .odometry.error_model import OdometryModel
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,6 +24,9 @@ class ScanTracked:
     odometry       (3,) odometry pose at the same time
     overlap_ratio  share of the scan's wall length on known walls, 0 to 1
     keyframe       index of the last keyframe
+    points         (p, 2) valid returns in the base's frame, metres
+    covariance     (3, 3) of the pose in the map as it stands, in the base's frame; zero: unknown
+    odometry_model copy of the error model of odometry as learned so far; None if it is unknown
     """
 
     stamp: float
@@ -30,6 +34,9 @@ class ScanTracked:
     odometry: Pose
     overlap_ratio: float
     keyframe: int
+    points: Floats = field(default_factory=lambda: np.zeros((0, 2)))
+    covariance: Floats = field(default_factory=lambda: np.zeros((3, 3)))
+    odometry_model: OdometryModel | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,6 +16,7 @@ from .estimation.refinement import refine
 from .events import Finished, Sink
 from .io.sessions import StoredSession
 from .localisation.tracker import PoseFix
+from .mapping.convergence import converge
 from .mapping.mapper import Mapper
 from .mapping.odometry_segments import OdometrySegments
 from .publisher import Publisher
@@ -49,7 +50,7 @@ def optimise(session: StoredSession, sinks: Sequence[Sink] = ()) -> OptimisedSes
     slam_state, publisher = session.slam_state, Publisher(sinks)
     if slam_state.mapper.keyframe_count < 2:
         raise MapError("nothing to optimise: the session has fewer than two keyframes")
-    slam_state.mapper.converge()
+    converge(slam_state.mapper)
     before, history = slam_state.mapper, session.scan_history()
     publisher.publish_map(float(history.stamps[0]), before, index=0)
     refined = refine(before, history, slam_state.odometry_model)

@@ -130,7 +130,7 @@ def part_rows(state: SlamState) -> list[dict[str, object]]:
 
 def _step_sigmas(mapper: Mapper, keyframe: int) -> list[float]:
     """Return the standard deviations (metres, metres, radians) of a keyframe's pose relative to the one before."""
-    return [round(float(sigma), 4) for sigma in np.sqrt(np.diag(mapper.relative_covariance(keyframe - 1, keyframe)))]
+    return [round(float(sigma), 4) for sigma in np.sqrt(np.diag(mapper.covariances.relative(keyframe - 1, keyframe)))]
 
 
 def loop_row(stamp: float, decision: LoopDecision) -> dict[str, object]:

@@ -21,6 +21,7 @@ from ..mapping.mapper import Mapper
 from ..preprocessing.preprocessor import ProcessedScan
 from .closure_monitor import ClosureMonitor
 from .loop_update import close_loop
+from .plan_update import update_by_plan
 from .scan_update import KeyframeUpdate, track, update_map
 from .slam_state import SlamState
 from .stage_timer import StageTimer
@@ -38,6 +39,7 @@ class ScanResult:
     update      changes of the map; None if the scan did not become a keyframe
     retracted   closure that was undone because this scan contradicts it, if any
     mapper      map with the scan, before a closure was undone
+    in_plan     true if the map was recognised in the plan and moved to its frame
     began_part  true if the pose was lost and a new part of the map began
     joined      first keyframe of the last part of the map if it was recognised in another one, or in the frozen map
     """
@@ -46,6 +48,7 @@ class ScanResult:
     update: KeyframeUpdate | None
     retracted: LoopDecision | None
     mapper: Mapper
+    in_plan: bool = False
     began_part: bool = False
     joined: int | None = None
 
@@ -83,7 +86,8 @@ class Estimator:
         if update is not None and update.loop is not None and update.loop.status is LoopStatus.CONFIRMED:
             update = self._close_loop(scan, update, update.loop)
             timer.lap("closing")
-        result = ScanResult(tracking, update, None, self.state.mapper, joined=_joined_part(update))
+        in_plan = update is not None and self._frozen is None and update_by_plan(self.state, update.observations)
+        result = ScanResult(tracking, update, None, self.state.mapper, in_plan=in_plan, joined=_joined_part(update))
         result = replace(result, retracted=self._retract_contradicted_closure())
         if self.state.lost:
             unmeasured = self.state.view_changed or not self.state.odometry_model.measured

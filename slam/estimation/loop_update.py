@@ -75,8 +75,8 @@ def link_revisited(state: SlamState) -> None:
     if old is None:
         return
     # The bound costs nothing, and is small enough in most places.
-    if _is_well_known(mapper.relative_covariance_bound(old, last, stored=True)) or _is_well_known(
-        mapper.relative_covariance(old, last)
+    if _is_well_known(mapper.covariances.relative_bound(old, last, stored=True)) or _is_well_known(
+        mapper.covariances.relative(old, last)
     ):
         state.local_field.link(old, last)
 

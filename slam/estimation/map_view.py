@@ -36,7 +36,7 @@ def final_result(state: SlamState, trajectory: tuple[Floats, Floats], summary: d
         stamps=trajectory[0],
         poses=trajectory[1],
         summary=summary,
-        keyframe_covariance=mapper.keyframe_covariances(marginals),
+        keyframe_covariance=mapper.covariances.of_all(marginals),
     )
 
 

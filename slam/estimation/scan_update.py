@@ -21,7 +21,8 @@ from ..localisation.tracker import TrackingResult, TrackingStatus
 from ..loop_closure.decision import LoopDecision
 from ..mapping.data_association import associate
 from ..mapping.keyframes import KeyframeMotion, KeyframeObservations, PointMotion, WallMerge
-from ..mapping.mapper import LOCAL_MAP_MARGIN, Mapper
+from ..mapping.local_map import LOCAL_MAP_MARGIN
+from ..mapping.mapper import Mapper
 from ..matching.bias_correction import correct_range_bias
 from ..matching.line_matcher import Registration
 from ..matching.point_matcher import point_information
@@ -133,6 +134,7 @@ def _familiar_keyframe(state: SlamState, tracking: TrackingResult) -> int | None
 
 def _pass_familiar_place(state: SlamState, keyframe: int, scan: ProcessedScan, tracking: TrackingResult) -> None:
     """Set the anchor relative to a keyframe of a familiar place, without changing the map."""
+    state.mapper.solve_waiting()
     relative = se2.between(state.mapper.keyframe_poses[keyframe], state.pose)
     state.anchor = Anchor(keyframe, relative, tracking.covariance, scan.odometry)
     state.kidnapped = state.kidnapped and not state.frozen
@@ -169,19 +171,25 @@ def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
     motion = None if state.anchor is None else _motion_since(state, state.anchor, scan.odometry, tracking.registration)
     point_motion = _point_motion(state, scan, tracking)
     observations = mapper.add_keyframe(
-        state.pose, motion, features.segments, features.corners, association, state.local_map, point_motion
+        state.pose,
+        motion,
+        features.segments,
+        features.corners,
+        association,
+        state.local_map,
+        point_motion,
+        features.points.all,
     )
     state.keyframe_stamps.append(scan.stamp)
     timer.lap("graph")
     state.local_map, merge = mapper.refresh(observations)
-    if mapper.remove_walls_seen_through(mapper.pose, features.points.all):
-        state.local_map = mapper.local_map(observations)
     state.anchor = Anchor(mapper.keyframe_count - 1, np.zeros(3), np.zeros((3, 3)), scan.odometry)
     state.local_field.add(scan.features, 1.0 if begins_part else _undetermined_share(tracking))
-    link_revisited(state)
+    if mapper.is_solved:
+        link_revisited(state)
     state.move_to_last_keyframe()
     timer.lap("local map")
-    decision = search_loop(state)
+    decision = search_loop(state) if mapper.is_solved else None
     timer.lap("loops")
     return KeyframeUpdate(observations, merge, decision)
 

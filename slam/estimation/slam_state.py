@@ -22,13 +22,15 @@ from ..localisation.tracker import PoseFix, Tracker, TrackerState
 from ..loop_closure.agreement import LoopAgreement
 from ..loop_closure.join_search import JoinSearch
 from ..loop_closure.loop_hypothesis import LoopAgreementState
-from ..mapping.local_map import empty_local_map
-from ..mapping.mapper import LOCAL_MAP_MARGIN, Mapper
+from ..mapping.convergence import converge
+from ..mapping.local_map import LOCAL_MAP_MARGIN, empty_local_map
+from ..mapping.mapper import Mapper
 from ..mapping.trajectory_builder import TrajectoryBuilder
 from ..matching.bias_correction import correct_range_bias
 from ..matching.point_matcher import MIN_KNOWN_POINTS, Prediction
 from ..odometry.predicted_motion import motion_model
 from ..preprocessing.preprocessor import ProcessedScan
+from .plan_prior import PlanPrior
 
 # Metres of local map around a robot whose pose was set from outside. Origin: chosen, as far as the distance field
 # reaches; not measured.
@@ -90,6 +92,7 @@ class SlamState:
     kidnapped            True if the robot was moved since the anchor without odometry noticing
     kidnapped_keyframes  keyframes reached in this way
     frozen               True if only the trajectory is estimated and the map stays as it is
+    plan                 plan of the building that supports the map; None without one
     untracked_scans      the last scans in a row that fitted nowhere, or only tentatively
     """
 
@@ -109,6 +112,7 @@ class SlamState:
         self.kidnapped = self.slipped = False
         self.kidnapped_keyframes: list[int] = []
         self.frozen = False
+        self.plan: PlanPrior | None = None
         self.untracked_scans: list[ProcessedScan] = []
 
     @classmethod
@@ -265,7 +269,7 @@ class SlamState:
 
     def freeze(self) -> None:
         """Settle the map and keep it unchanged from now on."""
-        self.mapper.converge()
+        converge(self.mapper)
         self.frozen = True
         self.local_map = self.mapper.local_map_at(self.pose, RELOCALISED_RADIUS)
 

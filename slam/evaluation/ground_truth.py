@@ -81,7 +81,7 @@ def _relative_pose_nees(slam: Slam, finished: Finished, truth: Floats) -> Floats
     if not len(first):
         return np.zeros(0)
     mapper, estimate = slam.slam_state.mapper, finished.keyframes
-    covariances = [mapper.relative_covariance(*pair) for pair in zip(first.tolist(), second.tolist(), strict=True)]
+    covariances = [mapper.covariances.relative(*pair) for pair in zip(first.tolist(), second.tolist(), strict=True)]
     relative, true = (se2.between(poses[first], poses[second]) for poses in (estimate, truth))
     return pose_nees(relative, np.array(covariances), true)
 

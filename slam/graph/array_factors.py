@@ -18,6 +18,8 @@ import numpy as np
 
 from drivers.compiled import compiled, inlined
 
+from ..geometry.angles import wrap_angle
+
 # The measurements of factors: a pose, a pose relative to another one, and bearing and range of a point.
 # Origin: definition.
 PRIOR, BETWEEN, POINT = 0, 1, 2
@@ -26,24 +28,23 @@ MIN_ANGLE = 1e-9
 
 
 @inlined
-def _wrapped(angle):  # type: ignore[no-untyped-def]
-    return (angle + math.pi) % (2 * math.pi) - math.pi
-
-
-@inlined
 def _error(form, measured, first, second, error):  # type: ignore[no-untyped-def]
     """Compute the error (3,) of a factor: of a pose, the logarithm of the estimate as seen from the measurement."""
     if form == PRIOR:
-        x, y, turn = second[0] - measured[0], second[1] - measured[1], _wrapped(second[2] - measured[2])
+        x, y, turn = second[0] - measured[0], second[1] - measured[1], wrap_angle(second[2] - measured[2])
         c, s = math.cos(measured[2]), math.sin(measured[2])
         x, y = c * x + s * y, c * y - s * x
     else:
         x, y, c, s = second[0] - first[0], second[1] - first[1], math.cos(first[2]), math.sin(first[2])
         x, y = c * x + s * y, c * y - s * x
         if form == POINT:
-            error[0], error[1], error[2] = _wrapped(math.atan2(y, x) - measured[0]), math.hypot(x, y) - measured[1], 0.0
+            error[0], error[1], error[2] = (
+                wrap_angle(math.atan2(y, x) - measured[0]),
+                math.hypot(x, y) - measured[1],
+                0.0,
+            )
             return
-        x, y, turn = x - measured[0], y - measured[1], _wrapped(second[2] - first[2] - measured[2])
+        x, y, turn = x - measured[0], y - measured[1], wrap_angle(second[2] - first[2] - measured[2])
         c, s = math.cos(measured[2]), math.sin(measured[2])
         x, y = c * x + s * y, c * y - s * x
     half = 0.5 * turn
@@ -166,5 +167,5 @@ def moved(values, step, corners):  # type: ignore[no-untyped-def]
         c, s = math.cos(values[k, 2]), math.sin(values[k, 2])
         result[k, 0] += c * x - s * y
         result[k, 1] += s * x + c * y
-        result[k, 2] = _wrapped(values[k, 2] + turn)
+        result[k, 2] = wrap_angle(values[k, 2] + turn)
     return result

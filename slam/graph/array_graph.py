@@ -17,7 +17,7 @@ from ..errors import MapError
 from ..geometry.segments import Floats
 from .array_factors import BETWEEN, POINT, PRIOR, add_normal_equations, moved, robust_cost
 from .block_cholesky import Pattern, factorise, inverse_blocks, solve
-from .factors import CAUCHY_SCALES, WALL_KINDS, Factor, FactorKind, FactorsOfKind, by_kind
+from .factors import CAUCHY_SCALES, PRIOR_KINDS, WALL_KINDS, Factor, FactorKind, FactorsOfKind, by_kind
 
 
 class ArrayGraph:
@@ -59,15 +59,14 @@ class ArrayGraph:
         self._measured[rows, :size] = group.measured[:, :size]
         self._direction[rows, :size] = group.bias_directions()[:, :size]
         self._scale[rows] = CAUCHY_SCALES.get(kind, np.inf)
+        self._form[rows] = POINT if kind is FactorKind.CORNER else PRIOR if kind in PRIOR_KINDS else BETWEEN
         match kind:
             case FactorKind.CORNER:
-                self._form[rows] = POINT
                 self._information[rows, :2, :2] = np.linalg.inv(group.covariances_in_polar(bias))
             case _ if kind in WALL_KINDS:
                 root = group.roots_of_information()
                 self._information[rows] = root.transpose(0, 2, 1) @ root
             case _:
-                self._form[rows] = PRIOR if kind is FactorKind.POSE_PRIOR else BETWEEN
                 self._information[rows] = np.linalg.inv(group.covariances)
 
     def values_of(self, values: gtsam.Values) -> Floats:

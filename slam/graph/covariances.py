@@ -20,43 +20,46 @@ ROBUST_COVARIANCE_SCALE = 0.936
 
 
 class LandmarkCovariances(NamedTuple):
-    """Covariances of a keyframe, of n walls and of m corners.
+    """Covariances of k keyframes, of n walls and of m corners.
 
-    pose             (3, 3) of the keyframe's pose in the map, along the map's axes
-    walls            (n, 2, 2) of offset and heading at the wall's frame, relative to the keyframe
-    corners          (m, 2, 2) of the position along the map's axes, relative to the keyframe
+    poses            (k, 3, 3) of the keyframes' poses in the map, along the map's axes
+    walls            (n, 2, 2) of offset and heading at the wall's frame, relative to the last keyframe
+    corners          (m, 2, 2) of the position along the map's axes, relative to the last keyframe
     walls_in_map     (n, 2, 2) of offset and heading in the map, times ROBUST_COVARIANCE_SCALE
     corners_in_map   (m, 2, 2) of the position in the map, times ROBUST_COVARIANCE_SCALE
     """
 
-    pose: Floats
+    poses: Floats
     walls: Floats
     corners: Floats
     walls_in_map: Floats
     corners_in_map: Floats
 
 
-def landmark_covariances(joint: Floats, pose: se2.Pose, frames: Floats, positions: Floats) -> LandmarkCovariances:
+def landmark_covariances(joint: Floats, poses: Floats, frames: Floats, positions: Floats) -> LandmarkCovariances:
     """Compute relative covariances from a joint one.
 
-    joint      (k, k), k = 3 + 3 n + 2 m, of the keyframe, the walls and the corners, in this order, in GTSAM's tangent
-               spaces: poses and walls in their own frames, corners along the map's axes
-    pose       [x, y, heading] of the keyframe
+    joint      (d, d), d = 3 k + 3 n + 2 m, of the keyframes, the walls and the corners, in this order, in GTSAM's
+               tangent spaces: poses and walls in their own frames, corners along the map's axes
+    poses      (k, 3) [x, y, heading] of the keyframes
     frames     (n, 3) of the walls
     positions  (m, 2) of the corners
     """
-    own = joint[:3, :3]
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    rotations = np.zeros((len(poses), 3, 3))
+    rotations[:, 0, 0] = rotations[:, 1, 1] = c
+    rotations[:, 0, 1], rotations[:, 1, 0], rotations[:, 2, 2] = -s, s, 1.0
+    of_poses = _blocks(joint, 3 * np.arange(len(poses)), 3)
+    joint, pose = joint[3 * len(poses) - 3 :, 3 * len(poses) - 3 :], poses[-1]  # from the last keyframe on
     starts = np.cumsum([3, *(3 for _ in frames), *(2 for _ in positions)])
     wall_covariances = _relative(joint, starts[: len(frames)], 3, se2.adjoint(se2.between(frames, pose)))
     lever = positions - pose[:2]
     jacobian = np.zeros((len(positions), 2, 3))
     jacobian[:, 0, 0] = jacobian[:, 1, 1] = 1.0
     jacobian[:, 0, 2], jacobian[:, 1, 2] = -lever[:, 1], lever[:, 0]
-    corner_covariances = _relative(joint, starts[len(frames) : -1], 2, jacobian @ rotation)
+    corner_covariances = _relative(joint, starts[len(frames) : -1], 2, jacobian @ rotations[-1])
     return LandmarkCovariances(
-        rotation @ own @ rotation.T,
+        rotations @ of_poses @ rotations.transpose(0, 2, 1),
         wall_covariances[:, 1:, 1:],
         corner_covariances,
         ROBUST_COVARIANCE_SCALE * _blocks(joint, starts[: len(frames)] + 1, 2),  # without the position along the wall

@@ -12,7 +12,7 @@ same on arrays (`array_graph`).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from dataclasses import dataclass, field
 
 import gtsam
 import numpy as np
@@ -22,16 +22,10 @@ from drivers import se2
 
 from ..errors import MapError, first_line
 from ..geometry.segments import Floats
-from .array_graph import ArrayGraph
-from .factors import Factor, FactorKind, GraphState, from_pose2, to_gtsam_graph, to_pose2
+from .factors import Factor, FactorKind, from_pose2, to_gtsam_graph, to_pose2
 from .graph_estimate import GraphEstimate
-from .isam2 import RELINEARIZE_SKIP, IncrementalSolver
-from .range_bias import RangeBias, estimate_range_bias
-from .wall_correlation import with_correlated_errors
 from .wall_segments import WallSegment
 
-# Gauss-Newton steps of `relinearize_all`, the last one by the incremental solver. Origin: chosen; not measured.
-BATCH_STEPS = 3
 # Maximum of updates of `update_until_converged`; the first one moves by what was below the relinearisation threshold.
 # Origin: measured, the fifth update moves everything by less than a micrometre.
 MAX_CONVERGING_UPDATES = 5
@@ -54,23 +48,30 @@ SAME_WALL_SIGMAS = np.array([5e-3, 3e-3])
 NO_SLOPE = np.zeros(2)
 
 
+@dataclass(slots=True, eq=False)
+class Additions:
+    """Factors, and initial values of new variables, that wait for the next update of a graph."""
+
+    factors: list[Factor] = field(default_factory=list)
+    values: gtsam.Values = field(default_factory=gtsam.Values)
+
+
 class FactorGraph(GraphEstimate):
     """The estimate of trajectory and map.
 
-    Additions are collected and take effect with `update`. Poses are [x, y, heading] in metres and radians; variables
-    are addressed by keyframe index and landmark id.
+    Additions are collected in `additions` and take effect with `update`. Poses are [x, y, heading] in metres and
+    radians; variables are addressed by keyframe index and landmark id.
     """
 
     def __init__(self) -> None:
         super().__init__()
-        self._new: list[Factor] = []
-        self._values = gtsam.Values()
+        self.additions = Additions()
 
     # --- additions
 
     def add_first_keyframe(self, pose: se2.Pose, index: int = 0) -> None:
         """Add the first keyframe of a map, or of a part of it that is not connected yet: it defines the frame."""
-        self._values.insert(X(index), to_pose2(pose))
+        self.additions.values.insert(X(index), to_pose2(pose))
         self._add(FactorKind.POSE_PRIOR, index, index, pose, np.diag(FIRST_POSE_SIGMAS**2))
 
     def add_keyframe(self, index: int, pose: se2.Pose, start: int, motion: se2.Pose, covariance: Floats) -> None:
@@ -78,7 +79,7 @@ class FactorGraph(GraphEstimate):
 
         covariance  (3, 3) of the motion, in the frame at its end
         """
-        self._values.insert(X(index), to_pose2(pose))
+        self.additions.values.insert(X(index), to_pose2(pose))
         self._add(FactorKind.ODOMETRY, start, index, motion, covariance)
 
     def add_wall(self, keyframe: int, wall: int, frame: se2.Pose, predicted: se2.Pose) -> None:
@@ -87,7 +88,7 @@ class FactorGraph(GraphEstimate):
         The prior fixes the frame along the wall weakly at `predicted`, the frame as seen from the keyframe. It has no
         robust kernel: no measurement determines this direction.
         """
-        self._values.insert(L(wall), to_pose2(frame))
+        self.additions.values.insert(L(wall), to_pose2(frame))
         self._add(FactorKind.GAUGE_PRIOR, keyframe, wall, predicted, np.array([[GAUGE_PRIOR_SIGMA**2]]))
 
     def add_wall_observation(
@@ -122,7 +123,7 @@ class FactorGraph(GraphEstimate):
 
     def add_corner(self, corner: int, position: Floats) -> None:
         """Add a corner with the initial value `position` (2,) in the map."""
-        self._values.insert(C(corner), np.asarray(position, dtype=np.float64))
+        self.additions.values.insert(C(corner), np.asarray(position, dtype=np.float64))
 
     def add_corner_observation(
         self, keyframe: int, corner: int, position: Floats, covariance: Floats, bias_slope: Floats = NO_SLOPE
@@ -140,6 +141,14 @@ class FactorGraph(GraphEstimate):
         """
         self._add(FactorKind.WALL_EQUALITY, wall, other, np.array([along, 0.0, 0.0]), np.diag(SAME_WALL_SIGMAS**2))
 
+    def add_keyframe_prior(self, keyframe: int, pose: se2.Pose, sigmas: Floats) -> None:
+        """Add the `pose` of a keyframe in the map (sigmas (3,) in metres and radians), without a robust kernel."""
+        self._add(FactorKind.POSE_PRIOR, keyframe, keyframe, pose, np.diag(sigmas**2))
+
+    def add_plan_wall(self, wall: int, frame: se2.Pose, covariance: Floats) -> None:
+        """Add the `frame` of a wall in the map by a plan, near the wall's own, with the covariance (2, 2) there."""
+        self._add(FactorKind.PLAN_WALL, wall, wall, frame, covariance)
+
     def add_loop(self, old: int, keyframe: int, relative: se2.Pose, sigmas: Floats) -> None:
         """Add a keyframe's pose relative to an old one (sigmas (3,) in metres and radians), without a robust kernel."""
         self._add(FactorKind.LOOP, old, keyframe, relative, np.diag(sigmas**2))
@@ -154,8 +163,8 @@ class FactorGraph(GraphEstimate):
         All these matches share the noise of the keyframe's own scan, `covariance` (3, 3) in its frame, which therefore
         is a variable of the graph. Otherwise it would count as many independent errors.
         """
-        if not self._values.exists(P(keyframe)) and not self.solver.isam.valueExists(P(keyframe)):
-            self._values.insert(P(keyframe), to_pose2(self.keyframe_pose(keyframe)))
+        if not self.additions.values.exists(P(keyframe)) and not self.solver.isam.valueExists(P(keyframe)):
+            self.additions.values.insert(P(keyframe), to_pose2(self.keyframe_pose(keyframe)))
             self._add(FactorKind.POINT_MAP, keyframe, keyframe, np.zeros(3), covariance)
 
     def add_matches(self, matches: Iterable[Factor]) -> None:
@@ -164,7 +173,7 @@ class FactorGraph(GraphEstimate):
             if match.kind is FactorKind.POINT_MAP:
                 self.add_point_map(match.first, match.covariance)
             else:
-                self._new.append(match)
+                self.additions.factors.append(match)
 
     def add_scan_match(self, old: int, keyframe: int, relative: se2.Pose, covariance: Floats) -> None:
         """Add a keyframe's pose relative to the points of an old one, see `add_point_map`.
@@ -182,20 +191,25 @@ class FactorGraph(GraphEstimate):
         covariance: Floats,
         bias_slope: Floats = NO_SLOPE[:0],
     ) -> None:
-        self._new.append(Factor(kind, int(first), int(second), measured, covariance, bias_slope))
+        self.additions.factors.append(Factor(kind, int(first), int(second), measured, covariance, bias_slope))
 
     def keyframe_pose(self, index: int) -> se2.Pose:
         """Return a keyframe's pose in the map, also of one that waits for `update`."""
-        if self._values.exists(X(index)):
-            return from_pose2(self._values.atPose2(X(index)))
+        if self.additions.values.exists(X(index)):
+            return from_pose2(self.additions.values.atPose2(X(index)))
         return super().keyframe_pose(index)
 
-    # --- solving
+    def is_waiting(self, keyframe: int) -> bool:
+        """Return True if a keyframe waits for `update`."""
+        return bool(self.additions.values.exists(X(keyframe)))
 
-    @property
-    def factor_count(self) -> int:
-        """Number of factors, without those waiting for `update`."""
-        return len(self.solver.factors)
+    def keyframe_poses(self, count: int) -> Floats:
+        """Return the poses (count, 3) of the first `count` keyframes; the last ones may wait for `update`."""
+        waiting = next((k for k in range(count) if not self.additions.values.exists(X(count - 1 - k))), count)
+        poses = [self.keyframe_pose(k) for k in range(count - waiting, count)]
+        return np.vstack([super().keyframe_poses(count - waiting), *poses])
+
+    # --- solving
 
     def update(self) -> list[int]:
         """Solve with all additions since the last update, and return the numbers of the new factors.
@@ -206,8 +220,10 @@ class FactorGraph(GraphEstimate):
 
     def _update(self, *, relinearize: bool = False, remove: Sequence[int] = ()) -> list[int]:
         """Pass the additions to the solver; for the arguments see there."""
-        numbers = self.solver.update(self._new, self._values, relinearize=relinearize, remove=remove)
-        self._new, self._values = [], gtsam.Values()
+        numbers = self.solver.update(
+            self.additions.factors, self.additions.values, relinearize=relinearize, remove=remove
+        )
+        self.additions = Additions()
         return numbers
 
     def update_until_converged(self, max_updates: int = MAX_CONVERGING_UPDATES) -> None:
@@ -223,14 +239,6 @@ class FactorGraph(GraphEstimate):
         """Remove factors by their numbers."""
         self._update(relinearize=True, remove=numbers)
 
-    def matches(self) -> list[Factor]:
-        """Return point maps, scan matches and loop factors: all that ties keyframes besides odometry and landmarks."""
-        return self._factors_of(FactorKind.POINT_MAP, FactorKind.SCAN_MATCH, FactorKind.LOOP)
-
-    def wall_observations(self) -> list[tuple[int, int]]:
-        """Return the keyframe and the wall of each observation of a wall, in the order in which they were added."""
-        return [(factor.first, factor.second) for factor in self._factors_of(FactorKind.WALL_HEADING)]
-
     def remove_scan_matches(self, since: int, last: int) -> None:
         """Remove the scan matches of keyframes from `since` on with keyframes up to `last`."""
         self._remove_if(lambda f: f.kind is FactorKind.SCAN_MATCH and f.first <= last and f.second >= since)
@@ -239,10 +247,6 @@ class FactorGraph(GraphEstimate):
         """Remove the observations of each of some misassociated walls by keyframes from `since[wall]` on."""
         kinds = (FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET)
         self._remove_if(lambda f: f.kind in kinds and f.second in since and f.first >= since[f.second])
-
-    def _factors_of(self, *kinds: FactorKind) -> list[Factor]:
-        """Return the factors of some kinds, in the order in which they were added."""
-        return [factor for factor in self.solver.sorted_factors() if factor.kind in kinds]
 
     def _remove_if(self, condition: Callable[[Factor], bool]) -> None:
         """Remove the factors that satisfy a condition."""
@@ -272,104 +276,17 @@ class FactorGraph(GraphEstimate):
         leaves a variable undetermined.
         """
         try:
-            factors = to_gtsam_graph(self._new, self.solver.range_bias.metres)
-            self._values = gtsam.LevenbergMarquardtOptimizer(factors, self._values).optimize()
+            factors = to_gtsam_graph(self.additions.factors, self.solver.range_bias.metres)
+            self.additions.values = gtsam.LevenbergMarquardtOptimizer(factors, self.additions.values).optimize()
         except RuntimeError as error:
             raise MapError(f"the map cannot be estimated: {first_line(error)}") from error
         return self.update()
 
-    def settle_range_bias(self) -> None:
-        """Estimate the range bias together with the graph, and solve everything again without it.
-
-        The estimate has converged. If no observation depends on the range bias, none is estimated.
-        """
-        solver = self.solver
-        graph = ArrayGraph(solver.sorted_factors(), solver.range_bias.metres)
-        values = graph.values_of(solver.isam.calculateEstimate())
-        solver.range_bias = estimate_range_bias(graph, values, solver.range_bias) or solver.range_bias
-        self.relinearize_all()
-
-    def correlate_wall_errors(self) -> None:
-        """Divide the information of walls whose errors repeat with every view; takes effect with `settle_range_bias`.
-
-        The estimate has converged. Doing it again changes little, as the residuals are those of the new factors.
-        """
-        values, factors = self.solver.isam.calculateEstimate(), self.solver.factors
-        keyframes = {f.first for f in factors.values() if f.kind is FactorKind.WALL_HEADING}
-        walls = {f.second for f in factors.values() if f.kind is FactorKind.WALL_HEADING}
-        correlated = with_correlated_errors(
-            factors,
-            {k: from_pose2(values.atPose2(X(k))) for k in keyframes},
-            {j: from_pose2(values.atPose2(L(j))) for j in walls},
-            self.solver.range_bias.metres,
-        )
-        self.solver.factors = dict(zip(sorted(factors), correlated, strict=True))
-
-    def relinearize_all(self) -> None:
-        """Solve everything again from the present estimate, at the end of a run.
-
-        Incremental solving relinearises only variables that move by more than a threshold; robust weights of the others
-        are those of their last linearisation.
-        """
-        solver = self.solver
-        self._new = solver.sorted_factors()
-        graph, bias = ArrayGraph(self._new, solver.range_bias.metres), solver.range_bias.metres
-        values = graph.values_of(solver.isam.calculateEstimate())
-        with suppress(MapError):  # undetermined in this form; the incremental solver may still manage with QR
-            for _ in range(BATCH_STEPS - 1):
-                values = graph.retract(values, graph.step(values, bias))
-        self._values = graph.to_values(values)
-        solver.reset()
-        self.update()
-
-    # --- copying and storing
+    # --- copying
 
     def __deepcopy__(self, memo: dict[int, object]) -> FactorGraph:
-        """Return an independent graph with the same estimate. Nothing may be waiting for `update`."""
+        """Return an independent graph with the same estimate, and with what waits for `update`."""
         other = FactorGraph()
         other.solver = self.solver.copy()
+        other.additions = Additions(list(self.additions.factors), gtsam.Values(self.additions.values))
         return other
-
-    def state(self) -> GraphState:
-        """Return everything the graph consists of as plain data. Nothing may be waiting for `update`."""
-        values = self.solver.isam.getLinearizationPoint()
-        keys: dict[str, list[int]] = {"x": [], "l": [], "c": [], "p": []}
-        for key in sorted(values.keys()):
-            symbol = gtsam.Symbol(key)
-            keys[chr(symbol.chr())].append(symbol.index())
-        return GraphState(
-            factors=self.solver.sorted_factors(),
-            keyframes=np.array([from_pose2(values.atPose2(X(k))) for k in keys["x"]]).reshape(-1, 3),
-            walls=np.array(keys["l"], dtype=np.int64),
-            frames=np.array([from_pose2(values.atPose2(L(j))) for j in keys["l"]]).reshape(-1, 3),
-            corners=np.array(keys["c"], dtype=np.int64),
-            positions=np.array([values.atPoint2(C(j)) for j in keys["c"]]).reshape(-1, 2),
-            point_maps=np.array(keys["p"], dtype=np.int64),
-            point_map_poses=np.array([from_pose2(values.atPose2(P(k))) for k in keys["p"]]).reshape(-1, 3),
-            updates=self.solver.updates,
-            qr=self.solver.qr,
-            bias=self.solver.range_bias.metres,
-        )
-
-    @classmethod
-    def from_state(cls, state: GraphState) -> FactorGraph:
-        """Restore a graph. The estimate follows from its factors and linearisation points.
-
-        Raises MapError if the state leaves a variable undetermined.
-        """
-        graph = cls()
-        graph.solver = IncrementalSolver(qr=state.qr)
-        graph.solver.range_bias = RangeBias(state.bias)
-        for k, pose in enumerate(state.keyframes):
-            graph._values.insert(X(k), to_pose2(pose))
-        for wall, frame in zip(state.walls.tolist(), state.frames, strict=True):
-            graph._values.insert(L(wall), to_pose2(frame))
-        for corner, position in zip(state.corners.tolist(), state.positions, strict=True):
-            graph._values.insert(C(corner), position)
-        for keyframe, pose in zip(state.point_maps.tolist(), state.point_map_poses, strict=True):
-            graph._values.insert(P(keyframe), to_pose2(pose))
-        graph._new = list(state.factors)
-        graph.update()
-        for _ in range((state.updates - 1) % RELINEARIZE_SKIP):  # so that the same later updates relinearise
-            graph.update()
-        return graph

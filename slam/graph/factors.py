@@ -37,6 +37,8 @@ class FactorKind(StrEnum):
     WALL           a segment in the frame of `first`; (2, 2), of its offset across and heading. Not a factor of GTSAM:
                    an observation that waits until the wall `second` is confirmed
     CORNER         the corner's position in the frame of `first`; (2, 2). Robust
+    PLAN_WALL      the wall's frame in the map, as a plan states it; (2, 2), as for WALL. `first` and `second` are the
+                   wall. Robust
     WALL_EQUALITY  the frame of the wall `second` in that of the wall `first`: they are one; (2, 2), as for WALL
     LOOP           the keyframe `second` in the frame of `first`, from a loop closure; (3, 3)
     POINT_MAP      the points of the keyframe `first` as a body in its frame: zero; (3, 3), the noise of its scan
@@ -51,6 +53,7 @@ class FactorKind(StrEnum):
     WALL_OFFSET = "wall_offset"
     WALL = "wall"
     CORNER = "corner"
+    PLAN_WALL = "plan_wall"
     WALL_EQUALITY = "wall_equality"
     LOOP = "loop"
     POINT_MAP = "point_map"
@@ -64,18 +67,28 @@ CAUCHY_SCALES = {
     FactorKind.WALL_HEADING: WALL_CAUCHY_SCALE,
     FactorKind.WALL_OFFSET: WALL_CAUCHY_SCALE,
     FactorKind.CORNER: CAUCHY_SCALE,
+    FactorKind.PLAN_WALL: CAUCHY_SCALE,
 }
 
 
 # GTSAM's kernels of the same scales.
 KERNELS = {kind: gtsam.noiseModel.mEstimator.Cauchy.Create(scale) for kind, scale in CAUCHY_SCALES.items()}
 # Kinds that measure a wall's frame only in some directions.
-WALL_KINDS = (FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET, FactorKind.GAUGE_PRIOR, FactorKind.WALL_EQUALITY)
+WALL_KINDS = (
+    FactorKind.WALL_HEADING,
+    FactorKind.WALL_OFFSET,
+    FactorKind.GAUGE_PRIOR,
+    FactorKind.WALL_EQUALITY,
+    FactorKind.PLAN_WALL,
+)
+# Kinds that measure a variable in the map. Origin: definition.
+PRIOR_KINDS = (FactorKind.POSE_PRIOR, FactorKind.PLAN_WALL)
 # Keys of the first and the second variable with number 0, from which the others follow. Other kinds of factors lead
 # from a keyframe to a wall. Origin: definition.
 _FIRST_KEYS = {
     FactorKind.POSE_PRIOR: (X(0), X(0)),
     FactorKind.WALL_EQUALITY: (L(0), L(0)),
+    FactorKind.PLAN_WALL: (L(0), L(0)),
     FactorKind.CORNER: (X(0), C(0)),
     FactorKind.POINT_MAP: (X(0), P(0)),
     FactorKind.SCAN_MATCH: (P(0), X(0)),
@@ -194,6 +207,7 @@ class GraphState:
     updates          number of updates of the estimate: every RELINEARIZE_SKIP-th relinearises
     qr               True if factors are eliminated by QR because Cholesky has failed on this graph
     bias             estimate of the range bias, metres, without which the observations are in the graph
+    waiting          number of factors, the last ones, with which the graph has not been solved yet
     """
 
     factors: list[Factor]
@@ -207,6 +221,17 @@ class GraphState:
     updates: int
     qr: bool
     bias: float = 0.0
+    waiting: int = 0
+
+    def variables(self) -> dict[int, gtsam.Pose2 | Floats]:
+        """Return the linearisation point of each variable by its key."""
+        groups = (
+            (X, range(len(self.keyframes)), self.keyframes),
+            (L, self.walls.tolist(), self.frames),
+            (P, self.point_maps.tolist(), self.point_map_poses),
+        )
+        poses = {key(k): to_pose2(pose) for key, ids, of_ids in groups for k, pose in zip(ids, of_ids, strict=True)}
+        return poses | {C(k): position for k, position in zip(self.corners.tolist(), self.positions, strict=True)}
 
 
 def to_pose2(pose: se2.Pose) -> gtsam.Pose2:
@@ -242,7 +267,7 @@ def _to_gtsam(group: FactorsOfKind, bias: float) -> list[gtsam.NonlinearFactor]:
             )
         ]
     poses = [gtsam.Pose2(x, y, heading) for x, y, heading in measured[:, :3].tolist()]
-    if kind is FactorKind.POSE_PRIOR:
+    if kind in PRIOR_KINDS:
         priors = zip(ends, poses, _noises(group, bias), strict=True)
         return [gtsam.PriorFactorPose2(first, pose, noise) for (first, _), pose, noise in priors]
     return [

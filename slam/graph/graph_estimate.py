@@ -12,7 +12,7 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 from .covariances import ROBUST_COVARIANCE_SCALE, LandmarkCovariances, landmark_covariances
-from .factors import from_pose2
+from .factors import Factor, FactorKind, from_pose2
 from .isam2 import IncrementalSolver
 from .range_bias import RangeBias
 from .residuals import Residuals, residuals_of
@@ -82,6 +82,28 @@ class GraphEstimate:
         """Estimate of the range bias, without which the observations are in the graph."""
         return self.solver.range_bias
 
+    @property
+    def factor_count(self) -> int:
+        """Number of factors, without those waiting for `update`."""
+        return len(self.solver.factors)
+
+    def matches(self) -> list[Factor]:
+        """Return point maps, scan matches and loop factors: all that ties keyframes besides odometry and landmarks."""
+        return self._factors_of(FactorKind.POINT_MAP, FactorKind.SCAN_MATCH, FactorKind.LOOP)
+
+    def wall_observations(self) -> list[tuple[int, int]]:
+        """Return the keyframe and the wall of each observation of a wall, in the order in which they were added."""
+        return [(factor.first, factor.second) for factor in self._factors_of(FactorKind.WALL_HEADING)]
+
+    def plan_walls(self) -> dict[int, tuple[int, Factor]]:
+        """Return the number and the factor of each wall that a plan states, by wall."""
+        found = ((n, factor) for n, factor in self.solver.factors.items() if factor.kind is FactorKind.PLAN_WALL)
+        return {factor.first: (number, factor) for number, factor in found}
+
+    def _factors_of(self, *kinds: FactorKind) -> list[Factor]:
+        """Return the factors of some kinds, in the order in which they were added."""
+        return [factor for factor in self.solver.sorted_factors() if factor.kind in kinds]
+
     def chi2(self) -> float:
         """Return twice the robust cost of the whole graph."""
         return self.chi2_at(self)
@@ -118,16 +140,18 @@ class GraphEstimate:
         jacobian = np.hstack([-adjoint, np.eye(3)])
         return np.asarray(ROBUST_COVARIANCE_SCALE * jacobian @ joint @ jacobian.T)
 
-    def relative_covariances(self, keyframe: int, walls: Sequence[int], corners: Sequence[int]) -> LandmarkCovariances:
-        """Return the covariances of a keyframe in the map and of landmarks relative to it.
+    def relative_covariances(
+        self, keyframes: Sequence[int], walls: Sequence[int], corners: Sequence[int]
+    ) -> LandmarkCovariances:
+        """Return the covariances of keyframes in the map and of landmarks relative to the last of them.
 
-        Cheap for the last keyframe and the landmarks it observed. The landmarks' covariances in the map are a
+        Cheap for the last keyframes and the landmarks they observed. The landmarks' covariances in the map are a
         by-product, scaled as those of `marginals`.
         """
-        keys = [X(keyframe), *(L(j) for j in walls), *(C(j) for j in corners)]
+        keys = [*(X(k) for k in keyframes), *(L(j) for j in walls), *(C(j) for j in corners)]
         joint = self.solver.joint_covariance(keys)
-        pose = self.keyframe_pose(keyframe)
-        return landmark_covariances(joint, pose, self.wall_frames(walls), self.corner_positions(corners))
+        poses = self.keyframe_poses_of(keyframes)
+        return landmark_covariances(joint, poses, self.wall_frames(walls), self.corner_positions(corners))
 
 
 def _as_array(poses: Iterable[gtsam.Pose2]) -> Floats:

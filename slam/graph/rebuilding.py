@@ -16,6 +16,7 @@ from drivers import se2
 from ..geometry.segments import Floats, Integers
 from .factor_graph import FactorGraph
 from .factors import Factor
+from .graph_storage import graph_state, restore_graph
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,8 +36,8 @@ def rebuild(
 
     Raises MapError if this leaves a variable undetermined.
     """
-    state = graph.state()
-    return FactorGraph.from_state(
+    state = graph_state(graph)
+    return restore_graph(
         replace(
             state,
             factors=[*(factor for factor in state.factors if not remove(factor)), *add],

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 # Kinds of residuals. GAUGE_PRIOR is the prior that fixes a wall's frame along the wall: a convention, no measurement.
 PRIOR, ODOMETRY, WALL, CORNER = "prior", "odometry", "wall", "corner"
 WALL_EQUALITY, GAUGE_PRIOR = "wall equality", "gauge prior"
-SCAN_MATCH, POINT_MAP = "scan match", "point map"
+SCAN_MATCH, POINT_MAP, PLAN = "scan match", "point map", "plan"
 _ENDS = {
     ODOMETRY: "xx",
     SCAN_MATCH: "px",
@@ -26,14 +26,14 @@ _ENDS = {
     WALL_EQUALITY: "LL",
     GAUGE_PRIOR: "xL",
 }
-_KINDS = {"xx": ODOMETRY, "px": SCAN_MATCH, "xp": POINT_MAP, "xl": WALL, "xc": CORNER, "ll": WALL_EQUALITY}
+_KINDS = {"xx": ODOMETRY, "px": SCAN_MATCH, "xp": POINT_MAP, "xl": WALL, "xc": CORNER, "ll": WALL_EQUALITY, "l": PLAN}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
     """Residuals of n factors.
 
-    kind     one of PRIOR, ODOMETRY, SCAN_MATCH, POINT_MAP, WALL, CORNER, WALL_EQUALITY, GAUGE_PRIOR for each
+    kind     one of PRIOR, ODOMETRY, SCAN_MATCH, POINT_MAP, WALL, CORNER, WALL_EQUALITY, GAUGE_PRIOR, PLAN for each
     between  (n, 2) keyframe and keyframe, keyframe and landmark, or landmark and landmark, by kind; -1 for none. The
              points of a keyframe have its number
     squared  (n,) squared Mahalanobis distance of the measurement from the estimate, without the robust kernel
@@ -63,6 +63,8 @@ class Residuals:
         """Return a name like `x12 - L5`: x is a keyframe, p its points, L a wall, C a corner."""
         first, second = self.between[index]
         ends = _ENDS.get(self.kind[index])
+        if self.kind[index] == PLAN:
+            return f"L{first}"
         return f"x{first}" if ends is None else f"{ends[0]}{first} - {ends[1]}{second}"
 
 
@@ -77,6 +79,7 @@ def residuals_of(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> R
         SCAN_MATCH: ODOMETRY_CAUCHY_SCALE,
         WALL: WALL_CAUCHY_SCALE,
         CORNER: CAUCHY_SCALE,
+        PLAN: CAUCHY_SCALE,
     }
     kinds: list[str] = []
     between: list[tuple[int, int]] = []
@@ -110,6 +113,6 @@ def _degrees_of_freedom(kind: str, dimension: int) -> int:
     """Return the number of directions of the error that have information.
 
     A wall's factor measures its heading or its offset, a gauge prior the position along it, a wall equality both
-    heading and offset; GTSAM gives all of them the dimension 3.
+    heading and offset, as does a plan; GTSAM gives all of them the dimension 3.
     """
-    return {WALL: 1, WALL_EQUALITY: 2, GAUGE_PRIOR: 1}.get(kind, dimension)
+    return {WALL: 1, WALL_EQUALITY: 2, GAUGE_PRIOR: 1, PLAN: 2}.get(kind, dimension)

@@ -7,6 +7,8 @@ from pathlib import Path
 from ..errors import MapError
 from ..estimation.joint_covariance import joint_wall_covariance
 from ..estimation.map_view import map_features
+from ..mapping.convergence import converge
+from ..mapping.mapper import Mapper
 from ..measuring.wall_map import WallMap
 from .output_dir import SESSION
 from .sessions import StoredSession, is_session, read_session
@@ -27,6 +29,11 @@ def wall_map_of(path: Path, session: StoredSession) -> WallMap:
     mapper = session.slam_state.mapper
     if not mapper.keyframe_count:
         raise MapError(f"{path}: has no keyframe, so it has no walls")
-    mapper.converge()
+    converge(mapper)
+    return settled_wall_map(mapper)
+
+
+def settled_wall_map(mapper: Mapper) -> WallMap:
+    """Return the walls of a map that has converged, with their joint covariance."""
     walls, corners = map_features(mapper, mapper.graph.marginals())
     return WallMap(walls, corners, joint_wall_covariance(mapper, walls), mapper.keyframe_poses[:, :2].copy())

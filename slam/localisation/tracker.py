@@ -1,8 +1,9 @@
 """Track the pose from scan to scan, including while odometry fails.
 
 Each scan is matched near the pose that odometry predicts from a reference, the last keyframe. Odometry may slip, stand
-still for a second and then catch up, or jump: a scan that does not fit there is searched for around it. If it fits
-nowhere, the pose follows odometry. After several scans in a row without a certain pose the robot counts as lost.
+still for a second and then catch up, jump, or count backwards, so the scan is also matched near the pose of a robot
+that moves on evenly, at the velocity of the scans before. If it fits nowhere, the pose follows odometry. After several
+scans in a row without a certain pose the robot counts as lost.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 from ..matching.line_matcher import Registration, ScanFeatures
-from ..matching.point_matcher import KERNEL, Prediction
+from ..matching.point_matcher import KERNEL, PointMatch, Prediction
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
+from ..odometry.velocity import MAX_VELOCITIES, ScanClock, VelocityFilter
 from .match_target import MatchTarget, ScanMatch
 from .view_change import View
 
@@ -29,16 +31,9 @@ PREDICTION_COVARIANCE = np.diag(PREDICTION_SIGMAS**2)  # Origin: definition.
 # Cost, minus the logarithm of the probability, of odometry failing from one scan to the next.
 # Origin: chosen, once in twenty scans that fit badly; not measured.
 SLIP_COST = 3.0
-# Standard deviations of a slip's prediction within which the pose must be: no robot becomes twice as fast at once.
-# Origin: chosen; not measured.
-MAX_SLIP = 2.0
-# Scale of the kernel of a slip's prediction, whose bound is physical. Origin: numerical, practically none.
-NO_KERNEL = 1e3
-# Metres and radians per second that every robot reaches. Origin: chosen, slow robots; not measured.
-MIN_SPEEDS = np.array([0.2, 0.3])
-# Seconds over which speeds are measured: stamps of single scans may be late by some tenths, or come in bursts.
-# Origin: chosen, several times the delays of a busy logging computer; not measured.
-SPEED_INTERVAL = 1.0
+# Standard deviations of an even motion beyond which no robot moves, whatever odometry says.
+# Origin: chi-square, 3 dof, 99.7 %.
+MAX_SLIP = 3.7
 # Points that a scan without walls needs; few points fit nearly everywhere. Origin: chosen; not measured.
 MIN_POINTS = 30
 # Drop in score from one scan to the next that, together with a changed view, is due to a kidnapping.
@@ -86,6 +81,11 @@ class TrackingResult:
         """Pose of the base in the map."""
         return self.registration.pose
 
+    def motion_since(self, before: se2.Pose | None) -> se2.Pose | None:
+        """Return the motion from the pose of the scan `before`; None if one of the scans was not matched."""
+        matched = self.status in (TrackingStatus.TRACKED, TrackingStatus.TENTATIVE)
+        return se2.between(before, self.pose) if before is not None and matched else None
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseFix:
@@ -105,18 +105,28 @@ class TrackerState:
 
     fix         last pose fix
     reference   from which odometry predicts
-    fix_stamp   seconds, of the last fix; None if no slip is possible before the next one
-    speeds      (2,) metres and radians per second that the robot has reached
-    speed_start stamp and odometry pose from which the next speed is measured; None if it is not known
+    since_fix   seconds from the last fix to the last scan; None if no slip is possible before the next fix
+    scan_stamp  seconds, of the last scan; None before the first
+    intervals   seconds between the latest scans, see `ScanClock`
+    velocity    (3,) see `VelocityFilter`
+    velocity_variances  (3,)
     last_score  match score of the last tracked scan
     """
 
     fix: PoseFix
     reference: PoseFix
-    fix_stamp: float | None
-    speeds: Floats
-    speed_start: tuple[float, se2.Pose] | None
+    since_fix: float | None
+    scan_stamp: float | None
+    intervals: tuple[float, ...]
+    velocity: Floats
+    velocity_variances: Floats
     last_score: float
+
+    @classmethod
+    def placed(cls, fix: PoseFix) -> TrackerState:
+        """Return the state of a robot of which nothing but the pose is known."""
+        velocity = VelocityFilter()
+        return cls(fix, fix, None, None, (), velocity.velocity, velocity.variances, 0.0)
 
 
 class Tracker:
@@ -128,9 +138,8 @@ class Tracker:
         self._reference: PoseFix | None = None  # from which odometry predicts
         self._tentative: PoseFix | None = None  # of the last scan, if it was TENTATIVE
         self._usual_cost = 0.0  # by which the usual prediction was worse than the tentative one
-        self._fix_stamp = np.inf  # seconds, of the last fix
-        self._speeds = MIN_SPEEDS  # metres and radians per second that the robot has reached
-        self._speed_start: tuple[float, se2.Pose] | None = None  # stamp and odometry at the start of the interval
+        self._since_fix: float | None = None  # seconds; None if no slip is possible
+        self._clock, self._velocity = ScanClock(), VelocityFilter()
         self._untracked_in_a_row = 0
         self._last_score = 0.0  # of the last tracked scan
         self._view: View | None = None  # last view with enough points for a comparison
@@ -140,7 +149,7 @@ class Tracker:
     def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
         """Set the fix: the base is at `pose` in the map when odometry is at `odometry`."""
         self._fix = self._reference = PoseFix(pose, odometry)
-        self._fix_stamp = np.inf  # no slip is possible before the next fix
+        self._since_fix = None  # no slip is possible before the next fix
         self._untracked_in_a_row, self._tentative, self._usual_cost = 0, None, 0.0
 
     def start_again(self, pose: se2.Pose, odometry: se2.Pose) -> None:
@@ -169,14 +178,17 @@ class Tracker:
         """State to be saved; None before the first scan."""
         if self._fix is None or self._reference is None:
             return None
-        stamp = float(self._fix_stamp) if np.isfinite(self._fix_stamp) else None
-        return TrackerState(self._fix, self._reference, stamp, self._speeds, self._speed_start, self._last_score)
+        return TrackerState(
+            self._fix, self._reference, self._since_fix, self._clock.last, self._clock.intervals,
+            self._velocity.velocity, self._velocity.variances, self._last_score,
+        )  # fmt: skip
 
     def restore(self, state: TrackerState) -> None:
         """Continue from a saved state."""
         self._fix, self._reference = state.fix, state.reference
-        self._fix_stamp = np.inf if state.fix_stamp is None else state.fix_stamp
-        self._speeds, self._speed_start, self._last_score = state.speeds, state.speed_start, state.last_score
+        self._since_fix, self._clock = state.since_fix, ScanClock(state.scan_stamp, state.intervals)
+        self._velocity = VelocityFilter(state.velocity, state.velocity_variances)
+        self._last_score = state.last_score
 
     def correct(self, pose: se2.Pose) -> None:
         """Replace the pose of the last fix, and predict from it from now on."""
@@ -228,57 +240,59 @@ class Tracker:
             self.move_to(np.zeros(3), odometry)
         assert self._fix is not None
         assert self._reference is not None
-        usual = Prediction(
-            self._extrapolate(self._reference, odometry), self._information(self._reference, odometry), self._usual_cost
-        )
-        predictions = [usual, self._slipped(stamp, odometry)]
+        interval = self._clock.interval(stamp)
+        self._since_fix = None if self._since_fix is None else self._since_fix + interval
+        usual, slip = self._usual_and_slip(odometry, interval)
+        predictions = [usual] if self._since_fix is None else [usual, slip]
         if self._tentative is not None:
-            pose, information = (
-                self._extrapolate(self._tentative, odometry),
-                self._information(self._tentative, odometry),
-            )
-            predictions.append(Prediction(pose, information))
+            even = self._even_motion(self._tentative.pose, interval)
+            predictions += [replace(self._by_odometry(self._tentative, odometry), inertia=even), even]
         match = target.match(scan, predictions)
-        slipped, confirmed = match.prediction is predictions[1], match.prediction not in predictions[:2]
+        confirmed = match.prediction is not usual and match.prediction is not slip
+        slipped = match.prediction is slip and not any(
+            other.prediction is usual and _same_place(match, other) for other in match.others
+        )
         prior, fix_pose = match.prediction.information, match.registration.pose
         self._tentative, self._usual_cost = None, 0.0
         if _too_few_features(scan) and len(target.landmarks.walls):
             return self._result(match, TrackingStatus.NO_FEATURES, prior)
         self._untracked_in_a_row += 1
-        if not match.plausible or (slipped and match.prediction.squared_distance(fix_pose) > MAX_SLIP**2):
+        if not match.plausible or (slipped and slip.squared_distance(fix_pose) > MAX_SLIP**2):
             return self._result(match, TrackingStatus.FAILED, prior)
         fix = PoseFix(fix_pose, odometry)
         if slipped or (confirmed and match.poor):
             self._tentative = fix
             self._usual_cost = min(other.cost for other in match.others if other.prediction is usual) - match.cost
             return self._result(match, TrackingStatus.TENTATIVE, prior)
-        self._measure_speed(stamp, odometry, interrupted=confirmed)
-        self._fix, self._fix_stamp, self._untracked_in_a_row = fix, stamp, 0
-        slipped = confirmed or match.prediction.squared_distance(fix.pose) > KERNEL**2
+        slipped = confirmed or usual.squared_distance(fix.pose) > KERNEL**2
+        result = self._result(match, TrackingStatus.TRACKED, prior, slipped=slipped)
+        if self._since_fix:
+            self._velocity.correct(se2.between(self._fix.pose, fix.pose), result.covariance, self._since_fix)
+        self._fix, self._since_fix, self._untracked_in_a_row = fix, 0.0, 0
         if slipped or not self._model.measured:  # odometry continues from here
             self._reference = fix
-        return self._result(match, TrackingStatus.TRACKED, prior, slipped=slipped)
+        return result
 
-    def _slipped(self, stamp: float, odometry: se2.Pose) -> Prediction:
-        """Return the prediction if odometry has slipped, stood still or jumped since the last fix.
-
-        The robot has moved from there no faster than it usually moves.
-        """
+    def _usual_and_slip(self, odometry: se2.Pose, interval: float) -> tuple[Prediction, Prediction]:
+        """Return the prediction by odometry and that after its failure, `interval` seconds after the last scan."""
         assert self._fix is not None
-        reach = self._speeds * max(0.0, stamp - self._fix_stamp)
-        sigmas = np.array([reach[0], reach[0], reach[1]]) + PREDICTION_SIGMAS
-        return Prediction(self._fix.pose, np.diag(sigmas**-2.0), SLIP_COST, NO_KERNEL)
+        assert self._reference is not None
+        usual = replace(self._by_odometry(self._reference, odometry), cost=self._usual_cost)
+        slip = self._even_motion(self._fix.pose, self._since_fix or 0.0, SLIP_COST)
+        if not self._model.measured:  # the usual motion is an even one: what fails is that the robot moves evenly
+            slip = replace(slip, information=np.diag((PREDICTION_SIGMAS + MAX_VELOCITIES * interval) ** -2.0))
+        elif self._since_fix is not None:
+            usual = replace(usual, inertia=slip)
+        return usual, slip
 
-    def _measure_speed(self, stamp: float, odometry: se2.Pose, *, interrupted: bool) -> None:
-        """Update the speeds that the robot has reached, by odometry; start anew if that has slipped."""
-        if interrupted or self._speed_start is None:
-            self._speed_start = stamp, odometry
-            return
-        interval = stamp - self._speed_start[0]
-        if interval >= SPEED_INTERVAL:
-            x, y, turn = se2.between(self._speed_start[1], odometry)
-            self._speeds = np.maximum(self._speeds, np.array([np.hypot(x, y), abs(turn)]) / interval)
-            self._speed_start = stamp, odometry
+    def _by_odometry(self, reference: PoseFix, odometry: se2.Pose) -> Prediction:
+        """Return the prediction if the robot has moved from the reference as odometry says."""
+        return Prediction(self._extrapolate(reference, odometry), self._information(reference, odometry))
+
+    def _even_motion(self, pose: se2.Pose, seconds: float, cost: float = 0.0) -> Prediction:
+        """Return the prediction some seconds after `pose` if the robot moves on as it did, whatever odometry says."""
+        sigmas = self._velocity.deviations(seconds) + PREDICTION_SIGMAS
+        return Prediction(se2.compose(pose, self._velocity.motion(seconds)), np.diag(sigmas**-2.0), cost)
 
     def _result(
         self, match: ScanMatch, status: TrackingStatus, prior: Floats, *, slipped: bool = False
@@ -300,3 +314,8 @@ class Tracker:
 
 def _too_few_features(scan: ScanFeatures) -> bool:
     return 2 * scan.segments.half_length.sum() < MIN_WALL_LENGTH and len(scan.points.all) < MIN_POINTS
+
+
+def _same_place(match: ScanMatch, other: PointMatch) -> bool:
+    """Return True if a match near another prediction has led to the same place: both predictions hold then."""
+    return bool(np.all(np.abs(se2.between(other.pose, match.registration.pose)) < PREDICTION_SIGMAS))

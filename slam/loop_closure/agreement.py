@@ -23,29 +23,16 @@ from drivers import se2
 
 from ..localisation.local_field import LocalField
 from ..mapping.mapper import Mapper
-from ..matching.point_matcher import SEARCH_FIT
+from .criteria import MIN_KNOWN, SUPPORT_RATIO, confirm, differ, fits, is_determined, prevails, support_checks
 from .decision import Check, LoopDecision
-from .look import MAX_PLACES, MAX_SQUARED_DISTANCE, SUBMAP_LENGTH, Look, Submaps
+from .look import MAX_PLACES, SUBMAP_LENGTH, Look, Submaps
 from .loop_hypothesis import LoopAgreementState, LoopHypothesis
-from .loop_status import LoopStatus
 from .rejection import MIN_REPORTED_SUPPORT, rejected
 from .returns import Return
-from .submap_search import SubmapMatch, are_distinct
+from .submap_search import SubmapMatch
 
 # Metres of driving between two looks. Origin: chosen, a third of a submap; not measured.
 SEARCH_INTERVAL = 2.0
-# Least fit of a match, and least share of the submap in space that the old place has seen.
-# Origin: chosen, not measured.
-MIN_LOOP_FIT = 0.75
-MIN_KNOWN = 0.4  # Origin: as MIN_LOOP_FIT.
-# Metres: largest standard deviation of a match in any direction; along a bare corridor it is larger.
-# Origin: definition, as MAX_LINK_SIGMA.
-MAX_MATCH_SIGMA = 0.17
-# Looks that must support a hypothesis. Origin: definition, the least number of which two have no point in common.
-MIN_SUPPORT = 4
-# Looks that support a hypothesis for each that contradicts it, and for each that supports a rival.
-# Origin: chosen, doors and people make a true place look wrong now and then; not measured.
-SUPPORT_RATIO = 3.0
 # Share of the best match's quality from which another one at the same look is supported too.
 # Origin: chosen; not measured.
 RIVAL_QUALITY = 0.9
@@ -266,29 +253,15 @@ class LoopAgreement:
                 continue
             checks = self._checks(hypothesis, look)
             rivals = [other for other in hypotheses if other is not hypothesis]
-            if all(check.passed for check in checks) and all(self._prevails(hypothesis, rival) for rival in rivals):
+            if all(check.passed for check in checks) and all(prevails(hypothesis, rival) for rival in rivals):
                 return self._decide(hypothesis, rivals, look, checks)
         return None
 
     def _checks(self, hypothesis: LoopHypothesis, look: Look) -> tuple[Check, ...]:
-        """Check that enough looks support a hypothesis, and that the estimate's uncertainty admits it.
-
-        A place that looks alike may not be mapped yet. After driving as far as the robot may be off it is, so the looks
-        must extend over this distance.
-        """
-        count, first, old = len(hypothesis.support), hypothesis.support[0].travelled, hypothesis.support[-1].old
+        """Return the checks of a hypothesis; looks that agree with the estimate contradict it too."""
+        first = hypothesis.support[0].travelled
         against = max(hypothesis.contradictions_since(first), sum(at >= first for at in self._returns))
-        checks = [
-            Check("support", count, MIN_SUPPORT, at_least=True),
-            Check("span", hypothesis.span, max(SUBMAP_LENGTH, look.search_radius(old)), at_least=True),
-            Check("contradicted", against / count, 1.0 / SUPPORT_RATIO, at_least=False),
-        ]
-        if hypothesis is not self._estimate:
-            deviations = np.sqrt(look.squared_distance(old, look.relative(old, hypothesis.motion)))
-            # So well must a tracked scan fit: a place that fits worse may be a similar one.
-            checks.append(Check("fit", hypothesis.mean_fit, SEARCH_FIT, at_least=True))
-            checks.append(Check("mahalanobis", float(deviations), float(np.sqrt(MAX_SQUARED_DISTANCE)), at_least=False))
-        return tuple(checks)
+        return support_checks(hypothesis, look, against, corrects=hypothesis is not self._estimate)
 
     def _decide(
         self, hypothesis: LoopHypothesis, rivals: Sequence[LoopHypothesis], look: Look, checks: tuple[Check, ...]
@@ -314,72 +287,6 @@ class LoopAgreement:
                 continue
             rivals = [other for other in self._all_hypotheses if other is not hypothesis]
             decision = self._decide(hypothesis, rivals, look, self._checks(hypothesis, look))
-            equal = sum(not self._prevails(hypothesis, rival) for rival in rivals)
+            equal = sum(not prevails(hypothesis, rival) for rival in rivals)
             was_retracted = not all(differ(look, hypothesis.motion, motion) for motion in self._retracted)
             hypothesis.rejection = rejected(decision, 1.0 / SUPPORT_RATIO, equal, was_retracted)
-
-    def _prevails(self, hypothesis: LoopHypothesis, rival: LoopHypothesis) -> bool:
-        """True if a rival has little support, or if enough looks support the hypothesis and contradict the rival."""
-        first, last = hypothesis.support[0].travelled, hypothesis.support[-1]
-        supported_now = bool(rival.support) and rival.support[-1].keyframe == last.keyframe
-        if not supported_now and len(hypothesis.support) >= SUPPORT_RATIO * rival.support_since(first):
-            return True
-        return tell_apart(hypothesis, rival)
-
-
-def confirm(
-    look: Look,
-    hypothesis: LoopHypothesis,
-    reason: str,
-    *,
-    rival_support: int,
-    contradictions: int,
-    checks: tuple[Check, ...],
-    since: int,
-    joins: bool,
-) -> LoopDecision:
-    """Return the decision to close the loop of a hypothesis, or to join parts of the map if `joins`.
-
-    look            at the last place that supports it
-    rival_support   number of looks that support its strongest rival
-    contradictions  number of looks that contradict it
-    since           first keyframe of the recent pass, or of the part that is joined
-    """
-    count, last = len(hypothesis.support), hypothesis.support[-1]
-    return LoopDecision(
-        0,
-        last.keyframe,
-        last.old,
-        se2.between(look.pose, se2.compose(hypothesis.motion, look.pose)),
-        hypothesis.motion,
-        LoopStatus.CONFIRMED,
-        reason,
-        tuple(hypothesis.support),
-        rival_support / count,
-        contradictions / (count + contradictions),
-        checks,
-        since,
-        look.compared_points(last.old),
-        joins=joins,
-    )
-
-
-def tell_apart(hypothesis: LoopHypothesis, rival: LoopHypothesis) -> bool:
-    """True if enough looks support a hypothesis and contradict a rival, and few do the opposite."""
-    against = rival.discriminating_looks(hypothesis)
-    return hypothesis.discriminating_looks(rival) >= SUPPORT_RATIO * max(1, against)
-
-
-def fits(match: SubmapMatch) -> bool:
-    """True if a match shows enough of what the old place has seen, and that fits."""
-    return match.known >= MIN_KNOWN and match.fit >= MIN_LOOP_FIT
-
-
-def is_determined(match: SubmapMatch) -> bool:
-    """True if a match determines the position in every direction."""
-    return bool(np.linalg.eigvalsh(match.covariance[:2, :2])[-1] < MAX_MATCH_SIGMA**2)
-
-
-def differ(look: Look, motion: se2.Pose, other: se2.Pose) -> bool:
-    """True if two motions in the map lead the robot to different places."""
-    return are_distinct(se2.compose(motion, look.pose), se2.compose(other, look.pose))

@@ -13,7 +13,8 @@ from drivers import se2
 from ..graph.factor_graph import CLOSING_UPDATES
 from ..mapping.mapper import Mapper
 from ..mapping.wall_merging import find_overlaps
-from .agreement import SEARCH_INTERVAL, SUPPORT_RATIO
+from .agreement import SEARCH_INTERVAL
+from .criteria import SUPPORT_RATIO
 from .decision import LoopDecision, LoopMatch
 from .look import MAX_SQUARED_DISTANCE, SUBMAP_LENGTH
 from .loop_status import LoopStatus

@@ -22,18 +22,8 @@ from ..geometry.segments import Integers
 from ..localisation.local_field import LocalField
 from ..mapping.mapper import Mapper
 from ..matching.point_matcher import SEARCH_FIT
-from .agreement import (
-    MIN_KNOWN,
-    RIVAL_QUALITY,
-    SEARCH_INTERVAL,
-    SUPPORT_RATIO,
-    LoopAgreement,
-    confirm,
-    differ,
-    fits,
-    is_determined,
-    tell_apart,
-)
+from .agreement import RIVAL_QUALITY, SEARCH_INTERVAL, LoopAgreement
+from .criteria import MIN_KNOWN, SUPPORT_RATIO, confirm, differ, fits, is_determined, tell_apart
 from .decision import Check, LoopDecision
 from .look import Look, Submaps
 from .loop_hypothesis import LoopAgreementState, LoopHypothesis

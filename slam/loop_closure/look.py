@@ -137,11 +137,11 @@ class Look:
         Where the errors that the estimate does not contain dominate, the rest is an upper bound, which costs little.
         """
         if old not in self._covariances:
-            estimated = self._mapper.relative_covariance_bound(old, self.last, stored=True)
+            estimated = self._mapper.covariances.relative_bound(old, self.last, stored=True)
             if not _is_minor(estimated):
-                estimated = self._mapper.relative_covariance_bound(old, self.last, stored=False)
+                estimated = self._mapper.covariances.relative_bound(old, self.last, stored=False)
             if not _is_minor(estimated):
-                estimated = self._mapper.relative_covariance(old, self.last)
+                estimated = self._mapper.covariances.relative(old, self.last)
             self._covariances[old] = estimated + np.diag(UNMODELLED_SIGMAS**2)
         return self._covariances[old]
 
@@ -227,7 +227,7 @@ class Look:
         start = self.relative(old, motion)
         match = improve(self.submap, self.reference(old), start)
         if self._field.is_undetermined(since, self.last):
-            covariance = self._mapper.relative_covariance(since, self.last)
+            covariance = self._mapper.covariances.relative(since, self.last)
             sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
             turn = SEARCH_DEVIATIONS * float(np.sqrt(covariance[2, 2]))
             found = search_submap(self.submap, self.reference(old), start, SEARCH_DEVIATIONS * sigma, turn)

@@ -77,7 +77,7 @@ class Landmarks:
     def add_wall(self, frame: se2.Pose, half_length: float, keyframe: int) -> int:
         """Add a wall first observed by a keyframe, with its `frame` at its centre, and return its id."""
         wall = len(self.walls)
-        self.covered.append(_cells_between(-half_length, half_length))
+        self.covered.append(cells_between(-half_length, half_length))
         return self.walls.append(
             frame=frame,
             low=-half_length,
@@ -104,7 +104,7 @@ class Landmarks:
         along = se2.between(row["frame"], frame)[0]
         row["low"] = min(row["low"], along - half_length)
         row["high"] = max(row["high"], along + half_length)
-        cells = _cells_between(along - half_length, along + half_length)
+        cells = cells_between(along - half_length, along + half_length)
         if wall in self.opened:  # refinement observes old keyframes again: from before the opening, they do not undo it
             opened = self.opened[wall]
             cells = frozenset(cell for cell in cells if opened.get(cell, NEVER_REMOVED) < keyframe)
@@ -314,6 +314,6 @@ class Landmarks:
         return near[self.active_corners(near, keyframe)]
 
 
-def _cells_between(low: float, high: float) -> frozenset[int]:
+def cells_between(low: float, high: float) -> frozenset[int]:
     """Return the cells that lie entirely between two positions along a wall (metres)."""
     return frozenset(range(math.ceil(low / WALL_CELL), math.floor(high / WALL_CELL)))

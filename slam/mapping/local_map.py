@@ -22,6 +22,9 @@ MAX_HEADING_DIFFERENCE = math.radians(8.0)
 # another. Origin: definition, three standard deviations are the limits.
 MAX_PREDICTED_VARIANCE = (MAX_OFFSET / 3.0) ** 2
 MAX_PREDICTED_TURN_VARIANCE = (MAX_HEADING_DIFFERENCE / 3.0) ** 2  # Origin: as MAX_PREDICTED_VARIANCE.
+# Metres by which the local map reaches beyond what the last keyframe observed; the next scans are matched to it.
+# Origin: chosen, several times the distance between keyframes; not measured.
+LOCAL_MAP_MARGIN = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

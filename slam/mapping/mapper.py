@@ -11,44 +11,48 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.segments import CornerPoints, Floats, Integers, Segments
-from ..graph.covariances import ROBUST_COVARIANCE_SCALE
 from ..graph.factor_graph import FactorGraph
 from ..graph.factors import Factor, GraphState
-from ..graph.graph_estimate import Marginals
+from ..graph.graph_storage import restore_graph
 from ..graph.range_bias import RangeBias
 from ..odometry.correlated_drift import embed_position_covariance, rotate_covariance
 from .data_association import Association
-from .keyframes import KeyframeMotion, KeyframeObservations, KeyframeRecords, LandmarkIds, PointMotion, WallMerge
+from .keyframe_covariances import KeyframeCovariances
+from .keyframes import (
+    KeyframeMotion,
+    KeyframeObservations,
+    KeyframeRecords,
+    LandmarkIds,
+    PointMotion,
+    WallMerge,
+)
 from .landmark_ids import assign_landmark_ids
 from .landmarks import Landmarks
-from .local_map import LocalMap, local_map_around
+from .local_map import LOCAL_MAP_MARGIN, LocalMap, local_map_around
 from .part_gauge import PartGauge
-from .read_back import read_back_covariances, read_back_landmarks
+from .read_back import observed_landmarks, read_back_landmarks
 from .unconfirmed_observations import UnconfirmedObservations
-from .wall_merging import find_observed_duplicate, merge_duplicate_walls
+from .waiting_keyframes import WaitingKeyframe, WaitingKeyframes
+from .wall_merging import find_observed_duplicate
 from .wall_removal import FreeSpaceEvidence
 from .wall_roughness import WallRoughness
-from .wall_splitting import find_splits, split_landmark, with_new_walls
 
-# Metres by which the local map reaches beyond what the last keyframe observed; the next scans are matched to it.
-# Origin: chosen, several times the distance between keyframes; not measured.
-LOCAL_MAP_MARGIN = 2.0
+# Points of a keyframe without a scan. Origin: definition.
+NO_POINTS = np.zeros((0, 2))
 # Keyframes whose segments are kept for verifying loop closures. Origin: chosen, some 8 m of driving; not measured.
 MAX_RECENT_SEGMENTS = 25
-# Keyframes after which the estimate of all landmarks is read back, not only of those nearby.
-# Origin: chosen, the cost of reading all back becomes negligible; not measured.
-FULL_READ_BACK_INTERVAL = 20
 
 
 class Mapper:
-    """The map under construction. All attributes are read-only to other modules.
+    """The map under construction. All attributes are read-only to other packages.
 
     graph                the factor graph
     landmarks            walls and corners as last read back from the graph
     roughness            estimate of the wall roughness
     free_space_evidence  evidence against walls that may no longer exist
     keyframe_count       number of keyframes, k
-    keyframe_poses       (k, 3) in the map, as last read back: older ones only every FULL_READ_BACK_INTERVAL keyframes
+    keyframe_poses       (k, 3) in the map, as last read back: older ones only every FULL_READ_BACK_INTERVAL keyframes,
+                         and as tracked for those that the graph has not been solved with yet
     travelled            metres driven up to each keyframe; [0.0] before the first
     recent_segments      index and segments of the last MAX_RECENT_SEGMENTS keyframes
     landmark_ids         of each keyframe, as assigned when it was added
@@ -76,6 +80,7 @@ class Mapper:
         self.correlated_drift: Floats = np.zeros((0, 2, 2))
         self.gauge = PartGauge()
         self._unconfirmed = UnconfirmedObservations()
+        self._waiting = WaitingKeyframes()
 
     @classmethod
     def with_landmarks_of(cls, other: Mapper) -> Mapper:
@@ -93,19 +98,24 @@ class Mapper:
         roughness: WallRoughness,
         free_space_evidence: FreeSpaceEvidence,
         keyframes: KeyframeRecords,
-        segments: Sequence[Segments],
+        views: Sequence[tuple[Segments, Floats]],
         unconfirmed_observations: Sequence[Factor],
     ) -> Mapper:
-        """Restore a mapper from its saved parts; `segments` are those of each keyframe.
+        """Restore a mapper from its saved parts; `views` are the segments and the points (p, 2) of each keyframe.
 
         Raises MapError if the graph leaves a variable undetermined.
         """
         mapper = cls(landmarks, roughness, free_space_evidence)
-        mapper.graph = FactorGraph.from_state(graph)
+        mapper.graph = restore_graph(graph)
         mapper.keyframe_count, mapper.keyframe_poses = len(keyframes.keyframe_poses), keyframes.keyframe_poses
         mapper.travelled, mapper.landmark_ids = list(keyframes.travelled), list(keyframes.landmark_ids)
         mapper.pose_covariances, mapper.correlated_drift = list(keyframes.covariances), keyframes.correlated_drift
-        mapper.recent_segments.extend(enumerate(segments))
+        mapper.recent_segments.extend((k, segments) for k, (segments, _) in enumerate(views))
+        mapper._waiting = WaitingKeyframes(
+            WaitingKeyframe(segments, ids, points)
+            for k, ((segments, points), ids) in enumerate(zip(views, mapper.landmark_ids, strict=True))
+            if mapper.graph.is_waiting(k)
+        )
         mapper._unconfirmed = UnconfirmedObservations.from_factors(unconfirmed_observations)
         return mapper
 
@@ -121,66 +131,17 @@ class Mapper:
             self.keyframe_poses, self.travelled, self.landmark_ids, self.pose_covariances, self.correlated_drift
         )
 
-    # --- poses and covariances
+    # --- poses
 
     @property
     def pose(self) -> se2.Pose:
         """Pose of the last keyframe in the map; zero before the first."""
         return np.zeros(3) if not len(self.keyframe_poses) else self.keyframe_poses[-1]
 
-    def last_pose_covariance(self) -> Floats:
-        """Return (3, 3) the covariance of the last keyframe's pose, in its own frame.
-
-        As `keyframe_covariance`, but from the stored covariance, so it costs nothing.
-        """
-        correlated = embed_position_covariance(self.correlated_drift[-1])
-        independent = self.pose_covariances[-1] - correlated
-        return rotate_covariance(ROBUST_COVARIANCE_SCALE * independent + correlated, -self.pose[2])
-
-    def keyframe_covariance(self, keyframe: int) -> Floats:
-        """Return (3, 3) the covariance of a keyframe's pose, in its own frame (metres, metres, radians)."""
-        correlated = embed_position_covariance(self.correlated_drift[keyframe])
-        heading = self.graph.keyframe_pose(keyframe)[2]
-        return self.graph.keyframe_covariance(keyframe) + rotate_covariance(correlated, -heading)
-
-    def keyframe_covariances(self, marginals: Marginals) -> Floats:
-        """Return (k, 3, 3) those of all keyframes, given the marginals of the graph."""
-        correlated = [embed_position_covariance(drift) for drift in self.correlated_drift]
-        headings = self.graph.keyframe_poses(self.keyframe_count)[:, 2].tolist()
-        turned = [rotate_covariance(drift, -heading) for drift, heading in zip(correlated, headings, strict=True)]
-        return marginals.keyframes(range(self.keyframe_count)) + np.array(turned).reshape(-1, 3, 3)
-
-    def relative_covariance(self, old: int, keyframe: int) -> Floats:
-        """Return (3, 3) the covariance of a keyframe's pose relative to an older one, in its own frame."""
-        if self.gauge.separates(self, old, keyframe):
-            return self.gauge.covariance_across(self, old, keyframe)
-        return self.relative_covariance_in_graph(old, keyframe)
-
-    def relative_covariance_in_graph(self, old: int, keyframe: int) -> Floats:
-        """Return the covariance as `relative_covariance` does, of keyframes that factors of the graph connect."""
-        correlated = embed_position_covariance(self.correlated_drift[keyframe] - self.correlated_drift[old])
-        heading = self.graph.keyframe_pose(keyframe)[2]
-        return self.graph.relative_covariance(old, keyframe) + rotate_covariance(correlated, -heading)
-
-    def relative_covariance_bound(self, old: int, keyframe: int, *, stored: bool) -> Floats:
-        """Return (3, 3) an upper bound of `relative_covariance`, which takes much less time.
-
-        The difference of two errors a and b has a covariance of at most 2 (Cov a + Cov b), whatever their correlation.
-        Those of parts of the map that are not connected have different gauges: there it is exact.
-
-        stored  take the covariances from when the keyframes were added, which costs nothing; else the present ones
-        """
-        if self.gauge.separates(self, old, keyframe):
-            return self.gauge.covariance_across(self, old, keyframe)
-        heading = self.keyframe_poses[keyframe, 2]
-        if stored:
-            of_old, of_keyframe = (rotate_covariance(self.pose_covariances[k], -heading) for k in (old, keyframe))
-        else:
-            own = [(k, float(self.keyframe_poses[k, 2]) - heading) for k in (old, keyframe)]
-            of_old, of_keyframe = (rotate_covariance(self.keyframe_covariance(k), turn) for k, turn in own)
-        lever = se2.between(self.keyframe_poses[keyframe], self.keyframe_poses[old])
-        adjoint = se2.adjoint(np.array([lever[0], lever[1], 0.0]))  # both are in the axes of the keyframe
-        return np.asarray(2.0 * (adjoint @ of_old @ adjoint.T + of_keyframe))
+    @property
+    def covariances(self) -> KeyframeCovariances:
+        """Covariances of the keyframes' poses, alone and relative to each other."""
+        return KeyframeCovariances(self)
 
     def keyframes_near(self, pose: se2.Pose, distance: float, turn: float) -> Integers:
         """Return the connected keyframes within a distance (metres) and turn (radians) of a pose, nearest first."""
@@ -200,29 +161,37 @@ class Mapper:
         association: Association,
         local_map: LocalMap,
         point_motion: PointMotion | None = None,
+        points: Floats = NO_POINTS,
     ) -> KeyframeObservations:
-        """Add a keyframe near `pose` and update the graph.
+        """Add a keyframe near `pose`; the graph is updated after SOLVE_DISTANCE or SOLVE_TURN.
 
         motion        from an earlier keyframe; None for the first
         association   of its segments and corners with rows of `local_map`; unmatched features become landmarks
         point_motion  from an earlier keyframe, by points on no known wall; None if there is no such keyframe
+        points        (p, 2) of its scan, in its frame: walls that it sees through are removed
         """
         keyframe = self.keyframe_count
         wall_count = len(self.landmarks.walls)
         landmark_ids = assign_landmark_ids(self.landmarks, keyframe, pose, segments, corners, association, local_map)
-        apart = keyframe > 0 and keyframe == self.landmarks.parts.firsts[-1]
-        self.add_keyframe_with_ids(pose, motion, segments, corners, landmark_ids, apart=apart)
+        begins_part = keyframe > 0 and keyframe == self.landmarks.parts.firsts[-1]
+        self.add_keyframe_with_ids(pose, motion, segments, corners, landmark_ids, apart=begins_part)
         if point_motion is not None:
             self.graph.add_point_map(point_motion.start, point_motion.start_covariance)
             self.graph.add_scan_match(point_motion.start, keyframe, point_motion.relative, point_motion.covariance)
-        self.graph.update()
-        self.keyframe_poses[-1] = self.graph.keyframe_pose(keyframe)
-        return KeyframeObservations(
+        observations = KeyframeObservations(
             segments,
             corners,
             association.in_landmark_ids(landmark_ids.walls, landmark_ids.corners, local_map),
             landmark_ids.walls[landmark_ids.walls >= wall_count],
         )
+        self._waiting.append(WaitingKeyframe(segments, landmark_ids, points))
+        # until then as uncertain as the keyframe before: local maps add the uncertainty of tracking
+        self.pose_covariances.append(self.pose_covariances[-1] if keyframe else np.zeros((3, 3)))
+        # while the map has unconnected parts, decisions to join them need the covariances of each keyframe
+        apart = self.landmarks.parts.apart
+        if keyframe == 0 or apart or self._waiting.has_moved_on(self.keyframe_poses, self.travelled):
+            self.graph.update()
+        return observations
 
     def add_keyframe_with_ids(
         self,
@@ -259,22 +228,40 @@ class Mapper:
         self._unconfirmed.add(keyframe, segments, corners, landmark_ids, self.roughness.variance)
         self._unconfirmed.move_confirmed(self.graph, self.landmarks, landmark_ids, keyframe, pose)
 
-    def refresh(self, observations: KeyframeObservations) -> tuple[LocalMap, WallMerge | None]:
-        """Read the estimate back after the last keyframe and return its local map, and the walls merged, if any.
+    @property
+    def is_solved(self) -> bool:
+        """True if the graph has been solved with all keyframes."""
+        return not len(self._waiting) or not self.graph.is_waiting(self.keyframe_count - 1)
 
-        `observations` are those of the last keyframe: they also update the wall roughness.
+    def refresh(self, observations: KeyframeObservations) -> tuple[LocalMap, WallMerge | None]:
+        """Return the local map of the last keyframe, and the walls merged, if any.
+
+        If the graph was solved, the estimate is read back first. `observations` are those of the last keyframe.
         """
-        everything = (self.keyframe_count - 1) % FULL_READ_BACK_INTERVAL == 0
-        self._read_back(None if everything else LOCAL_MAP_MARGIN + observations.segments.reach())
-        independent = read_back_covariances(self.landmarks, self.graph, self.keyframe_count - 1, observations)
-        self.pose_covariances.append(independent + embed_position_covariance(self.correlated_drift[-1]))
-        self.roughness.add_observations(self.landmarks.walls.rows, self.pose, observations)
+        if not self.is_solved:
+            return self.local_map(observations), None
+        observed_walls, _ = observed_landmarks(self._waiting.landmark_ids)
+        points = self._waiting.read_back(self)
         local_map = self.local_map(observations)
-        merge = find_observed_duplicate(self.landmarks, local_map, observations, self.roughness.variance)
-        if merge is None:
-            return local_map, None
-        self.merge_walls(merge.kept, merge.absorbed)
-        return self.local_map(observations), merge
+        merge = find_observed_duplicate(self.landmarks, local_map, observed_walls, self.roughness.variance)
+        if merge is not None:
+            self.merge_walls(merge.kept, merge.absorbed)
+        if self._remove_walls_seen_through_since(points) or merge is not None:
+            local_map = self.local_map(observations)
+        return local_map, merge
+
+    def solve_waiting(self) -> None:
+        """Solve the graph with the keyframes that it has not been solved with yet, if any, and read them back."""
+        if not self.is_solved:
+            self.graph.update()
+            self._remove_walls_seen_through_since(self._waiting.read_back(self))
+
+    def _remove_walls_seen_through_since(self, points: Sequence[Floats]) -> bool:
+        """Remove walls that the last keyframes, with `points`, see through. Return True if there were any."""
+        removed = False
+        for pose, of_scan in zip(self.keyframe_poses[self.keyframe_count - len(points) :], points, strict=True):
+            removed |= self.remove_walls_seen_through(pose, of_scan)
+        return removed
 
     def local_map(self, observations: KeyframeObservations) -> LocalMap:
         """Return the map around the last keyframe, LOCAL_MAP_MARGIN beyond its own observations."""
@@ -291,6 +278,7 @@ class Mapper:
 
         measured  true if odometry measures the motion to it; that is then the only information on its place
         """
+        self.solve_waiting()
         self.gauge.release(self)
         self.landmarks.parts.begin(self.keyframe_count, measured=measured)
 
@@ -323,52 +311,6 @@ class Mapper:
         """
         return self.free_space_evidence.update(self.landmarks, pose, points, self.travelled, self.pose_covariances)
 
-    def converge(self) -> int:
-        """Merge duplicate walls of the whole map, split those that are two, iterate to convergence, and read all back.
-
-        A part of the map that is not connected is held by odometry from then on.
-
-        Return the number of walls merged.
-        """
-        self.gauge.release(self)
-        self.graph.update_until_converged()
-        self.settle_range_bias()  # before merging: iSAM2 leaves out small steps, and walls are merged where they are
-        merged = merge_duplicate_walls(self.landmarks, self.graph, self.roughness.variance, self.merge_walls)
-        if merged:
-            self.graph.update()
-            self.graph.update_until_converged()
-            self._read_back(None)
-        self.split_walls()
-        self.graph.correlate_wall_errors()
-        self.settle_range_bias()
-        self.read_back_all()
-        return merged
-
-    def settle_range_bias(self) -> None:
-        """Estimate the range bias together with the graph, which has converged, and read all back."""
-        self.graph.settle_range_bias()
-        self._read_back(None)
-
-    def split_walls(self) -> int:
-        """Split walls whose stretches are different surfaces, and return the number of new walls.
-
-        The estimate has converged and is read back, before and afterwards.
-        """
-        splits = find_splits(self.landmarks, self.graph, self.keyframe_poses, self.roughness.variance)
-        moves = [(split_landmark(self.landmarks, split), split.frame, split.segments) for split in splits]
-        if not moves:
-            return 0
-        self.graph.move_wall_segments(moves)
-        self.graph.update_until_converged()
-        self.landmark_ids = with_new_walls(self.landmark_ids, moves)
-        for wall, _, _ in moves:
-            last_seen = int(self.landmarks.walls.rows["last_seen"][wall])
-            covariances = self.graph.relative_covariances(last_seen, [wall], [])
-            self.landmarks.set_wall_covariances(np.array([wall]), covariances.walls, covariances.walls_in_map)
-        self.free_space_evidence.discard([split.wall for split in splits])
-        self._read_back(None)
-        return len(moves)
-
     def solve(self) -> list[int]:
         """Solve in batch all keyframes added to an empty mapper with `add_keyframe_with_ids`, and read all back.
 
@@ -376,7 +318,7 @@ class Mapper:
         computed; see `recompute_pose_covariances`.
         """
         numbers = self.graph.solve_batch()
-        self._read_back(None)
+        self.read_back()
         return numbers
 
     # --- reading the estimate back
@@ -384,18 +326,21 @@ class Mapper:
     def recompute_pose_covariances(self) -> None:
         """Compute `pose_covariances` of all keyframes from the graph, as needed after `solve`."""
         self.pose_covariances = [
-            self.graph.relative_covariances(k, [], [])[0] + embed_position_covariance(self.correlated_drift[k])
+            self.graph.relative_covariances([k], [], []).poses[0] + embed_position_covariance(self.correlated_drift[k])
             for k in range(self.keyframe_count)
         ]
 
     def read_back_all(self) -> None:
         """Read all poses and landmarks, and the last keyframe's covariance, back from the graph."""
-        independent = self.graph.relative_covariances(self.keyframe_count - 1, [], []).pose
+        independent = self.graph.relative_covariances([self.keyframe_count - 1], [], []).poses[0]
         self.pose_covariances[-1] = independent + embed_position_covariance(self.correlated_drift[-1])
-        self._read_back(None)
+        self.read_back()
 
-    def _read_back(self, radius: float | None) -> None:
-        """Read back the landmarks within `radius` metres of the last keyframe; if None, all landmarks and poses."""
+    def read_back(self, radius: float | None = None) -> None:
+        """Read back the landmarks within `radius` metres of the last keyframe; if None, all landmarks and poses.
+
+        Covariances stay as they are.
+        """
         if radius is None:
             self.keyframe_poses = self.graph.keyframe_poses(self.keyframe_count)
         read_back_landmarks(self.landmarks, self.graph, self.pose, radius)

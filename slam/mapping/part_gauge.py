@@ -32,6 +32,10 @@ class PartGauge:
 
     def __init__(self, motion: Factor | None = None) -> None:
         self.motion = motion
+        # covariances of the keyframe where the motion starts relative to others of its group, which is not mapped now
+        self._before: dict[int, Floats] = {}
+        # last keyframe, number of updates of the graph, and its covariance relative to the first one of its part
+        self._within: tuple[int, int, Floats] | None = None
 
     @classmethod
     def begin(cls, graph: FactorGraph, keyframe: int, pose: se2.Pose, motion: KeyframeMotion) -> PartGauge:
@@ -57,12 +61,16 @@ class PartGauge:
         """
         assert self.motion is not None
         start, first = self.motion.first, self.motion.second
-        covariance = np.zeros((3, 3)) if old == start else mapper.relative_covariance_in_graph(old, start)
-        covariance = covariance_after(covariance, self.motion.measured) + self.motion.covariance
+        if old not in self._before:
+            self._before[old] = np.zeros((3, 3)) if old == start else mapper.covariances.relative_in_graph(old, start)
+        covariance = covariance_after(self._before[old], self.motion.measured) + self.motion.covariance
         if keyframe == first:
             return covariance
         motion = se2.between(mapper.keyframe_poses[first], mapper.keyframe_poses[keyframe])
-        return covariance_after(covariance, motion) + mapper.relative_covariance_in_graph(first, keyframe)
+        updates = mapper.graph.solver.updates
+        if self._within is None or self._within[:2] != (keyframe, updates):
+            self._within = keyframe, updates, mapper.covariances.relative_in_graph(first, keyframe)
+        return covariance_after(covariance, motion) + self._within[2]
 
     def join(self, mapper: Mapper, old: int, motion: se2.Pose) -> None:
         """Move the group of the last part by a `motion` [x, y, heading] in the map, and connect it by odometry.
@@ -77,6 +85,7 @@ class PartGauge:
     def release(self, mapper: Mapper, motion: se2.Pose | None = None) -> None:
         """Connect the group of the last part by odometry, after moving it by a `motion` in the map."""
         kept, self.motion = self.motion, None
+        self._before, self._within = {}, None
         if kept is not None:
             moved = np.zeros(3) if motion is None else motion
             _rebuild(mapper, kept.second, moved, lambda f: _holds(f, kept.second), [kept])

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from drivers import se2
 
-from ..geometry.segments import Floats
+from ..geometry.segments import Floats, Integers
 from ..graph.factor_graph import FactorGraph
-from .keyframes import KeyframeObservations
+from .keyframes import LandmarkIds
 from .landmarks import Landmarks
 
 
@@ -24,19 +26,27 @@ def read_back_landmarks(landmarks: Landmarks, graph: FactorGraph, pose: se2.Pose
 
 
 def read_back_covariances(
-    landmarks: Landmarks, graph: FactorGraph, keyframe: int, observations: KeyframeObservations
+    landmarks: Landmarks, graph: FactorGraph, last: int, observed: Sequence[LandmarkIds]
 ) -> Floats:
-    """Store the covariances of the landmarks that the last keyframe observed: cheap right after an update.
+    """Store the covariances of the landmarks that the last keyframes observed: cheap right after an update.
 
-    Returns (3, 3) that of the keyframe's pose in the graph.
+    last      the last of these keyframes, to which the covariances are relative
+    observed  by each of them, k in a row
+    Returns (k, 3, 3) those of the keyframes' poses in the graph.
     """
     walls, corners = landmarks.walls.rows, landmarks.corners.rows
-    association = observations.association
-    observed_walls = np.unique(association.walls[association.walls >= 0])
-    observed_walls = observed_walls[walls["in_graph"][observed_walls]]
-    observed_corners = np.unique(association.corners[association.corners >= 0])
-    observed_corners = observed_corners[corners["in_graph"][observed_corners]]
-    covariances = graph.relative_covariances(keyframe, observed_walls, observed_corners)
+    of_walls, of_corners = observed_landmarks(observed)
+    observed_walls = of_walls[walls["in_graph"][of_walls]]
+    observed_corners = of_corners[corners["in_graph"][of_corners]]
+    keyframes = range(last + 1 - len(observed), last + 1)
+    covariances = graph.relative_covariances(keyframes, observed_walls, observed_corners)
     landmarks.set_wall_covariances(observed_walls, covariances.walls, covariances.walls_in_map)
     landmarks.set_corner_covariances(observed_corners, covariances.corners, covariances.corners_in_map)
-    return covariances.pose
+    return covariances.poses
+
+
+def observed_landmarks(observed: Sequence[LandmarkIds]) -> tuple[Integers, Integers]:
+    """Return the ids of the walls and of the corners that some keyframes observed, in ascending order."""
+    walls = np.unique(np.concatenate([ids.walls for ids in observed]))
+    corners = np.unique(np.concatenate([ids.corners for ids in observed]))
+    return walls[walls >= 0], corners[corners >= 0]

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from drivers import se2
 
-from ..geometry.segments import Floats
+from ..geometry.segments import Floats, Integers
 from ..graph.factor_graph import FactorGraph
-from .keyframes import KeyframeObservations, WallMerge
+from .keyframes import WallMerge
 from .landmarks import Landmarks
 from .local_map import MAX_PREDICTED_TURN_VARIANCE, MAX_PREDICTED_VARIANCE, LocalMap
 
@@ -109,15 +109,15 @@ def find_duplicate_wall(
 
 
 def find_observed_duplicate(
-    landmarks: Landmarks, local_map: LocalMap, observations: KeyframeObservations, roughness: float
+    landmarks: Landmarks, local_map: LocalMap, observed_walls: Integers, roughness: float
 ) -> WallMerge | None:
     """Return the most certain pair of duplicate walls of the local map of which one was just observed, if any.
 
-    `roughness` as in `find_duplicate_wall`.
+    `observed_walls` are the ids of those observed just now, `roughness` as in `find_duplicate_wall`.
     """
     rows = landmarks.walls.rows[local_map.walls]
     mature = rows["in_graph"] & (rows["observations"] >= MIN_OBSERVATIONS_TO_MERGE)
-    observed = np.isin(local_map.walls, observations.association.walls)
+    observed = np.isin(local_map.walls, observed_walls)
     found = find_duplicate_wall(local_map, mature, observed, roughness)
     if found is None:
         return None

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from drivers import se2
 
-from ..geometry.segments import Floats
-from .keyframes import KeyframeObservations
+from ..geometry.segments import Floats, Integers, Segments
 
 # Latest samples used, two per observation: some fifty keyframes. Origin: chosen, follows a change of building; not
 # measured.
@@ -64,18 +63,17 @@ class WallRoughness:
         excess[:, 1] *= half_lengths**2 / 3
         self.add_samples(excess.ravel())
 
-    def add_observations(self, walls: NDArray[np.void], pose: se2.Pose, observations: KeyframeObservations) -> None:
+    def add_observations(self, walls: NDArray[np.void], pose: se2.Pose, segments: Segments, ids: Integers) -> None:
         """Update the estimate with the residuals of a keyframe's segments about well-observed walls.
 
         walls  rows of all walls in the landmark table
         pose   of the keyframe in the map
+        ids    (n,) walls that the segments belong to, -1 for none
         """
-        ids = observations.association.walls
         matched = np.flatnonzero(ids >= 0)
         matched = matched[walls["observations"][ids[matched]] >= MIN_OBSERVATIONS_FOR_ROUGHNESS]
         if not len(matched):
             return
-        segments = observations.segments
         residuals = se2.between(walls["frame"][ids[matched]], se2.compose(pose, segments.frame[matched]))
         self.add_residuals(residuals[:, 1:], segments.covariance[matched], segments.half_length[matched])
 

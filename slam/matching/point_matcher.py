@@ -74,12 +74,14 @@ class Prediction:
     information  (3, 3), in its own frame
     cost         minus the logarithm of the probability that the prediction holds at all
     kernel       scale of the Cauchy kernel, standard deviations; a large one for a normal distribution
+    inertia      where the pose must be as well, roughly: a robot changes its velocity gradually; None if not known
     """
 
     pose: se2.Pose
     information: Floats
     cost: float = 0.0
     kernel: float = KERNEL
+    inertia: Prediction | None = None
 
     @property
     def least_cost(self) -> float:
@@ -88,7 +90,12 @@ class Prediction:
 
     def cost_of(self, pose: se2.Pose) -> float:
         """Return the cost of a pose."""
-        return self.least_cost + 0.5 * self.kernel**2 * math.log1p(self.squared_distance(pose) / self.kernel**2)
+        inertia = 0.0 if self.inertia is None else self.inertia._robust(pose)
+        return self.least_cost + self._robust(pose) + inertia
+
+    def _robust(self, pose: se2.Pose) -> float:
+        """Return the cost of a pose in excess of `least_cost`, without that of `inertia`."""
+        return 0.5 * self.kernel**2 * math.log1p(self.squared_distance(pose) / self.kernel**2)
 
     def squared_distance(self, pose: se2.Pose) -> float:
         """Return the squared Mahalanobis distance of a pose."""
@@ -127,14 +134,15 @@ def match_points(
     """Match points (p, 4) with normals, in the base's frame, to the field near each of several predicted poses.
 
     Returns the matches, those with the lowest cost first. If the first of two predictions leads to a good match, the
-    second one is not tried, and the poses around them are not searched. If `exhaustive`, they are searched anyway: most
-    of a scan fits well at some poses that are a decimetre off, too. A prediction that cannot lead to a lower cost than
-    an earlier one is not tried.
+    poses around them are not searched. If `exhaustive`, they are searched anyway: most of a scan fits well at some
+    poses that are a decimetre off, too. A prediction that cannot lead to a lower cost than an earlier one is not tried.
     """
     first = match_from(field, points, predictions[0].pose, predictions[0])
     searched = first.known >= MIN_KNOWN_POINTS if exhaustive else first.poor
     if not searched and len(predictions) <= 2:
-        return [first]
+        rivals = [rival for rival in predictions[1:] if rival.least_cost < first.cost]
+        found = [first, *(match_from(field, points, rival.pose, rival) for rival in rivals)]
+        return sorted(found, key=lambda match: match.cost)
     few = np.ascontiguousarray(subsample(points, MAX_SEARCH_POINTS))  # strided ones would be compiled for separately
     share = len(points) / max(1, len(few)) / POINTS_PER_OBJECT
     matches: list[PointMatch] = []

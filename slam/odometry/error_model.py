@@ -11,6 +11,7 @@ from drivers import se2
 from ..config import OdometryConfig
 from ..geometry.degeneracy import weakest_direction
 from ..geometry.segments import Floats
+from .arc import with_turn
 from .history import wheel_travel
 
 # Metres of wheel travel below which a motion is not used: its difference from registration is mostly registration's
@@ -66,6 +67,8 @@ class OdometryModel:
 
     measured = True
     """False if the motions are predicted, see `PredictedMotionModel`."""
+    unobserved_sigma = UNOBSERVED_SIGMA
+    """Metres: scans do not determine the position in a direction in which their standard deviation exceeds this."""
 
     def __init__(self, config: OdometryConfig) -> None:
         self._config = config
@@ -149,12 +152,7 @@ class OdometryModel:
     def correct(self, motion: se2.Pose) -> se2.Pose:
         """Return measured motions (..., 3) without their systematic errors."""
         turn = self._turn_factor * motion[..., 2] + self._veer * motion[..., 0]
-        bend = 0.5 * (turn - motion[..., 2])  # the chord of an arc points half its turn ahead
-        x, y = self._length_factor * motion[..., 0], self._length_factor * motion[..., 1]
-        c, s = np.cos(bend), np.sin(bend)
-        corrected = np.empty(motion.shape)
-        corrected[..., 0], corrected[..., 1], corrected[..., 2] = c * x - s * y, s * x + c * y, se2.wrap(turn)
-        return corrected
+        return with_turn(motion * [self._length_factor, self._length_factor, 1.0], turn)
 
     def variances(self, travel: Floats) -> tuple[Floats, Floats]:
         """Return the variances (...,) of translation along each axis and of heading after `travel` metres (...,)."""
@@ -206,11 +204,16 @@ class OdometryModel:
         its `information` (3, 3), leaves undetermined. With errors constant over CORRELATION_LENGTH, n motions of travel
         s each must add up to rate (n s) CORRELATION_LENGTH.
         """
-        direction = weakest_direction(np.zeros(3), information, UNOBSERVED_SIGMA)
+        direction = weakest_direction(np.zeros(3), information, self.unobserved_sigma)
         if direction is None:
             return np.zeros((2, 2))
         along = np.array([math.cos(direction), math.sin(direction)])
-        return np.asarray(self._rates[0] * wheel_travel(motion) * CORRELATION_LENGTH * np.outer(along, along))
+        return np.asarray(self._shared_rate * wheel_travel(motion) * np.outer(along, along))
+
+    @property
+    def _shared_rate(self) -> float:
+        """Variance of position per metre by errors that neighbouring motions share, square metres."""
+        return float(self._rates[0]) * CORRELATION_LENGTH
 
 
 def _median(values: Floats) -> float:

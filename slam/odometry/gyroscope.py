@@ -10,6 +10,8 @@ import numpy as np
 from drivers import se2
 from drivers.messages import Odometry, YawRate
 
+from .arc import with_turn
+
 # Radians per second: standard deviation of the bias before any driving. Origin: data sheets of inexpensive gyroscopes,
 # 1 degree per second.
 INITIAL_BIAS_SIGMA = math.radians(1.0)
@@ -131,8 +133,6 @@ class GyroscopeOdometry:
         motion = se2.between(last.pose, reading.pose)
         turn = self._gyroscope.turn(last.stamp, reading.stamp)
         if turn is not None:
-            bend = 0.5 * (turn - float(motion[2]))  # the chord of an arc points half its turn ahead
-            c, s = math.cos(bend), math.sin(bend)
-            motion = np.array([c * motion[0] - s * motion[1], s * motion[0] + c * motion[1], turn])
+            motion = with_turn(motion, turn)
         self._pose = se2.compose(self._pose, motion)
         return Odometry(reading.stamp, self._pose)

@@ -9,10 +9,7 @@ import numpy as np
 from drivers import se2
 
 from ..config import OdometryConfig
-from ..geometry.degeneracy import weakest_direction
-from ..geometry.segments import Floats
 from .error_model import NORMAL_MEDIAN, PLANE_MEDIAN, PRIOR_SAMPLES, OdometryModel
-from .history import wheel_travel
 
 # Metres and radians: errors of a prediction before any driving. Origin: chosen, an acceleration of 1 m/s^2 or 3 rad/s^2
 # for half a second.
@@ -41,6 +38,7 @@ class PredictedMotionModel(OdometryModel):
     """
 
     measured = False
+    unobserved_sigma = BLIND_SIGMA
 
     def __init__(self, config: OdometryConfig) -> None:
         super().__init__(config)
@@ -59,16 +57,9 @@ class PredictedMotionModel(OdometryModel):
         weight = len(error) / (len(error) + PRIOR_SAMPLES)
         self._floors = INITIAL_FLOORS ** (1 - weight) * np.maximum(np.sqrt(squared), MIN_FLOORS) ** weight
 
-    def correlated_drift(self, motion: se2.Pose, information: Floats) -> Floats:
-        """Return (2, 2) the position covariance of a motion along the direction that registration does not determine.
-
-        Nothing measures the motion there, see `OdometryModel.correlated_drift`.
-        """
-        direction = weakest_direction(np.zeros(3), information, BLIND_SIGMA)
-        if direction is None:
-            return np.zeros((2, 2))
-        along = np.array([math.cos(direction), math.sin(direction)])
-        return np.asarray(BLIND_ERROR**2 * wheel_travel(motion) * BLIND_LENGTH * np.outer(along, along))
+    @property
+    def _shared_rate(self) -> float:
+        return BLIND_ERROR**2 * BLIND_LENGTH  # nothing measures the motion
 
 
 def motion_model(config: OdometryConfig) -> OdometryModel:

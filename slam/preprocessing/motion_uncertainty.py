@@ -54,8 +54,8 @@ def add_motion_uncertainty(
     travel = _travel_from_the_middle(lines, scan)
     translation, rotation = model.variances(np.ones(()))  # after one metre
     jacobians = _pose_jacobians(segments)
-    factor = _factor(segments.covariance, jacobians, travel, float(translation), float(rotation))
-    of_position, of_heading = factor * translation * travel**2, factor * rotation * np.abs(travel)
+    inflation = _variance_inflation(segments.covariance, jacobians, travel, float(translation), float(rotation))
+    of_position, of_heading = inflation * translation * travel**2, inflation * rotation * np.abs(travel)
     variances = np.column_stack([of_position, of_position, of_heading])
     covariance = segments.covariance + (jacobians * variances[:, None, :]) @ jacobians.transpose(0, 2, 1)
     shift, turn = (v[corners.segments].mean(axis=1)[:, None, None] for v in (of_position, of_heading))
@@ -85,24 +85,24 @@ def _pose_jacobians(segments: Segments) -> Floats:
 
 
 @compiled
-def _factor(covariances, jacobians, travel, translation, rotation):  # type: ignore[no-untyped-def]
-    """Return the factor a of the module's documentation.
+def _variance_inflation(covariances, jacobians, travel, translation, rotation):  # type: ignore[no-untyped-def]
+    """Return the variance inflation factor a of the module's documentation.
 
     covariances  (n, 2, 2) of the segments without the motion
     jacobians    (n, 2, 3) by the pose
     travel       (n,) metres from the middle of the sweep, negative before it
     translation, rotation  variances of position and heading after one metre of travel
     """
-    factor, information = 1.0, np.zeros((len(travel), 3, 3))
+    inflation, information = 1.0, np.zeros((len(travel), 3, 3))
     for _ in range(ITERATIONS):
-        _set_information(information, covariances, jacobians, travel, factor * translation, factor * rotation)
+        _set_information(information, covariances, jacobians, travel, inflation * translation, inflation * rotation)
         correlated, separate = _implied_by_motion(information, travel, translation, rotation)
         covariance = np.linalg.inv(information.sum(axis=0) + CONDITIONING * np.eye(3))
         implied = np.trace(covariance @ separate)
         if implied <= 0.0:
             return 1.0
-        factor = max(1.0, np.trace(covariance @ correlated) / implied)
-    return factor
+        inflation = max(1.0, np.trace(covariance @ correlated) / implied)
+    return inflation
 
 
 @compiled

@@ -38,7 +38,7 @@ def drive(world: str, seed: int, begin: float, end: float, shift: float = 0.0) -
 
 def run(messages: Sequence[Message], left: Path | None = None, *, frozen: bool = False) -> tuple[Slam, Finished, list]:
     listener = EventCollector()
-    resumed = None if left is None else read_session(left)
+    resumed = None if left is None else read_session(left, solve=False)
     slam = Slam(sinks=[listener], resumed=resumed, frozen=frozen)
     for message in messages:
         slam.add(message)

@@ -16,11 +16,14 @@ from slam import Slam
 from slam.config import Config, config_to_toml
 from slam.evaluation.metrics import read_relations, score_reference, score_relations
 from slam.events import Finished
-from slam.io.exports import OccupancyGrid, place_scans
+from slam.io.exports import OccupancyGrid, Thresholds, place_scans, write_pgm, write_pgm_yaml
 from slam.io.exports.occupancy import OCCUPIED
 from slam.io.output_dir import CONFIG
+from slam.io.plans.reader import read_plan
 from slam.io.sessions import StoredSession, read_session, write_session
+from slam.io.sessions.plan_session import plan_session
 from slam.io.tum import Trajectory, read_tum
+from slam.mapping.plan_map import build_plan_map
 from slam.optimisation import optimise
 
 from ..recordings import recording_folder
@@ -128,3 +131,27 @@ def test_the_picture_for_ros_agrees_with_one_of_gmappings_path(wclm: Any, map_se
     for some, others in ((ours, theirs), (theirs, ours)):
         distance = KDTree(others).query(some)[0]
         assert np.mean(distance < 0.10 + 1e-9) >= 0.90  # two cells away is 0.10 m, give or take the last bit
+
+
+@pytest.mark.slow
+def test_the_second_half_of_csail_is_localised_on_a_grid_map(tmp_path: Path) -> None:
+    """The grid map is that of the whole drive; the start is unknown."""
+    source = drivers.open(recording_folder("csail", "clf") / "csail.clf")
+    messages = list(source)
+    mapping = Slam()
+    for message in messages:
+        mapping.add(message)
+    finished = mapping.finish()
+    path = Trajectory(finished.stamps, finished.poses)
+    grid = OccupancyGrid(0.05)
+    grid.add_all(place_scans(messages, path, Config().lidar))
+    write_pgm(tmp_path / "csail.pgm", grid.occupancy(Thresholds()))
+    write_pgm_yaml(tmp_path / "csail.yaml", grid.occupancy(Thresholds()), "csail.pgm")
+    plan = build_plan_map(read_plan(tmp_path / "csail.yaml"), (0.03, np.radians(0.3)))
+    localising = Slam(resumed=plan_session(plan, Config()), frozen=True)
+    for message in messages[len(messages) // 2 :]:
+        localising.add(message)
+    found = localising.finish()
+    error = np.hypot(*(found.poses - path.at(found.stamps).poses)[:, :2].T)
+    assert np.median(error) < 0.02
+    assert np.quantile(error, 0.95) < 0.05

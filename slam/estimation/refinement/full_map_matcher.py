@@ -11,8 +11,7 @@ from drivers import se2
 from ...geometry.segments import Floats
 from ...localisation.match_target import MatchTarget
 from ...mapping.landmarks import Landmarks
-from ...mapping.local_map import LocalMap, landmarks_around
-from ...mapping.mapper import LOCAL_MAP_MARGIN
+from ...mapping.local_map import LOCAL_MAP_MARGIN, LocalMap, landmarks_around
 from ...matching.bias_correction import correct_range_bias
 from ...matching.distance_field import DistanceField
 from ...matching.line_matcher import Registration, ScanFeatures

@@ -12,6 +12,7 @@ from drivers import se2
 
 from ...geometry.segments import Floats
 from ...graph.factors import Factor
+from ...mapping.convergence import split_walls
 from ...mapping.data_association import associate
 from ...mapping.keyframes import KeyframeMotion, LandmarkIds
 from ...mapping.landmark_ids import assign_landmark_ids
@@ -70,7 +71,7 @@ def refine_once(
         new.add_keyframe_with_ids(matched[k], motions[k], features.segments, features.corners, landmark_ids[k])
     new.graph.add_matches(matches)
     new.solve()
-    new.split_walls()
+    split_walls(new)
     solved = new.graph.keyframe_poses(len(history.keyframes))
     recompute_covariances(new.landmarks, history, new.landmark_ids, solved, new.roughness.variance)
     return IterationResult(new, motions, solved, odometry_wrong, merged, _count_changes(old, new))

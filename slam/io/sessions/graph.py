@@ -25,6 +25,7 @@ COVARIANCE_SIZES = {
     FactorKind.WALL: 2,
     FactorKind.CORNER: 2,
     FactorKind.WALL_EQUALITY: 2,
+    FactorKind.PLAN_WALL: 2,
 }
 """Rows of a factor's covariance, if it is not that of a pose (3)."""
 POSE_SIZE = 3
@@ -105,11 +106,15 @@ def write_variables(file: Path, state: GraphState) -> None:
     write_table(file, {"kind": kinds, "id": ids.astype(np.int32), **columns})
 
 
-def read_graph(variables: Path, factors: Sequence[Factor], *, updates: int, qr: bool, bias: float) -> GraphState:
+def read_graph(
+    variables: Path, factors: Sequence[Factor], *, updates: int, qr: bool, range_bias: float, waiting: int
+) -> GraphState:
     """Read the table of variables and combine it with `factors`; see `GraphState` for the rest.
 
     Raises MapError naming the file.
     """
+    if waiting > len(factors):
+        raise MapError(f"{variables}: {waiting} of {len(factors)} factors cannot be waiting")
     table = TableReader(variables)
     kinds, ids = np.array(table.strings("kind"), dtype=str), table.integers("id")
     values = table.floats("x", "y", "heading")
@@ -127,5 +132,6 @@ def read_graph(variables: Path, factors: Sequence[Factor], *, updates: int, qr: 
         point_map_poses=values[point_maps],
         updates=updates,
         qr=qr,
-        bias=bias,
+        bias=range_bias,
+        waiting=waiting,
     )

@@ -13,6 +13,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, ValidationError, mode
 from ...errors import MapError, first_line
 from ...estimation.slam_state import Anchor, TrackingCheckpoint
 from ...geometry.segments import Floats
+from ...graph.factors import GraphState
 from ...localisation.local_field import LocalFieldState
 from ...localisation.tracker import PoseFix, TrackerState
 from ...loop_closure.loop_hypothesis import LoopAgreementState
@@ -62,9 +63,11 @@ class _Anchor(Record):
 class _Tracker(Record):
     fix: _PoseFix
     reference: _PoseFix
-    fix_stamp: Finite | None
-    speeds: tuple[Finite, Finite]
-    speed_start: tuple[Finite, Finite, Finite, Finite] | None
+    since_fix: Finite | None
+    scan_stamp: Finite | None
+    intervals: list[Finite]
+    velocity: tuple[Finite, Finite, Finite]
+    velocity_variances: tuple[Finite, Finite, Finite]
     last_score: Finite
 
 
@@ -88,6 +91,7 @@ class _Graph(Record):
     updates: int = Field(ge=0)
     qr: bool
     range_bias: Finite
+    waiting: int = Field(default=0, ge=0)
 
 
 class _Part(Record):
@@ -139,14 +143,13 @@ class SessionHeader(Record):
         checkpoint: TrackingCheckpoint,
         loops: LoopAgreementState,
         joins: Mapping[int, LoopAgreementState],
-        graph: tuple[int, bool, float],
+        graph: GraphState,
         sensor_models: tuple[float, Floats, Floats],
         parts: MapParts,
     ) -> SessionHeader:
         """Make the header of a session.
 
         loops, joins   state of the search for loops, and of those for joins, by the group of parts that is searched
-        graph          updates, True if QR is used, and range bias (metres); see `GraphState`
         sensor_models  standard deviation of a range (metres), samples of the odometry model (n, 6), and samples of the
                        wall roughness (m,)
         """
@@ -155,7 +158,7 @@ class SessionHeader(Record):
             segment_starts=segment_starts,
             checkpoint=_checkpoint_record(checkpoint),
             agreement=agreement_record(loops),
-            graph=_Graph(updates=graph[0], qr=graph[1], range_bias=graph[2]),
+            graph=_Graph(updates=graph.updates, qr=graph.qr, range_bias=graph.bias, waiting=graph.waiting),
             sensor_models=_SensorModels(
                 sigma_range=sensor_models[0],
                 odometry_samples=sensor_models[1].tolist(),
@@ -195,13 +198,14 @@ def _fix_record(fix: PoseFix) -> _PoseFix:
 
 
 def _tracker_record(state: TrackerState) -> _Tracker:
-    forward, turn = state.speeds.tolist()
     return _Tracker(
         fix=_fix_record(state.fix),
         reference=_fix_record(state.reference),
-        fix_stamp=state.fix_stamp,
-        speeds=(forward, turn),
-        speed_start=None if state.speed_start is None else (state.speed_start[0], *state.speed_start[1].tolist()),
+        since_fix=state.since_fix,
+        scan_stamp=state.scan_stamp,
+        intervals=list(state.intervals),
+        velocity=to_pose(state.velocity),
+        velocity_variances=to_pose(state.velocity_variances),
         last_score=state.last_score,
     )
 
@@ -210,9 +214,10 @@ def _tracker_state(record: _Tracker) -> TrackerState:
     fix, reference = (
         PoseFix(np.array(saved.pose), np.array(saved.odometry)) for saved in (record.fix, record.reference)
     )
-    start = record.speed_start
-    speed_start = None if start is None else (start[0], np.array(start[1:]))
-    return TrackerState(fix, reference, record.fix_stamp, np.array(record.speeds), speed_start, record.last_score)
+    return TrackerState(
+        fix, reference, record.since_fix, record.scan_stamp, tuple(record.intervals), np.array(record.velocity),
+        np.array(record.velocity_variances), record.last_score,
+    )  # fmt: skip
 
 
 def _local_field_state(record: _LocalField) -> LocalFieldState:

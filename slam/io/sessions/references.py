@@ -16,7 +16,9 @@ from ...mapping.landmarks import Landmarks
 Ids = NDArray[np.int64]
 
 TO_KEYFRAME = (FactorKind.ODOMETRY, FactorKind.LOOP, FactorKind.SCAN_MATCH)
-TO_WALL = (FactorKind.GAUGE_PRIOR, FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET, FactorKind.WALL_EQUALITY)
+FROM_WALL = (FactorKind.WALL_EQUALITY, FactorKind.PLAN_WALL)
+"""Kinds of factors whose `first` is a wall."""
+TO_WALL = (FactorKind.GAUGE_PRIOR, FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET, *FROM_WALL)
 """Kinds of factors whose `second` is a variable of that kind."""
 
 
@@ -54,7 +56,7 @@ def check_factors(
     keyframes = set(range(len(graph.keyframes)))
     walls, corners, point_maps = (set(ids.tolist()) for ids in (graph.walls, graph.corners, graph.point_maps))
     for factor in factors:
-        firsts = walls if factor.kind is FactorKind.WALL_EQUALITY else keyframes
+        firsts = walls if factor.kind in FROM_WALL else keyframes
         firsts = point_maps if factor.kind in (FactorKind.SCAN_MATCH, FactorKind.POINT_MAP) else firsts
         seconds = keyframes if factor.kind in TO_KEYFRAME else walls if factor.kind in TO_WALL else None
         seconds = corners if factor.kind is FactorKind.CORNER else seconds

@@ -19,6 +19,7 @@ from ...config import Config, load_config
 from ...errors import MapError, first_line
 from ...estimation.refinement import ScanHistory, build_scan_history
 from ...estimation.slam_state import SlamState
+from ...graph.graph_storage import graph_state
 from ...mapping.landmarks import Landmarks
 from ...mapping.mapper import Mapper
 from ...mapping.wall_roughness import WallRoughness
@@ -97,7 +98,7 @@ def write_session(directory: Path, session: StoredSession) -> None:
     folder = directory / SESSION
     folder.mkdir()
     slam_state, mapper = session.slam_state, session.slam_state.mapper
-    graph = mapper.graph.state()
+    graph = graph_state(mapper.graph)
     scans = ScanRecords(list(session.scans), slam_state.trajectory, slam_state.keyframe_stamps, mapper.landmark_ids)
     write_scans(folder / SCANS, scans)
     write_recent_keyframes(folder / RECENT_KEYFRAMES, scans)
@@ -115,7 +116,7 @@ def write_session(directory: Path, session: StoredSession) -> None:
         slam_state.checkpoint,
         slam_state.loops.state,
         slam_state.joins.states,
-        (graph.updates, graph.qr, graph.bias),
+        graph,
         (session.sigma_range, slam_state.odometry_model.samples, mapper.roughness.samples),
         mapper.landmarks.parts,
     )
@@ -127,8 +128,12 @@ def is_session(path: Path) -> bool:
     return (path / SESSION / HEADER).is_file()
 
 
-def read_session(path: Path) -> StoredSession:
-    """Read the session in the directory of a run. Raises MapError naming the file and the problem."""
+def read_session(path: Path, *, solve: bool = True) -> StoredSession:
+    """Read the session in the directory of a run. Raises MapError naming the file and the problem.
+
+    solve  solve the graph with all keyframes. If not, the last ones may be waiting for that, and a continued run gives
+           exactly the estimate of an uninterrupted one
+    """
     if not path.is_dir():
         raise MapError(f"{path}: is not a directory; expected the output directory of `wclm run`")
     folder = path / SESSION
@@ -140,9 +145,12 @@ def read_session(path: Path) -> StoredSession:
     landmarks = read_landmarks(folder / WALLS, folder / CORNERS)
     _check_references(folder / HEADER, header, scans, landmarks)
     landmarks.parts = header.map_parts
+    slam_state = _read_slam_state(path, config, header, scans, landmarks)
+    if solve:
+        slam_state.mapper.solve_waiting()
     return StoredSession(
         config=config,
-        slam_state=_read_slam_state(path, config, header, scans, landmarks),
+        slam_state=slam_state,
         scans=scans.scans,
         odometry=read_odometry(folder / ODOMETRY),
         starts=list(header.segment_starts),
@@ -162,8 +170,7 @@ def _read_slam_state(
     rows = build_scan_history(scans.scans, scans.trajectory, scans.keyframe_stamps, ()).keyframes
     keyframes = {k: scans.scans[row] for k, row in enumerate(rows.tolist())}
     factors, unconfirmed = read_factors(folder / FACTORS)
-    saved = header.graph
-    graph = read_graph(folder / VARIABLES, factors, updates=saved.updates, qr=saved.qr, bias=saved.range_bias)
+    graph = read_graph(folder / VARIABLES, factors, **header.graph.model_dump())
     check_landmarks(folder / WALLS, landmarks, len(scans.keyframe_stamps))
     check_variables(folder / VARIABLES, graph, landmarks, len(scans.keyframe_stamps))
     check_factors(folder / FACTORS, graph, factors, unconfirmed, landmarks)
@@ -172,8 +179,8 @@ def _read_slam_state(
     free_space_evidence = read_free_space_evidence(folder / WALLS)
     try:
         with np.errstate(divide="raise", over="raise", invalid="raise"):  # damaged numbers raise ArithmeticError
-            segments = [keyframes[k].features.segments for k in range(len(rows))]
-            mapper = Mapper.from_saved(graph, landmarks, roughness, free_space_evidence, records, segments, unconfirmed)
+            views = [(keyframes[k].features.segments, keyframes[k].features.points.all) for k in range(len(rows))]
+            mapper = Mapper.from_saved(graph, landmarks, roughness, free_space_evidence, records, views, unconfirmed)
             return SlamState.restored(
                 config,
                 np.array(header.sensor_models.odometry_samples).reshape(-1, 6),

@@ -116,12 +116,21 @@ class TableReader:
         return int(self._table.num_rows)
 
     def _check_size(self) -> None:
-        """Raise MapError if the table would be far larger in memory than any that is written."""
-        metadata = pq.read_metadata(self._path)
-        groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
+        """Raise MapError if the table would be far larger in memory than any that is written.
+
+        Raises ValueError or ArrowException if the file is damaged.
+        """
+        file = pq.ParquetFile(self._path)
+        groups = [file.metadata.row_group(k) for k in range(file.metadata.num_row_groups)]
+        limit = max(ALWAYS_ALLOWED, MAX_RATIO * self._path.stat().st_size)
+        size = sum(group.total_byte_size for group in groups)
+        if size > limit:
+            raise MapError(f"{self._path}: unpacks to {size} bytes, which is more than {MAX_RATIO} times its size")
+        # Reads all columns with little memory. A damaged description of a column is an error here; in `column` below,
+        # PyArrow would end the whole process.
+        file.scan_contents()
         values = sum(group.column(k).num_values for group in groups for k in range(group.num_columns))
-        size = max(VALUE_SIZE * values, sum(group.total_byte_size for group in groups))
-        if size > max(ALWAYS_ALLOWED, MAX_RATIO * self._path.stat().st_size):
+        if VALUE_SIZE * values > limit:
             raise MapError(f"{self._path}: has {values} values, which is more than {MAX_RATIO} times its size")
 
     def floats(self, *names: str, finite: bool = True) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -24,6 +25,11 @@ MAX_SHIFT, MAX_TURN = 0.5, math.radians(10.0)
 # Metres across and radians within which walls are the same until a test shows that one has moved.
 # Origin: chosen, as the last gate of the alignment; not measured.
 SAME_SHIFT, SAME_TURN = 0.2, math.radians(4.0)
+
+
+# Walls that are known not to have moved from which the motion between the maps follows. Origin: definition, three
+# determine it.
+MIN_UNMOVED = 3
 
 
 class ChangeKind(StrEnum):
@@ -108,11 +114,17 @@ def compare(old: Survey, new: Survey, false_discovery_rate: float, guess: se2.Po
     return find_changes(old, new, locate(old, new, guess), false_discovery_rate)
 
 
-def find_changes(old: Survey, new: Survey, guess: se2.Pose, false_discovery_rate: float) -> MapDiff:
-    """Compare two maps as `compare` does, given a guess of the pose of the new map in the old one."""
-    movements = find_movements(
-        old.wall_map, new.wall_map, find_pairs(old.wall_map.walls, new.wall_map.walls, guess), guess
-    )
+def find_changes(
+    old: Survey, new: Survey, guess: se2.Pose, false_discovery_rate: float, unmoved: Collection[int] = ()
+) -> MapDiff:
+    """Compare two maps as `compare` does, given a guess of the pose of the new map in the old one.
+
+    unmoved  identities in the new map of walls that are known not to have moved, if any are known
+    """
+    pairs = find_pairs(old.wall_map.walls, new.wall_map.walls, guess)
+    known = np.isin(new.wall_map.walls.identity[pairs[:, 1]], list(unmoved))
+    enough = known.sum() >= MIN_UNMOVED
+    movements = find_movements(old.wall_map, new.wall_map, pairs, guess, known if enough else None)
     motion = movements.motion
     in_old = find_sightings(old, new, motion)
     in_new = find_sightings(new, old, se2.inverse(motion))

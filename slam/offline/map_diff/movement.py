@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers import se2
 
@@ -49,11 +50,17 @@ class Movements:
     scale: float
 
 
-def find_movements(old: WallMap, new: WallMap, pairs: Integers, motion: se2.Pose) -> Movements:
-    """Return the movements of pairs (n, 2) of walls; `motion` is a guess of the pose of the new map in the old one."""
+def find_movements(
+    old: WallMap, new: WallMap, pairs: Integers, motion: se2.Pose, unmoved: NDArray[np.bool_] | None = None
+) -> Movements:
+    """Return the movements of pairs (n, 2) of walls.
+
+    motion   guess of the pose of the new map in the old one
+    unmoved  (n,) pairs that are known not to have moved, if any are known; if None, they are found by iteration
+    """
     points = shared_points(old.walls, new.walls, pairs, motion)
     covariance = _at_points(old, pairs[:, 0], points[:, 0]) + _at_points(new, pairs[:, 1], points[:, 1])
-    still = np.ones(len(pairs), dtype=bool)
+    still = np.ones(len(pairs), dtype=bool) if unmoved is None else unmoved
     for _ in range(MAX_ITERATIONS):
 
         def differences(change: Floats, motion: se2.Pose = motion) -> Floats:
@@ -71,7 +78,7 @@ def find_movements(old: WallMap, new: WallMap, pairs: Integers, motion: se2.Pose
         p_value = np.exp(-0.5 * squared / scale)
         motion = se2.compose(motion, -gain @ values)
         now = p_value >= OUTLIER_PROBABILITY
-        if (now == still).all() or 2 * now.sum() <= len(now):
+        if unmoved is not None or (now == still).all() or 2 * now.sum() <= len(now):
             break
         still = now
     return Movements(pairs, rest[::2], rest[1::2], np.sqrt(scale) * sigma, p_value, motion, scale)

@@ -36,7 +36,7 @@ MILLIMETRES_PER_METRE = 10
 
 def diff_text(diff: MapDiff, corners: Sequence[CornerChange]) -> str:
     """Return a line for each difference, then those that were not seen, and the number of walls in both maps."""
-    lines = [_line(change) for change in diff.changes if change.kind in DIFFERENCES]
+    lines = difference_lines(diff)
     for kind in DIFFERENCES:
         identities = [str(corner.identity) for corner in corners if corner.kind is kind]
         if identities:
@@ -49,18 +49,29 @@ def diff_text(diff: MapDiff, corners: Sequence[CornerChange]) -> str:
     return "\n".join([*lines, same if math.isclose(diff.scale, 1.0) else f"{same}, variances times {diff.scale:.2f}"])
 
 
+def difference_lines(diff: MapDiff) -> list[str]:
+    """Return a line for each wall that has moved, is gone or is new, with its place and the size of the difference."""
+    return [_line(change) for change in diff.changes if change.kind in DIFFERENCES]
+
+
 def _line(change: Change) -> str:
     if change.kind is ChangeKind.MOVED:
         shift, turn = 1e3 * change.shift, math.degrees(change.turn)
         side = "left" if shift > 0.0 else "right"
         sigmas = 1e3 * change.sigma[0], math.degrees(change.sigma[1])
-        text = f"wall {change.old}, now {change.new}: {abs(shift):.1f} mm ± {sigmas[0]:.1f} mm to its {side}"
+        which = f"wall {change.old}, now {change.new}, {_place(change)}"
+        text = f"{which}: {abs(shift):.1f} mm ± {sigmas[0]:.1f} mm to its {side}"
         return f"moved: {text}, turned by {turn:.2f}° ± {sigmas[1]:.2f}°, {_probability(change)}"
-    (x0, y0), (x1, y1) = change.stretches[0].tolist()
-    length = math.hypot(x1 - x0, y1 - y0)
-    place = f"{length:.1f} m of wall {_named(change)} from ({x0:.2f}, {y0:.2f}) to ({x1:.2f}, {y1:.2f})"
+    length = math.hypot(*(change.stretches[0, 1] - change.stretches[0, 0]))
+    place = f"{length:.1f} m of wall {_named(change)} {_place(change)}"
     votes = f"seen through by {change.through} scans, seen by {change.seen}"
     return f"{change.kind}: {place}, {votes}, {_probability(change)}"
+
+
+def _place(change: Change) -> str:
+    """Return the ends of a wall, or of the stretch that a change is about, as text."""
+    (x0, y0), (x1, y1) = change.stretches[0, 0].tolist(), change.stretches[-1, 1].tolist()
+    return f"from ({x0:.2f}, {y0:.2f}) to ({x1:.2f}, {y1:.2f})"
 
 
 def _probability(change: Change) -> str:

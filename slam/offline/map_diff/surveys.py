@@ -39,7 +39,11 @@ class Survey:
 
 def survey_session(path: Path, session: StoredSession) -> Survey:
     """Settle a session, which is changed; `path` is named in errors. Raises MapError."""
-    wall_map = wall_map_of(path, session)
+    return survey_settled(session, wall_map_of(path, session))
+
+
+def survey_settled(session: StoredSession, wall_map: WallMap) -> Survey:
+    """Return the survey of a session that has been settled, with its walls."""
     history = session.scan_history()
     poses = history.scan_poses(session.slam_state.mapper.keyframe_poses)
     chosen: list[int] = []

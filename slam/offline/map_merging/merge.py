@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from ...errors import MapError
 from ...io.sessions import StoredSession
 from ...loop_closure.relocalisation import MapIndex, index_map
+from ...mapping.convergence import converge
 from .consensus import Consensus, locate_session
 from .pairwise_merge import merge_pair
 
@@ -35,7 +36,7 @@ def merge_sessions(sessions: Sequence[tuple[str, StoredSession]]) -> MergedSessi
     for name, session in sessions:
         if not session.slam_state.mapper.keyframe_count:
             raise MapError(f"{name}: has no keyframe, so it cannot be merged")
-        session.slam_state.mapper.converge()
+        converge(session.slam_state.mapper)
     (_, merged), *remaining = sessions
     added: list[tuple[str, Consensus]] = []
     while remaining:

@@ -20,6 +20,7 @@ from ...io.sessions import StoredSession
 from ...localisation.local_field import MAX_PATH, LocalFieldState
 from ...loop_closure.closing import LOOP_FACTOR_SIGMAS, MIN_COINCIDING_SHARE, walls_coincide
 from ...loop_closure.loop_hypothesis import LoopAgreementState
+from ...mapping.convergence import converge
 from ...mapping.mapper import Mapper
 from ...odometry.error_model import OdometryModel
 from .consensus import Consensus
@@ -125,7 +126,7 @@ def _merge_matched_walls(mapper: Mapper, consensus: Consensus, offset: int, temp
             mapper.merge_walls(old, new)
     mapper.graph.update()
     mapper.graph.remove_factors(temporary)
-    mapper.converge()
+    converge(mapper)
 
 
 def _transfer_checkpoint(

@@ -19,6 +19,8 @@ from slam.io.output_dir import CONFIG
 from slam.io.sessions import read_session, write_session
 from slam.io.tum import Trajectory
 from slam.loop_closure.agreement import LoopAgreement
+from slam.mapping.convergence import converge
+from slam.mapping.part_gauge import PartGauge
 from slam.odometry.error_model import OdometryModel
 from slam.preprocessing.preprocessor import Preprocessor, ProcessedScan
 
@@ -103,10 +105,24 @@ def test_the_covariance_between_parts_is_that_of_odometry(scans: list[ProcessedS
     mapper = estimator.state.mapper
     first, last = mapper.landmarks.parts.firsts[1], mapper.keyframe_count - 1
     for _ in range(2):
-        across = np.sqrt(np.diag(mapper.relative_covariance(first - 1, first)))
+        across = np.sqrt(np.diag(mapper.covariances.relative(first - 1, first)))
         assert np.all(across > (5.0, 5.0, 1.0) if kidnapped else across < (0.5, 0.5, 0.5))
-        assert np.sqrt(np.diag(mapper.relative_covariance(first, last))).max() < 0.05
-        mapper.converge()
+        assert np.sqrt(np.diag(mapper.covariances.relative(first, last))).max() < 0.05
+        converge(mapper)
+
+
+def test_kept_covariances_between_parts_stay_right(scans: list[ProcessedScan]) -> None:
+    """Those of the part that is not mapped now are computed once, although the graph changes with each keyframe."""
+    estimator, _ = lose(scans[: len(scans) // 2], np.zeros(3), kidnapped=True)
+    mapper, (_, first) = estimator.state.mapper, estimator.state.mapper.landmarks.parts.firsts
+    for scan in scans[len(scans) // 2 :][:40]:
+        for old in (0, first // 2, first - 1):
+            last = mapper.keyframe_count - 1
+            kept = mapper.covariances.relative(old, last)
+            computed = PartGauge(mapper.gauge.motion).covariance_across(mapper, old, last)
+            np.testing.assert_allclose(kept, computed, rtol=1e-3, atol=1e-9)
+        estimator.process(scan)
+    assert mapper.keyframe_count - first > 10
 
 
 def test_a_robot_that_is_lost_again_maps_another_part(scans: list[ProcessedScan]) -> None:
@@ -117,8 +133,8 @@ def test_a_robot_that_is_lost_again_maps_another_part(scans: list[ProcessedScan]
     for scan in scans[len(scans) // 2 :][:20]:
         estimator.process(scan)
     mapper, (_, second, third) = estimator.state.mapper, estimator.state.mapper.landmarks.parts.firsts
-    assert np.sqrt(mapper.relative_covariance(second, third)[0, 0]) < 0.5
-    assert np.sqrt(mapper.relative_covariance(0, third)[0, 0]) > 5.0
+    assert np.sqrt(mapper.covariances.relative(second, third)[0, 0]) < 0.5
+    assert np.sqrt(mapper.covariances.relative(0, third)[0, 0]) > 5.0
 
 
 def test_a_part_that_was_left_is_joined_as_well(scans: list[ProcessedScan], drive: list[Message]) -> None:
@@ -226,7 +242,7 @@ def test_an_interrupted_run_maps_on_in_the_same_part(tmp_path: Path) -> None:
         resumed.add(message)
     finished, parts = resumed.finish(), resumed.slam_state.mapper.landmarks.parts
     assert parts.apart == [1]
-    assert np.sqrt(resumed.slam_state.mapper.relative_covariance(parts.firsts[1] - 1, parts.firsts[1])[0, 0]) > 5.0
+    assert np.sqrt(resumed.slam_state.mapper.covariances.relative(parts.firsts[1] - 1, parts.firsts[1])[0, 0]) > 5.0
     assert len(resumed.slam_state.trajectory) == sum(isinstance(message, Scan) for message in messages)
     after = finished.keyframe_stamps > messages[len(messages) * 3 // 4].stamp
     truth = [message for message in messages if isinstance(message, GroundTruth)]

@@ -92,7 +92,7 @@ def test_undetermined_graph_raises_map_error() -> None:
     graph = FactorGraph()
     graph.add_first_keyframe(np.zeros(3))
     graph.add_wall(0, 0, np.array([1.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))
-    arrays = ArrayGraph(graph._new, 0.0)
+    arrays = ArrayGraph(graph.additions.factors, 0.0)
     with pytest.raises(MapError, match="the map cannot be estimated"):
         arrays.step(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), 0.0)
 

@@ -10,8 +10,10 @@ import numpy as np
 from drivers import se2
 from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.localisation.local_field import LocalField
-from slam.loop_closure.agreement import MIN_SUPPORT, SUBMAP_LENGTH, LoopAgreement
+from slam.loop_closure.agreement import LoopAgreement
+from slam.loop_closure.criteria import MIN_SUPPORT
 from slam.loop_closure.decision import LoopDecision
+from slam.loop_closure.look import SUBMAP_LENGTH
 from slam.loop_closure.loop_status import LoopStatus
 from slam.loop_closure.returns import summarise
 from slam.mapping.landmarks import Landmarks
@@ -46,10 +48,14 @@ class StubMap:
     def pose_covariances(self) -> list[Floats]:
         return [self.covariance] * self.keyframe_count
 
-    def relative_covariance(self, old: int, keyframe: int) -> Floats:
+    @property
+    def covariances(self) -> StubMap:
+        return self
+
+    def relative(self, old: int, keyframe: int) -> Floats:
         return self.covariance
 
-    def relative_covariance_bound(self, old: int, keyframe: int, *, stored: bool) -> Floats:
+    def relative_bound(self, old: int, keyframe: int, *, stored: bool) -> Floats:
         return self.covariance
 
 

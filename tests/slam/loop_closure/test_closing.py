@@ -59,6 +59,7 @@ def drifted_mapper(drift: se2.Pose) -> tuple[Mapper, list[int], list[int]]:
     second = observe(mapper, pose, np.zeros(3), moved, None)
     observe(mapper, pose, np.zeros(3), moved, second)
     assert np.hypot(*there[:2]) > 0.5
+    mapper.solve_waiting()
     return mapper, first, second
 
 

@@ -86,7 +86,9 @@ def test_needed_loop_is_closed_at_the_right_place() -> None:
     assert not result.wrong
 
 
-@pytest.mark.parametrize(("world", "seed"), [("equal_doors", 5001), ("equal_offices", 18)])
+@pytest.mark.parametrize(
+    ("world", "seed"), [("equal_doors", 5001), pytest.param("equal_offices", 18, marks=pytest.mark.slow)]
+)
 def test_no_wrong_closure_is_accepted_between_similar_places(
     world: str, seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -103,7 +105,7 @@ def test_no_wrong_closure_is_accepted_between_similar_places(
     assert not result.wrong
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_robot_is_not_relocalised_at_similar_place_unless_kidnapped(seed: int) -> None:
     """The robot leaves a court too wide to see across by a corridor that looks like the one it came from."""
     result = run_world("symmetric_room", seed)

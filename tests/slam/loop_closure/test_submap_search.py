@@ -7,7 +7,7 @@ import pytest
 
 from drivers import se2
 from slam.geometry.segments import Floats, Segments
-from slam.loop_closure.agreement import MIN_KNOWN, MIN_LOOP_FIT
+from slam.loop_closure.criteria import MIN_KNOWN, MIN_LOOP_FIT
 from slam.loop_closure.submap_search import Submap, build_submap, improve, search_submap
 from slam.matching.offset_tiles import FIELD_CELL
 from slam.matching.point_matcher import POINT_SPACING

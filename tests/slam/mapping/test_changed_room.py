@@ -164,10 +164,10 @@ def test_nothing_is_removed_in_a_building_that_does_not_change(seed: int) -> Non
 
 def test_a_session_restores_the_free_space_evidence(tmp_path: Path) -> None:
     partition = TemporaryShapes(0.0, 16.0, PARTITION, NOTHING[1])
-    slam, _ = run(drive(world(passing=[partition]), duration=18.0))
+    slam, _ = run(drive(world(passing=[partition]), duration=19.0))
     free_space_evidence = slam.session.slam_state.mapper.free_space_evidence
     assert free_space_evidence.counts
-    again = read_session(save(slam.session, tmp_path / "out"))
+    again = read_session(save(slam.session, tmp_path / "out"), solve=False)
     assert again.slam_state.mapper.free_space_evidence.counts == {
         wall: cells for wall, cells in free_space_evidence.counts.items() if cells
     }

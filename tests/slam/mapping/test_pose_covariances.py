@@ -13,9 +13,10 @@ def test_bound_of_a_relative_covariance_is_no_smaller_than_that(world: str) -> N
     for message in drivers.open(f"sim:{world}?odometry=bad&duration=25&seed=3"):
         slam.add(message)
     mapper = slam.slam_state.mapper
+    mapper.solve_waiting()
     last = mapper.keyframe_count - 1
     for old in range(0, last, max(1, last // 6)):
-        exact = mapper.relative_covariance(old, last)
+        exact = mapper.covariances.relative(old, last)
         for stored in (True, False):
-            surplus = mapper.relative_covariance_bound(old, last, stored=stored) - exact
+            surplus = mapper.covariances.relative_bound(old, last, stored=stored) - exact
             assert np.linalg.eigvalsh(surplus)[0] > -1e-9

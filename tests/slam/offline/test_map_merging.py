@@ -164,7 +164,7 @@ class FakeSession:
 
     @property
     def slam_state(self) -> SimpleNamespace:
-        return SimpleNamespace(mapper=SimpleNamespace(keyframe_count=1, converge=lambda: None, rooms=self.rooms))
+        return SimpleNamespace(mapper=SimpleNamespace(keyframe_count=1, rooms=self.rooms))
 
     def scan_history(self) -> None: ...
 
@@ -177,6 +177,7 @@ def fake_sessions(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         shared = len(mapper.rooms & index.rooms)
         return Consensus(9, 3 * shared, [MATCHES[0]] * 3 * shared, 3 * shared)
 
+    monkeypatch.setattr(module, "converge", lambda mapper: 0)
     monkeypatch.setattr(module, "index_map", lambda mapper: mapper)
     monkeypatch.setattr(module, "locate_session", locate)
     monkeypatch.setattr(module, "merge_pair", lambda merged, session, _: FakeSession(merged.rooms | session.rooms))

@@ -1,0 +1,304 @@
+"""Mapping with a plan: recognise the map in it, and let its walls support those of the map that agree with it.
+
+The robot maps as without a plan, in a frame of its own, until the walls seen recently are recognised in the plan at two
+places, a submap apart. Then the map is moved to the plan's frame. From then on a wall that agrees with the plan gets a
+factor with what the plan states about it; a wall that differs gets none. At the end of the run all walls are tested
+again, and factors that the finished map contradicts are removed.
+"""
+
+from __future__ import annotations
+
+import copy
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drivers import se2
+
+from ..geometry.segments import Floats, Integers
+from ..graph.factor_graph import CLOSING_UPDATES
+from ..loop_closure.closing import LOOP_FACTOR_SIGMAS
+from ..loop_closure.criteria import SUPPORT_RATIO
+from ..loop_closure.join_search import ATTEMPT_DISTANCE, ATTEMPT_KEYFRAMES, RECENT_DISTANCE
+from ..loop_closure.look import MAX_SQUARED_DISTANCE, SUBMAP_LENGTH, UNMODELLED_SIGMAS
+from ..loop_closure.map_descriptor import express_in_frame
+from ..loop_closure.relocalisation import MIN_SUBMAP_OVERLAP, MIN_WALLS, index_map, relocalise, submap_of
+from ..loop_closure.submap_alignment import align_submap, sample_walls
+from ..loop_closure.submap_search import are_distinct
+from ..mapping.frame_change import change_frame
+from ..mapping.map_features import MapWalls
+from ..mapping.plan_map import PlanMap
+from ..mapping.plan_mapper import plan_mapper
+from ..mapping.plan_walls import PlanWall, contradicts, walls_on_plan
+from ..odometry.correlated_drift import embed_position_covariance, rotate_covariance
+
+if TYPE_CHECKING:
+    from ..mapping.mapper import Mapper
+
+# Metres, metres, radians: standard deviations of the first keyframe's pose in the plan: its walls determine it.
+# Origin: numerical, weak, and enough if one direction is undetermined.
+FIRST_POSE_IN_PLAN = np.diag(np.array([1.0, 1.0, 0.3]) ** 2)
+# Walls that must agree with the plan where the map was recognised. Origin: definition, three determine a pose.
+MIN_AGREEING_WALLS = 3
+# Rounds of tests at the end: walls that are supported determine their neighbours better. Origin: numerical.
+MAX_ROUNDS = 20
+
+
+class PlanPrior:
+    """A plan, and what is known about the place of the map in it.
+
+    recognised  true if the map is in the plan's frame
+    """
+
+    def __init__(self, plan_map: PlanMap, start: se2.Pose | None, start_covariance: Floats) -> None:
+        """Prepare a plan for recognition. Raises MapError if it shows too little.
+
+        start             roughly known pose of the base in the plan at the first scan, with its covariance (3, 3)
+        """
+        self.plan_map = plan_map
+        self.recognised = False
+        self._index = index_map(plan_mapper(plan_map))
+        self._start, self._start_covariance = start, start_covariance
+        self._found: list[tuple[se2.Pose, float]] = []  # motions into the plan, and the metres driven
+        self._last_keyframe, self._last_distance = -ATTEMPT_KEYFRAMES, -ATTEMPT_DISTANCE
+        self._supported: set[int] = set()  # walls of the map
+        self._observed = -1  # last keyframe whose walls were compared with the plan
+        self._anchored = 0  # last keyframe that saw a wall which the plan supports
+
+    def __deepcopy__(self, memo: dict[int, object]) -> PlanPrior:
+        """Return an independent copy; plan and index are never changed and are shared."""
+        other = copy.copy(self)
+        other._found, other._supported = list(self._found), set(self._supported)
+        return other
+
+    def update(self, mapper: Mapper) -> bool:
+        """Update the map after the graph was solved and read back.
+
+        Return True if it was recognised in the plan: moved to its frame, or corrected after a drift.
+        """
+        if mapper.landmarks.parts.current_is_apart or not mapper.is_solved:
+            return False
+        if self.recognised:
+            self._support_observed(mapper)
+            if mapper.travelled[-1] - mapper.travelled[self._anchored] < SUBMAP_LENGTH:
+                self._found.clear()
+                return False
+        found = self._search(mapper)
+        if found is None:
+            return False
+        return self._correct(mapper, found[0]) if self.recognised else self._move_to_plan(mapper, *found)
+
+    def settle(self, mapper: Mapper) -> bool:
+        """Test all walls of a finished map, which has converged; return False if it is not recognised in the plan."""
+        if not self.recognised:
+            found = self._find(mapper, np.ones(mapper.keyframe_count, dtype=bool))
+            if found is None or not self._move_to_plan(mapper, *found):
+                return False
+        graph, refuted = mapper.graph, set[int]()
+        refined = not graph.plan_walls()
+        current = set(self._candidates(mapper).tolist())  # without merged walls: those that replace them are tested
+        graph.remove_factors([number for wall, (number, _) in graph.plan_walls().items() if wall not in current])
+        for _ in range(MAX_ROUNDS):
+            walls = self._candidates(mapper)
+            frames, covariances = graph.wall_frames(walls.tolist()), _covariances(mapper, walls)
+            supported, row = graph.plan_walls(), {wall: k for k, wall in enumerate(walls.tolist())}
+            wrong = [
+                wall
+                for wall, (_, factor) in supported.items()
+                if wall in row
+                and contradicts(frames[row[wall]], covariances[row[wall]], factor.measured, factor.covariance)
+            ]
+            refuted.update(wrong)
+            new = np.array([wall not in supported and wall not in refuted for wall in walls.tolist()], dtype=bool)
+            added = walls_on_plan(walls[new], frames[new], _extents(mapper, walls[new]), covariances[new], self._walls)
+            if not wrong and not added:
+                break
+            self._support(mapper, added)
+            graph.remove_factors([supported[wall][0] for wall in wrong])
+            graph.update_until_converged()
+            mapper.read_back_all()
+        self._supported = set(graph.plan_walls())
+        if refined and len(self._supported) >= MIN_AGREEING_WALLS:  # its first keyframe is still fixed
+            change_frame(mapper, np.zeros(3), FIRST_POSE_IN_PLAN)
+            return self.settle(mapper)
+        return True
+
+    @property
+    def _walls(self) -> MapWalls:
+        """Walls of the plan."""
+        return self.plan_map.walls
+
+    # --- recognition
+
+    def _search(self, mapper: Mapper) -> tuple[se2.Pose, Floats] | None:
+        """Return the motion into the plan, with the covariance (3, 3) of the robot's pose there, if it is certain."""
+        travelled = np.asarray(mapper.travelled)
+        last, now = mapper.keyframe_count - 1, float(travelled[-1])
+        if last - self._last_keyframe < ATTEMPT_KEYFRAMES or now - self._last_distance < ATTEMPT_DISTANCE:
+            return None
+        self._last_keyframe, self._last_distance = last, now
+        recent = (travelled > now - RECENT_DISTANCE) & mapper.landmarks.parts.connected(np.arange(last + 1))
+        if self._start is not None and not self.recognised:
+            aligned = self._align(mapper, recent, self._start, self._start_covariance)
+            if aligned is not None:
+                return aligned
+        found = self._find_admitted(mapper, recent) if self.recognised else self._find(mapper, recent)
+        if found is None:
+            return None
+        here = se2.compose(found[0], mapper.pose)
+        agrees = [not are_distinct(here, se2.compose(motion, mapper.pose)) for motion, _ in self._found]
+        before = [distance for (_, distance), agreeing in zip(self._found, agrees, strict=True) if agreeing]
+        self._found.append((found[0], now))
+        certain = bool(before) and now - before[0] >= SUBMAP_LENGTH
+        return found if certain and (len(before) + 1) >= SUPPORT_RATIO * (len(agrees) - len(before)) else None
+
+    def _find(self, mapper: Mapper, observers: np.ndarray) -> tuple[se2.Pose, Floats] | None:
+        """Search the walls of some keyframes (k,) in the whole plan."""
+        found = relocalise(submap_of(mapper, observers), self._index)
+        return (found.motion, found.covariance) if found is not None and found.verdict.accepted else None
+
+    def _find_admitted(self, mapper: Mapper, observers: np.ndarray) -> tuple[se2.Pose, Floats] | None:
+        """Search the walls of some keyframes (k,) in the plan where the robot may be by its uncertainty."""
+        found = relocalise(submap_of(mapper, observers), self._index)
+        if found is None or not found.verdict.plausible:
+            return None
+        pose, covariance = mapper.pose, self._pose_covariance(mapper) + np.diag(UNMODELLED_SIGMAS**2)
+        errors = [se2.between(pose, se2.compose(motion, pose)) for motion in (found.motion, *found.rivals)]
+        near = [bool(error @ np.linalg.solve(covariance, error) < MAX_SQUARED_DISTANCE) for error in errors]
+        if sum(near) != 1:
+            return None
+        motion = (found.motion, *found.rivals)[near.index(True)]
+        here, there = se2.compose(motion, pose), np.diag(np.diag(covariance))
+        return self._align(mapper, observers, se2.compose(here, se2.inverse(pose)), there)
+
+    def _pose_covariance(self, mapper: Mapper) -> Floats:
+        """Return the covariance (3, 3) of the last keyframe's pose in the plan, in its own frame."""
+        last = mapper.keyframe_count - 1
+        drift = embed_position_covariance(mapper.correlated_drift[last] - mapper.correlated_drift[self._anchored])
+        return mapper.graph.keyframe_covariance(last) + rotate_covariance(drift, -float(mapper.pose[2]))
+
+    def _align(
+        self, mapper: Mapper, observers: np.ndarray, start: se2.Pose, start_covariance: Floats
+    ) -> tuple[se2.Pose, Floats] | None:
+        """Align the walls of some keyframes (k,) with the plan near a motion `start` into the plan.
+
+        start_covariance  (3, 3) of the pose of the last of these keyframes after that motion, in its own frame
+        """
+        submap = submap_of(mapper, observers)
+        observed = express_in_frame(submap.pose, submap.descriptor)
+        if len(observed) < MIN_WALLS:
+            return None
+        guess = se2.compose(start, submap.pose)
+        alignment = align_submap(guess, observed, sample_walls(observed), self._index.descriptor)
+        motion = se2.compose(alignment.pose, se2.inverse(submap.pose))
+        error, covariance = se2.between(guess, alignment.pose), np.linalg.inv(alignment.information)
+        near = error @ np.linalg.solve(start_covariance, error) < MAX_SQUARED_DISTANCE
+        fits = alignment.length >= MIN_SUBMAP_OVERLAP * float(alignment.observed.sum())
+        return (motion, np.asarray(covariance)) if near and fits else None
+
+    def _move_to_plan(self, mapper: Mapper, motion: se2.Pose, covariance: Floats) -> bool:
+        """Move the map into the plan, and let the plan support the walls around the robot that agree with it.
+
+        covariance  (3, 3) of the robot's pose in the plan, in the plan's axes
+
+        Returns False, and changes nothing, if too few walls agree.
+        """
+        last, walls = mapper.keyframe_count - 1, self._recent(mapper)
+        relative = mapper.graph.relative_covariances([last], walls.tolist(), []).walls
+        frames = se2.compose(motion, mapper.graph.wall_frames(walls.tolist())).reshape(-1, 3)
+        lever = frames[:, :2] - se2.compose(motion, mapper.pose)[:2]
+        c, s = np.cos(frames[:, 2]), np.sin(frames[:, 2])
+        jacobian = np.zeros((len(walls), 2, 3))
+        jacobian[:, 0] = np.column_stack([-s, c, c * lever[:, 0] + s * lever[:, 1]])
+        jacobian[:, 1, 2] = 1.0
+        covariances = relative + jacobian @ covariance @ jacobian.transpose(0, 2, 1)
+        agreeing = walls_on_plan(walls, frames, _extents(mapper, walls), covariances, self._walls)
+        if len(agreeing) < MIN_AGREEING_WALLS:
+            return False
+        change_frame(mapper, motion, FIRST_POSE_IN_PLAN)
+        self._support(mapper, agreeing)
+        mapper.graph.update()
+        mapper.graph.update_until_converged()
+        mapper.read_back_all()
+        mapper.pose_covariances = [mapper.pose_covariances[-1]] * mapper.keyframe_count
+        self.recognised, self._anchored, self._observed = True, last, last
+        return True
+
+    def _correct(self, mapper: Mapper, motion: se2.Pose) -> bool:
+        """Move the last keyframe by a motion, which is a correction of drift, and let the plan support its walls.
+
+        A temporary prior moves the map into place: the walls that agree with the plan then hold it there.
+        """
+        graph, last = mapper.graph, mapper.keyframe_count - 1
+        graph.add_keyframe_prior(last, se2.compose(motion, mapper.pose), LOOP_FACTOR_SIGMAS)
+        temporary = graph.update()
+        graph.update_until_converged(CLOSING_UPDATES)
+        mapper.read_back_all()
+        walls = self._recent(mapper)
+        walls = walls[~self._are_supported(walls)]
+        frames, covariances = graph.wall_frames(walls.tolist()), _covariances(mapper, walls)
+        self._support(mapper, walls_on_plan(walls, frames, _extents(mapper, walls), covariances, self._walls))
+        graph.remove_factors(temporary)
+        graph.update_until_converged(CLOSING_UPDATES)
+        mapper.read_back_all()
+        self._anchored = last
+        self._found.clear()
+        return True
+
+    # --- support
+
+    def _support_observed(self, mapper: Mapper) -> None:
+        """Let the plan support the walls observed since the last solution of the graph, if they agree with it."""
+        last, walls = mapper.keyframe_count - 1, self._candidates(mapper)
+        rows = mapper.landmarks.walls.rows
+        walls, self._observed = walls[rows["last_seen"][walls] > self._observed], last
+        known = self._are_supported(walls)
+        new = walls[~known]
+        normal = np.column_stack([-np.sin(rows["frame"][new, 2]), np.cos(rows["frame"][new, 2])])
+        drift = mapper.correlated_drift[last] - mapper.correlated_drift[self._anchored]
+        covariances = rows["covariance_in_map"][new].copy()
+        covariances[:, 0, 0] += np.maximum(np.einsum("ni,ij,nj->n", normal, drift, normal), 0.0)
+        agreeing = walls_on_plan(new, rows["frame"][new], _extents(mapper, new), covariances, self._walls)
+        if agreeing:
+            self._support(mapper, agreeing)
+            mapper.graph.update()
+        if agreeing or known.any():
+            self._anchored = last
+
+    def _support(self, mapper: Mapper, stated: list[PlanWall]) -> None:
+        """Add what the plan states about walls to the graph, effective with its next update.
+
+        Walls of the map that are one wall in the plan share its error: each gets its share of the information.
+        """
+        rows = [one.row for one in stated]
+        for one in stated:
+            mapper.graph.add_plan_wall(one.wall, one.frame, one.covariance * rows.count(one.row))
+        self._supported.update(one.wall for one in stated)
+
+    def _are_supported(self, walls: Integers) -> np.ndarray:
+        """Return (n,) which walls the plan supports."""
+        return np.array([wall in self._supported for wall in walls.tolist()], dtype=bool)
+
+    def _recent(self, mapper: Mapper) -> Integers:
+        """Return the walls that can be compared with the plan and were seen recently."""
+        travelled, walls = np.asarray(mapper.travelled), self._candidates(mapper)
+        seen = travelled[mapper.landmarks.walls.rows["last_seen"][walls]]
+        return np.asarray(walls[seen > travelled[-1] - RECENT_DISTANCE])
+
+    @staticmethod
+    def _candidates(mapper: Mapper) -> Integers:
+        """Return the walls of the map that can be compared with the plan."""
+        landmarks = mapper.landmarks
+        return np.flatnonzero(landmarks.walls.rows["in_graph"] & landmarks.active() & landmarks.connected(keyframe=0))
+
+
+def _extents(mapper: Mapper, walls: Integers) -> Floats:
+    """Return begin and end (n, 2) of walls along their frames."""
+    rows = mapper.landmarks.walls.rows[walls]
+    return np.column_stack([rows["low"], rows["high"]])
+
+
+def _covariances(mapper: Mapper, walls: Integers) -> Floats:
+    """Return the covariance (n, 2, 2) of each wall in the map."""
+    blocks = mapper.graph.wall_covariances([[wall] for wall in walls.tolist()])
+    return np.array(blocks).reshape(-1, 2, 2)

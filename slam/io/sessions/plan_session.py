@@ -1,0 +1,72 @@
+"""A session made from a plan, on whose map a robot can localise as on that of an earlier run.
+
+Each view of the plan takes the place of a keyframe at an exactly known pose.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...config import Config
+from ...estimation.slam_state import Anchor, SlamState, TrackingCheckpoint
+from ...geometry.segments import Floats
+from ...graph.factor_graph import FIRST_POSE_SIGMAS
+from ...localisation.local_field import REFERENCE_DISTANCE, LocalFieldState
+from ...localisation.tracker import PoseFix, TrackerState
+from ...loop_closure.loop_hypothesis import LoopAgreementState
+from ...mapping.plan_map import PlanMap, PlanView
+from ...mapping.plan_mapper import plan_mapper
+from ...mapping.trajectory_builder import TrajectoryBuilder
+from ...matching.line_matcher import ScanFeatures
+from ...matching.scan_points import ScanPoints, rounded
+from ...odometry.history import OdometryHistory
+from ...preprocessing.preprocessor import NO_FEATURES, ProcessedScan
+from .session import StoredSession
+
+END = -1000.0
+"""Seconds at which the session ends: before any recording, and so long before that odometry does not continue it."""
+
+
+def plan_session(plan_map: PlanMap, config: Config) -> StoredSession:
+    """Return a session with the map of a plan, which ends before any recording begins. Raises MapError."""
+    mapper, views = plan_mapper(plan_map), plan_map.views
+    stamps = [END + k - len(views) for k in range(len(views))]
+    scans = [_scan(stamp, view) for stamp, view in zip(stamps, views, strict=True)]
+    trajectory = TrajectoryBuilder()
+    for k, stamp in enumerate(stamps):
+        trajectory.add(stamp, k, np.zeros(3), np.diag(FIRST_POSE_SIGMAS**-2.0))
+    last = len(views) - 1
+    state = SlamState.restored(
+        config,
+        np.zeros((0, 6)),
+        mapper,
+        trajectory,
+        stamps,
+        _checkpoint(views[last], last, _links(np.array([view.position for view in views]))),
+        LoopAgreementState(last_search=mapper.travelled[-1]),
+        dict(enumerate(scans)),
+    )
+    poses = np.array([view.pose for view in views])
+    history = OdometryHistory.from_arrays(np.array(stamps), poses)
+    return StoredSession(config, state, scans, [history], [0], config.lidar.sigma_range)
+
+
+def _scan(stamp: float, view: PlanView) -> ProcessedScan:
+    """Return a view as a scan; odometry has its pose in the plan."""
+    points = ScanPoints(rounded(view.points), np.zeros((0, 2)))
+    return ProcessedScan(stamp, view.pose, ScanFeatures(view.segments, NO_FEATURES.corners, points))
+
+
+def _checkpoint(view: PlanView, keyframe: int, links: list[tuple[int, int]]) -> TrackingCheckpoint:
+    """Return the state of tracking after the last view."""
+    fix = PoseFix(view.pose, view.pose)
+    field = LocalFieldState(view.position, links, {}, (), np.zeros((0, 3)))
+    anchor = Anchor(keyframe, np.zeros(3), np.zeros((3, 3)), view.pose)
+    return TrackingCheckpoint(TrackerState.placed(fix), field, anchor, False, ())
+
+
+def _links(positions: Floats) -> list[tuple[int, int]]:
+    """Return the pairs of views that are near each other and therefore show the same surfaces."""
+    distance = np.hypot(*(positions[:, None] - positions[None]).T)
+    first, second = np.nonzero(np.triu(distance < REFERENCE_DISTANCE, k=2))
+    return list(zip(first.tolist(), second.tolist(), strict=True))

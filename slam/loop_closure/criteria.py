@@ -1,0 +1,118 @@
+"""Criteria of loop closure: which matches count, and when looks support a hypothesis enough to close its loop."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drivers import se2
+
+from ..matching.point_matcher import SEARCH_FIT
+from .decision import Check, LoopDecision
+from .look import MAX_SQUARED_DISTANCE, SUBMAP_LENGTH, Look
+from .loop_hypothesis import LoopHypothesis
+from .loop_status import LoopStatus
+from .submap_search import SubmapMatch, are_distinct
+
+# Least fit of a match, and least share of the submap in space that the old place has seen.
+# Origin: chosen, not measured.
+MIN_LOOP_FIT = 0.75
+MIN_KNOWN = 0.4  # Origin: as MIN_LOOP_FIT.
+# Metres: largest standard deviation of a match in any direction; along a bare corridor it is larger.
+# Origin: definition, as MAX_LINK_SIGMA.
+MAX_MATCH_SIGMA = 0.17
+# Looks that must support a hypothesis. Origin: definition, the least number of which two have no point in common.
+MIN_SUPPORT = 4
+# Looks that support a hypothesis for each that contradicts it, and for each that supports a rival.
+# Origin: chosen, doors and people make a true place look wrong now and then; not measured.
+SUPPORT_RATIO = 3.0
+
+
+def fits(match: SubmapMatch) -> bool:
+    """True if a match shows enough of what the old place has seen, and that fits."""
+    return match.known >= MIN_KNOWN and match.fit >= MIN_LOOP_FIT
+
+
+def is_determined(match: SubmapMatch) -> bool:
+    """True if a match determines the position in every direction."""
+    return bool(np.linalg.eigvalsh(match.covariance[:2, :2])[-1] < MAX_MATCH_SIGMA**2)
+
+
+def differ(look: Look, motion: se2.Pose, other: se2.Pose) -> bool:
+    """True if two motions in the map lead the robot to different places."""
+    return are_distinct(se2.compose(motion, look.pose), se2.compose(other, look.pose))
+
+
+def support_checks(hypothesis: LoopHypothesis, look: Look, against: int, *, corrects: bool) -> tuple[Check, ...]:
+    """Check that enough looks support a hypothesis, and that the estimate's uncertainty admits it.
+
+    A place that looks alike may not be mapped yet. After driving as far as the robot may be off it is, so the looks
+    must extend over this distance.
+
+    look      the last one
+    against   number of looks that contradict the hypothesis
+    corrects  true if it would correct the estimate; false if it is that the estimate is right
+    """
+    count, old = len(hypothesis.support), hypothesis.support[-1].old
+    checks = [
+        Check("support", count, MIN_SUPPORT, at_least=True),
+        Check("span", hypothesis.span, max(SUBMAP_LENGTH, look.search_radius(old)), at_least=True),
+        Check("contradicted", against / count, 1.0 / SUPPORT_RATIO, at_least=False),
+    ]
+    if corrects:
+        deviations = np.sqrt(look.squared_distance(old, look.relative(old, hypothesis.motion)))
+        # So well must a tracked scan fit: a place that fits worse may be a similar one.
+        checks.append(Check("fit", hypothesis.mean_fit, SEARCH_FIT, at_least=True))
+        checks.append(Check("mahalanobis", float(deviations), float(np.sqrt(MAX_SQUARED_DISTANCE)), at_least=False))
+    return tuple(checks)
+
+
+def prevails(hypothesis: LoopHypothesis, rival: LoopHypothesis) -> bool:
+    """True if a rival has little support, or if enough looks support the hypothesis and contradict the rival."""
+    first, last = hypothesis.support[0].travelled, hypothesis.support[-1]
+    supported_now = bool(rival.support) and rival.support[-1].keyframe == last.keyframe
+    if not supported_now and len(hypothesis.support) >= SUPPORT_RATIO * rival.support_since(first):
+        return True
+    return tell_apart(hypothesis, rival)
+
+
+def tell_apart(hypothesis: LoopHypothesis, rival: LoopHypothesis) -> bool:
+    """True if enough looks support a hypothesis and contradict a rival, and few do the opposite."""
+    against = rival.discriminating_looks(hypothesis)
+    return hypothesis.discriminating_looks(rival) >= SUPPORT_RATIO * max(1, against)
+
+
+def confirm(
+    look: Look,
+    hypothesis: LoopHypothesis,
+    reason: str,
+    *,
+    rival_support: int,
+    contradictions: int,
+    checks: tuple[Check, ...],
+    since: int,
+    joins: bool,
+) -> LoopDecision:
+    """Return the decision to close the loop of a hypothesis, or to join parts of the map if `joins`.
+
+    look            at the last place that supports it
+    rival_support   number of looks that support its strongest rival
+    contradictions  number of looks that contradict it
+    since           first keyframe of the recent pass, or of the part that is joined
+    """
+    count, last = len(hypothesis.support), hypothesis.support[-1]
+    return LoopDecision(
+        0,
+        last.keyframe,
+        last.old,
+        se2.between(look.pose, se2.compose(hypothesis.motion, look.pose)),
+        hypothesis.motion,
+        LoopStatus.CONFIRMED,
+        reason,
+        tuple(hypothesis.support),
+        rival_support / count,
+        contradictions / (count + contradictions),
+        checks,
+        since,
+        look.compared_points(last.old),
+        joins=joins,
+    )

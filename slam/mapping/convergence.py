@@ -1,0 +1,61 @@
+"""Convergence of a finished map: duplicate walls merged, different ones split, the estimate iterated to its optimum."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..graph.final_solution import correlate_wall_errors, solve_with_range_bias
+from .mapper import Mapper
+from .wall_merging import merge_duplicate_walls
+from .wall_splitting import find_splits, split_landmark, with_new_walls
+
+
+def converge(mapper: Mapper) -> int:
+    """Merge duplicate walls of the whole map, split those that are two, iterate to convergence, and read all back.
+
+    A part of the map that is not connected is held by odometry from then on.
+
+    Return the number of walls merged.
+    """
+    mapper.solve_waiting()
+    mapper.gauge.release(mapper)
+    mapper.graph.update_until_converged()
+    settle_range_bias(mapper)  # before merging: iSAM2 leaves out small steps, and walls are merged where they are
+    merged = merge_duplicate_walls(mapper.landmarks, mapper.graph, mapper.roughness.variance, mapper.merge_walls)
+    if merged:
+        mapper.graph.update()
+        mapper.graph.update_until_converged()
+        mapper.read_back()
+    split_walls(mapper)
+    correlate_wall_errors(mapper.graph)
+    settle_range_bias(mapper)
+    mapper.read_back_all()
+    return merged
+
+
+def settle_range_bias(mapper: Mapper) -> None:
+    """Estimate the range bias together with the graph, which has converged, and read all back."""
+    solve_with_range_bias(mapper.graph)
+    mapper.read_back()
+
+
+def split_walls(mapper: Mapper) -> int:
+    """Split walls whose stretches are different surfaces, and return the number of new walls.
+
+    The estimate has converged and is read back, before and afterwards.
+    """
+    landmarks, graph = mapper.landmarks, mapper.graph
+    splits = find_splits(landmarks, graph, mapper.keyframe_poses, mapper.roughness.variance)
+    moves = [(split_landmark(landmarks, split), split.frame, split.segments) for split in splits]
+    if not moves:
+        return 0
+    graph.move_wall_segments(moves)
+    graph.update_until_converged()
+    mapper.landmark_ids = with_new_walls(mapper.landmark_ids, moves)
+    for wall, _, _ in moves:
+        last_seen = int(landmarks.walls.rows["last_seen"][wall])
+        covariances = graph.relative_covariances([last_seen], [wall], [])
+        landmarks.set_wall_covariances(np.array([wall]), covariances.walls, covariances.walls_in_map)
+    mapper.free_space_evidence.discard([split.wall for split in splits])
+    mapper.read_back()
+    return len(moves)

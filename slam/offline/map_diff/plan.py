@@ -1,0 +1,48 @@
+"""Compare a map with a plan: the plan takes the place of an earlier map, its views that of the earlier drive."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...config import Config
+from ...estimation.slam_state import SlamState
+from ...io.sessions import StoredSession
+from ...io.sessions.plan_session import plan_session
+from ...io.wall_maps import settled_wall_map
+from ...mapping.map_features import MapCorners
+from ...mapping.plan_map import PlanMap
+from ...measuring.wall_map import WallMap
+from .changes import MapDiff, find_changes
+from .surveys import Survey, survey_settled
+
+NO_CORNERS = MapCorners(
+    np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), np.int64), np.zeros(0, np.int64)
+)
+"""Corners of a plan."""
+FALSE_DISCOVERY_RATE = 0.05
+"""Accepted share of false ones among the differences that a run reports."""
+
+
+def survey_plan(plan_map: PlanMap) -> Survey:
+    """Return a plan as the survey of an earlier map, in which the errors of walls are independent. Raises MapError."""
+    walls, count = plan_map.walls, np.arange(len(plan_map.walls))
+    covariance = np.zeros((len(walls), 2, len(walls), 2))
+    covariance[count, :, count, :] = walls.covariance
+    poses = np.array([view.pose for view in plan_map.views]).reshape(-1, 3)
+    joint = covariance.reshape(2 * len(walls), 2 * len(walls))
+    points = [np.ascontiguousarray(view.points) for view in plan_map.views]
+    wall_map = WallMap(walls, NO_CORNERS, joint, poses[:, :2])
+    return Survey(plan_session(plan_map, Config()), wall_map, poses, points)
+
+
+def compare_with_plan(plan: Survey, state: SlamState, session: StoredSession) -> tuple[MapDiff, WallMap]:
+    """Compare the finished map of a run, which is in the plan's frame, with the plan; return its walls, too.
+
+    plan     from `survey_plan`
+    state    of the finished run
+    session  of the same run, for its scans
+    """
+    finished = StoredSession(session.config, state, session.scans, (), session.starts, session.sigma_range)
+    new = survey_settled(finished, settled_wall_map(state.mapper))
+    supported = state.mapper.graph.plan_walls()
+    return find_changes(plan, new, np.zeros(3), FALSE_DISCOVERY_RATE, supported), new.wall_map

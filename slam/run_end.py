@@ -1,0 +1,106 @@
+"""Steps at the end of a run: leaving out an unknown session, settling the plan, refining or matching, checking."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .checks import find_suspects
+from .checks.adapter import drive_of, unconnected_parts, unconstrained_stretches
+from .config import Config
+from .errors import MapError
+from .estimation.estimator import Estimator
+from .estimation.journal import Journal
+from .estimation.refinement import match_trajectory, refine
+from .estimation.slam_state import SlamState
+from .events import Notice
+from .localisation.tracker import PoseFix
+from .publisher import Publisher
+from .run_statistics import RunStatistics
+
+
+def is_unknown_place(estimator: Estimator, journal: Journal, *, frozen: bool) -> bool:
+    """Return True if nothing of a run is in a place that is known to be in the map of the session that it continues.
+
+    frozen  true if that map is kept unchanged
+    """
+    state, parts = estimator.result, estimator.state.mapper.landmarks.parts
+    if not journal.in_new_odometry_segment:
+        return False
+    if frozen:
+        return not journal.any_tracked(state.trajectory)
+    keyframes = np.flatnonzero(np.array(state.keyframe_stamps) > journal.stamp_before)
+    if not len(keyframes):  # placed in the map, and only in familiar places since
+        return not journal.any_tracked(state.trajectory)
+    return not parts.connected(keyframes, 0).any()
+
+
+def map_alone(config: Config, journal: Journal, statistics: RunStatistics, publisher: Publisher) -> Estimator:
+    """Drop the earlier session from the journal, map the run without it, and return its estimator."""
+    journal.drop_earlier_session()
+    estimator = Estimator(SlamState(config))
+    for scan in journal.scans:
+        result = estimator.process(scan)
+        for decision in (result.update.loop if result.update else None, result.retracted):
+            if decision is not None:
+                statistics.add_loop(scan.stamp, decision)
+    stamp = journal.scans[-1].stamp
+    text = "never relocalised in the map of the session: that map is left out of the results"
+    publisher.publish(Notice(stamp, text))
+    publisher.publish_map(stamp, estimator.result.mapper)
+    return estimator
+
+
+def settle_plan(state: SlamState, journal: Journal, publisher: Publisher) -> None:
+    """Test the walls of the finished map against the plan; state it if the map was never recognised in that."""
+    if state.plan is None:
+        return
+    stamp, before = journal.scans[-1].stamp, state.plan.recognised
+    if not state.plan.settle(state.mapper):
+        text = "never recognised in the plan: the map is in a frame of its own, and the plan is left out"
+        publisher.publish(Notice(stamp, text))
+    elif not before:
+        publisher.publish(Notice(stamp, "the map is recognised in the plan", "INFO"))
+
+
+def refine_or_match(state: SlamState, journal: Journal, publisher: Publisher, *, wanted: bool) -> dict[str, object]:
+    """Match all scans to the final map, after refining the map if that is `wanted`; return the summary's part."""
+    stamp = journal.scans[-1].stamp
+    if state.mapper.keyframe_count < 2:
+        return {}
+    history = journal.history(state)
+    try:
+        if not wanted:
+            history = journal.without_familiar_features(history)  # the result must not depend on what is kept
+            state.trajectory = match_trajectory(state.mapper, history, state.odometry_model)
+            return {}
+        refined = refine(state.mapper, history, state.odometry_model)
+    except MapError as error:
+        publisher.publish(Notice(stamp, f"the scans are not matched to the final map: {error}"))
+        return {}
+    refined.mapper.recompute_pose_covariances()
+    if state.plan is not None and state.plan.recognised:
+        state.plan.settle(refined.mapper)
+    keyframes = {k: journal.scans[row] for k, row in enumerate(history.keyframes.tolist())}
+    state.replace_map(
+        refined.mapper, refined.trajectory, PoseFix(refined.poses[-1], journal.scans[-1].odometry), keyframes
+    )
+    publisher.publish_map(stamp, state.mapper)
+    return {"refinement": refined.summary}
+
+
+def check_run(
+    state: SlamState, journal: Journal, publisher: Publisher, *, after: float, predicted: bool
+) -> list[dict[str, object]]:
+    """Check the finished run against itself; publish the findings and return the summary's part.
+
+    after      stamp (seconds) up to which findings are left out; -inf for none
+    predicted  true if motions are predicted, as there is no odometry
+    """
+    placed = state.trajectory.at_scans(state.mapper.keyframe_poses)
+    drive = drive_of(journal.scans, journal.segments.starts, placed, state.odometry_model)
+    suspects = [*unconnected_parts(state.mapper, state.keyframe_stamps), *find_suspects(drive)]
+    if predicted:
+        suspects += unconstrained_stretches(state.trajectory, state.mapper.keyframe_poses, state.odometry_model)
+    suspects = [suspect for suspect in suspects if suspect.stamp > after]
+    publisher.publish_suspects(suspects, state.keyframe_stamps)
+    return [suspect.row() for suspect in suspects]

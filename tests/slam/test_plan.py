@@ -1,0 +1,162 @@
+"""Plans of a building: a robot localises in them, and mapping uses what agrees with them and reports what does not."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers import se2
+from drivers.messages import GroundTruth, Message
+from drivers.simulation import Simulation
+from drivers.simulation.world import load_world
+from slam import Slam
+from slam.config import Config, config_to_toml
+from slam.errors import MapError
+from slam.evaluation.metrics import align
+from slam.events import Finished, Notice
+from slam.geometry.segments import Floats
+from slam.io.exports import OccupancyGrid, Thresholds, place_scans, write_pgm, write_pgm_yaml
+from slam.io.output_dir import CONFIG
+from slam.io.plans.reader import read_plan
+from slam.io.sessions import read_session, write_session
+from slam.io.sessions.plan_session import plan_session
+from slam.io.tum import Trajectory
+from slam.mapping.plan import Plan
+from slam.mapping.plan_map import PlanMap, build_plan_map
+from slam.offline.map_diff import ChangeKind
+from slam.offline.map_diff.plan import compare_with_plan, survey_plan
+
+from .listeners import EventCollector
+
+SIGMAS = (0.03, np.radians(0.3))
+SHIFT, WING = 0.5, 11.0
+"""Metres by which the wing east of some x is elsewhere in the wrong plan, to the north and to the east."""
+WRONG = 0.3
+"""Metres by which a wall of the southern corridor is too far north in the wrong plan."""
+START = np.array([5.2, 5.0, 0.0])
+"""Pose at the beginning of the drive through the office, nearly."""
+
+
+def office(*, wrong: bool = False) -> PlanMap:
+    """Return the plan of the office."""
+    segments = load_world("office").segments.reshape(-1, 2, 2).copy()
+    if wrong:
+        x, y = segments[..., 0], segments[..., 1]
+        in_wing, in_wall = x.min(axis=1) > WING, (np.abs(y - 5.9).max(axis=1) < 0.15) & (x.max(axis=1) < WING + 0.5)
+        segments[in_wing] += SHIFT
+        segments[in_wall & ~in_wing, :, 1] += WRONG
+    return build_plan_map(Plan("office", segments, np.zeros(len(segments), dtype=bool), 1e-3), SIGMAS)
+
+
+@pytest.fixture(scope="module")
+def drive() -> list[Message]:
+    return list(Simulation("office", seed=2, duration=30.0))
+
+
+def run(messages: Sequence[Message], slam: Slam) -> Finished:
+    for message in messages:
+        slam.add(message)
+    return slam.finish()
+
+
+def errors(finished: Finished, messages: Sequence[Message], *, aligned: bool = False) -> Floats:
+    """Return the distances (metres) of the path from the true one, if `aligned` after a rigid motion."""
+    true = [message for message in messages if isinstance(message, GroundTruth)]
+    truth = Trajectory(np.array([m.stamp for m in true]), np.array([m.pose for m in true]))
+    known = (finished.stamps >= truth.stamps[0]) & (finished.stamps <= truth.stamps[-1])
+    poses, reference = finished.poses[known], truth.at(finished.stamps[known]).poses
+    if aligned:
+        poses = se2.compose(align(poses[:, :2], reference[:, :2]), poses)
+    return np.hypot(*(poses - reference)[:, :2].T)
+
+
+@pytest.fixture(scope="module")
+def without_plan(drive: list[Message]) -> Finished:
+    return run(drive, Slam())
+
+
+def rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def test_a_map_is_recognised_in_a_plan_and_is_in_its_frame(
+    drive: list[Message], without_plan: Finished, tmp_path: Path
+) -> None:
+    listener = EventCollector()
+    slam = Slam(sinks=[listener], plan=office())
+    finished = run(drive, slam)
+    assert [notice.text for notice in listener.of(Notice)] == ["recognised in the plan"]
+    assert errors(finished, drive).max() < 0.02
+    assert rms(errors(finished, drive, aligned=True)) < 1.2 * rms(errors(without_plan, drive, aligned=True)) + 5e-4
+    write_session(tmp_path, slam.session)
+    (tmp_path / CONFIG).write_text(config_to_toml(Config()))
+    stored, restored = slam.session.slam_state.mapper.graph, read_session(tmp_path).slam_state.mapper.graph
+    assert len(stored.plan_walls()) > 20
+    assert stored.plan_walls().keys() == restored.plan_walls().keys()
+    np.testing.assert_allclose(restored.keyframe_pose(5), stored.keyframe_pose(5), atol=1e-6)
+
+
+def test_a_wrong_plan_does_not_bend_the_map_and_is_reported(drive: list[Message], without_plan: Finished) -> None:
+    plan = office(wrong=True)
+    slam = Slam(plan=plan, start=START + np.array([0.2, -0.2, 0.1]))
+    finished = run(drive, slam)
+    assert errors(finished, drive).max() < 0.03
+    assert rms(errors(finished, drive, aligned=True)) < 1.2 * rms(errors(without_plan, drive, aligned=True)) + 5e-4
+    found, _ = compare_with_plan(survey_plan(plan), slam.slam_state, slam.session)
+    moved = [change for change in found.changes if change.kind is ChangeKind.MOVED]
+    at_wall = [one for one in moved if np.allclose(one.stretches[..., 1], 5.8 + WRONG, atol=0.01)]
+    assert [round(one.shift, 2) for one in at_wall] == [WRONG]  # it is seen from the south: left is south
+    in_wing = [one for one in moved if one.stretches[..., 0].min() > WING]
+    assert len(in_wing) > 5
+    assert np.mean([abs(abs(one.shift) - SHIFT) < 0.02 for one in in_wing]) > 0.8
+    assert not [one for one in moved if one.stretches[..., 0].max() < WING and one not in at_wall]
+
+
+def grid_map(messages: Sequence[Message], path: Path) -> Path:
+    """Write a grid map of the scans of a drive, at their true poses."""
+    true = [message for message in messages if isinstance(message, GroundTruth)]
+    trajectory = Trajectory(np.array([m.stamp for m in true]), np.array([m.pose for m in true]))
+    grid = OccupancyGrid(0.05)
+    grid.add_all(place_scans(messages, trajectory, Config().lidar))
+    occupancy = grid.occupancy(Thresholds())
+    write_pgm(path.with_suffix(".pgm"), occupancy)
+    write_pgm_yaml(path.with_suffix(".yaml"), occupancy, path.with_suffix(".pgm").name)
+    return path.with_suffix(".yaml")
+
+
+@pytest.mark.parametrize("kind", ["drawing", "grid map"])
+def test_a_robot_localises_in_a_plan_from_anywhere(drive: list[Message], kind: str, tmp_path: Path) -> None:
+    plan, begin, end = office(), 5.0, 12.0
+    if kind == "grid map":
+        another_drive = list(Simulation("office", seed=3, duration=30.0))
+        plan, end = build_plan_map(read_plan(grid_map(another_drive, tmp_path / "map")), SIGMAS), 25.0
+    messages = [message for message in drive if begin < message.stamp < end]
+    finished = run(messages, Slam(resumed=plan_session(plan, Config()), frozen=True))
+    assert finished.stamps[0] < begin + 1.0
+    assert errors(finished, messages).max() < (0.02 if kind == "drawing" else 0.05)
+
+
+def test_a_refined_map_is_supported_by_the_plan(drive: list[Message]) -> None:
+    messages = [message for message in drive if message.stamp < 10.0]
+    slam = Slam(refine=True, plan=office(), start=START)
+    finished = run(messages, slam)
+    assert "refinement" in finished.summary
+    assert len(slam.slam_state.mapper.graph.plan_walls()) > 10
+    assert errors(finished, messages).max() < 0.02
+
+
+def test_a_plan_of_another_building_is_left_out(drive: list[Message]) -> None:
+    segments = load_world("museum").segments.reshape(-1, 2, 2)
+    museum = build_plan_map(Plan("museum", segments, np.zeros(len(segments), dtype=bool), 1e-3), SIGMAS)
+    listener = EventCollector()
+    slam = Slam(sinks=[listener], plan=museum)
+    run([message for message in drive if message.stamp < 10.0], slam)
+    assert any("never recognised in the plan" in notice.text for notice in listener.of(Notice))
+    assert not slam.slam_state.mapper.graph.plan_walls()
+
+
+def test_a_plan_without_a_room_is_refused() -> None:
+    lines = np.array([[[0.0, 0.0], [5.0, 0.0]]])
+    with pytest.raises(MapError, match="two lines: has no room"):
+        Slam(plan=build_plan_map(Plan("two lines", lines, np.zeros(1, dtype=bool), 1e-3), SIGMAS))
