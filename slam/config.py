@@ -117,6 +117,15 @@ class LoopClosureConfig(_Group):
     enabled: bool = Field(True, description="search for loop closures and close them")
 
 
+class PlanConfig(_Group):
+    """How exact the walls of a plan are; gross errors are recognised and need not be covered."""
+
+    sigma_offset: Finite = Field(0.03, gt=0, description="standard deviation of a wall across itself, metres")
+    sigma_heading: Finite = Field(
+        math.radians(0.3), gt=0, description="standard deviation of the direction of a wall, radians"
+    )
+
+
 class Config(_Group):
     """All settings. The defaults suit indoor lidars on a wheel base."""
 
@@ -125,6 +134,7 @@ class Config(_Group):
     features: FeatureConfig = FeatureConfig()
     mapping: MappingConfig = MappingConfig()
     loop_closure: LoopClosureConfig = LoopClosureConfig()
+    plan: PlanConfig = PlanConfig()
 
 
 def load_config(path: Path | None = None, overrides: Iterable[str] = ()) -> Config:

@@ -8,7 +8,9 @@ from .errors import MissingExtraError
 
 EXTRAS = {
     "batch": ("dask", "distributed", "cloudpickle"),
+    "plans": ("ezdxf", "PIL"),
     "plots": ("matplotlib",),
+    "web": ("tornado",),
 }
 """Packages by extra."""
 

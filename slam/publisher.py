@@ -5,6 +5,7 @@ from __future__ import annotations
 import bisect
 import math
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -37,6 +38,7 @@ from .localisation.tracker import TrackingResult, TrackingStatus
 from .loop_closure.decision import LoopDecision
 from .loop_closure.loop_status import LoopStatus
 from .mapping.mapper import Mapper
+from .odometry.error_model import OdometryModel
 from .preprocessing.preprocessor import ProcessedScan
 
 # Keyframes between two events with the whole map.
@@ -67,7 +69,9 @@ class Publisher:
         """True if a sink receives events of one of these types."""
         return any(issubclass(one, handled) for one in types for _, handled in self._sinks)
 
-    def publish_tracking(self, scan: ProcessedScan, tracking: TrackingResult, mapper: Mapper) -> None:
+    def publish_tracking(
+        self, scan: ProcessedScan, tracking: TrackingResult, mapper: Mapper, odometry_model: OdometryModel
+    ) -> None:
         """Publish the pose of a scan, and a notice if it was not tracked normally."""
         if tracking.slipped:
             text = "odometry is far off from the scan: it slipped or jumped"
@@ -75,7 +79,18 @@ class Publisher:
         elif tracking.status is TrackingStatus.FAILED:
             self.publish(Notice(scan.stamp, "the scan fits nowhere near its predicted pose and is left out"))
         overlap_ratio, keyframe = tracking.registration.overlap_ratio, mapper.keyframe_count - 1
-        self.publish(ScanTracked(scan.stamp, tracking.pose, scan.odometry, overlap_ratio, keyframe))
+        self.publish(
+            ScanTracked(
+                scan.stamp,
+                tracking.pose,
+                scan.odometry,
+                overlap_ratio,
+                keyframe,
+                points=scan.features.points.all,
+                covariance=tracking.covariance,
+                odometry_model=copy(odometry_model),  # its arrays are replaced, not changed
+            )
+        )
 
     def publish_suspects(self, suspects: Sequence[Suspect], keyframe_stamps: Sequence[float]) -> None:
         """Publish the findings of the checks of a finished run."""
@@ -130,7 +145,7 @@ class Publisher:
                     index=index,
                     stamp=scan.stamp,
                     pose=mapper.keyframe_poses[index],
-                    pose_covariance=mapper.keyframe_covariance(index),
+                    pose_covariance=mapper.covariances.of_keyframe(index),
                     odometry=scan.odometry,
                     points=scan.features.points.all,
                     segments=scan.features.segments,
@@ -201,7 +216,7 @@ def _keyframe_event(
         index=mapper.keyframe_count - 1,
         stamp=scan.stamp,
         pose=mapper.pose,
-        pose_covariance=mapper.last_pose_covariance(),
+        pose_covariance=mapper.covariances.of_last(),
         odometry=scan.odometry,
         points=scan.features.points.all,
         segments=view.segments,

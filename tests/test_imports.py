@@ -24,8 +24,8 @@ CONFINED = {
 LAYERS = (
     "errors", "extras", "config", "geometry", "graph", "odometry", "mapping", "matching", "preprocessing",
     "localisation", "loop_closure", "checks", "events", "estimation", "measuring", "run_statistics", "io",
-    "run_snapshot", "publisher", "pipeline", "optimisation", "warmup", "offline", "evaluation", "visualisation", "ros",
-    "cli",
+    "run_snapshot", "publisher", "localisation_report", "run_end", "pose_extrapolation", "pipeline", "optimisation",
+    "warmup", "offline", "evaluation", "visualisation", "ros", "cli",
 )  # fmt: skip
 """Packages and modules of `slam`, from bottom to top: each may import those before it."""
 

@@ -14,7 +14,6 @@ from ..mapping.mapper import Mapper
 from ..mapping.trajectory_builder import TrajectoryBuilder
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
-from ..odometry.predicted_motion import BLIND_SIGMA
 from ..preprocessing.preprocessor import ProcessedScan
 from .drive import Drive, consecutive_groups
 from .suspect import PARTS, UNCONSTRAINED, Suspect
@@ -56,7 +55,9 @@ def drive_of(
     )
 
 
-def unconstrained_stretches(trajectory: TrajectoryBuilder, keyframe_poses: Floats) -> list[Suspect]:
+def unconstrained_stretches(
+    trajectory: TrajectoryBuilder, keyframe_poses: Floats, odometry_model: OdometryModel
+) -> list[Suspect]:
     """Return a suspect for each stretch, in a drive without odometry, whose scans do not determine the motion along it.
 
     `keyframe_poses` (k, 3) are those of the finished map. The length of such a stretch is a guess.
@@ -64,7 +65,7 @@ def unconstrained_stretches(trajectory: TrajectoryBuilder, keyframe_poses: Float
     stamps, poses = trajectory.at_scans(keyframe_poses)
     informations = trajectory.relative_poses()[3]
     blind = [
-        weakest_direction(pose, information, BLIND_SIGMA) is not None
+        weakest_direction(pose, information, odometry_model.unobserved_sigma) is not None
         for pose, information in zip(poses, informations, strict=True)
     ]
     travelled = np.concatenate([[0.0], np.cumsum(wheel_travel(se2.between(poses[:-1], poses[1:])))])
@@ -106,7 +107,7 @@ def unconnected_parts(mapper: Mapper, keyframe_stamps: Sequence[float]) -> list[
 
 def _largest_deviations(mapper: Mapper, firsts: Sequence[int]) -> tuple[float, float]:
     """Return the largest standard deviations (metres, radians) of keyframes relative to those before them."""
-    covariances = [mapper.relative_covariance(first - 1, first) for first in firsts]
+    covariances = [mapper.covariances.relative(first - 1, first) for first in firsts]
     positions = [float(np.linalg.eigvalsh(covariance[:2, :2])[-1]) for covariance in covariances]
     return float(np.sqrt(max(positions))), float(np.sqrt(max(covariance[2, 2] for covariance in covariances)))
 

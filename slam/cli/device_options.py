@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from drivers.devices.device_spec import DeviceSpec
+    from drivers.devices.driving import DriveLimits
 
 MIN_FREE_SPACE = 10_000_000
 """Bytes free for a recording at its start: more than a minute of driving."""
@@ -20,6 +23,36 @@ LidarOption = Annotated[
 BaseOption = Annotated[
     list[str] | None, typer.Option("--base", metavar="SPEC", help="Wheel base, e.g. create2:/dev/ttyUSB1.")
 ]
+
+
+MaxSpeedOption = Annotated[
+    float | None, typer.Option("--max-speed", help="With --drive: highest speed, m/s; by default 0.2.")
+]
+MaxTurnRateOption = Annotated[
+    float | None, typer.Option("--max-turn-rate", help="With --drive: highest turn rate, rad/s; by default 1.0.")
+]
+
+
+def parse_drive_options(
+    drive: bool, max_speed: float | None, max_turn_rate: float | None, specs: Sequence[DeviceSpec]
+) -> DriveLimits | None:
+    """Return the limits of `--drive`, None without that option.
+
+    Raises DriverError if a limit is not positive or there is not exactly one base, or BadParameter for a limit without
+    `--drive`.
+    """
+    from drivers.devices.driving import DriveLimits, driven_base
+
+    if not drive:
+        if max_speed is not None or max_turn_rate is not None:
+            raise typer.BadParameter("has no effect without --drive", param_hint="--max-speed / --max-turn-rate")
+        return None
+    driven_base(specs)
+    default = DriveLimits()
+    return DriveLimits(
+        default.speed if max_speed is None else max_speed,
+        default.turn_rate if max_turn_rate is None else max_turn_rate,
+    )
 
 
 def parse_device_options(lidar: list[str] | None, base: list[str] | None) -> list[DeviceSpec]:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..extras import require_extra
+from ..io.plans.units import Unit
+
+if TYPE_CHECKING:
+    from drivers import se2
 
 
 def check_plots_extra(plot: bool) -> bool:
@@ -15,6 +19,21 @@ def check_plots_extra(plot: bool) -> bool:
     if plot:
         require_extra("plots")
     return plot
+
+
+def parse_pose(text: str | None, option: str) -> se2.Pose | None:
+    """Return the pose (3,) [x, y, heading] that an option states; raises BadParameter if it is not three numbers."""
+    import numpy as np
+
+    if text is None:
+        return None
+    try:
+        pose = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        pose = np.zeros(0)
+    if pose.shape != (3,) or not np.isfinite(pose).all():
+        raise typer.BadParameter(f"{text}: must be three numbers, e.g. 1.5,-2,3.14", param_hint=option)
+    return pose
 
 
 RecordingArgument = Annotated[
@@ -48,9 +67,26 @@ LocalizeOption = Annotated[
     Path | None,
     typer.Option(
         "--localize",
-        metavar="SESSION",
-        help="Output directory of an earlier run on whose map to localise only; the map is not changed.",
+        metavar="MAP",
+        help="Map to localise on without changing it: output directory of an earlier run, or a plan (see --plan).",
     ),
+]
+PlanOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--plan",
+        metavar="FILE",
+        help="Plan of the building whose walls help mapping: DXF, GeoJSON or SVG drawing, grid map of ROS (YAML), or "
+        "output directory of an earlier run. The map is in its frame.",
+    ),
+]
+PlanUnitOption = Annotated[
+    Unit | None,
+    typer.Option("--plan-unit", help="Unit of length of a drawing; by default as it states, else metres."),
+]
+PlanLayerOption = Annotated[
+    list[str] | None,
+    typer.Option("--plan-layer", metavar="NAME", help="Layer of a DXF drawing with walls; can be repeated."),
 ]
 NoOdometryOption = Annotated[
     bool,
@@ -61,7 +97,7 @@ StartOption = Annotated[
     typer.Option(
         "--start",
         metavar="X,Y,HEADING",
-        help="With --continue or --localize: roughly where the robot starts in the map (metres, radians).",
+        help="With --continue, --localize or --plan: roughly where the robot starts in the map (metres, radians).",
     ),
 ]
 RefineOption = Annotated[

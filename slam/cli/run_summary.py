@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 SHOWN_WARNINGS = 4
 SHOWN_SUSPECTS = 5
 SHOWN_SPANS = 4
+SHOWN_DIFFERENCES = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +86,7 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
         rows.append(
             ("accuracy", f"{truth['ate_rmse']:.3f} m error of the path (ATE RMSE), at most {truth['ate_max']:.3f} m")
         )
-    rows += _loops(summary) + _lost(summary)
+    rows += _loops(summary) + _lost(summary) + _plan(summary)
     if skipped := summary["skipped"]["messages"]:
         rows.append(("skipped", f"{skipped} messages; first: {summary['skipped']['first']}"))
     if shift := ((summary.get("recordings") or [{}])[-1]).get("shift"):
@@ -109,6 +110,19 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
         f"{summary['path_length']:.1f} m driven"
     )
     return [printable(line) for line in [head, *(f"  {name:<11}{text}" for name, text in rows), *_suspects(summary)]]
+
+
+def _plan(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return how the map agrees with the plan, and the differences."""
+    plan = summary.get("plan")
+    if plan is None or not plan["recognised"]:
+        return []  # a warning states it
+    differences = plan["differences"]
+    rows = [("plan", f"{plan['same']} walls are as in {plan['file']}, {len(differences)} differences")]
+    rows += [("", line) for line in differences[:SHOWN_DIFFERENCES]]
+    if (more := len(differences) - SHOWN_DIFFERENCES) > 0:
+        rows.append(("", f"and {more} more differences in summary.json"))
+    return rows
 
 
 def _repeated(text: str, stamps: list[float]) -> str:

@@ -18,11 +18,13 @@ from ..evaluation.metrics import ReferenceScore, score_reference
 from ..events import Finished
 from ..io.output_dir import PICTURE, write_results
 from ..io.tum import Trajectory
+from .plan_input import report_on_plan
 from .run_input import InputStatistics, RunInput
 from .run_summary import summarise_run
 
 if TYPE_CHECKING:
     from ..io.sessions import StoredSession
+    from ..mapping.plan_map import PlanMap
     from ..pipeline import Slam
     from ..visualisation.plots.style import Floats
 
@@ -39,6 +41,7 @@ class RunWriter:
     picture  draw the final map
     seed     of the simulation, for the summary
     started  time of the first message, on the clock of time.perf_counter
+    plan     of the building, if the run maps with one
     """
 
     run_input: RunInput
@@ -49,6 +52,7 @@ class RunWriter:
     picture: bool
     seed: int | None
     started: float
+    plan: PlanMap | None = None
 
     def snapshot(self, slam: Slam) -> Write:
         """Return a function that writes the state of this moment. Raises MapError if there is no map yet."""
@@ -72,9 +76,14 @@ class RunWriter:
         score = score_against_truth(finished, self.statistics)
         took = time.perf_counter() - self.started
         summary = self._summarise(finished, slam.session, score, slam_seconds, took) | {"review": left_out}
+        on_plan = None if self.plan is None else report_on_plan(self.plan, slam)
+        if on_plan is not None:
+            summary["plan"] = on_plan.summary
 
         def write(place: Path) -> None:
             self._write(place, finished, summary, slam.session)
+            if on_plan is not None:
+                on_plan.write(place)
             if self.picture:
                 _draw(place / PICTURE, finished, self.statistics, score, self.run_input.name)
 

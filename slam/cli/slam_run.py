@@ -25,13 +25,18 @@ from .autosave import Autosave
 from .compilation import compile_all
 from .console import print_if_slow, print_message
 from .left_behind import print_left_behind
+from .options import parse_pose
+from .plan_input import NO_PLAN, PlanOptions, is_plan, load_plan
 from .run_input import InputStatistics, RunInput
 from .run_summary import RunResult
 from .run_writer import RunWriter
+from .terminal_keys import TerminalKeys
 
 if TYPE_CHECKING:
     from ..io.sessions import StoredSession
+    from ..mapping.plan_map import PlanMap
     from ..pipeline import Slam
+    from ..visualisation.live_page import PageServer
     from ..visualisation.rerun_log import ReviewLog, ViewerServer
 
 READING_SESSION = "reading the session"
@@ -45,26 +50,15 @@ class RunSetup:
     config   settings
     resumed  session to continue, if any
     frozen   True to localise on the map of `resumed` without changing it
-    pose     roughly known pose of the base in that map at the beginning; None if it may be anywhere
+    pose     roughly known pose of the base in that map, or in the plan, at the beginning; None if it may be anywhere
+    plan     plan to map with, if any
     """
 
     config: Config
     resumed: StoredSession | None
     frozen: bool
     pose: se2.Pose | None = None
-
-
-def parse_start(text: str | None) -> se2.Pose | None:
-    """Return the pose that `--start` states; raises BadParameter if it is not three numbers."""
-    if text is None:
-        return None
-    try:
-        pose = np.array([float(part) for part in text.split(",")])
-    except ValueError:
-        pose = np.zeros(0)
-    if pose.shape != (3,) or not np.isfinite(pose).all():
-        raise typer.BadParameter(f"{text}: must be three numbers, e.g. 1.5,-2,3.14", param_hint="--start")
-    return pose
+    plan: PlanMap | None = None
 
 
 def prepare_run(
@@ -73,23 +67,34 @@ def prepare_run(
     config: Path | None,
     settings: Sequence[str] | None,
     start: str | None = None,
+    plan: PlanOptions = NO_PLAN,
 ) -> RunSetup:
-    """Load the settings, and the session that `--continue` or `--localize` names.
+    """Load the settings, and the session or the plan that `--continue`, `--localize` or `--plan` names.
 
     Settings come from `config`, else from the session, else from the defaults; `settings` override single ones. Raises
-    SlamError if they are invalid, or if the session cannot be read or has no map.
+    SlamError if they are invalid, or if the session or the plan cannot be read or has no map.
     """
     if continued is not None and localized is not None:
         raise typer.BadParameter("only one of the two can be given", param_hint="--continue / --localize")
-    session, pose = continued or localized, parse_start(start)
-    if session is None and pose is not None:
-        raise typer.BadParameter("needs a map, by --continue or --localize", param_hint="--start")
-    if session is None:
-        return RunSetup(load_config(config, settings or ()), None, False)
+    plan.check(continued or localized)
+    session, pose = continued or localized, parse_pose(start, "--start")
+    if session is None and plan.path is None and pose is not None:
+        raise typer.BadParameter("needs a map, by --continue, --localize or --plan", param_hint="--start")
+    if session is None or is_plan(session):
+        loaded = load_config(config, settings or ())
+        if session is None:
+            return RunSetup(
+                loaded, None, False, pose, None if plan.path is None else load_plan(plan.path, plan, loaded)
+            )
+        if localized is None:
+            raise MapError(f"{session}: is a plan and no session to continue; --plan maps with it")
+        from ..io.sessions.plan_session import plan_session
+
+        return RunSetup(loaded, plan_session(load_plan(session, plan, loaded), loaded), True, pose)
     from ..io.sessions import read_session
 
     with print_if_slow(READING_SESSION):
-        resumed = read_session(session)
+        resumed = read_session(session, solve=continued is None)
     if not resumed.slam_state.mapper.keyframe_count:
         raise MapError(f"{session}: has no keyframe and cannot be continued")
     return RunSetup(load_config(config or session / CONFIG, settings or ()), resumed, localized is not None, pose)
@@ -128,7 +133,10 @@ def run_slam(
     resumed: StoredSession | None = None,
     frozen: bool = False,
     start: se2.Pose | None = None,
+    plan: PlanMap | None = None,
     server: ViewerServer | None = None,
+    keys: TerminalKeys | None = None,
+    page: PageServer | None = None,
 ) -> RunResult:
     """Run SLAM on `run_input` and write the output directory `out`, which appears only when it is complete.
 
@@ -136,8 +144,11 @@ def run_slam(
     review     write the review log; viewers can connect to it at `server` during the run
     picture    draw the map
     resumed    session to continue; if `frozen`, its map is only used for localisation and not changed
-    start      roughly known pose of the base in that map at the beginning
+    start      roughly known pose of the base in that map, or in the plan, at the beginning
+    plan       plan to map with
     seed       of the simulation, for the summary
+    keys       keys of the terminal, with the handlers of a live run; the key `s` saves the map
+    page       page of a live run, which shows it and saves the map on request
 
     Raises SlamError. On any exception nothing is left behind, but the last save of a live run stays after an error.
     """
@@ -152,11 +163,16 @@ def run_slam(
         sinks: list[Sink] = [notices, *run_input.sinks]
         reviewed = None
         if review:
-            reviewed = log.enter_context(review_log(directory, config, run_input.name, server, seed))
+            written = review_log(directory, config, run_input.name, server, seed, complete=run_input.finite)
+            reviewed = log.enter_context(written)
             sinks.append(reviewed)
         started = time.perf_counter()
-        writer = RunWriter(run_input, config, statistics, notices.texts, frozen, picture, seed, started)
-        autosave = Autosave(output, lambda: writer.snapshot(slam))
+        writer = RunWriter(run_input, config, statistics, notices.texts, frozen, picture, seed, started, plan)
+        keys = keys or TerminalKeys()
+        autosave = Autosave(output, lambda: writer.snapshot(slam), keys)
+        if page is not None:
+            sinks.append(page.state)
+            _let_page_save(page, autosave)
         with run_input.opened(autosave.poll) as messages:
             with print_if_slow(FINDING_TIMING):
                 resolved = run_input.resolve(config)
@@ -168,9 +184,11 @@ def run_slam(
                 resumed=resumed,
                 frozen=frozen,
                 start=start,
+                plan=plan,
             )
             if not run_input.finite:
                 saving.enter_context(autosave)
+                saving.enter_context(keys)
             after = -np.inf if resumed is None else resumed.latest
             finished, busy = process_messages(_shifted(messages, after, statistics), slam, statistics, run_input.name)
             saving.close()
@@ -182,14 +200,35 @@ def run_slam(
     return RunResult(summary, review)
 
 
+def _let_page_save(page: PageServer, autosave: Autosave) -> None:
+    """Save the map on request of the page, and report it there."""
+    page.actions.save = autosave.request
+    page.state.update(can_save=True)
+    autosave.report = lambda text: page.state.update(message=text)
+
+
 def review_log(
-    directory: Path, config: Config, name: str, server: ViewerServer | None = None, seed: int | None = None
+    directory: Path,
+    config: Config,
+    name: str,
+    server: ViewerServer | None = None,
+    seed: int | None = None,
+    *,
+    complete: bool,
 ) -> ReviewLog:
-    """Create the review log in an output directory; `name` is that of the recording."""
+    """Create the review log in an output directory; `name` is that of the recording, for `complete` see `ReviewLog`."""
     from ..visualisation.rerun_log import ReviewLog
 
     settings = config_to_toml(config)
-    return ReviewLog(directory / REVIEW, config=settings, recording=name, versions=versions(), server=server, seed=seed)
+    return ReviewLog(
+        directory / REVIEW,
+        config=settings,
+        recording=name,
+        versions=versions(),
+        server=server,
+        seed=seed,
+        complete=complete,
+    )
 
 
 def _shifted(messages: Iterable[Message], after: float, statistics: InputStatistics) -> Iterator[Message]:

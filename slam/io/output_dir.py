@@ -42,7 +42,10 @@ EXPORTED = "map"
 MEASURED = "measurements"
 POINTS = "points.ply"
 SESSION = "session"
+PLAN_DIFFERENCES = "plan.geojson"
+PLAN_PICTURE = "plan.svg"
 RESULTS = frozenset({TRAJECTORY, KEYFRAMES, MAP, CONFIG, SUMMARY, REVIEW, PICTURE, REPORT, SESSION})
+PLAN_RESULTS = frozenset({PLAN_DIFFERENCES, PLAN_PICTURE})
 GRAPH_RESULTS = frozenset({GRAPH, GRAPH_PICTURE, SUMMARY})
 EXPORTS = frozenset(
     {f"{EXPORTED}.{suffix}" for suffix in ("pgm", "yaml", "geojson", "svg", "dxf", "g2o")}
@@ -181,7 +184,11 @@ class OutputDirectory:
             raise OutputError(f"{self.path}: cannot be read: {error.strerror or error}") from error
         if present and not self._overwrite and self._target.stat().st_ino != self._own:
             raise OutputError(f"{self.path}: exists already; choose another directory or add --overwrite")
-        foreign = [name for name in present if name not in RESULTS | GRAPH_RESULTS | EXPORTS and not _is_log_part(name)]
+        foreign = [
+            name
+            for name in present
+            if name not in RESULTS | PLAN_RESULTS | GRAPH_RESULTS | EXPORTS and not _is_log_part(name)
+        ]
         if foreign:
             raise OutputError(f"{self.path}: contains {foreign[0]}, which is not a result of a run; not overwritten")
 

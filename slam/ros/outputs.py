@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drivers import se2
+from drivers.messages import Odometry
 from drivers.recordings.ros_messages import DIAGNOSTICS, TRANSFORMS
 from drivers.ros2.encoder import (
     GRID,
@@ -30,6 +30,7 @@ from ..geometry.segments import Floats
 from ..io.exports import Occupancy, OccupancyGrid, PlacedScan
 from ..localisation.state import LocalisationStatus
 from ..mapping.map_features import MapCorners, MapWalls
+from ..pose_extrapolation import ExtrapolatedPose, PoseExtrapolator
 from .live_grid import LiveGrid
 from .parameters import NodeParameters
 
@@ -54,17 +55,14 @@ LEVELS = {
 class _RunState:
     """What has been published in a run.
 
-    odometry_in_map   pose of the odometry's frame in the map at the last scan; None before the first one
-    transform_stamp   stamp of the last odometry reading with a transform, `status_stamp` that of the last status
-    keyframe          pose of the last keyframe, and its `covariance` in its own frame; zero: unknown
-    counts            sizes of map and graph
+    extrapolator     extrapolates the pose of the last scan
+    transform_stamp  stamp of the last odometry reading with a transform, `status_stamp` that of the last status
+    counts           sizes of map and graph
     """
 
-    odometry_in_map: se2.Pose | None = None
+    extrapolator: PoseExtrapolator = field(default_factory=PoseExtrapolator)
     transform_stamp: float = float("-inf")
     status_stamp: float = float("-inf")
-    keyframe: se2.Pose | None = None
-    covariance: Floats = field(default_factory=lambda: np.zeros((3, 3)))
     status: LocalisationStatus = LocalisationStatus.OK
     counts: dict[str, str] = field(default_factory=dict)
     notice: str = ""
@@ -96,9 +94,12 @@ class NodeOutputs:
         self._run = _RunState()
         self._grid: LiveGrid | None = None
 
-    def begin(self, session: StoredSession | None) -> None:
-        """Begin a run, with the keyframes of a session that it continues."""
-        self._run, self.shift = _RunState(), 0.0
+    def begin(self, session: StoredSession | None, delay: float = 0.0) -> None:
+        """Begin a run, with the keyframes of a session that it continues.
+
+        delay  seconds by which the lidar's stamps are late against odometry's
+        """
+        self._run, self.shift = _RunState(PoseExtrapolator(delay)), 0.0
         parameters = self._parameters
         self._grid = grid = LiveGrid(
             parameters.resolution, parameters.map_update_interval, parameters.max_laser_range, self._publish_grid
@@ -122,11 +123,12 @@ class NodeOutputs:
     def handle(self, event: Event) -> None:
         """Process one event of a run that has begun."""
         assert self._grid is not None
+        if isinstance(event, PoseExtrapolator.handled):
+            self._run.extrapolator.handle(event)
         match event:
             case ScanTracked():
-                self._publish_pose(event)
+                self._finish_scan(event)
             case KeyframeAdded():
-                self._run.keyframe, self._run.covariance = event.pose, event.pose_covariance
                 self._run.counts = {name: str(count) for name, count in event.counts.items()}
                 self._grid.add(event.stamp - self.shift, event.points, self.lidar, event.pose)
             case MapUpdated():
@@ -144,38 +146,38 @@ class NodeOutputs:
                 self._publish_markers(float(event.stamps[-1]), event.walls, event.corners, event.keyframes)
                 self._publish_status(float(event.stamps[-1]))
 
-    def publish_transform(self, stamp: float) -> None:
-        """Publish the transform to the odometry's frame, stamped later than an odometry reading by transform_timeout.
+    def publish_pose(self, reading: Odometry) -> None:
+        """Publish the pose at an odometry reading, and the transform to the odometry's frame.
 
-        stamp  of the reading, seconds. Nothing is published before the first scan, and not more often than
-               transform_publish_period says
+        The pose is that of the last scan, extrapolated by odometry; there is none while the robot is lost. The
+        transform is stamped later than the reading by transform_timeout, and not published more often than
+        transform_publish_period says. Nothing is published before the first scan.
         """
-        period = self._parameters.transform_publish_period
+        self._publish(self._run.extrapolator.at(reading))
+
+    def _publish(self, now: ExtrapolatedPose | None) -> None:
+        if now is None:
+            return
+        parameters, encoder = self._parameters, self._encoder
+        period = parameters.transform_publish_period
         with self._lock:
             run = self._run
-            if run.odometry_in_map is None or not period or 0.0 <= stamp - run.transform_stamp < period:
-                return
-            run.transform_stamp, pose = stamp, run.odometry_in_map
-        parameters = self._parameters
-        later = stamp + parameters.transform_timeout
-        self._put_transform(self._encoder.transform(later, parameters.map_frame, parameters.odom_frame, pose))
+            is_due = bool(period) and not 0.0 <= now.stamp - run.transform_stamp < period
+            run.transform_stamp = now.stamp if is_due else run.transform_stamp
+        if is_due:
+            later, frames = now.stamp + parameters.transform_timeout, (parameters.map_frame, parameters.odom_frame)
+            self._put_transform(encoder.transform(later, *frames, now.odometry_in_map))
+        if now.status is not LocalisationStatus.LOST:
+            self._put_pose(encoder.pose(now.stamp, parameters.map_frame, now.pose, now.covariance))
 
-    def _publish_pose(self, scan: ScanTracked) -> None:
-        """Publish the pose of a scan unless the robot is lost; its covariance is that of the last keyframe, moved."""
-        run = self._run
-        with self._lock:
-            run.odometry_in_map = se2.compose(scan.pose, se2.inverse(scan.odometry))
+    def _finish_scan(self, scan: ScanTracked) -> None:
+        """Publish what comes with a scan: the status, and the pose if there is no odometry that it comes with."""
         if self._predicts_odometry:
             stamp, parameters = scan.stamp - self.shift, self._parameters
             base = self._encoder.transform(stamp, parameters.odom_frame, parameters.base_frame, scan.odometry)
             self._put_transform(base)
-            self.publish_transform(stamp)
-        if run.status is not LocalisationStatus.LOST:
-            moved = np.eye(3) if run.keyframe is None else se2.adjoint(se2.between(scan.pose, run.keyframe))
-            covariance = moved @ run.covariance @ moved.T
-            frame, stamp = self._parameters.map_frame, scan.stamp - self.shift
-            self._put_pose(self._encoder.pose(stamp, frame, scan.pose, covariance))
-        if not 0.0 <= scan.stamp - run.status_stamp < DIAGNOSTICS_PERIOD:
+            self._publish(self._run.extrapolator.at_scan(stamp))
+        if not 0.0 <= scan.stamp - self._run.status_stamp < DIAGNOSTICS_PERIOD:
             self._publish_status(scan.stamp)
 
     def _publish_status(self, stamp: float) -> None:

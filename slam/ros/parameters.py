@@ -44,6 +44,9 @@ class NodeParameters(BaseModel):
         0.5, description="seconds by which the transform is stamped later than the last measurement"
     )
     throttle_scans: int = Field(1, ge=1, description="use every so many-th scan")
+    enable_stamped_cmd_vel: bool = Field(
+        False, description="velocities for --drive are of type TwistStamped instead of Twist, as Nav2's parameter says"
+    )
     paused_new_measurements: bool = Field(False, description="start paused")
     do_loop_closing: bool | None = Field(None, description="the setting loop_closure.enabled")
     minimum_travel_distance: float | None = Field(

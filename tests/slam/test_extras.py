@@ -9,7 +9,7 @@ from slam import extras
 from slam.errors import MissingExtraError
 
 
-@pytest.mark.parametrize(("extra", "package"), [("plots", "matplotlib"), ("batch", "dask")])
+@pytest.mark.parametrize(("extra", "package"), [("plots", "matplotlib"), ("batch", "dask"), ("web", "tornado")])
 def test_missing_package_names_its_extra(monkeypatch: pytest.MonkeyPatch, extra: str, package: str) -> None:
     extras.require_extra(extra)
     monkeypatch.setattr(extras, "find_spec", lambda name: None)

@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..console import print_if_slow
-from ..options import OverwriteOption
+from ..options import OverwriteOption, PlanLayerOption, PlanUnitOption, parse_pose
 
 if TYPE_CHECKING:
-    from drivers import se2
+    pass
 
 EXIT_DIFFERENT = 1
 """Exit status if the maps are different, as of diff."""
 
 
 def diff(
-    old: Annotated[Path, typer.Argument(metavar="OLD", help="Output directory of the earlier run.")],
+    old: Annotated[Path, typer.Argument(metavar="OLD", help="Output directory of the earlier run, or a plan.")],
     new: Annotated[Path, typer.Argument(metavar="NEW", help="Output directory of the later run.")],
     false_discovery_rate: Annotated[
         float,
@@ -37,6 +37,8 @@ def diff(
     geojson: Annotated[
         Path | None, typer.Option("--geojson", metavar="FILE.geojson", help="Changes as GeoJSON.")
     ] = None,
+    plan_unit: PlanUnitOption = None,
+    plan_layer: PlanLayerOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:
     """Compare two maps of one building: walls and corners that have moved, are gone or are new.
@@ -48,20 +50,28 @@ def diff(
 
     Example: [bold]wclm diff monday tuesday --svg changes.svg[/bold]
     """
+    from ...config import load_config
     from ...errors import MapError, OutputError
-    from ...io.output_dir import unfinished_file
+    from ...io.output_dir import CONFIG, unfinished_file
     from ...io.sessions import read_session
     from ...offline.map_diff import compare, survey_session
     from ...offline.map_diff.corners import corner_changes
     from ...offline.map_diff.outputs import diff_text, write_diff_geojson, write_diff_svg
+    from ...offline.map_diff.plan import survey_plan
+    from ..plan_input import PlanOptions, is_plan, load_plan
     from ..slam_run import READING_SESSION
 
     for path, suffix in ((svg, ".svg"), (geojson, ".geojson")):
         if path is not None and path.suffix != suffix:
             raise OutputError(f"{path}: the name must end with {suffix}")
-    guess = None if at is None else _pose(at)
+    guess = parse_pose(at, "--at")
     with print_if_slow(READING_SESSION):
-        earlier, later = (survey_session(path, read_session(path)) for path in (old, new))
+        later = survey_session(new, read_session(new))
+        if is_plan(old):
+            config = load_config(new / CONFIG)
+            earlier = survey_plan(load_plan(old, PlanOptions(old, plan_unit, plan_layer or ()), config))
+        else:
+            earlier = survey_session(old, read_session(old))
     try:
         found = compare(earlier, later, false_discovery_rate, guess)
     except MapError as error:
@@ -76,16 +86,3 @@ def diff(
     typer.echo(diff_text(found, corners))
     if found.different:
         raise typer.Exit(EXIT_DIFFERENT)
-
-
-def _pose(text: str) -> se2.Pose:
-    """Return the pose (3,) of an option. Raises BadParameter if it is none."""
-    import numpy as np
-
-    try:
-        pose = np.array([float(word) for word in text.split(",")])
-    except ValueError:
-        pose = np.zeros(0)
-    if pose.shape != (3,) or not np.isfinite(pose).all():
-        raise typer.BadParameter("expected three numbers, as 1.5,-2,0.1", param_hint="--at")
-    return pose

@@ -30,11 +30,15 @@ COLOURS = {"OK": "green", "DEGENERATE": "yellow", "LOST": "red"}
 
 
 class LiveDashboard:
-    """Sink that keeps the current state of the run and prints changes of it as messages."""
+    """Sink that keeps the current state of the run and prints changes of it as messages.
+
+    drive_keys  explanation of the keys that drive the robot; empty: there are none
+    """
 
     handled = (ScanTracked, KeyframeAdded, StateChanged, LoopDecided, Notice, Relocalised)
 
-    def __init__(self) -> None:
+    def __init__(self, drive_keys: str = "") -> None:
+        self._drive_keys = drive_keys
         self._start = time.monotonic()
         self._scan: ScanTracked | None = None
         self._state = "OK"
@@ -87,6 +91,8 @@ class LiveDashboard:
             table.add_row("notice", self._notice)
         table.add_row("dropped, late", f"{snapshot.dropped}, {snapshot.late}")
         table.add_row("keys", "s: save the map now, Ctrl-C: save and end")
+        if self._drive_keys:
+            table.add_row("", self._drive_keys)
         return table
 
     def _delay(self) -> str:

@@ -12,13 +12,17 @@ from ..viewer import connect_command
 
 if TYPE_CHECKING:
     from drivers.devices.device_spec import DeviceSpec
+    from drivers.devices.driving import DriveLimits
     from drivers.devices.snapshot import Snapshot
     from drivers.errors import DriverError
     from drivers.messages import Message
 
     from ...config import Config
     from ...events import Sink
+    from ...visualisation.live_page import PageServer
     from ...visualisation.rerun_log import ViewerServer
+    from ..message_pump import MessagePump
+    from ..terminal_keys import TerminalKeys
 
 STOP_MESSAGE = "stopping and saving the map; Ctrl-C again discards it"
 
@@ -30,26 +34,47 @@ class LiveInput:
     recording  file to write, replaced if it exists; None: no recording
     duration   seconds; None: until a signal arrives
     server     address where viewers can connect, if any
+    driving    limits of driving with `keys`; None: the robot is not driven
+    keys       keys of the terminal
+    page       page that shows the run and acts on the devices, if any
 
     failure  error that ended the messages early, if any; the messages before it are mapped
     """
 
     def __init__(
-        self, specs: Sequence[DeviceSpec], recording: Path | None, duration: float | None, server: ViewerServer | None
+        self,
+        specs: Sequence[DeviceSpec],
+        recording: Path | None,
+        duration: float | None,
+        server: ViewerServer | None,
+        driving: DriveLimits | None,
+        keys: TerminalKeys,
+        page: PageServer | None,
     ) -> None:
         from drivers.devices.acquisition import Acquisition
         from drivers.messages import SourceReport
 
+        from ...pose_extrapolation import PoseExtrapolator
+        from ..teleoperation import HELP, Teleoperation
         from .live_dashboard import LiveDashboard
+        from .live_web import PageControl
 
         self.name, self.finite = " + ".join(spec.text for spec in specs), False
         self.report = SourceReport()
         self.failure: DriverError | None = None
-        self._acquisition = Acquisition(specs, recording)
-        self._duration, self._server = duration, server
+        several = sum(spec.is_lidar for spec in specs) > 1  # whose scans must come in the order of their stamps
+        self._acquisition = Acquisition(specs, recording, driving=driving, in_order=several)
+        self._page = page
+        self._control = None if page is None else PageControl(page, self._acquisition, driving)
+        if page is not None:
+            page.state.poses_of_scans = all(spec.is_lidar for spec in specs)
+        self._duration, self._server, self._driving = duration, server, driving
         self._recorded = None if recording is None else {"file": str(recording), "problem": ""}
-        self._dashboard = LiveDashboard()
-        self.sinks: Sequence[Sink] = (self._dashboard,)
+        self._dashboard = LiveDashboard("" if driving is None else HELP)
+        if driving is not None:
+            keys.add(Teleoperation(self._acquisition, driving).handle)
+        self._extrapolator = PoseExtrapolator()
+        self.sinks: Sequence[Sink] = (self._dashboard, self._extrapolator)
 
     @contextmanager
     def opened(self, idle: Callable[[], None]) -> Iterator[Iterable[Message]]:
@@ -58,10 +83,15 @@ class LiveInput:
         Raises DriverError if a device cannot be started or the recording cannot be created.
         """
         from ..acquisition_loop import stop_on_signals
+        from ..message_pump import MessagePump
 
-        with self._acquisition as acquisition, stop_on_signals(acquisition, STOP_MESSAGE):
+        with (
+            self._acquisition as acquisition,
+            MessagePump(acquisition, self._show_pose) as pump,
+            stop_on_signals(pump, STOP_MESSAGE),
+        ):
             self._print_devices()
-            yield self._messages(idle)
+            yield self._messages(pump, idle)
 
     @property
     def reopen(self) -> str | None:
@@ -72,6 +102,7 @@ class LiveInput:
 
     def resolve(self, config: Config) -> Config:
         """Return the settings unchanged: devices state the times of their measurements."""
+        self._extrapolator.delay = config.lidar.delay or 0.0
         return config
 
     def facts(self) -> dict[str, Any]:
@@ -83,10 +114,23 @@ class LiveInput:
     def _print_devices(self) -> None:
         for device in self._acquisition.snapshot.devices:
             print_message(f"{device.spec} connected: {device.identity}")
+        if self._driving is not None:
+            print_message(f"driving at {self._driving.speed:g} m/s and {self._driving.turn_rate:g} rad/s at most")
         if self._server is not None:
             print_message(f"view with: {' '.join(connect_command(self._server.url))}")
+        if self._page is not None:
+            print_message(f"open in a browser: {self._page.url}")
 
-    def _messages(self, idle: Callable[[], None]) -> Iterator[Message]:
+    def _show_pose(self, message: Message) -> None:
+        """Show the pose at an odometry reading that has arrived, in the thread of the pump."""
+        from drivers.messages import Odometry
+
+        if self._page is not None and isinstance(message, Odometry):
+            pose = self._extrapolator.at(message)
+            if pose is not None:
+                self._page.state.put_pose(pose.stamp, pose.pose, pose.covariance)
+
+    def _messages(self, pump: MessagePump, idle: Callable[[], None]) -> Iterator[Message]:
         from drivers.devices.device_source import count_losses
         from drivers.errors import DriverError
 
@@ -98,11 +142,13 @@ class LiveInput:
             def after_each() -> None:
                 snapshot = self._acquisition.snapshot
                 monitor.show(snapshot)
+                if self._control is not None:
+                    self._control.show(snapshot)
                 self._check_recording(snapshot)
                 idle()
 
             try:
-                for message in receive_messages(self._acquisition, self._duration, after_each):
+                for message in receive_messages(pump, self._duration, after_each):
                     self.report.messages += 1
                     yield message
             except DriverError as error:

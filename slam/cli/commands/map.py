@@ -108,9 +108,10 @@ def _write_graph(file: Path, session: Path) -> str:
     from ...graph.pose_graph import write_g2o
     from ...io.exports.pose_graph import build_pose_graph
     from ...io.sessions import read_session
+    from ...mapping.convergence import converge
 
     mapper = read_session(session).slam_state.mapper
-    mapper.converge()
+    converge(mapper)
     graph = build_pose_graph(mapper)
     write_g2o(file, graph)
     walls = len(graph.poses) - mapper.keyframe_count

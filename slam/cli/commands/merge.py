@@ -65,7 +65,7 @@ def _merge(paths: list[Path], out: Path, *, overwrite: bool, review: bool, pictu
             sessions = [(str(path), read_session(path)) for path in paths]
         joined = merge_sessions(sessions)
         config, name = joined.session.config, " + ".join(some.name for some in joined.session.recordings)
-        sinks: list[Sink] = [log.enter_context(review_log(directory, config, name))] if review else []
+        sinks: list[Sink] = [log.enter_context(review_log(directory, config, name, complete=True))] if review else []
         optimised = optimise(joined.session, sinks)
         log.close()
         finished = optimised.finished

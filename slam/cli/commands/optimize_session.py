@@ -107,7 +107,7 @@ def _optimise(
             from ...visualisation.rerun_log import ReviewLog
 
             settings, name = config_to_toml(session.config), str(summary.get("recording", ""))
-            written = ReviewLog(directory / REVIEW, config=settings, recording=name, versions=versions())
+            written = ReviewLog(directory / REVIEW, config=settings, recording=name, versions=versions(), complete=True)
             sinks.append(BlockingSink(log.enter_context(written)))
         optimised = optimise(session, sinks)
     finished = optimised.finished

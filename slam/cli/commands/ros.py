@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from contextlib import closing
+from contextlib import closing, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
 from drivers.ros2.selection import Backend
 
 from ..console import print_message
+from ..device_options import MaxSpeedOption, MaxTurnRateOption, parse_device_options, parse_drive_options
 from ..options import (
     ConfigOption,
     ContinueOption,
@@ -23,13 +24,23 @@ from ..options import (
 )
 
 if TYPE_CHECKING:
+    from drivers.devices.device_spec import DeviceSpec
+    from drivers.devices.driving import DriveLimits
     from drivers.ros2.link import Link
     from drivers.ros2.names import NodeNames
     from drivers.ros2.receiver import Inputs
+    from drivers.ros2.wheel_base import RosWheelBase
 
     from ...ros.parameters import NodeParameters
     from ..slam_run import RunSetup
     from .ros_node import RosNode
+
+
+class OwnBase(NamedTuple):
+    """Wheel base of the node, and its limits if it is driven."""
+
+    spec: DeviceSpec
+    driving: DriveLimits | None
 
 
 def ros(
@@ -55,6 +66,13 @@ def ros(
     ros_args: Annotated[
         bool, typer.Option("--ros-args", help="No effect; launch files put it before the options above.")
     ] = False,
+    base: Annotated[
+        list[str] | None,
+        typer.Option("--base", metavar="SPEC", help="Wheel base of the node, whose odometry is published and used."),
+    ] = None,
+    drive: Annotated[bool, typer.Option("--drive", help="Drive the base by the topic cmd_vel.")] = False,
+    max_speed: MaxSpeedOption = None,
+    max_turn_rate: MaxTurnRateOption = None,
     duration: DurationOption = None,
     overwrite: OverwriteOption = False,
     no_odometry: NoOdometryOption = False,
@@ -78,15 +96,20 @@ def ros(
 
     names = NodeNames.from_rules(remap or ())
     parameters = _load_parameters(params_file or [], param or [], names)
+    own_base = _parse_base(base, drive, max_speed, max_turn_rate, no_odometry, parameters)
     start = _prepare(parameters, continued, localized, config, settings, start_pose)
     if no_odometry:
         start = without_odometry(start, "--no-odometry")
     with closing(open_link(names, link)) as opened:
         services = "" if opened.serves_services else "; topics only, no services"
         print_message(f"node {names.qualified} by {opened.description}{services}")
-        node = _start(opened, names, parameters, start)
-        lines = node.run(start, out, overwrite=overwrite, review=review, duration=duration)
+        node = _start(opened, names, parameters, start, own_base)
+        wheel_base = _open_base(opened, names, parameters, node, own_base)
+        with wheel_base or nullcontext():
+            lines = node.run(start, out, overwrite=overwrite, review=review, duration=duration)
     typer.echo("\n".join(lines))
+    if wheel_base is not None and wheel_base.failure is not None:
+        raise wheel_base.failure
 
 
 def _load_parameters(files: list[Path], assignments: list[str], names: NodeNames) -> NodeParameters:
@@ -119,12 +142,56 @@ def _prepare(
     return prepare_run(continued, localized, config, [*parameters.settings(), *(settings or ())], start_pose)
 
 
-def _inputs(names: NodeNames, parameters: NodeParameters, start: RunSetup) -> Inputs:
+def _parse_base(
+    bases: list[str] | None,
+    drive: bool,
+    max_speed: float | None,
+    max_turn_rate: float | None,
+    no_odometry: bool,
+    parameters: NodeParameters,
+) -> OwnBase | None:
+    """Return the base of the node with its limits; raises DriverError or BadParameter if the options do not fit."""
+    specs = parse_device_options(None, bases) if bases else []
+    driving = parse_drive_options(drive, max_speed, max_turn_rate, specs)
+    if not specs:
+        return None
+    if len(specs) > 1:
+        raise typer.BadParameter("a node has one base at most", param_hint="--base")
+    if no_odometry or parameters.odom_topic:
+        other = "--no-odometry" if no_odometry else "the parameter odom_topic"
+        raise typer.BadParameter(f"cannot be used with {other}", param_hint="--base")
+    return OwnBase(specs[0], driving)
+
+
+def _open_base(
+    link: Link, names: NodeNames, parameters: NodeParameters, node: RosNode, base: OwnBase | None
+) -> RosWheelBase | None:
+    """Advertise and subscribe to the topics of the base; the returned context reads and drives it."""
+    if base is None:
+        return None
+    from drivers.ros2.wheel_base import BaseTopics, RosWheelBase
+
+    topics = BaseTopics(
+        transforms=names.resolve("/tf"),
+        odometry=names.resolve("odom"),
+        velocity=names.resolve("cmd_vel"),
+        odometry_frame=parameters.odom_frame,
+        base_frame=parameters.base_frame,
+        stamped=parameters.enable_stamped_cmd_vel,
+    )
+    if base.driving is not None:
+        limits = f"{base.driving.speed:g} m/s and {base.driving.turn_rate:g} rad/s at most"
+        print_message(f"{base.spec.text} is driven by {topics.velocity} at {limits}")
+    return RosWheelBase(link, base.spec, topics, node.receiver, base.driving)
+
+
+def _inputs(names: NodeNames, parameters: NodeParameters, start: RunSetup, base: OwnBase | None) -> Inputs:
     from drivers.ros2.receiver import Inputs
 
     return Inputs(
         scan=names.resolve(parameters.scan_topic),
         odometry=names.resolve(parameters.odom_topic) if parameters.odom_topic else "",
+        base="" if base is None else base.spec.text,
         imu=names.resolve(parameters.imu_topic) if parameters.imu_topic else "",
         initial_pose=names.resolve("/initialpose"),
         map_frame=parameters.map_frame,
@@ -138,7 +205,7 @@ def _inputs(names: NodeNames, parameters: NodeParameters, start: RunSetup) -> In
     )
 
 
-def _start(link: Link, names: NodeNames, parameters: NodeParameters, start: RunSetup) -> RosNode:
+def _start(link: Link, names: NodeNames, parameters: NodeParameters, start: RunSetup, base: OwnBase | None) -> RosNode:
     """Advertise and subscribe to all topics, and offer the services."""
     from drivers.ros2.receiver import RosReceiver
 
@@ -148,9 +215,9 @@ def _start(link: Link, names: NodeNames, parameters: NodeParameters, start: RunS
 
     compile_all()
     warm_up()
-    inputs = _inputs(names, parameters, start)
+    inputs = _inputs(names, parameters, start, base)
     outputs = NodeOutputs(link, names, parameters, predicts_odometry=not inputs.uses_odometry)
-    receiver = RosReceiver(link, inputs, outputs.publish_transform)
+    receiver = RosReceiver(link, inputs, outputs.publish_pose)
     receiver.paused = parameters.paused_new_measurements
     node = RosNode(receiver, outputs)
     if link.serves_services:

@@ -76,7 +76,7 @@ class RosInput:
     def opened(self, idle: Callable[[], None]) -> Iterator[Iterable[Message]]:
         """Provide the messages that arrive from now on, until SIGINT, SIGTERM or SIGHUP."""
         self._idle = idle
-        self._outputs.begin(self._start.resumed)
+        self._outputs.begin(self._start.resumed, self._start.config.lidar.delay or 0.0)
         try:
             with stop_on_signals(self._receiver, STOP_MESSAGE):
                 yield self._messages()

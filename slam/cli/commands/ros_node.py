@@ -107,6 +107,6 @@ class RosNode:
             succeeded = True
         except (SlamError, OSError) as error:
             print_message(f"serialize_map: {error}")
-        following = replace(start, resumed=read_session(target), pose=None)
+        following = replace(start, resumed=read_session(target, solve=False), pose=None)
         self.control.answer(succeeded)
         return following

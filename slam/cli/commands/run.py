@@ -11,6 +11,9 @@ from ..options import (
     NoOdometryOption,
     OutOption,
     OverwriteOption,
+    PlanLayerOption,
+    PlanOption,
+    PlanUnitOption,
     PlotOption,
     RecordingArgument,
     RefineOption,
@@ -28,6 +31,9 @@ def run(
     no_odometry: NoOdometryOption = False,
     continued: ContinueOption = None,
     localized: LocalizeOption = None,
+    plan: PlanOption = None,
+    plan_unit: PlanUnitOption = None,
+    plan_layer: PlanLayerOption = None,
     start_pose: StartOption = None,
     config: ConfigOption = None,
     settings: SetOption = None,
@@ -43,11 +49,14 @@ def run(
     import drivers
 
     from ...io.recordings import absolute_recording
+    from ..plan_input import PlanOptions
     from ..run_input import RecordingInput, has_odometry
     from ..run_summary import format_summary
     from ..slam_run import prepare_run, run_slam, without_odometry
 
-    start = prepare_run(continued, localized, config, settings, start_pose)
+    start = prepare_run(
+        continued, localized, config, settings, start_pose, PlanOptions(plan, plan_unit, plan_layer or ())
+    )
     source = drivers.open(recording, start.config.lidar.beam_order)
     if no_odometry:
         start = without_odometry(start, "--no-odometry")
@@ -65,5 +74,6 @@ def run(
         resumed=start.resumed,
         frozen=start.frozen,
         start=start.pose,
+        plan=start.plan,
     )
     typer.echo("\n".join(format_summary(result, out)))

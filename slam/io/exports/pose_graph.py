@@ -17,6 +17,7 @@ from drivers import se2
 
 from ...geometry.segments import Floats
 from ...graph.factors import CAUCHY_SCALES, WALL_KINDS, Factor, FactorKind, FactorsOfKind, by_kind
+from ...graph.graph_storage import graph_state
 from ...graph.pose_graph import Edges, PoseGraph
 from ...mapping.mapper import Mapper
 
@@ -26,37 +27,60 @@ FIRST_CORNER_ID = 2_000_000
 """Vertex id of corner 0."""
 FIRST_POINT_MAP_ID = 3_000_000
 """Vertex id of the points of keyframe 0."""
+PLAN_ID = 4_000_000
+"""Vertex id of the frame of a plan, which is that of the map."""
 
 
 def build_pose_graph(mapper: Mapper) -> PoseGraph:
-    """Return the pose graph of a mapper that has converged, at its estimate; the first keyframe is fixed."""
-    state, count = mapper.graph.state(), mapper.keyframe_count
+    """Return the pose graph of a mapper that has converged, at its estimate.
+
+    The first keyframe is fixed; in a map with a plan, the plan's frame instead.
+    """
+    state, count = graph_state(mapper.graph), mapper.keyframe_count
     wall_frames, point_maps = mapper.graph.wall_frames(state.walls.tolist()), state.point_maps.tolist()
-    poses = np.concatenate([mapper.graph.keyframe_poses(count), wall_frames, mapper.graph.point_map_poses(point_maps)])
+    plan = [PLAN_ID] if any(factor.kind is FactorKind.PLAN_WALL for factor in state.factors) else []
+    poses = np.concatenate(
+        [
+            mapper.graph.keyframe_poses(count),
+            wall_frames,
+            mapper.graph.point_map_poses(point_maps),
+            np.zeros((len(plan), 3)),
+        ]
+    )
     landmarks = mapper.graph.corner_positions(state.corners.tolist())
     walls = {int(wall): count + row for row, wall in enumerate(state.walls)}
     bodies = {keyframe: count + len(walls) + row for row, keyframe in enumerate(point_maps)}
     corners = {int(corner): row for row, corner in enumerate(state.corners)}
     motions = [factor for factor in state.factors if factor.kind not in (FactorKind.POSE_PRIOR, FactorKind.CORNER)]
-    motion_ends = [_rows_of(factor, walls, bodies) for factor in motions]
+    motion_ends = [_rows_of(factor, walls, bodies, len(poses) - 1) for factor in motions]
     positions = [factor for factor in state.factors if factor.kind is FactorKind.CORNER]
     position_ends = [(factor.first, corners[factor.second]) for factor in positions]
     no_edges = Edges(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 1)), np.zeros((0, 1, 1)), np.zeros(0, int))
     return PoseGraph(
-        pose_ids=np.concatenate([np.arange(count), FIRST_WALL_ID + state.walls, FIRST_POINT_MAP_ID + state.point_maps]),
+        pose_ids=np.concatenate(
+            [
+                np.arange(count),
+                FIRST_WALL_ID + state.walls,
+                FIRST_POINT_MAP_ID + state.point_maps,
+                np.array(plan, dtype=np.int64),
+            ]
+        ),
         poses=poses,
         landmark_ids=FIRST_CORNER_ID + state.corners,
         landmarks=landmarks,
         motions=_build_edges(motions, motion_ends, poses, poses, 3, state.bias),
         positions=_build_edges(positions, position_ends, poses, landmarks, 2, state.bias),
         bearings=no_edges,
-        fixed_poses=np.arange(len(poses)) == 0,
+        fixed_poses=np.arange(len(poses)) == (len(poses) - 1 if plan else 0),
         fixed_landmarks=np.zeros(len(landmarks), dtype=bool),
     )
 
 
-def _rows_of(factor: Factor, walls: Mapping[int, int], bodies: Mapping[int, int]) -> tuple[int, int]:
-    """Return the rows of the poses at both ends of a factor, with those of the walls and of the keyframes' points."""
+def _rows_of(factor: Factor, walls: Mapping[int, int], bodies: Mapping[int, int], plan: int) -> tuple[int, int]:
+    """Return the rows of the poses at both ends of a factor.
+
+    Given are those of the walls, of the keyframes' points, and of the plan.
+    """
     match factor.kind:
         case FactorKind.ODOMETRY | FactorKind.LOOP:
             return factor.first, factor.second
@@ -64,6 +88,8 @@ def _rows_of(factor: Factor, walls: Mapping[int, int], bodies: Mapping[int, int]
             return factor.first, bodies[factor.second]
         case FactorKind.SCAN_MATCH:
             return bodies[factor.first], factor.second
+        case FactorKind.PLAN_WALL:
+            return plan, walls[factor.second]
         case FactorKind.WALL_EQUALITY:
             return walls[factor.first], walls[factor.second]
         case _:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -32,6 +33,8 @@ BUSY_EVENTS = 500  # events in the queue, about a second of work; beyond, scans 
 STALLED_EVENTS = (
     5_000  # events in the queue: logging has stalled, e.g. on a full disk; beyond, only rare events are kept
 )
+STALLED_SECONDS = 10.0  # without a logged event: logging has stalled, and a recording does not wait for it either
+WAIT = 0.005  # seconds between two looks at the queue
 RARE_EVENTS = (LoopDecided, WallsMerged, WallsRemoved, StateChanged, Relocalised, SuspectFound, Finished)
 """Events that are never left out: so rare that those of a whole day fit into the queue."""
 
@@ -39,11 +42,11 @@ _logger = logging.getLogger(__name__)
 
 
 class ReviewLog:
-    """A sink that writes the pipeline's events to a Rerun recording without delaying the pipeline.
+    """A sink that writes the pipeline's events to a Rerun recording without delaying a live run.
 
-    If logging cannot keep up, scan points and the robot's motion between keyframes are left out and counted; if it
-    stalls, also keyframes, maps and notices, but never loop decisions. Errors while logging do not reach the pipeline;
-    `close` reports them once.
+    If logging cannot keep up with a recording, the pipeline waits for it (`complete`). In a live run, scan points and
+    the robot's motion between keyframes are left out and counted then; if logging stalls, also keyframes, maps and
+    notices, but never loop decisions. Errors while logging do not reach the pipeline; `close` reports them once.
 
     path        .rrd file to write; an existing one is overwritten. Long logs continue in further files beside it
     config      settings as TOML, shown beside the map
@@ -52,6 +55,7 @@ class ReviewLog:
     server      address at which viewers can connect at any time
     seed        of the simulation, if there is one
     part_size   bytes after which another file is started
+    complete    let the pipeline wait while logging is busy, at most STALLED_SECONDS at a time
     """
 
     def __init__(
@@ -64,6 +68,7 @@ class ReviewLog:
         server: ViewerServer | None = None,
         seed: int | None = None,
         part_size: int | None = None,
+        complete: bool = False,
     ) -> None:
         """Open the log. Raises OutputError if `path` cannot be written."""
         # Rerun is imported only if a log is wanted.
@@ -76,7 +81,7 @@ class ReviewLog:
         self.failures = 0  # events that could not be logged
         self.first_failure: str | None = None
         self._queue: SimpleQueue[Event | None] = SimpleQueue()
-        self._closed = False
+        self._closed, self._complete = False, complete
         size = PART_SIZE if part_size is None else part_size
         self._log = EventLog(path, config, recording, versions or {}, server, size, seed)
         self._worker = threading.Thread(target=self._work, name="review log", daemon=True)
@@ -92,9 +97,11 @@ class ReviewLog:
         return self._queue.qsize()
 
     def handle(self, event: Event) -> None:
-        """Queue one event; takes microseconds. Events after `close` are ignored."""
+        """Queue one event; takes microseconds unless `complete`. Events after `close` are ignored."""
         if self._closed:
             return
+        if self._complete:
+            self._wait_while_busy()
         waiting = self.waiting
         if waiting >= STALLED_EVENTS and not isinstance(event, RARE_EVENTS):
             self.lost += 1
@@ -107,6 +114,17 @@ class ReviewLog:
                 self.thinned += 1
                 event = replace(event, points=np.empty((0, 2)))
         self._queue.put(event)
+
+    def _wait_while_busy(self) -> None:
+        """Wait until logging has caught up; if it makes no progress at all, do not wait from then on."""
+        waiting, since = self.waiting, time.monotonic()
+        while self.waiting >= BUSY_EVENTS:
+            if self.waiting < waiting:
+                waiting, since = self.waiting, time.monotonic()
+            elif time.monotonic() - since > STALLED_SECONDS:
+                self._complete = False
+                return
+            time.sleep(WAIT)
 
     def close(self) -> None:
         """Log the queued events, finish the file and report errors. Closing again does nothing."""

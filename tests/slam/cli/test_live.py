@@ -155,6 +155,10 @@ def test_no_measurement_is_lost(live_session: LiveSession) -> None:
     assert live_session.report["base"]["readings"] - base["good"] < 10
 
 
+def test_no_drive_command_is_sent_without_the_option(live_session: LiveSession) -> None:
+    assert live_session.report["base"]["velocities"] == 0
+
+
 def test_mapping_the_recording_gives_the_same_path(live_session: LiveSession, wclm: Any) -> None:
     live = (live_session.run.out / TRAJECTORY).read_bytes()
     assert {type(message) for message in McapReader(live_session.recording)} == {Scan, Odometry}

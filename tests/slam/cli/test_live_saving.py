@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 
 from slam.cli.autosave import Autosave
+from slam.cli.terminal_keys import TerminalKeys
 from slam.io.output_dir import (
     CONFIG,
     KEYFRAMES,
@@ -99,7 +100,7 @@ def test_a_failing_save_does_not_end_the_run(
             raise failure
 
     output = OutputDirectory(tmp_path / "map")
-    with output, Autosave(output, lambda: write) as autosave:
+    with output, Autosave(output, lambda: write, TerminalKeys()) as autosave:
         while failures:
             autosave.poll()
             time.sleep(0.001)

@@ -231,6 +231,29 @@ def test_a_slow_log_does_not_block_and_keeps_keyframes(tmp_path, monkeypatch):
     assert "left out" in last(tmp_path / "slow.rrd", "/log", "TextLog:text")[0]
 
 
+def test_a_recording_waits_for_a_slow_log(tmp_path, monkeypatch):
+    written = []
+    monkeypatch.setattr(EventLog, "write", lambda log, event: (time.sleep(5e-4), written.append(event)))
+    review = ReviewLog(tmp_path / "slow.rrd", complete=True)
+    for index in range(1500):
+        review.handle(ScanTracked(float(index), np.zeros(3), np.zeros(3), 1.0, index))
+    review.close()
+    assert len(written) == 1500
+    assert review.left_out() == {"thinned": 0, "lost": 0, "failed": 0}
+
+
+def test_a_recording_does_not_wait_for_a_stalled_log(tmp_path, monkeypatch):
+    monkeypatch.setattr(review_log, "STALLED_SECONDS", 0.1)
+    release = threading.Event()
+    monkeypatch.setattr(EventLog, "write", lambda log, event: release.wait(20))
+    review = ReviewLog(tmp_path / "stalled.rrd", complete=True)
+    for index in range(1000):
+        review.handle(ScanTracked(float(index), np.zeros(3), np.zeros(3), 1.0, index))
+    release.set()
+    review.close()
+    assert review.thinned > 400
+
+
 def test_a_stalled_log_limits_its_memory_and_loses_no_loop_decision(tmp_path, monkeypatch, caplog):
     review, release = stalled(tmp_path / "stalled.rrd", monkeypatch)
     review.handle(bare_keyframe(0))

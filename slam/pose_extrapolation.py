@@ -1,0 +1,147 @@
+"""Pose of the base now: that of the last scan, extrapolated by odometry, with covariance.
+
+It is output only, and never enters the estimate.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from threading import Lock
+from typing import ClassVar
+
+import numpy as np
+
+from drivers import se2
+from drivers.messages import Odometry
+
+from .events import Event, KeyframeAdded, ScanTracked, StateChanged
+from .geometry.pose_covariance import covariance_after
+from .geometry.segments import Floats
+from .localisation.state import LocalisationStatus
+from .odometry.error_model import OdometryModel
+
+# Odometry readings that are kept until a scan measured at their time was processed. Origin: chosen, half a minute of a
+# fast base, longer than any scan takes.
+KEPT_READINGS = 2000
+# Seconds by which a scan may be processed before the next reading is known here. Stamps that are farther ahead are on
+# another clock, as in a continued session. Origin: chosen, many periods of a base; not measured.
+MAX_WAIT = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExtrapolatedPose:
+    """Pose of the base in the map at the stamp of an odometry reading.
+
+    stamp       seconds
+    pose        (3,) [x, y, heading]
+    covariance  (3, 3) in the pose's own frame
+    odometry    (3,) odometry pose at the same time
+    status      localisation status
+    """
+
+    stamp: float
+    pose: se2.Pose
+    covariance: Floats
+    odometry: se2.Pose
+    status: LocalisationStatus
+
+    @property
+    def odometry_in_map(self) -> se2.Pose:
+        """Pose of the odometry's frame in the map."""
+        return se2.compose(self.pose, se2.inverse(self.odometry))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fix:
+    """Pose of the base in the map, odometry at the same time, and the error model of odometry, if it is known."""
+
+    pose: se2.Pose
+    odometry: se2.Pose
+    covariance: Floats
+    model: OdometryModel | None
+
+
+class PoseExtrapolator:
+    """Sink that remembers the last pose, and extrapolates it by odometry that has not been processed yet.
+
+    With T the motion since the last scan, as odometry measured it and corrected for the systematic errors that were
+    learned, the pose is the scan's followed by T, and its covariance is
+
+        Ad(T)^-1 P Ad(T)^-T + Q,
+
+    where P is the covariance of the scan's pose, whose errors are those of the last keyframe, and Q that of the motion
+    by the error model. On a map that does not change, P is the covariance of the pose in it. `at` may be called from
+    any thread.
+
+    delay  seconds by which the lidar's stamps are late against odometry's
+    """
+
+    handled: ClassVar[tuple[type[Event], ...]] = (ScanTracked, KeyframeAdded, StateChanged)
+
+    def __init__(self, delay: float = 0.0) -> None:
+        self.delay = delay
+        self._lock = Lock()
+        self._readings: deque[Odometry] = deque(maxlen=KEPT_READINGS)
+        self._status = LocalisationStatus.OK
+        self._keyframe: KeyframeAdded | None = None
+        self._fix: _Fix | None = None  # replaced as a whole, for the other threads
+
+    def handle(self, event: Event) -> None:
+        """Process one event."""
+        match event:
+            case ScanTracked():
+                covariance = event.covariance if self._keyframe is None else _moved(self._keyframe, event.pose)
+                odometry = self._measured_at(event.stamp - self.delay, event.odometry)
+                self._fix = _Fix(event.pose, odometry, covariance, event.odometry_model)
+            case KeyframeAdded():  # the same scan, after the map has changed
+                self._keyframe = event
+                if self._fix is not None:
+                    self._fix = _Fix(event.pose, self._fix.odometry, event.pose_covariance, self._fix.model)
+            case StateChanged():
+                self._status = LocalisationStatus(event.state)
+
+    def at(self, reading: Odometry) -> ExtrapolatedPose | None:
+        """Return the pose at an odometry reading, the next one; None before the first scan."""
+        with self._lock:
+            self._readings.append(reading)
+        fix = self._fix
+        if fix is None:
+            return None
+        motion, own = se2.between(fix.odometry, reading.pose), np.zeros((3, 3))
+        if fix.model is not None and not np.array_equal(fix.odometry, reading.pose):  # standing wheels do not err
+            motion = fix.model.correct(motion)
+            own = fix.model.covariance(motion)
+        covariance = covariance_after(fix.covariance, motion) + own
+        return ExtrapolatedPose(reading.stamp, se2.compose(fix.pose, motion), covariance, reading.pose, self._status)
+
+    def at_scan(self, stamp: float) -> ExtrapolatedPose | None:
+        """Return the pose of the last scan, of this stamp; None before the first one."""
+        fix = self._fix
+        if fix is None:
+            return None
+        return ExtrapolatedPose(stamp, fix.pose, fix.covariance, fix.odometry, self._status)
+
+    def _measured_at(self, stamp: float, processed: se2.Pose) -> se2.Pose:
+        """Return the odometry pose at a stamp, interpolated between readings.
+
+        It is not that of the scan, `processed`, if a gyroscope has improved odometry; that is the best guess if there
+        are no readings of this time.
+        """
+        after: Odometry | None = None
+        with self._lock:
+            for reading in reversed(self._readings):
+                if reading.stamp <= stamp:
+                    break
+                after = reading
+            else:
+                return processed
+        if after is None:
+            return reading.pose if stamp - reading.stamp < MAX_WAIT else processed
+        part = (stamp - reading.stamp) / (after.stamp - reading.stamp)
+        return se2.compose(reading.pose, part * se2.between(reading.pose, after.pose))
+
+
+def _moved(keyframe: KeyframeAdded, pose: se2.Pose) -> Floats:
+    """Return the covariance (3, 3) of a pose near a keyframe, whose errors it shares."""
+    return covariance_after(keyframe.pose_covariance, se2.between(keyframe.pose, pose))

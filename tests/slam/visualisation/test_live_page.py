@@ -1,0 +1,306 @@
+"""The page of a live run: what clients receive, which requests are refused, and what its buttons do."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tornado.httpclient import HTTPClientError, HTTPRequest
+from tornado.websocket import WebSocketClientConnection, websocket_connect
+
+from slam.errors import OutputError
+from slam.events import Finished, MapUpdated, Notice, ScanTracked, StateChanged, SuspectFound
+from slam.visualisation.live_page import LiveState, PageServer
+from slam.visualisation.live_page.live_state import MAX_MESSAGES, MAX_POINTS
+from slam.visualisation.live_page.requests import MAX_COMMAND_DELAY
+
+from ..browser import browser
+from .test_report_page import CHROMIUM, in_a_browser
+
+POSE = np.array([1.0, 2.0, 0.5])
+
+
+@contextmanager
+def served(state: LiveState | None = None, address: str = "127.0.0.1") -> Iterator[PageServer]:
+    with PageServer(state or LiveState(), address, None) as server:
+        yield server
+
+
+OPENED: list[WebSocketClientConnection] = []
+
+
+async def connect(server: PageServer, **headers: str) -> WebSocketClientConnection:
+    host = f"127.0.0.1:{server.port}"
+    query = f"?token={server.token}" if server.token else ""
+    wanted = {"Origin": f"http://{host}", **headers}
+    request = HTTPRequest(f"ws://{host}/live{query}", headers={k: v for k, v in wanted.items() if v})
+    client = await websocket_connect(request)
+    OPENED.append(client)
+    return client
+
+
+async def frame(client: WebSocketClientConnection) -> dict[str, Any]:
+    """Receive a frame and ask for the next one."""
+    received = await asyncio.wait_for(client.read_message(), 20.0)
+    assert received is not None
+    await client.write_message('{"drawn": 1}')
+    content: dict[str, Any] = json.loads(received)
+    return content
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + 20.0
+    while not condition():
+        assert time.monotonic() < end
+        await asyncio.sleep(0.01)
+
+
+def run(test: Callable[[], Awaitable[None]]) -> None:
+    """Run a test, then close its connections."""
+
+    async def limited() -> None:
+        try:
+            await asyncio.wait_for(test(), 60.0)
+        finally:
+            while OPENED:
+                client = OPENED.pop()
+                client.close()
+                while await client.read_message() is not None:
+                    pass
+
+    asyncio.run(limited())
+
+
+def refused(url: str, **headers: str) -> int:
+    with pytest.raises(urllib.error.HTTPError) as error:
+        urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=20.0)
+    with error.value as response:
+        assert len(response.read()) < 200
+    return error.value.code
+
+
+def test_the_page_has_no_external_parts_and_only_its_own_script_may_run() -> None:
+    with served() as server, urllib.request.urlopen(server.url, timeout=20.0) as response:
+        text, headers = response.read().decode(), response.headers
+    policy = headers["Content-Security-Policy"]
+    assert policy.startswith("default-src 'none'")
+    assert "unsafe" not in policy
+    assert headers["Cache-Control"] == "no-store"
+    assert not re.search(r"(src|href)=\"(?!data:)", text)
+    assert "https://" not in text
+
+
+def test_clients_receive_map_scan_pose_and_state(finished: Finished) -> None:
+    state = LiveState()
+    scan = ScanTracked(10.0, POSE, POSE, 0.9, 4, np.random.default_rng(1).normal(size=(2000, 2)))
+
+    async def test() -> None:
+        state.handle(scan)
+        state.handle(MapUpdated(4, 10.0, finished.keyframes, finished.walls, finished.corners, 1.0, 0.0))
+        client = await connect(server)
+        first = await frame(client)
+        assert len(first["map"]["walls"]) == len(finished.walls.piece_points()[0])
+        assert first["map"]["walls"][0] == pytest.approx([0.0, 0.0, 6.0, 0.0])
+        assert first["pose"]["pose"] == pytest.approx(POSE)
+        assert len(first["scan"]["points"]) <= MAX_POINTS
+        assert first["status"]["state"] == "OK"
+        state.put_pose(10.5, POSE + 1.0, np.diag([4e-4, 1e-4, 1e-6]))
+        second = await frame(client)
+        assert set(second) == {"pose"}
+        c, s = np.cos(1.5), np.sin(1.5)
+        turned = np.array([[c, -s], [s, c]]) @ np.diag([4e-4, 1e-4]) @ np.array([[c, s], [-s, c]])
+        assert second["pose"]["covariance"] == pytest.approx(turned)
+        state.handle(StateChanged(11.0, "LOST", None))
+        assert (await frame(client))["status"]["state"] == "LOST"
+        state.handle(Notice(12.0, "the pose is lost"))
+        state.handle(SuspectFound(4, 12.0, "10.0 s: the map is bent", np.zeros(2)))
+        state.handle(replace(finished))
+        client.close()
+        state.handle(replace(scan, overlap_ratio=float("nan"), points=np.zeros((0, 2))))  # no wall, no points
+        late = await connect(server)
+        status = (await frame(late))["status"]
+        assert (status["state"], status["finished"]) == ("SUSPECT", True)
+        assert status["doubts"] == [[2.0, "the pose is lost"], [2.0, "SUSPECT at 10.0 s: the map is bent"]]
+
+    with served(state) as server:
+        run(test)
+
+
+def test_a_slow_client_misses_frames_and_delays_nobody() -> None:
+    """It gets one frame, and when it has drawn that, only the newest pose."""
+    state = LiveState()
+
+    async def test() -> None:
+        slow, fast = await connect(server), await connect(server)
+        assert await slow.read_message() is not None
+        await frame(fast)
+        begun = time.monotonic()
+        for number in range(2000):
+            state.put_pose(float(number), POSE, None)
+        assert time.monotonic() - begun < 5.0
+        while (await frame(fast))["pose"]["stamp"] != 1999.0:
+            pass
+        await slow.write_message('{"drawn": 1}')
+        assert (await frame(slow))["pose"]["stamp"] == 1999.0
+
+    with served(state) as server:
+        run(test)
+
+
+def test_nothing_is_encoded_without_clients(monkeypatch: pytest.MonkeyPatch) -> None:
+    state = LiveState()
+    for number in range(2 * MAX_MESSAGES):
+        state.handle(ScanTracked(float(number), POSE, POSE, 0.9, 4, None))  # type: ignore[arg-type]
+        state.handle(Notice(float(number), "text"))
+    with pytest.raises(TypeError):
+        state.frame({})
+
+
+def test_requests_of_other_sites_are_refused() -> None:
+    """Also if another site has made its name point to this computer."""
+    with served() as server:
+        assert server.token == ""
+        assert refused(server.url, Host="evil.example") == 403
+        assert refused(server.url + "nothing") == 404
+        local = f"127.0.0.1:{server.port}"
+
+        async def test() -> None:
+            for headers in ({"Origin": "http://evil.example"}, {"Origin": ""}, {"Host": f"evil.example:{server.port}"}):
+                with pytest.raises(HTTPClientError, match="403"):
+                    await connect(server, **headers)
+            (await connect(server, Origin=f"http://{local}")).close()
+            (await connect(server, Origin="http://localhost:9000", Host="localhost:9000")).close()  # through SSH
+
+        run(test)
+
+
+def test_other_computers_need_the_token() -> None:
+    with served(address="0.0.0.0") as server:
+        local = f"http://127.0.0.1:{server.port}/"
+        assert server.url.endswith(f":{server.port}/?token={server.token}")
+        assert len(server.token) > 20
+        for wrong in ("", "?token=", "?token=x", f"?token={server.token}x"):
+            assert refused(local + wrong) == 403
+            assert refused(f"{local}live{wrong}") == 403
+        with urllib.request.urlopen(f"{local}?token={server.token}", timeout=20.0) as response:
+            assert response.status == 200
+
+        async def test() -> None:
+            (await connect(server)).close()
+            with pytest.raises(HTTPClientError, match="403"):
+                await connect(server, Origin="http://evil.example")
+
+        run(test)
+
+
+def test_a_taken_port_is_named() -> None:
+    with served() as one, served() as other:
+        assert one.port != other.port
+        with pytest.raises(OutputError, match=f"at port {one.port}: .*in use"):
+            PageServer(LiveState(), port=one.port)
+
+
+def test_buttons_save_pause_and_drive_within_the_limits() -> None:
+    done: list[Any] = []
+    with served() as server:
+        actions = server.actions
+        actions.save = lambda: done.append("save")
+        actions.pause = done.append
+        actions.drive = lambda speed, turn_rate: done.append((speed, turn_rate))
+        actions.limits = 0.3, 1.0
+
+        async def test() -> None:
+            client, now = await connect(server), 5000.0
+            useless = ("", "[1]", '{"drive": [1]}', '{"drive": [1, "a"], "time": 0}', '{"drive": [1, NaN], "time": 0}')
+            for text in (*useless, '{"drive": [1, 1]}', '{"pause": 1}', '{"save": 2}'):
+                await client.write_message(text)
+            for content in (
+                {"save": True},
+                {"pause": True},
+                {"drive": [0.5, -1.0], "time": now},
+                {"drive": [9.0, 0.0], "time": now},
+                {"drive": [1.0, 0.0], "time": now - 2000 * MAX_COMMAND_DELAY},  # held back by the network
+                {"drive": [0.0, 0.0], "time": now - 2000 * MAX_COMMAND_DELAY},
+                {"drive": [0.0, 1.0], "time": now},
+            ):
+                await client.write_message(json.dumps(content))
+            wanted = ["save", True, (0.15, -1.0), (0.3, 0.0), (0.0, 0.0), (0.0, 1.0)]
+            await until(lambda: len(done) >= len(wanted))
+            assert done == wanted
+            client.close()  # while it drives
+            await until(lambda: done[-1] == (0.0, 0.0))
+
+        run(test)
+
+
+def test_a_page_without_permission_to_drive_cannot() -> None:
+    with served() as server:
+
+        async def test() -> None:
+            client = await connect(server)
+            await frame(client)
+            await client.write_message('{"drive": [1, 0], "time": 1, "save": true, "pause": true}')
+            server.state.update(message="still there")
+            assert (await frame(client))["status"]["message"] == "still there"
+
+        run(test)
+
+
+@in_a_browser
+@pytest.mark.parametrize(("width", "height", "mobile"), [(1280, 800, False), (390, 844, True)])
+def test_a_browser_shows_the_run_and_drives(
+    width: int, height: int, mobile: bool, finished: Finished, tmp_path: Path
+) -> None:
+    state, driven = LiveState(), []
+    state.handle(ScanTracked(10.0, POSE, POSE, 0.9, 4, np.zeros((3, 2))))
+    state.handle(MapUpdated(4, 10.0, finished.keyframes, finished.walls, finished.corners, 1.0, 0.0))
+    state.handle(StateChanged(11.0, "DEGENERATE", None))
+    state.handle(Notice(12.0, "odometry <b>slipped</b>"))
+    state.update(can_drive=True, devices=[("ld06:/dev/a", "lost", "losses 1")])
+
+    async def test() -> None:
+        assert CHROMIUM is not None
+        async with browser(CHROMIUM, tmp_path / "profile") as tab:
+            await tab.open(server.url, width, height, mobile=mobile)
+            await tab.wait("document.getElementById('state').textContent === 'DEGENERATE'")
+            document = await tab.evaluate("document.body.innerText")
+            for text in ("1.00 m, 2.00 m, 29°", "odometry <b>slipped</b>", "ld06:/dev/a: lost, losses 1"):
+                assert text in document
+            assert await tab.evaluate("document.documentElement.scrollWidth") == width
+            x, y, size = await tab.evaluate(
+                "(() => { const b = document.getElementById('stick').getBoundingClientRect();"
+                " return [b.left + b.width / 2, b.top + b.height / 2, b.width] })()"
+            )
+            assert 0 < x - size / 2 < x + size / 2 < width
+            assert y + size / 2 < height
+            at = {"x": x, "y": y - 0.4 * size}
+            if mobile:
+                await tab.call("Input.dispatchTouchEvent", type="touchStart", touchPoints=[at])
+            else:
+                await tab.call("Input.dispatchMouseEvent", type="mousePressed", button="left", clickCount=1, **at)
+            await until(lambda: len(driven) > 3)
+            assert driven[-1] == (pytest.approx(0.8 * 0.3, abs=0.02), pytest.approx(0.0, abs=0.05))
+            if mobile:
+                await tab.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+            else:
+                await tab.call("Input.dispatchMouseEvent", type="mouseReleased", button="left", clickCount=1, **at)
+            await until(lambda: driven[-1] == (0.0, 0.0))
+            state.put_pose(13.0, POSE + 1.0, np.diag([0.01, 0.04, 0.001]))
+            await tab.wait("document.getElementById('pose').textContent.startsWith('2.00 m, 3.00 m')")
+            assert tab.console == []
+
+    with served(state) as server:
+        server.actions.drive = lambda speed, turn_rate: driven.append((speed, turn_rate))
+        server.actions.limits = 0.3, 1.0
+        run(test)
