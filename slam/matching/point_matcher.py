@@ -97,6 +97,10 @@ class Prediction:
         """Return the cost of a pose in excess of `least_cost`, without that of `inertia`."""
         return 0.5 * self.kernel**2 * math.log1p(self.squared_distance(pose) / self.kernel**2)
 
+    def weight(self, pose: se2.Pose) -> float:
+        """Return the share of the information that the kernel leaves at a pose."""
+        return 1.0 / (1.0 + self.squared_distance(pose) / self.kernel**2)
+
     def squared_distance(self, pose: se2.Pose) -> float:
         """Return the squared Mahalanobis distance of a pose."""
         error = se2.between(self.pose, pose)

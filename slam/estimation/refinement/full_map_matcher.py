@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers import se2
 
@@ -17,6 +18,7 @@ from ...matching.distance_field import DistanceField
 from ...matching.line_matcher import Registration, ScanFeatures
 from ...matching.point_matcher import KERNEL, POINT_SPACING, Prediction
 from ...matching.scan_points import surface_points
+from ...odometry.error_model import OdometryModel
 from .scan_history import WRONG_ODOMETRY_SIGMAS, ScanHistory
 
 # Metres; side of the square tiles: scans of one tile use the same distance field.
@@ -50,15 +52,24 @@ class FullMapMatch:
 class FullMapMatcher:
     """Landmarks, and the points of all keyframes at `poses` (k, 3), to which scans are matched.
 
-    roughness   variance of the walls' roughness, square metres
-    range_bias  metres, without which the landmarks were estimated
+    roughness       variance of the walls' roughness, square metres
+    range_bias      metres, without which the landmarks were estimated
+    model           of odometry's errors
+    odometry_wrong  (n,) true for scans at which odometry is known to be wrong
     """
 
     def __init__(
-        self, history: ScanHistory, landmarks: Landmarks, poses: Floats, roughness: float, range_bias: float
+        self,
+        history: ScanHistory,
+        landmarks: Landmarks,
+        poses: Floats,
+        roughness: float,
+        range_bias: float,
+        model: OdometryModel,
+        odometry_wrong: NDArray[np.bool_],
     ) -> None:
         self._history, self._landmarks, self._poses, self._roughness = history, landmarks, poses, roughness
-        self._range_bias = range_bias
+        self._range_bias, self._model, self._odometry_wrong = range_bias, model, odometry_wrong
         self._groups = landmarks.parts.groups_of(np.arange(len(poses)))
         self._tile: tuple[int, int, int] | None = None
         self._fields: dict[int, DistanceField] = {}
@@ -82,21 +93,26 @@ class FullMapMatcher:
         """
         scan = self.features(row)
         target = MatchTarget(local_map, self._field(int(self._history.anchors[row])), self._roughness)
-        present = Prediction(poses[row], self._prior(row))
+        present = Prediction(poses[row], self._prior(row, poses))
         even = Prediction(self._interpolate(row, poses), self._unmatched)
         predictions = [present, even] if present.squared_distance(even.pose) > KERNEL**2 else [present]
         match = target.match(scan, predictions, exhaustive=True)
         odometry_wrong = match.plausible and match.prediction is even
         return FullMapMatch(match.registration, match.plausible, odometry_wrong)
 
-    def _prior(self, row: int) -> Floats:
+    def _prior(self, row: int, poses: Floats) -> Floats:
         """Return the information (3, 3) of a scan's present pose.
 
-        It is low in directions that the match while driving did not determine. A scan that was not matched has the
-        uncertainty of wrong odometry in all directions.
+        In directions that the match while driving did not determine, such as along a corridor, it is that of odometry
+        since the scan before, as far as odometry leads to the present pose. A scan that was not matched and to which
+        odometry does not lead has the uncertainty of wrong odometry in all directions.
         """
-        of_match = np.linalg.inv(self._history.informations[row] + self._unmatched)
-        return np.asarray(np.linalg.inv(of_match + np.diag(TRACKED_SIGMAS**2)))
+        information = self._history.informations[row] + self._unmatched
+        if row:
+            motion, covariance = self._history.motion(row - 1, row, self._model, self._odometry_wrong)
+            by_odometry = Prediction(se2.compose(poses[row - 1], motion), np.linalg.inv(covariance))
+            information = information + by_odometry.weight(poses[row]) * by_odometry.information
+        return np.asarray(np.linalg.inv(np.linalg.inv(information) + np.diag(TRACKED_SIGMAS**2)))
 
     def covariance(self, registration: Registration) -> Floats:
         """Return the covariance (3, 3) of a matched pose, in the base's frame."""

@@ -60,7 +60,7 @@ def refine_once(
     """
     new = Mapper.with_landmarks_of(old)
     merged = merge_duplicate_walls(new.landmarks, old.graph, new.roughness.variance, new.landmarks.merge_walls)
-    matched, landmark_ids, newly_wrong = _associate(new, history, poses)
+    matched, landmark_ids, newly_wrong = _associate(new, history, poses, model, odometry_wrong)
     odometry_wrong = odometry_wrong | newly_wrong
     matched[0] = poses[0]  # defines the map's frame
     recount_observations(new.landmarks, history, landmark_ids, matched)
@@ -78,14 +78,14 @@ def refine_once(
 
 
 def _associate(
-    mapper: Mapper, history: ScanHistory, poses: Floats
+    mapper: Mapper, history: ScanHistory, poses: Floats, model: OdometryModel, known_wrong: NDArray[np.bool_]
 ) -> tuple[Floats, list[LandmarkIds], NDArray[np.bool_]]:
     """Match each keyframe to the mapper's landmarks and associate its features.
 
     Returns the poses (k, 3) and landmark ids of the keyframes, and a mask (n,) of scans with wrong odometry.
     """
     bias = mapper.graph.range_bias.metres
-    matcher = FullMapMatcher(history, mapper.landmarks, poses, mapper.roughness.variance, bias)
+    matcher = FullMapMatcher(history, mapper.landmarks, poses, mapper.roughness.variance, bias, model, known_wrong)
     scan_poses = history.scan_poses(poses)
     matched, landmark_ids, odometry_wrong = [], [], np.zeros(len(history), dtype=bool)
     for k, row in enumerate(history.keyframes):
