@@ -248,11 +248,16 @@ class Tracker:
             even = self._even_motion(self._tentative.pose, interval)
             predictions += [replace(self._by_odometry(self._tentative, odometry), inertia=even), even]
         match = target.match(scan, predictions)
-        confirmed = match.prediction is not usual and match.prediction is not slip
-        slipped = match.prediction is slip and not any(
-            other.prediction is usual and _same_place(match, other) for other in match.others
-        )
         prior, fix_pose = match.prediction.information, match.registration.pose
+        contradicts = usual.squared_distance(fix_pose) > KERNEL**2
+        # Poses were searched around both motions, and the best one agrees with odometry: that has not failed.
+        resolved = self._tentative is not None and not contradicts
+        confirmed = not resolved and match.prediction is not usual and match.prediction is not slip
+        slipped = (
+            not resolved
+            and match.prediction is slip
+            and not any(other.prediction is usual and _same_place(match, other) for other in match.others)
+        )
         self._tentative, self._usual_cost = None, 0.0
         if _too_few_features(scan) and len(target.landmarks.walls):
             return self._result(match, TrackingStatus.NO_FEATURES, prior)
@@ -264,7 +269,7 @@ class Tracker:
             self._tentative = fix
             self._usual_cost = min(other.cost for other in match.others if other.prediction is usual) - match.cost
             return self._result(match, TrackingStatus.TENTATIVE, prior)
-        slipped = confirmed or usual.squared_distance(fix.pose) > KERNEL**2
+        slipped = confirmed or contradicts
         result = self._result(match, TrackingStatus.TRACKED, prior, slipped=slipped)
         if self._since_fix:
             self._velocity.correct(se2.between(self._fix.pose, fix.pose), result.covariance, self._since_fix)

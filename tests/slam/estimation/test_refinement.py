@@ -10,7 +10,7 @@ import pytest
 
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry
-from drivers.simulation import Simulation
+from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, Simulation
 from slam import Config, Finished, Slam
 from slam.config import OdometryConfig
 from slam.estimation.estimator import Estimator
@@ -18,6 +18,7 @@ from slam.estimation.refinement import ScanHistory, build_scan_history, refine
 from slam.estimation.refinement.iteration import motion_to_keyframe
 from slam.estimation.refinement.landmark_recount import recount_observations
 from slam.estimation.slam_state import SlamState
+from slam.evaluation.benchmarks.scenarios.buildings import random_building
 from slam.evaluation.metrics import score_reference
 from slam.events import GraphInspected, MapUpdated
 from slam.geometry.segments import CornerPoints, Segments
@@ -269,3 +270,13 @@ def test_refined_trajectories_are_as_good_or_better(seed: int) -> None:
     messages = list(Simulation("office", seed=seed))
     online, refined = (run(messages, refine=refine) for refine in (False, True))
     assert error(refined.stamps, refined.poses, messages) <= error(online.stamps, online.poses, messages)
+
+
+def test_scans_in_corridors_stay_where_odometry_has_them() -> None:
+    """Along a bare corridor every pose fits as well: matching to the finished map must not move a scan there."""
+    drive = list(Simulation(random_building(9128), 9128, 50.0, LIDAR_MODELS["short"], WHEEL_MODELS["bad"]))
+    finished, truth = run(drive, refine=False), ground_truth(drive)
+    true = truth.at(finished.stamps).poses
+    at_keyframe = truth.at(finished.keyframe_stamps[:1]).poses[0]
+    errors = se2.between(finished.poses, se2.between(at_keyframe, true))
+    assert np.hypot(errors[:, 0], errors[:, 1]).max() < 0.2  # metres; 0.6 if one was moved

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry
-from drivers.simulation import LidarModel, Simulation
+from drivers.simulation import LidarModel, Simulation, load_world
 from slam import Finished, Slam
+from slam.evaluation.benchmarks.scenarios.world_variants import add_crowd
 from slam.events import Notice
 from slam.geometry.segments import Floats
 from slam.matching.offset_tiles import FIELD_CELL
@@ -98,6 +100,25 @@ class ReversedOdometry:
             yield message
 
 
+class LateOdometry:
+    """A drive among people whose odometry is read late now and then, by up to 0.3 s, and then catches up."""
+
+    def __init__(self, seed: int) -> None:
+        world = add_crowd(load_world("office"), 10, np.random.default_rng(seed), 40.0)
+        self._drive, self._seed = Simulation(world, seed, 40.0, LidarModel(360)), seed
+
+    def __iter__(self) -> Iterator[Message]:
+        random, late_until, last = np.random.default_rng(self._seed), 0.0, np.zeros(3)
+        for message in self._drive:
+            if isinstance(message, Odometry):
+                if message.stamp < late_until:
+                    message = replace(message, pose=last)
+                elif random.random() < 0.1:
+                    late_until = message.stamp + random.uniform(0.0, 0.3)
+                last = message.pose
+            yield message
+
+
 def drive(source: Iterable[Message]) -> tuple[Finished, Floats, list[str]]:
     """Return the result, the errors of the keyframes (k, 2) in metres and radians, and the texts of notices."""
     listener, truth = EventCollector(), []
@@ -128,6 +149,12 @@ def test_the_path_goes_on_evenly_while_odometry_counts_backwards() -> None:
     """The scans predict each other although they are few, and the robot is never lost."""
     result, errors, _ = drive(ReversedOdometry(10.0, 20.0))
     assert errors[:, 0].max() < 0.2
+    assert "LOST" not in [state["state"] for state in result.summary["states"]]
+
+
+def test_late_readings_of_odometry_are_no_failure() -> None:
+    result, errors, _ = drive(LateOdometry(2))
+    assert errors[:, 0].max() < 0.05
     assert "LOST" not in [state["state"] for state in result.summary["states"]]
 
 
