@@ -265,7 +265,8 @@ class Tracker:
         if not match.plausible or (slipped and slip.squared_distance(fix_pose) > MAX_SLIP**2):
             return self._result(match, TrackingStatus.FAILED, prior)
         fix = PoseFix(fix_pose, odometry)
-        if slipped or (confirmed and match.poor):
+        agree_for_long = self._untracked_in_a_row >= MAX_UNTRACKED_SCANS and not self.view_changed
+        if slipped or (confirmed and match.poor and not agree_for_long):
             self._tentative = fix
             self._usual_cost = min(other.cost for other in match.others if other.prediction is usual) - match.cost
             return self._result(match, TrackingStatus.TENTATIVE, prior)

@@ -110,7 +110,7 @@ class FullMapMatcher:
         information = self._history.informations[row] + self._unmatched
         if row:
             motion, covariance = self._history.motion(row - 1, row, self._model, self._odometry_wrong)
-            by_odometry = Prediction(se2.compose(poses[row - 1], motion), np.linalg.inv(covariance))
+            by_odometry = Prediction(se2.compose(poses[row - 1], motion), np.asarray(np.linalg.inv(covariance)))
             information = information + by_odometry.weight(poses[row]) * by_odometry.information
         return np.asarray(np.linalg.inv(np.linalg.inv(information) + np.diag(TRACKED_SIGMAS**2)))
 

@@ -28,9 +28,7 @@ def smooth_trajectory(
     A scan whose features were not stored keeps its pose, with the information of its online match.
     """
     bias = mapper.graph.range_bias.metres
-    matcher = FullMapMatcher(
-        history, mapper.landmarks, poses, mapper.roughness.variance, bias, model, odometry_wrong
-    )
+    matcher = FullMapMatcher(history, mapper.landmarks, poses, mapper.roughness.variance, bias, model, odometry_wrong)
     matched, odometry_wrong = history.scan_poses(poses), odometry_wrong.copy()
     informations = history.informations.copy()
     overlap_ratio = np.full(len(history), np.nan)

@@ -153,8 +153,9 @@ def test_the_path_goes_on_evenly_while_odometry_counts_backwards() -> None:
 
 
 def test_late_readings_of_odometry_are_no_failure() -> None:
-    result, errors, _ = drive(LateOdometry(2))
-    assert errors[:, 0].max() < 0.05
+    """Among people no scan fits well, but the poses of several in a row agree with each other."""
+    result, errors, _ = drive(LateOdometry(9))
+    assert errors[:, 0].max() < 0.06
     assert "LOST" not in [state["state"] for state in result.summary["states"]]
 
 
