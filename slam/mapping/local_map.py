@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers import se2
 
@@ -69,16 +70,21 @@ def landmarks_around(landmarks: Landmarks, pose: se2.Pose, radius: float, *, key
     walls, corners = landmarks.walls.rows[near_walls], landmarks.corners.rows[near_corners]
     return LocalMap(
         walls=near_walls,
-        frame=walls["frame"],
-        low=walls["low"],
-        high=walls["high"],
-        wall_covariance=walls["covariance"],
+        frame=_column(walls, "frame"),
+        low=_column(walls, "low"),
+        high=_column(walls, "high"),
+        wall_covariance=_column(walls, "covariance"),
         observations=walls["observations"],
         corners=near_corners,
-        position=corners["position"],
-        headings=corners["headings"],
-        corner_covariance=corners["covariance"],
+        position=_column(corners, "position"),
+        headings=_column(corners, "headings"),
+        corner_covariance=_column(corners, "covariance"),
     )
+
+
+def _column(rows: NDArray[np.void], name: str) -> Floats:
+    """Return a field of landmarks as a contiguous array: functions would be compiled again for a strided one."""
+    return np.ascontiguousarray(rows[name])
 
 
 def local_map_around(landmarks: Landmarks, pose: se2.Pose, radius: float, pose_covariances: list[Floats]) -> LocalMap:

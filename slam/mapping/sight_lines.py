@@ -70,7 +70,9 @@ def walls_in_view(landmarks: Landmarks, pose: se2.Pose, points: Floats) -> Walls
     """
     all_rows = landmarks.walls.rows
     reach = float(np.hypot(points[:, 0], points[:, 1]).max(initial=0.0))
-    walls = _within_reach(all_rows["frame"], all_rows["low"], all_rows["high"], pose, reach).nonzero()[0]
+    # contiguous: the function would be compiled again for strided arrays
+    frames, lows, highs = (np.ascontiguousarray(all_rows[name]) for name in ("frame", "low", "high"))
+    walls = _within_reach(frames, lows, highs, pose, reach).nonzero()[0]
     rows = all_rows[walls]
     active = landmarks.active(walls) & landmarks.parts.connected(rows["last_seen"])
     walls, rows = walls[active], rows[active]

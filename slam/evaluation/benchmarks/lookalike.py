@@ -7,6 +7,7 @@ than data association tolerates.
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -286,5 +287,5 @@ def summarise(condition: str, runs: Sequence[LookalikeRun]) -> LoopStatistics:
 
 
 def _without_figures(reason: str) -> str:
-    """Return a reason without the figures in it."""
-    return " ".join(word for word in reason.split() if not any(letter.isdigit() for letter in word) and word != "<")
+    """Return a reason with "..." in place of the figures in it."""
+    return re.sub(r"\d+(\.\d+)?", "...", reason)
