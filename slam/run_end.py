@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .checks import find_suspects
-from .checks.adapter import drive_of, unconnected_parts, unconstrained_stretches
+from .checks.adapter import drive_of, unconnected_parts, unconstrained_stretches, unmatched_stretches
 from .config import Config
 from .errors import MapError
 from .estimation.estimator import Estimator
@@ -101,6 +101,8 @@ def check_run(
     suspects = [*unconnected_parts(state.mapper, state.keyframe_stamps), *find_suspects(drive)]
     if predicted:
         suspects += unconstrained_stretches(state.trajectory, state.mapper.keyframe_poses, state.odometry_model)
+    else:
+        suspects += unmatched_stretches(state.mapper, state.trajectory, state.keyframe_stamps)
     suspects = [suspect for suspect in suspects if suspect.stamp > after]
     publisher.publish_suspects(suspects, state.keyframe_stamps)
     return [suspect.row() for suspect in suspects]

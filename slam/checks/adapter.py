@@ -23,6 +23,9 @@ from .suspect import PARTS, UNCONSTRAINED, Suspect
 MIN_BLIND_LENGTH = 1.0
 # Scans within a stretch that may determine the motion by chance. Origin: chosen; not measured.
 MAX_SEEING_SCANS = 2
+# Metres: standard deviation of the position after a stretch without a match, relative to that before it, from which on
+# it is reported. Origin: definition, with twice as much a wall is mapped twice, beside itself.
+MAX_BLIND_SIGMA = 0.25
 
 
 def drive_of(
@@ -80,6 +83,39 @@ def unconstrained_stretches(
             )
             weight, times = length / MIN_BLIND_LENGTH, (float(stamps[first]), float(stamps[last]))
             suspects.append(Suspect(UNCONSTRAINED, times[0], *times, poses[first, :2].copy(), weight, text))
+    return suspects
+
+
+def unmatched_stretches(
+    mapper: Mapper, trajectory: TrajectoryBuilder, keyframe_stamps: Sequence[float]
+) -> list[Suspect]:
+    """Return a suspect for each stretch whose scans match nothing, if odometry alone leaves its end uncertain.
+
+    `keyframe_stamps` (k,) are the times of the keyframes, seconds. A loop that was closed makes the end certain.
+    """
+    stamps, poses = trajectory.at_scans(mapper.keyframe_poses)
+    unmatched = np.flatnonzero(~trajectory.relative_poses()[3].any(axis=(1, 2)))
+    suspects = []
+    for group in consecutive_groups(unmatched, MAX_SEEING_SCANS):
+        first, last = float(stamps[group[0]]), float(stamps[group[-1]])
+        before = int(np.searchsorted(keyframe_stamps, first)) - 1
+        after = int(np.searchsorted(keyframe_stamps, last, side="right"))
+        if before < 0 or after >= mapper.keyframe_count:
+            continue
+        length = mapper.travelled[after] - mapper.travelled[before]
+        one_part = np.ptp(mapper.landmarks.parts.groups_of(np.array([before, after]))) == 0
+        if not one_part or length < MIN_BLIND_LENGTH:
+            continue
+        covariance = mapper.covariances.relative(before, after)
+        sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+        if sigma > MAX_BLIND_SIGMA:
+            turn = float(np.degrees(np.sqrt(covariance[2, 2])))
+            text = (
+                f"for {length:.1f} m the scans show nothing that was mapped: what is mapped afterwards is placed by "
+                f"odometry only (standard deviations {sigma:.2f} m and {turn:.0f} degrees)"
+            )
+            position = poses[group[0], :2].copy()
+            suspects.append(Suspect(UNCONSTRAINED, first, first, last, position, sigma / MAX_BLIND_SIGMA, text))
     return suspects
 
 

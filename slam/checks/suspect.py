@@ -17,7 +17,7 @@ class Suspect:
     """A place in a finished run where path, scans and odometry contradict each other.
 
     check     PLACEMENT (of a scan), ODOMETRY, MAP, PARTS (of the map that are not connected), or
-              UNCONSTRAINED (a motion that nothing measures)
+              UNCONSTRAINED (a motion that no scan measures)
     stamp     seconds, where the contradiction is largest
     first     seconds, begin of the interval
     last      seconds, end of the interval

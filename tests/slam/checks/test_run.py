@@ -10,9 +10,11 @@ import numpy as np
 
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry
-from drivers.simulation import Simulation
+from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, Simulation
 from slam import Slam
+from slam.checks.suspect import UNCONSTRAINED
 from slam.cli.run_summary import SHOWN_SUSPECTS, RunResult, format_summary
+from slam.evaluation.benchmarks.scenarios.buildings import wide_hall
 from slam.events import Finished, SuspectFound
 
 from ..listeners import EventCollector
@@ -51,6 +53,15 @@ def test_a_clean_run_is_silent() -> None:
     finished, listener = run(messages(carried=False))
     assert finished.summary["suspects"] == []
     assert not listener.of(SuspectFound)
+
+
+def test_a_hall_wider_than_the_range_is_reported() -> None:
+    """Behind its empty middle, 10 m, the map is placed by odometry only."""
+    drive = Simulation(wide_hall(), 3, 36.0, LIDAR_MODELS["short"], WHEEL_MODELS["bad"])
+    rows: Any = run(list(drive))[0].summary["suspects"]
+    (row,) = [row for row in rows if row["check"] == UNCONSTRAINED]
+    assert 20.0 < row["first"] < 24.0 < 30.0 < row["last"] < 35.0
+    assert "placed by odometry only" in row["sentence"]
 
 
 def test_a_carried_robot_is_reported() -> None:
