@@ -24,8 +24,8 @@ MIN_BLIND_LENGTH = 1.0
 # Scans within a stretch that may determine the motion by chance. Origin: chosen; not measured.
 MAX_SEEING_SCANS = 2
 # Metres: standard deviation of the position after a stretch without a match, relative to that before it, from which on
-# it is reported. Origin: definition, with twice as much a wall is mapped twice, beside itself.
-MAX_BLIND_SIGMA = 0.25
+# it is reported. Origin: chosen, the width of a door: what is mapped then may seem to be in another room.
+MAX_BLIND_SIGMA = 1.0
 
 
 def drive_of(
@@ -91,7 +91,7 @@ def unmatched_stretches(
 ) -> list[Suspect]:
     """Return a suspect for each stretch whose scans match nothing, if odometry alone leaves its end uncertain.
 
-    `keyframe_stamps` (k,) are the times of the keyframes, seconds. A loop that was closed makes the end certain.
+    `keyframe_stamps` (k,) are the times of the keyframes, seconds. A loop closed later may make the end certain.
     """
     stamps, poses = trajectory.at_scans(mapper.keyframe_poses)
     unmatched = np.flatnonzero(~trajectory.relative_poses()[3].any(axis=(1, 2)))
