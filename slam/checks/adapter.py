@@ -24,8 +24,8 @@ MIN_BLIND_LENGTH = 1.0
 # Scans within a stretch that may determine the motion by chance. Origin: chosen; not measured.
 MAX_SEEING_SCANS = 2
 # Metres: standard deviation of the position after a stretch without a match, relative to that before it, from which on
-# it is reported. Origin: chosen, the width of a door: what is mapped then may seem to be in another room.
-MAX_BLIND_SIGMA = 1.0
+# it is reported. Origin: definition, half the distance from which on loop closure takes two places as different.
+MAX_BLIND_SIGMA = 0.25
 
 
 def drive_of(
@@ -106,7 +106,8 @@ def unmatched_stretches(
         one_part = np.ptp(mapper.landmarks.parts.groups_of(np.array([before, after]))) == 0
         if not one_part or length < MIN_BLIND_LENGTH:
             continue
-        covariance = mapper.covariances.relative(before, after)
+        # without the correlated drift, which a closed loop does not reduce
+        covariance = mapper.graph.relative_covariance(before, after)
         sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
         if sigma > MAX_BLIND_SIGMA:
             turn = float(np.degrees(np.sqrt(covariance[2, 2])))

@@ -44,8 +44,9 @@ SUSPICIOUS_DROP = 0.5
 # Metres of wheel travel for which a changed view counts as recent: look-alike places differ some way on.
 # Origin: chosen; no measurement recorded.
 VIEW_CHANGE_MEMORY = 10.0
-# Scans in a row that may fit nowhere, or be tentative, before tracking is lost. Origin: measured, on recordings of
-# fifteen drives indoors at most three in a row are tentative before the next one decides.
+# Scans in a row that may fit nowhere, or be tentative, before tracking is lost, or before tentative poses that agree
+# with each other are accepted. Origin: measured, on recordings of fifteen drives indoors at most three in a row are
+# tentative before the next one decides.
 MAX_UNTRACKED_SCANS = 4
 # Metres of wall below which a scan with few points cannot be registered. Origin: chosen; not measured.
 MIN_WALL_LENGTH = 0.5
@@ -55,7 +56,7 @@ class TrackingStatus(Enum):
     """Outcome of tracking one scan."""
 
     TRACKED = "tracked"  # matched
-    TENTATIVE = "tentative"  # matched far from odometry: the next scan that fits well decides
+    TENTATIVE = "tentative"  # matched far from odometry: the next scans decide
     FAILED = "failed"  # fits nowhere near
     NO_FEATURES = "no features"  # too little wall and too few points
 
@@ -265,6 +266,7 @@ class Tracker:
         if not match.plausible or (slipped and slip.squared_distance(fix_pose) > MAX_SLIP**2):
             return self._result(match, TrackingStatus.FAILED, prior)
         fix = PoseFix(fix_pose, odometry)
+        # The poses of the last scans agree with each other, and nothing suggests that the robot was carried.
         agree_for_long = self._untracked_in_a_row >= MAX_UNTRACKED_SCANS and not self.view_changed
         if slipped or (confirmed and match.poor and not agree_for_long):
             self._tentative = fix
