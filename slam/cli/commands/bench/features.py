@@ -46,7 +46,7 @@ def bench_features(
     straight = list(measure(scans=scans, seed=seed))
     curved = list(measure(scans=scans, seed=seed, levels=CURVED_LEVELS, methods=METHODS[:1], curved=True))
     times = run(scans=10, rounds=5) if quick else run()
-    ratio = relative(rounds=20 if quick else 100)
+    ratio = relative(rounds=200) if quick else relative()
     starts = [] if quick else measure_starts()
     text = [*heading(seed), f"{scans} scans per level", *accuracy_table(straight), *curved_table(curved)]
     text += [*time_table(times, ratio), *(start_table(starts) if starts else ())]
