@@ -19,8 +19,11 @@ ACCELERATIONS = np.array([1.0, 1.0, 3.0])
 # Origin: chosen, metres and radians per second.
 MAX_VELOCITIES = np.array([1.0, 1.0, 2.0])
 # Latest intervals between scans of which the median is the lidar's period, or the mean if they come in bursts.
-# Origin: chosen, some seconds; not measured.
-PERIOD_SAMPLES = 21
+# Origin: chosen, longer than the bursts of a computer that is busy for some seconds; not measured.
+PERIOD_SAMPLES = 101
+# Seconds. Smallest period of a lidar: in a shorter time the stamps of a burst follow each other.
+# Origin: definition, the fastest two-dimensional lidars measure 100 scans per second; half of their period.
+MIN_PERIOD = 0.005
 # Share of the period below which the interval between two stamps shows that they come in bursts: no lidar is twice as
 # fast at once. Origin: chosen. On the full Intel log, the median error of predictions is 3 mm instead of 23 mm.
 MIN_INTERVAL = 0.5
@@ -70,7 +73,8 @@ class ScanClock:
     """Seconds from scan to scan.
 
     The stamps of recordings may come in bursts, if a busy computer stamped the scans when it read them. The lidar
-    turned evenly meanwhile, so the mean of the latest intervals is used then.
+    turned evenly meanwhile, so the mean of the latest intervals is used then. If most scans are in bursts, the median
+    is no period of a lidar either.
 
     last       stamp of the last scan; None before the first
     intervals  latest differences of stamps
@@ -86,5 +90,5 @@ class ScanClock:
             return 0.0
         self.intervals = (*self.intervals, stamp - last)[-PERIOD_SAMPLES:]
         period = float(np.median(self.intervals))
-        in_bursts = min(self.intervals) < MIN_INTERVAL * period
+        in_bursts = period < MIN_PERIOD or min(self.intervals) < MIN_INTERVAL * period
         return float(np.mean(self.intervals)) if in_bursts else max(stamp - last, period)

@@ -1,0 +1,45 @@
+"""Seconds from scan to scan, from stamps that may come in bursts or have pauses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slam.odometry.velocity import MIN_PERIOD, PERIOD_SAMPLES, ScanClock
+
+PERIOD = 0.2
+
+
+def intervals(stamps: list[float]) -> np.ndarray:
+    clock = ScanClock()
+    return np.array([clock.interval(stamp) for stamp in stamps])
+
+
+def in_bursts(scans: int, size: int, spacing: float) -> list[float]:
+    """Stamps of a computer that reads `size` scans at once, `spacing` seconds apart, when the last of them is ready."""
+    ready = PERIOD * size * (1 + np.arange(scans // size))
+    return np.concatenate([last + spacing * np.arange(size) for last in ready]).tolist()
+
+
+def test_even_stamps_are_their_own_intervals():
+    assert intervals([PERIOD * k for k in range(300)])[1:] == pytest.approx(PERIOD)
+
+
+def test_a_pause_is_one_long_interval():
+    found = intervals([PERIOD * k for k in range(50)] + [30.0 + PERIOD * k for k in range(50)])
+    assert found[50] == pytest.approx(30.0 - 49 * PERIOD)
+    assert np.delete(found[1:], 49) == pytest.approx(PERIOD)
+
+
+@pytest.mark.parametrize("size", [2, 3, 10, 20])
+@pytest.mark.parametrize("spacing", [0.0, 0.001, 0.004])
+def test_scans_of_a_burst_are_a_period_apart(size: int, spacing: float):
+    # nearly all stamps follow each other at once, so the usual interval is no period of a lidar
+    found = intervals(in_bursts(400, size, spacing))[PERIOD_SAMPLES:]
+    assert found == pytest.approx(PERIOD, rel=0.25)  # a burst may be partly outside of the latest intervals
+
+
+def test_the_fastest_lidar_is_not_taken_for_a_burst():
+    found = intervals([0.01 * k for k in range(200)])
+    assert found[1:] == pytest.approx(0.01)
+    assert MIN_PERIOD < 0.01
