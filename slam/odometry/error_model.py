@@ -49,6 +49,9 @@ MAX_TURN_FACTOR = 2.0
 # Radians: a motion that turns by less is used for the factor of length and for veering, else for the factor of turning.
 # Origin: chosen, several times the heading error of registration; not measured.
 MAX_STRAIGHT_TURN = math.radians(4.0)
+# Variance of the middle of a parabola fitted to a random walk with the variance 1 at both ends, and 0 in the middle.
+# Origin: definition, 2 int_0^1 (int_x^1 w)^2 dx with the weights w(u) = (9 - 15 u^2) / 8 of the fit.
+PARABOLA_VARIANCE = 9.0 / 112.0
 # Median of a squared standard normal variable. Origin: definition, chi-square, 1 dof.
 NORMAL_MEDIAN = 0.4549
 # Median of the sum of two squared standard normal variables. Origin: definition, chi-square, 2 dof.
@@ -158,6 +161,14 @@ class OdometryModel:
         """Return the variances (...,) of translation along each axis and of heading after `travel` metres (...,)."""
         return self._rates[0] * travel**2, self._rates[1] * travel
 
+    def deviations_of_fit(self, travel: float) -> Floats:
+        """Return (3,) the standard deviations of the middle of a parabola fitted to `travel` metres to both sides.
+
+        Metres, metres, radians, relative to the pose in the middle. That of a random walk to both ends has 9/112 of the
+        variance at an end; errors of position, which are proportional to the travel, cancel.
+        """
+        return np.array([0.0, 0.0, math.sqrt(PARABOLA_VARIANCE * float(self.variances(np.array(travel))[1]))])
+
     def covariance(self, motion: se2.Pose) -> Floats:
         """Return (3, 3) the covariance of a corrected motion [x, y, heading] between two readings, in its end frame.
 
@@ -189,7 +200,8 @@ class OdometryModel:
         information  with the noise of the points only
         travel       metres from the middle of a sweep to its ends
 
-        The mean over a random walk to both ends has a sixth of the variance at an end.
+        The mean over a random walk to both ends has a sixth of the variance at an end; relative to the fitted reference
+        of the sweep it has less.
         """
         if not travel:
             return information

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 # Seconds between the poses along the sweep between which the motion is interpolated: shorter than the interval of
 # odometry readings. Origin: measured at 2 revolutions per second, relative NEES 2.32 with 70 ms, 0.76 with 13 ms.
 KNOT_INTERVAL = 0.0125
-# Seconds in the middle of the sweep over which the reference is averaged: robots hardly change their speed meanwhile.
+# Seconds in the middle of the sweep that the reference is fitted to: robots hardly change their acceleration meanwhile.
 # Origin: chosen, a revolution of common lidars; not measured.
 REFERENCE_INTERVAL = 0.1
 # Metres of wheel travel over a sweep below which the robot counts as standing: 0.2 mm of jitter at either wheel looks
@@ -36,6 +36,11 @@ REFERENCE_INTERVAL = 0.1
 MIN_SWEEP_TRAVEL = 2e-3
 # Metres, metres, radians: jitter of one odometry reading. Origin: measured, as MIN_SWEEP_TRAVEL.
 JITTER = np.array([2e-4, 2e-4, 8e-4])
+# Standard deviations of the fit from the reading in the middle up to which it is taken for a random error.
+# Origin: chosen, 99.7 % of a normal distribution.
+FIT_DEVIATIONS = 3.0
+# Parameters of a parabola. Origin: definition.
+PARABOLA = 3
 # Metres from the continuation of a line within which a point may belong to the same wall. Origin: chosen; not measured.
 LINE_DISTANCE = 0.05
 # Half lengths of a line, from its middle, up to which its continuation reaches: as much again on either side.
@@ -50,6 +55,7 @@ class DeskewedScan:
     ranges, bearings  (n,) metres and radians in the lidar's frame; bearings in the order of the beams, unwrapped: a
                       full turn may cover a little more or less than 2 pi
     travel            (n,) metres of wheel travel between each beam and the stamp
+    fitted            metres of wheel travel from the stamp to the ends of the interval that the reference is fitted to
     """
 
     stamp: float
@@ -57,6 +63,7 @@ class DeskewedScan:
     ranges: Floats
     bearings: Floats
     travel: Floats
+    fitted: float = 0.0
 
     def points(self, lines: Lines) -> tuple[Floats, Floats]:
         """Return the valid returns (p, 2) in the lidar's frame, and those (q, 2) on no line or continuation of one.
@@ -117,10 +124,11 @@ def deskew(
 ) -> DeskewedScan:
     """Transform every beam of a scan to the lidar's pose in the middle of its sweep, with odometry's motion.
 
-    The reference is odometry's mean over REFERENCE_INTERVAL, if that differs from the reading in the middle by no more
-    than its jitter: a single encoder step would turn the whole scan. A larger difference is a change of speed, and is
-    limited to the jitter. `range_bias` (metres) is subtracted from all ranges, and the systematic errors of odometry
-    are corrected by the `model`, if there is one.
+    The reference is that of a motion at constant acceleration, fitted to odometry within REFERENCE_INTERVAL: the error
+    of the reading in the middle would move and turn the whole scan. If both differ by more than the jitter of that
+    reading, and the random error of odometry according to the `model`, if there is one, that is a sudden change of
+    speed, and the difference is limited. `range_bias` (metres) is subtracted from all ranges, and the systematic errors
+    of odometry are corrected by the `model`.
     """
     duration = scan.duration
     ranges = scan.ranges - range_bias if range_bias else scan.ranges
@@ -135,8 +143,10 @@ def deskew(
     if travels[0] + travels[-1] < MIN_SWEEP_TRAVEL:
         return DeskewedScan(middle, reference, ranges, scan.angles, np.zeros(len(ranges)))
     central = np.abs(offsets - 0.5 * duration) <= 0.5 * REFERENCE_INTERVAL
-    mean = np.clip(moves[central].mean(axis=0), -JITTER, JITTER)
-    moves = se2.between(mean, moves)
+    fitted = float(travels[central].max())
+    limit = JITTER if model is None else JITTER + FIT_DEVIATIONS * model.deviations_of_fit(fitted)
+    error = np.clip(_fitted_middle(offsets[central] - 0.5 * duration, moves[central]), -limit, limit)
+    moves = se2.between(error, moves)
     if model is not None:
         moves = model.correct(moves)
     lidars = se2.between(mount, se2.compose(moves, mount))
@@ -146,4 +156,14 @@ def deskew(
     shift = se2.wrap(np.arctan2(y, x) - turned)
     travel = np.interp(scan.time_offsets, offsets, travels)
     bearings = turned + np.where(np.isfinite(shift), shift, 0.0)
-    return DeskewedScan(middle, se2.compose(reference, mean), np.hypot(x, y), bearings, travel)
+    return DeskewedScan(middle, se2.compose(reference, error), np.hypot(x, y), bearings, travel, fitted)
+
+
+def _fitted_middle(times: Floats, poses: Floats) -> Floats:
+    """Return (3,) the value at time 0 of the parabolas fitted to poses (n, 3) at `times` (n,), symmetric about it."""
+    if len(times) <= PARABOLA:
+        return np.asarray(poses.mean(axis=0))
+    squares = times**2
+    centred = squares - squares.mean()
+    curvature = centred @ poses / (centred @ centred)
+    return np.asarray(poses.mean(axis=0) - squares.mean() * curvature)

@@ -13,16 +13,21 @@ from slam.odometry.error_model import OdometryModel
 from slam.preprocessing.motion_uncertainty import add_motion_uncertainty
 
 BEAMS = 400
+END = 0.04
+"""Metres of travel from the middle of the sweep to either end."""
 MODEL = OdometryModel(OdometryConfig(translation_error=0.02, rotation_walk=0.01))
 NO_CORNERS = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)))
 
 
 @pytest.mark.parametrize("sigma", [1e-4, 2e-3, 0.02], ids=["motion dominates", "both", "sensor dominates"])
 @pytest.mark.parametrize("count", [4, 20])
-def test_pose_estimates_have_the_covariance_that_independent_segments_imply(count: int, sigma: float) -> None:
+@pytest.mark.parametrize("fitted", [0.0, 0.01, END], ids=["not fitted", "over a quarter", "over the whole sweep"])
+def test_pose_estimates_have_the_covariance_that_independent_segments_imply(
+    count: int, sigma: float, fitted: float
+) -> None:
     random = np.random.default_rng(count)
     segments, beams, travel = scan(random, count, sigma)
-    sweep = SimpleNamespace(travel=np.abs(travel))
+    sweep = SimpleNamespace(travel=np.abs(travel), fitted=fitted)
     lines = SimpleNamespace(first=beams, last=beams)
     claimed = add_motion_uncertainty(segments, NO_CORNERS, lines, sweep, MODEL)[0].covariance  # type: ignore[arg-type]
     jacobians = pose_jacobians(segments)
@@ -30,7 +35,7 @@ def test_pose_estimates_have_the_covariance_that_independent_segments_imply(coun
     normal = np.einsum("nki,nkl,nlj->ij", jacobians, weights, jacobians)
     errors = []
     for _ in range(3000):
-        motion = motion_errors(random, travel)[beams]
+        motion = motion_errors(random, travel, fitted)[beams]
         noise = sigma * random.standard_normal((count, 2))
         measured = np.einsum("nki,ni->nk", jacobians, motion) + noise
         errors.append(np.linalg.solve(normal, np.einsum("nki,nkl,nl->i", jacobians, weights, measured)))
@@ -40,7 +45,8 @@ def test_pose_estimates_have_the_covariance_that_independent_segments_imply(coun
 
 def test_a_segment_is_at_least_as_uncertain_as_its_own_error() -> None:
     segments, beams, travel = scan(np.random.default_rng(1), 12, 1e-3)
-    sweep, lines = SimpleNamespace(travel=np.abs(travel)), SimpleNamespace(first=beams, last=beams)
+    sweep = SimpleNamespace(travel=np.abs(travel), fitted=0.0)
+    lines = SimpleNamespace(first=beams, last=beams)
     widened = add_motion_uncertainty(segments, NO_CORNERS, lines, sweep, MODEL)[0]  # type: ignore[arg-type]
     rotation = MODEL.variances(np.abs(travel[beams]))[1]
     added = widened.covariance[:, 1, 1] - segments.covariance[:, 1, 1]
@@ -59,7 +65,7 @@ def scan(random: np.random.Generator, count: int, sigma: float) -> tuple[Segment
         ]
     )
     segments = Segments(frames, np.full(count, 0.5), np.tile(sigma**2 * np.eye(2), (count, 1, 1)))
-    return segments, beams, np.linspace(-0.04, 0.04, BEAMS)
+    return segments, beams, np.linspace(-END, END, BEAMS)
 
 
 def pose_jacobians(segments: Segments) -> np.ndarray:
@@ -70,11 +76,16 @@ def pose_jacobians(segments: Segments) -> np.ndarray:
     return np.stack([np.column_stack([across, lever]), np.column_stack([zero, zero, zero + 1.0])], axis=1)
 
 
-def motion_errors(random: np.random.Generator, travel: np.ndarray) -> np.ndarray:
-    """Return (p, 3) errors of position and heading at beams: proportional to travel, and a random walk both ways."""
+def motion_errors(random: np.random.Generator, travel: np.ndarray, fitted: float) -> np.ndarray:
+    """Return (p, 3) errors of position and heading at beams: proportional to travel, and a random walk both ways.
+
+    They are relative to the middle of a parabola fitted within `fitted` metres from the middle; if that is zero, to the
+    middle itself.
+    """
     translation, rotation = MODEL.variances(np.ones(()))
     step = np.diff(travel).mean()
     walk = np.cumsum(np.sqrt(rotation * step) * random.standard_normal(len(travel)))
-    walk -= np.interp(0.0, travel, walk)
+    inside = np.abs(travel) <= fitted
+    walk -= np.polyfit(travel[inside], walk[inside], 2)[-1] if fitted else np.interp(0.0, travel, walk)
     position = np.sqrt(translation) * random.standard_normal(2) * travel[:, None]
     return np.column_stack([position, walk])
