@@ -23,6 +23,14 @@ MIN_SIGMA_RANGE = 0.002
 MAX_SIGMA_RANGE = 0.10
 # Scans. Weight of the given range noise relative to observed scans. Origin: chosen; not measured.
 PRIOR_SCANS = 2.0
+# Extractions from one scan after which the estimate of its noise is used as it is. Origin: numerical, from a third of
+# the true standard deviation it changes by less than a hundredth after three.
+MAX_SETTLING_EXTRACTIONS = 5
+# Lines of a scan that determine the noise as well as it is given: surfaces differ in roughness.
+# Origin: chosen; not measured.
+PRIOR_LINES = 10
+# Relative change of the standard deviation of range below which it has settled. Origin: numerical.
+SETTLED = 0.01
 # Minimum weight of a new scan in the running mean of the range variance: a memory of about 30 scans.
 # Origin: chosen; not measured.
 MIN_GAIN = 0.03
@@ -115,6 +123,25 @@ class Extractor:
             self._adapt_noise(variance)
         return Features(self._lines(lines), self._corners(corners), used)
 
+    def settle_noise(self, ranges: Floats, angles: Floats) -> bool:
+        """Estimate the noise from one scan alone, by repeated extraction; return False if it does not determine it.
+
+        The given noise may be wrong by a factor. What is extracted with it, as from the first scan of a drive, would
+        have wrong covariances, and a running mean corrects it too late. The given noise counts as PRIOR_LINES lines in
+        a geometric mean with those of the scan. Arguments are those of `extract`. Without effect if noise is not
+        adapted.
+        """
+        given, weight, lines = self._noise, self._scan_weight, 0
+        for _ in range(MAX_SETTLING_EXTRACTIONS if self._adapt else 0):
+            before, self._scan_weight = self._noise, 0.0
+            lines = len(self.extract(ranges, angles).lines)
+            if self._noise is before or abs(self._noise.sigma_range / before.sigma_range - 1.0) < SETTLED:
+                break
+        self._scan_weight = weight
+        share = lines / (lines + PRIOR_LINES)
+        self._set_sigma_range(given.sigma_range ** (1.0 - share) * self._noise.sigma_range**share)
+        return lines > 0 or not self._adapt
+
     def run_kernel(self) -> tuple[int, int, float]:
         """Run the compiled part of `extract` on the last scan; return the kernel's result."""
         return extract_features(self._ranges, self._angles, self._settings, self._memory, tuple(self._output))
@@ -140,7 +167,9 @@ class Extractor:
         gain = max(1.0 / (self._scan_weight + 1.0), MIN_GAIN)
         self._scan_weight += 1.0
         limited = min(max(variance, MIN_SIGMA_RANGE**2), MAX_SIGMA_RANGE**2)
-        sigma = self._noise.sigma_range ** (1.0 - gain) * limited ** (0.5 * gain)
+        self._set_sigma_range(self._noise.sigma_range ** (1.0 - gain) * limited ** (0.5 * gain))
+
+    def _set_sigma_range(self, sigma: float) -> None:
         self._noise = Noise(sigma, self._noise.sigma_bearing)
         self._settings = (sigma, *self._settings[1:])
 

@@ -61,6 +61,7 @@ class Preprocessor:
         """`sigma_range` is the standard deviation of a range (metres) if earlier scans have determined it."""
         self._lidar = config.lidar
         self._extractor = build_extractor(config, sigma_range)
+        self._noise_settled = sigma_range is not None
         self._queue: deque[Scan] = deque()
         self.odometry = OdometryHistory()
         self.scans = 0
@@ -108,6 +109,8 @@ class Preprocessor:
         """De-skew a scan and extract its segments, corners and the points on neither."""
         mount = lidar_mount(scan, self._lidar)
         deskewed = deskew(scan, self.odometry, mount, self._lidar.range_bias, odometry_model)
+        if not self._noise_settled:
+            self._noise_settled = self._extractor.settle_noise(deskewed.ranges, deskewed.bearings)
         features = self._extractor.extract(deskewed.ranges, deskewed.bearings)
         in_base_frame = _to_base_frame(deskewed, features, mount, odometry_model)
         travel = float(deskewed.travel.max(initial=0.0))

@@ -188,6 +188,29 @@ def test_range_noise_is_estimated(simulate: Callable[..., object], given_sigma: 
     assert extractor.noise.sigma_bearing == np.radians(0.05)
 
 
+@pytest.mark.parametrize("given_sigma", [0.005, 0.01, 0.05])
+def test_the_first_scan_settles_most_of_a_wrong_noise(simulate: Callable[..., object], given_sigma: float) -> None:
+    remaining = []
+    for seed in range(20):
+        scan = simulate(seed, beams=500, sigma_range=0.02, sigma_bearing=np.radians(0.05))
+        settled, once = (Extractor(Noise(given_sigma, np.radians(0.05))) for _ in range(2))
+        assert settled.settle_noise(scan.ranges, scan.angles)
+        once.extract(scan.ranges, scan.angles)
+        remaining.append([np.log(each.noise.sigma_range / 0.02) for each in (settled, once)])
+    by_settling, by_extraction = np.abs(np.median(remaining, axis=0))
+    assert by_settling < 0.75 * by_extraction
+
+
+def test_a_scan_without_lines_settles_nothing(simulate: Callable[..., object]) -> None:
+    angles, extractor = np.linspace(-np.pi, np.pi, 360, endpoint=False), Extractor(NOISE)
+    assert not extractor.settle_noise(np.full(360, np.nan), angles)
+    assert extractor.noise == NOISE
+    scan = simulate(0, beams=500)
+    fixed = Extractor(NOISE, adapt_noise=False)
+    assert fixed.settle_noise(scan.ranges, scan.angles)
+    assert fixed.noise == NOISE
+
+
 def test_quantisation_is_part_of_the_estimated_noise(simulate: Callable[..., object]) -> None:
     extractor = Extractor(Noise(0.02, 0.0005))
     for seed in range(100):
