@@ -131,16 +131,20 @@ class Extractor:
         a geometric mean with those of the scan. Arguments are those of `extract`. Without effect if noise is not
         adapted.
         """
-        given, weight, lines = self._noise, self._scan_weight, 0
-        for _ in range(MAX_SETTLING_EXTRACTIONS if self._adapt else 0):
+        if not self._adapt:
+            return True
+        given, weight, share = self._noise, self._scan_weight, 0.0
+        for _ in range(MAX_SETTLING_EXTRACTIONS):
             before, self._scan_weight = self._noise, 0.0
             lines = len(self.extract(ranges, angles).lines)
-            if self._noise is before or abs(self._noise.sigma_range / before.sigma_range - 1.0) < SETTLED:
+            if self._noise is before:  # no line determines it
+                break
+            share = lines / (lines + PRIOR_LINES)
+            if abs(self._noise.sigma_range / before.sigma_range - 1.0) < SETTLED:
                 break
         self._scan_weight = weight
-        share = lines / (lines + PRIOR_LINES)
         self._set_sigma_range(given.sigma_range ** (1.0 - share) * self._noise.sigma_range**share)
-        return lines > 0 or not self._adapt
+        return share > 0.0
 
     def run_kernel(self) -> tuple[int, int, float]:
         """Run the compiled part of `extract` on the last scan; return the kernel's result."""

@@ -11,6 +11,7 @@ from drivers import se2
 
 from ...geometry.segments import Floats
 from ...localisation.match_target import MatchTarget
+from ...localisation.tracker import SLIP_COST
 from ...mapping.landmarks import Landmarks
 from ...mapping.local_map import LOCAL_MAP_MARGIN, LocalMap, landmarks_around
 from ...matching.bias_correction import correct_range_bias
@@ -19,6 +20,7 @@ from ...matching.line_matcher import Registration, ScanFeatures
 from ...matching.point_matcher import KERNEL, POINT_SPACING, Prediction
 from ...matching.scan_points import surface_points
 from ...odometry.error_model import OdometryModel
+from ...odometry.velocity import ScanClock
 from .scan_history import WRONG_ODOMETRY_SIGMAS, ScanHistory
 
 # Metres; side of the square tiles: scans of one tile use the same distance field.
@@ -74,6 +76,8 @@ class FullMapMatcher:
         self._tile: tuple[int, int, int] | None = None
         self._fields: dict[int, DistanceField] = {}
         self._unmatched = np.diag(WRONG_ODOMETRY_SIGMAS**-2)
+        clock = ScanClock()
+        self._intervals = [clock.interval(stamp) for stamp in history.stamps.tolist()]  # to each scan
 
     def local_map(self, row: int, pose: se2.Pose) -> LocalMap:
         """Return the landmarks that a scan may observe from `pose`: those that existed at that time."""
@@ -89,12 +93,13 @@ class FullMapMatcher:
         """Match the scan `row`, given the poses (n, 3) of all scans and the landmarks around it.
 
         The poses within the uncertainty of its present pose are searched. If an even motion between its neighbours
-        leads outside of these, the poses around that are searched as well.
+        leads outside of these, the poses around that are searched as well: odometry may have failed, as while tracking.
         """
         scan = self.features(row)
         target = MatchTarget(local_map, self._field(int(self._history.anchors[row])), self._roughness)
         present = Prediction(poses[row], self._prior(row, poses))
-        even = Prediction(self._interpolate(row, poses), self._unmatched)
+        cost = 0.0 if self._odometry_wrong[row] else SLIP_COST
+        even = Prediction(self._interpolate(row, poses), self._unmatched, cost)
         predictions = [present, even] if present.squared_distance(even.pose) > KERNEL**2 else [present]
         match = target.match(scan, predictions, exhaustive=True)
         odometry_wrong = match.plausible and match.prediction is even
@@ -123,8 +128,8 @@ class FullMapMatcher:
         """Return a scan's pose if the base moved evenly from the previous scan to the next one."""
         if not 0 < row < len(poses) - 1:
             return np.asarray(poses[row], dtype=np.float64)
-        before, now, after = (self._history.scans[r].stamp for r in (row - 1, row, row + 1))
-        fraction = (now - before) / (after - before) if after > before else 0.5
+        before, after = self._intervals[row], self._intervals[row + 1]
+        fraction = before / (before + after) if before + after > 0.0 else 0.5
         return se2.compose(poses[row - 1], fraction * se2.between(poses[row - 1], poses[row + 1]))
 
     def _field(self, keyframe: int) -> DistanceField:
