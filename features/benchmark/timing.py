@@ -84,8 +84,8 @@ def relative(*, beams: int = 920, scans: int = 20, rounds: int = 2000, seed: int
 
     The reference is eq. (27) of the paper as printed, double sums over 230 rays: compiled scalar code, independent of
     the extractor. Both are timed alternately and the fastest of each counts, so that neither a slower processor nor
-    its load changes the ratio much. The rounds take more than a second: a tenth of that can lie completely within a
-    time slice of another program, which raises the ratio by a tenth.
+    its load changes the ratio much. All rounds together take more than a second: during a tenth of a second another
+    program may slow down every one of them.
     """
     angles, ranges = scans_of(beams, scans, seed)
     extractor = Extractor(NOISE, adapt_noise=False)

@@ -39,8 +39,8 @@ JITTER = np.array([2e-4, 2e-4, 8e-4])
 # Standard deviations of the fit from the reading in the middle up to which it is taken for a random error.
 # Origin: chosen, 99.7 % of a normal distribution.
 FIT_DEVIATIONS = 3.0
-# Parameters of a parabola. Origin: definition.
-PARABOLA = 3
+# Origin: definition.
+PARABOLA_PARAMETERS = 3
 # Metres from the continuation of a line within which a point may belong to the same wall. Origin: chosen; not measured.
 LINE_DISTANCE = 0.05
 # Half lengths of a line, from its middle, up to which its continuation reaches: as much again on either side.
@@ -124,11 +124,11 @@ def deskew(
 ) -> DeskewedScan:
     """Transform every beam of a scan to the lidar's pose in the middle of its sweep, with odometry's motion.
 
-    The reference is that of a motion at constant acceleration, fitted to odometry within REFERENCE_INTERVAL: the error
-    of the reading in the middle would move and turn the whole scan. If both differ by more than the jitter of that
-    reading, and the random error of odometry according to the `model`, if there is one, that is a sudden change of
-    speed, and the difference is limited. `range_bias` (metres) is subtracted from all ranges, and the systematic errors
-    of odometry are corrected by the `model`.
+    The reference is the middle of a motion at constant acceleration that is fitted to odometry within
+    REFERENCE_INTERVAL, as the error of the single reading in the middle would move and turn the whole scan. The two
+    differ by the jitter of the reading and by the random error of odometry according to the `model`, if there is one. A
+    larger difference is a sudden change of speed; it is limited. `range_bias` (metres) is subtracted from all ranges,
+    and the systematic errors of odometry are corrected by the `model`.
     """
     duration = scan.duration
     ranges = scan.ranges - range_bias if range_bias else scan.ranges
@@ -161,7 +161,7 @@ def deskew(
 
 def _fitted_middle(times: Floats, poses: Floats) -> Floats:
     """Return (3,) the value at time 0 of the parabolas fitted to poses (n, 3) at `times` (n,), symmetric about it."""
-    if len(times) <= PARABOLA:
+    if len(times) <= PARABOLA_PARAMETERS:
         return np.asarray(poses.mean(axis=0))
     squares = times**2
     centred = squares - squares.mean()

@@ -93,7 +93,7 @@ class FullMapMatcher:
         """Match the scan `row`, given the poses (n, 3) of all scans and the landmarks around it.
 
         The poses within the uncertainty of its present pose are searched. If an even motion between its neighbours
-        leads outside of these, the poses around that are searched as well: odometry may have failed, as while tracking.
+        leads outside of these, the poses around that are searched as well, at the cost that a slip has in tracking.
         """
         scan = self.features(row)
         target = MatchTarget(local_map, self._field(int(self._history.anchors[row])), self._roughness)
