@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +15,7 @@ from slam import Config, Finished, Slam
 from slam.config import OdometryConfig
 from slam.estimation.estimator import Estimator
 from slam.estimation.refinement import ScanHistory, build_scan_history, refine
+from slam.estimation.refinement.full_map_matcher import FullMapMatcher
 from slam.estimation.refinement.iteration import motion_to_keyframe
 from slam.estimation.refinement.landmark_recount import recount_observations
 from slam.estimation.slam_state import SlamState
@@ -23,10 +24,13 @@ from slam.evaluation.metrics import score_reference
 from slam.events import GraphInspected, MapUpdated
 from slam.geometry.segments import CornerPoints, Segments
 from slam.io.tum import Trajectory
+from slam.localisation.match_target import MatchTarget, ScanMatch
+from slam.localisation.tracker import SLIP_COST
 from slam.mapping.convergence import converge
 from slam.mapping.keyframes import KeyframeMotion, LandmarkIds
 from slam.mapping.mapper import Mapper
 from slam.matching.line_matcher import ScanFeatures
+from slam.matching.point_matcher import Prediction
 from slam.matching.scan_points import ScanPoints
 from slam.odometry.error_model import OdometryModel
 from slam.preprocessing.preprocessor import Preprocessor, ProcessedScan
@@ -99,6 +103,29 @@ def test_history_contains_all_scans_at_their_tracked_poses(session: MappedSessio
     np.testing.assert_allclose(history.relative[history.keyframes], 0.0, atol=1e-12)
     np.testing.assert_array_equal(history.anchors[history.keyframes], np.arange(len(history.keyframes)))
     assert error(history.stamps, history.scan_poses(poses), session.messages) < 0.01
+
+
+@pytest.mark.parametrize("known_wrong", [False, True])
+def test_an_even_motion_costs_as_much_as_a_slip(
+    session: MappedSession, monkeypatch: pytest.MonkeyPatch, known_wrong: bool
+) -> None:
+    history, mapper, row = session.history, session.mapper, 60
+    wrong, poses = np.zeros(len(history), dtype=bool), history.scan_poses(session.poses)
+    wrong[row], middle = known_wrong, poses[row].copy()
+    poses[row] = se2.compose(middle, np.array([0.5, 0.0, 0.0]))  # away from the motion between its neighbours
+    matcher = FullMapMatcher(history, mapper.landmarks, session.poses, 0.0, 0.0, session.odometry_model, wrong)
+    seen: list[Prediction] = []
+    match = MatchTarget.match
+
+    def spy(target: MatchTarget, scan: ScanFeatures, predictions: Sequence[Prediction], **options: bool) -> ScanMatch:
+        seen.extend(predictions)
+        return match(target, scan, predictions, **options)
+
+    monkeypatch.setattr(MatchTarget, "match", spy)
+    matcher.match(row, poses, matcher.local_map(row, poses[row]))
+    present, even = seen
+    assert (present.cost, even.cost) == (0.0, 0.0 if known_wrong else SLIP_COST)
+    np.testing.assert_allclose(even.pose, middle, atol=0.05)
 
 
 def test_correct_map_stays_correct(session: MappedSession) -> None:
