@@ -13,6 +13,7 @@ from .checks.adapter import drive_of, unconnected_parts
 from .errors import MapError
 from .estimation.map_view import final_result
 from .estimation.refinement import refine
+from .estimation.wall_bends import settle_wall_bends
 from .events import Finished, Sink
 from .io.sessions import StoredSession
 from .localisation.tracker import PoseFix
@@ -59,6 +60,7 @@ def optimise(session: StoredSession, sinks: Sequence[Sink] = ()) -> OptimisedSes
     last = session.scans[-1]
     slam_state.replace_map(refined.mapper, refined.trajectory, PoseFix(refined.poses[-1], last.odometry), keyframes)
     summary = refined.summary | _changes(before, refined.mapper)
+    bends = settle_wall_bends(slam_state.mapper, session.scan_history())
     publisher.publish_keyframes(refined.mapper, keyframes, session.sigma_range)
     publisher.publish_map(last.stamp, refined.mapper)
     segments = OdometrySegments(session.odometry, session.starts)
@@ -70,7 +72,7 @@ def optimise(session: StoredSession, sinks: Sequence[Sink] = ()) -> OptimisedSes
     result = final_result(
         slam_state,
         segments.trajectory(slam_state.trajectory, poses),
-        {"refinement": summary, "suspects": [suspect.row() for suspect in suspects]},
+        {"refinement": summary, "wall_bends": bends, "suspects": [suspect.row() for suspect in suspects]},
     )
     publisher.publish(result)
     return OptimisedSession(result, session, summary)

@@ -19,6 +19,7 @@ from .estimation.map_view import final_result, map_features
 from .estimation.plan_prior import PlanPrior
 from .estimation.slam_state import INITIAL_POSE_SIGMAS, SlamState
 from .estimation.stage_timer import StageTimer
+from .estimation.wall_bends import settle_wall_bends
 from .events import Finished, GroundTruthReceived, Notice, Sink
 from .geometry.segments import Floats
 from .io.sessions import StoredSession
@@ -31,7 +32,7 @@ from .mapping.plan_map import PlanMap
 from .odometry.motion_source import MotionSource
 from .preprocessing.preprocessor import Preprocessor, ProcessedScan
 from .publisher import Publisher
-from .run_end import check_run, is_unknown_place, map_alone, refine_or_match, settle_plan
+from .run_end import check_run, find_scan_delay, is_unknown_place, map_alone, refine_or_match, settle_plan
 from .run_snapshot import RunSnapshot
 from .run_statistics import RunStatistics, run_summary
 
@@ -272,6 +273,9 @@ class Slam:
         state, journal = self.slam_state, self._journal
         summary = self._summary(end)
         summary |= refine_or_match(state, journal, self._publisher, wanted=self._refine and not self._frozen)
+        summary["wall_bends"] = settle_wall_bends(state.mapper, journal.history(state))
+        delay = find_scan_delay(state, journal)
+        summary["scan_delay"] = None if delay is None else delay.row()
         if self._refine:
             self._session = self._stored(state)
         stamps, poses = journal.segments.trajectory(state.trajectory, state.mapper.keyframe_poses)

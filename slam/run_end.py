@@ -14,6 +14,7 @@ from .estimation.refinement import match_trajectory, refine
 from .estimation.slam_state import SlamState
 from .events import Notice
 from .localisation.tracker import PoseFix
+from .odometry.scan_delay import ScanDelay, estimate_scan_delay
 from .publisher import Publisher
 from .run_statistics import RunStatistics
 
@@ -86,6 +87,22 @@ def refine_or_match(state: SlamState, journal: Journal, publisher: Publisher, *,
     )
     publisher.publish_map(stamp, state.mapper)
     return {"refinement": refined.summary}
+
+
+def find_scan_delay(state: SlamState, journal: Journal) -> ScanDelay | None:
+    """Return the delay of the scans' stamps that is left, in the longest stretch of continuous odometry.
+
+    None without odometry.
+    """
+    if not state.odometry_model.measured:
+        return None
+    stamps = np.array(state.keyframe_stamps)
+    begins = np.array([-np.inf, *(history.stamps[0] for history in journal.segments.histories[1:])])
+    segment = np.searchsorted(begins, stamps, side="right") - 1
+    longest = int(np.bincount(segment).argmax())
+    rows = np.flatnonzero(segment == longest)
+    history = journal.segments.histories[longest]
+    return estimate_scan_delay(stamps[rows], state.mapper.keyframe_poses[rows], history, state.odometry_model)
 
 
 def check_run(

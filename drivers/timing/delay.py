@@ -94,10 +94,7 @@ def estimate_delay(turns: Turns, direction: float = 1.0) -> Delay | None:
         return None
     significant = abs(seconds) / sigma > float(stats.t.isf(ERROR_PROBABILITY / 2, len(weights) - 1))
     objection = None if significant else "not significant"
-    if significant and abs(seconds) <= turns.scan_period:
-        # The turn that odometry reports still overlaps the one between two scans; beyond, it is another turn.
-        objection = "shorter than the period of the scans"
-    elif significant and _predicts_worse(runs, turns.odometry, seconds):
+    if significant and _predicts_worse(runs, turns.odometry, seconds):
         objection = "contradicted by the turns from scan to scan"
     return Delay(seconds, sigma, objection)
 

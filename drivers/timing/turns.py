@@ -65,18 +65,15 @@ class _Part:
 class Turns:
     """Turns of a drive, collected from its messages in time order; memory does not grow with the number of scans.
 
-    odometry     (m, 2) stamps (seconds, increasing) and unwrapped headings (radians) of the whole drive
-    scan_period  median of the seconds between two scans
+    odometry  (m, 2) stamps (seconds, increasing) and unwrapped headings (radians) of the whole drive
     """
 
     def __init__(self, messages: Iterable[Message]) -> None:
         self._parts: list[_Part] = []
         readings: list[tuple[float, float]] = []
-        stamps: list[float] = []
         part, end, last = _Part(), -np.inf, -np.inf
         for message in messages:
             if isinstance(message, Scan):
-                stamps.append(message.stamp)
                 if message.stamp >= end:
                     self._keep(part)
                     part, end = _Part(), message.stamp + PART_DURATION
@@ -88,7 +85,6 @@ class Turns:
                 rate = _latest_rate(readings)
                 part.slowest, part.fastest = min(part.slowest, rate), max(part.fastest, rate)
         self._keep(part)
-        self.scan_period = float(np.median(np.diff(stamps))) if len(stamps) > 1 else np.inf
         self.odometry = _strictly_increasing(np.array(readings).reshape(-1, 2))
 
     def _keep(self, part: _Part) -> None:

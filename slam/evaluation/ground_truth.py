@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,18 +65,37 @@ def measure(
     finished = slam.finish()
     covariances = finished.keyframe_covariance
     assert covariances is not None
-    truth = simulation.trajectory.poses_at(finished.keyframe_stamps)
+    truth, shifts = _true_poses(simulation, finished)
+    covariances = covariances + np.einsum("ki,kj->kij", shifts, shifts)
     walls = true_walls(simulation.world if straight is None else straight, truth[0])
     return Nees(
         poses=pose_nees(finished.keyframes[1:], covariances[1:], se2.between(truth[0], truth[1:])),
         walls=wall_nees(finished.walls, walls),
         corners=corner_nees(finished.corners, finished.walls, walls),
-        relative_poses=_relative_pose_nees(slam, finished, truth),
+        relative_poses=_relative_pose_nees(slam, finished, truth, shifts),
     ), finished
 
 
-def _relative_pose_nees(slam: Slam, finished: Finished, truth: Floats) -> Floats:
-    """Return the NEES (r,) of poses relative to an earlier keyframe; `truth` (k, 3) are the true poses."""
+def _true_poses(simulation: Simulation, finished: Finished) -> tuple[Floats, Floats]:
+    """Return the true poses (k, 3) of the keyframes when they were measured, and one sigma of that time as motions.
+
+    The stamps of the keyframes are on the lidar's clock. A significant delay is corrected, as estimated. The motions
+    (k, 3) are relative to that of the first keyframe, which defines the map, each in its keyframe's frame.
+    """
+    delay = cast("dict[str, float] | None", finished.summary["scan_delay"])
+    seconds, sigma = (delay["seconds"], delay["sigma"]) if delay and delay["significant"] else (0.0, 0.0)
+    before, truth, after = (
+        simulation.trajectory.poses_at(finished.keyframe_stamps - seconds + step * sigma) for step in (-0.5, 0.0, 0.5)
+    )
+    shifts = se2.between(before, after)
+    return truth, shifts - np.einsum("kij,j->ki", se2.adjoint(se2.between(truth, truth[0])), shifts[0])
+
+
+def _relative_pose_nees(slam: Slam, finished: Finished, truth: Floats, shifts: Floats) -> Floats:
+    """Return the NEES (r,) of poses relative to an earlier keyframe.
+
+    truth, shifts  (k, 3) the true poses of the keyframes, and the uncertainty of their time
+    """
     first = np.arange(0, len(truth) - RELATIVE_KEYFRAMES)
     second = first + RELATIVE_KEYFRAMES
     if not len(first):
@@ -83,7 +103,8 @@ def _relative_pose_nees(slam: Slam, finished: Finished, truth: Floats) -> Floats
     mapper, estimate = slam.slam_state.mapper, finished.keyframes
     covariances = [mapper.covariances.relative(*pair) for pair in zip(first.tolist(), second.tolist(), strict=True)]
     relative, true = (se2.between(poses[first], poses[second]) for poses in (estimate, truth))
-    return pose_nees(relative, np.array(covariances), true)
+    moved = shifts[second] - np.einsum("kij,kj->ki", se2.adjoint(se2.inverse(true)), shifts[first])
+    return pose_nees(relative, np.array(covariances) + np.einsum("ki,kj->kij", moved, moved), true)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

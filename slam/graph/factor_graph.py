@@ -287,6 +287,6 @@ class FactorGraph(GraphEstimate):
     def __deepcopy__(self, memo: dict[int, object]) -> FactorGraph:
         """Return an independent graph with the same estimate, and with what waits for `update`."""
         other = FactorGraph()
-        other.solver = self.solver.copy()
+        other.solver, other.wall_bends = self.solver.copy(), self.wall_bends
         other.additions = Additions(list(self.additions.factors), gtsam.Values(self.additions.values))
         return other

@@ -16,22 +16,23 @@ from .factors import Factor, FactorKind, from_pose2
 from .isam2 import IncrementalSolver
 from .range_bias import RangeBias
 from .residuals import Residuals, residuals_of
+from .wall_bends import WallBends
 
 
 class Marginals:
-    """Covariances of all variables of a graph, times ROBUST_COVARIANCE_SCALE."""
+    """Covariances of all variables of a graph, times ROBUST_COVARIANCE_SCALE, and of the bends of walls."""
 
-    def __init__(self, covariances: Mapping[int, Floats]) -> None:
+    def __init__(self, covariances: Mapping[int, Floats], bends: WallBends) -> None:
         """Take the covariances of the graph by the keys of the variables."""
-        self._covariances = covariances
+        self._covariances, self._bends = covariances, bends
 
     def keyframes(self, indices: Iterable[int]) -> Floats:
         """Return the covariances (n, 3, 3) of keyframes' poses, each in its own frame."""
         return self._scaled([self._covariances[X(k)] for k in indices], 3)
 
-    def walls(self, walls: Iterable[int]) -> Floats:
+    def walls(self, walls: Sequence[int]) -> Floats:
         """Return the covariances (n, 2, 2) of walls' offsets across and headings in the map, each at its frame."""
-        return self._scaled([self._covariances[L(j)][1:, 1:] for j in walls], 2)
+        return self._scaled([self._covariances[L(j)][1:, 1:] for j in walls], 2) + self._bends.of_walls(walls)
 
     def corners(self, corners: Iterable[int]) -> Floats:
         """Return the covariances (n, 2, 2) of corners' positions in the map."""
@@ -47,10 +48,14 @@ class GraphEstimate:
 
     Poses are [x, y, heading] in metres and radians. Variables are addressed by keyframe index and landmark id.
     Covariances are those of the graph times ROBUST_COVARIANCE_SCALE, except in `relative_covariances`.
+
+    solver      the incremental solver
+    wall_bends  bends of walls, as estimated at the end of a run: they are in the covariances of walls in the map
     """
 
     def __init__(self) -> None:
         self.solver = IncrementalSolver()
+        self.wall_bends = WallBends()
 
     def keyframe_pose(self, index: int) -> se2.Pose:
         """Return a keyframe's pose in the map."""
@@ -118,7 +123,7 @@ class GraphEstimate:
 
     def marginals(self) -> Marginals:
         """Return the covariances of all variables: takes as long as that of some hundred alone."""
-        return Marginals(self.solver.marginal_covariances())
+        return Marginals(self.solver.marginal_covariances(), self.wall_bends)
 
     def keyframe_covariance(self, index: int) -> Floats:
         """Return the covariance (3, 3) of a keyframe's pose, in its own frame."""
@@ -131,7 +136,7 @@ class GraphEstimate:
         for joint in self.solver.joint_covariances([[L(wall) for wall in walls] for walls in groups]):
             rows = np.flatnonzero(np.arange(len(joint)) % 3)  # offset and heading of (along, offset, heading)
             result.append(ROBUST_COVARIANCE_SCALE * joint[np.ix_(rows, rows)])
-        return result
+        return [graph + self.wall_bends.of_all(walls) for graph, walls in zip(result, groups, strict=True)]
 
     def relative_covariance(self, old: int, keyframe: int) -> Floats:
         """Return the covariance (3, 3) of a keyframe's pose relative to an older one, in its own frame."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from ..errors import MapError
 from ..estimation.joint_covariance import joint_wall_covariance
 from ..estimation.map_view import map_features
+from ..estimation.wall_bends import settle_wall_bends
 from ..mapping.convergence import converge
 from ..mapping.mapper import Mapper
 from ..measuring.wall_map import WallMap
@@ -30,6 +31,7 @@ def wall_map_of(path: Path, session: StoredSession) -> WallMap:
     if not mapper.keyframe_count:
         raise MapError(f"{path}: has no keyframe, so it has no walls")
     converge(mapper)
+    settle_wall_bends(mapper, session.scan_history())
     return settled_wall_map(mapper)
 
 

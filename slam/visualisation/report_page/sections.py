@@ -199,6 +199,7 @@ def details(summary: dict[str, Any], settings: str) -> str:
         ("estimated range noise, metres", slam.get("sigma_range")),
         ("estimated range bias and its standard deviation, metres", _range_bias(slam.get("range_bias"))),
         ("estimated wall roughness, metres", slam.get("wall_roughness")),
+        ("estimated bends of walls, metres", (slam.get("wall_bends") or {}).get("sigma")),
         ("estimated odometry error per metre: metres, radians", slam.get("odometry_deviation_per_metre")),
         *(summary.get("versions") or {}).items(),
     )

@@ -1,0 +1,197 @@
+"""Bends of walls: errors that all observations of a wall share, estimated from the scans at the end of a run.
+
+A real wall is not a straight line. Its surface is b(s) off the line that is meant, s metres along it, and every view
+shows the same b. The line that is fitted to it, with an offset and a heading, is therefore wrong by
+
+    e = W b,    W = (X' N X)^-1 X' N,    X = [1, s],
+
+with the number N of keyframes that saw each place. No residual reveals e. What a keyframe k can see is the deviation of
+the surface from the line M_k b that is fitted to its own view, which does not depend on its pose; M_k = I - X W_k at
+the places that it saw. Products of the deviations at two places are summed over all pairs of *different* keyframes: the
+noise and the errors of a sweep differ between keyframes, and do not contribute. With the covariance
+
+    C(d) = v exp(-d^2 / (2 l^2))
+
+of a Gaussian process, d metres apart, the expected sum is A C A - sum_k M_k C M_k, A = sum_k M_k. The variance v and
+the length l are those for which it fits the products of all walls best. The covariance of a wall due to its bends is
+W C W'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers import se2
+
+from ..geometry.segments import Floats, Integers
+from ..graph.wall_bends import WallBends
+from ..mapping.mapper import Mapper
+from ..matching.scan_points import LINE_DISTANCE, segments_of
+from ..preprocessing.preprocessor import ProcessedScan
+from .refinement import ScanHistory
+
+# Metres along a wall over which the points of a keyframe are averaged. Origin: numerical, half the least of LENGTHS.
+CELL = 0.1
+# Metres, correlation lengths of bends that are tried. Origin: numerical, from a door frame to the longest that a view
+# of some metres shows, each by three quarters more.
+LENGTHS = np.array([0.2, 0.35, 0.6, 1.0])
+# Metres between two places that are compared, at most. Origin: numerical, C is small beyond twice the longest length.
+MAX_DISTANCE = 2.0
+# Metres of a wall in one view that bends are estimated from. Origin: geometry, a shorter view hardly deviates from its
+# own line.
+MIN_VIEW = 1.0
+# Views of a wall that bends are estimated from, evenly chosen. Origin: numerical, hundreds of pairs for each place.
+MAX_VIEWS = 20
+# Metres of a wall that are examined together, longer ones in stretches. Origin: numerical, twice MAX_DISTANCE; the time
+# grows with the cube.
+STRETCH = 4.0
+# Metres at the ends of segments that are left out: points of the surface around the corner are on the line as well.
+# Origin: geometry, for corners of up to 60 degrees from a right angle.
+END = 2.0 * LINE_DISTANCE
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Profile:
+    """What the keyframes saw of one wall: n cells that any of k keyframes saw.
+
+    wall    landmark id
+    place   (n,) metres along the wall from its frame, of the middle of each cell
+    seen    (k, n) true where a keyframe saw a cell
+    across  (k, n) mean distance of its points from the wall's line, metres; zero where it saw none
+    """
+
+    wall: int
+    place: Floats
+    seen: np.ndarray[tuple[int, int], np.dtype[np.bool_]]
+    across: Floats
+
+    @property
+    def line(self) -> Floats:
+        """Offset and heading of lines at the cells: X (n, 2)."""
+        return np.column_stack([np.ones(len(self.place)), self.place])
+
+    @property
+    def distance(self) -> Floats:
+        """Metres between two cells (n, n)."""
+        return np.abs(np.subtract.outer(self.place, self.place))
+
+
+def settle_wall_bends(mapper: Mapper, history: ScanHistory) -> dict[str, float]:
+    """Add the bends of walls to the covariances of a settled map, and return the estimate for the summary."""
+    bends = estimate_wall_bends(mapper, [history.scans[row] for row in history.keyframes.tolist()])
+    mapper.graph.wall_bends = bends
+    return {"sigma": round(bends.sigma, 5), "length": bends.length}
+
+
+def estimate_wall_bends(mapper: Mapper, scans: Sequence[ProcessedScan]) -> WallBends:
+    """Estimate the bends of a settled map's walls; `scans` are those of its keyframes, in their order.
+
+    Scans without points are left out.
+    """
+    profiles = list(_profiles(mapper, scans))
+    variance, length = _fit_process(profiles)
+    covariances = {}
+    for profile in profiles:
+        weighted = (profile.line * profile.seen.sum(axis=0)[:, None]).T
+        fit = np.linalg.solve(weighted @ profile.line, weighted)
+        covariances[profile.wall] = variance * fit @ _correlation(profile.distance, length) @ fit.T
+    return WallBends(float(np.sqrt(variance)), float(length), covariances)
+
+
+def _correlation(distance: Floats, length: float | Floats) -> Floats:
+    """Return the correlation of bends at places some metres apart."""
+    return np.asarray(np.exp(-0.5 * (distance / length) ** 2))
+
+
+def _fit_process(profiles: Sequence[_Profile]) -> tuple[float, float]:
+    """Return the variance of bends and their correlation length, by least squares over the distances of two places."""
+    count = round(MAX_DISTANCE / CELL) + 1
+    observed, expected = np.zeros(count), np.zeros((len(LENGTHS), count))
+    for profile in _stretches(profiles):
+        views = np.flatnonzero(profile.seen.sum(axis=1) >= MIN_VIEW / CELL)
+        views = views[:: -(-len(views) // MAX_VIEWS) or 1]
+        if len(views) < 2:
+            continue
+        products, expectations, pairs = _products(profile, views)
+        row = np.rint(profile.distance / CELL).astype(np.int64)
+        used = (pairs > 0) & (row < count)
+        observed += np.bincount(row[used], products[used], minlength=count)
+        for of_length, sums in zip(expected, expectations, strict=True):
+            of_length += np.bincount(row[used], sums[used], minlength=count)
+    squares = np.maximum((expected**2).sum(axis=1), np.finfo(float).tiny)
+    variances = np.maximum(expected @ observed / squares, 0.0)
+    best = int(np.argmin(((observed - variances[:, None] * expected) ** 2).sum(axis=1)))
+    return float(variances[best]), float(LENGTHS[best])
+
+
+def _stretches(profiles: Sequence[_Profile]) -> Iterator[_Profile]:
+    """Yield the walls in stretches of at most STRETCH metres."""
+    for profile in profiles:
+        stretch = np.floor(profile.place / STRETCH)
+        for number in np.unique(stretch):
+            cells = stretch == number
+            yield _Profile(profile.wall, profile.place[cells], profile.seen[:, cells], profile.across[:, cells])
+
+
+def _products(profile: _Profile, views: Integers) -> tuple[Floats, Floats, Integers]:
+    """Return the sums of products of deviations at each two cells, over all pairs of different views.
+
+    Returns what was seen (n, n), what is expected of bends of unit variance with each of the LENGTHS (l, n, n), and the
+    number of pairs (n, n).
+    """
+    line, seen = profile.line, profile.seen[views]
+    correlation = _correlation(profile.distance, LENGTHS[:, None, None])
+    deviations, operators = np.zeros(seen.shape), np.zeros((len(line), len(line)))
+    within = np.zeros_like(correlation)
+    for k, view in enumerate(views):
+        cells = np.flatnonzero(seen[k])
+        axes, _ = np.linalg.qr(line[cells])
+        operator = np.eye(len(cells)) - axes @ axes.T
+        rows = cells[:, None]
+        deviations[k, cells] = operator @ profile.across[view, cells]
+        operators[rows, cells] += operator
+        within[:, rows, cells] += operator @ correlation[:, rows, cells] @ operator
+    total, counts = deviations.sum(axis=0), seen.astype(np.int64)
+    pairs = np.outer(counts.sum(axis=0), counts.sum(axis=0)) - counts.T @ counts
+    return np.outer(total, total) - deviations.T @ deviations, operators @ correlation @ operators - within, pairs
+
+
+def _profiles(mapper: Mapper, scans: Sequence[ProcessedScan]) -> Iterator[_Profile]:
+    """Yield what the keyframes saw of each wall."""
+    walls, keyframes, along, across = _points_on_walls(mapper, scans)
+    all_cells = np.floor(along / CELL).astype(np.int64)
+    for wall in np.unique(walls).tolist():
+        rows = np.flatnonzero(walls == wall)
+        views, view = np.unique(keyframes[rows], return_inverse=True)
+        cells, place = np.unique(all_cells[rows], return_inverse=True)
+        if len(cells) < 2:
+            continue
+        shape, at = (len(views), len(cells)), view * len(cells) + place
+        count = np.bincount(at, minlength=shape[0] * shape[1]).reshape(shape)
+        sums = np.bincount(at, across[rows], minlength=shape[0] * shape[1]).reshape(shape)
+        mean = np.asarray(sums / np.maximum(count, 1), dtype=np.float64)
+        yield _Profile(wall, np.asarray(CELL * (cells + 0.5), dtype=np.float64), count > 0, mean)
+
+
+def _points_on_walls(mapper: Mapper, scans: Sequence[ProcessedScan]) -> tuple[Integers, Integers, Floats, Floats]:
+    """Return the wall, the keyframe, and the metres along the wall and across it, of all points on walls."""
+    rows = mapper.landmarks.walls.rows
+    walls, keyframes, places = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)], [np.zeros((0, 3))]
+    for keyframe, (scan, ids) in enumerate(zip(scans, mapper.landmark_ids, strict=True)):
+        points, segments = scan.features.points.all, scan.features.segments
+        if not len(points) or not len(segments):
+            continue
+        segment = segments_of(points, segments)
+        place = np.column_stack([points, np.zeros(len(points))])
+        inner = np.abs(se2.between(segments.frame[segment], place)[:, 0]) < segments.half_length[segment] - END
+        used = (segment >= 0) & inner & (ids.walls[segment] >= 0)
+        wall = rows["merged_into"][ids.walls[segment[used]]]
+        walls.append(wall)
+        keyframes.append(np.full(len(wall), keyframe))
+        in_map = se2.compose(mapper.keyframe_poses[keyframe], place[used])
+        places.append(se2.between(rows["frame"][wall], in_map).reshape(-1, 3))
+    place = np.concatenate(places)
+    return np.concatenate(walls), np.concatenate(keyframes), place[:, 0], place[:, 1]
