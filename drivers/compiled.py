@@ -39,6 +39,13 @@ def inlined(function: Callable[Arguments, Result]) -> Callable[Arguments, Result
     return _compiled(function, inline=True)
 
 
+def is_cached(function: Callable[..., object]) -> bool:
+    """Return True if a compiled function need not be compiled any more: it is on disk, for any types of arguments."""
+    stats = getattr(function, "stats", None)  # None if NUMBA_DISABLE_JIT is set
+    module = Path(inspect.getfile(inspect.unwrap(function))).stem
+    return stats is None or any(Path(stats.cache_path).glob(f"{module}.{function.__name__}-*.nbi"))
+
+
 def _compiled(function: Callable[Arguments, Result], *, inline: bool) -> Callable[Arguments, Result]:
     dispatcher: Callable[Arguments, Result] = njit(cache=True, forceinline=inline)(function)
     stats = getattr(dispatcher, "stats", None)  # None if NUMBA_DISABLE_JIT is set

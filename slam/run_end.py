@@ -92,9 +92,9 @@ def refine_or_match(state: SlamState, journal: Journal, publisher: Publisher, *,
 def find_scan_delay(state: SlamState, journal: Journal) -> ScanDelay | None:
     """Return the delay of the scans' stamps that is left, in the longest stretch of continuous odometry.
 
-    None without odometry.
+    None without odometry or keyframes.
     """
-    if not state.odometry_model.measured:
+    if not state.odometry_model.measured or not state.keyframe_stamps:
         return None
     stamps = np.array(state.keyframe_stamps)
     begins = np.array([-np.inf, *(history.stamps[0] for history in journal.segments.histories[1:])])

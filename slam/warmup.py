@@ -1,29 +1,48 @@
 """Compilation of all numba functions before a run, so that no scan is delayed by it.
 
 Compiled functions are cached on disk: only the first run after an installation or a change compiles, later runs load
-them. Without a warm-up only the first scans take longer.
+them. Without a warm-up only the first scans take longer. The first compilation runs in two processes, each with a part
+of the functions; what one of them has compiled, the other one loads.
 """
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from drivers import se2
-from drivers.messages import Floats, Message, Odometry, Scan
+from drivers.compiled import is_cached
+from drivers.messages import Floats, Odometry, Scan
+from features.kernel import extract_features
 
-from .geometry.segments import Segments
+from .checks import find_suspects
+from .checks.adapter import drive_of
+from .config import Config
+from .estimation.estimator import Estimator
+from .estimation.map_view import final_result
+from .estimation.refinement import build_scan_history, match_trajectory
+from .estimation.slam_state import SlamState
+from .geometry.segments import CornerPoints, Segments
 from .loop_closure.occlusion import REFERENCE_DISTANCE, occluded_share, old_walls
 from .loop_closure.relocalisation import index_map, relocalise, submap_of
 from .loop_closure.submap_search import build_submap, search_submap
+from .mapping.convergence import converge
 from .mapping.landmarks import Landmarks
 from .mapping.unconfirmed_observations import CONFIRMING_KEYFRAMES
 from .mapping.wall_removal import FreeSpaceEvidence
+from .matching.line_matcher import ScanFeatures
+from .matching.scan_points import ScanPoints, rounded
+from .odometry.error_model import OdometryModel
 from .pipeline import Slam
+from .preprocessing.preprocessor import Preprocessor, ProcessedScan
 
 ROOM = 4.0, 3.0
 """Length and width of the simulated room, metres."""
+SIDES = np.array([[0.0, -1.5, 0.0], [2.0, 0.0, np.pi / 2], [0.0, 1.5, np.pi], [-2.0, 0.0, -np.pi / 2]])
+"""Frames of its walls, as seen from inside."""
 BEAMS = 180
 WARMUP_SCANS = 20
 STEP = 0.1
@@ -34,6 +53,12 @@ INTERVAL = 0.1
 
 def warm_up() -> None:
     """Compile, or load from disk, everything that a run with default settings calls."""
+    if not is_cached(extract_features):
+        parts = (compile_preprocessing, compile_estimation)
+        code = "from slam.warmup import {0}; {0}()"
+        processes = [subprocess.Popen([sys.executable, "-c", code.format(part.__name__)]) for part in parts]
+        for process in processes:
+            process.wait()
     slam = Slam()
     for message in _drive():
         slam.add(message)
@@ -45,7 +70,52 @@ def warm_up() -> None:
     slam.finish()
 
 
-def _drive() -> Iterator[Message]:
+def compile_preprocessing() -> None:
+    """Compile what makes features of scans, and the closing of loops."""
+    preprocessor = Preprocessor(Config())
+    for message in _drive():
+        preprocessor.add(message)
+        while (scan := preprocessor.next_scan()) is not None:
+            preprocessor.process(scan, OdometryModel(Config().odometry))
+    _search_submap()
+    _update_free_space()
+    _check_loop([])
+
+
+def compile_estimation() -> None:
+    """Compile what estimates path and map from features, which are made up here."""
+    state = SlamState(Config())
+    estimator, scans = Estimator(state), []
+    for message in _drive():
+        if isinstance(message, Odometry):
+            odometry = message.pose
+        else:
+            scans.append(_seen_features(message, odometry))
+            estimator.process(scans[-1])
+    state = estimator.state
+    converge(state.mapper)
+    history = build_scan_history(scans, state.trajectory, state.keyframe_stamps, ())
+    state.trajectory = match_trajectory(state.mapper, history, state.odometry_model)
+    placed = state.trajectory.at_scans(state.mapper.keyframe_poses)
+    find_suspects(drive_of(scans, [0], placed, state.odometry_model))
+    final_result(state, placed, {})
+
+
+def _seen_features(scan: Scan, pose: se2.Pose) -> ProcessedScan:
+    """Return the features of a scan of the room, taken at `pose`."""
+    frames = se2.between(pose, SIDES)
+    half_lengths = np.array([ROOM[0], ROOM[1], ROOM[0], ROOM[1]]) / 2.0
+    segments = Segments(frames, half_lengths - 0.1, np.tile(np.diag([1e-5, 1e-5]), (4, 1, 1)))
+    pairs = np.column_stack([np.arange(4), (np.arange(4) + 1) % 4])
+    positions = 0.5 * np.array([[ROOM[0], -ROOM[1]], [ROOM[0], ROOM[1]], [-ROOM[0], ROOM[1]], [-ROOM[0], -ROOM[1]]])
+    corners = CornerPoints(
+        se2.transform(se2.inverse(pose), positions), np.tile(1e-4 * np.eye(2), (4, 1, 1)), pairs, frames[pairs, 2]
+    )
+    points = rounded(np.column_stack([scan.ranges * np.cos(scan.angles), scan.ranges * np.sin(scan.angles)]))
+    return ProcessedScan(scan.stamp, pose, ScanFeatures(segments, corners, ScanPoints(points, points[::9])), 0.01)
+
+
+def _drive() -> Iterator[Odometry | Scan]:
     """Yield the messages of a robot that drives through a small room with an object in it."""
     # no beam is parallel to a wall, where a distance would be infinite
     angles = 2 * np.pi * ((np.arange(BEAMS) + 0.5) / BEAMS - 0.5)
@@ -71,9 +141,8 @@ def _ranges(pose: se2.Pose, angles: Floats) -> Floats:
 def _check_loop(views: Sequence[tuple[se2.Pose, Segments]]) -> None:
     """Check a loop closure in a room that was mapped long ago and is observed again."""
     landmarks = Landmarks()
-    sides = np.array([[0.0, -1.5, 0.0], [2.0, 0.0, np.pi / 2], [0.0, 1.5, np.pi], [-2.0, 0.0, -np.pi / 2]])
     for keyframe in (0, 2):
-        for side in sides:
+        for side in SIDES:
             wall = landmarks.add_wall(side, 1.4, keyframe)
             landmarks.observe_wall(wall, side, 1.4, keyframe + 1)
     landmarks.confirm_observed(CONFIRMING_KEYFRAMES)
