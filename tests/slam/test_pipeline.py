@@ -12,7 +12,7 @@ import pytest
 
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry, Scan
-from drivers.simulation import Simulation
+from drivers.simulation import LidarModel, Simulation
 from slam import Config, Slam
 from slam.errors import MapError, SlamError
 from slam.evaluation.metrics import score_reference
@@ -56,7 +56,7 @@ def drive_result(drive: list[Message]) -> Finished:
 
 @pytest.mark.parametrize(("world", "duration", "bound"), [("room", 30.0, 0.006), ("office", 30.0, 0.015)])
 def test_simulated_drives_are_tracked_to_millimetres(world: str, duration: float, bound: float) -> None:
-    messages = list(Simulation(world, seed=1, duration=duration))
+    messages = list(Simulation(world, seed=1, duration=duration, lidar=LidarModel(beams=360)))
     finished = run(messages)
     assert error(finished, messages) < bound
     odometry = [message.stamp for message in messages if isinstance(message, Odometry)]

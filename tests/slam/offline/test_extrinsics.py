@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.messages import Odometry, Scan
-from drivers.simulation import Simulation
+from drivers.simulation import LidarModel, Simulation
 from slam.config import Config, LidarConfig
 from slam.errors import MapError
 from slam.offline.calibration.extrinsics import Calibration, OdometryCorrection, calibrate
@@ -34,7 +34,7 @@ def values(found: Calibration) -> np.ndarray:
 
 
 def test_mount_and_odometry_correction_are_found_from_a_drive() -> None:
-    simulation = Simulation("office", seed=3, duration=45.0, mount=MOUNT)
+    simulation = Simulation("office", seed=3, duration=45.0, lidar=LidarModel(beams=360), mount=MOUNT)
     found = calibrate(simulation, GUESS)
     error = values(found) - true_values(simulation)
     assert np.all(np.abs(error) < 4 * found.sigma)
@@ -45,7 +45,7 @@ def test_mount_and_odometry_correction_are_found_from_a_drive() -> None:
 def test_standard_errors_are_consistent() -> None:
     scaled = []
     for seed in range(10):
-        simulation = Simulation("office", seed=seed, duration=90.0, mount=MOUNT)
+        simulation = Simulation("office", seed=seed, duration=90.0, lidar=LidarModel(beams=360), mount=MOUNT)
         found = calibrate(simulation, GUESS)
         scaled.append((values(found) - true_values(simulation)) / found.sigma)
     spread = np.sqrt(np.mean(np.square(scaled), axis=0))

@@ -35,7 +35,10 @@ from slam.optimisation import optimise
 
 from ...recordings import recording_file
 
-OFFICE = {"first": ("sim:office?seed=1&duration=75", 0.0), "second": ("sim:office?seed=2&duration=90", 15.0)}
+OFFICE = {
+    "first": ("sim:office?seed=1&duration=75&lidar=short", 0.0),
+    "second": ("sim:office?seed=2&duration=90&lidar=short", 15.0),
+}
 """Two drives through one building, and the time in seconds from which each is used: the second starts on the path of
 the first."""
 
@@ -63,7 +66,9 @@ def messages_of(name: str) -> list[Message]:
 def sessions(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("sessions")
     written = {name: mapped(messages_of(name), name, folder / name) for name in OFFICE}
-    return written | {"other": mapped(list(drivers.open("sim:equal_doors?duration=20")), "other", folder / "other")}
+    return written | {
+        "other": mapped(list(drivers.open("sim:equal_doors?duration=20&lidar=short")), "other", folder / "other")
+    }
 
 
 def read(sessions: dict[str, Path], *names: str) -> list[tuple[str, StoredSession]]:
