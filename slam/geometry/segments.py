@@ -8,6 +8,7 @@ segments, and does not depend on the lidar's mount.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -15,17 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
+from drivers.compiled import compiled
 
-if TYPE_CHECKING:  # importing features imports numba, which takes a second
+if TYPE_CHECKING:
     from features.types import Corners, Lines
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 # Nodes and weights for integrals over the beams of a segment. Origin: numerical.
-QUADRATURE = np.polynomial.legendre.leggauss(8)
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 # Metres from the lidar to the line of a wall, for conditioning. Origin: numerical.
 MIN_WALL_DISTANCE = 1e-3
+SMALLEST = float(np.finfo(float).tiny)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,25 +81,32 @@ def segments_from_lines(lines: Lines, mount: se2.Pose) -> Segments:
     return Segments(frame.reshape(-1, 3), half_length, covariance, _bias_slopes(in_lidar_frame, half_length))
 
 
-def _bias_slopes(frames: Floats, half_lengths: Floats) -> Floats:
+@compiled
+def _bias_slopes(frames, half_lengths):  # type: ignore[no-untyped-def]
     """Return offset and heading (n, 2) of segments, seen from the origin, per metre that all ranges are too long.
 
     A beam that meets the wall at an angle a from the perpendicular moves its point across the wall by cos a, away from
     the lidar. The line is fitted to these points with the weights 1 / cos^2 a of beams with equal range noise and equal
     angles between them; the sums over the beams are integrals over a, by Gauss-Legendre quadrature.
     """
-    lidar = se2.inverse(frames).reshape(-1, 3)
-    distance = np.maximum(lidar[:, 1], MIN_WALL_DISTANCE)[:, None]
-    low, high = (np.arctan2(sign * half_lengths - lidar[:, 0], distance[:, 0]) for sign in (-1.0, 1.0))
-    angle = 0.5 * ((high + low)[:, None] + (high - low)[:, None] * QUADRATURE[0])
-    along = distance * np.tan(angle) + lidar[:, :1]
-    weight = QUADRATURE[1] / np.cos(angle) ** 2
-    shift = -np.cos(angle)  # the lidar is at y > 0
-    total, first, second = weight.sum(axis=1), (weight * along).sum(axis=1), (weight * along**2).sum(axis=1)
-    moved, turned = (weight * shift).sum(axis=1), (weight * shift * along).sum(axis=1)
-    determinant = np.maximum(total * second - first**2, np.finfo(float).tiny)
-    offset, heading = second * moved - first * turned, total * turned - first * moved
-    return np.asarray(np.column_stack([offset, heading]) / determinant[:, None])
+    slopes = np.empty((len(frames), 2))
+    for k in range(len(frames)):
+        c, s = math.cos(frames[k, 2]), math.sin(frames[k, 2])
+        start = -c * frames[k, 0] - s * frames[k, 1]  # the lidar in the segment's frame, at y > 0
+        distance = max(s * frames[k, 0] - c * frames[k, 1], MIN_WALL_DISTANCE)
+        low = math.atan2(-half_lengths[k] - start, distance)
+        high = math.atan2(half_lengths[k] - start, distance)
+        total = first = second = moved = turned = 0.0
+        for node in range(len(NODES)):
+            angle = 0.5 * (high + low + (high - low) * NODES[node])
+            along, cosine = distance * math.tan(angle) + start, math.cos(angle)
+            weight = WEIGHTS[node] / cosine**2
+            total, first, second = total + weight, first + weight * along, second + weight * along**2
+            moved, turned = moved - weight * cosine, turned - weight * cosine * along
+        determinant = max(total * second - first**2, SMALLEST)
+        slopes[k, 0] = (second * moved - first * turned) / determinant
+        slopes[k, 1] = (total * turned - first * moved) / determinant
+    return slopes
 
 
 @dataclass(frozen=True, slots=True, eq=False)

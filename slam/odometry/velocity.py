@@ -89,6 +89,7 @@ class ScanClock:
         if last is None:
             return 0.0
         self.intervals = (*self.intervals, stamp - last)[-PERIOD_SAMPLES:]
-        period = float(np.median(self.intervals))
-        in_bursts = period < MIN_PERIOD or min(self.intervals) < MIN_INTERVAL * period
-        return float(np.mean(self.intervals)) if in_bursts else max(stamp - last, period)
+        ordered = sorted(self.intervals)
+        period = 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
+        in_bursts = period < MIN_PERIOD or ordered[0] < MIN_INTERVAL * period
+        return sum(ordered) / len(ordered) if in_bursts else max(stamp - last, period)
