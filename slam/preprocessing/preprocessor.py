@@ -13,7 +13,8 @@ from drivers.messages import Odometry, Scan
 from features import Features
 
 from ..config import Config
-from ..geometry.segments import CornerPoints, Segments, corner_points, segments_from_lines
+from ..geometry.line_segments import corner_points, segments_from_lines
+from ..geometry.segments import CornerPoints, Segments
 from ..matching.line_matcher import ScanFeatures
 from ..matching.scan_points import MAX_SCAN_POINTS, ScanPoints, rounded, subsample
 from ..odometry.error_model import OdometryModel

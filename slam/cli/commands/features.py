@@ -73,7 +73,7 @@ def table(extracted: Features) -> str:
     """Return lines and corners as text; the deviation of the offset is that at the segment's centre."""
     import numpy as np
 
-    from ...geometry.segments import segments_from_lines
+    from ...geometry.line_segments import segments_from_lines
 
     segments = segments_from_lines(extracted.lines, np.zeros(3))
     sigma = np.sqrt(np.diagonal(segments.covariance, axis1=1, axis2=2))

@@ -5,7 +5,8 @@ import pytest
 
 from drivers import se2
 from features.types import Corners, Lines
-from slam.geometry.segments import Segments, corner_points, segments_from_lines
+from slam.geometry.line_segments import corner_points, segments_from_lines
+from slam.geometry.segments import Segments
 
 
 def lines_of(frames: np.ndarray, half_length: np.ndarray, covariance: np.ndarray) -> Lines:

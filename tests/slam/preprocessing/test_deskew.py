@@ -10,7 +10,7 @@ from drivers.messages import Odometry, Scan
 from drivers.simulation import LidarModel, Simulation, WheelModel, World
 from features import Extractor, Noise
 from slam.config import OdometryConfig
-from slam.geometry.segments import corner_points, segments_from_lines
+from slam.geometry.line_segments import corner_points, segments_from_lines
 from slam.odometry.error_model import OdometryModel
 from slam.odometry.history import OdometryHistory
 from slam.preprocessing.deskew import deskew, sweep_middle
