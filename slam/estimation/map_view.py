@@ -9,6 +9,7 @@ from drivers import se2
 from ..events import Finished
 from ..geometry.segments import Floats
 from ..graph.graph_estimate import Marginals
+from ..mapping.drift_covariance import DriftCovariance
 from ..mapping.landmarks import Landmarks
 from ..mapping.map_features import MapCorners, MapWalls
 from ..mapping.mapper import Mapper
@@ -46,19 +47,18 @@ def map_features(mapper: Mapper, marginals: Marginals | None = None) -> tuple[Ma
     Without `marginals`, those of the mapper's graph, covariances are NaN.
     """
     shown = suppress_overlapping_walls(mapper.landmarks)
-    return _walls(mapper, shown, marginals), _corners(mapper, shown, marginals)
+    drift = None if marginals is None else DriftCovariance(mapper)
+    return _walls(shown, marginals, drift), _corners(mapper, shown, marginals, drift)
 
 
-def _walls(mapper: Mapper, landmarks: Landmarks, marginals: Marginals | None) -> MapWalls:
+def _walls(landmarks: Landmarks, marginals: Marginals | None, drift: DriftCovariance | None) -> MapWalls:
     rows = landmarks.walls.rows
     chosen = np.flatnonzero(rows["in_graph"] & landmarks.active())
     covariance = np.full((len(chosen), 2, 2), np.nan)
-    if marginals is not None:
+    if marginals is not None and drift is not None:
         covariance = marginals.walls(chosen.tolist())
         normals = np.column_stack([-np.sin(rows["frame"][chosen, 2]), np.cos(rows["frame"][chosen, 2])])
-        covariance[:, 0, 0] += np.einsum(
-            "ij,ijk,ik->i", normals, mapper.correlated_drift[rows["first_seen"][chosen]], normals
-        )
+        covariance[:, 0, 0] += np.einsum("ij,ijk,ik->i", normals, drift.of(rows["first_seen"][chosen]), normals)
     walls = rows[chosen]
     return MapWalls(
         identity=chosen,
@@ -71,7 +71,9 @@ def _walls(mapper: Mapper, landmarks: Landmarks, marginals: Marginals | None) ->
     )
 
 
-def _corners(mapper: Mapper, landmarks: Landmarks, marginals: Marginals | None) -> MapCorners:
+def _corners(
+    mapper: Mapper, landmarks: Landmarks, marginals: Marginals | None, drift: DriftCovariance | None
+) -> MapCorners:
     """Return the corners.
 
     A corner lies on both of its walls, and they carry most of its information. If both are in the map, the corner is
@@ -96,13 +98,13 @@ def _corners(mapper: Mapper, landmarks: Landmarks, marginals: Marginals | None) 
             position[row] = intersection
             intersecting.append(row)
             jacobians.append(jacobian)
-    if marginals is not None:
+    if marginals is not None and drift is not None:
         covariance = marginals.corners(chosen.tolist())
         moved = np.array(jacobians).reshape(-1, 2, 4)
         joint = np.array(mapper.graph.wall_covariances(wall_ids[intersecting].tolist())).reshape(-1, 4, 4)
         covariance[intersecting] = moved @ joint @ moved.transpose(0, 2, 1)
         # the keyframe that first saw a corner is not stored, the last one is
-        covariance += mapper.correlated_drift[rows["last_seen"][chosen]]
+        covariance += drift.of(rows["last_seen"][chosen])
     return MapCorners(
         identity=chosen,
         position=position,

@@ -12,6 +12,7 @@ from ..geometry.segments import Floats
 from ..graph.covariances import ROBUST_COVARIANCE_SCALE
 from ..graph.graph_estimate import Marginals
 from ..odometry.correlated_drift import embed_position_covariance, rotate_covariance
+from .drift_covariance import DriftCovariance
 
 if TYPE_CHECKING:
     from .mapper import Mapper
@@ -55,7 +56,8 @@ class KeyframeCovariances:
     def of_all(self, marginals: Marginals) -> Floats:
         """Return (k, 3, 3) those of all keyframes, given the marginals of the graph."""
         mapper = self._mapper
-        correlated = [embed_position_covariance(drift) for drift in mapper.correlated_drift]
+        drifts = DriftCovariance(mapper).of(np.arange(mapper.keyframe_count))
+        correlated = [embed_position_covariance(drift) for drift in drifts]
         headings = mapper.graph.keyframe_poses(mapper.keyframe_count)[:, 2].tolist()
         turned = [rotate_covariance(drift, -heading) for drift, heading in zip(correlated, headings, strict=True)]
         return marginals.keyframes(range(mapper.keyframe_count)) + np.array(turned).reshape(-1, 3, 3)

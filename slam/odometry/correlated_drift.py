@@ -4,8 +4,8 @@ Along a bare corridor, the error of a wrong wheel diameter is the same in every 
 distance, not with its square root. The graph treats the errors of motions as independent. If each motion got the
 variance that its share of the sum requires, the chain of motions would be so soft that slightly bent walls tear a
 corridor apart. So the graph gets the variance of each motion's independent errors only, and the shared errors are
-accumulated beside it and added to the covariances that it returns. Loop closures and revisited places do not reduce
-them: there, the sum is an upper bound.
+accumulated beside it and added to the covariances that it returns. While driving, the sum is an upper bound after loop
+closures and at revisited places; in a finished map, `slam.mapping.drift_covariance` conditions it on these.
 """
 
 from __future__ import annotations

@@ -1,0 +1,147 @@
+"""Covariance of correlated drift in a finished map, with what loops and observations of old walls say about it.
+
+The correlated drift D(k), the error of the position of keyframe k that its neighbours share, is a random walk along
+the drive: it grows from the keyframe that odometry leads from, so keyframes form a tree. With the covariance V(k)
+accumulated up to each keyframe, cov(D(i), D(j)) = V(a), a the last common ancestor of both.
+
+A loop, a scan match, or an observation of a wall that was first seen at keyframe o says that D(k) and D(o) are equal in
+some direction n, with the variance r. The drift given m of these,
+
+    h = n . (D(k) - D(o)) = 0 +- r,
+
+has the covariance C - C H' (H C H' + R)^-1 H C.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from ..geometry.segments import Floats, Integers
+from ..graph.factors import FactorKind
+
+if TYPE_CHECKING:
+    from .mapper import Mapper
+
+# Conditions at most, evenly chosen of those that say anything; the time grows with the square of the number. Conditions
+# between the same places say the same. Origin: numerical.
+MAX_CONDITIONS = 150
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Conditions:
+    """Keyframes `old` and `new` (m,) with the same drift along the unit vectors `direction` (m, 2).
+
+    variance  (m,) of the difference, square metres
+    """
+
+    old: Integers
+    new: Integers
+    direction: Floats
+    variance: Floats
+
+    def __getitem__(self, rows: Integers) -> _Conditions:
+        return _Conditions(self.old[rows], self.new[rows], self.direction[rows], self.variance[rows])
+
+
+class DriftCovariance:
+    """Covariance of the correlated drift of a settled map's keyframes, (2, 2) in the map's axes, square metres."""
+
+    def __init__(self, mapper: Mapper) -> None:
+        self._variances = mapper.correlated_drift
+        self._parent = np.arange(mapper.keyframe_count) - 1
+        for factor in mapper.graph.solver.factors.values():
+            if factor.kind is FactorKind.ODOMETRY:
+                self._parent[factor.second] = factor.first
+        branches = self._parent != np.arange(mapper.keyframe_count) - 1
+        self._first = np.maximum.accumulate(np.where(branches, np.arange(mapper.keyframe_count), 0))
+        conditions = self._chosen(_conditions_of(mapper))
+        self._conditions = conditions
+        covariance = self._of_conditions(conditions, conditions) + np.diag(conditions.variance)
+        self._factor = cho_factor(covariance) if len(covariance) else None
+
+    def between(self, first: Integers, second: Integers) -> Floats:
+        """Return (n, 2, 2) the covariances of the drift of the keyframes `first` (n,) with that of `second` (n,)."""
+        prior = self._prior(first, second)
+        if self._factor is None:
+            return prior
+        keyframes, rows = np.unique(np.concatenate([first, second]), return_inverse=True)
+        known = self._with_conditions(keyframes)  # (q, 2, m)
+        gain = cho_solve(self._factor, known.reshape(-1, known.shape[2]).T).T.reshape(known.shape)
+        of_first, of_second = known[rows[: len(first)]], gain[rows[len(first) :]]
+        return np.asarray(prior - of_first @ of_second.transpose(0, 2, 1))
+
+    def of(self, keyframes: Integers) -> Floats:
+        """Return (n, 2, 2) the covariances of the drift of keyframes (n,)."""
+        return self.between(keyframes, keyframes)
+
+    def _prior(self, first: Integers, second: Integers) -> Floats:
+        """Return (..., 2, 2) the covariances without any condition."""
+        return np.asarray(self._variances[self._common_ancestors(first, second)])
+
+    def _common_ancestors(self, first: Integers, second: Integers) -> Integers:
+        """Return (...) the last common ancestors of keyframes."""
+        first, second = (np.array(one) for one in np.broadcast_arrays(first, second))
+        while True:
+            high, low = np.maximum(first, second), np.minimum(first, second)
+            found = self._first[high] <= low  # the way from `high` back to `low` has no branch
+            if found.all():
+                return low
+            first, second = np.where(found, low, self._parent[self._first[high]]), low
+
+    def _with_conditions(self, keyframes: Integers) -> Floats:
+        """Return (n, 2, m) the covariances of the drift of keyframes (n,) with the conditions."""
+        chosen = self._conditions
+        difference = self._prior(keyframes[:, None], chosen.new) - self._prior(keyframes[:, None], chosen.old)
+        return np.asarray(np.einsum("kmij,mj->kim", difference, chosen.direction))
+
+    def _of_conditions(self, first: _Conditions, second: _Conditions) -> Floats:
+        """Return (m, p) the covariances of the differences of drift in conditions."""
+        result = np.zeros((len(first.old), len(second.old)))
+        for sign, one, other in (
+            (1.0, first.new, second.new),
+            (-1.0, first.new, second.old),
+            (-1.0, first.old, second.new),
+            (1.0, first.old, second.old),
+        ):
+            blocks = self._prior(one[:, None], other)
+            result += sign * np.einsum("mi,mpij,pj->mp", first.direction, blocks, second.direction)
+        return result
+
+    def _chosen(self, conditions: _Conditions) -> _Conditions:
+        """Return the conditions that say more than is known anyway, at most MAX_CONDITIONS."""
+        between = self._prior(conditions.old, conditions.new)
+        growth = (
+            self._prior(conditions.new, conditions.new) + self._prior(conditions.old, conditions.old) - 2.0 * between
+        )
+        expected = np.einsum("mi,mij,mj->m", conditions.direction, growth, conditions.direction)
+        rows = np.flatnonzero(expected > conditions.variance)
+        if len(rows) > MAX_CONDITIONS:
+            rows = rows[np.linspace(0, len(rows) - 1, MAX_CONDITIONS).astype(np.int64)]
+        return conditions[rows]
+
+
+def _conditions_of(mapper: Mapper) -> _Conditions:
+    """Return all conditions in the graph of a map."""
+    rows = list(_condition_rows(mapper))
+    old, new, x, y, variance = np.array(rows, dtype=np.float64).reshape(-1, 5).T
+    return _Conditions(old.astype(np.int64), new.astype(np.int64), np.column_stack([x, y]), variance)
+
+
+def _condition_rows(mapper: Mapper) -> Iterator[tuple[int, int, float, float, float]]:
+    """Yield old and new keyframe, direction, and variance."""
+    walls, headings = mapper.landmarks.walls.rows, mapper.keyframe_poses[:, 2]
+    for factor in mapper.graph.solver.factors.values():
+        if factor.kind is FactorKind.WALL_OFFSET:
+            heading = float(walls["frame"][factor.second, 2])
+            old = int(walls["first_seen"][walls["merged_into"][factor.second]])
+            yield old, factor.first, -np.sin(heading), np.cos(heading), float(factor.covariance[0, 0])
+        elif factor.kind in (FactorKind.LOOP, FactorKind.SCAN_MATCH):
+            variances, axes = np.linalg.eigh(factor.covariance[:2, :2])
+            c, s = np.cos(headings[factor.second]), np.sin(headings[factor.second])
+            for variance, (x, y) in zip(variances.tolist(), axes.T.tolist(), strict=True):
+                yield factor.first, factor.second, c * x - s * y, s * x + c * y, variance
