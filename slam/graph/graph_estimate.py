@@ -108,6 +108,14 @@ class GraphEstimate:
         """Return twice the robust cost of the whole graph."""
         return self.chi2_at(self)
 
+    def degrees_of_freedom(self) -> int:
+        """Return the dimension of all measurements less that of all variables: the expected `chi2`, without outliers.
+
+        A wall's gauge prior counts as a measurement: it makes up for the direction that none determines.
+        """
+        measured = sum(len(factor.covariance) for factor in self.solver.factors.values())
+        return measured - int(self.solver.isam.calculateEstimate().dim())
+
     def chi2_at(self, other: GraphEstimate) -> float:
         """Return twice the robust cost of this graph's factors at the estimate of a graph with the same variables."""
         return 2.0 * float(self.solver.isam.getFactorsUnsafe().error(other.solver.isam.calculateEstimate()))
