@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -11,7 +12,15 @@ EXPECTED = {
     "map_a_recording.py": ["sim:room?duration=10: 350 poses", "m, standard deviations"],
     "own_sensors.py": [" 9.9 s: at ", "the room has 4 walls and 4 corners"],
     "features_of_a_scan.py": ["a wall 3.9998 m", "a corner at -2.0"],
+    "measure_a_recording.py": ["<sim:room: 6 walls", "m apart, standard deviation", "room 1: 26."],
+    "own_factors.py": ["by odometry the mark is 20.5", "by the tape 19.", "with both 19."],
 }
+PICTURES = {
+    "features_of_a_scan.py": ([], "<ellipse"),
+    "measure_a_recording.py": (["sim:room?duration=10"], 'class="dimensions"'),
+    "own_factors.py": ([], "<polyline"),
+}
+"""Arguments before the name of the picture that an example writes, and an element of the picture."""
 
 
 def test_every_example_is_tested() -> None:
@@ -28,3 +37,13 @@ def test_example_prints_the_expected_results(name: str, tmp_path: Path) -> None:
     for text in EXPECTED[name]:
         assert text in result.stdout
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_example_draws_a_picture_if_one_is_named(name: str, tmp_path: Path) -> None:
+    arguments, element = PICTURES[name]
+    command = [sys.executable, EXAMPLES / name, *arguments, "picture.svg"]
+    subprocess.run(command, check=True, capture_output=True, timeout=200, cwd=tmp_path)
+    text = (tmp_path / "picture.svg").read_text()
+    assert ElementTree.fromstring(text).tag.endswith("svg")
+    assert element in text

@@ -124,6 +124,12 @@ class GraphEstimate:
         """Return the residuals of all factors; takes ten microseconds a factor."""
         return residuals_of(self.solver.isam.getFactorsUnsafe(), self.solver.isam.calculateEstimate())
 
+    def factors_and_values(self) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+        """Return copies of GTSAM's graph and of the estimate: keyframes have the symbols x, walls l, corners c."""
+        return gtsam.NonlinearFactorGraph(self.solver.isam.getFactorsUnsafe()), gtsam.Values(
+            self.solver.isam.calculateEstimate()
+        )
+
     def marginals(self) -> Marginals:
         """Return the covariances of all variables: takes as long as that of some hundred alone."""
         return Marginals(self.solver.marginal_covariances())
