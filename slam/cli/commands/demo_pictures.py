@@ -48,8 +48,8 @@ RECORDINGS = {
 """Public recordings (datasets/catalogue.toml) and their titles; files NAME/NAME.clf in the directory WCLM_DATASETS."""
 PICTURE_DOTS_PER_INCH = 115
 """Resolution of the pictures; they are about 1300 pixels wide."""
-COLOURS = 200
-"""Size of a picture's palette; enough for anti-aliased lines, and reduces the file to a third."""
+COLOURS, SHADES = 200, 256
+"""Size of a picture's palette; enough for anti-aliased lines, and reduces the file to a third. More if it is shaded."""
 
 Kind = TypeVar("Kind")
 
@@ -57,12 +57,14 @@ Kind = TypeVar("Kind")
 class PictureSet(NamedTuple):
     """Pictures of one run.
 
-    files  names of the files
-    make   function that writes them to a directory; its second argument is a temporary directory
+    files   names of the files
+    make    function that writes them to a directory; its second argument is a temporary directory
+    shaded  True if there are large translucent areas, whose shades matter more than rare colours
     """
 
     files: tuple[str, ...]
     make: Callable[[Path, Path], None]
+    shaded: bool = False
 
 
 class ClosureRecorder:
@@ -143,16 +145,17 @@ def write_pictures(directory: Path) -> Iterator[Path]:
         with TemporaryDirectory() as scratch, matplotlib.rc_context({"savefig.dpi": PICTURE_DOTS_PER_INCH}):
             pictures.make(directory, Path(scratch))
         for file in pictures.files:
-            reduce_palette(directory / file)
+            reduce_palette(directory / file, shaded=pictures.shaded)
             yield directory / file
 
 
-def reduce_palette(path: Path) -> None:
-    """Convert a picture to a palette that includes rare colours."""
+def reduce_palette(path: Path, *, shaded: bool = False) -> None:
+    """Convert a picture to a palette that includes rare colours, or with `shaded` those of the largest areas."""
     from PIL import Image
 
+    colours, method = (SHADES, Image.Quantize.MEDIANCUT) if shaded else (COLOURS, Image.Quantize.MAXCOVERAGE)
     with Image.open(path) as picture:
-        small = picture.convert("RGB").quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+        small = picture.convert("RGB").quantize(colours, method, dither=Image.Dither.NONE)
     small.save(path, optimize=True)
 
 
@@ -215,7 +218,7 @@ def _symptom(name: str, spec: str, title: str, settings: dict[str, dict[str, obj
         _map(spec, scratch / "out", title=title, settings=settings)
         (directory / f"{name}.png").write_bytes((scratch / "out" / PICTURE).read_bytes())
 
-    return PictureSet((f"{name}.png",), make)
+    return PictureSet((f"{name}.png",), make, shaded=True)
 
 
 def _recorded(name: str, recording: Path) -> PictureSet:
