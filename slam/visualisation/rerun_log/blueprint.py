@@ -77,12 +77,12 @@ def side_by_side(extents: Mapping[str, Extent]) -> rrb.Blueprint:
     """Return the layout for several logs in one recording, a column each; the keys are the logs' root entities."""
     columns = []
     for root, extent in extents.items():
-        panels = _Panels(f"{root}/", extent)
+        panels = _Panels(f"{root}/", extent, WIDE_ASPECT)
         views = [view for together in panels.plots() for view in together]
         views += [panels.compared_points(), panels.histogram()]
         plots = rrb.Tabs(*views, panels.decisions(), active_tab=0)
-        shares = [4, 3, 3, 2]
-        columns.append(rrb.Vertical(panels.maps(root), panels.details(), panels.texts(), plots, row_shares=shares))
+        texts = rrb.Tabs(*panels.documents(), panels.log(), active_tab=0)
+        columns.append(rrb.Vertical(panels.maps(root), panels.details(), texts, plots, row_shares=[5, 5, 3, 3]))
     return _whole(rrb.Horizontal(*columns), KEYFRAME)
 
 
@@ -101,8 +101,9 @@ def _whole(views: rrb.Vertical | rrb.Horizontal, timeline: str) -> rrb.Blueprint
 class _Panels:
     """Panels of one log whose entities are below `root`."""
 
-    def __init__(self, root: str, extent: Extent) -> None:
-        self._root, self._extent = root, extent
+    def __init__(self, root: str, extent: Extent, aspect: float = MAP_ASPECT) -> None:
+        """`aspect` is width / height of the panels of the map."""
+        self._root, self._extent, self._aspect = root, extent, aspect
 
     def maps(self, name: str = "Map") -> rrb.Tabs:
         """Return the views of the whole map, alone and with all scans behind it."""
@@ -110,7 +111,7 @@ class _Panels:
         hidden = ["map/wall_sigma", "before/**", "shift", "factors/**", "features/gated_out", "last_scans/**"]
         alone = ["$origin/**", *(f"- $origin/{entity}" for entity in [*hidden, "scans/**"])]
         with_scans = ["$origin/**", *(f"- $origin/{entity}" for entity in [*hidden, "map/corner_sigma"])]
-        views = self._from_above(name, alone, MAP_ASPECT), self._from_above(f"{name} and scans", with_scans, MAP_ASPECT)
+        views = self._from_above(name, alone), self._from_above(f"{name} and scans", with_scans)
         return rrb.Tabs(*views, active_tab=0)
 
     def close_up(self) -> rrb.Spatial3DView:
@@ -121,7 +122,7 @@ class _Panels:
             origin=f"{self._root}world/here",
             contents=[f"/{self._root}world/**", *(f"- /{self._root}world/{name}" for name in hidden)],
             name="Close-up of the robot",
-            eye_controls=_eye_above(np.zeros(2), eye_distance(CLOSE_UP_SIZE, CLOSE_UP_SIZE, MAP_ASPECT)),
+            eye_controls=_eye_above(np.zeros(2), eye_distance(CLOSE_UP_SIZE, CLOSE_UP_SIZE, self._aspect)),
             line_grid=_grid(1.0),
             background=BACKGROUND,
         )
@@ -131,15 +132,20 @@ class _Panels:
         before = ("before/**", "shift", "map/walls", "path/estimate", "path/recent", "loops/**", "robot/**")
         factors = ("factors/**", "map/walls", "robot/**")
         return rrb.Tabs(
-            self._from_above("Before / after", [f"$origin/{entity}" for entity in before], MAP_ASPECT),
+            self._from_above("Before / after", [f"$origin/{entity}" for entity in before]),
             self.close_up(),
-            self._from_above("Factors", [f"$origin/{entity}" for entity in factors], MAP_ASPECT),
+            self._from_above("Factors", [f"$origin/{entity}" for entity in factors]),
             rrb.GraphView(origin=f"{self._root}graph", name="Graph"),
             active_tab=0 if self._extent.corrected else 1,
         )
 
     def texts(self) -> rrb.Vertical:
         """Return the text documents and the text log."""
+        documents = rrb.Tabs(*self.documents(), active_tab=0 if self._extent.corrected else 1)
+        return rrb.Vertical(documents, self.log(), row_shares=[3, 2])
+
+    def documents(self) -> list[rrb.TextDocumentView]:
+        """Return the views of the text documents."""
         documents = {
             "loops/report": "Last loop",
             "legend": "Legend",
@@ -148,12 +154,14 @@ class _Panels:
             "config": "Settings",
             "summary": "Summary",
         }
-        views = [rrb.TextDocumentView(origin=self._root + entity, name=name) for entity, name in documents.items()]
+        return [rrb.TextDocumentView(origin=self._root + entity, name=name) for entity, name in documents.items()]
+
+    def log(self) -> rrb.TextLogView:
+        """Return the view of the text log."""
         # Without columns for other timelines, that of the selected one is shown.
         columns = rrb.TextLogColumns(timeline_columns=[], text_log_columns=["loglevel", "body"])
         rows = rrb.TextLogRows(filter_by_log_level=["ERROR", "WARN", "INFO", "DEBUG"])
-        log = rrb.TextLogView(origin=f"{self._root}log", name="Log", columns=columns, rows=rows)
-        return rrb.Vertical(rrb.Tabs(*views, active_tab=0 if self._extent.corrected else 1), log, row_shares=[3, 2])
+        return rrb.TextLogView(origin=f"{self._root}log", name="Log", columns=columns, rows=rows)
 
     def plots(self) -> list[list[rrb.View]]:
         """Return the plots in groups of tabs; the first of each group is shown."""
@@ -199,14 +207,14 @@ class _Panels:
         query = rrb.archetypes.DataframeQuery(timeline=CANDIDATE, select=columns)
         return rrb.DataframeView(origin=entity, name="Loop decisions", query=query)
 
-    def _from_above(self, name: str, contents: list[str], aspect: float) -> rrb.Spatial3DView:
+    def _from_above(self, name: str, contents: list[str]) -> rrb.Spatial3DView:
         low, high = self._extent.low, self._extent.high
         width, height = (float(size) for size in high - low)
         return rrb.Spatial3DView(
             origin=f"{self._root}world",
             contents=contents,
             name=name,
-            eye_controls=_eye_above(0.5 * (low + high), eye_distance(width, height, aspect)),
+            eye_controls=_eye_above(0.5 * (low + high), eye_distance(width, height, self._aspect)),
             line_grid=_grid(grid_spacing(max(width, height))),
             background=BACKGROUND,
         )
