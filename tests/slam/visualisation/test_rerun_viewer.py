@@ -103,7 +103,7 @@ def test_the_map_and_a_correction_are_shown_in_their_colours(
     assert pixels_of(shown["Map"], colours.BEFORE) < 20
 
 
-@pytest.mark.parametrize("size", ["1920x1080", "1280x720"])
+@pytest.mark.parametrize("size", [pytest.param("1920x1080", marks=pytest.mark.slow), "1280x720"])
 def test_the_log_opens_at_the_closure_without_errors_in_a_window(
     corridor: tuple[Path, list[Event]], tmp_path: Path, size: str
 ) -> None:
