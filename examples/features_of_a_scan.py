@@ -1,11 +1,18 @@
 """Extract the lines and corners of one scan, without SLAM, and print their standard deviations.
 
 python examples/features_of_a_scan.py
+python examples/features_of_a_scan.py scan.svg
+
+In a notebook, the last line of a cell with `found` alone shows the drawing.
 """
+
+import sys
+from pathlib import Path
 
 import numpy as np
 
 from features import Extractor, Noise
+from features.drawing import draw
 
 # A scan: ranges in metres and bearings in radians, here simulated in a room of 6 m by 4 m.
 random = np.random.default_rng(0)
@@ -30,3 +37,7 @@ for (u, v), covariance, count in zip(found.lines.uv, found.lines.covariance, fou
 for position, covariance in zip(found.corners.position, found.corners.covariance, strict=True):
     largest = np.sqrt(np.linalg.eigvalsh(covariance)[-1])
     print(f"a corner at {position[0]:.3f} m, {position[1]:.3f} m (standard deviation at most {1000 * largest:.1f} mm)")
+
+# The drawing has the corners with their 3-sigma ellipses, enlarged.
+if len(sys.argv) > 1:
+    Path(sys.argv[1]).write_text(draw(found), encoding="utf-8")

@@ -74,3 +74,9 @@ class Features:
     lines: Lines
     corners: Corners
     noise: Noise
+
+    def _repr_svg_(self) -> str:
+        """Return a drawing, for notebooks."""
+        from .drawing import draw
+
+        return draw(self)

@@ -1,5 +1,9 @@
 """2-D SLAM with walls and corners as landmarks.
 
+import slam
+
+slam.run("intel.clf")  # map, path and plots of a recording; displays itself in a notebook
+
 import drivers
 from slam import Slam, warm_up
 
@@ -17,6 +21,7 @@ if TYPE_CHECKING:
     from .config import Config, load_config
     from .errors import SlamError
     from .events import Event, Finished, Sink
+    from .mapped_recording import MappedRecording, run
     from .mapping.map_features import MapCorners, MapWalls
     from .pipeline import Slam
     from .warmup import warm_up
@@ -27,10 +32,12 @@ __all__ = [
     "Finished",
     "MapCorners",
     "MapWalls",
+    "MappedRecording",
     "Sink",
     "Slam",
     "SlamError",
     "load_config",
+    "run",
     "warm_up",
 ]
 
@@ -40,10 +47,12 @@ _MODULES = {
     "Finished": "events",
     "MapCorners": "events",
     "MapWalls": "events",
+    "MappedRecording": "mapped_recording",
     "Sink": "events",
     "Slam": "pipeline",
     "SlamError": "errors",
     "load_config": "config",
+    "run": "mapped_recording",
     "warm_up": "warmup",
 }
 

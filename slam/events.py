@@ -86,6 +86,7 @@ class MapUpdated:
     keyframes  (k, 3) poses
     walls      walls, `corners` corners, with covariances as they were when each was last seen
     chi2       robust cost of the graph
+    dof        degrees of freedom of the graph, its expected cost if the noise is as modelled; 0: unknown
     shift      largest distance a keyframe has moved since the last MapUpdated, metres
     """
 
@@ -96,6 +97,7 @@ class MapUpdated:
     corners: MapCorners
     chi2: float
     shift: float
+    dof: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -12,10 +13,20 @@ EXPECTED = {
     "own_sensors.py": [" 9.9 s: at ", "the room has 4 walls and 4 corners"],
     "features_of_a_scan.py": ["a wall 3.9998 m", "a corner at -2.0"],
 }
+WITH_PICTURES = {
+    "features_of_a_scan.py": ([], ["a wall 3.9998 m"], "<ellipse"),
+    "measure_a_recording.py": (
+        ["sim:room?duration=10"],
+        ["<sim:room: 6 walls", "m apart, standard deviation", "room 1: 26."],
+        'class="dimensions"',
+    ),
+    "own_factors.py": ([], ["by odometry the mark is 20.5", "by the tape 19.", "with both 19."], "<polyline"),
+}
+"""Arguments before the name of the picture that an example writes, expected texts, and an element of the picture."""
 
 
 def test_every_example_is_tested() -> None:
-    assert {file.name for file in EXAMPLES.glob("*.py")} == set(EXPECTED)
+    assert {file.name for file in EXAMPLES.glob("*.py")} == set(EXPECTED) | set(WITH_PICTURES)
 
 
 @pytest.mark.parametrize("name", EXPECTED)
@@ -28,3 +39,18 @@ def test_example_prints_the_expected_results(name: str, tmp_path: Path) -> None:
     for text in EXPECTED[name]:
         assert text in result.stdout
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", WITH_PICTURES)
+def test_example_prints_the_expected_results_and_draws_a_picture_if_one_is_named(name: str, tmp_path: Path) -> None:
+    arguments, expected, element = WITH_PICTURES[name]
+    command = [sys.executable, "-W", "error", EXAMPLES / name, *arguments, "picture.svg"]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=200, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert result.stderr == ""
+    for text in expected:
+        assert text in result.stdout
+    assert [file.name for file in tmp_path.iterdir()] == ["picture.svg"]
+    picture = (tmp_path / "picture.svg").read_text()
+    assert ElementTree.fromstring(picture).tag.endswith("svg")
+    assert element in picture

@@ -25,7 +25,7 @@ LAYERS = (
     "errors", "extras", "config", "geometry", "graph", "odometry", "mapping", "matching", "preprocessing",
     "localisation", "loop_closure", "checks", "events", "estimation", "measuring", "run_statistics", "io",
     "run_snapshot", "publisher", "localisation_report", "run_end", "pose_extrapolation", "pipeline", "optimisation",
-    "warmup", "offline", "evaluation", "visualisation", "ros", "cli",
+    "warmup", "offline", "evaluation", "visualisation", "mapped_recording", "ros", "cli",
 )  # fmt: skip
 """Packages and modules of `slam`, from bottom to top: each may import those before it."""
 

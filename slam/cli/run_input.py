@@ -14,8 +14,8 @@ from drivers.messages import GroundTruth, Message, Odometry, Scan, Source, Sourc
 
 from ..config import Config
 from ..events import Sink
+from ..io.recording_timing import RecordingTiming
 from .console import progress
-from .recording_timing import RecordingTiming
 
 if TYPE_CHECKING:
     from ..io.sessions import Recording
@@ -59,11 +59,6 @@ class RunInput(Protocol):
     def facts(self) -> dict[str, Any]:
         """Return additional entries for the summary; valid after the last message."""
         ...
-
-
-def has_odometry(source: Source) -> bool:
-    """Return True if a recording contains odometry. All of it is read if there is none."""
-    return any(isinstance(message, Odometry) for message in source)
 
 
 class RecordingInput:

@@ -134,12 +134,11 @@ def score_against_truth(finished: Finished, statistics: InputStatistics) -> Refe
 def _draw(
     path: Path, finished: Finished, statistics: InputStatistics, score: ReferenceScore | None, title: str
 ) -> None:
+    from ..mapped_recording import odometry_path
     from ..visualisation.plots import plot_map
 
     odometry: Floats | None = None
     if statistics.odometry:
-        poses = np.array(statistics.odometry)
-        start = min(int(np.searchsorted(finished.stamps, statistics.first)), len(finished.poses) - 1)
-        odometry = se2.compose(finished.poses[start], se2.between(poses[0], poses))
+        odometry = odometry_path(finished, statistics.first, np.array(statistics.odometry))
     truth = None if score is None else se2.compose(se2.inverse(score.alignment), score.reference)
     plot_map(path, finished.walls, finished.corners, finished.poses, title=title, odometry=odometry, truth=truth)

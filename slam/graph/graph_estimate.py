@@ -113,6 +113,14 @@ class GraphEstimate:
         """Return twice the robust cost of the whole graph."""
         return self.chi2_at(self)
 
+    def degrees_of_freedom(self) -> int:
+        """Return the dimension of all measurements less that of all variables: the expected `chi2`, without outliers.
+
+        A wall's gauge prior counts as a measurement: it makes up for the direction that none determines.
+        """
+        measured = sum(len(factor.covariance) for factor in self.solver.factors.values())
+        return measured - int(self.solver.isam.calculateEstimate().dim())
+
     def chi2_at(self, other: GraphEstimate) -> float:
         """Return twice the robust cost of this graph's factors at the estimate of a graph with the same variables."""
         return 2.0 * float(self.solver.isam.getFactorsUnsafe().error(other.solver.isam.calculateEstimate()))
@@ -120,6 +128,12 @@ class GraphEstimate:
     def residuals(self) -> Residuals:
         """Return the residuals of all factors; takes ten microseconds a factor."""
         return residuals_of(self.solver.isam.getFactorsUnsafe(), self.solver.isam.calculateEstimate())
+
+    def factors_and_values(self) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+        """Return copies of GTSAM's graph and of the estimate: keyframes have the symbols x, walls l, corners c."""
+        return gtsam.NonlinearFactorGraph(self.solver.isam.getFactorsUnsafe()), gtsam.Values(
+            self.solver.isam.calculateEstimate()
+        )
 
     def marginals(self) -> Marginals:
         """Return the covariances of all variables: takes as long as that of some hundred alone."""

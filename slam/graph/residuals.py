@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 PRIOR, ODOMETRY, WALL, CORNER = "prior", "odometry", "wall", "corner"
 WALL_EQUALITY, GAUGE_PRIOR = "wall equality", "gauge prior"
 SCAN_MATCH, POINT_MAP, PLAN = "scan match", "point map", "plan"
+MEASUREMENTS = ODOMETRY, SCAN_MATCH, WALL, CORNER, WALL_EQUALITY, PLAN
 _ENDS = {
     ODOMETRY: "xx",
     SCAN_MATCH: "px",

@@ -34,7 +34,7 @@ KEYFRAMES = "keyframes.csv"
 CONFIG = "config.toml"
 SUMMARY = "summary.json"
 REVIEW = "review.rrd"
-PICTURE = "map.png"
+PICTURE, CLOSURE_PICTURE = "map.png", "closure.png"
 REPORT = "report.html"
 GRAPH = "graph.g2o"
 GRAPH_PICTURE = "graph.png"
@@ -45,6 +45,7 @@ SESSION = "session"
 PLAN_DIFFERENCES = "plan.geojson"
 PLAN_PICTURE = "plan.svg"
 RESULTS = frozenset({TRAJECTORY, KEYFRAMES, MAP, CONFIG, SUMMARY, REVIEW, PICTURE, REPORT, SESSION})
+DEMO_RESULTS = frozenset({CLOSURE_PICTURE})
 PLAN_RESULTS = frozenset({PLAN_DIFFERENCES, PLAN_PICTURE})
 GRAPH_RESULTS = frozenset({GRAPH, GRAPH_PICTURE, SUMMARY})
 EXPORTS = frozenset(
@@ -187,7 +188,7 @@ class OutputDirectory:
         foreign = [
             name
             for name in present
-            if name not in RESULTS | PLAN_RESULTS | GRAPH_RESULTS | EXPORTS and not _is_log_part(name)
+            if name not in RESULTS | DEMO_RESULTS | PLAN_RESULTS | GRAPH_RESULTS | EXPORTS and not _is_log_part(name)
         ]
         if foreign:
             raise OutputError(f"{self.path}: contains {foreign[0]}, which is not a result of a run; not overwritten")

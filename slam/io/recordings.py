@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import drivers
-from drivers.messages import Message, Source, SourceReport
+from drivers.messages import Message, Odometry, Source, SourceReport
 
 from ..errors import MapError
 from .run_results import RunResults
@@ -23,6 +23,11 @@ SIMULATION = "sim:"
 def absolute_recording(recording: str) -> str:
     """Return the argument of `drivers.open` that opens the same recording from any working directory."""
     return recording if recording.startswith(SIMULATION) else str(Path(recording).resolve())
+
+
+def has_odometry(source: Source) -> bool:
+    """Return True if a recording contains odometry. All of it is read if there is none."""
+    return any(isinstance(message, Odometry) for message in source)
 
 
 def open_recording(results: RunResults, override: str | None = None) -> Source:

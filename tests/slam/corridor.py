@@ -138,11 +138,16 @@ class Corridor:
 
 
 def rows(path: Path, entity: str, component: str) -> list:
-    """Return the logged values of a component as (keyframe, value), sorted by keyframe; None for static rows."""
+    """Return the logged values of a component as (keyframe, value), sorted by keyframe; None for static rows.
+
+    Rows that the steps of other timelines repeat are left out.
+    """
     found = []
     for chunk in RrdReader(path).stream():
         batch = chunk.to_record_batch()
         if chunk.entity_path != entity or component not in batch.schema.names:
+            continue
+        if not chunk.is_static and "sensor_time" not in batch.schema.names:
             continue
         stamped = "keyframe" in batch.schema.names
         keyframes = batch.column("keyframe").to_pylist() if stamped else [None] * batch.num_rows

@@ -54,6 +54,24 @@ def drive_result(drive: list[Message]) -> Finished:
     return run(drive)
 
 
+@pytest.mark.parametrize(
+    ("jump", "level"), [([0.0, 0.0, np.radians(8.0)], "TRACE"), ([0.0, 0.0, np.radians(20.0)], "WARN")]
+)
+def test_odometry_that_contradicts_a_scan_is_a_warning_only_if_it_is_far_off(
+    drive: list[Message], jump: list[float], level: str
+) -> None:
+    listener, last = EventCollector(), np.zeros(3)
+    slam = Slam(sinks=[listener])
+    for message in drive:
+        if isinstance(message, Odometry) and message.stamp <= 8.0:
+            last = message.pose
+        elif isinstance(message, Odometry):
+            message = replace(message, pose=se2.compose(se2.compose(last, jump), se2.between(last, message.pose)))
+        slam.add(message)
+    notices = [event for event in listener.of(Notice) if "odometry" in event.text]
+    assert {event.level for event in notices} == {level}
+
+
 @pytest.mark.parametrize(("world", "duration", "bound"), [("room", 30.0, 0.006), ("office", 30.0, 0.015)])
 def test_simulated_drives_are_tracked_to_millimetres(world: str, duration: float, bound: float) -> None:
     messages = list(Simulation(world, seed=1, duration=duration, lidar=LidarModel(beams=360)))

@@ -10,8 +10,8 @@ from ..console import progress
 from ..options import ConfigOption, SetOption
 
 if TYPE_CHECKING:
+    from ...io.recording_timing import RecordingTiming
     from ...offline.calibration.extrinsics import Calibration
-    from ..recording_timing import RecordingTiming
 
 
 def calibrate(
@@ -39,8 +39,8 @@ def calibrate(
     import drivers
 
     from ...config import load_config
+    from ...io.recording_timing import RecordingTiming
     from ...offline.calibration.extrinsics import calibrate as estimate
-    from ..recording_timing import RecordingTiming
 
     effective = load_config(config, settings or ())
     source = drivers.open(recording, effective.lidar.beam_order)

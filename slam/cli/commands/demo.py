@@ -12,7 +12,6 @@ from ..options import OverwriteOption, RefineOption
 WORLD = "museum"
 LIDAR, WHEELS = "short", "bad"
 """Range of 6 m and worn wheels, so that the map drifts by metres before the loop is closed."""
-CLOSURE_PICTURE = "closure.png"
 
 
 def demo(
@@ -44,7 +43,7 @@ def demo(
     from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, Simulation
 
     from ...config import Config
-    from ...io.output_dir import unfinished_file
+    from ...io.output_dir import CLOSURE_PICTURE, unfinished_file
     from ..run_input import RecordingInput
     from ..run_summary import format_summary
     from ..slam_run import run_slam

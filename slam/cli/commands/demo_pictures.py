@@ -6,9 +6,10 @@ Each picture is computed from a run that is named here; none is drawn by hand.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import MappingProxyType
 from typing import ClassVar, NamedTuple, TypeVar
 
 import numpy as np
@@ -29,6 +30,16 @@ CORRIDORS = {
     "80 m of bare corridor": "sim:bare_corridor?lidar=short",
 }
 """Titles and simulations, with a lidar of 6 m range."""
+SYMPTOMS: dict[str, tuple[str, str, dict[str, dict[str, object]]]] = {
+    "symptom-loop": (LOOP, "A tour that does not meet its beginning", {"loop_closure": {"enabled": False}}),
+    "symptom-delay": (f"{OFFICE}?duration=60", "Scans stamped half a second wrongly", {"lidar": {"delay": 0.5}}),
+    "symptom-mount": (
+        f"{OFFICE}?duration=60",
+        "A lidar that points backwards",
+        {"lidar": {"mount": (0.0, 0.0, np.pi)}},
+    ),
+}
+"""Files of pictures of bad maps, with the simulation, the title, and the wrong settings that cause them."""
 RECORDINGS = {
     "intel": "Intel Research Lab, Seattle",
     "fr079": "Freiburg University, building 079",
@@ -37,8 +48,8 @@ RECORDINGS = {
 """Public recordings (datasets/catalogue.toml) and their titles; files NAME/NAME.clf in the directory WCLM_DATASETS."""
 PICTURE_DOTS_PER_INCH = 115
 """Resolution of the pictures; they are about 1300 pixels wide."""
-COLOURS = 200
-"""Size of a picture's palette; enough for anti-aliased lines, and reduces the file to a third."""
+COLOURS, SHADES = 200, 256
+"""Size of a picture's palette; enough for anti-aliased lines, and reduces the file to a third. More if it is shaded."""
 
 Kind = TypeVar("Kind")
 
@@ -46,12 +57,14 @@ Kind = TypeVar("Kind")
 class PictureSet(NamedTuple):
     """Pictures of one run.
 
-    files  names of the files
-    make   function that writes them to a directory; its second argument is a temporary directory
+    files   names of the files
+    make    function that writes them to a directory; its second argument is a temporary directory
+    shaded  True if there are large translucent areas, whose shades matter more than rare colours
     """
 
     files: tuple[str, ...]
     make: Callable[[Path, Path], None]
+    shaded: bool = False
 
 
 class ClosureRecorder:
@@ -113,6 +126,7 @@ def picture_sets(datasets: Path | None) -> list[PictureSet]:
         PictureSet(("honesty.png",), _office),
         PictureSet(("museum.png", "loop.png"), _loop),
         PictureSet(("corridors.png",), _corridors),
+        *(_symptom(name, *symptom) for name, symptom in SYMPTOMS.items()),
         *(
             _recorded(name, file)
             for name in RECORDINGS
@@ -131,16 +145,17 @@ def write_pictures(directory: Path) -> Iterator[Path]:
         with TemporaryDirectory() as scratch, matplotlib.rc_context({"savefig.dpi": PICTURE_DOTS_PER_INCH}):
             pictures.make(directory, Path(scratch))
         for file in pictures.files:
-            reduce_palette(directory / file)
+            reduce_palette(directory / file, shaded=pictures.shaded)
             yield directory / file
 
 
-def reduce_palette(path: Path) -> None:
-    """Convert a picture to a palette that includes rare colours."""
+def reduce_palette(path: Path, *, shaded: bool = False) -> None:
+    """Convert a picture to a palette that includes rare colours, or with `shaded` those of the largest areas."""
     from PIL import Image
 
+    colours, method = (SHADES, Image.Quantize.MEDIANCUT) if shaded else (COLOURS, Image.Quantize.MAXCOVERAGE)
     with Image.open(path) as picture:
-        small = picture.convert("RGB").quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+        small = picture.convert("RGB").quantize(colours, method, dither=Image.Dither.NONE)
     small.save(path, optimize=True)
 
 
@@ -198,6 +213,14 @@ def _corridors(directory: Path, scratch: Path) -> None:
     plot_corridors(directory / "corridors.png", drives, title="There and back: uncertainty along the corridor")
 
 
+def _symptom(name: str, spec: str, title: str, settings: dict[str, dict[str, object]]) -> PictureSet:
+    def make(directory: Path, scratch: Path) -> None:
+        _map(spec, scratch / "out", title=title, settings=settings)
+        (directory / f"{name}.png").write_bytes((scratch / "out" / PICTURE).read_bytes())
+
+    return PictureSet((f"{name}.png",), make, shaded=True)
+
+
 def _recorded(name: str, recording: Path) -> PictureSet:
     def make(directory: Path, scratch: Path) -> None:
         _map(str(recording), scratch / "out", title=RECORDINGS[name])
@@ -206,7 +229,14 @@ def _recorded(name: str, recording: Path) -> PictureSet:
     return PictureSet((f"{name}.png",), make)
 
 
-def _map(spec: str, out: Path, *, title: str | None = None, sinks: Sequence[Sink] = ()) -> EventRecorder:
+def _map(
+    spec: str,
+    out: Path,
+    *,
+    title: str | None = None,
+    sinks: Sequence[Sink] = (),
+    settings: Mapping[str, object] = MappingProxyType({}),
+) -> EventRecorder:
     """Map a recording or a simulation into `out` as `wclm run --plot` does; return its events."""
     import drivers
 
@@ -218,5 +248,5 @@ def _map(spec: str, out: Path, *, title: str | None = None, sinks: Sequence[Sink
     recorder = EventRecorder()
     run_input = RecordingInput(drivers.open(spec), reopen=absolute_recording(spec))
     run_input.name, run_input.sinks = title or run_input.name, [recorder, *sinks]
-    run_slam(run_input, Config(), out, overwrite=False, review=False, picture=True)
+    run_slam(run_input, Config.model_validate(settings), out, overwrite=False, review=False, picture=True)
     return recorder

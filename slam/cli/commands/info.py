@@ -13,7 +13,7 @@ from ..console import printable
 if TYPE_CHECKING:
     from drivers import RecordingInfo
 
-    from ..recording_timing import RecordingTiming
+    from ...io.recording_timing import RecordingTiming
 
 CALENDAR = 1e8
 """Stamps in seconds from here on (1973) are interpreted as dates, smaller ones as times since a start."""
@@ -29,7 +29,7 @@ def info(
     import drivers
 
     from ...config import LidarConfig
-    from ..recording_timing import RecordingTiming
+    from ...io.recording_timing import RecordingTiming
 
     source = drivers.open(recording)
     found = drivers.inspect(source)

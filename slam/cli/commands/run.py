@@ -48,9 +48,9 @@ def run(
     """
     import drivers
 
-    from ...io.recordings import absolute_recording
+    from ...io.recordings import absolute_recording, has_odometry
     from ..plan_input import PlanOptions
-    from ..run_input import RecordingInput, has_odometry
+    from ..run_input import RecordingInput
     from ..run_summary import format_summary
     from ..slam_run import prepare_run, run_slam, without_odometry
 

@@ -35,17 +35,20 @@ TICK = 0.06
 
 def write_svg(path: Path, results: RunResults, measurements: Sequence[Measurement] = ()) -> None:
     """Write the drawing, with dimension lines of measurements."""
+    path.write_text(svg_text(results, measurements), encoding="utf-8", newline="\n")
+
+
+def svg_text(results: RunResults, measurements: Sequence[Measurement] = ()) -> str:
+    """Return the drawing, with dimension lines of measurements, as the text of an SVG file."""
     drawing = draw_map(results)
     elements = "\n".join([drawing.elements, *_dimensions(measurements)])
     colours = "".join(f".{c.name} {{ stroke: {c.colour} }}\n" for c in (*PATH_CLASSES, UNKNOWN_CLASS))
     width, height = MILLIMETRES_PER_METRE * drawing.width, MILLIMETRES_PER_METRE * drawing.height
-    path.write_text(
+    return (
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.1f}mm" height="{height:.1f}mm" '
         f'viewBox="{drawing.view_box}">\n'
         f"<title>{escape(str(results.summary.get('recording', 'map')))}</title>\n"
-        f"<style>{STYLE}{colours}</style>\n{elements}\n</svg>\n",
-        encoding="utf-8",
-        newline="\n",
+        f"<style>{STYLE}{colours}</style>\n{elements}\n</svg>\n"
     )
 
 

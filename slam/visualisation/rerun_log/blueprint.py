@@ -13,15 +13,16 @@ import rerun.blueprint as rrb
 
 from ...geometry.segments import Floats
 from .colours import BACKGROUND, GRID
+from .loop_layer import TABLE, TABLE_COLUMNS
+from .rrd_writer import CANDIDATE, CLOSURE, KEYFRAME
 from .status_layer import ENTITY as STATUS_ENTITY
 
 FIELD_OF_VIEW = math.radians(55.0)  # vertical, of the viewer's eye; Rerun has no orthographic projection
-MAP_ASPECT, CORNER_ASPECT = 1.15, 1.6  # width / height of the map's panel and of the smaller panels
+MAP_ASPECT, WIDE_ASPECT = 1.0, 2.0  # width / height of the panels of the map and of those below
 VIEW_MARGIN = 1.1  # shown size / size of the map
 CLOSE_UP_SIZE = 9.0  # metres shown in the close-up
 COMPARED_SIZE = 14.0  # metres shown of the compared points
 MAX_VIEW_GRID_LINES = 30  # along one side of the map
-TABLE_COLUMNS = ("at_keyframe", "old_keyframe", "reason", "status")  # the viewer sorts them
 
 
 def eye_distance(width: float, height: float, aspect: float = MAP_ASPECT) -> float:
@@ -45,6 +46,7 @@ class Extent:
 
     low, high     (2,) corners of the box around the map, metres
     truth         True if there is ground truth
+    corrected     True if a loop was closed or a closure retracted
     typical_time  milliseconds that most keyframes take; the time plot shows twice that, because the first keyframe,
                   which waits for the compiler, would flatten all others
     """
@@ -53,37 +55,42 @@ class Extent:
     high: Floats
     truth: bool = False
     typical_time: float | None = None
+    corrected: bool = False
 
 
 def layout(extent: Extent) -> rrb.Blueprint:
-    """Return the layout for one log."""
+    """Return the layout for one log: opened at its last correction, else following the last keyframe."""
     panels = _Panels("", extent)
-    middle = rrb.Vertical(panels.close_up(), panels.closures(), row_shares=[1, 1])
-    plots = rrb.Horizontal(
-        *(rrb.Tabs(*views, active_tab=0) for views in panels.plots()),
-        panels.candidates(),
-        column_shares=[2, 2, 2, 2, 3],
+    # On the timeline of corrections a plot has one value for each, so other panels are in front there.
+    plot = 0 if extent.corrected else 1
+    left, right = (
+        rrb.Tabs(first, *views, active_tab=plot)
+        for first, views in zip((panels.compared_points(), panels.histogram()), panels.plots(), strict=True)
     )
-    top = rrb.Horizontal(panels.map(), middle, panels.texts(), column_shares=[5, 3, 3])
-    return _whole(rrb.Vertical(top, plots, row_shares=[3, 1]))
+    plots = rrb.Horizontal(left, right, panels.decisions(), column_shares=[3, 3, 4])
+    top = rrb.Horizontal(panels.maps(), panels.details(), panels.texts(), column_shares=[4, 4, 3])
+    timeline = CLOSURE if extent.corrected else KEYFRAME
+    return _whole(rrb.Vertical(top, plots, row_shares=[5, 2]), timeline)
 
 
 def side_by_side(extents: Mapping[str, Extent]) -> rrb.Blueprint:
     """Return the layout for several logs in one recording, a column each; the keys are the logs' root entities."""
     columns = []
     for root, extent in extents.items():
-        panels = _Panels(f"{root}/", extent)
+        panels = _Panels(f"{root}/", extent, WIDE_ASPECT)
         views = [view for together in panels.plots() for view in together]
-        plots = rrb.Tabs(*views, panels.candidates(), active_tab=0)
-        closures = panels.closures(panels.close_up())
-        columns.append(rrb.Vertical(panels.map(name=root), closures, panels.texts(), plots, row_shares=[4, 3, 3, 2]))
-    return _whole(rrb.Horizontal(*columns))
+        views += [panels.compared_points(), panels.histogram()]
+        plots = rrb.Tabs(*views, panels.decisions(), active_tab=0)
+        texts = rrb.Tabs(*panels.documents(), panels.log(), active_tab=0)
+        columns.append(rrb.Vertical(panels.maps(root), panels.details(), texts, plots, row_shares=[5, 5, 3, 3]))
+    return _whole(rrb.Horizontal(*columns), KEYFRAME)
 
 
-def _whole(views: rrb.Vertical | rrb.Horizontal) -> rrb.Blueprint:
+def _whole(views: rrb.Vertical | rrb.Horizontal, timeline: str) -> rrb.Blueprint:
+    # Following shows the last step of a timeline. That of CLOSURE is the last correction, not the end of the run.
     return rrb.Blueprint(
         views,
-        rrb.TimePanel(state="collapsed", timeline="keyframe", play_state="following"),
+        rrb.TimePanel(state="collapsed", timeline=timeline, play_state="following"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
         auto_views=False,
@@ -94,51 +101,51 @@ def _whole(views: rrb.Vertical | rrb.Horizontal) -> rrb.Blueprint:
 class _Panels:
     """Panels of one log whose entities are below `root`."""
 
-    def __init__(self, root: str, extent: Extent) -> None:
-        self._root, self._extent = root, extent
+    def __init__(self, root: str, extent: Extent, aspect: float = MAP_ASPECT) -> None:
+        """`aspect` is width / height of the panels of the map."""
+        self._root, self._extent, self._aspect = root, extent, aspect
 
-    def map(self, name: str = "Map") -> rrb.Spatial3DView:
-        """Return the view of the whole map."""
+    def maps(self, name: str = "Map") -> rrb.Tabs:
+        """Return the views of the whole map, alone and with all scans behind it."""
         # Bands would double every wall; the map before the correction and the factors would cover it.
-        hidden = ("map/wall_sigma", "before/**", "shift", "factors/**", "features/gated_out")
-        contents = ["$origin/**", *(f"- $origin/{entity}" for entity in hidden)]
-        return self._from_above(name, contents, MAP_ASPECT)
+        hidden = ["map/wall_sigma", "before/**", "shift", "factors/**", "features/gated_out", "last_scans/**"]
+        alone = ["$origin/**", *(f"- $origin/{entity}" for entity in [*hidden, "scans/**"])]
+        with_scans = ["$origin/**", *(f"- $origin/{entity}" for entity in [*hidden, "map/corner_sigma"])]
+        views = self._from_above(name, alone), self._from_above(f"{name} and scans", with_scans)
+        return rrb.Tabs(*views, active_tab=0)
 
     def close_up(self) -> rrb.Spatial3DView:
         """Return the view of the robot's surroundings."""
         # The origin moves with the robot without turning. An eye that tracks an entity would not stay above it.
-        hidden = ("odometry/**", "before/**", "shift", "factors/**", "loops/**", "path/keyframes")
+        hidden = ("odometry/**", "before/**", "shift", "factors/**", "loops/**", "path/keyframes", "scans/**")
         return rrb.Spatial3DView(
             origin=f"{self._root}world/here",
             contents=[f"/{self._root}world/**", *(f"- /{self._root}world/{name}" for name in hidden)],
             name="Close-up of the robot",
-            eye_controls=_eye_above(np.zeros(2), eye_distance(CLOSE_UP_SIZE, CLOSE_UP_SIZE, CORNER_ASPECT)),
+            eye_controls=_eye_above(np.zeros(2), eye_distance(CLOSE_UP_SIZE, CLOSE_UP_SIZE, self._aspect)),
             line_grid=_grid(1.0),
             background=BACKGROUND,
         )
 
-    def closures(self, *first: rrb.Spatial3DView) -> rrb.Tabs:
-        """Return the views of corrections, compared points, misfits and the factor graph."""
+    def details(self) -> rrb.Tabs:
+        """Return the views of corrections, the robot's surroundings and factors."""
         before = ("before/**", "shift", "map/walls", "path/estimate", "path/recent", "loops/**", "robot/**")
         factors = ("factors/**", "map/walls", "robot/**")
-        compared = rrb.Spatial3DView(
-            origin=f"{self._root}compared_points",
-            name="Compared points",
-            eye_controls=_eye_above(np.zeros(2), eye_distance(COMPARED_SIZE, COMPARED_SIZE, CORNER_ASPECT)),
-            line_grid=_grid(1.0),
-            background=BACKGROUND,
-        )
         return rrb.Tabs(
-            *first,
-            self._from_above("Before / after", [f"$origin/{entity}" for entity in before], CORNER_ASPECT),
-            compared,
-            self._from_above("Misfits", [f"$origin/{entity}" for entity in factors], CORNER_ASPECT),
-            rrb.GraphView(origin=f"{self._root}graph", name="Factor graph"),
-            active_tab=0,
+            self._from_above("Before / after", [f"$origin/{entity}" for entity in before]),
+            self.close_up(),
+            self._from_above("Factors", [f"$origin/{entity}" for entity in factors]),
+            rrb.GraphView(origin=f"{self._root}graph", name="Graph"),
+            active_tab=0 if self._extent.corrected else 1,
         )
 
     def texts(self) -> rrb.Vertical:
         """Return the text documents and the text log."""
+        documents = rrb.Tabs(*self.documents(), active_tab=0 if self._extent.corrected else 1)
+        return rrb.Vertical(documents, self.log(), row_shares=[3, 2])
+
+    def documents(self) -> list[rrb.TextDocumentView]:
+        """Return the views of the text documents."""
         documents = {
             "loops/report": "Last loop",
             "legend": "Legend",
@@ -147,11 +154,14 @@ class _Panels:
             "config": "Settings",
             "summary": "Summary",
         }
-        views = [rrb.TextDocumentView(origin=self._root + entity, name=name) for entity, name in documents.items()]
-        columns = rrb.TextLogColumns(timeline_columns=["keyframe"], text_log_columns=["loglevel", "body"])
+        return [rrb.TextDocumentView(origin=self._root + entity, name=name) for entity, name in documents.items()]
+
+    def log(self) -> rrb.TextLogView:
+        """Return the view of the text log."""
+        # Without columns for other timelines, that of the selected one is shown.
+        columns = rrb.TextLogColumns(timeline_columns=[], text_log_columns=["loglevel", "body"])
         rows = rrb.TextLogRows(filter_by_log_level=["ERROR", "WARN", "INFO", "DEBUG"])
-        log = rrb.TextLogView(origin=f"{self._root}log", name="Log", columns=columns, rows=rows)
-        return rrb.Vertical(rrb.Tabs(*views, active_tab=1), log, row_shares=[3, 2])
+        return rrb.TextLogView(origin=f"{self._root}log", name="Log", columns=columns, rows=rows)
 
     def plots(self) -> list[list[rrb.View]]:
         """Return the plots in groups of tabs; the first of each group is shown."""
@@ -160,34 +170,51 @@ class _Panels:
         times = None if typical is None else rrb.ScalarAxis(range=(0.0, 2 * typical))
         first = [self._plot("error", "Pose error")] if self._extent.truth else []
         return [
-            [*first, self._plot("overlap_ratio", "Overlap ratio", axis=share)],
             [
-                self._plot("chi2", "chi² and loops"),
-                self._plot("fit", "Misfit by kind"),
-                self._plot("association", "Largest d² of a match"),
-            ],
-            [
+                *first,
                 self._plot("sigma", "Pose sigma"),
+                self._plot("overlap_ratio", "Overlap", axis=share),
                 rrb.StateTimelineView(origin=f"{self._root}{STATUS_ENTITY}", name="Status"),
             ],
-            [self._plot("time", "Time per keyframe [ms]", axis=times), self._plot("counts", "Counts")],
+            [
+                self._plot("chi2", "chi² / dof"),
+                self._plot("fit", "By kind"),
+                self._plot("association", "Largest d²"),
+                self._plot("time", "Time [ms]", axis=times),
+                self._plot("counts", "Counts"),
+            ],
         ]
 
-    def candidates(self) -> rrb.DataframeView:
-        """Return the table of all loop decisions."""
-        entity = f"/{self._root}loops/decisions"
-        chosen: list[Any] = ["candidate", *(f"{entity}:{column}" for column in TABLE_COLUMNS)]
-        query = rrb.archetypes.DataframeQuery(timeline="candidate", select=chosen)
-        return rrb.DataframeView(origin=entity, name="Loop candidates", query=query)
+    def compared_points(self) -> rrb.Spatial3DView:
+        """Return the view of the points that the last decision compared."""
+        return rrb.Spatial3DView(
+            origin=f"{self._root}compared_points",
+            name="Compared points",
+            eye_controls=_eye_above(np.zeros(2), eye_distance(COMPARED_SIZE, COMPARED_SIZE, WIDE_ASPECT)),
+            line_grid=_grid(1.0),
+            background=BACKGROUND,
+        )
 
-    def _from_above(self, name: str, contents: list[str], aspect: float) -> rrb.Spatial3DView:
+    def histogram(self) -> rrb.BarChartView:
+        """Return the view of the distribution of the residuals."""
+        legend = rrb.PlotLegend(rrb.Corner2D.RightTop)
+        return rrb.BarChartView(origin=f"{self._root}residuals/histogram", name="Residuals [σ], %", plot_legend=legend)
+
+    def decisions(self) -> rrb.DataframeView:
+        """Return the table of all loop decisions."""
+        entity = f"/{self._root}{TABLE}"
+        columns: list[Any] = [CANDIDATE, *(f"{entity}:{column}" for column in TABLE_COLUMNS)]
+        query = rrb.archetypes.DataframeQuery(timeline=CANDIDATE, select=columns)
+        return rrb.DataframeView(origin=entity, name="Loop decisions", query=query)
+
+    def _from_above(self, name: str, contents: list[str]) -> rrb.Spatial3DView:
         low, high = self._extent.low, self._extent.high
         width, height = (float(size) for size in high - low)
         return rrb.Spatial3DView(
             origin=f"{self._root}world",
             contents=contents,
             name=name,
-            eye_controls=_eye_above(0.5 * (low + high), eye_distance(width, height, aspect)),
+            eye_controls=_eye_above(0.5 * (low + high), eye_distance(width, height, self._aspect)),
             line_grid=_grid(grid_spacing(max(width, height))),
             background=BACKGROUND,
         )

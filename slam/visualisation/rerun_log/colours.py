@@ -31,6 +31,7 @@ DISTINCT_COLOURS: tuple[Colour, ...] = (
 
 WALL_NEW: Colour = (165, 165, 172)
 WALL_SIGMA: Colour = (105, 105, 115)
+BACKDROP: Colour = (117, 101, 136)  # scans of past keyframes: dim lavender
 ESTIMATE_SHADES: tuple[Colour, ...] = (ESTIMATE, (75, 105, 177), (48, 68, 114))  # darker: less certain
 
 # Series of one plot, in this order; the plot's legend names them.

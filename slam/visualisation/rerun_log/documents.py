@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from ...events import Correction, KeyframeAdded, LoopDecided
-from ...graph.residuals import CORNER, ODOMETRY, WALL, WALL_EQUALITY, Residuals
+from ...graph.residuals import MEASUREMENTS, Residuals
 from .feature_matches import FeatureMatches
 
 MIN_SHIFT = 0.05  # metres; keyframes that a correction moved farther are counted
@@ -18,11 +18,11 @@ SUMMARY_PENDING = "The run has not ended, or it ended without a summary."
 # Names and meanings of the colours in colours.py.
 _LEGEND: tuple[tuple[str, str], ...] = (
     ("white", "wall of the map; dim: observed by fewer than 3 keyframes; outline in the close-up: 3 sigma"),
-    ("yellow", "corner of the map; ellipse: 3 sigma"),
+    ("yellow", "corner of the map; ellipse: 3 sigma, left out if it is longer than 0.75 m"),
     ("light blue", "robot, path and keyframes, darker for less certain ones (5 cm, 20 cm); ellipse: 3 sigma"),
-    ("grey", "path from odometry alone, from the same start; misfitting factors"),
+    ("grey", "path from odometry alone, from the same start"),
     ("green", "true path if known, from the same start"),
-    ("lavender", "scan of this keyframe"),
+    ("lavender", "scan of this keyframe; dim: of earlier ones"),
     ("orange", "matched with the map: segment, corner, recent wall; thin line: to its match; relocalised robot"),
     ("pink", "new: not in the map before"),
     ("light green", "accepted loop; arrows: shift of each keyframe"),
@@ -33,7 +33,7 @@ _TIMELINES: tuple[tuple[str, str], ...] = (
     ("keyframe", "from keyframe to keyframe"),
     ("sensor_time", "the robot moves with every scan"),
     ("candidate", "from one loop decision to the next"),
-    ("closure", "from one correction of the map to the next: accepted and retracted loops"),
+    ("closure", "from one correction of the map to the next: accepted and retracted loops; plots have one value each"),
 )
 
 
@@ -46,6 +46,9 @@ def legend() -> str:
         "View from above: x to the right, y up, metres. Hover over an object for its label: `L12 n=7` is wall 12, "
         "observed by 7 keyframes; `x` is a keyframe, `C` a corner; `d²` is the squared Mahalanobis distance, and "
         "matches above 13.8 are rejected.\n\n"
+        "Table of loop decisions: code A accepted, R rejected with the check that fails, X retracted; looks that "
+        "support it; margin of the worst check, 1 if all are met; overlap, the share of the points that fit the old "
+        "place; rival, the share of support for the strongest other place; shift of the robot in metres.\n\n"
         "The whole map is drawn every few keyframes and at corrections, as estimated then. Its covariances are those "
         "of the last observation of each landmark, at the end those of the final map."
     )
@@ -59,14 +62,14 @@ def loop_report(event: LoopDecided) -> str:
         "",
         f"{event.reason}; motion of the robot ({x:.2f}, {y:.2f}) m, {math.degrees(heading):.1f}°",
         "",
-        "| check | value | gate | |",
+        "| value | gate | check | |",  # the panel may be narrow, and cut the last columns
         "|---|---|---|---|",
     ]
     for check in event.checks:
         relation = "≥" if check.at_least else "≤"
         verdict = "" if check.passed else "**fails**"
         name = _CHECKS.get(check.name, check.name)
-        lines.append(f"| {name} | {check.value:.3g} | {relation} {check.gate:.3g} | {verdict} |")
+        lines.append(f"| {check.value:.3g} | {relation} {check.gate:.3g} | {name} | {verdict} |")
     if event.correction is not None:
         lines += _correction_table(event.correction, len(event.merged))
     return "\n".join(lines)
@@ -74,7 +77,7 @@ def loop_report(event: LoopDecided) -> str:
 
 _CHECKS = {
     "support": "looks that support it",
-    "span": "metres of driving between the first and the last of them",
+    "span": "metres driven between the first and the last of them",
     "contradicted": "looks that contradict it / looks that support it",
     "fit": "mean share of the points that fit",
     "mahalanobis": "deviation from the estimate, sigmas",
@@ -91,19 +94,19 @@ def _correction_table(correction: Correction, merged: int) -> list[str]:
     steps = " → ".join("?" if math.isnan(value) else f"{value:.0f}" for value in chi2)
     return [
         "",
-        "| correction | |",
+        "| | correction |",
         "|---|---|",
-        f"| merged walls | {merged} |",
-        f"| chi² before → loop added, not optimised → optimised | {steps} |",
-        f"| largest, mean shift | {shifts.max(initial=0.0):.2f} m, {shifts.mean() if len(shifts) else 0.0:.2f} m |",
-        f"| keyframes moved by more than {100 * MIN_SHIFT:.0f} cm | {moved} of {len(shifts)} |",
+        f"| {merged} | merged walls |",
+        f"| {shifts.max(initial=0.0):.2f} m, {shifts.mean() if len(shifts) else 0.0:.2f} m | largest, mean shift |",
+        f"| {moved} of {len(shifts)} | keyframes moved by more than {100 * MIN_SHIFT:.0f} cm |",
+        f"| {steps} | chi² before → loop added, not optimised → optimised |",
     ]
 
 
 def residual_report(residuals: Residuals, count: int) -> str:
     """Return a table of the residuals by kind, and of the `count` worst factors."""
     lines = ["| kind | factors | mean d² / dof | beyond 99.9 % |", "|---|---|---|---|"]
-    for kind in (ODOMETRY, WALL, CORNER, WALL_EQUALITY):
+    for kind in MEASUREMENTS:
         chosen = residuals.is_kind(kind)
         if not chosen.any():
             continue

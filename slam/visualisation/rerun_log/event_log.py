@@ -3,8 +3,8 @@
 Rows of a keyframe are stamped with all timelines. Rows between keyframes are stamped with `sensor_time` only: on the
 timeline `keyframe` they would show the robot ahead of the keyframe's scan.
 
-On the timelines `candidate` and `closure`, a row has the number of the next decision or the next correction of the map.
-Each step of these timelines therefore shows everything as it was right after that decision or correction.
+A step of the timelines `candidate` and `closure` shows everything as it was right after a loop decision or a correction
+of the map. It is logged when the next keyframe or decision begins, since a correction is followed by the corrected map.
 """
 
 from __future__ import annotations
@@ -46,7 +46,8 @@ from .keyframe_layer import KeyframeLayer
 from .loop_layer import CorrectionLayer, DecisionLayer
 from .map_layer import MapLayer
 from .path_layer import PathLayer
-from .rrd_writer import PART_SIZE, RrdWriter
+from .rrd_writer import CANDIDATE, CLOSURE, PART_SIZE, RrdWriter
+from .scan_layer import ScanLayer
 from .shapes import bounds
 from .status_layer import StatusLayer
 from .time_series import TimeSeries
@@ -81,10 +82,11 @@ class EventLog:
         self._writer = RrdWriter(path, layout(Extent(*self._extent)), server, part_size)
         self._log_run_properties(config, recording, versions, seed)
         self._decisions = self._corrections = 0  # loop decisions and corrections of the map so far
-        self._decisions_before = self._corrections_before = 0  # the same before the last keyframe
+        self._decision_steps = self._correction_steps = 0  # steps of the timelines so far
         self._time_series = TimeSeries(self._writer)
         self._map_layer = MapLayer(self._writer)
         self._path_layer = PathLayer(self._writer)
+        self._scan_layer = ScanLayer(self._writer)
         self._keyframe_layer = KeyframeLayer(self._writer, self._time_series)
         self._decision_layer = DecisionLayer(self._writer, self._time_series)
         self._correction_layer = CorrectionLayer(self._writer)
@@ -96,7 +98,8 @@ class EventLog:
         self._stamp = 0.0
         self._pose = np.zeros(3)
         self._overlap_ratio = math.nan  # of the last scan
-        self._chi2 = math.nan
+        self._dof = 0  # degrees of freedom of the graph; 0: unknown
+        self._fit = math.nan  # chi² / dof
         self._keyframes = np.zeros((0, 3))  # all keyframes and landmarks as last received
         self._lines: MapWalls | None = None
         self._corners: MapCorners | None = None
@@ -144,9 +147,11 @@ class EventLog:
         self._log_text(text, "WARN")
 
     def close(self) -> None:
-        """Fit the layout to the map and finish the file."""
+        """Fit the layout to the map, and finish the file."""
+        self._end_steps()
         truth, typical = self._ground_truth.alignment is not None, self._time_series.typical_maximum("time")
-        self._writer.set_layout(layout(Extent(*self._extent, truth=truth, typical_time=typical)))
+        extent = Extent(*self._extent, truth=truth, typical_time=typical, corrected=self._corrections > 0)
+        self._writer.set_layout(layout(extent))
         self._writer.close()
 
     def _log_run_properties(self, config: str, recording: str, versions: Mapping[str, str], seed: int | None) -> None:
@@ -167,18 +172,24 @@ class EventLog:
         self._writer.log("log", rr.TextLog(text, level=level))
 
     def _at(self, index: int, stamp: float) -> None:
-        """Stamp the next rows with all timelines."""
-        self._writer.set_time(
-            stamp, keyframe=index, candidate=self._decisions_before + 1, closure=self._corrections_before + 1
-        )
+        """Stamp the next rows with sensor time and keyframe."""
+        self._writer.set_time(stamp, index)
 
     def _at_last_keyframe(self, stamp: float) -> None:
-        """Stamp the next rows with all timelines, with the index of the last keyframe."""
+        """Stamp the next rows with the sensor time and the last keyframe."""
         self._at(self._index or 0, stamp)
 
     def _between_keyframes(self, stamp: float) -> None:
         """Stamp the next rows with the sensor time only."""
-        self._writer.set_time(stamp, keyframe=None, candidate=None, closure=None)
+        self._writer.set_time(stamp, None)
+
+    def _end_steps(self) -> None:
+        """Log the step of the last decision, and of the last correction, if it is not logged yet."""
+        if self._decisions > self._decision_steps:
+            self._writer.log_step(CANDIDATE, self._decisions)
+        if self._corrections > self._correction_steps:
+            self._writer.log_step(CLOSURE, self._corrections)
+        self._decision_steps, self._correction_steps = self._decisions, self._corrections
 
     def _write_scan(self, event: ScanTracked) -> None:
         self._overlap_ratio = event.overlap_ratio
@@ -186,16 +197,18 @@ class EventLog:
         self._keyframe_layer.move_robot(event.pose)
 
     def _write_keyframe(self, event: KeyframeAdded) -> None:
+        self._end_steps()
         self._writer.begin_part_if_full()
-        first = self._index is None
+        first, previous = self._index is None, self._pose
         self._index, self._stamp, self._pose = event.index, event.stamp, event.pose
-        self._decisions_before, self._corrections_before = self._decisions, self._corrections
         self._at(event.index, event.stamp)
         if first:
             self._decision_layer.log_initial()
             self._status_layer.log_initial()
         self._decision_layer.clear()
         sigma = self._keyframe_layer.log(event, self._overlap_ratio, self._lines, self._corners)
+        self._scan_layer.add(event.index, event.pose, event.points)
+        self._factor_graph_layer.log_keyframe(event, None if first else previous)
         self._path_layer.add_keyframe(event.index, event.pose, event.odometry, sigma)
         if event.index % GROWING_PATH_INTERVAL == 0:
             self._path_layer.log_growing_paths()
@@ -209,19 +222,19 @@ class EventLog:
 
     def _write_decision(self, event: LoopDecided) -> None:
         """Log a loop decision at the last keyframe; a retracted loop was accepted at an earlier one."""
-        self._decisions_before = self._decisions  # there may be two decisions at one keyframe
+        self._end_steps()  # there may be two decisions at one keyframe
         self._decisions += 1
         self._at(max(self._index or 0, event.index), event.stamp)
         pose = self._pose
         if event.correction is not None:
             self._corrections += 1
-            self._chi2 = event.correction.chi2
+            self._fit = self._per_dof(event.correction.chi2)
             pose = event.correction.keyframes_before[-1]
         elif event.index < len(self._keyframes):  # rejected some metres of driving later
             pose = self._keyframes[event.index]
         if event.status == LoopStatus.RETRACTED:
             self._factor_graph_layer.unmerge(event.index)
-        self._decision_layer.log(event, self._decisions, pose, self._chi2)
+        self._decision_layer.log(event, self._decisions, pose, self._fit)
         self._correction_layer.log(event)
         for old, recent in event.merged if event.status == LoopStatus.ACCEPTED else ():
             self._factor_graph_layer.merge(event.index, recent, old, loop=True)
@@ -238,12 +251,17 @@ class EventLog:
         self._at(max(self._index or 0, event.index), event.stamp)
         self._lines, self._corners, self._keyframes = event.walls, event.corners, event.keyframes
         self._log_map(event.walls, event.corners, event.keyframes, event.keyframes)
-        if self._corrections > self._corrections_before and len(event.keyframes):
-            self._keyframe_layer.place(event.keyframes[-1])
-        self._chi2 = event.chi2
-        self._time_series.log("chi2", {"chi²": event.chi2})
+        if self._corrections > self._correction_steps and len(event.keyframes):
+            self._pose = event.keyframes[-1]
+            self._keyframe_layer.place(self._pose)
+        self._dof = event.dof
+        self._fit = self._per_dof(event.chi2)
+        self._time_series.log("chi2", {"chi² / dof": self._fit})
         if event.shift > MIN_LOGGED_SHIFT:
             self._log_text(f"the path moved by up to {event.shift:.2f} m", "INFO")
+
+    def _per_dof(self, chi2: float) -> float:
+        return chi2 / self._dof if self._dof > 0 else math.nan
 
     def _write_inspection(self, event: GraphInspected) -> None:
         if self._lines is not None and self._corners is not None:
@@ -253,6 +271,7 @@ class EventLog:
     def _log_map(self, lines: MapWalls, corners: MapCorners, path: Floats, keyframes: Floats) -> None:
         self._map_layer.log(lines, corners)
         self._path_layer.log_estimate(path, keyframes)
+        self._scan_layer.log_all(keyframes)
         self._decision_layer.log_loops(keyframes)
         self._extent = bounds(lines.end_points(), path)
         self._enlarge_live_view()
@@ -283,6 +302,7 @@ class EventLog:
             self._time_series.log("error", values)
 
     def _write_finish(self, event: Finished) -> None:
+        self._end_steps()
         self._at_last_keyframe(self._stamp)
         if event.keyframe_covariance is not None:
             largest = np.linalg.eigvalsh(event.keyframe_covariance[:, :2, :2])[:, -1]

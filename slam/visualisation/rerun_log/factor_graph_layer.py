@@ -1,32 +1,35 @@
-"""Draw the factor graph and its residuals: as lines in the map, as a graph of nodes and edges, and as a table."""
+"""Draw factors and their residuals: in the map, as the graph of one keyframe, as a histogram, and as a table."""
 
 from __future__ import annotations
 
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
+from scipy.special import chdtr
 
-from ...events import GraphInspected
+from drivers import se2
+
+from ...events import GraphInspected, KeyframeAdded
 from ...geometry.segments import Floats, Integers
-from ...graph.residuals import CORNER, GAUGE_PRIOR, ODOMETRY, WALL, WALL_EQUALITY, Residuals
+from ...graph.residuals import CORNER, GAUGE_PRIOR, MEASUREMENTS, ODOMETRY, PRIOR, WALL, Residuals
 from ...mapping.map_features import MapCorners, MapWalls
 from . import colours
 from .colours import Colour
 from .documents import residual_report
+from .feature_matches import FeatureMatches
 from .rrd_writer import RrdWriter
-from .shapes import Height, to_3d
+from .shapes import Height, segment_ends, to_3d
 from .time_series import TimeSeries
 
 OUTLIER_GATE = 10.8
 """Squared Mahalanobis distance per degree of freedom beyond which a factor is drawn as an outlier: chi-square, 1 dof,
 99.9 %."""
-MISFIT_GATE = 4.0  # squared Mahalanobis distance per degree of freedom beyond which a factor is drawn
-WORST_FACTORS = 12  # factors listed by name
-LATEST_KEYFRAMES = 40  # keyframes in the graph view; more are neither readable nor laid out well by the viewer
+WORST_FACTORS = 12  # factors listed by name and drawn
+BIN, BINS = 0.25, 16  # width and number of the histogram's bins, sigmas; the last one has all beyond
 GRAPH_SCALE = 60.0  # points per metre in the graph view, whose y axis points down
 
 _NODE_COLOURS = {"x": colours.ESTIMATE, "L": colours.WALL, "C": colours.CORNER}
-_THIN, _THICK = rr.Radius.ui_points(0.4), rr.Radius.ui_points(1.6)
+_THIN, _THICK = rr.Radius.ui_points(0.7), rr.Radius.ui_points(1.6)
 
 
 class FactorGraphLayer:
@@ -35,10 +38,9 @@ class FactorGraphLayer:
     def __init__(self, writer: RrdWriter, time_series: TimeSeries) -> None:
         self._writer, self._time_series = writer, time_series
         self._merged: list[tuple[int, int, int, bool]] = []  # keyframe, absorbed, kept, merged by a loop closure
-        misfits = rr.LineStrips3D.from_fields(radii=_THIN, colors=colours.ODOMETRY)
         outliers = rr.LineStrips3D.from_fields(radii=_THICK, colors=colours.REJECTED, show_labels=True)
-        writer.log_static("world/factors/misfits", misfits)
         writer.log_static("world/factors/outliers", outliers)
+        writer.log_static("world/factors/keyframe", rr.LineStrips3D.from_fields(radii=_THIN, show_labels=False))
 
     def merge(self, keyframe: int, absorbed: int, kept: int, *, loop: bool) -> None:
         """Record that two walls were merged at a keyframe."""
@@ -67,53 +69,82 @@ class FactorGraphLayer:
         self._writer.log("residuals/worst", row)
         measured = ~residuals.is_kind(GAUGE_PRIOR)
         fits = {"all": _mean_per_dof(residuals, measured)}
-        fits |= {
-            kind: _mean_per_dof(residuals, residuals.is_kind(kind)) for kind in (ODOMETRY, WALL, CORNER, WALL_EQUALITY)
-        }
+        present = [kind for kind in MEASUREMENTS if kind in residuals.kind]
+        fits |= {kind: _mean_per_dof(residuals, residuals.is_kind(kind)) for kind in present}
         self._time_series.log("fit", fits)
         merged_into = {absorbed: kept for _, absorbed, kept, _ in self._merged}
         positions = _VariablePositions(keyframes, lines, corners, merged_into)
-        self._log_in_map(residuals, positions)
-        self._log_latest(residuals, positions)
+        self._log_in_map(residuals, worst, positions)
+        self._log_histogram(residuals)
 
-    def _log_in_map(self, residuals: Residuals, positions: _VariablePositions) -> None:
-        """Draw misfitting factors as lines between keyframes and landmarks, and label the outliers.
+    def log_keyframe(self, event: KeyframeAdded, previous: se2.Pose | None) -> None:
+        """Draw the factors of a keyframe, as lines in the map and as a graph: to landmarks and to the previous pose."""
+        walls, corners = FeatureMatches.of_segments(event), FeatureMatches.of_corners(event)
+        centres = segment_ends(event.segments, event.pose).mean(axis=1).reshape(-1, 2)
+        spots = se2.transform(event.pose, event.corners.position.reshape(-1, 2))
+        here = f"x{event.index}"
+        drawn: list[tuple[str, str, Floats, Colour]] = []  # variable, label, position, colour
+        if previous is not None:
+            drawn.append((f"x{event.index - 1}", f"x{event.index - 1} - {here}", previous[:2], colours.ESTIMATE))
+        for matches, positions in ((walls, centres), (corners, spots)):
+            rows = zip(matches.landmark_id.tolist(), matches.labels(), positions, matches.new.tolist(), strict=True)
+            for landmark, label, position, new in rows:
+                if landmark >= 0:
+                    shade = colours.NEW if new else colours.MATCHED
+                    drawn.append((f"{matches.prefix}{landmark}", f"{here} - {label}", position, shade))
+        ends = np.array([[event.pose[:2], position] for _, _, position, _ in drawn]).reshape(-1, 2, 2)
+        strips = rr.LineStrips3D.from_fields(
+            strips=to_3d(ends, Height.LINK),
+            colors=[shade for *_, shade in drawn],
+            labels=[label for _, label, *_ in drawn],
+        )
+        self._writer.log("world/factors/keyframe", strips)
+        self._log_graph(here, event.pose[:2], {name: position for name, _, position, _ in drawn})
 
-        All factors together would cover the map.
-        """
-        ends, misfit = positions.ends(residuals), residuals.squared / residuals.dof
-        drawn = np.isfinite(ends).all(axis=(1, 2)) & (misfit > MISFIT_GATE)
-        outlier = drawn & (misfit > OUTLIER_GATE)
-        misfits = rr.LineStrips3D.from_fields(strips=to_3d(ends[drawn & ~outlier], Height.ODOMETRY))
-        self._writer.log("world/factors/misfits", misfits)
-        labels = [f"{residuals.name(k)} d²={residuals.squared[k]:.0f}" for k in np.flatnonzero(outlier).tolist()]
-        outliers = rr.LineStrips3D.from_fields(strips=to_3d(ends[outlier], Height.LINK), labels=labels)
-        self._writer.log("world/factors/outliers", outliers)
-
-    def _log_latest(self, residuals: Residuals, positions: _VariablePositions) -> None:
-        """Draw the last keyframes and their landmarks as nodes, and their factors as edges."""
-        recent = positions.recent(residuals, LATEST_KEYFRAMES)
-        ends = positions.ends(residuals)
-        merged_by_loop = {positions.kept_wall(kept) for *_, kept, loop in self._merged if loop}
-        nodes: dict[str, tuple[Floats, Colour]] = {}
-        edges = []
-        for index in np.flatnonzero(recent & np.isfinite(ends).all(axis=(1, 2))).tolist():
-            names = positions.names(residuals, index)
-            edges.append(names)
-            for name, position in zip(names, ends[index], strict=True):
-                shade = _NODE_COLOURS[name[0]]
-                if name[0] == "L" and int(name[1:]) in merged_by_loop:
-                    shade = colours.CLOSURE
-                nodes[name] = position * [GRAPH_SCALE, -GRAPH_SCALE], shade
+    def _log_graph(self, here: str, centre: Floats, neighbours: dict[str, Floats]) -> None:
+        """Draw a keyframe and the variables that it shares factors with as nodes around it."""
+        merged_by_loop = {f"L{kept}" for *_, kept, loop in self._merged if loop}
+        nodes = {here: centre} | neighbours
+        shades = [colours.CLOSURE if name in merged_by_loop else _NODE_COLOURS[name[0]] for name in nodes]
         drawn = rr.GraphNodes(
             list(nodes),
-            positions=[position for position, _ in nodes.values()],
-            colors=[shade for _, shade in nodes.values()],
+            positions=[(position - centre) * [GRAPH_SCALE, -GRAPH_SCALE] for position in nodes.values()],
+            colors=shades,
             labels=list(nodes),
             radii=[4.0] * len(nodes),
         )
         self._writer.log("graph", drawn)
-        self._writer.log("graph", rr.GraphEdges(edges, graph_type="undirected"))
+        self._writer.log("graph", rr.GraphEdges([(here, name) for name in neighbours], graph_type="undirected"))
+
+    def _log_histogram(self, residuals: Residuals) -> None:
+        """Log how many measurements deviate by how many sigmas, and how many would if the noise is as modelled."""
+        measured = ~residuals.is_kind(GAUGE_PRIOR) & ~residuals.is_kind(PRIOR) & (residuals.dof > 0)
+        squared, dof = residuals.squared[measured], residuals.dof[measured]
+        limits = BIN * np.arange(BINS + 1)
+        limits[-1] = np.inf
+        observed, _ = np.histogram(np.sqrt(squared / dof), limits)
+        expected = np.zeros(BINS)
+        for freedom, count in zip(*np.unique(dof, return_counts=True), strict=True):
+            expected += count * np.diff(chdtr(freedom, freedom * limits**2))
+        middles, total = BIN * (np.arange(BINS) + 0.5), max(len(squared), 1)
+        for place, (name, counts, shade) in enumerate(
+            (("observed", observed, colours.ESTIMATE), ("expected", expected, colours.ODOMETRY))
+        ):
+            bars = rr.BarChart(
+                100.0 * counts / total,
+                color=shade,
+                abscissa=middles + BIN * (0.5 * place - 0.25),
+                widths=np.full(BINS, 0.45 * BIN),
+            )
+            self._writer.log(f"residuals/histogram/{name}", bars)
+
+    def _log_in_map(self, residuals: Residuals, worst: NDArray[np.int64], positions: _VariablePositions) -> None:
+        """Draw and label those of the worst factors that are outliers. All misfitting factors would cover the map."""
+        ends = positions.ends(residuals)[worst]
+        drawn = np.isfinite(ends).all(axis=(1, 2)) & (residuals.squared[worst] > OUTLIER_GATE * residuals.dof[worst])
+        labels = [f"{residuals.name(k)} d²={residuals.squared[k]:.0f}" for k in worst[drawn].tolist()]
+        outliers = rr.LineStrips3D.from_fields(strips=to_3d(ends[drawn], Height.LINK), labels=labels)
+        self._writer.log("world/factors/outliers", outliers)
 
 
 class _VariablePositions:
@@ -130,23 +161,6 @@ class _VariablePositions:
         while wall in self._merged_into:
             wall = self._merged_into[wall]
         return wall
-
-    def recent(self, residuals: Residuals, count: int) -> NDArray[np.bool_]:
-        """Return a mask (n,) of the factors between two variables that belong to the last `count` keyframes."""
-        oldest = len(self._keyframes) - count
-        measured = residuals.is_kind(ODOMETRY) | residuals.is_kind(WALL) | residuals.is_kind(CORNER)
-        latest = np.where(residuals.is_kind(ODOMETRY), residuals.between.max(axis=1), residuals.between[:, 0])
-        return np.asarray(measured & (latest >= oldest))
-
-    def names(self, residuals: Residuals, index: int) -> tuple[str, str]:
-        """Return the names of both variables of a factor between keyframes and landmarks."""
-        first, second = residuals.between[index].tolist()
-        match residuals.kind[index]:
-            case "wall":
-                return f"x{first}", f"L{self.kept_wall(second)}"
-            case "corner":
-                return f"x{first}", f"C{second}"
-        return f"x{first}", f"x{second}"
 
     def ends(self, residuals: Residuals) -> Floats:
         """Return the positions (n, 2, 2) of both variables of each factor; NaN if one is unknown or missing."""

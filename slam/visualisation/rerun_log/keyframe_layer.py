@@ -16,6 +16,7 @@ from ...mapping.map_features import MapCorners, MapWalls
 from . import colours, documents
 from .colours import Colour
 from .feature_matches import FeatureMatches
+from .map_layer import FILLED
 from .rrd_writer import RrdWriter
 from .shapes import SCAN_STEPS, Float32s, Height, corner_links, ellipses, segment_ends, to_3d, wall_links
 from .time_series import TimeSeries
@@ -40,8 +41,7 @@ class KeyframeLayer:
         writer.log_static("world/robot/position", dot)  # visible on a map too large for the outline
         scan = rr.Points3D.from_fields(colors=colours.SCAN, radii=_SCAN_SIZE)
         writer.log_static("world/keyframe/scan", scan)
-        ellipse = rr.components.FillMode.MajorWireframe  # a filled ellipse would hide the scan
-        spread = rr.Ellipsoids3D.from_fields(colors=colours.ESTIMATE, line_radii=_THIN, fill_mode=ellipse)
+        spread = rr.Ellipsoids3D.from_fields(colors=colours.ESTIMATE, line_radii=_THIN, fill_mode=FILLED)
         writer.log_static("world/keyframe/sigma", spread)
         segments = rr.LineStrips3D.from_fields(radii=_THICK, show_labels=False)
         writer.log_static("world/features/segments", segments)

@@ -20,7 +20,18 @@ from .rrd_writer import RrdWriter
 from .shapes import Height, dashed, to_3d
 from .time_series import TimeSeries
 
-DECISIONS = "loops/decisions"
+DECISIONS, TABLE = "loops/decisions", "loops/table"
+TABLE_COLUMNS = (
+    "code",
+    "keyframe",
+    "looks",
+    "margin",
+    "overlap",
+    "place",
+    "rival",
+    "shift",
+)  # as the viewer sorts them
+CODES = {LoopStatus.ACCEPTED: "A", LoopStatus.REJECTED: "R", LoopStatus.RETRACTED: "X"}
 LEVELS = {
     LoopStatus.ACCEPTED: "INFO",
     LoopStatus.REJECTED: "DEBUG",
@@ -55,14 +66,15 @@ class DecisionLayer:
         """Log that there is no decision yet."""
         self._writer.log("loops/report", _markdown("No loop candidate yet."))
 
-    def log(self, event: LoopDecided, number: int, pose: se2.Pose, chi2: float) -> None:
-        """Log a decision with its running `number`, the keyframe's `pose` and the graph's `chi2`."""
+    def log(self, event: LoopDecided, number: int, pose: se2.Pose, fit: float) -> None:
+        """Log a decision with its running `number`, the keyframe's `pose` and the graph's chi² / dof."""
         level = LEVELS.get(event.status, "INFO")
         self._writer.log("log", rr.TextLog(_describe(event), level=level))
         self._writer.log("loops/report", _markdown(loop_report(event)))
         self._writer.log(DECISIONS, rr.AnyValues(drop_untyped_nones=True, **_row(event, number)))
+        self._writer.log(TABLE, rr.AnyValues(**_table_row(event)))
         colour = _colour(event.status)
-        self._time_series.mark("chi2", event.status, chi2, colour, _MARKERS[event.status])
+        self._time_series.mark("chi2", event.status, fit, colour, _MARKERS[event.status])
         self._update_loops(event)
         there = se2.compose(pose, event.motion)
         ends = np.stack([pose[:2], there[:2]])[None]
@@ -178,6 +190,21 @@ def _describe(event: LoopDecided) -> str:
         LoopStatus.ACCEPTED: f"{len(event.merged)} walls merged, the robot moved by {event.shift:.2f} m",
     }.get(event.status, event.reason)
     return f"loop {event.candidate} {event.status}: {outcome} ({where})"
+
+
+def _table_row(event: LoopDecided) -> dict[str, Any]:
+    """Return the columns of the viewer's table: short, rounded, and in the order of TABLE_COLUMNS."""
+    failed = next((check.name for check in event.checks if not check.passed), "")
+    return {
+        "code": f"{CODES[event.status]} {failed}".strip(),
+        "keyframe": event.index,
+        "looks": event.matches,
+        "margin": round(float(event.margin), 2),
+        "overlap": round(float(event.overlap_ratio), 2),
+        "place": event.old,
+        "rival": round(float(event.runner_up), 2),
+        "shift": round(float(event.shift), 2),
+    }
 
 
 def _row(event: LoopDecided, number: int) -> dict[str, Any]:

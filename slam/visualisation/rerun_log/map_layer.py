@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import math
+
 import rerun as rr
 
 from ...mapping.map_features import MapCorners, MapWalls
 from . import colours
 from .rrd_writer import RrdWriter
-from .shapes import Height, ellipses, to_3d, wall_bands
+from .shapes import SIGMAS, Height, ellipses, largest_sigmas, to_3d, wall_bands
 
 MIN_OBSERVATIONS = 3  # keyframes; walls observed less often are drawn dimmer
+MAX_ELLIPSE = 0.75
+"""Metres, largest half axis of a corner's ellipse. Larger ones are due to drift that the corners around share, and
+would cover the walls between them; the corner's label states the sigma instead."""
 
 _WALL_WIDTH, _BAND_WIDTH, _CORNER_SIZE = rr.Radius.ui_points(1.3), rr.Radius.ui_points(0.5), rr.Radius.ui_points(2.2)
-_OUTLINE = rr.Radius.ui_points(0.7)
+_OUTLINE = rr.Radius.ui_points(0.4)
+
+
+FILLED = rr.components.FillMode.TransparentFillMajorWireframe  # what lies below remains visible
 
 
 class MapLayer:
@@ -23,9 +31,8 @@ class MapLayer:
         walls = rr.LineStrips3D.from_fields(radii=_WALL_WIDTH, show_labels=False)
         bands = rr.LineStrips3D.from_fields(radii=_BAND_WIDTH, colors=colours.WALL_SIGMA)
         corners = rr.Points3D.from_fields(radii=_CORNER_SIZE, colors=colours.CORNER, show_labels=False)
-        outline = rr.components.FillMode.MajorWireframe  # filled ellipses would hide the walls
         spread = rr.Ellipsoids3D.from_fields(
-            colors=colours.CORNER, line_radii=_OUTLINE, fill_mode=outline, show_labels=False
+            colors=colours.CORNER, line_radii=_OUTLINE, fill_mode=FILLED, show_labels=False
         )
         for name, style in (("walls", walls), ("wall_sigma", bands), ("corners", corners), ("corner_sigma", spread)):
             writer.log_static(f"world/map/{name}", style)
@@ -47,13 +54,18 @@ class MapLayer:
         self._writer.log("world/map/wall_sigma", bands)
 
     def _log_corners(self, corners: MapCorners) -> None:
-        """Log the corners with labels like `C3 n=5 of L1, L4`, and the ellipses of those with a covariance."""
-        rows = zip(corners.identity.tolist(), corners.observations.tolist(), corners.walls.tolist(), strict=True)
+        """Log the corners with labels like `C3 n=5 of L1, L4 σ=2 cm`, and the ellipses up to MAX_ELLIPSE."""
+        largest = largest_sigmas(corners.covariance)
+        sigmas = ["" if math.isnan(sigma) else f" σ={100 * sigma:.0f} cm" for sigma in largest.tolist()]
+        rows = zip(
+            corners.identity.tolist(), corners.observations.tolist(), corners.walls.tolist(), sigmas, strict=True
+        )
         points = rr.Points3D.from_fields(
             positions=to_3d(corners.position.reshape(-1, 2), Height.CORNER),
-            labels=[f"C{k} n={n} of L{first}, L{second}" for k, n, (first, second) in rows],
+            labels=[f"C{k} n={n} of L{first}, L{second}{sigma}" for k, n, (first, second), sigma in rows],
         )
         self._writer.log("world/map/corners", points)
-        centres, half_sizes, quaternions = ellipses(corners.position, corners.covariance, Height.SIGMA)
+        drawn = SIGMAS * largest <= MAX_ELLIPSE
+        centres, half_sizes, quaternions = ellipses(corners.position[drawn], corners.covariance[drawn], Height.SIGMA)
         spread = rr.Ellipsoids3D.from_fields(centers=centres, half_sizes=half_sizes, quaternions=quaternions)
         self._writer.log("world/map/corner_sigma", spread)

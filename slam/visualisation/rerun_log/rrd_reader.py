@@ -13,6 +13,7 @@ from typing import Any
 from rerun.chunk import Chunk, RrdReader
 
 from ...errors import MapError
+from .rrd_writer import SENSOR_TIME
 from .viewer import viewer_executable
 
 ROW_ID = "rerun.controls.RowId"
@@ -47,10 +48,10 @@ def recording_id(files: Sequence[Path]) -> str:
 
 
 def rows(chunks: Sequence[Chunk], entity: str) -> list[Row]:
-    """Return the rows of an entity in the order of logging, without static ones."""
+    """Return the rows of an entity in the order of logging, without static ones and those that a step repeats."""
     found: list[tuple[bytes, Row]] = []
     for chunk in chunks:
-        if chunk.entity_path != entity or chunk.is_static:
+        if chunk.entity_path != entity or SENSOR_TIME not in chunk.timeline_names:
             continue
         for row in chunk.to_record_batch().to_pylist():
             values = {name: value for name, value in row.items() if isinstance(value, list)}

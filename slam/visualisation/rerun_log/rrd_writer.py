@@ -18,7 +18,9 @@ from .log_files import part_name
 from .viewer import ViewerServer
 
 APPLICATION = "wclm-slam"  # the viewer stores layouts by this name
-SENSOR_TIME = "sensor_time"
+SENSOR_TIME, KEYFRAME = "sensor_time", "keyframe"
+CANDIDATE, CLOSURE = "candidate", "closure"
+"""Timelines with one step per loop decision and per correction of the map."""
 MIN_EPOCH_STAMP = 1e8  # larger stamps are seconds since 1970, smaller ones count from the start of the recording
 SERVER_MEMORY = "25%"  # of the computer's memory: rows kept for viewers that connect late; older ones are in the file
 FLUSH_PERIOD = 0.5  # seconds; shorter periods cost kilobytes per chunk with a live viewer and show nothing sooner
@@ -36,6 +38,9 @@ class RrdWriter:
 
     Every file contains the static rows, so that it can be read by itself; opened together the files are one recording.
     The server has a separate stream, because replacing a stream's file would disconnect the viewers.
+
+    Rows are stamped with the sensor time and, at keyframes, the number of the keyframe. The timelines CANDIDATE and
+    CLOSURE have steps instead: `log_step` repeats the last row of everything that has changed since the last step.
     """
 
     def __init__(
@@ -49,6 +54,8 @@ class RrdWriter:
         self._static: dict[tuple[str, str], Archetype] = {}
         self._now: dict[str, int] = {}
         self._batches: dict[str, _Batch] = {}
+        self._changed: dict[str, dict[tuple[str, ...], _LastRow]] = {CANDIDATE: {}, CLOSURE: {}}
+        self._texts = 0  # rows of text logs so far
         self._file = _open_stream(identity)
         self._streams = [self._file]
         self._name = ""
@@ -80,6 +87,7 @@ class RrdWriter:
         """Log a row at the current time."""
         for stream in self._streams:
             stream.log(entity, row)
+        self._remember(entity, _LastRow(row))
 
     def log_batched(self, entity: str, value: object, to_columns: ToColumns) -> None:
         """Log a row together with later rows of its entity, at a tenth of the cost of single rows.
@@ -89,8 +97,38 @@ class RrdWriter:
         batch = self._batches.setdefault(entity, _Batch(to_columns))
         batch.values.append(value)
         batch.times.append(self._now.copy())
+        self._remember(entity, _LastRow(value, to_columns))
         if len(batch.values) == MAX_BATCH_ROWS or time.monotonic() - batch.started > MAX_BATCH_AGE:
             self._send(entity, self._batches.pop(entity))
+
+    def _remember(self, entity: str, row: _LastRow) -> None:
+        """Keep a row of a keyframe for the next steps; a text log consists of all its rows."""
+        if KEYFRAME not in self._now:
+            return
+        key: tuple[str, ...] = entity, type(row.value).__name__
+        if isinstance(row.value, rr.TextLog):
+            self._texts += 1
+            key = *key, str(self._texts)
+        for changed in self._changed.values():
+            changed[key] = row
+
+    def log_step(self, timeline: str, number: int) -> None:
+        """Log step `number` of CANDIDATE or CLOSURE: what has changed since its last step, as it is now.
+
+        Set the time before logging anything else.
+        """
+        changed, self._changed[timeline] = self._changed[timeline], {}
+        for stream in self._streams:
+            for other in self._now:
+                stream.disable_timeline(other)
+            stream.set_time(timeline, sequence=number)
+            for (entity, *_), row in changed.items():
+                if row.to_columns is None:
+                    stream.log(entity, row.value)
+                else:
+                    index = rr.TimeColumn(timeline, sequence=[number])
+                    stream.send_columns(entity, indexes=[index], columns=list(row.to_columns([row.value])))
+            stream.disable_timeline(timeline)
 
     def _send(self, entity: str, batch: _Batch) -> None:
         indexes = [_time_column(timeline, [row[timeline] for row in batch.times]) for timeline in batch.times[0]]
@@ -108,20 +146,19 @@ class RrdWriter:
         for stream in self._streams:
             stream.log(entity, row, static=True)
 
-    def set_time(self, stamp: float, **sequences: int | None) -> None:
-        """Set the time of the next rows: the sensor time (seconds) and sequence timelines; None disables a timeline."""
+    def set_time(self, stamp: float, keyframe: int | None) -> None:
+        """Set the time of the next rows: the sensor time (seconds) and the keyframe, None between keyframes."""
         nanoseconds = round(1e9 * stamp)
-        self._now = {SENSOR_TIME: nanoseconds} | {name: value for name, value in sequences.items() if value is not None}
+        self._now = {SENSOR_TIME: nanoseconds} | ({} if keyframe is None else {KEYFRAME: keyframe})
         for stream in self._streams:
             if stamp > MIN_EPOCH_STAMP:
                 stream.set_time(SENSOR_TIME, timestamp=np.datetime64(nanoseconds, "ns"))
             else:
                 stream.set_time(SENSOR_TIME, duration=np.timedelta64(nanoseconds, "ns"))
-            for timeline, number in sequences.items():
-                if number is None:
-                    stream.disable_timeline(timeline)
-                else:
-                    stream.set_time(timeline, sequence=number)
+            if keyframe is None:
+                stream.disable_timeline(KEYFRAME)
+            else:
+                stream.set_time(KEYFRAME, sequence=keyframe)
 
     def set_layout(self, layout: rrb.Blueprint) -> None:
         """Replace the layout; changes that viewers have made to it are lost."""
@@ -151,6 +188,14 @@ class RrdWriter:
         for stream in self._streams:
             stream.flush()  # disconnecting alone raises no error
             stream.disconnect()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _LastRow:
+    """Last row of an entity: a row to log, or a value that `to_columns` converts."""
+
+    value: Any
+    to_columns: ToColumns | None = None
 
 
 @dataclass(slots=True, eq=False)

@@ -29,6 +29,7 @@ EMPTY_MAP_HALF_SIZE = 5.0  # metres shown around the origin before anything is m
 class Height(float, Enum):
     """Heights of the drawn layers, metres, from the bottom to the top."""
 
+    BACKDROP = -0.006
     ODOMETRY = -0.004
     SIGMA = -0.002
     WALL = 0.0
@@ -74,6 +75,14 @@ def ellipses(position: Floats, covariance: Floats, height: Height) -> tuple[Floa
     quaternions = np.zeros((len(variances), 4), dtype=np.float32)
     quaternions[:, 2], quaternions[:, 3] = np.sin(half_angle), np.cos(half_angle)
     return to_3d(position[finite], height), half_sizes, quaternions
+
+
+def largest_sigmas(covariance: Floats) -> Floats:
+    """Return the largest standard deviation (m,) in any direction of covariances (m, 2, 2); NaN if not finite."""
+    finite = np.isfinite(covariance).all(axis=(1, 2))
+    largest = np.full(len(covariance), np.nan)
+    largest[finite] = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance[finite])[:, -1], 0.0))
+    return largest
 
 
 def wall_bands(lines: MapWalls) -> Floats:

@@ -14,7 +14,7 @@ import pytest
 
 from slam.cli import viewer
 from slam.errors import MapError
-from slam.io.output_dir import RESULTS
+from slam.io.output_dir import CLOSURE_PICTURE, RESULTS
 from slam.io.tum import read_tum
 
 COMMANDS = (
@@ -304,6 +304,7 @@ def test_demo_opens_the_viewer_if_there_is_a_display(
     monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-0")
     assert wclm("demo", "--no-view").exit_code == 0
     assert not opened
+    Path("demo", CLOSURE_PICTURE).touch()  # written if the loop is closed
     assert wclm("demo", "--overwrite").exit_code == 0
     assert opened == [viewer.viewer_command(Path("demo"))]
 

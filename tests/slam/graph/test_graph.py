@@ -373,3 +373,29 @@ def test_batch_and_incremental_solutions_agree(seed: int) -> None:
     for k in range(1, count):
         expected = incremental.keyframe_covariance(k)
         np.testing.assert_allclose(batch.keyframe_covariance(k), expected, rtol=1e-2, atol=1e-9)
+
+
+def test_degrees_of_freedom_are_measurements_less_variables() -> None:
+    graph = FactorGraph()
+    graph.add_first_keyframe(np.zeros(3))
+    graph.add_keyframe(1, np.array([1.0, 0.0, 0.0]), 0, np.array([1.0, 0.0, 0.0]), 1e-4 * np.eye(3))
+    graph.update()
+    assert graph.degrees_of_freedom() == 0  # everything is determined just once
+    graph.add_loop(0, 1, np.array([1.01, 0.0, 0.0]), np.full(3, 0.01))
+    graph.add_corner(0, np.array([2.0, 1.0]))
+    for keyframe, position in ((0, [2.0, 1.0]), (1, [1.0, 1.0])):
+        graph.add_corner_observation(keyframe, 0, np.array(position), 1e-4 * np.eye(2))
+    graph.update()
+    assert graph.degrees_of_freedom() == 3 + 2
+
+
+def test_factors_and_values_are_copies() -> None:
+    graph = FactorGraph()
+    graph.add_first_keyframe(np.zeros(3))
+    graph.update()
+    factors, values = graph.factors_and_values()
+    values.update(gtsam.symbol("x", 0), gtsam.Pose2(1.0, 2.0, 3.0))
+    factors.resize(0)
+    np.testing.assert_allclose(graph.keyframe_pose(0), 0.0, atol=1e-12)
+    assert graph.chi2() == pytest.approx(0.0)
+    assert graph.factors_and_values()[0].size() == 1

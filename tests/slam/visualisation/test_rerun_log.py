@@ -12,7 +12,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
+from scipy.spatial import cKDTree
 
+from drivers import se2
 from slam.errors import OutputError
 from slam.events import (
     Finished,
@@ -92,6 +94,37 @@ def test_corner_ellipses_are_three_sigma(corridor):
     along = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + z * w)])  # the ellipse's first axis in the map
     shape = events[-1].corners.covariance[0]
     np.testing.assert_allclose(shape @ along, variances[0, 0] * along, atol=1e-6)
+
+
+def test_ellipses_that_would_cover_walls_are_left_out_and_labels_state_their_sigma(tmp_path):
+    events = list(Corridor(step=8.0).events())
+    finished = events[-1]
+    wide = finished.corners.covariance.copy()
+    wide[1] *= 4.0
+    events[-1] = replace(finished, corners=replace(finished.corners, covariance=wide))
+    log_events(tmp_path / "wide.rrd", events)
+    assert len(last(tmp_path / "wide.rrd", "/world/map/corner_sigma", "Ellipsoids3D:half_sizes")) == 3
+    labels = last(tmp_path / "wide.rrd", "/world/map/corners", "Points3D:labels")
+    sigmas = np.sqrt(np.linalg.eigvalsh(wide)[:, -1])
+    assert [label.split("σ=")[1] for label in labels] == [f"{100 * sigma:.0f} cm" for sigma in sigmas]
+
+
+def test_scans_of_earlier_keyframes_move_with_the_map(tmp_path):
+    events = list(Corridor(step=2.0).events())
+    finished = events[-1]
+    shift = np.array([0.0, 3.0, 0.0])
+    events.append(replace(finished, keyframes=finished.keyframes + shift))
+    path = tmp_path / "scans.rrd"
+    log_events(path, events)
+    keyframes = of_kind(events, KeyframeAdded)
+    index = keyframes[-1].index
+    assert index > 20
+    recent = np.array(last(path, f"/world/last_scans/{index % 5}", "Points3D:positions"))[:, :2]
+    drawn = np.array(last(path, "/world/scans/0", "Points3D:positions"))[:, :2]
+    expected = [se2.transform(event.pose, event.points) + shift[:2] for event in keyframes]
+    assert cKDTree(expected[index]).query(recent)[0].max() < 0.01
+    assert cKDTree(np.concatenate(expected[:20])).query(drawn)[0].max() < 0.01
+    assert cKDTree(drawn).query(np.concatenate(expected[:20]))[0].max() < 0.3  # thinned
 
 
 def test_true_path_is_aligned_with_the_estimate(corridor):

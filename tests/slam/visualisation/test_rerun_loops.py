@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -74,7 +74,7 @@ def test_every_decision_is_a_row_with_its_scores_and_gates(logged: Logged) -> No
 def test_a_decision_is_a_step_of_its_timeline(logged: Logged) -> None:
     steps = []
     for chunk in chunks_of([logged.path]):
-        if chunk.entity_path == "/loops/decisions":
+        if chunk.entity_path == "/loops/decisions" and "candidate" in chunk.timeline_names:
             steps += chunk.to_record_batch().column("candidate").to_pylist()
     assert sorted(steps) == list(range(1, len(decisions(logged)) + 1))
 
@@ -168,11 +168,71 @@ def test_residuals_have_factor_names_and_are_sorted_worst_first(logged: Logged) 
     assert worst[-1].values["factor"][0] == last.name(int(last.worst(1)[0]))
 
 
-def test_the_factor_graph_has_the_keyframes_and_their_walls(logged: Logged) -> None:
-    row = next(row for row in reversed(logged.rows("/graph")) if row.values.get("GraphNodes:node_ids"))
-    names = row.values["GraphNodes:node_ids"]
-    assert sum(name.startswith("x") for name in names) >= 40
-    assert sum(name.startswith("L") for name in names) > 5
-    edges = next(row for row in reversed(logged.rows("/graph")) if row.values.get("GraphEdges:edges"))
-    ends = {end for edge in edges.values["GraphEdges:edges"] for end in (edge["first"], edge["second"])}
-    assert ends == set(names)
+def test_the_graph_of_a_keyframe_has_the_previous_one_and_the_landmarks_that_it_observes(logged: Logged) -> None:
+    keyframes = of_kind(logged.events, KeyframeAdded)
+    graphs = [row for row in logged.rows("/graph") if row.values.get("GraphNodes:node_ids")]
+    edges = [row for row in logged.rows("/graph") if row.values.get("GraphEdges:edges")]
+    drawn = logged.rows("/world/factors/keyframe")
+    assert len(graphs) == len(edges) == len(drawn) == len(keyframes)
+    seen = 0
+    for event, graph, connected, lines in zip(keyframes[1:], graphs[1:], edges[1:], drawn[1:], strict=True):
+        walls = {f"L{wall}" for wall in event.wall_match.tolist() if wall >= 0}
+        corners = {f"C{corner}" for corner in event.corner_match.tolist() if corner >= 0}
+        neighbours = {f"x{event.index - 1}"} | walls | corners
+        assert set(graph.values["GraphNodes:node_ids"]) == {f"x{event.index}"} | neighbours
+        assert {edge["first"] for edge in connected.values["GraphEdges:edges"]} == {f"x{event.index}"}
+        assert {edge["second"] for edge in connected.values["GraphEdges:edges"]} == neighbours
+        ends = np.array(lines.values["LineStrips3D:strips"])[..., :2]
+        np.testing.assert_allclose(ends[:, 0], np.broadcast_to(event.pose[:2], (len(ends), 2)), atol=1e-3)
+        seen += len(walls)
+    assert seen > len(keyframes)
+
+
+def test_only_the_worst_factors_are_drawn_in_the_map(logged: Logged) -> None:
+    shown, worst = logged.rows("/world/factors/outliers"), logged.rows("/residuals/worst")
+    assert len(shown) == len(worst)
+    for row, listed in zip(shown, worst, strict=True):
+        names = [label.split(" d²=")[0] for label in row.values["LineStrips3D:labels"] or []]
+        assert set(names) <= set(listed.values["factor"])
+
+
+def test_the_histogram_of_residuals_contains_all_measurements(logged: Logged) -> None:
+    for name in ("observed", "expected"):
+        shares = logged.rows(f"/residuals/histogram/{name}")
+        assert len(shares) == len(logged.rows("/residuals/worst"))
+        for row in shares:
+            (values,) = row.values["BarChart:values"]
+            assert sum(values["buffer"]) == pytest.approx(100.0)
+
+
+def test_a_step_of_the_closures_shows_everything_right_after_the_correction(logged: Logged) -> None:
+    """The timeline ends with the last correction, at which the viewer opens the log, not with the run."""
+    corrected = [event for event in decisions(logged) if event.correction is not None]
+    shown: dict[str, dict[int, dict[str, Any]]] = {}
+    steps = set()
+    for chunk in chunks_of([logged.path]):
+        if "closure" in chunk.timeline_names:
+            assert chunk.timeline_names == ["closure"]
+            for row in chunk.to_record_batch().to_pylist():
+                steps.add(row["closure"])
+                shown.setdefault(chunk.entity_path, {})[row["closure"]] = row
+    assert steps == set(range(1, len(corrected) + 1))
+    for step, event in enumerate(corrected, start=1):
+        after = next(later for later in logged.events[logged.events.index(event) :] if isinstance(later, MapUpdated))
+        assert shown["/world/shift"][step]
+        x, y, _ = shown["/world/robot"][step]["Transform3D:translation"][0]
+        np.testing.assert_allclose([x, y], after.keyframes[-1][:2], atol=1e-3)
+        (fit,) = shown["/metrics/chi2"][step]["Scalars:scalars"]
+        assert 0.1 < fit < 10.0
+        assert shown["/loops/table"][step]["keyframe"] == [event.index]
+
+
+def test_the_table_of_decisions_has_short_codes_and_rounded_numbers(logged: Logged) -> None:
+    codes = {LoopStatus.ACCEPTED: "A", LoopStatus.REJECTED: "R", LoopStatus.RETRACTED: "X"}
+    found = logged.rows("/loops/table")
+    for event, row in zip(decisions(logged), found, strict=True):
+        value = {name: values[0] for name, values in row.values.items() if values}
+        assert value["code"].split()[0] == codes[event.status]
+        assert (value["keyframe"], value["place"], value["looks"]) == (event.index, event.old, event.matches)
+        assert value["shift"] == pytest.approx(event.shift, abs=0.006)
+        assert value["overlap"] == pytest.approx(event.overlap_ratio, abs=0.006)

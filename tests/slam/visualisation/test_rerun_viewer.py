@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import importlib.util
 import io
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
+import pytest
 from PIL import Image
 
 from slam.events import ComparedPoints, Correction, Event, GraphInspected, LoopCheck, LoopDecided, MapUpdated
@@ -56,6 +59,17 @@ def inspection(event: MapUpdated) -> GraphInspected:
     return GraphInspected(event.index, event.stamp, residuals)
 
 
+def viewer_picture() -> ModuleType:
+    """Return the program of the documentation that draws a log."""
+    path = Path(__file__).parents[3] / "docs" / "tools" / "viewer_picture.py"
+    spec = importlib.util.spec_from_file_location("viewer_picture", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
 def write(path: Path, events: Sequence[Event]) -> Path:
     with ReviewLog(path) as review:
         for event in events:
@@ -87,6 +101,22 @@ def test_the_map_and_a_correction_are_shown_in_their_colours(
     for colour in (colours.WALL, colours.BEFORE, colours.CLOSURE):
         assert pixels_of(shown["Before / after"], colour) > 50, colour
     assert pixels_of(shown["Map"], colours.BEFORE) < 20
+
+
+@pytest.mark.parametrize("size", [pytest.param("1920x1080", marks=pytest.mark.slow), "1280x720"])
+def test_the_log_opens_at_the_closure_without_errors_in_a_window(
+    corridor: tuple[Path, list[Event]], tmp_path: Path, size: str
+) -> None:
+    with viewer():
+        pass  # skip the test if there is none
+    path = write(tmp_path / "review.rrd", with_closure(corridor[1]))
+    assert viewer_picture().take_picture(path, tmp_path / "viewer.png", size) == []
+    picture = np.array(Image.open(tmp_path / "viewer.png").convert("RGB"))
+    assert f"{picture.shape[1]}x{picture.shape[0] + viewer_picture().TITLE_BAR}" == size
+    left, right = picture[:, : picture.shape[1] * 4 // 11], picture[:, picture.shape[1] * 4 // 11 :]
+    assert pixels_of(left, colours.WALL) > 500
+    for colour in (colours.BEFORE, colours.CLOSURE):  # what is seen right after the correction, and not at the end
+        assert pixels_of(right, colour) > 100, colour
 
 
 def test_two_logs_are_shown_side_by_side(corridor: tuple[Path, list[Event]], tmp_path: Path) -> None:

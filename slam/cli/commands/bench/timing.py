@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 def resolve_timing(source: Source) -> Config:
     """Return the default settings with the delay of the lidar that a recording shows, as `wclm run` uses them."""
     from ....config import Config
-    from ...recording_timing import RecordingTiming
+    from ....io.recording_timing import RecordingTiming
 
     config = Config()
     return RecordingTiming.of(source, config.lidar).compensated(config)

@@ -11,9 +11,9 @@ import drivers
 from drivers.messages import Scan, delay_odometry, with_reversed_times
 from drivers.recordings.mcap import McapWriter
 from slam import Slam
-from slam.cli.recording_timing import RecordingTiming
 from slam.cli.run_input import RecordingInput
 from slam.config import Config, load_config
+from slam.io.recording_timing import RecordingTiming
 
 from ...drivers.timing.drives import office_drive, with_late_scans
 

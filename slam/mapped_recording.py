@@ -1,0 +1,200 @@
+"""Map a recording with one call; the result displays itself in a notebook, and measures and draws itself."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import drivers
+from drivers import se2
+from drivers.messages import GroundTruth, Odometry
+
+from .config import Config
+from .errors import MapError
+from .evaluation.metrics import score_reference
+from .events import Finished, Sink
+from .geometry.segments import Floats
+from .io.exports.svg import svg_text
+from .io.keyframes_csv import Keyframes
+from .io.recording_timing import RecordingTiming
+from .io.recordings import has_odometry
+from .io.run_results import RunResults
+from .io.tum import Trajectory
+from .io.wall_maps import settled_wall_map
+from .mapping.map_features import MapCorners, MapWalls
+from .measuring.map_measurements import measure_map
+from .measuring.measurement import Measurement
+from .measuring.rooms import Room, find_rooms
+from .measuring.wall_map import WallMap
+from .pipeline import Slam
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MappedRecording:
+    """Map and path of a recording.
+
+    name      of the recording
+    finished  everything that was estimated, with covariances
+    odometry  (m, 3) path by odometry alone, in the map; (0, 3) without odometry
+    truth     true path in the map, aligned with the estimated one; None if the recording has none
+    slam      pipeline that made it
+    """
+
+    name: str
+    finished: Finished
+    odometry: Floats
+    truth: Trajectory | None
+    slam: Slam
+
+    @property
+    def walls(self) -> MapWalls:
+        """Walls with covariances."""
+        return self.finished.walls
+
+    @property
+    def corners(self) -> MapCorners:
+        """Corners with covariances."""
+        return self.finished.corners
+
+    @property
+    def stamps(self) -> Floats:
+        """Stamps (n,) of the path, seconds."""
+        return self.finished.stamps
+
+    @property
+    def path(self) -> Floats:
+        """Poses (n, 3) of the base in the map: [x, y, heading], metres and radians."""
+        return self.finished.poses
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """Counts, learned values, loop decisions and suspects, as in `summary.json` under `slam`."""
+        return self.finished.summary
+
+    def wall_map(self) -> WallMap:
+        """Return the walls with their joint covariance. Raises MapError if it is not determined."""
+        return settled_wall_map(self.slam.slam_state.mapper)
+
+    def rooms(self) -> list[Room]:
+        """Return the closed rooms in which the robot was, largest first."""
+        return find_rooms(self.wall_map())
+
+    def measurements(self) -> list[Measurement]:
+        """Return lengths, widths, angles and areas with standard deviations, as `wclm measure` does."""
+        wall_map = self.wall_map()
+        return measure_map(wall_map, find_rooms(wall_map))
+
+    def factor_graph(self) -> tuple[Any, Any]:
+        """Return copies of the graph (gtsam.NonlinearFactorGraph) and of its estimate (gtsam.Values), for own factors.
+
+        The pose of keyframe 5 has the key `gtsam.symbol("x", 5)`, the frame of wall 5 "l", the position of corner 5
+        "c". Covariances of this graph are smaller than the published ones: see docs/mathematics.md.
+        """
+        return self.slam.slam_state.mapper.graph.factors_and_values()
+
+    def plot(self, path: Path | str) -> None:
+        """Draw map and path into an image file, as `wclm run --plot` does; needs matplotlib. Raises OutputError."""
+        from .visualisation.plots import plot_map
+
+        odometry = self.odometry if len(self.odometry) else None
+        truth = None if self.truth is None else self.truth.poses
+        plot_map(Path(path), self.walls, self.corners, self.path, title=self.name, odometry=odometry, truth=truth)
+
+    def svg(self, measurements: Sequence[Measurement] = ()) -> str:
+        """Return a drawing of map and path in the scale 1 : 100, with dimension lines of measurements, as SVG."""
+        covariance = self.finished.keyframe_covariance
+        poses = self.finished.keyframes
+        if covariance is None:
+            covariance = np.full((len(poses), 3, 3), np.nan)
+        keyframes = Keyframes(self.finished.keyframe_stamps, poses, covariance)
+        summary = {"recording": self.name, "slam": self.summary}
+        trajectory = Trajectory(self.stamps, self.path)
+        return svg_text(RunResults(Path(), self.walls, self.corners, trajectory, summary, keyframes), measurements)
+
+    def _repr_svg_(self) -> str:
+        """Return the drawing, for notebooks."""
+        return self.svg()
+
+    def _repr_html_(self) -> str:
+        """Return a table of the most important figures and the drawing, for notebooks."""
+        loops, suspects = self.summary["loops"], self.summary["suspects"]
+        assert isinstance(loops, dict)
+        assert isinstance(suspects, list)
+        rows = {
+            "recording": self.name,
+            "map": f"{len(self.walls)} walls, {len(self.corners)} corners",
+            "path": f"{_length(self.path):.1f} m in {self.stamps[-1] - self.stamps[0]:.0f} s",
+            "loops closed": str(loops["accepted"]),
+            "suspects": "; ".join(one["text"] for one in suspects) or "none",
+        }
+        cells = "".join(f"<tr><th>{name}</th><td>{escape(text)}</td></tr>" for name, text in rows.items())
+        # As an image, the drawing's styles do not affect the page.
+        picture = b64encode(self.svg().encode()).decode()
+        return f'<table>{cells}</table><img src="data:image/svg+xml;base64,{picture}" style="max-width: 100%">'
+
+    def __repr__(self) -> str:
+        return f"<{self.name}: {len(self.walls)} walls, {len(self.corners)} corners, {_length(self.path):.1f} m driven>"
+
+
+def run(
+    recording: Path | str, config: Config | None = None, *, refine: bool = False, sinks: Sequence[Sink] = ()
+) -> MappedRecording:
+    """Map a recording, a bag or a simulation, as `wclm run` does, without writing files.
+
+    recording  path, or a specification like `sim:office?seed=3`: see `drivers.open`
+    config     settings; a delay of the lidar that the recording shows is compensated if none is set, and a recording
+               without odometry is mapped without it
+    refine     refine the whole map offline: more accurate, and slower
+    sinks      receive the events of the pipeline
+
+    Raises SlamError, with one line that names the place, if the recording cannot be read or mapped.
+    """
+    config = config or Config()
+    source = drivers.open(str(recording), config.lidar.beam_order)
+    if not has_odometry(source):
+        config = config.model_copy(update={"odometry": config.odometry.model_copy(update={"source": "none"})})
+    slam = Slam(RecordingTiming.of(source, config.lidar).compensated(config), sinks, refine=refine)
+    odometry: list[se2.Pose] = []
+    truth: list[GroundTruth] = []
+    first = np.inf
+    for message in source:
+        first = min(first, message.stamp)
+        if isinstance(message, Odometry):
+            odometry.append(message.pose)
+        elif isinstance(message, GroundTruth):
+            truth.append(message)
+        slam.add(message)
+    try:
+        finished = slam.finish()
+    except MapError as error:
+        raise MapError(f"{source.name}: {error}") from error
+    by_odometry = odometry_path(finished, first, np.array(odometry)) if odometry else np.zeros((0, 3))
+    return MappedRecording(source.name, finished, by_odometry, _aligned(finished, truth), slam)
+
+
+def odometry_path(finished: Finished, first: float, poses: Floats) -> Floats:
+    """Return the odometry poses (m, 3) of a run that began at the stamp `first`, in the map: from the same start."""
+    start = min(int(np.searchsorted(finished.stamps, first)), len(finished.poses) - 1)
+    return se2.compose(finished.poses[start], se2.between(poses[0], poses))
+
+
+def _aligned(finished: Finished, truth: Sequence[GroundTruth]) -> Trajectory | None:
+    """Return the true path in the map; None if there is none at the time of the path."""
+    if not truth:
+        return None
+    reference = Trajectory(np.array([t.stamp for t in truth]), np.array([t.pose for t in truth]))
+    try:
+        score = score_reference(Trajectory(finished.stamps, finished.poses), reference)
+    except MapError:
+        return None
+    return Trajectory(reference.stamps, se2.compose(se2.inverse(score.alignment), reference.poses))
+
+
+def _length(path: Floats) -> float:
+    return float(np.hypot(*np.diff(path[:, :2], axis=0).T).sum())

@@ -1,0 +1,94 @@
+"""A recording is mapped with one call, as `wclm run` maps it, and the result displays itself."""
+
+from __future__ import annotations
+
+import re
+from base64 import b64decode
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import gtsam
+import numpy as np
+import pytest
+from PIL import Image
+
+import slam
+from drivers import se2
+from drivers.messages import Scan
+from drivers.recordings.mcap import McapWriter
+from drivers.simulation import Simulation
+from slam.errors import SlamError
+from slam.io.tum import read_tum_poses
+
+ROOM = "sim:room?duration=10&seed=2"
+
+
+@pytest.fixture(scope="module")
+def mapped() -> slam.MappedRecording:
+    return slam.run(ROOM)
+
+
+def test_map_and_path_are_those_of_wclm_run(wclm: Any, mapped: slam.MappedRecording, tmp_path: Path) -> None:
+    assert wclm("run", ROOM, "--out", "map", "--no-review").exit_code == 0
+    stamps, poses = read_tum_poses(tmp_path / "map" / "trajectory.tum")
+    np.testing.assert_allclose(mapped.stamps, stamps, atol=1e-6)
+    np.testing.assert_allclose(mapped.path, poses, atol=1e-6)  # rounded in the file
+
+
+def test_the_true_path_is_in_the_map_and_odometry_begins_with_the_path(mapped: slam.MappedRecording) -> None:
+    assert mapped.truth is not None
+    difference = se2.between(mapped.truth.at(mapped.stamps).poses, mapped.path)
+    assert np.hypot(difference[:, 0], difference[:, 1]).max() < 0.02
+    np.testing.assert_allclose(mapped.odometry[0], mapped.path[0], atol=1e-9)
+
+
+def test_it_displays_itself_in_a_notebook(mapped: slam.MappedRecording) -> None:
+    assert repr(mapped).startswith(f"<sim:room: {len(mapped.walls)} walls, {len(mapped.corners)} corners")
+    assert ElementTree.fromstring(mapped._repr_svg_()).tag.endswith("svg")
+    html = mapped._repr_html_()
+    assert f"<td>{len(mapped.walls)} walls, {len(mapped.corners)} corners</td>" in html
+    (picture,) = re.findall(r"base64,([^\"]+)", html)
+    assert b64decode(picture).decode() == mapped.svg()
+
+
+def test_it_measures_rooms_and_draws_dimension_lines(mapped: slam.MappedRecording) -> None:
+    measurements = mapped.measurements()
+    assert max(one.value for one in measurements if one.kind == "area") == mapped.rooms()[0].area
+    assert 'class="dimensions"' in mapped.svg(measurements)
+
+
+def test_it_plots_into_a_file(mapped: slam.MappedRecording, tmp_path: Path) -> None:
+    mapped.plot(tmp_path / "map.png")
+    with Image.open(tmp_path / "map.png") as picture:
+        assert min(picture.size) > 300
+
+
+def test_own_factors_can_be_added_to_a_copy_of_the_graph(mapped: slam.MappedRecording) -> None:
+    graph, values = mapped.factor_graph()
+    key = gtsam.symbol("x", len(mapped.finished.keyframes) - 1)
+    pose = values.atPose2(key)
+    np.testing.assert_allclose([pose.x(), pose.y()], mapped.finished.keyframes[-1, :2], atol=1e-6)
+    count = graph.size()
+    graph.add(gtsam.PriorFactorPose2(key, gtsam.Pose2(9.0, 9.0, 0.0), gtsam.noiseModel.Isotropic.Sigma(3, 1e-4)))
+    moved = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize().atPose2(key)
+    assert np.hypot(moved.x() - 9.0, moved.y() - 9.0) < 1.0
+    again, unmoved = mapped.factor_graph()
+    assert again.size() == count
+    assert unmoved.atPose2(key).x() == pose.x()
+
+
+def test_a_recording_without_odometry_is_mapped_without_it(tmp_path: Path) -> None:
+    with McapWriter(tmp_path / "scans.mcap") as writer:
+        for message in Simulation("room", seed=1, duration=4.0):
+            if isinstance(message, Scan):
+                writer.write(message)
+    mapped = slam.run(tmp_path / "scans.mcap")
+    assert len(mapped.walls) >= 4
+    assert mapped.odometry.shape == (0, 3)
+    assert mapped.truth is None
+
+
+def test_a_wrong_name_is_one_line() -> None:
+    with pytest.raises(SlamError, match=r"^nowhere.mcap: [^\n]*$"):
+        slam.run("nowhere.mcap")
