@@ -36,9 +36,8 @@ ROBUST_MEDIANS = 3.0
 # are found before the run.
 PRIOR_SIGMA = 0.1
 
-# Standard deviations from which on a delay is significant. Origin: definition, the normal distribution's two-sided
-# quantile for one in a million, as before the run.
-SIGNIFICANT_SIGMAS = 4.9
+# Standard deviations from which on a delay is significant. Origin: definition, 99.7 % of a normal distribution.
+SIGNIFICANT_SIGMAS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +49,7 @@ class ScanDelay:
 
     @property
     def significant(self) -> bool:
-        """True if there is a delay, with an error probability of one in a million."""
+        """True if clocks that agree would show such a delay in 0.3 % of drives."""
         return abs(self.seconds) > SIGNIFICANT_SIGMAS * self.sigma
 
     def row(self) -> dict[str, object]:
