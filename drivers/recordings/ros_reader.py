@@ -43,10 +43,14 @@ from .stored_messages import OdometryTopic, StoredMessage, find_odometry_frames
 from .transforms import TransformTree
 
 GROUND_TRUTH_TOPIC = "/ground_truth"
-BEAMS_TOPIC = "/scan_beams"
 MESSAGE_TYPES = frozenset({LASER_SCAN, ODOMETRY, IMU, POSE, BEAMS, TRANSFORMS, TRANSFORMS_ROS1})
 MAX_TF_MESSAGES = 1000
 """Messages on /tf that are searched for the lidar's mount, which older robots publish there repeatedly."""
+
+
+def beams_topic(scan_topic: str) -> str:
+    """Return the topic with the exact beams of the scans on a topic."""
+    return f"{scan_topic}_beams"
 
 
 @dataclass(slots=True)
@@ -129,7 +133,7 @@ class RosReader(RecordingReader):
         beams: StoredMessage | None = None
         for stored in self._stored_messages(final=True):
             try:
-                if stored.msgtype == BEAMS and stored.topic == BEAMS_TOPIC:
+                if stored.msgtype == BEAMS and scans is not None and stored.topic == beams_topic(scans):
                     beams = stored
                 elif stored.msgtype == LASER_SCAN and stored.topic == scans:
                     scan = self._scan(stored, beams, contents, mounts, per_metre, no_return)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from drivers.messages import Source
-from drivers.source_factory import recording_of
+from drivers.source_factory import recording_of, second_recording_of
 
 from ..config import Config, LidarConfig
 
 if TYPE_CHECKING:
+    from drivers.recordings.reader import RecordingReader
     from drivers.timing.beam_order import BeamOrderTest
     from drivers.timing.delay import Delay
 
@@ -33,7 +34,16 @@ class RecordingTiming:
     @classmethod
     def of(cls, source: Source, lidar: LidarConfig) -> RecordingTiming:
         """Determine the timing of a source's lidar, with what the settings say of it."""
-        reader = recording_of(source)
+        return cls._of_reader(recording_of(source), lidar)
+
+    @classmethod
+    def of_second(cls, source: Source, lidar: LidarConfig) -> RecordingTiming | None:
+        """Return the same of a second lidar; None if the source is no recording with two."""
+        reader = second_recording_of(source)
+        return None if reader is None else cls._of_reader(reader, lidar)
+
+    @classmethod
+    def _of_reader(cls, reader: RecordingReader | None, lidar: LidarConfig) -> RecordingTiming:
         if reader is None:
             return cls(used_delay=lidar.delay or 0.0)
         test = reader.beam_order_test if lidar.beam_order == "auto" else None
@@ -43,11 +53,12 @@ class RecordingTiming:
         used = delay.seconds if delay is not None and delay.objection is None else 0.0
         return cls(reader.beams_reversed, test, delay, used)
 
-    def compensated(self, config: Config) -> Config:
-        """Return the settings with the delay that is compensated."""
-        if not self.used_delay or config.lidar.delay is not None:
+    def compensated(self, config: Config, group: Literal["lidar", "second_lidar"] = "lidar") -> Config:
+        """Return the settings with the delay that is compensated, in the group of the lidar."""
+        lidar: LidarConfig = getattr(config, group)
+        if not self.used_delay or lidar.delay is not None:
             return config
-        return config.model_copy(update={"lidar": config.lidar.model_copy(update={"delay": self.used_delay})})
+        return config.model_copy(update={group: lidar.model_copy(update={"delay": self.used_delay})})
 
     def figures(self) -> dict[str, Any]:
         """Return the timing as plain data, for summary.json."""

@@ -74,6 +74,7 @@ class RecordingInput:
         self.sinks: Sequence[Sink] = ()
         self._source = source
         self._timing: RecordingTiming | None = None
+        self._second_timing: RecordingTiming | None = None
 
     @property
     def report(self) -> SourceReport:
@@ -86,16 +87,22 @@ class RecordingInput:
         yield progress(self._source, len(self._source), self.name)
 
     def resolve(self, config: Config) -> Config:
-        """Return the settings with the lidar's delay that the recording shows, if none is set."""
+        """Return the settings with each lidar's delay that the recording shows, if none is set."""
         self._timing = RecordingTiming.of(self._source, config.lidar)
-        return self._timing.compensated(config)
+        config = self._timing.compensated(config)
+        second = self._second_timing = RecordingTiming.of_second(self._source, config.second_lidar)
+        return config if second is None else second.compensated(config, "second_lidar")
 
     def facts(self) -> dict[str, Any]:
         """Return the timing of the lidar, and how the recording was read, as far as it is known."""
         if self._timing is None:
             return {}
         read_as = [*self.report.interpretations, *self._timing.corrections()]
-        return {"timing": self._timing.figures(), "interpretations": read_as}
+        facts: dict[str, Any] = {"timing": self._timing.figures(), "interpretations": read_as}
+        if (second := self._second_timing) is not None:
+            facts["second_timing"] = second.figures()
+            read_as += [f"second lidar: {line}" for line in second.corrections()]
+        return facts
 
 
 @dataclass(slots=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,17 +27,25 @@ PAUSE_FACTOR = 9.0
 class KeyframePoints:
     """Returns of a keyframe's scan in the base's frame, metres, as 32-bit floats.
 
-    points  (n, 2), `lidar` (2,) the position of the lidar
+    points  (n, 2)
+    lidars  (k, 2) positions of the lidars
     """
 
     stamp: float
     points: np.ndarray[tuple[int, int], np.dtype[np.float32]]
-    lidar: Floats
+    lidars: Floats
 
-    def placed(self, pose: se2.Pose) -> PlacedScan:
-        """Return the scan in the map, taken with the base at `pose`."""
+    def placed(self, pose: se2.Pose) -> Iterator[PlacedScan]:
+        """Yield the scan of each lidar in the map, taken with the base at `pose`.
+
+        Of several lidars the nearest to a point counts as the one that has measured it: they are close together, and
+        what one of them sees, others in the direction of the point see too.
+        """
         points = np.asarray(self.points, dtype=np.float64)
-        return PlacedScan(self.stamp, se2.transform(pose, self.lidar), se2.transform(pose, points))
+        nearest = _distances(points, self.lidars).argmin(axis=1)
+        for row, lidar in enumerate(self.lidars):
+            own = points[nearest == row]
+            yield PlacedScan(self.stamp, se2.transform(pose, lidar), se2.transform(pose, own))
 
 
 class LiveGrid:
@@ -62,11 +70,11 @@ class LiveGrid:
         self._thread = threading.Thread(target=self._run, name="occupancy-grid", daemon=True)
         self._thread.start()
 
-    def add(self, stamp: float, points: Floats, lidar: Floats, pose: se2.Pose) -> None:
-        """Add a keyframe: points (n, 2) and position (2,) of the lidar in the base's frame, pose (3,) in the map."""
-        near = np.hypot(*(points - lidar).T) <= self._max_range
+    def add(self, stamp: float, points: Floats, lidars: Floats, pose: se2.Pose) -> None:
+        """Add a keyframe: points (n, 2) and lidars (k, 2) in the base's frame, pose (3,) in the map."""
+        near = _distances(points, lidars).min(axis=1) <= self._max_range
         with self._lock:
-            self._keyframes.append(KeyframePoints(stamp, points[near].astype(np.float32), lidar.copy()))
+            self._keyframes.append(KeyframePoints(stamp, points[near].astype(np.float32), lidars.copy()))
             self._poses.append(pose)
 
     def move(self, poses: Floats) -> None:
@@ -80,7 +88,8 @@ class LiveGrid:
             keyframes, poses = list(self._keyframes), list(self._poses)
         grid = OccupancyGrid(self._resolution)
         try:
-            grid.add_all(keyframe.placed(pose) for keyframe, pose in zip(keyframes, poses, strict=True))
+            for keyframe, pose in zip(keyframes, poses, strict=True):
+                grid.add_all(keyframe.placed(pose))
             return keyframes[-1].stamp if keyframes else 0.0, grid.occupancy()
         except MapError:
             return None
@@ -113,7 +122,7 @@ class LiveGrid:
             self._grid, self._drawn = OccupancyGrid(self._resolution), []
         try:
             for keyframe, pose in zip(keyframes[len(self._drawn) :], poses[len(self._drawn) :], strict=True):
-                self._grid.add(keyframe.placed(pose))
+                self._grid.add_all(keyframe.placed(pose))
                 self._drawn.append(pose)
             self._publish(keyframes[-1].stamp, self._grid.occupancy())
             self._problem = ""
@@ -129,3 +138,8 @@ class LiveGrid:
         reach = np.array([float(np.abs(keyframe.points).max(initial=0.0)) for keyframe in keyframes[:count]])
         shift = np.hypot(change[:, 0], change[:, 1]) + np.abs(change[:, 2]) * reach
         return bool(shift.max() > self._resolution)
+
+
+def _distances(points: Floats, lidars: Floats) -> Floats:
+    """Return the distances (n, k) of points (n, 2) from lidars (k, 2)."""
+    return np.asarray(np.linalg.norm(points[:, None] - lidars, axis=2))

@@ -124,7 +124,7 @@ def _scans(session: RunResults, recording: str | None) -> Iterator[PlacedScan]:
 
     source = open_recording(session, recording)
     messages = progress(source, len(source), source.name)
-    return place_scans(messages, session.trajectory, session.config().lidar)
+    return place_scans(messages, session.trajectory, session.config())
 
 
 def _check_overlap(count: int, session: RunResults, recording: str | None) -> None:

@@ -97,7 +97,7 @@ def ros(
     names = NodeNames.from_rules(remap or ())
     parameters = _load_parameters(params_file or [], param or [], names)
     own_base = _parse_base(base, drive, max_speed, max_turn_rate, no_odometry, parameters)
-    start = _prepare(parameters, continued, localized, config, settings, start_pose)
+    start = _prepare(names, parameters, continued, localized, config, settings, start_pose)
     if no_odometry:
         start = without_odometry(start, "--no-odometry")
     with closing(open_link(names, link)) as opened:
@@ -120,12 +120,13 @@ def _load_parameters(files: list[Path], assignments: list[str], names: NodeNames
     parameters, ignored = parse_parameters(load_parameters(files, assignments, names.qualified), place)
     if ignored:
         print_message(f"parameters without a counterpart are ignored: {', '.join(ignored)}")
-    if parameters.settings():
-        print_message(f"settings from parameters: {', '.join(parameters.settings())}")
+    if settings := parameters.settings(names.resolve):
+        print_message(f"settings from parameters: {', '.join(settings)}")
     return parameters
 
 
 def _prepare(
+    names: NodeNames,
     parameters: NodeParameters,
     continued: Path | None,
     localized: Path | None,
@@ -139,7 +140,9 @@ def _prepare(
     if parameters.map_file_name and continued is None and localized is None:
         session = Path(parameters.map_file_name)
         continued, localized = (session, None) if parameters.mode == "mapping" else (None, session)
-    return prepare_run(continued, localized, config, [*parameters.settings(), *(settings or ())], start_pose)
+    return prepare_run(
+        continued, localized, config, [*parameters.settings(names.resolve), *(settings or ())], start_pose
+    )
 
 
 def _parse_base(
@@ -190,6 +193,7 @@ def _inputs(names: NodeNames, parameters: NodeParameters, start: RunSetup, base:
 
     return Inputs(
         scan=names.resolve(parameters.scan_topic),
+        second_scan=names.resolve(parameters.second_scan_topic) if parameters.second_scan_topic else "",
         odometry=names.resolve(parameters.odom_topic) if parameters.odom_topic else "",
         base="" if base is None else base.spec.text,
         imu=names.resolve(parameters.imu_topic) if parameters.imu_topic else "",
@@ -201,6 +205,7 @@ def _inputs(names: NodeNames, parameters: NodeParameters, start: RunSetup, base:
         base_frame=parameters.base_frame,
         uses_odometry=start.config.odometry.source == "wheels",
         mount_is_set=start.config.lidar.mount is not None,
+        second_mount_is_set=start.config.second_lidar.mount is not None,
         throttle_scans=parameters.throttle_scans,
     )
 

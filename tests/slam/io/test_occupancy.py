@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import drivers
 from drivers.messages import GroundTruth
-from slam.config import LidarConfig
+from slam.config import Config, LidarConfig
 from slam.errors import MapError
 from slam.io.exports import Occupancy, OccupancyGrid, PlacedScan, Thresholds, place_scans, write_pgm, write_pgm_yaml
 from slam.io.exports.occupancy import FREE, OCCUPIED, UNKNOWN, trace_beams
@@ -118,7 +118,7 @@ def test_placed_scans_lie_on_the_walls_for_any_mount(mount: str) -> None:
     messages = list(source)
     truth = [message for message in messages if isinstance(message, GroundTruth)]
     path = Trajectory(np.array([t.stamp for t in truth]), np.array([t.pose for t in truth]))
-    scans = list(place_scans(messages, path, LidarConfig(range_max=20.0)))
+    scans = list(place_scans(messages, path, Config(lidar=LidarConfig(range_max=20.0))))
     assert 50 < len(scans) <= 60
     walls = np.array(source.world.segments)  # type: ignore[attr-defined]
     starts, ends = walls[:, :2], walls[:, 2:]
@@ -129,7 +129,7 @@ def test_placed_scans_lie_on_the_walls_for_any_mount(mount: str) -> None:
     distance = np.linalg.norm(points[:, None] - nearest, axis=2).min(axis=1)
     assert np.median(distance) < 0.01
     assert np.mean(distance < 0.04) > 0.97  # some beams end between two surfaces
-    short = list(place_scans(messages, path, LidarConfig(range_max=1.5)))
+    short = list(place_scans(messages, path, Config(lidar=LidarConfig(range_max=1.5))))
     reach = np.concatenate([np.linalg.norm(scan.points - scan.origin, axis=1) for scan in short])
     assert reach.max() < 1.55
-    assert not list(place_scans(messages, Trajectory(path.stamps + 100, path.poses), LidarConfig()))
+    assert not list(place_scans(messages, Trajectory(path.stamps + 100, path.poses), Config()))
