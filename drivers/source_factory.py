@@ -30,13 +30,16 @@ CARMEN_SUFFIXES = (".clf", ".log", ".carmen", ".gz", ".txt")
 class LidarSelection:
     """Lidar of a recording.
 
-    topic       of its scans in a ROS recording; empty: the best one
+    topic       of its scans or point clouds in a ROS recording; empty: the best one
     beam_order  order in which its beams were measured: as stated (forward), reversed, or with auto reversed if its
                 scans fit together significantly better then
+    cut_height, cut_thickness  layer of point clouds that is a scan, metres; see `HeightCut`
     """
 
     topic: str = ""
     beam_order: BeamOrder = "auto"
+    cut_height: float | None = None
+    cut_thickness: float = 0.2
 
 
 def open(
@@ -71,13 +74,9 @@ def _select(spec: str | Path, reader: RecordingReader | None, lidar: LidarSelect
     """Set which scans a reader reads, and how; raises RecordingError if a topic is named that it cannot have."""
     if reader is not None:
         reader.beam_order = lidar.beam_order
-    if not lidar.topic:
-        return
-    from .recordings.ros_reader import RosReader
-
-    if not isinstance(reader, RosReader):
+        reader.select_scans(lidar.topic, lidar.cut_height, lidar.cut_thickness)
+    elif lidar.topic:
         raise RecordingError(spec, None, f"has no topics, so none is named {lidar.topic}")
-    reader.scan_topic = lidar.topic
 
 
 def recording_of(source: Source) -> RecordingReader | None:

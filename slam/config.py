@@ -63,7 +63,17 @@ class LidarConfig(_Group):
         description="seconds by which the lidar's stamps are late against odometry's, negative if early; by default "
         "that of the recording if it is significant and longer than the period of the scans, else zero",
     )
-    topic: str = Field("", description="topic of the scans in a ROS recording; by default the best one")
+    topic: str = Field(
+        "", description="topic of the scans or point clouds in a ROS recording; by default the best one with scans"
+    )
+    cut_height: Finite | None = Field(
+        None,
+        description="height above the origin of the base at which point clouds are cut, metres; by default that of the "
+        "lidar",
+    )
+    cut_thickness: float = Field(
+        0.2, gt=0, lt=10, description="thickness of the layer of point clouds that is used, metres"
+    )
 
     @model_validator(mode="after")
     def _range_is_not_empty(self) -> Self:

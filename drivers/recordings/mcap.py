@@ -39,7 +39,7 @@ from .ros_messages import (
     decode,
     scan_of,
 )
-from .ros_reader import GROUND_TRUTH_TOPIC, MESSAGE_TYPES, RosReader, beams_topic
+from .ros_reader import GROUND_TRUTH_TOPIC, RosReader, beams_topic
 from .stamp_units import is_valid_stamp
 from .stored_messages import StoredMessage
 
@@ -82,7 +82,7 @@ class McapReader(RosReader):
                 number += 1
                 channel = channels.get(record.channel_id)
                 msgtype = _type_name(schemas.get(channel.schema_id)) if channel else None
-                if channel and msgtype in MESSAGE_TYPES and channel.message_encoding in ENCODINGS:
+                if channel and msgtype in self._types and channel.message_encoding in ENCODINGS:
                     yield StoredMessage(
                         number, channel.topic, msgtype, channel.message_encoding, record.log_time, record.data
                     )

@@ -17,6 +17,7 @@ from functools import partial
 from typing import Any, TypeAlias
 
 from ..messages import InitialPose, Message, Odometry, Scan, SourceReport
+from ..recordings.point_clouds import POINT_CLOUD, HeightCut, scan_of_cloud
 from ..recordings.ros_messages import (
     IMU,
     LASER_SCAN,
@@ -60,6 +61,8 @@ class Inputs:
     odometry        topic of type Odometry; empty: odometry is on /tf
     base            name of the node's own wheel base, from which odometry comes; empty: it comes from topics
     uses_odometry   false if the robot has none, or it is ignored
+    cloud           topic with point clouds that take the place of `scan`; empty: none
+    cut             their layer that becomes a scan
     second_scan     topic with the scans of a second lidar; empty: there is none
     mount_is_set    true if the settings state the lidar's mount, so that no transform is needed; likewise
                     second_mount_is_set
@@ -69,6 +72,8 @@ class Inputs:
     """
 
     scan: str = "/scan"
+    cloud: str = ""
+    cut: HeightCut = field(default_factory=HeightCut)
     second_scan: str = ""
     odometry: str = ""
     base: str = ""
@@ -87,7 +92,8 @@ class Inputs:
     @property
     def scan_topics(self) -> list[str]:
         """Topics of the lidars."""
-        return [self.scan, self.second_scan] if self.second_scan else [self.scan]
+        first = self.cloud or self.scan
+        return [first, self.second_scan] if self.second_scan else [first]
 
 
 @dataclass(slots=True)
@@ -131,7 +137,8 @@ class RosReceiver:
         subscribe(inputs.static_transforms, TRANSFORMS, self._add_fixed, STATIC_TRANSFORMS)
         subscribe(inputs.transforms, TRANSFORMS, self._add_moving, MOVING_TRANSFORMS)
         for lidar, topic in enumerate(inputs.scan_topics):
-            subscribe(topic, LASER_SCAN, partial(self._add_scan, lidar), SENSOR_DATA)
+            msgtype = POINT_CLOUD if topic == inputs.cloud else LASER_SCAN
+            subscribe(topic, msgtype, partial(self._add_scan, lidar), SENSOR_DATA)
         if inputs.initial_pose:
             subscribe(inputs.initial_pose, POSE_WITH_COVARIANCE, self._add_initial_pose, DEFAULT)
         if inputs.imu:
@@ -255,7 +262,13 @@ class RosReceiver:
         elif mount.pose is None and not is_set:
             self._skip(NO_MOUNT)
         else:
-            self._put(replace(scan_of(message, received, mount), lidar=lidar))
+            self._put(replace(self._scan_of(message, received, mount), lidar=lidar))
+
+    def _scan_of(self, message: Any, received: int, mount: LidarMount) -> Scan:
+        if not hasattr(message, "point_step"):
+            return scan_of(message, received, mount)
+        pose = self._tree.pose_on(self.inputs.base_frame, message.header.frame_id)
+        return scan_of_cloud(message, received, pose, mount, self.inputs.cut)
 
     def _mount(self, frame: str, *, needed: bool) -> LidarMount:
         """Return the mount of a scan's frame, which never changes once it is known; report it missing if `needed`."""

@@ -33,14 +33,15 @@ def open_source(recording: str | Path, config: Config) -> Source:
     """
     first, second = config.lidar, config.second_lidar
     if not second.topic:
-        return drivers.open(recording, _selection(first))
+        return drivers.open(recording, lidar_selection(first))
     if first.topic in ("", second.topic):
         raise ConfigurationError("second_lidar.topic: lidar.topic must name another topic, that of the first lidar")
-    return drivers.open(recording, _selection(first), _selection(second))
+    return drivers.open(recording, lidar_selection(first), lidar_selection(second))
 
 
-def _selection(lidar: LidarConfig) -> LidarSelection:
-    return LidarSelection(lidar.topic, lidar.beam_order)
+def lidar_selection(lidar: LidarConfig) -> LidarSelection:
+    """Return which scans of a recording are those of a lidar with these settings, and how they are read."""
+    return LidarSelection(lidar.topic, lidar.beam_order, lidar.cut_height, lidar.cut_thickness)
 
 
 def open_recording(results: RunResults, override: str | None = None) -> Source:

@@ -21,6 +21,11 @@ class NodeParameters(BaseModel):
     map_frame: str = Field("map", min_length=1, description="frame of the map")
     base_frame: str = Field("base_footprint", min_length=1, description="frame of the robot's base")
     scan_topic: str = Field("/scan", min_length=1, description="topic with the scans")
+    cloud_topic: str = Field(
+        "",
+        description="topic with point clouds (sensor_msgs/msg/PointCloud2) that are cut at the setting "
+        "lidar.cut_height, instead of scan_topic; empty: none",
+    )
     second_scan_topic: str = Field("", description="topic with the scans of a second lidar; empty: there is none")
     odom_topic: str = Field(
         "", description="topic of type nav_msgs/msg/Odometry; by default the transform odom_frame -> base_frame on /tf"
@@ -70,7 +75,7 @@ class NodeParameters(BaseModel):
         }
         settings = [f"{name}={str(value).lower()}" for name, value in values.items() if value is not None]
         if self.second_scan_topic:
-            topics = {"lidar": self.scan_topic, "second_lidar": self.second_scan_topic}
+            topics = {"lidar": self.cloud_topic or self.scan_topic, "second_lidar": self.second_scan_topic}
             settings += [f"{group}.topic={resolve(topic)}" for group, topic in topics.items()]
         return settings
 

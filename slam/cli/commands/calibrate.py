@@ -37,14 +37,14 @@ def calibrate(
     Example: [bold]wclm calibrate drive.mcap --wheel-radius 0.033 --track 0.2[/bold]
     """
     import drivers
-    from drivers.source_factory import LidarSelection
 
     from ...config import load_config
+    from ...io.recordings import lidar_selection
     from ...offline.calibration.extrinsics import calibrate as estimate
     from ..recording_timing import RecordingTiming
 
     effective = load_config(config, settings or ())
-    source = drivers.open(recording, LidarSelection(effective.lidar.topic, effective.lidar.beam_order))
+    source = drivers.open(recording, lidar_selection(effective.lidar))
     timing = RecordingTiming.of(source, effective.lidar)
     result = estimate(progress(source, len(source), "reading"), timing.compensated(effective))
     typer.echo("\n".join([*_lines(result), *_timing_lines(timing)]))

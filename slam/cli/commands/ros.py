@@ -189,10 +189,13 @@ def _open_base(
 
 
 def _inputs(names: NodeNames, parameters: NodeParameters, start: RunSetup, base: OwnBase | None) -> Inputs:
+    from drivers.recordings.point_clouds import HeightCut
     from drivers.ros2.receiver import Inputs
 
     return Inputs(
         scan=names.resolve(parameters.scan_topic),
+        cloud=names.resolve(parameters.cloud_topic) if parameters.cloud_topic else "",
+        cut=HeightCut(start.config.lidar.cut_height, start.config.lidar.cut_thickness),
         second_scan=names.resolve(parameters.second_scan_topic) if parameters.second_scan_topic else "",
         odometry=names.resolve(parameters.odom_topic) if parameters.odom_topic else "",
         base="" if base is None else base.spec.text,

@@ -59,7 +59,7 @@ class RosInput:
         control: RunControl,
         sinks: Sequence[Sink] = (),
     ) -> None:
-        self.name = f"ROS 2: {receiver.inputs.scan}"
+        self.name = f"ROS 2: {', '.join(receiver.inputs.scan_topics)}"
         self.sinks: Sequence[Sink] = (*sinks, outputs)
         self._receiver = receiver
         self._outputs, self._start = outputs, start
