@@ -19,6 +19,9 @@ from ..options import (
     LocalizeOption,
     NoOdometryOption,
     OverwriteOption,
+    PlanLayerOption,
+    PlanOption,
+    PlanUnitOption,
     SetOption,
     StartOption,
 )
@@ -32,6 +35,7 @@ if TYPE_CHECKING:
     from drivers.ros2.wheel_base import RosWheelBase
 
     from ...ros.parameters import NodeParameters
+    from ..plan_input import PlanOptions
     from ..slam_run import RunSetup
     from .ros_node import RosNode
 
@@ -78,6 +82,9 @@ def ros(
     no_odometry: NoOdometryOption = False,
     continued: ContinueOption = None,
     localized: LocalizeOption = None,
+    plan: PlanOption = None,
+    plan_unit: PlanUnitOption = None,
+    plan_layer: PlanLayerOption = None,
     start_pose: StartOption = None,
     config: ConfigOption = None,
     settings: SetOption = None,
@@ -92,12 +99,14 @@ def ros(
     from drivers.ros2.names import NodeNames
     from drivers.ros2.selection import open_link
 
+    from ..plan_input import PlanOptions
     from ..slam_run import without_odometry
 
     names = NodeNames.from_rules(remap or ())
     parameters = _load_parameters(params_file or [], param or [], names)
     own_base = _parse_base(base, drive, max_speed, max_turn_rate, no_odometry, parameters)
-    start = _prepare(names, parameters, continued, localized, config, settings, start_pose)
+    on_plan = PlanOptions(plan, plan_unit, plan_layer or ())
+    start = _prepare(names, parameters, continued, localized, config, settings, start_pose, on_plan)
     if no_odometry:
         start = without_odometry(start, "--no-odometry")
     with closing(open_link(names, link)) as opened:
@@ -133,16 +142,16 @@ def _prepare(
     config: Path | None,
     settings: list[str] | None,
     start_pose: str | None,
+    plan: PlanOptions,
 ) -> RunSetup:
-    """Load the settings and the session; options take precedence over parameters."""
+    """Load the settings, and the session or the plan; options take precedence over parameters."""
     from ..slam_run import prepare_run
 
-    if parameters.map_file_name and continued is None and localized is None:
+    if parameters.map_file_name and continued is None and localized is None and plan.path is None:
         session = Path(parameters.map_file_name)
         continued, localized = (session, None) if parameters.mode == "mapping" else (None, session)
-    return prepare_run(
-        continued, localized, config, [*parameters.settings(names.resolve), *(settings or ())], start_pose
-    )
+    overrides = [*parameters.settings(names.resolve), *(settings or ())]
+    return prepare_run(continued, localized, config, overrides, start_pose, plan)
 
 
 def _parse_base(

@@ -34,6 +34,7 @@ from drivers.ros2 import receiver, selection
 from drivers.ros2.encoder import GRID, MARKERS, POSE_WITH_COVARIANCE
 from drivers.ros2.link import STATIC_TRANSFORMS
 from drivers.ros2.receiver import RosReceiver
+from drivers.simulation import load_world
 from slam.cli.app import app
 from slam.io.output_dir import KEYFRAMES, MAP, SUMMARY, TRAJECTORY
 from slam.io.tum import read_tum
@@ -315,3 +316,20 @@ def test_two_lidars_as_in_a_recording(tmp_path: Path) -> None:
     for name in (TRAJECTORY, MAP, KEYFRAMES):
         assert (tmp_path / "online" / name).read_bytes() == (tmp_path / "offline" / name).read_bytes()
     assert json.loads((tmp_path / "online" / SUMMARY).read_text())["slam"]["second_lidar"]["joined"] == 79
+
+
+def test_a_plan_helps_mapping_and_gives_the_frame(tmp_path: Path) -> None:
+    recording, plan, link = tmp_path / "drive.mcap", tmp_path / "room.geojson", MemoryLink()
+    walls = load_world("room").segments.reshape(-1, 2, 2)
+    shifted = walls + np.array([20.0, 10.0])
+    plan.write_text(json.dumps({"type": "MultiLineString", "coordinates": shifted.tolist(), "units": "m"}))
+    record_office(recording, "sim:room?duration=10")
+    options = ["--plan", str(plan), "--start", "21,11,0"]
+    run_node(link, robot_messages(recording), tmp_path / "online", {}, options=options)
+    found = json.loads((tmp_path / "online" / SUMMARY).read_text())["plan"]
+    assert (found["file"], found["recognised"]) == ("room.geojson", True)
+    grid = decode(link.sent["/map"][-1], GRID, "cdr")
+    corner = np.array([grid.info.origin.position.x, grid.info.origin.position.y])
+    assert corner == pytest.approx(shifted.min(axis=(0, 1)), abs=0.2)
+    poses = [decode(data, POSE_WITH_COVARIANCE, "cdr").pose.pose.position for data in link.sent["/pose"]]
+    assert poses[-1].x > 20.0
