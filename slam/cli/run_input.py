@@ -109,10 +109,12 @@ class RecordingInput:
 class InputStatistics:
     """Statistics of the messages of a run: counts, time span, odometry poses and true poses.
 
+    mounts  mount of each lidar in its first scan; None if that does not say it
     shift  seconds that were added to all stamps
     """
 
     scans: int = 0
+    mounts: dict[int, se2.Pose | None] = field(default_factory=dict)
     shift: float = 0.0
     first: float = np.inf
     last: float = -np.inf
@@ -131,6 +133,7 @@ class InputStatistics:
             self.odometry.append(message.pose)
         elif isinstance(message, Scan):
             self.scans += 1
+            self.mounts.setdefault(message.lidar, message.mount)
 
     def recording(self, run_input: RunInput) -> Recording:
         """Return the entry of the recording in a session."""

@@ -44,6 +44,13 @@ def lidar_selection(lidar: LidarConfig) -> LidarSelection:
     return LidarSelection(lidar.topic, lidar.beam_order, lidar.cut_height, lidar.cut_thickness)
 
 
+def has_recording(results: RunResults) -> bool:
+    """Return True if the summary of a run names the file of each of its recordings."""
+    summary = results.summary
+    recordings = summary.get("recordings") or [{"path": summary.get("recording_path")}]
+    return all(isinstance(recording.get("path"), str) for recording in recordings)
+
+
 def open_recording(results: RunResults, override: str | None = None) -> Source:
     """Open the recording of a run, or `override`, an argument of `drivers.open`.
 

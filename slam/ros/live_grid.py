@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import numpy as np
 
@@ -18,7 +17,8 @@ from drivers import se2
 
 from ..errors import MapError
 from ..geometry.segments import Floats
-from ..io.exports import Occupancy, OccupancyGrid, PlacedScan
+from ..io.exports import Occupancy, OccupancyGrid
+from ..io.exports.keyframe_points import KeyframePoints
 
 PAUSE_FACTOR = 9.0
 """Pause after an update, as a multiple of its duration: a tenth of one core at most."""
@@ -26,31 +26,6 @@ DRAWING_TIME = 0.01
 """Seconds for which an update draws; what is left is drawn by the next ones."""
 FIRST_CAPACITY = 256
 """Keyframes for which there is room at first; the room is doubled when it is full."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class KeyframePoints:
-    """Returns of a keyframe's scan in the base's frame, metres, as 32-bit floats.
-
-    points  (n, 2)
-    lidars  (k, 2) positions of the lidars
-    """
-
-    stamp: float
-    points: np.ndarray[tuple[int, int], np.dtype[np.float32]]
-    lidars: Floats
-
-    def placed(self, pose: se2.Pose) -> Iterator[PlacedScan]:
-        """Yield the scan of each lidar in the map, taken with the base at `pose`.
-
-        Of several lidars the nearest to a point counts as the one that has measured it: they are close together, and
-        what one of them sees, others in the direction of the point see too.
-        """
-        points = np.asarray(self.points, dtype=np.float64)
-        nearest = _distances(points, self.lidars).argmin(axis=1)
-        for row, lidar in enumerate(self.lidars):
-            own = points[nearest == row]
-            yield PlacedScan(self.stamp, se2.transform(pose, lidar), se2.transform(pose, own))
 
 
 class LiveGrid:
@@ -80,13 +55,13 @@ class LiveGrid:
 
     def add(self, stamp: float, points: Floats, lidars: Floats, pose: se2.Pose) -> None:
         """Add a keyframe: points (n, 2) and lidars (k, 2) in the base's frame, pose (3,) in the map."""
-        near = points[_distances(points, lidars).min(axis=1) <= self._max_range]
+        keyframe = KeyframePoints.within(stamp, points, lidars, self._max_range)
         with self._lock:
             count = len(self._keyframes)
             if count == len(self._poses):
                 self._poses = np.concatenate([self._poses, np.zeros_like(self._poses)])
             self._poses[count] = pose
-            self._keyframes.append(KeyframePoints(stamp, near.astype(np.float32), lidars.copy()))
+            self._keyframes.append(keyframe)
 
     def move(self, poses: Floats) -> None:
         """Set the poses (k, 3) of the first k keyframes."""
@@ -178,8 +153,3 @@ class LiveGrid:
         change = se2.between(self._drawn[:count], poses)
         shift = np.hypot(change[:, 0], change[:, 1]) + np.abs(change[:, 2]) * self._reach[:count]
         return np.flatnonzero(~(shift <= self._resolution))  # NaN if it is not drawn
-
-
-def _distances(points: Floats, lidars: Floats) -> Floats:
-    """Return the distances (n, k) of points (n, 2) from lidars (k, 2)."""
-    return np.asarray(np.linalg.norm(points[:, None] - lidars, axis=2))

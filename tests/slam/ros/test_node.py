@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from ruamel.yaml import YAML
+from scipy.spatial import KDTree
 from typer.testing import CliRunner
 
 import drivers
 from drivers import se2
-from drivers.messages import Message, Scan
+from drivers.messages import Floats, Message, Scan
 from drivers.recordings.mcap import McapWriter
 from drivers.recordings.ros_encoder import RosEncoder
 from drivers.recordings.ros_messages import (
@@ -333,3 +335,30 @@ def test_a_plan_helps_mapping_and_gives_the_frame(tmp_path: Path) -> None:
     assert corner == pytest.approx(shifted.min(axis=(0, 1)), abs=0.2)
     poses = [decode(data, POSE_WITH_COVARIANCE, "cdr").pose.pose.position for data in link.sent["/pose"]]
     assert poses[-1].x > 20.0
+
+
+def test_a_run_without_a_recording_has_a_grid_map(node_run: NodeRun, tmp_path: Path) -> None:
+    """It is drawn from fewer points than that of the recording, and shows the same walls."""
+    walls = []
+    for folder in (node_run.online, node_run.offline):
+        file = tmp_path / folder.name / "grid.pgm"
+        file.parent.mkdir()
+        result = CliRunner().invoke(app, ["map", str(folder), "--format", "pgm", "--out", str(file)])
+        assert result.exit_code == 0, result.output
+        assert ("the run was not recorded" in result.output) == (folder == node_run.online)
+        grid = read_grid(file.with_suffix(".yaml"))
+        walls.append(grid)
+    few, all_of_them = walls
+    assert 0.7 * len(all_of_them) < len(few) < 1.1 * len(all_of_them)
+    distances, _ = KDTree(all_of_them).query(few)
+    assert np.mean(distances < 0.08) > 0.97
+
+
+def read_grid(file: Path) -> Floats:
+    """Return the centres (n, 2) of the occupied cells of a grid map, metres."""
+    settings = YAML(typ="safe").load(file.read_text())
+    content = (file.parent / settings["image"]).read_bytes()
+    columns, rows = map(int, content.split(b"\n", 2)[1].split())
+    pixels = np.frombuffer(content[-rows * columns :], dtype=np.uint8).reshape(rows, columns)[::-1]
+    occupied = np.argwhere(pixels == 0)[:, ::-1]
+    return np.asarray(settings["origin"][:2] + settings["resolution"] * (occupied + 0.5))
