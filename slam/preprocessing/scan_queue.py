@@ -95,19 +95,25 @@ class ScanQueue:
         if not self._first:
             return None
         scan = self._first[0]
-        middle = sweep_middle(scan)
-        begin, end = WINDOW_WITHOUT_ODOMETRY if self._predicts_odometry else WINDOW
-        interval = _interval([*self._taken, middle])
-        low, high = middle + begin * interval, middle + end * interval
+        waits = not (flush or len(self._first) > MAX_QUEUED_SCANS)
+        if waits and _end(scan) > covered:
+            return None
+        low, high = self._window(sweep_middle(scan)) if self._two_lidars else (-np.inf, -np.inf)
         partner = next((one for one in self._second if low <= sweep_middle(one) <= high), None)
-        last = _end(scan) if partner is None or self._predicts_odometry else max(_end(scan), _end(partner))
-        is_complete = partner is not None or not self._two_lidars or not self._is_expected(high)
-        if not (flush or len(self._first) > MAX_QUEUED_SCANS) and (last > covered or not is_complete):
+        if waits and partner is None and self._two_lidars and self._is_expected(high):
+            return None
+        if waits and partner is not None and _end(partner) > covered and not self._predicts_odometry:
             return None
         self._first.popleft()
-        self._taken.append(middle)
+        self._taken.append(sweep_middle(scan))
         self._drop_second(low if partner is None else sweep_middle(partner))
         return ScanPair(scan, partner)
+
+    def _window(self, middle: float) -> tuple[float, float]:
+        """Return the earliest and the latest middle of the partner of a scan of the first lidar, from its middle."""
+        begin, end = WINDOW_WITHOUT_ODOMETRY if self._predicts_odometry else WINDOW
+        interval = _interval([*self._taken, middle])
+        return middle + begin * interval, middle + end * interval
 
     def _is_expected(self, stamp: float) -> bool:
         """Return True if a scan of the second lidar that has not arrived yet may have its middle before a stamp."""
