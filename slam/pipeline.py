@@ -83,7 +83,8 @@ class Slam:
         self._has_odometry = False
         self._session: StoredSession | None = None
         self._motions = MotionSource(self.config.odometry)
-        self._preprocessor = Preprocessor(self.config, None if resumed is None else resumed.sigma_range)
+        noise = (None, None) if resumed is None else (resumed.sigma_range, resumed.second_sigma_range)
+        self._preprocessor = Preprocessor(self.config, *noise)
         keep = refine or keep_all_features
         if resumed is None:
             self._estimator = Estimator(SlamState(self.config, loops))
@@ -336,6 +337,7 @@ class Slam:
             odometry=journal.segments.histories,
             starts=journal.segments.starts,
             sigma_range=self._preprocessor.sigma_range,
+            second_sigma_range=self._preprocessor.second_sigma_range,
             recordings=[] if resumed is None else list(resumed.recordings),
             loop_decisions=[*(() if resumed is None else resumed.loop_decisions), *self._statistics.loops],
         )

@@ -52,10 +52,16 @@ class ProcessedScan:
 class Preprocessor:
     """Queue of scans that wait for odometry, and the feature extraction."""
 
-    def __init__(self, config: Config, sigma_range: float | None = None) -> None:
-        """`sigma_range` is the standard deviation of a range (metres) if earlier scans have determined it."""
+    def __init__(
+        self, config: Config, sigma_range: float | None = None, second_sigma_range: float | None = None
+    ) -> None:
+        """`sigma_range` is the standard deviation of a range (metres) if earlier scans have determined it.
+
+        `second_sigma_range` is that of the second lidar.
+        """
         self._first = LidarFeatures(config.lidar, config.features, sigma_range)
-        self._second = LidarFeatures(config.second_lidar, config.features)
+        self._second = LidarFeatures(config.second_lidar, config.features, second_sigma_range)
+        self._second_is_known = second_sigma_range is not None
         self._queue = ScanQueue(
             two_lidars=bool(config.second_lidar.topic), predicts_odometry=config.odometry.source == "none"
         )
@@ -70,6 +76,11 @@ class Preprocessor:
     def sigma_range(self) -> float:
         """Current estimate of a range's standard deviation, metres; of the first lidar if there are two."""
         return self._first.sigma_range
+
+    @property
+    def second_sigma_range(self) -> float | None:
+        """The same of the second lidar; None if there is none."""
+        return self._second.sigma_range if self.joined_scans or self._second_is_known else None
 
     def add(self, message: Odometry | Scan) -> None:
         """Add a message. Scans before the first odometry are dropped once the queue is full."""
