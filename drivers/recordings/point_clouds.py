@@ -58,21 +58,19 @@ def scan_of_cloud(message: Any, received: int, pose: Floats | None, mount: Lidar
     time_field = next((name for name in TIME_FIELDS if name in fields), None)
     names = [*"xyz", *([] if time_field is None else [time_field])]
     cells = _cells(message, {name: fields[name] for name in names})
-    with np.errstate(invalid="ignore"):  # damaged bytes may be signalling NaNs
-        points = np.column_stack([cells[name].astype(np.float64) for name in "xyz"])
     pose = np.eye(4) if pose is None else pose
     height = float(pose[2, 3]) if cut.height is None else cut.height
-    level = _turned(points, pose, mount)
-    distance = np.abs(level[:, 2] - height)
+    inside = _in_layer(cells, pose, height, 0.5 * cut.thickness)
+    level = _turned(np.column_stack([cells[name][inside].astype(np.float64) for name in "xyz"]), pose, mount)
     ranges = np.hypot(level[:, 0], level[:, 1])
-    inside = (distance <= 0.5 * cut.thickness) & (ranges > 0.0)  # false for nan
-    chosen = _one_for_each_beam(np.arctan2(level[:, 1], level[:, 0]), distance, np.flatnonzero(inside))
+    bearings, distance = np.arctan2(level[:, 1], level[:, 0]), np.abs(level[:, 2] - height)
+    chosen = _one_for_each_beam(bearings, distance, np.flatnonzero((ranges > 0.0) & (ranges < math.inf)))
     if not len(chosen):
         raise ValueError(f"no points at a height of {height:g} m")
     stamp = stamp_of(message.header, received)
-    offsets = np.zeros(len(chosen)) if time_field is None else _time_offsets(cells[time_field][chosen], stamp)
+    offsets = np.zeros(len(chosen)) if time_field is None else _time_offsets(cells[time_field][inside[chosen]], stamp)
     first = float(offsets.min())
-    angles, offsets = np.arctan2(level[chosen, 1], level[chosen, 0]), offsets - first
+    angles, offsets = bearings[chosen], offsets - first
     angles.flags.writeable = offsets.flags.writeable = False  # as of other scans, for which functions are compiled
     return Scan(stamp + first, ranges[chosen], angles, offsets, 0.0, math.inf, mount.pose)
 
@@ -96,6 +94,16 @@ def _cells(message: Any, fields: dict[str, Any]) -> NDArray[np.void]:
         raise ValueError("point cloud is empty or incomplete")
     rows = data[: message.row_step * height].reshape(height, message.row_step)[:, :width]
     return np.ascontiguousarray(rows).reshape(-1).view(layout)
+
+
+def _in_layer(cells: NDArray[np.void], pose: Floats, height: float, half: float) -> NDArray[np.int64]:
+    """Return the rows of the points at most `half` metres above or below a height over the base's origin.
+
+    Most points of a cloud are elsewhere, so everything else is computed for these only.
+    """
+    with np.errstate(invalid="ignore", over="ignore"):  # damaged bytes may be signalling NaNs
+        z = sum(factor * cells[name] for factor, name in zip(pose[2, :3].tolist(), "xyz", strict=True) if factor)
+        return np.flatnonzero(np.abs(z + (pose[2, 3] - height)) <= half)  # false for nan
 
 
 def _turned(points: Floats, pose: Floats, mount: LidarMount) -> Floats:
