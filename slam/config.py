@@ -164,8 +164,9 @@ class Config(_Group):
 
     @property
     def second_lidar_delay(self) -> float:
-        """Seconds by which the second lidar's stamps are later than the first's."""
-        return (self.second_lidar.delay or 0.0) - (self.lidar.delay or 0.0)
+        """Seconds by which the second lidar's stamps are later than the first's; zero if its delay is not set."""
+        second = self.second_lidar.delay
+        return 0.0 if second is None else second - (self.lidar.delay or 0.0)
 
 
 def load_config(path: Path | None = None, overrides: Iterable[str] = ()) -> Config:

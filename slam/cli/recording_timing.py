@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 from drivers.messages import Source
 from drivers.source_factory import recording_of, second_recording_of
@@ -14,6 +15,9 @@ if TYPE_CHECKING:
     from drivers.recordings.reader import RecordingReader
     from drivers.timing.beam_order import BeamOrderTest
     from drivers.timing.delay import Delay
+
+DIFFERENT = 5.0
+"""Standard deviations by which the delays of two lidars must differ to be different: most have one clock."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +57,19 @@ class RecordingTiming:
         used = delay.seconds if delay is not None and delay.objection is None else 0.0
         return cls(reader.beams_reversed, test, delay, used)
 
-    def compensated(self, config: Config, group: Literal["lidar", "second_lidar"] = "lidar") -> Config:
-        """Return the settings with the delay that is compensated, in the group of the lidar."""
-        lidar: LidarConfig = getattr(config, group)
-        if not self.used_delay or lidar.delay is not None:
+    def compensated(self, config: Config) -> Config:
+        """Return the settings with the delay that is compensated."""
+        if not self.used_delay or config.lidar.delay is not None:
             return config
-        return config.model_copy(update={group: lidar.model_copy(update={"delay": self.used_delay})})
+        return config.model_copy(update={"lidar": config.lidar.model_copy(update={"delay": self.used_delay})})
+
+    def beside(self, first: RecordingTiming) -> RecordingTiming:
+        """Return the timing of a second lidar: with the delay of the first one, unless its own is clearly another."""
+        if self.delay is None:
+            return replace(self, used_delay=first.used_delay)
+        seconds, sigma = (first.used_delay, 0.0) if first.delay is None else (first.delay.seconds, first.delay.sigma)
+        differs = abs(self.delay.seconds - seconds) > DIFFERENT * math.hypot(self.delay.sigma, sigma)
+        return self if differs else replace(self, used_delay=first.used_delay)
 
     def figures(self) -> dict[str, Any]:
         """Return the timing as plain data, for summary.json."""

@@ -90,8 +90,14 @@ class RecordingInput:
         """Return the settings with each lidar's delay that the recording shows, if none is set."""
         self._timing = RecordingTiming.of(self._source, config.lidar)
         config = self._timing.compensated(config)
-        second = self._second_timing = RecordingTiming.of_second(self._source, config.second_lidar)
-        return config if second is None else second.compensated(config, "second_lidar")
+        second = RecordingTiming.of_second(self._source, config.second_lidar)
+        if second is None:
+            return config
+        if config.second_lidar.delay is None:
+            second = second.beside(self._timing)
+        self._second_timing = second
+        lidar = config.second_lidar.model_copy(update={"delay": second.used_delay})
+        return config.model_copy(update={"second_lidar": lidar})
 
     def facts(self) -> dict[str, Any]:
         """Return the timing of the lidar, and how the recording was read, as far as it is known."""
