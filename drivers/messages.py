@@ -25,6 +25,7 @@ class Scan:
                   clockwise
     range_min, range_max  limits that the sensor states, metres (range_max may be inf)
     mount         [x, y, heading] of the lidar in the base's frame, T_base_lidar; None if unknown
+    lidar         number of the lidar on the robot: 0 for the first, which is the only one on most, 1 for the second
     """
 
     stamp: float
@@ -34,6 +35,7 @@ class Scan:
     range_min: float
     range_max: float
     mount: Pose | None = None
+    lidar: int = 0
 
     @property
     def duration(self) -> float:
@@ -92,6 +94,15 @@ def delay_odometry(message: Message, seconds: float) -> Message:
     """
     moved = seconds and isinstance(message, Odometry | YawRate)
     return replace(message, stamp=message.stamp + seconds) if moved else message
+
+
+def on_clock_of_first(message: Message, seconds: float) -> Message:
+    """Return the message with the stamp on the first lidar's clock; only scans of a second lidar are changed.
+
+    seconds  by which the second lidar's stamps are later than the first's
+    """
+    moved = seconds and isinstance(message, Scan) and message.lidar
+    return replace(message, stamp=message.stamp - seconds) if moved else message
 
 
 def end_stamp(message: Message) -> float:

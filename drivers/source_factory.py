@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl
@@ -12,6 +13,7 @@ from .errors import RecordingError
 from .messages import Source
 from .recordings.reader import RecordingReader
 from .recordings.replay import Replay
+from .recordings.two_lidars import TwoLidarRecording
 
 if TYPE_CHECKING:
     from .timing.beam_order import BeamOrder
@@ -24,27 +26,73 @@ SUPPORTED = (
 CARMEN_SUFFIXES = (".clf", ".log", ".carmen", ".gz", ".txt")
 
 
-def open(spec: str | Path, beam_order: BeamOrder = "auto") -> Source:
+@dataclass(frozen=True, slots=True)
+class LidarSelection:
+    """Lidar of a recording.
+
+    topic       of its scans or point clouds in a ROS recording; empty: the best one
+    beam_order  order in which its beams were measured: as stated (forward), reversed, or with auto reversed if its
+                scans fit together significantly better then
+    cut_height, cut_thickness  layer of point clouds that is a scan, metres; see `HeightCut`
+    """
+
+    topic: str = ""
+    beam_order: BeamOrder = "auto"
+    cut_height: float | None = None
+    cut_thickness: float = 0.2
+
+
+def open(
+    spec: str | Path, lidar: LidarSelection | BeamOrder = "auto", second_lidar: LidarSelection | None = None
+) -> Source:
     """Return the source that a path, `sim:WORLD?seed=3&duration=60`, `replay:FILE?speed=2` or a device list specifies.
 
-    The times of a recording's beams are taken as stated with the `beam_order` forward, reversed with reversed, and with
-    auto reversed if its scans fit together significantly better then. Simulations and devices state them correctly.
+    lidar         which scans of a recording are read, and how; or only the order of their beams. Simulations and
+                  devices need none
+    second_lidar  the same for the scans of a second lidar, whose topic must be named; None: there is none
 
-    Raises RecordingError if the path does not exist or its format is not supported; the content is read when the source
-    is iterated. Only the libraries of the format in question are imported. Devices (see `devices.device_spec`) are
-    started when the source is iterated, which is possible once; raises SpecError, a DriverError, if their specification
-    is invalid.
+    Raises RecordingError if the path does not exist, its format is not supported, or topics are named that it cannot
+    have; the content is read when the source is iterated. Only the libraries of the format in question are imported.
+    Devices (see `devices.device_spec`) are started when the source is iterated, which is possible once; raises
+    SpecError, a DriverError, if their specification is invalid.
     """
+    first = lidar if isinstance(lidar, LidarSelection) else LidarSelection(beam_order=lidar)
     source = _open(spec)
-    if (reader := recording_of(source)) is not None:
-        reader.beam_order = beam_order
-    return source
+    _select(spec, recording_of(source), first)
+    if second_lidar is None:
+        return source
+    second = recording_of(_open(spec))
+    _select(spec, second, second_lidar)
+    reader = recording_of(source)
+    assert reader is not None
+    assert second is not None
+    both = TwoLidarRecording(reader, second)
+    return Replay(both, source.speed) if isinstance(source, Replay) else both
+
+
+def _select(spec: str | Path, reader: RecordingReader | None, lidar: LidarSelection) -> None:
+    """Set which scans a reader reads, and how; raises RecordingError if a topic is named that it cannot have."""
+    if reader is not None:
+        reader.beam_order = lidar.beam_order
+        reader.select_scans(lidar.topic, lidar.cut_height, lidar.cut_thickness)
+    elif lidar.topic:
+        raise RecordingError(spec, None, f"has no topics, so none is named {lidar.topic}")
 
 
 def recording_of(source: Source) -> RecordingReader | None:
-    """Return the reader of a recording, also if it is replayed; None for a simulation or devices."""
+    """Return the reader of a recording, also if it is replayed; None for a simulation or devices.
+
+    With two lidars it is the reader of the first one.
+    """
     source = source.source if isinstance(source, Replay) else source
+    source = source.first if isinstance(source, TwoLidarRecording) else source
     return source if isinstance(source, RecordingReader) else None
+
+
+def second_recording_of(source: Source) -> RecordingReader | None:
+    """Return the reader of a second lidar's scans; None without a second lidar."""
+    source = source.source if isinstance(source, Replay) else source
+    return source.second if isinstance(source, TwoLidarRecording) else None
 
 
 def _open(spec: str | Path) -> Source:
@@ -113,6 +161,8 @@ def _simulation(spec: str) -> Source:
         seed = int(options.pop("seed", "0"))
         duration = float(options.pop("duration")) if "duration" in options else None
         mount = [float(value) for value in options.pop("mount", "0.1,0,0").split(",")]
+        second = options.pop("second_mount", None)
+        second_mount = None if second is None else [float(value) for value in second.split(",")]
     except ValueError as error:
         raise RecordingError(spec, None, f"not a number: {error}") from error
     lidar, wheels = options.pop("lidar", "long"), options.pop("odometry", "good")
@@ -121,6 +171,6 @@ def _simulation(spec: str) -> Source:
     if wheels not in WHEEL_MODELS:
         raise RecordingError(spec, None, f"no odometry {wheels!r}; choose one of {', '.join(WHEEL_MODELS)}")
     if options:
-        known = "seed, duration, lidar, odometry and mount=x,y,heading"
+        known = "seed, duration, lidar, odometry, mount=x,y,heading and second_mount=x,y,heading"
         raise RecordingError(spec, None, f"unknown option {', '.join(options)}; known are {known}")
-    return Simulation(world or "office", seed, duration, LIDAR_MODELS[lidar], WHEEL_MODELS[wheels], mount)
+    return Simulation(world or "office", seed, duration, LIDAR_MODELS[lidar], WHEEL_MODELS[wheels], mount, second_mount)

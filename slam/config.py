@@ -63,12 +63,33 @@ class LidarConfig(_Group):
         description="seconds by which the lidar's stamps are late against odometry's, negative if early; by default "
         "that of the recording if it is significant and longer than the period of the scans, else zero",
     )
+    topic: str = Field(
+        "", description="topic of the scans or point clouds in a ROS recording; by default the best one with scans"
+    )
+    cut_height: Finite | None = Field(
+        None,
+        description="height above the origin of the base at which point clouds are cut, metres; by default that of the "
+        "lidar",
+    )
+    cut_thickness: float = Field(
+        0.2, gt=0, lt=10, description="thickness of the layer of point clouds that is used, metres"
+    )
 
     @model_validator(mode="after")
     def _range_is_not_empty(self) -> Self:
         if self.range_min >= self.range_max:
             raise ValueError(f"range_min ({self.range_min:g}) must be less than range_max ({self.range_max:g})")
         return self
+
+
+class SecondLidarConfig(LidarConfig):
+    """The same for a second lidar, whose scans are joined with those of the first that are measured at that time."""
+
+    topic: str = Field(
+        "",
+        description="topic of the second lidar's scans in a ROS recording, besides lidar.topic; "
+        "by default there is no second lidar",
+    )
 
 
 class OdometryConfig(_Group):
@@ -135,6 +156,17 @@ class Config(_Group):
     mapping: MappingConfig = MappingConfig()
     loop_closure: LoopClosureConfig = LoopClosureConfig()
     plan: PlanConfig = PlanConfig()
+    second_lidar: SecondLidarConfig = SecondLidarConfig()
+
+    def of_lidar(self, number: int) -> LidarConfig:
+        """Return the properties of a lidar by its number, `Scan.lidar`."""
+        return self.second_lidar if number else self.lidar
+
+    @property
+    def second_lidar_delay(self) -> float:
+        """Seconds by which the second lidar's stamps are later than the first's; zero if its delay is not set."""
+        second = self.second_lidar.delay
+        return 0.0 if second is None else second - (self.lidar.delay or 0.0)
 
 
 def load_config(path: Path | None = None, overrides: Iterable[str] = ()) -> Config:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from drivers import se2
-from drivers.messages import GroundTruth, InitialPose, Message, Odometry, Scan, delay_odometry
+from drivers.messages import GroundTruth, InitialPose, Message, Odometry, delay_odometry, on_clock_of_first
 
 from .config import Config
 from .errors import MapError, SlamError
@@ -31,6 +31,7 @@ from .mapping.map_features import MapCorners, MapWalls
 from .mapping.plan_map import PlanMap
 from .odometry.motion_source import MotionSource
 from .preprocessing.preprocessor import Preprocessor, ProcessedScan
+from .preprocessing.scan_queue import ScanPair
 from .publisher import Publisher
 from .run_end import check_run, find_scan_delay, is_unknown_place, map_alone, refine_or_match, settle_plan
 from .run_snapshot import RunSnapshot
@@ -83,7 +84,8 @@ class Slam:
         self._has_odometry = False
         self._session: StoredSession | None = None
         self._motions = MotionSource(self.config.odometry)
-        self._preprocessor = Preprocessor(self.config, None if resumed is None else resumed.sigma_range)
+        noise = (None, None) if resumed is None else (resumed.sigma_range, resumed.second_sigma_range)
+        self._preprocessor = Preprocessor(self.config, *noise)
         keep = refine or keep_all_features
         if resumed is None:
             self._estimator = Estimator(SlamState(self.config, loops))
@@ -113,6 +115,7 @@ class Slam:
         Scans must come in the order of their stamps, and odometry too; a scan may come after later odometry.
         """
         message = delay_odometry(message, self.config.lidar.delay or 0.0)
+        message = on_clock_of_first(message, self.config.second_lidar_delay)
         if isinstance(message, GroundTruth):
             self._publisher.publish(GroundTruthReceived(message.stamp, message.pose))
             return
@@ -126,7 +129,7 @@ class Slam:
             while (scan := self._preprocessor.next_scan()) is not None:
                 self._process_scan(scan)
 
-    def _process_scan(self, scan: Scan) -> None:
+    def _process_scan(self, scan: ScanPair) -> None:
         """De-skew a scan, extract features, track the pose, update the map, and publish the results."""
         timer = StageTimer()
         processed = self._preprocessor.process(scan, self.slam_state.odometry_model)
@@ -184,7 +187,7 @@ class Slam:
         self._publisher.publish_map(first.stamp, self.slam_state.mapper)
         self._preprocessor.odometry = self._journal.segments.histories[-1]
         if self._motions.predicted or not self._journal.segments.is_continued_by(first):
-            self._process_queue(len(self._resumed.queued_scans))
+            self._process_queue(sum(not scan.lidar for scan in self._resumed.queued_scans))
             self._preprocessor.odometry = self._journal.start_odometry_segment()
             self._estimator.begin_part(self.slam_state.pose, first.pose, kidnapped=True)
             self._localisation.handle(first.stamp, LocalisationEvent.STARTED_ANYWHERE)
@@ -338,6 +341,7 @@ class Slam:
             odometry=journal.segments.histories,
             starts=journal.segments.starts,
             sigma_range=self._preprocessor.sigma_range,
+            second_sigma_range=self._preprocessor.second_sigma_range,
             recordings=[] if resumed is None else list(resumed.recordings),
             loop_decisions=[*(() if resumed is None else resumed.loop_decisions), *self._statistics.loops],
         )

@@ -162,8 +162,10 @@ def run_summary(
 ) -> dict[str, object]:
     """Return the summary of a run that ended at the stamp `end` as plain data."""
     mapper, parts, lost = state.mapper, part_rows(state), statistics.lost_spans(end)
+    second = {"scans": preprocessor.second_scans, "joined": preprocessor.joined_scans}
     return {
         "scans": preprocessor.scans,
+        **({"second_lidar": second} if second["scans"] else {}),
         "keyframes": mapper.keyframe_count,
         "factors": mapper.graph.factor_count,
         "merged_walls": statistics.merged_walls,

@@ -39,12 +39,14 @@ from .ros_messages import (
     decode,
     scan_of,
 )
-from .ros_reader import BEAMS_TOPIC, GROUND_TRUTH_TOPIC, MESSAGE_TYPES, RosReader
+from .ros_reader import GROUND_TRUTH_TOPIC, RosReader, beams_topic
 from .stamp_units import is_valid_stamp
 from .stored_messages import StoredMessage
 
 FLUSH_PERIOD = 0.5
 """Seconds of wall time between flushes; flushed messages survive a killed process or a power failure."""
+SCAN_TOPICS = ("/scan", "/scan_2")
+"""Topics of the scans that are written, by the number of the lidar."""
 ENCODINGS = ("cdr", "ros1")
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -80,7 +82,7 @@ class McapReader(RosReader):
                 number += 1
                 channel = channels.get(record.channel_id)
                 msgtype = _type_name(schemas.get(channel.schema_id)) if channel else None
-                if channel and msgtype in MESSAGE_TYPES and channel.message_encoding in ENCODINGS:
+                if channel and msgtype in self._types and channel.message_encoding in ENCODINGS:
                     yield StoredMessage(
                         number, channel.topic, msgtype, channel.message_encoding, record.log_time, record.data
                     )
@@ -217,9 +219,10 @@ class McapWriter:
             self._add(GROUND_TRUTH_TOPIC, POSE, stamp, self._encoder.ground_truth(message))
         elif isinstance(message, Scan):
             data = self._encoder.scan(message, self._frame(message, stamp))
+            topic = SCAN_TOPICS[message.lidar]
             if not _is_exact(data, message):
-                self._add(BEAMS_TOPIC, BEAMS, stamp, self._encoder.beams(message))
-            self._add("/scan", LASER_SCAN, stamp, data)
+                self._add(beams_topic(topic), BEAMS, stamp, self._encoder.beams(message))
+            self._add(topic, LASER_SCAN, stamp, data)
 
     def _frame(self, scan: Scan, stamp: int) -> str:
         """Return the frame name of a scan's lidar; write the transform of a new frame if the mount is known."""

@@ -61,6 +61,14 @@ class RecordingReader(ABC):
             first = f" ({report.first})" if report.first else ""
             raise RecordingError(self.path, None, f"{self._empty_reason()}{first}")
 
+    def select_scans(self, topic: str, cut_height: float | None, cut_thickness: float) -> None:
+        """Select the topic of scans or point clouds, empty for the best one, and the layer of clouds (see `HeightCut`).
+
+        Raises RecordingError if a topic is named and the format has none. To be called before the first iteration.
+        """
+        if topic:
+            raise RecordingError(self.path, None, f"has no topics, so none is named {topic}")
+
     @property
     def beams_reversed(self) -> bool:
         """True if the beams' times are reversed when the recording is read."""

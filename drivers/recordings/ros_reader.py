@@ -16,9 +16,10 @@ import numpy as np
 
 from .. import se2
 from ..errors import RecordingError
-from ..messages import GroundTruth, Message, Scan, YawRate
+from ..messages import Floats, GroundTruth, Message, Scan, YawRate
 from ..se2 import Pose
 from .no_returns import SpreadSample, find_no_return
+from .point_clouds import POINT_CLOUD, HeightCut, scan_of_cloud
 from .range_units import ScanInUnits, find_range_unit
 from .reader import RecordingReader
 from .ros_messages import (
@@ -43,10 +44,14 @@ from .stored_messages import OdometryTopic, StoredMessage, find_odometry_frames
 from .transforms import TransformTree
 
 GROUND_TRUTH_TOPIC = "/ground_truth"
-BEAMS_TOPIC = "/scan_beams"
 MESSAGE_TYPES = frozenset({LASER_SCAN, ODOMETRY, IMU, POSE, BEAMS, TRANSFORMS, TRANSFORMS_ROS1})
 MAX_TF_MESSAGES = 1000
 """Messages on /tf that are searched for the lidar's mount, which older robots publish there repeatedly."""
+
+
+def beams_topic(scan_topic: str) -> str:
+    """Return the topic with the exact beams of the scans on a topic."""
+    return f"{scan_topic}_beams"
 
 
 @dataclass(slots=True)
@@ -86,6 +91,11 @@ class _Contents:
         found = find_no_return(ranges)
         return math.inf if found is None else found
 
+    def find_pose(self, frame: str) -> Floats | None:
+        """Return the pose (4, 4) of a lidar's frame on the base, preferably from static transforms only."""
+        poses = (tree.find_pose(frame, self.base) for tree in (self.fixed, self.all))
+        return next((pose for pose in poses if pose is not None), None)
+
     def find_mount(self, frame: str) -> LidarMount:
         """Return the mount of a lidar's frame, preferably from static transforms only."""
         for tree in (self.fixed, self.all):
@@ -96,11 +106,14 @@ class _Contents:
 
 
 class RosReader(RecordingReader):
-    """Recording of ROS messages: LaserScan, Odometry, Imu, the lidar's mount from static transforms, and ground truth.
+    """Recording of ROS messages: LaserScan or PointCloud2, Odometry, Imu, the lidar's mount from static transforms, and
+    ground truth.
 
     If there are several topics with scans and none is named, the best one is read (see `scan_topics`); of several
-    topics with odometry or of a gyroscope, the one with the most messages. Raises RecordingError if a named topic does
-    not exist.
+    topics with odometry or of a gyroscope, the one with the most messages. Point clouds are read if their topic is
+    named, or if there are no scans. Raises RecordingError if a named topic does not exist.
+
+    cut  layer of point clouds that becomes a scan
     """
 
     states_beam_times = True
@@ -108,10 +121,16 @@ class RosReader(RecordingReader):
     def __init__(self, path: str | Path, scan_topic: str | None = None, odometry_topic: str | None = None) -> None:
         super().__init__(path)
         self.scan_topic, self.odometry_topic = scan_topic, odometry_topic
+        self.cut = HeightCut()
+        self._types = MESSAGE_TYPES
+
+    def select_scans(self, topic: str, cut_height: float | None, cut_thickness: float) -> None:
+        """Select the topic that is read, and the layer of point clouds; see `RecordingReader`."""
+        self.scan_topic, self.cut = topic or None, HeightCut(cut_height, cut_thickness)
 
     @abstractmethod
     def _stored_messages(self, final: bool) -> Iterator[StoredMessage]:
-        """Yield the messages of MESSAGE_TYPES in order. Damage is counted in the report on the `final` pass only."""
+        """Yield the messages of the types `self._types` in order. Damage is counted on the `final` pass only."""
 
     def _read(self) -> Iterator[tuple[int, Message]]:
         contents = self._contents
@@ -126,15 +145,18 @@ class RosReader(RecordingReader):
         no_return = contents.find_no_return(scans, per_metre)
         imu = self._choose_topic(contents, IMU, None)
         mounts: dict[str, LidarMount] = {}
+        poses: dict[str, Floats | None] = {}
         beams: StoredMessage | None = None
         for stored in self._stored_messages(final=True):
             try:
-                if stored.msgtype == BEAMS and stored.topic == BEAMS_TOPIC:
+                if stored.msgtype == BEAMS and scans is not None and stored.topic == beams_topic(scans):
                     beams = stored
                 elif stored.msgtype == LASER_SCAN and stored.topic == scans:
                     scan = self._scan(stored, beams, contents, mounts, per_metre, no_return)
                     beams = None
                     yield stored.number, scan
+                elif stored.msgtype == POINT_CLOUD and stored.topic == scans:
+                    yield stored.number, self._cloud_scan(stored, contents, mounts, poses)
                 elif odometry.is_in(stored):
                     for reading in odometry.readings(stored):
                         yield stored.number, reading
@@ -171,6 +193,19 @@ class RosReader(RecordingReader):
         scan = scan_of(message, stored.received, mounts[frame], per_metre)
         return replace(scan, ranges=np.where(scan.ranges < no_return, scan.ranges, np.nan))
 
+    def _cloud_scan(
+        self,
+        stored: StoredMessage,
+        contents: _Contents,
+        mounts: dict[str, LidarMount],
+        poses: dict[str, Floats | None],
+    ) -> Scan:
+        message = decode(stored.data, POINT_CLOUD, stored.encoding)
+        frame = message.header.frame_id
+        if frame not in mounts:
+            mounts[frame], poses[frame] = contents.find_mount(frame), contents.find_pose(frame)
+        return scan_of_cloud(message, stored.received, poses[frame], mounts[frame], self.cut)
+
     def _drive(self, scans: str | None, odometry: OdometryTopic, contents: _Contents) -> Iterator[ScanInUnits]:
         """Yield all scans of a topic in the recording's order and in their own unit, with the odometry before them."""
         base: Pose | None = None
@@ -187,7 +222,15 @@ class RosReader(RecordingReader):
 
     @cached_property
     def _contents(self) -> _Contents:
-        """Topics, transforms and the base's frame, found in a first pass."""
+        """Topics, transforms and the base's frame, found in a first pass; in two, if point clouds are needed."""
+        contents = self._survey()
+        topics = contents.counts.get(LASER_SCAN, Counter())
+        if not topics or (self.scan_topic is not None and self.scan_topic not in topics):
+            self._types = MESSAGE_TYPES | {POINT_CLOUD}
+            contents = self._survey()
+        return contents
+
+    def _survey(self) -> _Contents:
         contents = _Contents()
         tf_messages = 0
         for stored in self._stored_messages(final=False):
@@ -213,7 +256,11 @@ class RosReader(RecordingReader):
     @cached_property
     def _chosen_scan_topic(self) -> tuple[str | None, str | None]:
         """Topic with scans, and the reason if there was a choice."""
-        topics = self._contents.counts.get(LASER_SCAN, Counter())
+        counts = self._contents.counts
+        topics, clouds = counts.get(LASER_SCAN, Counter()), counts.get(POINT_CLOUD, Counter())
+        if self.scan_topic in clouds or (clouds and not topics and self.scan_topic is None):
+            chosen = self._choose_topic(self._contents, POINT_CLOUD, self.scan_topic)
+            return chosen, f"point clouds of {chosen}, cut {_describe(self.cut)}"
         if self.scan_topic is not None or len(topics) < 2:
             return self._choose_topic(self._contents, LASER_SCAN, self.scan_topic), None
         candidates = {name: ScanTopic(name) for name in topics}
@@ -240,9 +287,17 @@ class RosReader(RecordingReader):
         if named is None:
             return topics.most_common(1)[0][0] if topics else None
         if named not in topics:
+            if msgtype == LASER_SCAN:
+                topics = topics + contents.counts.get(POINT_CLOUD, Counter())
             available = ", ".join(sorted(topics)) or "none"
             raise RecordingError(self.path, None, f"no topic {named} of type {msgtype}; available: {available}")
         return named
 
     def _empty_reason(self) -> str:
         return f"contains no readable {LASER_SCAN} and no {ODOMETRY}"
+
+
+def _describe(cut: HeightCut) -> str:
+    """Return where point clouds are cut, as text."""
+    where = "at the height of the lidar" if cut.height is None else f"{cut.height:g} m above the base"
+    return f"{where} ± {0.5 * cut.thickness:g} m"

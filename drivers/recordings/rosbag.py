@@ -11,7 +11,7 @@ from rosbags.rosbag2 import Reader as Reader2
 from ..errors import RecordingError
 from .decompression import DecompressionError
 from .ros_messages import LASER_SCAN, ODOMETRY, POSE
-from .ros_reader import MESSAGE_TYPES, RosReader
+from .ros_reader import RosReader
 from .rosbag_limits import limit_rosbags
 from .stored_messages import StoredMessage
 
@@ -42,7 +42,7 @@ class BagReader(RosReader):
             try:
                 reader = self._reader()
                 stack.enter_context(reader)
-                connections = [c for c in reader.connections if c.msgtype in MESSAGE_TYPES]
+                connections = [c for c in reader.connections if c.msgtype in self._types]
                 stored = reader.messages(connections) if connections else iter(())
             except DecompressionError as error:
                 raise RecordingError(self.path, None, str(error)) from error

@@ -66,6 +66,19 @@ class TransformTree:
         stored = self._stored_mount(base, frame)
         return LidarMount(stored) if stored is not None else self._chained_mount(base, frame) or LidarMount()
 
+    def find_pose(self, frame: str, odometry_child: str | None) -> Floats | None:
+        """Return the pose (4, 4) of a lidar's frame in that of the base, which is found as by `find_mount`."""
+        poses = (self.pose_on(base, frame) for base in (odometry_child or "", *BASE_FRAMES))
+        return next((pose for pose in poses if pose is not None), None)
+
+    def pose_on(self, base: str, frame: str) -> Floats | None:
+        """Return the pose (4, 4) of a frame in that of this base; None if no chain of transforms connects them."""
+        base, frame = normalize_frame(base), normalize_frame(frame)
+        root, lidar = self._from_root(frame)
+        base_root, base_pose = self._from_root(base)
+        is_known = base in self._parents or base in {link.parent for link in self._parents.values()}
+        return np.asarray(np.linalg.inv(base_pose) @ lidar) if is_known and base_root == root else None
+
     def up_axis(self, base: str | None, frame: str) -> Floats:
         """Return the direction (3,) of the base's z axis in another frame; its own z axis if that is not connected."""
         frame = normalize_frame(frame)
@@ -92,12 +105,9 @@ class TransformTree:
         return mount
 
     def _chained_mount(self, base: str, frame: str) -> LidarMount | None:
-        root, lidar = self._from_root(frame)
-        base_root, base_pose = self._from_root(base)
-        is_known = base in self._parents or base in {link.parent for link in self._parents.values()}
-        if base_root != root or not is_known:
+        relative = self.pose_on(base, frame)
+        if relative is None:
             return None
-        relative = np.linalg.inv(base_pose) @ lidar
         heading = float(np.arctan2(relative[1, 0], relative[0, 0]))
         mount = np.array([relative[0, 3], relative[1, 3], _without_pi(heading)])
         mount.flags.writeable = False

@@ -12,11 +12,12 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 from ..messages import InitialPose, Message, Odometry, Scan, SourceReport
+from ..recordings.point_clouds import POINT_CLOUD, HeightCut, scan_of_cloud
 from ..recordings.ros_messages import (
     IMU,
     LASER_SCAN,
@@ -36,7 +37,7 @@ from .encoder import POSE_WITH_COVARIANCE
 from .link import DEFAULT, MOVING_TRANSFORMS, SENSOR_DATA, STATIC_TRANSFORMS, Link, QoS
 
 MAX_WAITING_SCANS = 40
-"""Scans that wait for a busy consumer before the oldest is dropped: some seconds of a common lidar."""
+"""Scans of each lidar that wait for a busy consumer before the oldest is dropped: some seconds of a common lidar."""
 SILENCE = 5.0
 """Seconds without any message of a kind after which it is missing."""
 
@@ -49,6 +50,9 @@ LATE = "older than one received before"
 CLOCK_CONFIRMATIONS = 5
 """Messages in a row that are older than those before, after which the clock was set back. Origin: as in recordings."""
 
+_Kind: TypeAlias = tuple[type[Message], int]
+"""Type of a message, and the number of the lidar."""
+
 
 @dataclass(frozen=True, slots=True)
 class Inputs:
@@ -57,13 +61,20 @@ class Inputs:
     odometry        topic of type Odometry; empty: odometry is on /tf
     base            name of the node's own wheel base, from which odometry comes; empty: it comes from topics
     uses_odometry   false if the robot has none, or it is ignored
-    mount_is_set    true if the settings state the lidar's mount, so that no transform is needed
+    cloud           topic with point clouds that take the place of `scan`; empty: none
+    cut             their layer that becomes a scan
+    second_scan     topic with the scans of a second lidar; empty: there is none
+    mount_is_set    true if the settings state the lidar's mount, so that no transform is needed; likewise
+                    second_mount_is_set
     initial_pose    topic with poses that a user sets, of type PoseWithCovarianceStamped; empty: none
     imu             topic with a gyroscope's rates, of type Imu; empty: none
     throttle_scans  only every so many-th scan is used
     """
 
     scan: str = "/scan"
+    cloud: str = ""
+    cut: HeightCut = field(default_factory=HeightCut)
+    second_scan: str = ""
     odometry: str = ""
     base: str = ""
     transforms: str = "/tf"
@@ -74,15 +85,25 @@ class Inputs:
     initial_pose: str = ""
     map_frame: str = "map"
     mount_is_set: bool = False
+    second_mount_is_set: bool = False
     throttle_scans: int = 1
     uses_odometry: bool = True
+
+    @property
+    def scan_topics(self) -> list[str]:
+        """Topics of the lidars."""
+        first = self.cloud or self.scan
+        return [first, self.second_scan] if self.second_scan else [first]
 
 
 @dataclass(slots=True)
 class Silence:
-    """Time of the last message of each kind, on the steady clock, and the frames of scans without a transform."""
+    """Time of the last message of each kind, on the steady clock, and the frames of scans without a transform.
 
-    scan: float
+    scans  of each lidar
+    """
+
+    scans: list[float]
     odometry: float
     unconnected: set[str] = field(default_factory=set)
 
@@ -106,16 +127,18 @@ class RosReceiver:
         self._tf_odometry = TransformOdometry(inputs.odometry_frame, inputs.base_frame, self._tree)
         self._mounts: dict[str, LidarMount] = {}
         self._messages: deque[Message] = deque()
-        self._waiting = self._scans = 0
+        self._waiting, self._scans = 0, [0 for _ in inputs.scan_topics]
         self._reading: Odometry | None = None  # odometry in the message that is being added
-        self._latest: dict[type[Message], float] = {}
-        self._older: Counter[type[Message]] = Counter()  # messages in a row that are older than the latest one
-        self._silence = Silence(time.monotonic(), time.monotonic())
+        self._latest: dict[_Kind, float] = {}
+        self._older: Counter[_Kind] = Counter()  # messages in a row that are older than the latest one
+        self._silence = Silence([time.monotonic() for _ in inputs.scan_topics], time.monotonic())
         self._changed, self._stopped = threading.Condition(), False
         subscribe = partial(self._subscribe, link)
         subscribe(inputs.static_transforms, TRANSFORMS, self._add_fixed, STATIC_TRANSFORMS)
         subscribe(inputs.transforms, TRANSFORMS, self._add_moving, MOVING_TRANSFORMS)
-        subscribe(inputs.scan, LASER_SCAN, self._add_scan, SENSOR_DATA)
+        for lidar, topic in enumerate(inputs.scan_topics):
+            msgtype = POINT_CLOUD if topic == inputs.cloud else LASER_SCAN
+            subscribe(topic, msgtype, partial(self._add_scan, lidar), SENSOR_DATA)
         if inputs.initial_pose:
             subscribe(inputs.initial_pose, POSE_WITH_COVARIANCE, self._add_initial_pose, DEFAULT)
         if inputs.imu:
@@ -164,8 +187,9 @@ class RosReceiver:
     def missing(self) -> list[str]:
         """Return what has not arrived for SILENCE seconds, one line of text each, or cannot be used."""
         now, inputs, silence, lines = time.monotonic(), self.inputs, self._silence, []
-        if now - silence.scan > SILENCE:
-            lines.append(f"no scans on {inputs.scan}")
+        for topic, last in zip(inputs.scan_topics, silence.scans, strict=True):
+            if now - last > SILENCE:
+                lines.append(f"no scans on {topic}")
         if inputs.uses_odometry and now - silence.odometry > SILENCE:
             lines.append(self._missing_odometry())
         if max(self._older.values(), default=0) >= CLOCK_CONFIRMATIONS:
@@ -226,25 +250,32 @@ class RosReceiver:
         axis = self._tree.up_axis(self.inputs.base_frame, message.header.frame_id)
         self._put(yaw_rate_of(message, received, axis))
 
-    def _add_scan(self, message: Any, received: int) -> None:
-        self._silence.scan = time.monotonic()
-        self._scans += 1
-        mount = self._mount(message.header.frame_id)
+    def _add_scan(self, lidar: int, message: Any, received: int) -> None:
+        self._silence.scans[lidar] = time.monotonic()
+        self._scans[lidar] += 1
+        is_set = self.inputs.second_mount_is_set if lidar else self.inputs.mount_is_set
+        mount = self._mount(message.header.frame_id, needed=not is_set)
         if self.paused:
             self._skip(PAUSED)
-        elif (self._scans - 1) % self.inputs.throttle_scans:
+        elif (self._scans[lidar] - 1) % self.inputs.throttle_scans:
             self._skip(THROTTLED)
-        elif mount.pose is None and not self.inputs.mount_is_set:
+        elif mount.pose is None and not is_set:
             self._skip(NO_MOUNT)
         else:
-            self._put(scan_of(message, received, mount))
+            self._put(replace(self._scan_of(message, received, mount), lidar=lidar))
 
-    def _mount(self, frame: str) -> LidarMount:
-        """Return the mount of a scan's frame, which never changes once it is known."""
+    def _scan_of(self, message: Any, received: int, mount: LidarMount) -> Scan:
+        if not hasattr(message, "point_step"):
+            return scan_of(message, received, mount)
+        pose = self._tree.pose_on(self.inputs.base_frame, message.header.frame_id)
+        return scan_of_cloud(message, received, pose, mount, self.inputs.cut)
+
+    def _mount(self, frame: str, *, needed: bool) -> LidarMount:
+        """Return the mount of a scan's frame, which never changes once it is known; report it missing if `needed`."""
         if frame not in self._mounts:
             mount = self._tree.mount_on(self.inputs.base_frame, frame)
             if mount.pose is None:
-                if not self.inputs.mount_is_set:
+                if needed:
                     self._silence.unconnected.add(frame)
                 return mount
             self._mounts[frame] = mount
@@ -258,7 +289,7 @@ class RosReceiver:
 
     def _put(self, message: Message) -> bool:
         """Append a message if it is later than the last one of its kind; transforms are often sent twice."""
-        kind = type(message)
+        kind = type(message), message.lidar if isinstance(message, Scan) else 0
         latest = self._latest.get(kind, float("-inf"))
         if self._stopped or message.stamp == latest:
             return False
@@ -271,7 +302,7 @@ class RosReceiver:
         self._messages.append(message)
         if isinstance(message, Scan):
             self._waiting += 1
-            if self._waiting > MAX_WAITING_SCANS:
+            if self._waiting > MAX_WAITING_SCANS * len(self._scans):
                 self._messages.remove(next(waiting for waiting in self._messages if isinstance(waiting, Scan)))
                 self._waiting -= 1
                 self._skip(TOO_SLOW)

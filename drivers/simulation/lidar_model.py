@@ -20,8 +20,9 @@ EDGE_STEP_RATIO = 1.5
 class LidarModel:
     """Parameters of a rotating lidar and its noise; the defaults are those of an RPLIDAR S1.
 
-    beams          beams per revolution, counter-clockwise; the first points backwards
+    beams          beams per revolution, counter-clockwise; the first of a full revolution points backwards
     rate           revolutions per second
+    field_of_view  radians, symmetric about the lidar's x axis; beams outside are not measured
     range_min, range_max  metres; ranges outside are invalid
     sigma_range    standard deviation of the white noise of each range, metres
     sigma_bearing  standard deviation of the white noise of each beam's direction, radians
@@ -32,6 +33,7 @@ class LidarModel:
 
     beams: int = 920
     rate: float = 10.0
+    field_of_view: float = float(2 * np.pi)
     range_min: float = 0.1
     range_max: float = 40.0
     sigma_range: float = 0.01
@@ -41,8 +43,13 @@ class LidarModel:
     mixed: float = 0.3
 
 
-LIDAR_MODELS = {"long": LidarModel(), "short": LidarModel(beams=360, rate=5.5, range_max=6.0, sigma_range=0.015)}
-"""Lidars by name: a long-range one that covers a hall, and a low-cost one that covers a room."""
+LIDAR_MODELS = {
+    "long": LidarModel(),
+    "short": LidarModel(beams=360, rate=5.5, range_max=6.0, sigma_range=0.015),
+    "half": LidarModel(field_of_view=float(np.pi)),
+}
+"""Lidars by name: a long-range one that covers a hall, a low-cost one that covers a room, and the long-range one with a
+field of view of half a circle."""
 
 
 def add_mixed_pixels(ranges: Floats, selected: NDArray[np.bool_], share: Floats) -> None:

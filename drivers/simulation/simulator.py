@@ -32,11 +32,12 @@ class Simulation:
     lidar     parameters of the lidar and its noise
     wheels    parameters of the wheels and their errors
     mount     [x, y, heading] of the lidar on the robot, metres and radians
+    second_mount  the same of a second lidar with the same parameters; None: there is one lidar
 
-    The messages of one stamp are ordered GroundTruth (in the world's frame), Odometry (starting at [0, 0, 0]), Scan.
-    Ranges, range limits, and the increments of angle and time are rounded to 32-bit floats, as recordings store them,
-    so that a recorded simulation is read back bit for bit. Raises RecordingError if the world cannot be loaded or an
-    argument is invalid.
+    The messages of one stamp are ordered GroundTruth (in the world's frame), Odometry (starting at [0, 0, 0]), Scan,
+    Scan of the second lidar. Ranges, range limits, and the increments of angle and time are rounded to 32-bit floats,
+    as recordings store them, so that a recorded simulation is read back bit for bit. Raises RecordingError if the world
+    cannot be loaded or an argument is invalid.
     """
 
     def __init__(
@@ -47,20 +48,24 @@ class Simulation:
         lidar: LidarModel | None = None,
         wheels: WheelModel | None = None,
         mount: Sequence[float] | Pose = (0.1, 0.0, 0.0),
+        second_mount: Sequence[float] | Pose | None = None,
     ) -> None:
         self.world = world if isinstance(world, World) else load_world(world)
         self.seed, self.duration = seed, duration
         self.lidar, self.wheels = lidar or LidarModel(), wheels or WheelModel()
-        self.mount = np.array(mount, dtype=np.float64)
-        self.mount.flags.writeable = False
+        self.mount = _mount(mount)
+        self.second_mount = None if second_mount is None else _mount(second_mount)
         self.name = f"sim:{self.world.name}"
         self.report = SourceReport()
         self._check()
 
     def _check(self) -> None:
         lidar, wheels = self.lidar, self.wheels
-        if self.mount.shape != (3,) or not np.all(np.isfinite(self.mount)):
-            raise RecordingError(self.name, None, "the lidar's mount must be three finite numbers: x, y, heading")
+        for mount in self._mounts:
+            if mount.shape != (3,) or not np.all(np.isfinite(mount)):
+                raise RecordingError(self.name, None, "the lidar's mount must be three finite numbers: x, y, heading")
+        if not 0.0 < lidar.field_of_view <= 2 * np.pi:
+            raise RecordingError(self.name, None, "the field of view must be positive and at most a full turn")
         if self.duration is not None and not 0.0 < self.duration <= 1e6:
             raise RecordingError(self.name, None, "the duration must be positive and at most 1e6 seconds")
         if self.seed < 0:
@@ -85,6 +90,7 @@ class Simulation:
             "lidar": asdict(self.lidar),
             "wheels": asdict(self.wheels),
             "mount": self.mount.tolist(),
+            **({} if self.second_mount is None else {"second_mount": self.second_mount.tolist()}),
             "biases": asdict(self.biases),
         }
 
@@ -101,12 +107,13 @@ class Simulation:
     def __len__(self) -> int:
         """Return the number of messages."""
         odometry_stamps, scan_stamps = self._stamps()
-        return 2 * (len(odometry_stamps) + len(scan_stamps)) - len(set(odometry_stamps) & set(scan_stamps))
+        of_scans = (1 + len(self._mounts)) * len(scan_stamps)
+        return 2 * len(odometry_stamps) + of_scans - len(set(odometry_stamps) & set(scan_stamps))
 
     def __iter__(self) -> Iterator[Message]:
         """Yield the messages from the beginning, with non-decreasing stamps."""
         self.report = report = SourceReport()
-        wheel_random, beam_random = self._random()
+        wheel_random, *beam_random = self._random()
         biases = draw_biases(self.wheels, wheel_random)
         odometry_stamps, scan_stamps = self._stamps()
         odometry_times = np.array([to_seconds(stamp) for stamp in odometry_stamps])
@@ -121,13 +128,19 @@ class Simulation:
             if nanoseconds in odometry:
                 messages.append(Odometry(stamp, odometry[nanoseconds]))
             if nanoseconds in has_scan:
-                messages.append(self._scan(stamp, beam_random))
+                messages += [self._scan(stamp, number, random) for number, random in enumerate(beam_random)]
             report.messages += len(messages)
             yield from messages
 
+    @property
+    def _mounts(self) -> list[Pose]:
+        """Mounts of the lidars."""
+        return [self.mount] if self.second_mount is None else [self.mount, self.second_mount]
+
     def _random(self) -> list[np.random.Generator]:
-        """Return separate generators for wheels and beams, so that the noise of one does not depend on the other."""
-        return [np.random.default_rng(child) for child in np.random.SeedSequence(self.seed).spawn(2)]
+        """Return separate generators for wheels and each lidar, so that the noise of one does not depend on another."""
+        count = 1 + len(self._mounts)
+        return [np.random.default_rng(child) for child in np.random.SeedSequence(self.seed).spawn(count)]
 
     def _stamps(self) -> tuple[list[int], list[int]]:
         """Return the stamps of the odometry and of the complete revolutions, nanoseconds."""
@@ -141,28 +154,36 @@ class Simulation:
     @cached_property
     def _beams(self) -> tuple[Floats, Floats]:
         """Angles (radians) and time offsets (seconds) of the beams, both (n,)."""
-        count = self.lidar.beams
-        index = np.arange(count, dtype=np.float64)
-        angles = float(np.float32(-np.pi)) + index * float(np.float32(2 * np.pi / count))
+        count, view = self.lidar.beams, self.lidar.field_of_view
+        index = np.arange(max(1, round(count * view / (2 * np.pi))), dtype=np.float64)
+        angles = float(np.float32(-0.5 * view)) + index * float(np.float32(2 * np.pi / count))
         offsets = index * float(np.float32(1.0 / (self.lidar.rate * count)))
         angles.flags.writeable = offsets.flags.writeable = False
         return angles, offsets
 
-    def _scan(self, stamp: float, random: np.random.Generator) -> Scan:
-        """Simulate one scan. The world is that of the stamp, the robot moves during the sweep."""
-        lidar = self.lidar
+    def _scan(self, stamp: float, number: int, random: np.random.Generator) -> Scan:
+        """Simulate one scan of a lidar. The world is that of the stamp, the robot moves during the sweep."""
+        lidar, mount = self.lidar, self._mounts[number]
         angles, offsets = self._beams
-        bearing_noise, range_noise = random.standard_normal((2, lidar.beams))
-        dropped, mixed, share = random.random((3, lidar.beams))
+        bearing_noise, range_noise = random.standard_normal((2, len(angles)))
+        dropped, mixed, share = random.random((3, len(angles)))
         bearings = angles + lidar.sigma_bearing * bearing_noise
         segments, circles = self.world.shapes_at(stamp)
         poses, twists = self.trajectory.poses, self.trajectory.twists
-        ranges = cast_beams(stamp + offsets, bearings, self.mount, poses, twists, segments, circles)
-        add_mixed_pixels(ranges, mixed < lidar.mixed, share)
+        ranges = cast_beams(stamp + offsets, bearings, mount, poses, twists, segments, circles)
+        at_edge = mixed < lidar.mixed
+        at_edge[-1] &= lidar.field_of_view == 2 * np.pi  # the last beam is no neighbour of the first otherwise
+        add_mixed_pixels(ranges, at_edge, share)
         ranges = (ranges + lidar.range_bias + lidar.sigma_range * range_noise).astype(np.float32).astype(np.float64)
         low, high = float(np.float32(lidar.range_min)), float(np.float32(lidar.range_max))
         ranges[~((ranges >= low) & (ranges < high)) | (dropped < lidar.dropouts)] = np.nan
-        return Scan(stamp, ranges, angles, offsets, low, high, self.mount)
+        return Scan(stamp, ranges, angles, offsets, low, high, mount, number)
+
+
+def _mount(values: Sequence[float] | Pose) -> Pose:
+    mount = np.array(values, dtype=np.float64)
+    mount.flags.writeable = False
+    return mount
 
 
 def warm_up() -> None:

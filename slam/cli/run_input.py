@@ -69,6 +69,7 @@ class RecordingInput:
         self.sinks: Sequence[Sink] = ()
         self._source = source
         self._timing: RecordingTiming | None = None
+        self._second_timing: RecordingTiming | None = None
 
     @property
     def report(self) -> SourceReport:
@@ -81,26 +82,40 @@ class RecordingInput:
         yield progress(self._source, len(self._source), self.name)
 
     def resolve(self, config: Config) -> Config:
-        """Return the settings with the lidar's delay that the recording shows, if none is set."""
+        """Return the settings with each lidar's delay that the recording shows, if none is set."""
         self._timing = RecordingTiming.of(self._source, config.lidar)
-        return self._timing.compensated(config)
+        config = self._timing.compensated(config)
+        second = RecordingTiming.of_second(self._source, config.second_lidar)
+        if second is None:
+            return config
+        if config.second_lidar.delay is None:
+            second = second.beside(self._timing)
+        self._second_timing = second
+        lidar = config.second_lidar.model_copy(update={"delay": second.used_delay})
+        return config.model_copy(update={"second_lidar": lidar})
 
     def facts(self) -> dict[str, Any]:
         """Return the timing of the lidar, and how the recording was read, as far as it is known."""
         if self._timing is None:
             return {}
         read_as = [*self.report.interpretations, *self._timing.corrections()]
-        return {"timing": self._timing.figures(), "interpretations": read_as}
+        facts: dict[str, Any] = {"timing": self._timing.figures(), "interpretations": read_as}
+        if (second := self._second_timing) is not None:
+            facts["second_timing"] = second.figures()
+            read_as += [f"second lidar: {line}" for line in second.corrections()]
+        return facts
 
 
 @dataclass(slots=True)
 class InputStatistics:
     """Statistics of the messages of a run: counts, time span, odometry poses and true poses.
 
+    mounts  mount of each lidar in its first scan; None if that does not say it
     shift  seconds that were added to all stamps
     """
 
     scans: int = 0
+    mounts: dict[int, se2.Pose | None] = field(default_factory=dict)
     shift: float = 0.0
     first: float = np.inf
     last: float = -np.inf
@@ -119,6 +134,7 @@ class InputStatistics:
             self.odometry.append(message.pose)
         elif isinstance(message, Scan):
             self.scans += 1
+            self.mounts.setdefault(message.lidar, message.mount)
 
     def recording(self, run_input: RunInput) -> Recording:
         """Return the entry of the recording in a session."""

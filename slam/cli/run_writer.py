@@ -110,7 +110,19 @@ class RunWriter:
         )
         session.recordings.append(self.statistics.recording(self.run_input))
         recordings = session.recordings[-1:] if self.frozen else session.recordings
-        return summary | {"recordings": [recording.model_dump() for recording in recordings]}
+        return summary | {
+            "lidars": self._mounts(),
+            "recordings": [recording.model_dump() for recording in recordings],
+        }
+
+    def _mounts(self) -> list[list[float]]:
+        """Return the mount [x, y, heading] of each lidar that was used, by number."""
+        unknown, mounts = np.zeros(3), []
+        for number, recorded in sorted(self.statistics.mounts.items()):
+            configured = self.config.of_lidar(number).mount
+            used = recorded if configured is None else np.array(configured)
+            mounts.append((unknown if used is None else used).tolist())
+        return mounts
 
     def _write(self, place: Path, finished: Finished, summary: dict[str, Any], session: StoredSession) -> None:
         from ..io.sessions import write_session

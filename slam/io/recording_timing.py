@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from drivers.messages import Source
-from drivers.source_factory import recording_of
+from drivers.source_factory import recording_of, second_recording_of
 
 from ..config import Config, LidarConfig
 
 if TYPE_CHECKING:
+    from drivers.recordings.reader import RecordingReader
     from drivers.timing.beam_order import BeamOrderTest
     from drivers.timing.delay import Delay
+
+DIFFERENT = 5.0
+"""Standard deviations by which the delays of two lidars must differ to be different: most have one clock."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +38,16 @@ class RecordingTiming:
     @classmethod
     def of(cls, source: Source, lidar: LidarConfig) -> RecordingTiming:
         """Determine the timing of a source's lidar, with what the settings say of it."""
-        reader = recording_of(source)
+        return cls._of_reader(recording_of(source), lidar)
+
+    @classmethod
+    def of_second(cls, source: Source, lidar: LidarConfig) -> RecordingTiming | None:
+        """Return the same of a second lidar; None if the source is no recording with two."""
+        reader = second_recording_of(source)
+        return None if reader is None else cls._of_reader(reader, lidar)
+
+    @classmethod
+    def _of_reader(cls, reader: RecordingReader | None, lidar: LidarConfig) -> RecordingTiming:
         if reader is None:
             return cls(used_delay=lidar.delay or 0.0)
         test = reader.beam_order_test if lidar.beam_order == "auto" else None
@@ -48,6 +62,14 @@ class RecordingTiming:
         if not self.used_delay or config.lidar.delay is not None:
             return config
         return config.model_copy(update={"lidar": config.lidar.model_copy(update={"delay": self.used_delay})})
+
+    def beside(self, first: RecordingTiming) -> RecordingTiming:
+        """Return the timing of a second lidar: with the delay of the first one, unless its own is clearly another."""
+        if self.delay is None:
+            return replace(self, used_delay=first.used_delay)
+        seconds, sigma = (first.used_delay, 0.0) if first.delay is None else (first.delay.seconds, first.delay.sigma)
+        differs = abs(self.delay.seconds - seconds) > DIFFERENT * math.hypot(self.delay.sigma, sigma)
+        return self if differs else replace(self, used_delay=first.used_delay)
 
     def figures(self) -> dict[str, Any]:
         """Return the timing as plain data, for summary.json."""

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 
 import drivers
 from drivers.messages import Message, Odometry, Source, SourceReport
+from drivers.source_factory import LidarSelection
 
-from ..errors import MapError
-from .run_results import RunResults
+from ..config import Config, LidarConfig
+from ..errors import ConfigurationError, MapError
 
 if TYPE_CHECKING:
-    from drivers.timing.beam_order import BeamOrder
+    from .run_results import RunResults
 
 SIMULATION = "sim:"
 """Prefix of a recording that is simulated when it is opened."""
@@ -30,30 +31,55 @@ def has_odometry(source: Source) -> bool:
     return any(isinstance(message, Odometry) for message in source)
 
 
+def open_source(recording: str | Path, config: Config) -> Source:
+    """Open a recording, an argument of `drivers.open`, with the lidars that the settings name.
+
+    Raises RecordingError, or ConfigurationError if the settings do not say which scans are those of which lidar.
+    """
+    first, second = config.lidar, config.second_lidar
+    if not second.topic:
+        return drivers.open(recording, lidar_selection(first))
+    if first.topic in ("", second.topic):
+        raise ConfigurationError("second_lidar.topic: lidar.topic must name another topic, that of the first lidar")
+    return drivers.open(recording, lidar_selection(first), lidar_selection(second))
+
+
+def lidar_selection(lidar: LidarConfig) -> LidarSelection:
+    """Return which scans of a recording are those of a lidar with these settings, and how they are read."""
+    return LidarSelection(lidar.topic, lidar.beam_order, lidar.cut_height, lidar.cut_thickness)
+
+
+def has_recording(results: RunResults) -> bool:
+    """Return True if the summary of a run names the file of each of its recordings."""
+    summary = results.summary
+    recordings = summary.get("recordings") or [{"path": summary.get("recording_path")}]
+    return all(isinstance(recording.get("path"), str) for recording in recordings)
+
+
 def open_recording(results: RunResults, override: str | None = None) -> Source:
     """Open the recording of a run, or `override`, an argument of `drivers.open`.
 
     The recordings of a continued or merged session are opened as one source. Raises MapError if the summary does not
     name the recording or the recording does not exist any more, RecordingError if `override` cannot be opened.
     """
-    beam_order = results.config().lidar.beam_order
+    config = results.config()
     if override is not None:
-        return drivers.open(override, beam_order)
+        return open_source(override, config)
     summary = results.summary
     single = {"name": summary.get("recording", ""), "path": summary.get("recording_path")}
     recordings = summary.get("recordings") or [single]
-    sources = [_open(results, recording.get("name", ""), recording.get("path"), beam_order) for recording in recordings]
+    sources = [_open(results, recording.get("name", ""), recording.get("path"), config) for recording in recordings]
     shifts = [float(recording.get("shift", 0.0)) for recording in recordings]
     return sources[0] if len(sources) == 1 and not shifts[0] else ConcatenatedSource(sources, shifts)
 
 
-def _open(results: RunResults, name: str, path: object, beam_order: BeamOrder) -> Source:
+def _open(results: RunResults, name: str, path: object, config: Config) -> Source:
     if not isinstance(path, str):
         raise MapError(f"{results.path}: does not say where its recording {name} is; name it with --recording FILE")
     if not path.startswith(SIMULATION) and not Path(path).exists():
         raise MapError(f"{results.path}: its recording {path} does not exist any more; name it with --recording FILE")
     # A foreign summary must not open devices: an absolute path is never read as the specification of one.
-    return drivers.open(absolute_recording(path), beam_order)
+    return open_source(absolute_recording(path), config)
 
 
 class ConcatenatedSource:

@@ -7,8 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..config import Config, load_config
 from ..errors import MapError, first_line
+from ..geometry.segments import Floats
 from ..mapping.map_features import MapCorners, MapWalls
 from .keyframes_csv import Keyframes, read_keyframes
 from .map_json import read_map
@@ -38,6 +41,19 @@ class RunResults:
     def config(self) -> Config:
         """Read the settings of the run. Raises ConfigurationError if that is not possible."""
         return load_config(self.path / CONFIG)
+
+    def mounts(self) -> Floats:
+        """Return the mounts (k, 3) of the lidars; one at the origin of the base if they are unknown.
+
+        Raises MapError if the summary is damaged.
+        """
+        try:
+            mounts = np.array(self.summary.get("lidars") or [[0.0, 0.0, 0.0]], dtype=np.float64)
+        except (TypeError, ValueError):
+            mounts = np.zeros(0)
+        if mounts.ndim != 2 or mounts.shape[1] != 3 or not np.isfinite(mounts).all():
+            raise MapError(f"{self.path / SUMMARY}: lidars must have x, y and heading of each")
+        return mounts
 
 
 def read_run_results(path: Path) -> RunResults:

@@ -37,7 +37,7 @@ class MotionSource:
             if self._use_gyroscope:
                 self._gyroscope.add(message)
         elif isinstance(message, Scan):
-            if self.predicted:
+            if self.predicted and not message.lidar:
                 yield from self._prediction.readings(message)
             yield message
         elif not self.predicted:

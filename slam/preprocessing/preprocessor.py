@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -10,22 +9,15 @@ import numpy as np
 
 from drivers import se2
 from drivers.messages import Odometry, Scan
-from features import Features
 
 from ..config import Config
-from ..geometry.line_segments import corner_points, segments_from_lines
 from ..geometry.segments import CornerPoints, Segments
 from ..matching.line_matcher import ScanFeatures
-from ..matching.scan_points import MAX_SCAN_POINTS, ScanPoints, rounded, subsample
+from ..matching.scan_points import ScanPoints
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import OdometryHistory
-from .deskew import DeskewedScan, deskew, lidar_mount
-from .extraction import build_extractor
-from .motion_uncertainty import add_motion_uncertainty
-
-# Scans in the queue above which the oldest is processed without odometry covering its sweep.
-# Origin: chosen, two seconds at 10 Hz; not measured.
-MAX_QUEUED_SCANS = 20
+from .lidar_features import LidarFeatures, joined
+from .scan_queue import MAX_QUEUED_SCANS, ScanPair, ScanQueue
 
 # Features of an empty scan. Origin: definition.
 NO_FEATURES = ScanFeatures(
@@ -38,6 +30,8 @@ NO_FEATURES = ScanFeatures(
 @dataclass(frozen=True, slots=True, eq=False)
 class ProcessedScan:
     """Features and points of one scan in the base's frame, corrected to the pose at `stamp`.
+
+    With two lidars it has the features of a scan of either.
 
     stamp     seconds, the middle of the sweep
     odometry  (3,) odometry pose at `stamp`
@@ -58,72 +52,79 @@ class ProcessedScan:
 class Preprocessor:
     """Queue of scans that wait for odometry, and the feature extraction."""
 
-    def __init__(self, config: Config, sigma_range: float | None = None) -> None:
-        """`sigma_range` is the standard deviation of a range (metres) if earlier scans have determined it."""
-        self._lidar = config.lidar
-        self._extractor = build_extractor(config, sigma_range)
-        self._noise_settled = sigma_range is not None
-        self._queue: deque[Scan] = deque()
+    def __init__(
+        self, config: Config, sigma_range: float | None = None, second_sigma_range: float | None = None
+    ) -> None:
+        """`sigma_range` is the standard deviation of a range (metres) if earlier scans have determined it.
+
+        `second_sigma_range` is that of the second lidar.
+        """
+        self._first = LidarFeatures(config.lidar, config.features, sigma_range)
+        self._second = LidarFeatures(config.second_lidar, config.features, second_sigma_range)
+        self._second_is_known = second_sigma_range is not None
+        self._queue = ScanQueue(
+            two_lidars=bool(config.second_lidar.topic), predicts_odometry=config.odometry.source == "none"
+        )
         self.odometry = OdometryHistory()
         self.scans = 0
+        self.second_scans = 0
+        self.joined_scans = 0
         self.empty_scans = 0
         self.scans_without_odometry = 0
 
     @property
     def sigma_range(self) -> float:
-        """Current estimate of a range's standard deviation, metres."""
-        return self._extractor.noise.sigma_range
+        """Current estimate of a range's standard deviation, metres; of the first lidar if there are two."""
+        return self._first.sigma_range
+
+    @property
+    def second_sigma_range(self) -> float | None:
+        """The same of the second lidar; None if there is none."""
+        return self._second.sigma_range if self.joined_scans or self._second_is_known else None
 
     def add(self, message: Odometry | Scan) -> None:
         """Add a message. Scans before the first odometry are dropped once the queue is full."""
         if isinstance(message, Odometry):
             self.odometry.add(message)
             return
+        self._queue.add(message)
+        if message.lidar:
+            self.second_scans += 1
+            return
         self.scans += 1
         self.empty_scans += not np.isfinite(message.ranges).any()
-        self._queue.append(message)
         if not len(self.odometry) and len(self._queue) > MAX_QUEUED_SCANS:
-            self._queue.popleft()
+            self._queue.drop_oldest()
             self.scans_without_odometry += 1
 
     @property
     def queued(self) -> list[Scan]:
         """Scans that wait for odometry."""
-        return list(self._queue)
+        return self._queue.scans
 
     def restore_queue(self, scans: Sequence[Scan]) -> None:
         """Append scans that were queued in an earlier run and counted there."""
-        self._queue.extend(scans)
+        for scan in scans:
+            self._queue.add(scan)
 
-    def next_scan(self, *, flush: bool = False) -> Scan | None:
+    def next_scan(self, *, flush: bool = False) -> ScanPair | None:
         """Remove and return the oldest scan if odometry covers its sweep; None otherwise.
 
-        A scan is also returned if too many wait, or on `flush`, when no more odometry will come.
+        With it is the scan of a second lidar that is joined with it. A scan is also returned if too many wait, or on
+        `flush`, when no more odometry will come.
         """
-        if not self._queue or not len(self.odometry):
-            return None
-        covered = self._queue[0].stamp + self._queue[0].duration <= self.odometry.latest
-        ready = covered or flush or len(self._queue) > MAX_QUEUED_SCANS
-        return self._queue.popleft() if ready else None
+        return self._queue.take(self.odometry.latest, flush=flush) if len(self.odometry) else None
 
-    def process(self, scan: Scan, odometry_model: OdometryModel) -> ProcessedScan:
-        """De-skew a scan and extract its segments, corners and the points on neither."""
-        mount = lidar_mount(scan, self._lidar)
-        deskewed = deskew(scan, self.odometry, mount, self._lidar.range_bias, odometry_model)
-        if not self._noise_settled:
-            self._noise_settled = self._extractor.settle_noise(deskewed.ranges, deskewed.bearings)
-        features = self._extractor.extract(deskewed.ranges, deskewed.bearings)
-        in_base_frame = _to_base_frame(deskewed, features, mount, odometry_model)
+    def process(self, pair: ScanPair, odometry_model: OdometryModel) -> ProcessedScan:
+        """De-skew a scan and extract its segments, corners and the points on neither.
+
+        Those of a second lidar's scan are added, moved to the stamp of the first.
+        """
+        first = self._first.extract(pair.first, self.odometry, odometry_model)
+        features, deskewed = first.in_base_frame(odometry_model), first.deskewed
         travel = float(deskewed.travel.max(initial=0.0))
-        return ProcessedScan(deskewed.stamp, deskewed.odometry, in_base_frame, travel)
-
-
-def _to_base_frame(
-    scan: DeskewedScan, features: Features, mount: se2.Pose, odometry_model: OdometryModel
-) -> ScanFeatures:
-    """Transform the features of a scan from the lidar's frame into the base's."""
-    segments = segments_from_lines(features.lines, mount)
-    corners = corner_points(features.corners, segments, mount)
-    segments, corners = add_motion_uncertainty(segments, corners, features.lines, scan, odometry_model)
-    points = [rounded(subsample(se2.transform(mount, some), MAX_SCAN_POINTS)) for some in scan.points(features.lines)]
-    return ScanFeatures(segments, corners, ScanPoints(*points))
+        if pair.second is not None:
+            second = self._second.extract(pair.second, self.odometry, odometry_model)
+            features = joined(features, second.moved_to(deskewed, odometry_model).in_base_frame(odometry_model))
+            self.joined_scans += 1
+        return ProcessedScan(deskewed.stamp, deskewed.odometry, features, travel)

@@ -1,7 +1,8 @@
-"""Occupancy grid of a running estimate, drawn again when the map was corrected, in a thread of its own.
+"""Occupancy grid of a running estimate, corrected where the map was corrected, in a thread of its own.
 
-Keyframes are added as they come. After a correction that moves a drawn keyframe by more than a cell the grid is drawn
-from the beginning. A pause after each update, in proportion to what it took, limits its share of the processor.
+Keyframes are added as they come. A correction that moves a drawn point by more than a cell removes the keyframe's beams
+and adds them where they are now, so its cost is that of the keyframes that have moved. An update draws for a limited
+time, and a pause follows in proportion to what it took, so mapping is hardly delayed however much has moved.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,27 +17,15 @@ from drivers import se2
 
 from ..errors import MapError
 from ..geometry.segments import Floats
-from ..io.exports import Occupancy, OccupancyGrid, PlacedScan
+from ..io.exports import Occupancy, OccupancyGrid
+from ..io.exports.keyframe_points import KeyframePoints
 
 PAUSE_FACTOR = 9.0
 """Pause after an update, as a multiple of its duration: a tenth of one core at most."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class KeyframePoints:
-    """Returns of a keyframe's scan in the base's frame, metres, as 32-bit floats.
-
-    points  (n, 2), `lidar` (2,) the position of the lidar
-    """
-
-    stamp: float
-    points: np.ndarray[tuple[int, int], np.dtype[np.float32]]
-    lidar: Floats
-
-    def placed(self, pose: se2.Pose) -> PlacedScan:
-        """Return the scan in the map, taken with the base at `pose`."""
-        points = np.asarray(self.points, dtype=np.float64)
-        return PlacedScan(self.stamp, se2.transform(pose, self.lidar), se2.transform(pose, points))
+DRAWING_TIME = 0.01
+"""Seconds for which an update draws; what is left is drawn by the next ones."""
+FIRST_CAPACITY = 256
+"""Keyframes for which there is room at first; the room is doubled when it is full."""
 
 
 class LiveGrid:
@@ -45,45 +33,50 @@ class LiveGrid:
 
     publish  called with each new grid and the stamp of its last keyframe, from the thread
 
-    Methods can be called from another thread; they return at once.
+    Methods can be called from another thread. `add` and `move` return at once.
     """
 
     def __init__(
         self, resolution: float, interval: float, max_range: float, publish: Callable[[float, Occupancy], None]
     ) -> None:
-        """`interval` is the least time between two updates, seconds; `max_range` the longest beam drawn, metres."""
+        """`interval` is the least time between two grids, seconds; `max_range` the longest beam drawn, metres."""
         self._resolution, self._interval, self._max_range, self._publish = resolution, interval, max_range, publish
         self._keyframes: list[KeyframePoints] = []
-        self._poses: list[se2.Pose] = []
+        self._poses = np.zeros((FIRST_CAPACITY, 3))
         self._grid = OccupancyGrid(resolution)
-        self._drawn: list[se2.Pose] = []  # poses at which keyframes are in the grid
-        self._lock, self._ended = threading.Lock(), threading.Event()
+        self._drawn = np.full((FIRST_CAPACITY, 3), np.nan)  # poses at which keyframes are in the grid; NaN if not
+        self._reach = np.zeros(FIRST_CAPACITY)  # metres from the base to the farthest point
+        self._lock = threading.Lock()  # for the keyframes and their poses
+        self._drawing = threading.Lock()  # for the grid and what is drawn in it
+        self._ended, self._changed, self._published = threading.Event(), False, float("-inf")
         self._problem = ""
         self._thread = threading.Thread(target=self._run, name="occupancy-grid", daemon=True)
         self._thread.start()
 
-    def add(self, stamp: float, points: Floats, lidar: Floats, pose: se2.Pose) -> None:
-        """Add a keyframe: points (n, 2) and position (2,) of the lidar in the base's frame, pose (3,) in the map."""
-        near = np.hypot(*(points - lidar).T) <= self._max_range
+    def add(self, stamp: float, points: Floats, lidars: Floats, pose: se2.Pose) -> None:
+        """Add a keyframe: points (n, 2) and lidars (k, 2) in the base's frame, pose (3,) in the map."""
+        keyframe = KeyframePoints.within(stamp, points, lidars, self._max_range)
         with self._lock:
-            self._keyframes.append(KeyframePoints(stamp, points[near].astype(np.float32), lidar.copy()))
-            self._poses.append(pose)
+            count = len(self._keyframes)
+            if count == len(self._poses):
+                self._poses = np.concatenate([self._poses, np.zeros_like(self._poses)])
+            self._poses[count] = pose
+            self._keyframes.append(keyframe)
 
     def move(self, poses: Floats) -> None:
         """Set the poses (k, 3) of the first k keyframes."""
         with self._lock:
-            self._poses[: len(poses)] = list(poses[: len(self._poses)])
+            count = min(len(poses), len(self._keyframes))
+            self._poses[:count] = poses[:count]
 
     def current(self) -> tuple[float, Occupancy] | None:
         """Return the grid up to the last keyframe and its stamp; None without any returns."""
-        with self._lock:
-            keyframes, poses = list(self._keyframes), list(self._poses)
-        grid = OccupancyGrid(self._resolution)
-        try:
-            grid.add_all(keyframe.placed(pose) for keyframe, pose in zip(keyframes, poses, strict=True))
-            return keyframes[-1].stamp if keyframes else 0.0, grid.occupancy()
-        except MapError:
-            return None
+        with self._drawing:
+            try:
+                stamp, _ = self._draw(float("inf"))
+                return stamp, self._grid.occupancy()
+            except MapError:
+                return None
 
     @property
     def problem(self) -> str:
@@ -94,38 +87,69 @@ class LiveGrid:
         """Stop the thread, after a last update."""
         self._ended.set()
         self._thread.join()
-        self._update()
+        self.update(float("inf"))
 
     def _run(self) -> None:
         pause = 0.0
         while not self._ended.wait(pause):
             before = time.monotonic()
-            self._update()
-            pause = max(self._interval, PAUSE_FACTOR * (time.monotonic() - before)) if self._drawn else 0.1
+            finished = self.update(DRAWING_TIME)
+            pause = PAUSE_FACTOR * (time.monotonic() - before)
+            if finished:
+                pause = max(self._interval, pause) if np.isfinite(self._published) else 0.1
 
-    def _update(self) -> None:
+    def update(self, duration: float) -> bool:
+        """Draw for at most `duration` seconds, publish the grid if that is due, and return True if all is drawn.
+
+        It is due when all is drawn, or if that takes longer than the interval between grids.
+        """
+        with self._drawing:
+            try:
+                stamp, finished = self._draw(duration)
+                due = finished or time.monotonic() > self._published + self._interval
+                if not self._changed or not due:
+                    return finished
+                occupancy = self._grid.occupancy()
+            except MapError as error:
+                self._problem = str(error)
+                return True
+            self._changed, self._published, self._problem = False, time.monotonic(), ""
+        self._publish(stamp, occupancy)
+        return finished
+
+    def _draw(self, duration: float) -> tuple[float, bool]:
+        """Draw the latest keyframes that are not in the grid where they are now: one at least, for `duration` seconds.
+
+        Return the stamp of the last keyframe, and True if all are in the grid. Raises MapError if the grid would become
+        too large.
+        """
+        end = time.monotonic() + duration
         with self._lock:
-            keyframes, poses = list(self._keyframes), list(self._poses)
-        redraw = self._moved(keyframes, poses)
-        if not redraw and len(poses) == len(self._drawn):
-            return
-        if redraw:
-            self._grid, self._drawn = OccupancyGrid(self._resolution), []
-        try:
-            for keyframe, pose in zip(keyframes[len(self._drawn) :], poses[len(self._drawn) :], strict=True):
-                self._grid.add(keyframe.placed(pose))
-                self._drawn.append(pose)
-            self._publish(keyframes[-1].stamp, self._grid.occupancy())
-            self._problem = ""
-        except MapError as error:
-            self._problem = str(error)
+            count = len(self._keyframes)
+            poses = self._poses[:count].copy()
+        rows = self._to_draw(poses)[::-1].tolist()
+        for number, row in enumerate(rows):
+            if number and time.monotonic() > end:
+                return self._keyframes[count - 1].stamp, False
+            keyframe = self._keyframes[row]
+            if np.isfinite(self._drawn[row, 0]):
+                for scan in keyframe.placed(self._drawn[row]):
+                    self._grid.remove(scan)
+                self._drawn[row] = np.nan
+            self._grid.add_all(keyframe.placed(poses[row]))
+            self._drawn[row], self._changed = poses[row], True
+        return self._keyframes[count - 1].stamp if count else 0.0, True
 
-    def _moved(self, keyframes: list[KeyframePoints], poses: list[se2.Pose]) -> bool:
-        """Return True if a correction has moved a drawn point by more than a cell."""
-        count = len(self._drawn)
-        if not count:
-            return False
-        change = se2.between(np.array(self._drawn), np.array(poses[:count]))
-        reach = np.array([float(np.abs(keyframe.points).max(initial=0.0)) for keyframe in keyframes[:count]])
-        shift = np.hypot(change[:, 0], change[:, 1]) + np.abs(change[:, 2]) * reach
-        return bool(shift.max() > self._resolution)
+    def _to_draw(self, poses: Floats) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+        """Return the rows of the keyframes that are not drawn, or of which a correction has moved a point by a cell."""
+        count, known = len(poses), len(self._drawn)
+        if count > known:
+            more = max(count, 2 * known) - known
+            self._drawn = np.concatenate([self._drawn, np.full((more, 3), np.nan)])
+            self._reach = np.concatenate([self._reach, np.zeros(more)])
+        drawn = np.isfinite(self._drawn[:count, 0])
+        for row in np.flatnonzero(~drawn).tolist():
+            self._reach[row] = float(np.abs(self._keyframes[row].points).max(initial=0.0))
+        change = se2.between(self._drawn[:count], poses)
+        shift = np.hypot(change[:, 0], change[:, 1]) + np.abs(change[:, 2]) * self._reach[:count]
+        return np.flatnonzero(~(shift <= self._resolution))  # NaN if it is not drawn

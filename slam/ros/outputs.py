@@ -72,8 +72,8 @@ class _RunState:
 class NodeOutputs:
     """Sink that publishes what happens, under the names of slam_toolbox. The topics exist from construction on.
 
-    lidar  (2,) position of the lidar on the base, metres: start of the beams in the grid
-    shift  seconds that were added to all stamps of the run
+    lidars  number of each lidar -> (2,) its position on the base, metres: start of the beams in the grid
+    shift   seconds that were added to all stamps of the run
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class NodeOutputs:
     ) -> None:
         """`predicts_odometry` if the robot has no odometry: its transform is published, too, once for each scan."""
         self._predicts_odometry = predicts_odometry
-        self.lidar: Floats = np.zeros(2)
+        self.lidars: dict[int, Floats] = {0: np.zeros(2)}
         self.shift = 0.0
         self._parameters, self._encoder, self._node = parameters, NodeEncoder(), names.node
         self._put_transform = link.publish(names.resolve("/tf"), TRANSFORMS, MOVING_TRANSFORMS)
@@ -109,7 +109,7 @@ class NodeOutputs:
         poses = session.slam_state.mapper.keyframe_poses
         for keyframe, row in enumerate(session.scan_history().keyframes.tolist()):
             scan = session.scans[row]
-            grid.add(scan.stamp, scan.features.points.all, self.lidar, poses[keyframe])
+            grid.add(scan.stamp, scan.features.points.all, self._lidars, poses[keyframe])
 
     def end(self) -> None:
         """End a run: no grid is drawn any more."""
@@ -119,6 +119,11 @@ class NodeOutputs:
     def current_grid(self) -> tuple[float, Occupancy] | None:
         """Return the stamp of the last keyframe and a grid with all keyframes; None if there is nothing to draw."""
         return None if self._grid is None else self._grid.current()
+
+    @property
+    def _lidars(self) -> Floats:
+        """Positions (k, 2) of the lidars on the base."""
+        return np.array([*self.lidars.values()])
 
     def handle(self, event: Event) -> None:
         """Process one event of a run that has begun."""
@@ -130,7 +135,7 @@ class NodeOutputs:
                 self._finish_scan(event)
             case KeyframeAdded():
                 self._run.counts = {name: str(count) for name, count in event.counts.items()}
-                self._grid.add(event.stamp - self.shift, event.points, self.lidar, event.pose)
+                self._grid.add(event.stamp - self.shift, event.points, self._lidars, event.pose)
             case MapUpdated():
                 self._grid.move(event.keyframes)
                 self._publish_markers(event.stamp, event.walls, event.corners, event.keyframes)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -21,6 +21,12 @@ class NodeParameters(BaseModel):
     map_frame: str = Field("map", min_length=1, description="frame of the map")
     base_frame: str = Field("base_footprint", min_length=1, description="frame of the robot's base")
     scan_topic: str = Field("/scan", min_length=1, description="topic with the scans")
+    cloud_topic: str = Field(
+        "",
+        description="topic with point clouds (sensor_msgs/msg/PointCloud2) that are cut at the setting "
+        "lidar.cut_height, instead of scan_topic; empty: none",
+    )
+    second_scan_topic: str = Field("", description="topic with the scans of a second lidar; empty: there is none")
     odom_topic: str = Field(
         "", description="topic of type nav_msgs/msg/Odometry; by default the transform odom_frame -> base_frame on /tf"
     )
@@ -57,14 +63,21 @@ class NodeParameters(BaseModel):
     )
     use_sim_time: bool = Field(False, description="no effect: all times are those of the messages")
 
-    def settings(self) -> list[str]:
-        """Return the settings of the estimator that parameters set, as GROUP.KEY=VALUE."""
+    def settings(self, resolve: Callable[[str], str] = str) -> list[str]:
+        """Return the settings of the estimator that parameters set, as GROUP.KEY=VALUE.
+
+        `resolve` returns the absolute name of a topic, which it has in a recording.
+        """
         values = {
             "mapping.keyframe_distance": self.minimum_travel_distance,
             "mapping.keyframe_turn": self.minimum_travel_heading,
             "loop_closure.enabled": self.do_loop_closing,
         }
-        return [f"{name}={str(value).lower()}" for name, value in values.items() if value is not None]
+        settings = [f"{name}={str(value).lower()}" for name, value in values.items() if value is not None]
+        if self.second_scan_topic:
+            topics = {"lidar": self.cloud_topic or self.scan_topic, "second_lidar": self.second_scan_topic}
+            settings += [f"{group}.topic={resolve(topic)}" for group, topic in topics.items()]
+        return settings
 
 
 WITHOUT_COUNTERPART = """

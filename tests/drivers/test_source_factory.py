@@ -12,6 +12,7 @@ import pytest
 import drivers
 from drivers import RecordingError
 from drivers.simulation import Simulation
+from drivers.source_factory import LidarSelection
 
 
 def test_options_of_a_simulation_are_parsed() -> None:
@@ -43,7 +44,8 @@ def test_directory_without_metadata_is_read_if_it_has_one_file(tmp_path: Path, r
         ("sim:room?seed=many", "not a number"),
         ("sim:room?speed=3", "unknown option speed"),
         ("sim:room?duration=-3", "duration"),
-        ("sim:room?lidar=best", "no lidar 'best'; choose one of long, short"),
+        ("sim:room?lidar=best", "no lidar 'best'; choose one of long, short, half"),
+        ("sim:room?second_mount=1,2", "mount must be three finite numbers"),
         ("sim:room?odometry=", "no odometry ''; choose one of good, bad"),
     ],
 )
@@ -67,3 +69,11 @@ def test_importing_drivers_loads_no_heavy_library() -> None:
     heavy = {"numba", "rosbags", "mcap", "pydantic", "gtsam", "rerun"}
     code = f"import sys, drivers; sys.exit(bool({heavy} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_topics_of_what_has_none_are_errors(tmp_path: Path) -> None:
+    log = tmp_path / "drive.clf"
+    log.write_text("")
+    for source in (log, "sim:room"):
+        with pytest.raises(RecordingError, match="has no topics, so none is named /scan"):
+            drivers.open(source, LidarSelection("/scan"))

@@ -118,7 +118,7 @@ def grid_map(messages: Sequence[Message], path: Path) -> Path:
     true = [message for message in messages if isinstance(message, GroundTruth)]
     trajectory = Trajectory(np.array([m.stamp for m in true]), np.array([m.pose for m in true]))
     grid = OccupancyGrid(0.05)
-    grid.add_all(place_scans(messages, trajectory, Config().lidar))
+    grid.add_all(place_scans(messages, trajectory, Config()))
     occupancy = grid.occupancy(Thresholds())
     write_pgm(path.with_suffix(".pgm"), occupancy)
     write_pgm_yaml(path.with_suffix(".yaml"), occupancy, path.with_suffix(".pgm").name)

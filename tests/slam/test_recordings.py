@@ -125,7 +125,7 @@ def test_the_picture_for_ros_agrees_with_one_of_gmappings_path(wclm: Any, map_se
     carried = se2.inverse(score_reference(read_tum(Path("out/trajectory.tum")), path).alignment)
     grid = OccupancyGrid(0.05)
     in_our_frame = Trajectory(path.stamps, se2.compose(carried, path.poses))
-    grid.add_all(place_scans(drivers.open(folder / "intel.clf"), in_our_frame, Config().lidar))
+    grid.add_all(place_scans(drivers.open(folder / "intel.clf"), in_our_frame, Config()))
     theirs = grid.occupancy().centres(OCCUPIED)
     assert min(len(ours), len(theirs)) > 10_000
     for some, others in ((ours, theirs), (theirs, ours)):
@@ -144,7 +144,7 @@ def test_the_second_half_of_csail_is_localised_on_a_grid_map(tmp_path: Path) -> 
     finished = mapping.finish()
     path = Trajectory(finished.stamps, finished.poses)
     grid = OccupancyGrid(0.05)
-    grid.add_all(place_scans(messages, path, Config().lidar))
+    grid.add_all(place_scans(messages, path, Config()))
     write_pgm(tmp_path / "csail.pgm", grid.occupancy(Thresholds()))
     write_pgm_yaml(tmp_path / "csail.yaml", grid.occupancy(Thresholds()), "csail.pgm")
     plan = build_plan_map(read_plan(tmp_path / "csail.yaml"), (0.03, np.radians(0.3)))

@@ -12,9 +12,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, TextIO
 
-import drivers
 from drivers.errors import SlamError
 
+from ...io.recordings import open_source
 from ...offline.batch import Job, Row, Status, fingerprint, make_row, read_completed_summary, remove_leftovers
 from ...offline.batch.jobs import FINGERPRINT
 from ..run_input import RecordingInput
@@ -52,7 +52,7 @@ class _FingerprintedInput(RecordingInput):
     """A recording whose summary contains the fingerprint of the job."""
 
     def __init__(self, job: Job) -> None:
-        super().__init__(drivers.open(job.recording, job.options.config.lidar.beam_order), reopen=job.recording)
+        super().__init__(open_source(job.recording, job.options.config), reopen=job.recording)
         self._facts = {
             FINGERPRINT: fingerprint(job)
         }  # before reading, so that a change meanwhile is detected next time

@@ -40,10 +40,11 @@ def calibrate(
 
     from ...config import load_config
     from ...io.recording_timing import RecordingTiming
+    from ...io.recordings import lidar_selection
     from ...offline.calibration.extrinsics import calibrate as estimate
 
     effective = load_config(config, settings or ())
-    source = drivers.open(recording, effective.lidar.beam_order)
+    source = drivers.open(recording, lidar_selection(effective.lidar))
     timing = RecordingTiming.of(source, effective.lidar)
     result = estimate(progress(source, len(source), "reading"), timing.compensated(effective))
     typer.echo("\n".join([*_lines(result), *_timing_lines(timing)]))

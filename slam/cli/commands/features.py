@@ -57,7 +57,7 @@ def extract_scan(recording: str, number: int, config: Config) -> ExtractedScan:
 
     from ...preprocessing.extraction import build_extractor
 
-    extractor, bias = build_extractor(config), config.lidar.range_bias
+    extractor, bias = build_extractor(config.lidar, config.features), config.lidar.range_bias
     source = drivers.open(recording)
     scans = (message for message in source if isinstance(message, Scan))
     count = 0

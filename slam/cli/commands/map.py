@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..console import progress
+from ..console import print_message, progress
 from ..options import OverwriteOption
 
 if TYPE_CHECKING:
@@ -119,12 +119,19 @@ def _write_graph(file: Path, session: Path) -> str:
 
 
 def _scans(session: RunResults, recording: str | None) -> Iterator[PlacedScan]:
-    from ...io.exports import place_scans
-    from ...io.recordings import open_recording
+    """Return the scans of the recording in the map, or the points of the keyframes if the run was not recorded."""
+    from ...io.exports import place_keyframes, place_scans
+    from ...io.recordings import has_recording, open_recording
+    from ...io.sessions import is_session, read_session
 
+    if recording is None and not has_recording(session) and is_session(session.path):
+        stored = read_session(session.path)
+        if stored.slam_state.mapper.keyframe_count:
+            print_message(f"{session.path}: the run was not recorded; only the points of its keyframes are used")
+            return place_keyframes(stored, session.trajectory, session.mounts()[:, :2])
     source = open_recording(session, recording)
     messages = progress(source, len(source), source.name)
-    return place_scans(messages, session.trajectory, session.config().lidar)
+    return place_scans(messages, session.trajectory, session.config())
 
 
 def _check_overlap(count: int, session: RunResults, recording: str | None) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from ...config import Config, config_to_toml
 from ...io.host import peak_memory, versions
 from ...io.output_dir import PICTURE, REVIEW, OutputDirectory, write_results
-from ...io.recordings import absolute_recording
+from ...io.recordings import absolute_recording, open_source
 from ..compilation import compile_all
 from ..console import print_if_slow
 from ..run_input import InputStatistics, RecordingInput
@@ -65,17 +65,13 @@ def optimize_recording(
     recording: str, config: Config, out: Path, *, overwrite: bool, review: bool, picture: bool
 ) -> list[str]:
     """Map a recording and refine it; otherwise like `optimize_session`."""
-    import drivers
-
     from ..run_summary import summarise_run
 
     with OutputDirectory(out, overwrite) as directory:
         from ...pipeline import Slam
 
         compile_all()
-        run_input = RecordingInput(
-            drivers.open(recording, config.lidar.beam_order), reopen=absolute_recording(recording)
-        )
+        run_input = RecordingInput(open_source(recording, config), reopen=absolute_recording(recording))
         notices, statistics = NoticeCollector(), InputStatistics()
         started = time.perf_counter()
         with run_input.opened(lambda: None) as messages:

@@ -19,6 +19,9 @@ from ..options import (
     LocalizeOption,
     NoOdometryOption,
     OverwriteOption,
+    PlanLayerOption,
+    PlanOption,
+    PlanUnitOption,
     SetOption,
     StartOption,
 )
@@ -32,6 +35,7 @@ if TYPE_CHECKING:
     from drivers.ros2.wheel_base import RosWheelBase
 
     from ...ros.parameters import NodeParameters
+    from ..plan_input import PlanOptions
     from ..slam_run import RunSetup
     from .ros_node import RosNode
 
@@ -78,6 +82,9 @@ def ros(
     no_odometry: NoOdometryOption = False,
     continued: ContinueOption = None,
     localized: LocalizeOption = None,
+    plan: PlanOption = None,
+    plan_unit: PlanUnitOption = None,
+    plan_layer: PlanLayerOption = None,
     start_pose: StartOption = None,
     config: ConfigOption = None,
     settings: SetOption = None,
@@ -92,12 +99,14 @@ def ros(
     from drivers.ros2.names import NodeNames
     from drivers.ros2.selection import open_link
 
+    from ..plan_input import PlanOptions
     from ..slam_run import without_odometry
 
     names = NodeNames.from_rules(remap or ())
     parameters = _load_parameters(params_file or [], param or [], names)
     own_base = _parse_base(base, drive, max_speed, max_turn_rate, no_odometry, parameters)
-    start = _prepare(parameters, continued, localized, config, settings, start_pose)
+    on_plan = PlanOptions(plan, plan_unit, plan_layer or ())
+    start = _prepare(names, parameters, continued, localized, config, settings, start_pose, on_plan)
     if no_odometry:
         start = without_odometry(start, "--no-odometry")
     with closing(open_link(names, link)) as opened:
@@ -120,26 +129,29 @@ def _load_parameters(files: list[Path], assignments: list[str], names: NodeNames
     parameters, ignored = parse_parameters(load_parameters(files, assignments, names.qualified), place)
     if ignored:
         print_message(f"parameters without a counterpart are ignored: {', '.join(ignored)}")
-    if parameters.settings():
-        print_message(f"settings from parameters: {', '.join(parameters.settings())}")
+    if settings := parameters.settings(names.resolve):
+        print_message(f"settings from parameters: {', '.join(settings)}")
     return parameters
 
 
 def _prepare(
+    names: NodeNames,
     parameters: NodeParameters,
     continued: Path | None,
     localized: Path | None,
     config: Path | None,
     settings: list[str] | None,
     start_pose: str | None,
+    plan: PlanOptions,
 ) -> RunSetup:
-    """Load the settings and the session; options take precedence over parameters."""
+    """Load the settings, and the session or the plan; options take precedence over parameters."""
     from ..slam_run import prepare_run
 
-    if parameters.map_file_name and continued is None and localized is None:
+    if parameters.map_file_name and continued is None and localized is None and plan.path is None:
         session = Path(parameters.map_file_name)
         continued, localized = (session, None) if parameters.mode == "mapping" else (None, session)
-    return prepare_run(continued, localized, config, [*parameters.settings(), *(settings or ())], start_pose)
+    overrides = [*parameters.settings(names.resolve), *(settings or ())]
+    return prepare_run(continued, localized, config, overrides, start_pose, plan)
 
 
 def _parse_base(
@@ -186,10 +198,14 @@ def _open_base(
 
 
 def _inputs(names: NodeNames, parameters: NodeParameters, start: RunSetup, base: OwnBase | None) -> Inputs:
+    from drivers.recordings.point_clouds import HeightCut
     from drivers.ros2.receiver import Inputs
 
     return Inputs(
         scan=names.resolve(parameters.scan_topic),
+        cloud=names.resolve(parameters.cloud_topic) if parameters.cloud_topic else "",
+        cut=HeightCut(start.config.lidar.cut_height, start.config.lidar.cut_thickness),
+        second_scan=names.resolve(parameters.second_scan_topic) if parameters.second_scan_topic else "",
         odometry=names.resolve(parameters.odom_topic) if parameters.odom_topic else "",
         base="" if base is None else base.spec.text,
         imu=names.resolve(parameters.imu_topic) if parameters.imu_topic else "",
@@ -201,6 +217,7 @@ def _inputs(names: NodeNames, parameters: NodeParameters, start: RunSetup, base:
         base_frame=parameters.base_frame,
         uses_odometry=start.config.odometry.source == "wheels",
         mount_is_set=start.config.lidar.mount is not None,
+        second_mount_is_set=start.config.second_lidar.mount is not None,
         throttle_scans=parameters.throttle_scans,
     )
 

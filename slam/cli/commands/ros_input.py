@@ -59,7 +59,7 @@ class RosInput:
         control: RunControl,
         sinks: Sequence[Sink] = (),
     ) -> None:
-        self.name = f"ROS 2: {receiver.inputs.scan}"
+        self.name = f"ROS 2: {', '.join(receiver.inputs.scan_topics)}"
         self.sinks: Sequence[Sink] = (*sinks, outputs)
         self._receiver = receiver
         self._outputs, self._start = outputs, start
@@ -95,7 +95,8 @@ class RosInput:
         try:
             for message in self._odometry_first():
                 if isinstance(message, Scan):
-                    self._outputs.lidar = lidar_mount(message, self._start.config.lidar)[:2]
+                    mount = lidar_mount(message, self._start.config.of_lidar(message.lidar))
+                    self._outputs.lidars[message.lidar] = mount[:2]
                 yield message
         except _SaveRequestedError:
             return

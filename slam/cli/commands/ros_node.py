@@ -83,6 +83,7 @@ class RosNode:
             resumed=start.resumed,
             frozen=start.frozen,
             start=start.pose,
+            plan=start.plan,
         )
         return format_summary(result, target)
 
@@ -93,7 +94,8 @@ class RosNode:
         self.receiver.discard()
         self.control.answer(True)
         print_message("the map is discarded; a new run begins")
-        return RunSetup(start.config, request.session, request.frozen, request.pose)
+        plan = start.plan if request.session is None else None  # a map without a session begins as the first one did
+        return RunSetup(start.config, request.session, request.frozen, request.pose, plan)
 
     def _saved(self, start: RunSetup, target: Path) -> RunSetup:
         """Copy the finished run to where it was requested; return the setup of the run that continues it."""
@@ -107,6 +109,8 @@ class RosNode:
             succeeded = True
         except (SlamError, OSError) as error:
             print_message(f"serialize_map: {error}")
-        following = replace(start, resumed=read_session(target, solve=False), pose=None)
+        following = replace(start, resumed=read_session(target, solve=False), pose=None, plan=None)
+        if start.plan is not None:
+            print_message("the run goes on with what the map has of the plan, and without the plan")
         self.control.answer(succeeded)
         return following

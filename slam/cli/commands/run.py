@@ -46,9 +46,7 @@ def run(
 
     Example: [bold]wclm run intel.clf --out results/intel --plot[/bold]
     """
-    import drivers
-
-    from ...io.recordings import absolute_recording, has_odometry
+    from ...io.recordings import absolute_recording, has_odometry, open_source
     from ..plan_input import PlanOptions
     from ..run_input import RecordingInput
     from ..run_summary import format_summary
@@ -57,7 +55,7 @@ def run(
     start = prepare_run(
         continued, localized, config, settings, start_pose, PlanOptions(plan, plan_unit, plan_layer or ())
     )
-    source = drivers.open(recording, start.config.lidar.beam_order)
+    source = open_source(recording, start.config)
     if no_odometry:
         start = without_odometry(start, "--no-odometry")
     elif start.config.odometry.source != "none" and not has_odometry(source):

@@ -1,13 +1,14 @@
 """Export maps to other programs' formats, one module per format.
 
 GeoJSON, SVG and DXF are made from the results of a run alone. PGM and PLY are made from its scans, placed on the final
-trajectory, and need the recording as well.
+trajectory, and need the recording as well; without one they are made from the points of the keyframes.
 """
 
 from __future__ import annotations
 
 from .dxf import write_dxf
 from .geojson import write_geojson
+from .keyframe_points import place_keyframes
 from .occupancy import Occupancy, OccupancyGrid, Thresholds
 from .pgm import write_pgm, write_pgm_yaml
 from .ply import write_ply
@@ -19,6 +20,7 @@ __all__ = [
     "OccupancyGrid",
     "PlacedScan",
     "Thresholds",
+    "place_keyframes",
     "place_scans",
     "write_dxf",
     "write_geojson",

@@ -19,8 +19,10 @@ Cells = NDArray[np.int64]
 
 FREE, UNKNOWN, OCCUPIED = 0, -1, 100
 """Values of a ROS OccupancyGrid."""
-GROWTH = 200
-"""Extra cells on a side on which the grid grows, so that it does not grow with every scan."""
+TILE = 64
+"""Side of a tile, in cells: where beams were added or removed, the occupancy is computed again by tiles."""
+GROWTH = 3
+"""Extra tiles on a side on which the grid grows, so that it does not grow with every scan."""
 MAX_CELLS = 400_000_000
 """Largest size of the grid: 1 km by 1 km at 0.05 m. More is a mistake in the resolution, or needs too much memory."""
 
@@ -58,25 +60,30 @@ class Occupancy:
 
 
 class OccupancyGrid:
-    """Growing grid of beam counts, with cells of `resolution` metres whose edges lie on multiples of it."""
+    """Growing grid of beam counts, with cells of `resolution` metres whose edges lie on multiples of it.
+
+    Memory and the time of `occupancy` are proportional to the area, that of `add` and `remove` to the scan.
+    """
 
     def __init__(self, resolution: float) -> None:
         if not 0.0 < resolution < np.inf:
             raise MapError(f"a resolution of {resolution:g} m is not possible")
         self._resolution = resolution
-        self._low: Cells = np.zeros(2, dtype=np.int64)  # x, y of the first cell, counted from the map's origin
+        self._low: Cells = np.zeros(2, dtype=np.int64)  # x, y of the first tile, counted from the map's origin
         self._ended: Counts = np.zeros((0, 0), dtype=np.int32)
         self._passed: Counts = np.zeros((0, 0), dtype=np.int32)
+        self._cells: NDArray[np.int8] = np.zeros((0, 0), dtype=np.int8)
+        self._changed: NDArray[np.bool_] = np.zeros((0, 0), dtype=np.bool_)  # tiles whose cells are not up to date
+        self._reached: NDArray[np.bool_] = np.zeros((0, 0), dtype=np.bool_)  # tiles that a beam has reached
+        self._thresholds = Thresholds()
 
     def add(self, scan: PlacedScan) -> None:
         """Count the beams of a scan. Raises MapError if the grid would become larger than MAX_CELLS."""
-        if not len(scan.points):
-            return
-        start = scan.origin / self._resolution
-        ends = scan.points / self._resolution
-        corners = np.vstack([start, ends])
-        self._grow(np.floor(corners.min(axis=0)), np.floor(corners.max(axis=0)))
-        trace_beams(self._ended, self._passed, self._low, start, ends)
+        self._count(scan, 1)
+
+    def remove(self, scan: PlacedScan) -> None:
+        """Count the beams of a scan that was added before no longer."""
+        self._count(scan, -1)
 
     def add_all(self, scans: Iterable[PlacedScan]) -> int:
         """Count the beams of several scans and return the number of scans."""
@@ -86,9 +93,22 @@ class OccupancyGrid:
             count += 1
         return count
 
+    def _count(self, scan: PlacedScan, weight: int) -> None:
+        if not len(scan.points):
+            return
+        start = scan.origin / self._resolution
+        ends = scan.points / self._resolution
+        corners = np.vstack([start, ends])
+        low = np.floor(np.floor(corners.min(axis=0)) / TILE)
+        high = np.floor(np.floor(corners.max(axis=0)) / TILE)
+        self._grow(low, high)
+        first, last = (low - self._low).astype(np.int64), (high - self._low).astype(np.int64)
+        self._changed[first[1] : last[1] + 1, first[0] : last[0] + 1] = True
+        trace_beams(self._ended, self._passed, TILE * self._low, start, ends, weight)
+
     def _grow(self, low: Floats, high: Floats) -> None:
-        """Extend the grid to contain the cells from `low` to `high` (2,)."""
-        size = np.array(self._ended.shape[::-1])
+        """Extend the grid to contain the tiles from `low` to `high` (2,)."""
+        size = np.array(self._changed.shape[::-1])
         below = (self._low - low).astype(np.int64)
         above = (high + 1 - self._low - size).astype(np.int64)
         if not size.any():
@@ -97,38 +117,81 @@ class OccupancyGrid:
             return
         before = np.where(below > 0, below + GROWTH, 0)
         after = np.where(above > 0, above + GROWTH, 0)
-        cells = int(np.prod((size + before + after).astype(float)))
+        cells = TILE**2 * int(np.prod((size + before + after).astype(float)))
         if cells > MAX_CELLS:
             limit = f"{MAX_CELLS / 1e6:.0f} million"
             raise MapError(f"cells of {self._resolution:g} m make a grid of more than {limit}; make them larger")
-        padding = list(zip(before.tolist()[::-1], after.tolist()[::-1], strict=True))
+        tiles = list(zip(before.tolist()[::-1], after.tolist()[::-1], strict=True))
+        padding = [(TILE * one, TILE * other) for one, other in tiles]
         self._ended, self._passed = np.pad(self._ended, padding), np.pad(self._passed, padding)
+        self._cells = np.pad(self._cells, padding, constant_values=UNKNOWN)
+        self._changed, self._reached = np.pad(self._changed, tiles), np.pad(self._reached, tiles)
         self._low = self._low - before
 
     def occupancy(self, thresholds: Thresholds | None = None) -> Occupancy:
-        """Return the occupancy, cropped to the cells that a beam reached. Raises MapError if there is none."""
+        """Return the occupancy, cropped to the cells that a beam reached. Raises MapError if there is none.
+
+        It is computed where the counts have changed since the last call.
+        """
         thresholds = thresholds or Thresholds()
-        reached = self._ended + self._passed
-        rows, columns = np.nonzero(reached.any(axis=1))[0], np.nonzero(reached.any(axis=0))[0]
-        if not len(rows):
+        if thresholds != self._thresholds:
+            self._thresholds, self._changed = thresholds, np.ones_like(self._changed)
+        counts, limits = (self._ended, self._passed), (thresholds.occupied, thresholds.free)
+        compute_cells(*counts, self._cells, self._changed, self._reached, *limits)
+        self._changed[:] = False
+        if not self._reached.any():
             raise MapError("no beam of any scan hit anything, so there is nothing to draw")
-        window = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-        share = self._ended[window] / np.maximum(reached[window], 1)
-        cells = np.full(share.shape, UNKNOWN, dtype=np.int8)
-        cells[(share <= thresholds.free) & (reached[window] > 0)] = FREE
-        cells[(share >= thresholds.occupied) & (reached[window] > 0)] = OCCUPIED
-        origin = self._resolution * (self._low + np.array([columns[0], rows[0]]))
-        return Occupancy(cells, origin.astype(np.float64), self._resolution)
+        rows, columns = self._extent(1), self._extent(0)
+        origin = self._resolution * (TILE * self._low + np.array([columns.start, rows.start]))
+        return Occupancy(self._cells[rows, columns].copy(), origin.astype(np.float64), self._resolution)
+
+    def _extent(self, axis: int) -> slice:
+        """Return the rows (axis 1) or columns (axis 0) from the first to the last that a beam reached."""
+        tiles = np.nonzero(self._reached.any(axis=axis))[0]
+        first, last = self._in_tile(tiles[0], axis), self._in_tile(tiles[-1], axis)
+        return slice(TILE * int(tiles[0]) + int(first[0]), TILE * int(tiles[-1]) + int(last[-1]) + 1)
+
+    def _in_tile(self, tile: int, axis: int) -> Cells:
+        """Return the rows or columns within those of a tile that a beam reached."""
+        within = slice(TILE * tile, TILE * (tile + 1))
+        window = (within, slice(None)) if axis == 1 else (slice(None), within)
+        return np.asarray(np.nonzero((self._ended[window] + self._passed[window]).any(axis=axis))[0])
 
 
 @compiled
-def trace_beams(ended: Counts, passed: Counts, low: Cells, start: Floats, ends: Floats) -> None:
+def compute_cells(ended, passed, cells, changed, reached, occupied, free):  # type: ignore[no-untyped-def]
+    """Compute the values of the `cells` (rows, columns) in the `changed` tiles from the counts of beams.
+
+    reached         set to True for tiles that a beam has reached, else to False, where they have changed
+    occupied, free  thresholds
+    """
+    for row in range(changed.shape[0]):
+        for column in range(changed.shape[1]):
+            if not changed[row, column]:
+                continue
+            reached[row, column] = False
+            for y in range(TILE * row, TILE * (row + 1)):
+                for x in range(TILE * column, TILE * (column + 1)):
+                    count = ended[y, x] + passed[y, x]
+                    cells[y, x] = UNKNOWN
+                    if count > 0:
+                        reached[row, column] = True
+                        share = ended[y, x] / count
+                        if share >= occupied:
+                            cells[y, x] = OCCUPIED
+                        elif share <= free:
+                            cells[y, x] = FREE
+
+
+@compiled
+def trace_beams(ended: Counts, passed: Counts, low: Cells, start: Floats, ends: Floats, weight: int) -> None:
     """Count the beams from `start` (2,) to `ends` (n, 2), in cells, by the algorithm of Amanatides and Woo (1987).
 
     ended   (rows, columns) count of the cell that a beam ends in
     passed  (rows, columns) counts of the cells that it crosses before
     low     (2,) x, y of the first cell of the counts. It is subtracted from cell indices only: which cell a beam ends
             in must not depend on the extent of the grid
+    weight  by which the counts grow: 1, or -1 to remove beams that were counted before
     """
     first_x, first_y = int(np.floor(start[0])), int(np.floor(start[1]))
     for k in range(ends.shape[0]):
@@ -144,7 +207,7 @@ def trace_beams(ended: Counts, passed: Counts, low: Cells, start: Floats, ends: 
         next_x = abs((x + (step_x > 0)) - start[0]) * each_x if left_x else np.inf
         next_y = abs((y + (step_y > 0)) - start[1]) * each_y if left_y else np.inf
         while left_x or left_y:
-            passed[y - low[1], x - low[0]] += 1
+            passed[y - low[1], x - low[0]] += weight
             if left_x and (next_x <= next_y or not left_y):
                 x += step_x
                 left_x -= 1
@@ -153,4 +216,4 @@ def trace_beams(ended: Counts, passed: Counts, low: Cells, start: Floats, ends: 
                 y += step_y
                 left_y -= 1
                 next_y += each_y
-        ended[last_y - low[1], last_x - low[0]] += 1
+        ended[last_y - low[1], last_x - low[0]] += weight

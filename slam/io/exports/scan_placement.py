@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers import se2
-from drivers.messages import Message, Odometry, Scan
+from drivers.messages import Message, Odometry, Scan, on_clock_of_first
 
-from ...config import LidarConfig
+from ...config import Config
 from ...geometry.segments import Floats
 from ...odometry.history import OdometryHistory
 from ...preprocessing.deskew import deskew, lidar_mount, sweep_middle
@@ -31,18 +31,20 @@ class PlacedScan:
     points: Floats
 
 
-def place_scans(messages: Iterable[Message], trajectory: Trajectory, lidar: LidarConfig) -> Iterator[PlacedScan]:
+def place_scans(messages: Iterable[Message], trajectory: Trajectory, config: Config) -> Iterator[PlacedScan]:
     """Yield the scans among `messages` within the time of `trajectory`, de-skewed along it, in the map.
 
-    Ranges outside the limits of `lidar` and of the scan are left out, as during SLAM.
+    Ranges outside the limits of the lidar's settings and of the scan are left out, as during SLAM.
     """
     path = OdometryHistory()  # the final trajectory takes the place of odometry
     for stamp, pose in zip(trajectory.stamps.tolist(), trajectory.poses, strict=True):
         path.add(Odometry(stamp, pose))
     first, last = trajectory.stamps[[0, -1]] + np.array([-STAMP_TOLERANCE, STAMP_TOLERANCE])
-    for scan in messages:
+    for message in messages:
+        scan = on_clock_of_first(message, config.second_lidar_delay)
         if not isinstance(scan, Scan) or not first <= sweep_middle(scan) <= last:
             continue
+        lidar = config.of_lidar(scan.lidar)
         mount = lidar_mount(scan, lidar)
         sweep = deskew(scan, path, mount, lidar.range_bias)
         usable = (scan.ranges >= max(lidar.range_min, scan.range_min)) & (

@@ -104,6 +104,13 @@ class _SensorModels(Record):
     sigma_range: Finite = Field(gt=0.0)
     odometry_samples: list[list[Finite]]
     roughness_samples: list[Finite]
+    second_sigma_range: Finite | None = Field(default=None, gt=0.0)
+
+    @model_serializer(mode="wrap")
+    def _without_second_lidar(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Return the fields; that of a second lidar, which few robots have, only if there is one."""
+        fields: dict[str, Any] = serialize(self)
+        return {name: value for name, value in fields.items() if value is not None}
 
 
 class SessionHeader(Record):
@@ -144,14 +151,14 @@ class SessionHeader(Record):
         loops: LoopAgreementState,
         joins: Mapping[int, LoopAgreementState],
         graph: GraphState,
-        sensor_models: tuple[float, Floats, Floats],
+        sensor_models: tuple[float, Floats, Floats, float | None],
         parts: MapParts,
     ) -> SessionHeader:
         """Make the header of a session.
 
         loops, joins   state of the search for loops, and of those for joins, by the group of parts that is searched
-        sensor_models  standard deviation of a range (metres), samples of the odometry model (n, 6), and samples of the
-                       wall roughness (m,)
+        sensor_models  standard deviation of a range (metres), samples of the odometry model (n, 6), samples of the wall
+                       roughness (m,), and standard deviation of a range of the second lidar, None if there is none
         """
         return cls(
             recordings=recordings,
@@ -163,6 +170,7 @@ class SessionHeader(Record):
                 sigma_range=sensor_models[0],
                 odometry_samples=sensor_models[1].tolist(),
                 roughness_samples=sensor_models[2].tolist(),
+                second_sigma_range=sensor_models[3],
             ),
             parts=_part_records(parts),
             joins={group: agreement_record(state) for group, state in joins.items()} if parts.apart else {},

@@ -15,6 +15,7 @@ from .tables import TableReader, to_ragged, write_table
 BEAM_COLUMNS = ("range", "angle", "time_offset")
 SCAN_COLUMNS = ("stamp", "range_min", "range_max")
 MOUNT_COLUMNS = ("mount_x", "mount_y", "mount_heading")
+LIDAR_COLUMN = "lidar"
 
 
 def write_queued_scans(file: Path, scans: Sequence[Scan]) -> None:
@@ -26,6 +27,7 @@ def write_queued_scans(file: Path, scans: Sequence[Scan]) -> None:
         {
             **{name: np.array([getattr(scan, name) for scan in scans], dtype=np.float64) for name in SCAN_COLUMNS},
             **{name: mounts[:, k] for k, name in enumerate(MOUNT_COLUMNS)},
+            LIDAR_COLUMN: np.array([scan.lidar for scan in scans], dtype=np.int64),
             "range": to_ragged([scan.ranges for scan in scans], np.float64),
             "angle": to_ragged([scan.angles for scan in scans], np.float64),
             "time_offset": to_ragged([scan.time_offsets for scan in scans], np.float64),
@@ -41,12 +43,14 @@ def read_queued_scans(file: Path) -> list[Scan]:
     beams, lengths = table.ragged_floats(*BEAM_COLUMNS, finite=False)
     if not np.isfinite(beams[:, 1:]).all():
         raise MapError(f"{file}: the angle or time of a beam is not finite")
+    lidars = table.integers(LIDAR_COLUMN) if LIDAR_COLUMN in table else np.zeros(len(table), dtype=np.int64)
+    if not np.isin(lidars, (0, 1)).all():
+        raise MapError(f"{file}: there is no such lidar")
     ends = np.concatenate([[0], np.cumsum(lengths)])
     scans = []
     for row in range(len(table)):
         ranges, angles, offsets = np.ascontiguousarray(beams[ends[row] : ends[row + 1]].T)
         mount = mounts[row] if np.isfinite(mounts[row]).all() else None
-        scans.append(
-            Scan(float(stamps[row]), ranges, angles, offsets, float(range_min[row]), float(range_max[row]), mount)
-        )
+        limits = float(range_min[row]), float(range_max[row])
+        scans.append(Scan(float(stamps[row]), ranges, angles, offsets, *limits, mount, int(lidars[row])))
     return scans

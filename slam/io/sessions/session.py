@@ -66,6 +66,7 @@ class StoredSession:
     loop_decisions  all decisions on loop closure candidates, with the values of `summary.json`
     queued_scans    last scans, whose sweep odometry did not cover yet: part of the trajectory in the results, but not
                     of `slam_state`, since more odometry may follow
+    second_sigma_range  as sigma_range, of the second lidar; None if there is none
     """
 
     config: Config
@@ -77,6 +78,7 @@ class StoredSession:
     recordings: list[Recording] = field(default_factory=list)
     loop_decisions: Sequence[Mapping[str, Any]] = ()
     queued_scans: Sequence[Scan] = ()
+    second_sigma_range: float | None = None
 
     @property
     def latest(self) -> float:
@@ -117,7 +119,12 @@ def write_session(directory: Path, session: StoredSession) -> None:
         slam_state.loops.state,
         slam_state.joins.states,
         graph,
-        (session.sigma_range, slam_state.odometry_model.samples, mapper.roughness.samples),
+        (
+            session.sigma_range,
+            slam_state.odometry_model.samples,
+            mapper.roughness.samples,
+            session.second_sigma_range,
+        ),
         mapper.landmarks.parts,
     )
     write_header(folder / HEADER, header)
@@ -158,6 +165,7 @@ def read_session(path: Path, *, solve: bool = True) -> StoredSession:
         recordings=list(header.recordings),
         loop_decisions=read_loop_decisions(folder / LOOP_DECISIONS),
         queued_scans=read_queued_scans(folder / QUEUED_SCANS),
+        second_sigma_range=header.sensor_models.second_sigma_range,
     )
 
 

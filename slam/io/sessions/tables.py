@@ -115,6 +115,10 @@ class TableReader:
     def __len__(self) -> int:
         return int(self._table.num_rows)
 
+    def __contains__(self, name: object) -> bool:
+        """Return True if the table has a column; later versions have added some."""
+        return name in self._names
+
     def _check_size(self) -> None:
         """Raise MapError if the table would be far larger in memory than any that is written.
 

@@ -73,6 +73,7 @@ def merge_pair(first: StoredSession, second: StoredSession, consensus: Consensus
         odometry=[*first.odometry, *second.odometry],
         starts=starts,
         sigma_range=second.sigma_range,
+        second_sigma_range=second.second_sigma_range,
         recordings=[*first.recordings, *second.recordings],
         queued_scans=second.queued_scans,
         loop_decisions=[*first.loop_decisions, *_offset_loop_decisions(second, offsets.keyframes)],

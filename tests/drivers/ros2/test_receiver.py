@@ -22,8 +22,8 @@ ENCODER = RosEncoder()
 class Robot:
     """A robot that publishes on a link."""
 
-    def __init__(self, link: MemoryLink) -> None:
-        self._scan = link.publish("/scan", LASER_SCAN, QoS())
+    def __init__(self, link: MemoryLink, scan: str = "/scan") -> None:
+        self._scan = link.publish(scan, LASER_SCAN, QoS())
         self._moving = link.publish("/tf", TRANSFORMS, QoS())
         self._fixed = link.publish("/tf_static", TRANSFORMS, STATIC_TRANSFORMS)
         self._odometry = link.publish("/odom", ODOMETRY, QoS())
@@ -158,3 +158,29 @@ def test_clock_that_was_set_back_is_named(link: MemoryLink, robot: Robot) -> Non
     assert ["the clock was set back" in line for line in receiver.missing()] == [True]
     robot.scan(101.0)
     assert receiver.missing() == []
+
+
+def test_scans_of_a_second_lidar_have_its_number_and_mount(link: MemoryLink, robot: Robot) -> None:
+    behind = np.array([-0.2, 0.0, 3.0])
+    robot.mount("base_footprint", "laser", MOUNT)
+    robot.mount("base_footprint", "rear_laser", behind)
+    receiver = RosReceiver(link, Inputs(second_scan="/rear/scan"))
+    second = Robot(link, "/rear/scan")
+    robot.scan(1.0)
+    second.scan(0.98, "rear_laser")  # the order of the stamps is that of each lidar
+    second.scan(0.97, "rear_laser")
+    first, other = messages(receiver)
+    assert isinstance(first, Scan)
+    assert isinstance(other, Scan)
+    assert (first.lidar, other.lidar) == (0, 1)
+    assert np.array_equal(other.mount, behind)
+    assert receiver.report.reasons == {LATE: 1}
+
+
+def test_a_missing_second_lidar_is_named(link: MemoryLink, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 100.0
+    monkeypatch.setattr(receiver_module.time, "monotonic", lambda: now)
+    receiver = RosReceiver(link, Inputs(second_scan="/rear/scan", uses_odometry=False, mount_is_set=True))
+    now += 10.0
+    Robot(link).scan(1.0)
+    assert receiver.missing() == ["no scans on /rear/scan"]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import drivers
 from drivers.messages import GroundTruth
-from slam.config import LidarConfig
+from slam.config import Config, LidarConfig
 from slam.errors import MapError
 from slam.io.exports import Occupancy, OccupancyGrid, PlacedScan, Thresholds, place_scans, write_pgm, write_pgm_yaml
 from slam.io.exports.occupancy import FREE, OCCUPIED, UNKNOWN, trace_beams
@@ -76,7 +76,7 @@ coordinate = st.floats(0.0, 19.999)
 @given(st.tuples(coordinate, coordinate), st.tuples(coordinate, coordinate))
 def test_beam_is_counted_in_the_cells_that_it_crosses(start: tuple[float, float], end: tuple[float, float]) -> None:
     ended, passed = np.zeros((20, 20), np.int32), np.zeros((20, 20), np.int32)
-    trace_beams(ended, passed, np.zeros(2, dtype=np.int64), np.array(start), np.array([end]))
+    trace_beams(ended, passed, np.zeros(2, dtype=np.int64), np.array(start), np.array([end]), 1)
     (row, column), first = np.argwhere(ended)[0], np.floor(start).astype(int)
     assert ended.sum() == 1
     assert (column, row) == tuple(np.floor(end).astype(int))
@@ -118,7 +118,7 @@ def test_placed_scans_lie_on_the_walls_for_any_mount(mount: str) -> None:
     messages = list(source)
     truth = [message for message in messages if isinstance(message, GroundTruth)]
     path = Trajectory(np.array([t.stamp for t in truth]), np.array([t.pose for t in truth]))
-    scans = list(place_scans(messages, path, LidarConfig(range_max=20.0)))
+    scans = list(place_scans(messages, path, Config(lidar=LidarConfig(range_max=20.0))))
     assert 50 < len(scans) <= 60
     walls = np.array(source.world.segments)  # type: ignore[attr-defined]
     starts, ends = walls[:, :2], walls[:, 2:]
@@ -129,7 +129,22 @@ def test_placed_scans_lie_on_the_walls_for_any_mount(mount: str) -> None:
     distance = np.linalg.norm(points[:, None] - nearest, axis=2).min(axis=1)
     assert np.median(distance) < 0.01
     assert np.mean(distance < 0.04) > 0.97  # some beams end between two surfaces
-    short = list(place_scans(messages, path, LidarConfig(range_max=1.5)))
+    short = list(place_scans(messages, path, Config(lidar=LidarConfig(range_max=1.5))))
     reach = np.concatenate([np.linalg.norm(scan.points - scan.origin, axis=1) for scan in short])
     assert reach.max() < 1.55
-    assert not list(place_scans(messages, Trajectory(path.stamps + 100, path.poses), LidarConfig()))
+    assert not list(place_scans(messages, Trajectory(path.stamps + 100, path.poses), Config()))
+
+
+def test_removed_beams_leave_no_trace() -> None:
+    random = np.random.default_rng(3)
+    kept, removed = (PlacedScan(0.0, random.normal(size=2), random.normal(size=(90, 2)) * size) for size in (3.0, 9.0))
+    one, other = OccupancyGrid(0.05), OccupancyGrid(0.05)
+    one.add_all([kept, removed])
+    assert one.occupancy().cells.size > 20_000
+    one.remove(removed)
+    other.add(kept)
+    assert np.array_equal(one.occupancy().cells, other.occupancy().cells)
+    assert one.occupancy().origin == pytest.approx(other.occupancy().origin)
+    one.remove(kept)
+    with pytest.raises(MapError, match="nothing to draw"):
+        one.occupancy()

@@ -10,6 +10,7 @@ import pytest
 import drivers
 from drivers.messages import Scan, delay_odometry, with_reversed_times
 from drivers.recordings.mcap import McapWriter
+from drivers.timing.delay import Delay
 from slam import Slam
 from slam.cli.run_input import RecordingInput
 from slam.config import Config, load_config
@@ -68,3 +69,19 @@ def test_delay_of_the_settings_moves_odometry() -> None:
     one, other = compensating.finish(), shifted.finish()
     np.testing.assert_array_equal(one.stamps, other.stamps)
     np.testing.assert_array_equal(one.poses, other.poses)
+
+
+@pytest.mark.parametrize(
+    ("second", "used"),
+    [
+        (None, 0.3),
+        (Delay(0.31, 0.02, None), 0.3),
+        (Delay(0.28, 0.02, "shorter than the period of the scans"), 0.3),
+        (Delay(0.8, 0.02, None), 0.8),
+        (Delay(0.01, 0.02, "not significant"), 0.0),
+    ],
+)
+def test_lidars_have_one_delay_unless_they_clearly_differ(second: Delay | None, used: float) -> None:
+    first = RecordingTiming(delay=Delay(0.32, 0.02, None), used_delay=0.3)
+    own = 0.0 if second is None or second.objection else second.seconds
+    assert RecordingTiming(delay=second, used_delay=own).beside(first).used_delay == used

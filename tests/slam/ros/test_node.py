@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,11 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from ruamel.yaml import YAML
+from scipy.spatial import KDTree
 from typer.testing import CliRunner
 
 import drivers
 from drivers import se2
-from drivers.messages import Message, Scan
+from drivers.messages import Floats, Message, Scan
 from drivers.recordings.mcap import McapWriter
 from drivers.recordings.ros_encoder import RosEncoder
 from drivers.recordings.ros_messages import (
@@ -33,13 +36,16 @@ from drivers.ros2 import receiver, selection
 from drivers.ros2.encoder import GRID, MARKERS, POSE_WITH_COVARIANCE
 from drivers.ros2.link import STATIC_TRANSFORMS
 from drivers.ros2.receiver import RosReceiver
+from drivers.simulation import load_world
 from slam.cli.app import app
-from slam.io.output_dir import KEYFRAMES, MAP, TRAJECTORY
+from slam.io.output_dir import KEYFRAMES, MAP, SUMMARY, TRAJECTORY
 from slam.io.tum import read_tum
 
 from ...memory_link import MemoryLink
 
 WORLD = "sim:office?duration=12&lidar=short"
+TWO_LIDARS = "sim:office?duration=8&lidar=half&mount=0.2,0,0&second_mount=-0.2,0,3"
+SCAN_TOPICS = ("/scan", "/scan_2")
 START = 1000.0
 """Stamp of the first message, seconds."""
 MOUNT = [0.1, 0.0, 0.0]
@@ -72,14 +78,14 @@ class NodeRun:
     robot: list[Published]
 
 
-def record_office(path: Path) -> None:
+def record_office(path: Path, world: str = WORLD) -> None:
     """Record a drive whose ranges fit into a LaserScan exactly."""
     encoder = RosEncoder()
     with McapWriter(path) as writer:
-        for message in drivers.open(WORLD):
+        for message in drivers.open(world):
             if isinstance(message, Scan):
                 laser_scan = decode(encoder.scan(message, "laser"), LASER_SCAN, "cdr")
-                message = scan_of(laser_scan, 0, LidarMount(message.mount))
+                message = replace(scan_of(laser_scan, 0, LidarMount(message.mount)), lidar=message.lidar)
             writer.write(replace(message, stamp=message.stamp + START))
 
 
@@ -92,7 +98,7 @@ def robot_messages(path: Path) -> list[Published]:
             arrival = message.log_time / 1e9
             if schema.name == LASER_SCAN:
                 arrival += scan_of(decode(message.data, LASER_SCAN, "cdr"), 0, LidarMount()).duration
-            if channel.topic in ("/scan", "/tf", "/tf_static"):
+            if channel.topic in (*SCAN_TOPICS, "/tf", "/tf_static"):
                 published.append(Published(arrival, channel.topic, schema.name, message.data))
     return sorted(published, key=lambda item: item.arrival)
 
@@ -129,7 +135,7 @@ def feed(link: MemoryLink, robot: list[Published], calls: dict[int, Callable[[],
     scans = 0
     for item in robot:
         puts[item.topic](item.data)
-        scans += item.topic == "/scan"
+        scans += item.topic in SCAN_TOPICS
         opened = OpenedReceiver.last
         with opened.asked:
             opened.asked.wait_for(lambda opened=opened, wanted=scans: opened.taken >= wanted, patience)
@@ -144,8 +150,9 @@ def run_node(
     out: Path,
     calls: dict[int, Callable[[], None]],
     patience: float = PATIENCE,
+    options: Sequence[str] = (),
 ) -> str:
-    """Run `wclm ros` on the robot's messages; return what it printed."""
+    """Run `wclm ros` with `options` on the robot's messages; return what it printed."""
     parameters = out.with_suffix(".yaml")
     parameters.write_text(
         "slam_toolbox:\n  ros__parameters:\n    base_frame: base_link\n    map_update_interval: 0.2\n"
@@ -156,7 +163,7 @@ def run_node(
         patch.setattr(selection, "open_link", lambda names, backend: link)
         patch.setattr(receiver, "RosReceiver", OpenedReceiver)
         feeder.start()
-        arguments = ["--out", str(out), "--no-review", "--ros-args", "--params-file", str(parameters)]
+        arguments = ["--out", str(out), "--no-review", "--ros-args", "--params-file", str(parameters), *options]
         result = CliRunner().invoke(app, ["ros", *arguments])
     assert result.exit_code == 0, result.output
     feeder.join(PATIENCE)
@@ -298,3 +305,60 @@ def test_one_line_says_what_is_used(node_run: NodeRun) -> None:
     assert "wclm: node /slam_toolbox by memory" in lines
     assert "wclm: parameters without a counterpart are ignored: solver_plugin" in lines
     assert node_run.link.closed
+
+
+def test_two_lidars_as_in_a_recording(tmp_path: Path) -> None:
+    recording, link = tmp_path / "drive.mcap", MemoryLink()
+    record_office(recording, TWO_LIDARS)
+    settings = ["--set", "lidar.topic=/scan", "--set", "second_lidar.topic=/scan_2"]
+    arguments = ["run", str(recording), "--out", str(tmp_path / "offline"), "--no-review", *settings]
+    offline = CliRunner().invoke(app, arguments)
+    assert offline.exit_code == 0, offline.output
+    run_node(link, robot_messages(recording), tmp_path / "online", {}, options=["-p", "second_scan_topic:=/scan_2"])
+    for name in (TRAJECTORY, MAP, KEYFRAMES):
+        assert (tmp_path / "online" / name).read_bytes() == (tmp_path / "offline" / name).read_bytes()
+    assert json.loads((tmp_path / "online" / SUMMARY).read_text())["slam"]["second_lidar"]["joined"] == 79
+
+
+def test_a_plan_helps_mapping_and_gives_the_frame(tmp_path: Path) -> None:
+    recording, plan, link = tmp_path / "drive.mcap", tmp_path / "room.geojson", MemoryLink()
+    walls = load_world("room").segments.reshape(-1, 2, 2)
+    shifted = walls + np.array([20.0, 10.0])
+    plan.write_text(json.dumps({"type": "MultiLineString", "coordinates": shifted.tolist(), "units": "m"}))
+    record_office(recording, "sim:room?duration=10")
+    options = ["--plan", str(plan), "--start", "21,11,0"]
+    run_node(link, robot_messages(recording), tmp_path / "online", {}, options=options)
+    found = json.loads((tmp_path / "online" / SUMMARY).read_text())["plan"]
+    assert (found["file"], found["recognised"]) == ("room.geojson", True)
+    grid = decode(link.sent["/map"][-1], GRID, "cdr")
+    corner = np.array([grid.info.origin.position.x, grid.info.origin.position.y])
+    assert corner == pytest.approx(shifted.min(axis=(0, 1)), abs=0.2)
+    poses = [decode(data, POSE_WITH_COVARIANCE, "cdr").pose.pose.position for data in link.sent["/pose"]]
+    assert poses[-1].x > 20.0
+
+
+def test_a_run_without_a_recording_has_a_grid_map(node_run: NodeRun, tmp_path: Path) -> None:
+    """It is drawn from fewer points than that of the recording, and shows the same walls."""
+    walls = []
+    for folder in (node_run.online, node_run.offline):
+        file = tmp_path / folder.name / "grid.pgm"
+        file.parent.mkdir()
+        result = CliRunner().invoke(app, ["map", str(folder), "--format", "pgm", "--out", str(file)])
+        assert result.exit_code == 0, result.output
+        assert ("the run was not recorded" in result.output) == (folder == node_run.online)
+        grid = read_grid(file.with_suffix(".yaml"))
+        walls.append(grid)
+    few, all_of_them = walls
+    assert 0.7 * len(all_of_them) < len(few) < 1.1 * len(all_of_them)
+    distances, _ = KDTree(all_of_them).query(few)
+    assert np.mean(distances < 0.08) > 0.97
+
+
+def read_grid(file: Path) -> Floats:
+    """Return the centres (n, 2) of the occupied cells of a grid map, metres."""
+    settings = YAML(typ="safe").load(file.read_text())
+    content = (file.parent / settings["image"]).read_bytes()
+    columns, rows = map(int, content.split(b"\n", 2)[1].split())
+    pixels = np.frombuffer(content[-rows * columns :], dtype=np.uint8).reshape(rows, columns)[::-1]
+    occupied = np.argwhere(pixels == 0)[:, ::-1]
+    return np.asarray(settings["origin"][:2] + settings["resolution"] * (occupied + 0.5))

@@ -1,0 +1,69 @@
+"""Returns of keyframes, placed in the map with the beams that have measured them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drivers import se2
+from drivers.messages import Odometry
+
+from ...geometry.segments import Floats
+from ...odometry.history import OdometryHistory
+from ..tum import Trajectory
+from .scan_placement import PlacedScan
+
+if TYPE_CHECKING:
+    from ..sessions import StoredSession
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyframePoints:
+    """Returns of a keyframe's scan in the base's frame, metres, as 32-bit floats.
+
+    points  (n, 2)
+    lidars  (k, 2) positions of the lidars
+    """
+
+    stamp: float
+    points: np.ndarray[tuple[int, int], np.dtype[np.float32]]
+    lidars: Floats
+
+    @classmethod
+    def within(cls, stamp: float, points: Floats, lidars: Floats, max_range: float = np.inf) -> KeyframePoints:
+        """Return the points (n, 2) that are within `max_range` metres of a lidar."""
+        near = points[_distances(points, lidars).min(axis=1) <= max_range]
+        return cls(stamp, near.astype(np.float32), lidars.copy())
+
+    def placed(self, pose: se2.Pose) -> Iterator[PlacedScan]:
+        """Yield the scan of each lidar in the map, taken with the base at `pose`.
+
+        Of several lidars the nearest to a point counts as the one that has measured it: they are close together, and
+        what one of them sees, others in the direction of the point see too.
+        """
+        points = np.asarray(self.points, dtype=np.float64)
+        nearest = _distances(points, self.lidars).argmin(axis=1)
+        for row, lidar in enumerate(self.lidars):
+            own = points[nearest == row]
+            yield PlacedScan(self.stamp, se2.transform(pose, lidar), se2.transform(pose, own))
+
+
+def place_keyframes(session: StoredSession, trajectory: Trajectory, lidars: Floats) -> Iterator[PlacedScan]:
+    """Yield the returns of a session's keyframes on the finished `trajectory`, which has a pose at each scan.
+
+    lidars  (k, 2) positions of the lidars on the base
+    """
+    path = OdometryHistory()
+    for stamp, pose in zip(trajectory.stamps.tolist(), trajectory.poses, strict=True):
+        path.add(Odometry(stamp, pose))
+    for row in session.scan_history().keyframes.tolist():
+        scan = session.scans[row]
+        yield from KeyframePoints.within(scan.stamp, scan.features.points.all, lidars).placed(path.at(scan.stamp))
+
+
+def _distances(points: Floats, lidars: Floats) -> Floats:
+    """Return the distances (n, k) of points (n, 2) from lidars (k, 2)."""
+    return np.asarray(np.linalg.norm(points[:, None] - lidars, axis=2))

@@ -1,0 +1,96 @@
+"""Features of the scans of one lidar in the base's frame, and those of two lidars joined."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drivers import se2
+from drivers.messages import Scan
+from features import Features
+
+from ..config import FeatureConfig, LidarConfig
+from ..geometry.line_segments import corner_points, segments_from_lines
+from ..geometry.segments import CornerPoints, Segments
+from ..matching.line_matcher import ScanFeatures
+from ..matching.scan_points import MAX_SCAN_POINTS, ScanPoints, rounded, subsample
+from ..odometry.error_model import OdometryModel
+from ..odometry.history import OdometryHistory, wheel_travel
+from .deskew import DeskewedScan, deskew, lidar_mount
+from .extraction import build_extractor
+from .motion_uncertainty import add_motion_uncertainty
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExtractedScan:
+    """De-skewed scan with its features in the lidar's frame, and the lidar's mount."""
+
+    deskewed: DeskewedScan
+    features: Features
+    mount: se2.Pose
+
+    def in_base_frame(self, model: OdometryModel) -> ScanFeatures:
+        """Return the features in the base's frame at the scan's stamp."""
+        lines, mount = self.features.lines, self.mount
+        segments = segments_from_lines(lines, mount)
+        corners = corner_points(self.features.corners, segments, mount)
+        segments, corners = add_motion_uncertainty(segments, corners, lines, self.deskewed, model)
+        points = (
+            rounded(subsample(se2.transform(mount, some), MAX_SCAN_POINTS)) for some in self.deskewed.points(lines)
+        )
+        return ScanFeatures(segments, corners, ScanPoints(*points))
+
+    def moved_to(self, reference: DeskewedScan, model: OdometryModel) -> ExtractedScan:
+        """Return the scan as if it belonged to the stamp of another one; odometry says how the base has moved.
+
+        The uncertainty of that motion is part of the travel of the beams.
+        """
+        motion = model.correct(se2.between(reference.odometry, self.deskewed.odometry))
+        travel = self.deskewed.travel + float(wheel_travel(motion))
+        deskewed = replace(self.deskewed, stamp=reference.stamp, odometry=reference.odometry, travel=travel)
+        return replace(self, deskewed=deskewed, mount=se2.compose(motion, self.mount))
+
+
+class LidarFeatures:
+    """Feature extraction for the scans of one lidar, with its mount and its noise."""
+
+    def __init__(self, lidar: LidarConfig, features: FeatureConfig, sigma_range: float | None = None) -> None:
+        """`sigma_range` is the standard deviation of a range (metres) if earlier scans have determined it."""
+        self._lidar = lidar
+        self._extractor = build_extractor(lidar, features, sigma_range)
+        self._noise_settled = sigma_range is not None
+
+    @property
+    def sigma_range(self) -> float:
+        """Current estimate of a range's standard deviation, metres."""
+        return self._extractor.noise.sigma_range
+
+    def extract(self, scan: Scan, odometry: OdometryHistory, model: OdometryModel) -> ExtractedScan:
+        """De-skew a scan and extract its features."""
+        mount = lidar_mount(scan, self._lidar)
+        deskewed = deskew(scan, odometry, mount, self._lidar.range_bias, model)
+        if not self._noise_settled:
+            self._noise_settled = self._extractor.settle_noise(deskewed.ranges, deskewed.bearings)
+        return ExtractedScan(deskewed, self._extractor.extract(deskewed.ranges, deskewed.bearings), mount)
+
+
+def joined(first: ScanFeatures, second: ScanFeatures) -> ScanFeatures:
+    """Return the features of two lidars at the same stamp as those of one scan, the first lidar's first."""
+    segments = Segments(
+        np.concatenate([first.segments.frame, second.segments.frame]),
+        np.concatenate([first.segments.half_length, second.segments.half_length]),
+        np.concatenate([first.segments.covariance, second.segments.covariance]),
+        np.concatenate([first.segments.bias_slope, second.segments.bias_slope]),
+    )
+    corners = CornerPoints(
+        np.concatenate([first.corners.position, second.corners.position]),
+        np.concatenate([first.corners.covariance, second.corners.covariance]),
+        np.concatenate([first.corners.segments, second.corners.segments + len(first.segments)]),
+        np.concatenate([first.corners.headings, second.corners.headings]),
+    )
+    points = ScanPoints(
+        np.concatenate([first.points.all, second.points.all]),
+        np.concatenate([first.points.clutter, second.points.clutter]),
+    )
+    return ScanFeatures(segments, corners, points)

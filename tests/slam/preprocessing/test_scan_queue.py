@@ -1,0 +1,91 @@
+"""Scans of a second lidar are paired with those of the first, whatever the order of their arrival."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from drivers.messages import Scan
+from slam.preprocessing.deskew import sweep_middle
+from slam.preprocessing.scan_queue import MAX_ABSENCE, MAX_QUEUED_SCANS, ScanPair, ScanQueue
+
+COUNT = 60
+
+
+def scans(lidar: int, rate: float, start: float, jitter: float = 0.0, count: int = COUNT) -> list[Scan]:
+    """Return scans whose sweep takes the whole period."""
+    noise = np.random.default_rng(lidar).uniform(-jitter, jitter, count)
+    beams = np.ones(3), np.linspace(-1.0, 1.0, 3), np.linspace(0.0, 1.0 / rate, 3)
+    return [Scan(start + k / rate + noise[k], *beams, 0.1, 10.0, lidar=lidar) for k in range(count)]
+
+
+def pair_up(messages: Iterable[Scan], queue: ScanQueue | None = None, covered: float = np.inf) -> list[ScanPair]:
+    queue = ScanQueue(two_lidars=True) if queue is None else queue
+    pairs = []
+    for scan in messages:
+        queue.add(scan)
+        while (pair := queue.take(covered)) is not None:
+            pairs.append(pair)
+    while (pair := queue.take(covered, flush=True)) is not None:
+        pairs.append(pair)
+    return pairs
+
+
+def by_arrival(messages: Iterable[Scan], delays: tuple[float, float]) -> list[Scan]:
+    """Return the scans in the order in which they arrive, `delays` seconds after their sweep."""
+    return sorted(messages, key=lambda scan: scan.stamp + scan.duration + delays[scan.lidar])
+
+
+@pytest.mark.parametrize("offset", [-0.05, -0.02, 0.0, 0.03, 0.05])
+@pytest.mark.parametrize("rate", [5.0, 10.0, 13.0, 40.0])
+def test_pairs_do_not_depend_on_the_arrival(offset: float, rate: float) -> None:
+    both = [*scans(0, 10.0, 7.0, 0.005), *scans(1, rate, 7.0 + offset, 0.05 / rate, int(6 * rate))]
+    orders = [sorted(both, key=lambda scan: scan.stamp)]
+    orders += [by_arrival(both, delays) for delays in ((0.0, 0.0), (0.05, 0.0), (0.0, 0.05))]
+    found = [[(p.first.stamp, p.second and p.second.stamp) for p in pair_up(order)] for order in orders]
+    assert all(pairs == found[0] for pairs in found)
+    assert [first for first, _ in found[0]] == sorted(scan.stamp for scan in both if not scan.lidar)
+    joined = [second for _, second in found[0] if second is not None]
+    assert all(a < b for a, b in pairwise(joined))
+    assert len(joined) >= 0.95 * min(1.0, rate / 10.0) * COUNT - 2
+    for first, second in pair_up(orders[0]):
+        assert second is None or abs(sweep_middle(first) - sweep_middle(second)) < 0.1
+
+
+def test_scans_at_the_same_time_are_paired() -> None:
+    both = sorted([*scans(0, 10.0, 7.0), *scans(1, 10.0, 7.0)], key=lambda scan: scan.stamp)
+    assert all(second is not None and first.stamp == second.stamp for first, second in pair_up(both))
+
+
+def test_without_odometry_the_second_scan_is_not_later() -> None:
+    both = sorted([*scans(0, 10.0, 7.0), *scans(1, 10.0, 7.03)], key=lambda scan: scan.stamp)
+    pairs = pair_up(both, ScanQueue(two_lidars=True, predicts_odometry=True))
+    assert all(second is not None and second.stamp < first.stamp for first, second in pairs[1:])
+
+
+def test_a_lidar_that_falls_silent_is_waited_for_no_longer() -> None:
+    queue, waiting, taken = ScanQueue(two_lidars=True), [], 0
+    for scan in sorted([*scans(0, 10.0, 7.0), *scans(1, 10.0, 7.0, count=20)], key=lambda scan: scan.stamp):
+        queue.add(scan)
+        while queue.take(np.inf) is not None:
+            taken += 1
+        waiting.append(len(queue))
+    assert max(waiting) <= MAX_ABSENCE * 10 + 1
+    assert waiting[-1] == 0
+    assert taken == COUNT
+
+
+def test_a_single_lidar_waits_for_odometry_only() -> None:
+    queue = ScanQueue()
+    first, second = scans(0, 10.0, 7.0, count=2)
+    queue.add(first)
+    queue.add(second)
+    assert queue.take(7.05) is None
+    assert queue.take(7.1) == ScanPair(first)
+    assert queue.take(7.1) is None
+    for scan in scans(0, 10.0, 7.2, count=MAX_QUEUED_SCANS):
+        queue.add(scan)
+    assert queue.take(0.0) == ScanPair(second)
