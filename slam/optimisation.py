@@ -60,22 +60,24 @@ def optimise(session: StoredSession, sinks: Sequence[Sink] = ()) -> OptimisedSes
     last = session.scans[-1]
     slam_state.replace_map(refined.mapper, refined.trajectory, PoseFix(refined.poses[-1], last.odometry), keyframes)
     summary = refined.summary | _changes(before, refined.mapper)
-    bends = settle_wall_bends(slam_state.mapper, session.scan_history())
     publisher.publish_keyframes(refined.mapper, keyframes, session.sigma_range)
     publisher.publish_map(last.stamp, refined.mapper)
-    segments = OdometrySegments(session.odometry, session.starts)
-    poses = slam_state.mapper.keyframe_poses
-    placed = slam_state.trajectory.at_scans(poses)
-    drive = drive_of(session.scans, session.starts, placed, slam_state.odometry_model)
-    suspects = [*unconnected_parts(refined.mapper, slam_state.keyframe_stamps), *find_suspects(drive)]
-    publisher.publish_suspects(suspects, slam_state.keyframe_stamps)
-    result = final_result(
-        slam_state,
-        segments.trajectory(slam_state.trajectory, poses),
-        {"refinement": summary, "wall_bends": bends, "suspects": [suspect.row() for suspect in suspects]},
-    )
-    publisher.publish(result)
+    result = summarise_session(session, {"refinement": summary}, publisher)
     return OptimisedSession(result, session, summary)
+
+
+def summarise_session(session: StoredSession, summary: dict[str, Any], publisher: Publisher) -> Finished:
+    """Check a session whose map is settled; publish and return its map and trajectory, with `summary` extended."""
+    state, segments = session.slam_state, OdometrySegments(session.odometry, session.starts)
+    poses = state.mapper.keyframe_poses
+    drive = drive_of(session.scans, session.starts, state.trajectory.at_scans(poses), state.odometry_model)
+    suspects = [*unconnected_parts(state.mapper, state.keyframe_stamps), *find_suspects(drive)]
+    publisher.publish_suspects(suspects, state.keyframe_stamps)
+    bends = settle_wall_bends(state.mapper, session.scan_history())
+    summary = summary | {"wall_bends": bends, "suspects": [suspect.row() for suspect in suspects]}
+    result = final_result(state, segments.trajectory(state.trajectory, poses), summary)
+    publisher.publish(result)
+    return result
 
 
 def _changes(before: Mapper, after: Mapper) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from drivers.errors import SlamError
 from .commands.batch import batch
 from .commands.bench import bench
 from .commands.calibrate import calibrate
+from .commands.correct import correct
 from .commands.demo import demo
 from .commands.devices import devices
 from .commands.diff import diff
@@ -109,6 +110,7 @@ COMMANDS: dict[str, dict[str, Callable[..., Any]]] = {
     },
     "Sessions": {
         "optimize": optimize,
+        "correct": correct,
         "merge": merge,
         "map": export_map,
         "measure": measure,

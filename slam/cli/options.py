@@ -100,6 +100,12 @@ StartOption = Annotated[
         help="With --continue, --localize or --plan: roughly where the robot starts in the map (metres, radians).",
     ),
 ]
+RegularOption = Annotated[
+    bool,
+    typer.Option(
+        "--regular", help="Make walls parallel and angles right where the covariances support it; others stay."
+    ),
+]
 RefineOption = Annotated[
     bool, typer.Option("--refine", help="Refine the whole session after the last scan, as `wclm optimize` does.")
 ]

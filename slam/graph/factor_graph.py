@@ -149,6 +149,14 @@ class FactorGraph(GraphEstimate):
         """Add the `frame` of a wall in the map by a plan, near the wall's own, with the covariance (2, 2) there."""
         self._add(FactorKind.PLAN_WALL, wall, wall, frame, covariance)
 
+    def add_pinned_pose(self, keyframe: int, pose: se2.Pose, covariance: Floats) -> None:
+        """Add the surveyed `pose` of a keyframe in the map, with its covariance (3, 3) in the keyframe's frame."""
+        self._add(FactorKind.PINNED_POSE, keyframe, keyframe, pose, covariance)
+
+    def add_pinned_wall(self, wall: int, frame: se2.Pose, covariance: Floats) -> None:
+        """Add the surveyed `frame` of a wall in the map, near the wall's own, with the covariance (2, 2) there."""
+        self._add(FactorKind.PINNED_WALL, wall, wall, frame, covariance)
+
     def add_loop(self, old: int, keyframe: int, relative: se2.Pose, sigmas: Floats) -> None:
         """Add a keyframe's pose relative to an old one (sigmas (3,) in metres and radians), without a robust kernel."""
         self._add(FactorKind.LOOP, old, keyframe, relative, np.diag(sigmas**2))

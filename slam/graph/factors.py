@@ -39,6 +39,9 @@ class FactorKind(StrEnum):
     CORNER         the corner's position in the frame of `first`; (2, 2). Robust
     PLAN_WALL      the wall's frame in the map, as a plan states it; (2, 2), as for WALL. `first` and `second` are the
                    wall. Robust
+    PINNED_POSE    the pose of the keyframe `first` in the map, as surveyed; (3, 3). `first` and `second` are the
+                   keyframe
+    PINNED_WALL    as PLAN_WALL, but surveyed and not robust
     WALL_EQUALITY  the frame of the wall `second` in that of the wall `first`: they are one; (2, 2), as for WALL
     LOOP           the keyframe `second` in the frame of `first`, from a loop closure; (3, 3)
     POINT_MAP      the points of the keyframe `first` as a body in its frame: zero; (3, 3), the noise of its scan
@@ -54,6 +57,8 @@ class FactorKind(StrEnum):
     WALL = "wall"
     CORNER = "corner"
     PLAN_WALL = "plan_wall"
+    PINNED_POSE = "pinned_pose"
+    PINNED_WALL = "pinned_wall"
     WALL_EQUALITY = "wall_equality"
     LOOP = "loop"
     POINT_MAP = "point_map"
@@ -80,15 +85,20 @@ WALL_KINDS = (
     FactorKind.GAUGE_PRIOR,
     FactorKind.WALL_EQUALITY,
     FactorKind.PLAN_WALL,
+    FactorKind.PINNED_WALL,
 )
 # Kinds that measure a variable in the map. Origin: definition.
-PRIOR_KINDS = (FactorKind.POSE_PRIOR, FactorKind.PLAN_WALL)
+PRIOR_KINDS = (FactorKind.POSE_PRIOR, FactorKind.PLAN_WALL, FactorKind.PINNED_POSE, FactorKind.PINNED_WALL)
+# Kinds of factors with surveyed coordinates. Origin: definition.
+PIN_KINDS = (FactorKind.PINNED_POSE, FactorKind.PINNED_WALL)
 # Keys of the first and the second variable with number 0, from which the others follow. Other kinds of factors lead
 # from a keyframe to a wall. Origin: definition.
 _FIRST_KEYS = {
     FactorKind.POSE_PRIOR: (X(0), X(0)),
     FactorKind.WALL_EQUALITY: (L(0), L(0)),
     FactorKind.PLAN_WALL: (L(0), L(0)),
+    FactorKind.PINNED_POSE: (X(0), X(0)),
+    FactorKind.PINNED_WALL: (L(0), L(0)),
     FactorKind.CORNER: (X(0), C(0)),
     FactorKind.POINT_MAP: (X(0), P(0)),
     FactorKind.SCAN_MATCH: (P(0), X(0)),
@@ -111,6 +121,13 @@ class Factor:
     measured: Floats
     covariance: Floats
     bias_slope: Floats = field(default_factory=lambda: np.zeros(0))
+
+
+def walls_of(factor: Factor) -> tuple[int, ...]:
+    """Return the walls that a factor contains."""
+    if factor.kind in (FactorKind.WALL_EQUALITY, FactorKind.PLAN_WALL, FactorKind.PINNED_WALL):
+        return factor.first, factor.second
+    return (factor.second,) if factor.kind in (*WALL_KINDS, FactorKind.WALL) else ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,7 +12,7 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 from .covariances import ROBUST_COVARIANCE_SCALE, LandmarkCovariances, landmark_covariances
-from .factors import Factor, FactorKind, from_pose2
+from .factors import PIN_KINDS, Factor, FactorKind, from_pose2
 from .isam2 import IncrementalSolver
 from .range_bias import RangeBias
 from .residuals import Residuals, residuals_of
@@ -105,6 +105,10 @@ class GraphEstimate:
         found = ((n, factor) for n, factor in self.solver.factors.items() if factor.kind is FactorKind.PLAN_WALL)
         return {factor.first: (number, factor) for number, factor in found}
 
+    def pins(self) -> list[Factor]:
+        """Return the factors with surveyed coordinates, without those waiting for `update`."""
+        return self._factors_of(*PIN_KINDS)
+
     def _factors_of(self, *kinds: FactorKind) -> list[Factor]:
         """Return the factors of some kinds, in the order in which they were added."""
         return [factor for factor in self.solver.sorted_factors() if factor.kind in kinds]
@@ -151,6 +155,12 @@ class GraphEstimate:
             rows = np.flatnonzero(np.arange(len(joint)) % 3)  # offset and heading of (along, offset, heading)
             result.append(ROBUST_COVARIANCE_SCALE * joint[np.ix_(rows, rows)])
         return [graph + self.wall_bends.of_all(walls) for graph, walls in zip(result, groups, strict=True)]
+
+    def covariance_of(self, keyframes: Sequence[int], walls: Sequence[int]) -> Floats:
+        """Return the joint covariance (3 k + 3 n, 3 k + 3 n) of keyframes' poses and walls' frames, each in its own."""
+        keys = [*(X(k) for k in keyframes), *(L(j) for j in walls)]
+        (joint,) = self.solver.joint_covariances([keys])
+        return ROBUST_COVARIANCE_SCALE * joint
 
     def relative_covariance(self, old: int, keyframe: int) -> Floats:
         """Return the covariance (3, 3) of a keyframe's pose relative to an older one, in its own frame."""

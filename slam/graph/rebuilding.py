@@ -1,4 +1,4 @@
-"""Rebuild a factor graph with a part of it moved rigidly.
+"""Rebuild a factor graph with a part of it moved rigidly, or without some walls.
 
 Gauss-Newton moves variables along straight lines from where they were linearised: it does not turn a part of the map by
 a right angle. So the part is moved first. All of its factors are relative to its own variables and stay as they are.
@@ -6,7 +6,7 @@ a right angle. So the part is moved first. All of its factors are relative to it
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from drivers import se2
 
 from ..geometry.segments import Floats, Integers
 from .factor_graph import FactorGraph
-from .factors import Factor
+from .factors import Factor, walls_of
 from .graph_storage import graph_state, restore_graph
 
 
@@ -49,6 +49,23 @@ def rebuild(
             point_map_poses=_moved_poses(
                 moved.motion, state.point_map_poses, np.isin(state.point_maps, moved.keyframes)
             ),
+        )
+    )
+
+
+def without_walls(graph: FactorGraph, walls: Iterable[int]) -> FactorGraph:
+    """Return the graph without some walls and all factors that contain them.
+
+    Raises MapError if this leaves a variable undetermined.
+    """
+    state, gone = graph_state(graph), set(walls)
+    kept = np.array([wall not in gone for wall in state.walls.tolist()], dtype=bool)
+    return restore_graph(
+        replace(
+            state,
+            factors=[factor for factor in state.factors if gone.isdisjoint(walls_of(factor))],
+            walls=state.walls[kept],
+            frames=state.frames[kept],
         )
     )
 

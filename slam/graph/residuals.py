@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 # Kinds of residuals. GAUGE_PRIOR is the prior that fixes a wall's frame along the wall: a convention, no measurement.
 PRIOR, ODOMETRY, WALL, CORNER = "prior", "odometry", "wall", "corner"
 WALL_EQUALITY, GAUGE_PRIOR = "wall equality", "gauge prior"
-SCAN_MATCH, POINT_MAP, PLAN = "scan match", "point map", "plan"
-MEASUREMENTS = ODOMETRY, SCAN_MATCH, WALL, CORNER, WALL_EQUALITY, PLAN
+SCAN_MATCH, POINT_MAP, PLAN, PIN = "scan match", "point map", "plan", "pin"
+MEASUREMENTS = ODOMETRY, SCAN_MATCH, WALL, CORNER, WALL_EQUALITY, PLAN, PIN
 _ENDS = {
     ODOMETRY: "xx",
     SCAN_MATCH: "px",
@@ -34,7 +34,7 @@ _KINDS = {"xx": ODOMETRY, "px": SCAN_MATCH, "xp": POINT_MAP, "xl": WALL, "xc": C
 class Residuals:
     """Residuals of n factors.
 
-    kind     one of PRIOR, ODOMETRY, SCAN_MATCH, POINT_MAP, WALL, CORNER, WALL_EQUALITY, GAUGE_PRIOR, PLAN for each
+    kind     one of PRIOR, ODOMETRY, SCAN_MATCH, POINT_MAP, WALL, CORNER, WALL_EQUALITY, GAUGE_PRIOR, PLAN, PIN for each
     between  (n, 2) keyframe and keyframe, keyframe and landmark, or landmark and landmark, by kind; -1 for none. The
              points of a keyframe have its number
     squared  (n,) squared Mahalanobis distance of the measurement from the estimate, without the robust kernel
@@ -64,7 +64,7 @@ class Residuals:
         """Return a name like `x12 - L5`: x is a keyframe, p its points, L a wall, C a corner."""
         first, second = self.between[index]
         ends = _ENDS.get(self.kind[index])
-        if self.kind[index] == PLAN:
+        if self.kind[index] in (PLAN, PIN):
             return f"L{first}"
         return f"x{first}" if ends is None else f"{ends[0]}{first} - {ends[1]}{second}"
 
@@ -99,6 +99,8 @@ def residuals_of(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> R
         kind = _KINDS.get("".join(chr(end.chr()) for end in ends), PRIOR)
         if kind == WALL and not robust:
             kind = GAUGE_PRIOR
+        if kind == PLAN and not robust:
+            kind = PIN
         kinds.append(kind)
         between.append((ends[0].index(), ends[1].index() if len(ends) > 1 else -1))
         squared.append(float(error @ error))
@@ -114,6 +116,6 @@ def _degrees_of_freedom(kind: str, dimension: int) -> int:
     """Return the number of directions of the error that have information.
 
     A wall's factor measures its heading or its offset, a gauge prior the position along it, a wall equality both
-    heading and offset, as does a plan; GTSAM gives all of them the dimension 3.
+    heading and offset, as do a plan and a pin of a wall; GTSAM gives all of them the dimension 3.
     """
-    return {WALL: 1, WALL_EQUALITY: 2, GAUGE_PRIOR: 1, PLAN: 2}.get(kind, dimension)
+    return {WALL: 1, WALL_EQUALITY: 2, GAUGE_PRIOR: 1, PLAN: 2, PIN: 2}.get(kind, dimension)

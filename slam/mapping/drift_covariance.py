@@ -5,7 +5,8 @@ the drive: it grows from the keyframe that odometry leads from, so keyframes for
 accumulated up to each keyframe, cov(D(i), D(j)) = V(a), a the last common ancestor of both.
 
 A loop, a scan match, or an observation of a wall that was first seen at keyframe o says that D(k) and D(o) are equal in
-some direction n, with the variance r. The drift given m of these,
+some direction n, with the variance r. A pin, or a plan, says the same of D(k) and the first keyframe, where the drift is
+zero. The drift given m of these,
 
     h = n . (D(k) - D(o)) = 0 +- r,
 
@@ -136,12 +137,14 @@ def _condition_rows(mapper: Mapper) -> Iterator[tuple[int, int, float, float, fl
     """Yield old and new keyframe, direction, and variance."""
     walls, headings = mapper.landmarks.walls.rows, mapper.keyframe_poses[:, 2]
     for factor in mapper.graph.solver.factors.values():
-        if factor.kind is FactorKind.WALL_OFFSET:
-            heading = float(walls["frame"][factor.second, 2])
-            old = int(walls["first_seen"][walls["merged_into"][factor.second]])
-            yield old, factor.first, -np.sin(heading), np.cos(heading), float(factor.covariance[0, 0])
-        elif factor.kind in (FactorKind.LOOP, FactorKind.SCAN_MATCH):
+        if factor.kind in (FactorKind.WALL_OFFSET, FactorKind.PLAN_WALL, FactorKind.PINNED_WALL):
+            heading, seen = float(walls["frame"][factor.second, 2]), walls["merged_into"][factor.second]
+            first = int(walls["first_seen"][seen])
+            old, new = (first, factor.first) if factor.kind is FactorKind.WALL_OFFSET else (0, first)
+            yield old, new, -np.sin(heading), np.cos(heading), float(factor.covariance[0, 0])
+        elif factor.kind in (FactorKind.LOOP, FactorKind.SCAN_MATCH, FactorKind.PINNED_POSE):
             variances, axes = np.linalg.eigh(factor.covariance[:2, :2])
             c, s = np.cos(headings[factor.second]), np.sin(headings[factor.second])
+            old = 0 if factor.kind is FactorKind.PINNED_POSE else factor.first
             for variance, (x, y) in zip(variances.tolist(), axes.T.tolist(), strict=True):
-                yield factor.first, factor.second, c * x - s * y, s * x + c * y, variance
+                yield old, factor.second, c * x - s * y, s * x + c * y, variance

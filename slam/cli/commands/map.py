@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..console import print_message, progress
-from ..options import OverwriteOption
+from ..options import OverwriteOption, RegularOption
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -27,6 +28,10 @@ class Format(StrEnum):
     DXF = "dxf"
     PLY = "ply"
     G2O = "g2o"
+
+
+REGULAR = (Format.GEOJSON, Format.SVG, Format.DXF)
+"""Formats of drawings, in which walls can be made regular."""
 
 
 def export_map(
@@ -53,6 +58,7 @@ def export_map(
     free: Annotated[
         float, typer.Option("--free", min=0, max=1, help="pgm: max. share of beams ending in a free cell, 0 to 1.")
     ] = 0.1,
+    regular: RegularOption = False,
     overwrite: OverwriteOption = False,
 ) -> None:
     """Export the map of a session to another file format.
@@ -66,7 +72,9 @@ def export_map(
 
     if free >= occupied:
         raise typer.BadParameter("must be less than --occupied", param_hint="--free")
-    read = read_run_results(session)
+    if regular and form not in REGULAR:
+        raise typer.BadParameter("is for geojson, svg and dxf", param_hint="--regular")
+    read = _regular(session, read_run_results(session)) if regular else read_run_results(session)
     target = out or session / (POINTS if form is Format.PLY else f"{EXPORTED}.{form}")
     if target.suffix != f".{form}":
         raise OutputError(f"{target}: the name of a {form} file must end with .{form}")
@@ -84,6 +92,16 @@ def export_map(
             {Format.GEOJSON: write_geojson, Format.SVG: write_svg, Format.DXF: write_dxf}[form](unfinished, read)
             size = f"{len(read.walls)} walls, {len(read.corners)} corners"
     typer.echo(f"{target}: {size}")
+
+
+def _regular(session: Path, results: RunResults) -> RunResults:
+    """Return the results with right angles and parallels where the covariances support them, and print how many."""
+    from ...io.wall_maps import read_wall_map
+    from ...measuring.regularity import regularise
+
+    found = regularise(read_wall_map(session))
+    print_message(found.text)
+    return replace(results, walls=found.wall_map.walls, corners=found.wall_map.corners)
 
 
 def _write_pgm(

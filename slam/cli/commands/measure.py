@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..console import print_if_slow
-from ..options import OverwriteOption
+from ..console import print_if_slow, print_message
+from ..options import OverwriteOption, RegularOption
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,6 +42,7 @@ def measure(
         Path | None,
         typer.Option("--out", metavar="FILE", help="Output file; for svg and dxf by default measurements.FORMAT."),
     ] = None,
+    regular: RegularOption = False,
     overwrite: OverwriteOption = False,
 ) -> None:
     """Measure a map: distances between walls, lengths, angles, and areas of rooms, with standard deviations.
@@ -58,6 +60,7 @@ def measure(
     from ...io.run_results import read_run_results
     from ...io.wall_maps import read_wall_map
     from ...measuring.map_measurements import measure_map, measure_walls
+    from ...measuring.regularity import regularise
     from ...measuring.rooms import find_rooms
     from ..slam_run import READING_SESSION
 
@@ -67,6 +70,10 @@ def measure(
         raise OutputError(f"{target}: the name of a {form} file must end with .{form}")
     with print_if_slow(READING_SESSION):
         wall_map = read_wall_map(session)
+    if regular:
+        found = regularise(wall_map)
+        print_message(found.text)
+        wall_map = found.wall_map
     rooms = [] if walls else find_rooms(wall_map)
     measurements = measure_walls(wall_map, walls) if walls else measure_map(wall_map, rooms)
     if target is None:
@@ -75,7 +82,10 @@ def measure(
         return
     with unfinished_file(target, overwrite) as unfinished:
         if drawn:
-            {Format.SVG: write_svg, Format.DXF: write_dxf}[form](unfinished, read_run_results(session), measurements)
+            results = read_run_results(session)
+            if regular:
+                results = replace(results, walls=wall_map.walls, corners=wall_map.corners)
+            {Format.SVG: write_svg, Format.DXF: write_dxf}[form](unfinished, results, measurements)
         else:
             unfinished.write_text(measurements_csv(measurements), encoding="utf-8", newline="\n")
     typer.echo(f"{target}: {len(rooms)} rooms, {len(measurements)} measurements")

@@ -49,11 +49,15 @@ def optimize_session(path: Path, out: Path, *, overwrite: bool, review: bool, pi
     Raises SlamError; then nothing is left behind.
     """
     with OutputDirectory(out, overwrite) as directory:
+        from ...errors import MapError
         from ...io.run_results import read_run_results
         from ...io.sessions import read_session
+        from ...io.sessions.corrections import read_corrections
 
         started = time.perf_counter()
         summary = read_run_results(path).summary
+        if read_corrections(path):
+            raise MapError(f"{path}: has manual corrections, which a refinement would drop; refine before correcting")
         with print_if_slow(READING_SESSION):
             session = read_session(path)
         summary = _optimise(directory, session, summary, started, review=review, picture=picture)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ...geometry.segments import Floats
-from ...graph.factors import CAUCHY_SCALES, WALL_KINDS, Factor, FactorKind, FactorsOfKind, by_kind
+from ...graph.factors import CAUCHY_SCALES, PIN_KINDS, WALL_KINDS, Factor, FactorKind, FactorsOfKind, by_kind
 from ...graph.graph_storage import graph_state
 from ...graph.pose_graph import Edges, PoseGraph
 from ...mapping.mapper import Mapper
@@ -28,17 +28,18 @@ FIRST_CORNER_ID = 2_000_000
 FIRST_POINT_MAP_ID = 3_000_000
 """Vertex id of the points of keyframe 0."""
 PLAN_ID = 4_000_000
-"""Vertex id of the frame of a plan, which is that of the map."""
+"""Vertex id of the frame of a plan or a survey, which is that of the map."""
 
 
 def build_pose_graph(mapper: Mapper) -> PoseGraph:
     """Return the pose graph of a mapper that has converged, at its estimate.
 
-    The first keyframe is fixed; in a map with a plan, the plan's frame instead.
+    The first keyframe is fixed; in a map with a plan or with pins, the frame of these instead.
     """
     state, count = graph_state(mapper.graph), mapper.keyframe_count
     wall_frames, point_maps = mapper.graph.wall_frames(state.walls.tolist()), state.point_maps.tolist()
-    plan = [PLAN_ID] if any(factor.kind is FactorKind.PLAN_WALL for factor in state.factors) else []
+    in_frame = (FactorKind.PLAN_WALL, *PIN_KINDS)
+    plan = [PLAN_ID] if any(factor.kind in in_frame for factor in state.factors) else []
     poses = np.concatenate(
         [
             mapper.graph.keyframe_poses(count),
@@ -79,7 +80,7 @@ def build_pose_graph(mapper: Mapper) -> PoseGraph:
 def _rows_of(factor: Factor, walls: Mapping[int, int], bodies: Mapping[int, int], plan: int) -> tuple[int, int]:
     """Return the rows of the poses at both ends of a factor.
 
-    Given are those of the walls, of the keyframes' points, and of the plan.
+    Given are those of the walls, of the keyframes' points, and of the frame of the plan or the survey.
     """
     match factor.kind:
         case FactorKind.ODOMETRY | FactorKind.LOOP:
@@ -88,7 +89,9 @@ def _rows_of(factor: Factor, walls: Mapping[int, int], bodies: Mapping[int, int]
             return factor.first, bodies[factor.second]
         case FactorKind.SCAN_MATCH:
             return bodies[factor.first], factor.second
-        case FactorKind.PLAN_WALL:
+        case FactorKind.PINNED_POSE:
+            return plan, factor.second
+        case FactorKind.PLAN_WALL | FactorKind.PINNED_WALL:
             return plan, walls[factor.second]
         case FactorKind.WALL_EQUALITY:
             return walls[factor.first], walls[factor.second]

@@ -26,6 +26,7 @@ COVARIANCE_SIZES = {
     FactorKind.CORNER: 2,
     FactorKind.WALL_EQUALITY: 2,
     FactorKind.PLAN_WALL: 2,
+    FactorKind.PINNED_WALL: 2,
 }
 """Rows of a factor's covariance, if it is not that of a pose (3)."""
 POSE_SIZE = 3

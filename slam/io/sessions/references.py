@@ -15,8 +15,8 @@ from ...mapping.landmarks import Landmarks
 
 Ids = NDArray[np.int64]
 
-TO_KEYFRAME = (FactorKind.ODOMETRY, FactorKind.LOOP, FactorKind.SCAN_MATCH)
-FROM_WALL = (FactorKind.WALL_EQUALITY, FactorKind.PLAN_WALL)
+TO_KEYFRAME = (FactorKind.ODOMETRY, FactorKind.LOOP, FactorKind.SCAN_MATCH, FactorKind.PINNED_POSE)
+FROM_WALL = (FactorKind.WALL_EQUALITY, FactorKind.PLAN_WALL, FactorKind.PINNED_WALL)
 """Kinds of factors whose `first` is a wall."""
 TO_WALL = (FactorKind.GAUGE_PRIOR, FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET, *FROM_WALL)
 """Kinds of factors whose `second` is a variable of that kind."""

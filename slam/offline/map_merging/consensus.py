@@ -55,12 +55,14 @@ class Consensus:
     recognised   number of submaps that were relocalised
     members      largest set of matches that agree with one of them
     independent  number of members with walls of their own
+    ambiguous    number of submaps that fit in several places, as along a corridor of equal doors
     """
 
     submaps: int
     recognised: int
     members: Sequence[SubmapMatch]
     independent: int
+    ambiguous: int = 0
 
     @property
     def accepted(self) -> bool:
@@ -72,21 +74,26 @@ class Consensus:
     def reason(self) -> str:
         """Numbers that the consensus is accepted or rejected by."""
         if not self.recognised:
-            return f"none of its {self.submaps} submaps is recognised"
+            several = f", as {self.ambiguous} fit in several places" if self.ambiguous else ""
+            return f"none of its {self.submaps} submaps is recognised{several}"
         agree = f"{len(self.members)} of its {self.submaps} submaps agree, {self.independent} of them on separate walls"
         return f"{agree}; {self.recognised - len(self.members)} disagree"
 
 
 def locate_session(mapper: Mapper, history: ScanHistory, index: MapIndex) -> Consensus:
     """Relocalise every submap of a session in another map and return their consensus."""
-    submaps, matches = 0, []
+    submaps, ambiguous, matches = 0, 0, []
     for keyframes, submap in split_into_submaps(mapper, history):
         submaps += 1
         relocalisation = relocalise(submap, index)
-        if relocalisation is not None and relocalisation.verdict.accepted:
+        if relocalisation is None:
+            continue
+        if relocalisation.verdict.accepted:
             matches.append(SubmapMatch(keyframes, submap.pose, relocalisation))
+        else:
+            ambiguous += relocalisation.verdict.plausible
     members = find_largest_consensus(matches)
-    return Consensus(submaps, len(matches), members, count_independent(members))
+    return Consensus(submaps, len(matches), members, count_independent(members), ambiguous)
 
 
 def find_largest_consensus(matches: Sequence[SubmapMatch]) -> list[SubmapMatch]:

@@ -47,6 +47,7 @@ def _page(session: RunResults) -> str:
         findings=sections.findings_list(run_findings, session.trajectory, max(drawing.width, drawing.height)),
         duration=f"{session.trajectory.duration:.1f}",
         loops=sections.loops(summary.get("slam") or {}, float(session.trajectory.stamps[0])),
+        corrections=sections.corrections(summary.get("corrections") or []),
         accuracy=sections.accuracy(summary.get("truth")),
         timings=sections.timings(summary),
         details=sections.details(summary, settings.read_text(encoding="utf-8") if settings.is_file() else ""),

@@ -7,6 +7,7 @@ from typing import Any
 
 from ...io.tum import Trajectory
 from ...loop_closure.loop_status import LoopStatus
+from .correction_text import outcome_lines
 from .findings import Finding
 from .formatting import clock, duration, length, percent
 from .loop_text import by_margin, loops_text, returns_text
@@ -148,6 +149,20 @@ def _cell(value_of: Any, row: dict[str, Any]) -> str:
         return str(value_of(row))
     except TypeError:
         return "–"
+
+
+def corrections(outcomes: list[dict[str, Any]]) -> str:
+    """Return a section with the manual corrections and what became of them; empty if there are none."""
+    if not outcomes:
+        return ""
+    items = []
+    for outcome in outcomes:
+        lines = "".join(f"<li>{escape(line)}</li>" for line in outcome_lines(outcome))
+        items.append(f"<li>{escape(str(outcome['text']))}{f'<ul>{lines}</ul>' if lines else ''}</li>")
+    note = (
+        "The graph was solved again with these decisions of a person. The last one can be undone: wclm correct --undo."
+    )
+    return f'<section id="corrections"><h2>Manual corrections</h2><p>{note}</p><ol>{"".join(items)}</ol></section>'
 
 
 def accuracy(truth: dict[str, Any] | None) -> str:

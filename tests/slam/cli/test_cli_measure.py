@@ -107,3 +107,19 @@ def test_mistakes_are_one_line(wclm: Any, session: Path) -> None:
     shutil.rmtree(session / SESSION)
     wclm.refuses("measure", session, because=[str(session), "session"])
     wclm.refuses("measure", "nowhere", because=["nowhere", "not a directory"])
+
+
+def test_a_regular_room_has_right_angles_and_its_true_dimensions(wclm: Any, session: Path) -> None:
+    result = wclm("measure", session, "--regular", "--format", "csv")
+    assert result.exit_code == 0, result.output
+    assert "parallel or at right angles" in result.stderr
+    room = [row for row in table(result.stdout) if row["room"] == "1"]
+    angles = [float(row["value"]) for row in room if row["kind"] == "angle"]
+    np.testing.assert_allclose(angles, np.pi / 2, atol=1e-5)
+    for row in room:
+        if row["kind"] == "length":
+            error = min(abs(float(row["value"]) - truth) for truth in (WIDTH, DEPTH))
+            assert error < SIGMAS * float(row["sigma"])
+    assert wclm("map", session, "--regular", "--format", "svg", "--out", "regular.svg").exit_code == 0
+    assert ElementTree.parse("regular.svg").getroot() is not None
+    wclm.refuses("map", session, "--regular", "--format", "pgm", because=["is for geojson, svg and dxf"])

@@ -266,6 +266,11 @@ def test_no_recognised_submap_is_not_accepted() -> None:
     assert "none of its 20 submaps" in consensus.reason
 
 
+def test_reason_names_submaps_that_fit_in_several_places() -> None:
+    assert "as 6 fit in several places" in Consensus(8, 0, [], 0, ambiguous=6).reason
+    assert "several" not in Consensus(8, 0, [], 0).reason
+
+
 def test_later_session_keeps_its_clock(sessions: dict[str, Path]) -> None:
     (_, session), *_ = read(sessions, "second")
     assert clock_shift(session, 14.0) == 0.0

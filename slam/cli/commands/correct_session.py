@@ -1,0 +1,87 @@
+"""Write the results of a session with corrections."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ...errors import MapError
+from ...io.host import versions
+from ...io.output_dir import CONFIG, KEYFRAMES, MAP, SESSION, SUMMARY, TRAJECTORY, OutputDirectory, write_results
+from ...io.run_results import read_run_results
+from ...io.sessions import read_session, write_session
+from ...io.sessions.corrections import UNCORRECTED, Correction, uncorrected, write_corrections
+from ...io.tum import Trajectory
+from ...offline.corrections import CorrectedSession, correct_session
+from ..slam_run import write_report_page
+
+FILES = (TRAJECTORY, KEYFRAMES, MAP, CONFIG, SUMMARY)
+"""Results that depend on corrections, besides the session."""
+LOGS = "review*.rrd"
+"""Review logs: they show the run, without corrections."""
+
+
+def write_corrected_session(
+    path: Path, corrections: Sequence[Correction], out: Path | None, *, overwrite: bool
+) -> list[str]:
+    """Apply all corrections to the uncorrected session and write the results, in its place if `out` is None.
+
+    Without any, the results are those before the first correction, byte for byte. Returns lines of text. Raises
+    SlamError; then nothing is changed.
+    """
+    base, target = uncorrected(path), out or path
+    results = read_run_results(base)
+    session = read_session(base)
+    with OutputDirectory(target, overwrite or out is None) as directory:
+        for log in sorted(path.glob(LOGS)):
+            shutil.copy2(log, directory)
+        if corrections:
+            corrected = correct_session(session, results.trajectory, corrections)
+            write_results(directory, corrected.finished, session.config, _summary(results.summary, corrected))
+            write_session(directory, corrected.session)
+            _copy_results(base, directory / SESSION / UNCORRECTED)
+            write_corrections(directory, list(corrections))
+        else:
+            _copy_results(base, directory)
+    write_report_page(target)
+    if not corrections:
+        return [f"{target}: no corrections"]
+    return [f"{target}: {len(corrected.finished.walls)} walls", *_lines(corrected.outcomes)]
+
+
+def _copy_results(source: Path, directory: Path) -> None:
+    """Copy the results that depend on corrections, with the session; `directory` is created if missing."""
+    directory.mkdir(exist_ok=True)
+    for name in FILES:
+        if (source / name).is_file():
+            shutil.copy2(source / name, directory)
+        elif name != KEYFRAMES:
+            raise MapError(f"{source}: has no {name}; expected the output directory of `wclm run`")
+    shutil.copytree(source / SESSION, directory / SESSION)
+
+
+def _summary(before: dict[str, Any], corrected: CorrectedSession) -> dict[str, Any]:
+    """Return the summary of the run with the figures of the corrected map."""
+    finished = corrected.finished
+    return before | {
+        "keyframes": len(finished.keyframes),
+        "walls": len(finished.walls),
+        "corners": len(finished.corners),
+        "path_length": float(Trajectory(finished.stamps, finished.poses).travelled[-1]),
+        "truth": None,  # the error before the corrections no longer applies
+        "slam": before.get("slam", {}) | {"suspects": finished.summary["suspects"]},
+        "corrections": corrected.outcomes,
+        "versions": versions(),
+    }
+
+
+def _lines(outcomes: Sequence[dict[str, Any]]) -> list[str]:
+    """Return the corrections with their outcomes as lines of text."""
+    from ...visualisation.report_page.correction_text import outcome_lines
+
+    return [
+        f"  {k}: {outcome['text']}" + "".join(f"\n     {line}" for line in outcome_lines(outcome))
+        for k, outcome in enumerate(outcomes, 1)
+    ]

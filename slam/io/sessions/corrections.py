@@ -1,0 +1,122 @@
+"""Manual corrections of a session: `session/corrections.json`, and the results before them.
+
+`session/uncorrected/` is a complete output directory, with the session as it was before the first correction. The
+corrections are applied to it in their order, so dropping the last one undoes it.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, ValidationError
+
+from ...errors import MapError, first_line
+from ..output_dir import SESSION
+from .records import Finite, Record
+
+CORRECTIONS = "corrections.json"
+UNCORRECTED = "uncorrected"
+Identity = Annotated[int, Field(ge=0, lt=1 << 31)]
+Deviation = Annotated[Finite, Field(ge=1e-6)]
+
+
+class Pin(Record):
+    """Surveyed coordinates of a pose or of a point on a wall.
+
+    id             stamp of the pose (seconds), or identity of the wall
+    x, y           metres, in the frame of the survey
+    xx, xy, yy     their covariance, square metres
+    heading        of the robot, or of the line of the wall, radians; None if it was not surveyed
+    sigma_heading  its standard deviation, radians
+    """
+
+    kind: Literal["pose", "wall"]
+    id: Finite
+    x: Finite
+    y: Finite
+    xx: Finite
+    xy: Finite
+    yy: Finite
+    heading: Finite | None = None
+    sigma_heading: Deviation | None = None
+
+    @property
+    def name(self) -> str:
+        """Name for messages."""
+        return f"wall {self.id:.0f}" if self.kind == "wall" else f"pose at {self.id:.6g} s"
+
+
+class PinSet(Record):
+    """Pins of one file, whose name is `file`."""
+
+    kind: Literal["pins"] = "pins"
+    file: str
+    pins: list[Pin] = Field(min_length=1)
+
+    @property
+    def text(self) -> str:
+        """What was corrected, in words."""
+        return f"{len(self.pins)} pins of {self.file}"
+
+
+class WallTie(Record):
+    """Two walls are one, which has the identity of the first."""
+
+    kind: Literal["tie"] = "tie"
+    walls: tuple[Identity, Identity]
+
+    @property
+    def text(self) -> str:
+        """What was corrected, in words."""
+        return f"walls {self.walls[0]} and {self.walls[1]} are one"
+
+
+class WallDeletion(Record):
+    """A wall is none."""
+
+    kind: Literal["deletion"] = "deletion"
+    wall: Identity
+
+    @property
+    def text(self) -> str:
+        """What was corrected, in words."""
+        return f"wall {self.wall} is deleted"
+
+
+Correction = Annotated[PinSet | WallTie | WallDeletion, Field(discriminator="kind")]
+
+
+class _File(Record):
+    corrections: list[Correction]
+
+
+def write_corrections(directory: Path, corrections: list[Correction]) -> None:
+    """Write the corrections of the session in the directory of a run. Raises OSError."""
+    data = _File(corrections=corrections).model_dump(mode="json")
+    text = json.dumps(data, indent=1, allow_nan=False)
+    (directory / SESSION / CORRECTIONS).write_text(text + "\n", encoding="utf-8")
+
+
+def read_corrections(directory: Path) -> list[Correction]:
+    """Read the corrections of the session in the directory of a run, none if there is no such file. Raises MapError."""
+    file = directory / SESSION / CORRECTIONS
+    if not file.is_file():
+        return []
+    try:
+        return _File.model_validate(json.loads(file.read_text(encoding="utf-8"))).corrections
+    except OSError as error:
+        raise MapError(f"{file}: {error.strerror or error}") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise MapError(f"{file}: {key}: {first_line(ValueError(first['msg']))}") from error
+    except (ValueError, RecursionError) as error:
+        raise MapError(f"{file}: is not JSON: {first_line(error)}") from error
+
+
+def uncorrected(directory: Path) -> Path:
+    """Return the directory of a run's results before its corrections: the directory itself if it has none."""
+    before = directory / SESSION / UNCORRECTED
+    return before if before.is_dir() else directory

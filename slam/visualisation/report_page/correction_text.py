@@ -1,0 +1,32 @@
+"""Manual corrections in words, for the terminal and the report page."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from .formatting import length
+
+
+def outcome_lines(outcome: dict[str, Any]) -> list[str]:
+    """Return what became of a correction, an entry of `corrections` in summary.json, in words; may be empty."""
+    if "pins" in outcome:
+        fit = [f"chi-square of the pins used: {outcome['chi2']:.1f}, {outcome['dof']} degrees of freedom"]
+        return [*(_pin_line(pin) for pin in outcome["pins"]), *(fit if outcome["dof"] else ())]
+    if "offset" in outcome:
+        turn = math.degrees(outcome["turn"])
+        return [
+            f"they were {length(abs(outcome['offset']))} and {abs(turn):.2f}° apart: "
+            f"{outcome['deviations']:.1f} standard deviations"
+        ]
+    return []
+
+
+def _pin_line(pin: dict[str, Any]) -> str:
+    if not pin["used"]:
+        return (
+            f"LEFT OUT {pin['name']}: {length(pin['before'])} from its place by the map and the other pins "
+            f"(p = {pin['p_value']:.1g})"
+        )
+    checked = f"p = {pin['p_value']:.2g}" if pin["checked"] else "no other pin checks it"
+    return f"{pin['name']}: {length(pin['before'])} off before, {length(pin['after'])} after ({checked})"

@@ -1,0 +1,162 @@
+"""`wclm correct` on simulated drives: pins, deleted and tied walls, and undoing them."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers import se2
+from drivers.messages import GroundTruth
+from drivers.simulation import Simulation
+from slam.io.output_dir import KEYFRAMES, MAP, REPORT, SUMMARY, TRAJECTORY
+from slam.io.run_results import read_run_results
+from slam.io.sessions import read_session
+from slam.io.tum import read_tum
+from slam.io.wall_maps import read_wall_map
+from slam.mapping.convergence import converge
+
+SURVEY = np.array([120.0, 40.0, -1.1])
+"""Pose of the simulated world in the frame of the survey."""
+SIGMA = 0.002
+HEADER = "kind,id,x,y,sigma\n"
+
+
+@pytest.fixture(scope="module")
+def mapped(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("corrected")
+
+
+def copy_of_run(wclm: Any, mapped: Path, source: str, target: Path) -> Path:
+    """Return a copy of the output directory of a drive, which is mapped once."""
+    made = mapped / source.split("?")[0].removeprefix("sim:")
+    if not made.exists():
+        result = wclm("run", source, "--out", made, "--no-review")
+        assert result.exit_code == 0, result.output
+    return Path(shutil.copytree(made, target))
+
+
+@pytest.fixture
+def session(wclm: Any, mapped: Path, tmp_path: Path) -> Path:
+    return copy_of_run(wclm, mapped, "sim:room?seed=1", tmp_path / "out")
+
+
+@pytest.fixture
+def pins(tmp_path: Path) -> Path:
+    """Survey of the robot at five times, of which the fourth is wrong by 10 cm."""
+    rng = np.random.default_rng(1)
+    truth = [m for m in Simulation("room", seed=1) if isinstance(m, GroundTruth)]
+    rows = []
+    for k, place in enumerate(np.linspace(len(truth) // 10, len(truth) - 2, 5).astype(int)):
+        x, y = se2.compose(SURVEY, truth[place].pose)[:2] + rng.normal(0.0, SIGMA, 2)
+        rows.append(f"pose,{truth[place].stamp:.6f},{x + 0.1 * (k == 3):.5f},{y:.5f},{SIGMA}\n")
+    (tmp_path / "pins.csv").write_text(HEADER + "".join(rows))
+    return tmp_path / "pins.csv"
+
+
+def test_pins_move_the_map_into_the_survey_and_a_wrong_one_is_named(wclm: Any, session: Path, pins: Path) -> None:
+    before, stated = read_run_results(session).walls, pins.read_text().splitlines()[4].split(",")
+    result = wclm("correct", session, "--pins", pins)
+    assert result.exit_code == 0, result.output
+    left_out = [line for line in result.stdout.splitlines() if "LEFT OUT" in line]
+    assert len(left_out) == 1
+    assert f"pose at {float(stated[1]):.6g} s" in left_out[0]
+    truth = {m.stamp: m.pose for m in Simulation("room", seed=1) if isinstance(m, GroundTruth)}
+    path, stamps = read_tum(session / TRAJECTORY), np.array(list(truth))
+    nearest = np.abs(path.stamps[:, None] - stamps[None]).argmin(axis=1)
+    same = np.abs(path.stamps - stamps[nearest]) < 1e-4
+    true_poses = se2.compose(SURVEY, np.array(list(truth.values()))[nearest[same]])
+    error = se2.between(true_poses, path.poses[same])
+    assert same.sum() > 10
+    assert np.sqrt((error[:, :2] ** 2).sum(axis=1).mean()) < 0.005
+    assert np.abs(error[:, 2]).max() < 0.01
+    after = read_run_results(session).walls
+    np.testing.assert_array_equal(after.identity, before.identity)
+    wall_map = read_wall_map(session)  # other commands use the pinned map
+    np.testing.assert_allclose(wall_map.walls.frame, after.frame, atol=1e-3)
+    assert np.sqrt(wall_map.covariance[0, 0]) < 0.01
+    assert "Manual corrections" in (session / REPORT).read_text()
+    assert len(read_session(session).slam_state.mapper.graph.pins()) == 4
+
+
+def test_a_pinned_point_on_a_wall_moves_it(wclm: Any, session: Path, tmp_path: Path) -> None:
+    """Pins of the walls of one corner, in nearly the frame of the map, and the distance from the opposite wall."""
+    walls = read_wall_map(session)
+    rows = []
+    for k, identity in enumerate(walls.walls.identity[:4].tolist()):
+        for along in (walls.walls.low[k], walls.walls.high[k]):
+            x, y = walls.point(k, along) + np.array([0.3, -0.2])
+            rows.append(f"wall,{identity},{x:.5f},{y:.5f},0.001\n")
+    (tmp_path / "walls.csv").write_text(HEADER + "".join(rows))
+    result = wclm("correct", session, "--pins", tmp_path / "walls.csv")
+    assert result.exit_code == 0, result.output
+    assert "LEFT OUT" not in result.stdout
+    moved = read_wall_map(session)
+    shift = np.array([moved.normal(k) @ (np.array([0.3, -0.2])) for k in range(4)])
+    offset = [
+        moved.normal(k) @ (moved.walls.frame[k, :2] - walls.point(k, walls.along(k, moved.walls.frame[k, :2])))
+        for k in range(4)
+    ]
+    np.testing.assert_allclose(offset, shift, atol=0.004)
+
+
+def test_a_deleted_wall_is_gone_and_undoing_restores_all_results(wclm: Any, session: Path) -> None:
+    files = {name: (session / name).read_bytes() for name in (TRAJECTORY, KEYFRAMES, MAP, SUMMARY)}
+    wall = int(read_run_results(session).walls.identity[0])
+    assert wclm("correct", session, "--delete-wall", wall).exit_code == 0
+    assert wall not in read_run_results(session).walls.identity
+    mapper = read_session(session).slam_state.mapper
+    converge(mapper)
+    assert not mapper.landmarks.walls.rows["in_graph"][wall]
+    other = int(read_run_results(session).walls.identity[0])
+    assert wclm("correct", session, "--delete-wall", other).exit_code == 0
+    listed = wclm("correct", session, "--list").stdout.splitlines()
+    assert listed == [f"1: wall {wall} is deleted", f"2: wall {other} is deleted"]
+    assert wclm("correct", session, "--undo").exit_code == 0
+    present = read_run_results(session).walls.identity
+    assert other in present
+    assert wall not in present
+    assert wclm("correct", session, "--undo").exit_code == 0
+    assert {name: (session / name).read_bytes() for name in files} == files
+    assert wclm("correct", session, "--list").stdout == "no corrections\n"
+
+
+def test_tied_walls_become_one_and_another_directory_can_be_written(wclm: Any, mapped: Path, tmp_path: Path) -> None:
+    session = copy_of_run(wclm, mapped, "sim:office?seed=3&duration=20", tmp_path / "out")
+    before = (session / MAP).read_bytes()
+    walls = read_wall_map(session).walls
+    relative = se2.between(walls.frame[:, None], walls.frame[None])
+    collinear = (np.abs(relative[..., 2]) < 0.02) & (np.abs(relative[..., 1]) < 0.02)
+    np.fill_diagonal(collinear, False)
+    kept, absorbed = (int(walls.identity[row]) for row in np.argwhere(collinear)[0])
+    result = wclm("correct", session, "--tie", f"{kept},{absorbed}", "--out", "tied")
+    assert result.exit_code == 0, result.output
+    assert "standard deviations" in result.stdout
+    tied = read_run_results(Path("tied")).walls
+    assert kept in tied.identity
+    assert absorbed not in tied.identity
+    row, earlier = tied.identity.tolist().index(kept), walls.identity.tolist().index(kept)
+    assert tied.high[row] - tied.low[row] > walls.high[earlier] - walls.low[earlier]
+    assert (session / MAP).read_bytes() == before
+    assert json.loads(Path("tied", SUMMARY).read_text())["corrections"][0]["text"] == (
+        f"walls {kept} and {absorbed} are one"
+    )
+    wclm.refuses("optimize", "tied", "--out", "refined", because=["has manual corrections"])
+
+
+def test_mistakes_are_refused_and_change_nothing(wclm: Any, session: Path, tmp_path: Path) -> None:
+    files = {file: file.read_bytes() for file in session.rglob("*") if file.is_file()}
+    (tmp_path / "one.csv").write_text(HEADER + "pose,10,1,2,0.01\n")
+    (tmp_path / "late.csv").write_text(HEADER + "pose,1e6,1,2,0.01\n")
+    (tmp_path / "unknown.csv").write_text(HEADER + "wall,999,1,2,0.01\n")
+    wclm.refuses("correct", session, because=["--list or --undo"])
+    wclm.refuses("correct", session, "--undo", because=["has no corrections"])
+    wclm.refuses("correct", session, "--delete-wall", 999, because=["no wall 999"])
+    wclm.refuses("correct", session, "--tie", "0,1", because=["cannot be one"])
+    wclm.refuses("correct", session, "--tie", "0", because=["two identities"])
+    wclm.refuses("correct", session, "--pins", tmp_path / "one.csv", because=["do not determine the place"])
+    wclm.refuses("correct", session, "--pins", tmp_path / "late.csv", because=["there is no scan"])
+    wclm.refuses("correct", session, "--pins", tmp_path / "unknown.csv", because=["no wall 999"])
+    assert {file: file.read_bytes() for file in session.rglob("*") if file.is_file()} == files
