@@ -176,11 +176,12 @@ def _jackknife(blocks: _Blocks, weights: Floats) -> tuple[float, float]:
 
 
 def _predicts_worse(runs: Sequence[Run], odometry: Floats, seconds: float) -> bool:
-    """Return true if odometry at stamps earlier by `seconds` predicts the turns from scan to scan significantly worse.
+    """Return true if odometry at stamps earlier by `seconds` predicts the turns from scan to scan worse.
 
-    This is the prediction that SLAM makes. Odometry that was recorded with each scan may belong to it whatever its
-    stamp says; the turns from scan to scan then fit best without compensation. The log-likelihoods are compared for
-    Cauchy distributed errors, so that single scans with wrong stamps do not decide.
+    It does if the typical error does not become smaller, or if the log-likelihood is significantly less. This is the
+    prediction that SLAM makes. Odometry that was recorded with each scan may belong to it whatever its stamp says; the
+    turns from scan to scan then fit best without compensation. The log-likelihoods are compared for Cauchy distributed
+    errors, so that single scans with wrong stamps do not decide.
     """
     turned = np.concatenate([np.diff(run.poses[:, 2]) for run in runs])
     recorded, compensated = (
@@ -188,5 +189,7 @@ def _predicts_worse(runs: Sequence[Run], odometry: Floats, seconds: float) -> bo
         for shift in (0.0, seconds)
     )
     scale = float(np.median(np.abs(recorded))) + MIN_ERROR
+    if np.median(np.abs(compensated)) >= scale:
+        return True
     loss = np.log1p((compensated / scale) ** 2) - np.log1p((recorded / scale) ** 2)
     return bool(stats.ttest_1samp(loss, 0.0, alternative="greater").pvalue < CONTRADICTION_PROBABILITY)

@@ -5,7 +5,7 @@ the drive: it grows from the keyframe that odometry leads from, so keyframes for
 accumulated up to each keyframe, cov(D(i), D(j)) = V(a), a the last common ancestor of both.
 
 A loop, a scan match, or an observation of a wall that was first seen at keyframe o says that D(k) and D(o) are equal in
-some direction n, with the variance r. A pin, or a plan, says the same of D(k) and the first keyframe, where the drift is
+some direction n, with the variance r. A pin or a plan says the same of D(k) and the first keyframe, where the drift is
 zero. The drift given m of these,
 
     h = n . (D(k) - D(o)) = 0 +- r,

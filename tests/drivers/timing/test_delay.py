@@ -7,6 +7,7 @@ import pytest
 import drivers
 from drivers.messages import Odometry, Scan, delay_odometry
 from drivers.recordings.rosbag import BagReader
+from drivers.simulation import WHEEL_MODELS, Simulation
 from drivers.timing.delay import estimate_delay
 from drivers.timing.turns import Turns
 
@@ -54,3 +55,11 @@ def test_delay_of_a_public_recording_is_found() -> None:
     corrected = BagReader(file, scan_topic="/stable_scan").delay
     assert corrected is not None
     assert corrected.objection is not None
+
+
+def test_a_delay_that_does_not_explain_the_turns_from_scan_to_scan_is_objected_to() -> None:
+    """With worn wheels and few turns, the drift of odometry looks like a delay."""
+    for seed in range(4):
+        delay = estimate_delay(Turns(Simulation("office", seed, 15.0, wheels=WHEEL_MODELS["bad"])))
+        assert delay is not None
+        assert delay.objection is not None
