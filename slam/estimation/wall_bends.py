@@ -163,8 +163,9 @@ def _profiles(mapper: Mapper, scans: Sequence[ProcessedScan]) -> Iterator[_Profi
     """Yield what the keyframes saw of each wall."""
     walls, keyframes, along, across = _points_on_walls(mapper, scans)
     all_cells = np.floor(along / CELL).astype(np.int64)
-    for wall in np.unique(walls).tolist():
-        rows = np.flatnonzero(walls == wall)
+    order = np.argsort(walls, kind="stable")
+    seen, starts = np.unique(walls[order], return_index=True)
+    for wall, rows in zip(seen.tolist(), np.split(order, starts)[1:], strict=True):
         views, view = np.unique(keyframes[rows], return_inverse=True)
         cells, place = np.unique(all_cells[rows], return_inverse=True)
         if len(cells) < 2:
