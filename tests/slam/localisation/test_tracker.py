@@ -52,7 +52,7 @@ class FailingOdometry:
     """Simulation whose odometry stands still for a while and then continues from there, or catches up (`makes_up`)."""
 
     def __init__(self, begin: float, end: float, *, makes_up: bool) -> None:
-        self.source = Simulation(world="office", seed=1, duration=45.0, lidar=LidarModel(beams=360))
+        self.source = Simulation(world="office", seed=1, duration=min(end + 12.0, 45.0), lidar=LidarModel(beams=360))
         self.begin, self.end, self.makes_up = begin, end, makes_up
 
     def __iter__(self) -> Iterator[Message]:
