@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..io.host import peak_memory, versions
+from ..io.output_dir import TRAJECTORY
 from .console import printable
 
 if TYPE_CHECKING:
@@ -89,8 +90,10 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
     rows += _loops(summary) + _lost(summary) + _plan(summary)
     if skipped := summary["skipped"]["messages"]:
         rows.append(("skipped", f"{skipped} messages; first: {summary['skipped']['first']}"))
-    if shift := ((summary.get("recordings") or [{}])[-1]).get("shift"):
-        rows.append(("stamps", f"{shift:.0f} s later than recorded, to follow those of the session"))
+    recordings = summary.get("recordings") or [{}]
+    if shift := recordings[-1].get("shift"):
+        where = "" if len(recordings) > 1 else f"as recorded in {TRAJECTORY}, else "
+        rows.append(("stamps", f"{where}{shift:.0f} s later than recorded, to follow those of the session"))
     rows += [("read as", text) for text in summary.get("interpretations") or ()]
     rows += [("device", _device(device)) for device in summary.get("devices", ())]
     left_out = summary.get("review") or {}

@@ -2,6 +2,8 @@
 
 The estimator and all other results use the restored stamps. Other programs and published relations name a scan by the
 stamp that the recording has; so the trajectory is written with that stamp, and it is replaced when a run is read back.
+The same holds for stamps that were shifted to follow those of a session, if the path is that of one recording only, as
+after localisation.
 """
 
 from __future__ import annotations
@@ -19,12 +21,19 @@ MICROSECONDS = 1e6
 
 def as_recorded(stamps: Floats, summary: dict[str, Any]) -> Floats:
     """Return the stamps (n,) of a path, seconds, as they are in the recordings that a run's summary lists."""
-    return _replaced(stamps, ((read, recorded) for read, recorded in _pairs(summary)))
+    return _replaced(stamps, ((read, recorded) for read, recorded in _pairs(summary))) - _own_shift(summary)
 
 
 def as_read(stamps: Floats, summary: dict[str, Any]) -> Floats:
     """Return the stamps (n,) of the path in `trajectory.tum`, seconds, as they were read: inverse of `as_recorded`."""
-    return _replaced(stamps, ((recorded, read) for read, recorded in _pairs(summary)))
+    pairs = ((recorded, read) for read, recorded in _pairs(summary))
+    return _replaced(np.asarray(stamps + _own_shift(summary)), pairs)
+
+
+def _own_shift(summary: dict[str, Any]) -> float:
+    """Return the seconds that were added to all stamps of the only recording; zero if there are several."""
+    recordings = list(summary.get("recordings") or ())
+    return float(recordings[0].get("shift", 0.0)) if len(recordings) == 1 else 0.0
 
 
 def _pairs(summary: dict[str, Any]) -> Iterable[tuple[float, float]]:

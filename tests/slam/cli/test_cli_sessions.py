@@ -76,6 +76,11 @@ def test_localize_leaves_the_map_unchanged(wclm: Any, folder: Path, session: Pat
     before, after = read_map(session / MAP).walls, read_map(Path("there", MAP)).walls
     np.testing.assert_array_equal(after.identity, before.identity)
     np.testing.assert_allclose(after.frame, before.frame, atol=1e-5)
+    (recording,) = json.loads(Path("there", SUMMARY).read_text())["recordings"]
+    stamps = read_tum(Path("there", TRAJECTORY)).stamps
+    assert recording["shift"] > 1.0
+    assert stamps[-1] == pytest.approx(recording["last"] - recording["shift"], abs=0.2)  # on the recording's clock
+    assert stamps[0] >= recording["first"] - recording["shift"]
     assert wclm("map", "there", "--format", "ply").exit_code == 0
     wclm.refuses("run", folder / "second.mcap", "--localize", "there", "--out", "x", because=["there: has no session"])
     wclm.refuses("run", "sim:room", "--localize", session, "--out", "x", because=["sim:room", "never relocalised"])
