@@ -29,9 +29,9 @@ from .io.tum import Trajectory
 from .io.wall_maps import settled_wall_map
 from .mapping.map_features import MapCorners, MapWalls
 from .measuring.map_measurements import measure_map
+from .measuring.measured_map import MeasuredMap
 from .measuring.measurement import Measurement
 from .measuring.rooms import Room, find_rooms
-from .measuring.survey import Survey
 from .measuring.wall_map import WallMap
 from .pipeline import Slam
 
@@ -117,7 +117,7 @@ class MappedRecording:
         summary = {"recording": self.name, "slam": self.summary}
         trajectory = Trajectory(self.stamps, self.path)
         results = RunResults(Path(), self.walls, self.corners, trajectory, summary, keyframes)
-        return svg_text(results, Survey(measurements))
+        return svg_text(results, MeasuredMap(measurements))
 
     def _repr_svg_(self) -> str:
         """Return the drawing, for notebooks."""

@@ -13,8 +13,8 @@ from ..console import print_if_slow, print_message
 from ..options import OverwriteOption, RegularOption
 
 if TYPE_CHECKING:
+    from ...measuring.measured_map import MeasuredMap
     from ...measuring.measurement import Measurement
-    from ...measuring.survey import Survey
 
 
 class Format(StrEnum):
@@ -65,8 +65,8 @@ def measure(
     from ...io.run_results import read_run_results
     from ...io.wall_maps import read_wall_map
     from ...measuring.map_measurements import measure_walls
+    from ...measuring.measured_map import MeasuredMap, measure_all
     from ...measuring.regularity import regularise
-    from ...measuring.survey import Survey, survey_map
     from ..slam_run import READING_SESSION
 
     drawn = form in (Format.SVG, Format.DXF, Format.GEOJSON)
@@ -79,9 +79,9 @@ def measure(
         found = regularise(wall_map)
         print_message(found.text)
         wall_map = found.wall_map
-    survey = Survey(measure_walls(wall_map, walls)) if walls else survey_map(wall_map)
+    measured = MeasuredMap(measure_walls(wall_map, walls)) if walls else measure_all(wall_map)
     if target is None:
-        text = measurements_csv(survey) if form is Format.CSV else _as_text(survey)
+        text = measurements_csv(measured) if form is Format.CSV else _as_text(measured)
         typer.echo(text.rstrip("\n"))
         return
     with unfinished_file(target, overwrite) as unfinished:
@@ -90,23 +90,23 @@ def measure(
             if regular:
                 results = replace(results, walls=wall_map.walls, corners=wall_map.corners)
             write = {Format.SVG: write_svg, Format.DXF: write_dxf, Format.GEOJSON: write_geojson}[form]
-            write(unfinished, results, survey)
+            write(unfinished, results, measured)
         else:
-            unfinished.write_text(measurements_csv(survey), encoding="utf-8", newline="\n")
-    counts = f"{len(survey.rooms)} rooms, {len(survey.openings)} doors and passages"
-    typer.echo(f"{target}: {counts}, {len(survey.measurements)} measurements")
+            unfinished.write_text(measurements_csv(measured), encoding="utf-8", newline="\n")
+    counts = f"{len(measured.rooms)} rooms, {len(measured.openings)} doors and passages"
+    typer.echo(f"{target}: {counts}, {len(measured.measurements)} measurements")
 
 
-def _as_text(survey: Survey) -> str:
+def _as_text(measured: MeasuredMap) -> str:
     """Return one line per measurement, below a line per room, then one per door or passage."""
     lines, room = [], None
-    for one in survey.measurements:
+    for one in measured.measurements:
         if one.room != room and one.room is not None:
-            lines.append(f"room {one.room}: {survey.rooms[one.room - 1].observed:.0%} of the outline was seen")
+            lines.append(f"room {one.room}: {measured.rooms[one.room - 1].observed:.0%} of the outline was seen")
         room = one.room
         walls = "" if one.unit == "m2" or one.kind == "perimeter" else " " + " and ".join(map(str, one.walls))
         lines.append(f"{'  ' if room is not None else ''}{one.kind}{walls}: {_with_deviation(one)}")
-    for opening in survey.openings:
+    for opening in measured.openings:
         walls = ", ".join(map(str, opening.walls))
         rooms = " and ".join(f"room {number}" for number in opening.rooms)
         lines.append(f"{opening.name} in {walls}: {opening.width:.1f} m" + (f", to {rooms}" if rooms else ""))

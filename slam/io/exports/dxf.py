@@ -1,9 +1,9 @@
 """Write the map as a DXF drawing of AutoCAD 2000 with ezdxf.
 
 One drawing unit is a metre, as $INSUNITS states. Each observed piece of a wall is a LINE on the layer WALLS, each
-corner a POINT on CORNERS, and the driven path an LWPOLYLINE on PATH. Of a survey, outlines and islands of rooms are
-closed LWPOLYLINEs on ROOMS with a TEXT of name and area, doors and passages LINEs on OPENINGS with a TEXT of name and
-width, and measurements aligned DIMENSIONs on DIMENSIONS, in the dimension style METRES.
+corner a POINT on CORNERS, and the driven path an LWPOLYLINE on PATH. Of a measured map, outlines and islands of rooms
+are closed LWPOLYLINEs on ROOMS with a TEXT of name and area, doors and passages LINEs on OPENINGS with a TEXT of name
+and width, and measurements aligned DIMENSIONs on DIMENSIONS, in the dimension style METRES.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from ...extras import require_extra
 from ...geometry.segments import Floats
-from ...measuring.survey import NO_SURVEY, Survey
+from ...measuring.measured_map import NOTHING_MEASURED, MeasuredMap
 from ..run_results import RunResults
 from .dimension_lines import TEXT_HEIGHT, DimensionLine, area_texts, dimension_lines, opening_text
 from .path_thinning import thin_path
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 LAYERS = {"WALLS": 7, "CORNERS": 1, "PATH": 5}
 """Layers and their colour numbers: black or white, red, blue."""
-SURVEY_LAYERS = {"ROOMS": 3, "OPENINGS": 4, "DIMENSIONS": 8}
-"""Layers of a survey: green, cyan, grey."""
+MEASURED_LAYERS = {"ROOMS": 3, "OPENINGS": 4, "DIMENSIONS": 8}
+"""Layers of a measured map: green, cyan, grey."""
 OWN_APPLICATION = "WCLM_SLAM"
 """Registered application (APPID) by which drawings of this project are recognised if they are read as plans."""
 DIMENSION_STYLE = "METRES"
@@ -52,8 +52,8 @@ DIMENSIONS = {
 """Variables of the dimension style; lengths in metres."""
 
 
-def write_dxf(path: Path, results: RunResults, survey: Survey = NO_SURVEY) -> None:
-    """Write walls, corners and path, and rooms, openings and dimensions of a survey.
+def write_dxf(path: Path, results: RunResults, measured: MeasuredMap = NOTHING_MEASURED) -> None:
+    """Write walls, corners and path, and rooms, openings and dimensions of a measured map.
 
     Raises MissingExtraError without ezdxf.
     """
@@ -64,16 +64,16 @@ def write_dxf(path: Path, results: RunResults, survey: Survey = NO_SURVEY) -> No
     with _same_output():
         document = ezdxf.new("R2000", units=units.M)
         document.appids.add(OWN_APPLICATION)
-        for name, colour in (LAYERS | (SURVEY_LAYERS if survey is not NO_SURVEY else {})).items():
+        for name, colour in (LAYERS | (MEASURED_LAYERS if measured is not NOTHING_MEASURED else {})).items():
             document.layers.add(name, color=colour)
         style = document.dimstyles.new(DIMENSION_STYLE, dxfattribs=DIMENSIONS)
         style.copy_to_header(document)  # for programs without dimension styles, and as the current style
         _set_view(document, results)
         space = document.modelspace()
-        _add_rooms(space, survey)
+        _add_rooms(space, measured)
         _add_map(space, results)
-        _add_openings(space, survey)
-        for line in dimension_lines(survey.measurements):
+        _add_openings(space, measured)
+        for line in dimension_lines(measured.measurements):
             _add_dimension(space, line)
         document.saveas(path)
 
@@ -109,16 +109,16 @@ def _add_map(space: Modelspace, results: RunResults) -> None:
     space.add_lwpolyline([_point(p) for p in poses[thin_path(poses), :2]], dxfattribs={"layer": "PATH"})
 
 
-def _add_rooms(space: Modelspace, survey: Survey) -> None:
-    for room in survey.rooms:
+def _add_rooms(space: Modelspace, measured: MeasuredMap) -> None:
+    for room in measured.rooms:
         for part in (room.outline, *room.islands):
             space.add_lwpolyline([_point(p) for p in part.vertices], close=True, dxfattribs={"layer": "ROOMS"})
-    for place, text in area_texts(survey.measurements):
+    for place, text in area_texts(measured.measurements):
         _add_text(space, "ROOMS", place, text, 2.0 * TEXT_HEIGHT)
 
 
-def _add_openings(space: Modelspace, survey: Survey) -> None:
-    for opening in survey.openings:
+def _add_openings(space: Modelspace, measured: MeasuredMap) -> None:
+    for opening in measured.openings:
         space.add_line(_point(opening.ends[0]), _point(opening.ends[1]), {"layer": "OPENINGS"})
         place, text, angle = opening_text(opening)
         _add_text(space, "OPENINGS", place, text, TEXT_HEIGHT, angle)

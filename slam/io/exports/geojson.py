@@ -16,17 +16,17 @@ from numpy.typing import NDArray
 
 from ...geometry.segments import Floats
 from ...mapping.map_features import MapCorners, MapWalls
+from ...measuring.measured_map import NOTHING_MEASURED, MeasuredMap
 from ...measuring.openings import Opening
 from ...measuring.rooms import Room
-from ...measuring.survey import NO_SURVEY, Survey
 from ..run_results import RunResults
 from .path_thinning import thin_path
 
 
-def write_geojson(path: Path, results: RunResults, survey: Survey = NO_SURVEY) -> None:
-    """Write the map, and the rooms and openings of a survey, with one feature per line, for readability."""
+def write_geojson(path: Path, results: RunResults, measured: MeasuredMap = NOTHING_MEASURED) -> None:
+    """Write the map, and the rooms and openings of a measured map, with one feature per line, for readability."""
     features = [*_walls(results.walls), *_corners(results.corners), _path(results.trajectory.poses)]
-    features += [*map(_room, survey.rooms), *map(_opening, survey.openings)]
+    features += [*map(_room, measured.rooms), *map(_opening, measured.openings)]
     rows = ",\n".join(json.dumps(feature, allow_nan=False) for feature in features)
     head = '"type": "FeatureCollection", "frame": "map", "units": "m"'
     path.write_text(f'{{{head}, "features": [\n{rows}\n]}}\n', encoding="utf-8", newline="\n")

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from ...geometry.segments import Floats
+from ...measuring.measured_map import NOTHING_MEASURED, MeasuredMap
 from ...measuring.openings import Opening
 from ...measuring.rooms import Room
-from ...measuring.survey import NO_SURVEY, Survey
 from ..run_results import RunResults
 from .dimension_lines import TEXT_HEIGHT, area_texts, dimension_lines, opening_text
 from .svg_drawing import PATH_CLASSES, UNKNOWN_CLASS, draw_map
@@ -38,15 +38,16 @@ TICK = 0.06
 """Half the length of the strokes at the ends of a dimension line, metres."""
 
 
-def write_svg(path: Path, results: RunResults, survey: Survey = NO_SURVEY) -> None:
-    """Write the drawing, with the rooms, openings and dimension lines of a survey."""
-    path.write_text(svg_text(results, survey), encoding="utf-8", newline="\n")
+def write_svg(path: Path, results: RunResults, measured: MeasuredMap = NOTHING_MEASURED) -> None:
+    """Write the drawing, with the rooms, openings and dimension lines of a measured map."""
+    path.write_text(svg_text(results, measured), encoding="utf-8", newline="\n")
 
 
-def svg_text(results: RunResults, survey: Survey = NO_SURVEY) -> str:
-    """Return the drawing, with the rooms, openings and dimension lines of a survey, as the text of an SVG file."""
+def svg_text(results: RunResults, measured: MeasuredMap = NOTHING_MEASURED) -> str:
+    """Return the drawing as the text of an SVG file."""
     drawing = draw_map(results)
-    elements = "\n".join([*_rooms(survey.rooms), drawing.elements, *_openings(survey.openings), *_dimensions(survey)])
+    above = [*_openings(measured.openings), *_dimensions(measured)]
+    elements = "\n".join([*_rooms(measured.rooms), drawing.elements, *above])
     colours = "".join(f".{c.name} {{ stroke: {c.colour} }}\n" for c in (*PATH_CLASSES, UNKNOWN_CLASS))
     width, height = MILLIMETRES_PER_METRE * drawing.width, MILLIMETRES_PER_METRE * drawing.height
     return (
@@ -86,12 +87,12 @@ def _points(points: Floats) -> str:
     return "L".join(f"{x:z.3f},{y:z.3f}" for x, y in points * [1.0, -1.0])
 
 
-def _dimensions(survey: Survey) -> Iterator[str]:
+def _dimensions(measured: MeasuredMap) -> Iterator[str]:
     """Yield a group with a line with strokes at its ends for each length, and a text for each area."""
-    if not survey.measurements:
+    if not measured.measurements:
         return
     yield '<g class="dimensions">'
-    for one in dimension_lines(survey.measurements):
+    for one in dimension_lines(measured.measurements):
         (x0, y0), (x1, y1) = one.line * [1.0, -1.0]
         (u0, v0), (u1, v1) = one.measured * [1.0, -1.0]
         dx, dy = TICK * np.array([y0 - y1, x1 - x0]) / np.hypot(x1 - x0, y1 - y0)
@@ -99,7 +100,7 @@ def _dimensions(survey: Survey) -> Iterator[str]:
         extensions = f"M{u0:.3f},{v0:.3f}L{x0:.3f},{y0:.3f}M{u1:.3f},{v1:.3f}L{x1:.3f},{y1:.3f}"
         yield f'<path d="M{x0:.3f},{y0:.3f}L{x1:.3f},{y1:.3f}{ticks}{extensions}"><title>{one.identity}</title></path>'
         yield _text(one.middle[0], -one.middle[1], one.text, TEXT_HEIGHT, -float(np.degrees(one.angle)))
-    for (x, y), text in area_texts(survey.measurements):
+    for (x, y), text in area_texts(measured.measurements):
         yield _text(x, -y, text, 2.0 * TEXT_HEIGHT)
     yield "</g>"
 

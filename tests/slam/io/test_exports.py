@@ -19,7 +19,7 @@ from slam.io.exports.dimension_lines import dimension_lines
 from slam.io.keyframes_csv import read_keyframes
 from slam.io.output_dir import write_json, write_results
 from slam.io.run_results import RunResults, read_run_results
-from slam.measuring.survey import Survey, survey_map
+from slam.measuring.measured_map import MeasuredMap, measure_all
 
 from ..measuring.plans import around, room, wall_map
 
@@ -72,16 +72,16 @@ def test_dxf_is_the_same_if_written_twice(results: RunResults, tmp_path: Path) -
 
 
 @pytest.fixture
-def survey() -> Survey:
-    """Return the survey of a room with a pillar and a door, through which the robot came."""
+def measured() -> MeasuredMap:
+    """Return the measurements, rooms and doors of a room with a pillar and a door, through which the robot came."""
     pillar = [(1.0, 2.0), (1.0, 3.0), (2.0, 3.0), (2.0, 2.0)]
     walls = [*room([(0.0, 0.0), (5.0, 0.0), (5.0, 4.0), (0.0, 4.0)]), *room(pillar)]
     walls[0] = [(0.0, 0.0), (2.0, 0.0), (3.0, 0.0), (5.0, 0.0)]
-    return survey_map(wall_map(walls, [*around(4), *around(4, 4)], path=[(2.5, -2.0), (2.5, 1.5)]))
+    return measure_all(wall_map(walls, [*around(4), *around(4, 4)], path=[(2.5, -2.0), (2.5, 1.5)]))
 
 
-def test_dxf_has_rooms_doors_and_dimensions(results: RunResults, survey: Survey, tmp_path: Path) -> None:
-    write_dxf(tmp_path / "a.dxf", results, survey)
+def test_dxf_has_rooms_doors_and_dimensions(results: RunResults, measured: MeasuredMap, tmp_path: Path) -> None:
+    write_dxf(tmp_path / "a.dxf", results, measured)
     document = ezdxf.readfile(tmp_path / "a.dxf")
     audit = document.audit()
     assert not [*audit.errors, *audit.fixes]
@@ -92,7 +92,7 @@ def test_dxf_has_rooms_doors_and_dimensions(results: RunResults, survey: Survey,
     assert sorted([door.dxf.start.x, door.dxf.end.x]) == pytest.approx([2.0, 3.0])
     texts = {text.dxf.layer: text.dxf.text for text in space.query("TEXT")}
     assert texts == {"ROOMS": "room 1: 19.00 ± 0.01 m²", "OPENINGS": "door 1: 1.0 m"}
-    lines = dimension_lines(survey.measurements)
+    lines = dimension_lines(measured.measurements)
     dimensions = list(space.query("DIMENSION"))
     assert len(dimensions) == len(lines) > 4
     for dimension, line in zip(dimensions, lines, strict=True):
@@ -103,8 +103,10 @@ def test_dxf_has_rooms_doors_and_dimensions(results: RunResults, survey: Survey,
         assert -90.0 <= text.get_rotation() <= 90.0  # not upside down
 
 
-def test_svg_has_rooms_without_their_islands_and_doors(results: RunResults, survey: Survey, tmp_path: Path) -> None:
-    write_svg(tmp_path / "a.svg", results, survey)
+def test_svg_has_rooms_without_their_islands_and_doors(
+    results: RunResults, measured: MeasuredMap, tmp_path: Path
+) -> None:
+    write_svg(tmp_path / "a.svg", results, measured)
     root, space = ElementTree.parse(tmp_path / "a.svg").getroot(), {"s": "http://www.w3.org/2000/svg"}
     (area,) = root.findall("s:g[@class='rooms']/s:path", space)
     assert area.attrib["d"].count("M") == area.attrib["d"].count("Z") == 2
@@ -113,8 +115,8 @@ def test_svg_has_rooms_without_their_islands_and_doors(results: RunResults, surv
     assert door.text == "door 1: 1.0 m"
 
 
-def test_geojson_has_rooms_and_doors(results: RunResults, survey: Survey, tmp_path: Path) -> None:
-    write_geojson(tmp_path / "a.geojson", results, survey)
+def test_geojson_has_rooms_and_doors(results: RunResults, measured: MeasuredMap, tmp_path: Path) -> None:
+    write_geojson(tmp_path / "a.geojson", results, measured)
     features = json.loads((tmp_path / "a.geojson").read_text())["features"]
     found, door = features[-2:]
     outline, island = (np.array(ring) for ring in found["geometry"]["coordinates"])

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from slam.measuring.measured_map import measure_all
 from slam.measuring.openings import Opening, find_openings
 from slam.measuring.rooms import find_rooms
-from slam.measuring.survey import survey_map
 
 from .plans import Point, around, room, wall_map
 
@@ -41,6 +41,7 @@ def test_a_gap_in_both_faces_of_a_wall_is_one_door_in_the_middle() -> None:
     ("walls", "path"),
     [
         (BELOW, BESIDE),  # perhaps it was not seen: a cupboard
+        ([*BELOW, [(5.0, -0.2), (3.5, -0.2), (2.0, -0.2), (0.0, -0.2)]], BESIDE),  # as above, on both sides
         ([*BELOW, [(2.5, 1.0), (2.5, -1.0)]], [(2.3, -2.0), (2.3, 2.0)]),  # a wall goes through it
         ([*BELOW, [(5.0, -2.0), (3.0, -2.0), (2.0, -2.0), (0.0, -2.0)]], BESIDE),  # faces of two walls
         ([*BELOW, [(1.9, 0.05), (3.1, 0.05)]], THROUGH),  # another landmark of the same face closes it
@@ -58,13 +59,19 @@ def test_a_gap_between_two_walls_on_one_line_is_an_opening_and_a_wide_one_is_a_p
     assert passage.width == pytest.approx(2.5, abs=0.01)
 
 
+def test_a_door_in_two_landmarks_of_one_face_is_one_door() -> None:
+    (door,) = found([*BELOW, [(0.5, 0.02), (1.9, 0.02)]], THROUGH)
+    assert door.walls == (10, 11)
+    assert not found([*BELOW, [(0.5, 0.02), (1.9, 0.02)]], BESIDE)
+
+
 def test_a_door_leads_into_the_rooms_on_both_sides() -> None:
     lower = [(0.0, -4.2), (5.0, -4.2), (5.0, -0.2), (0.0, -0.2)]
     walls = [*room([(0.0, 0.0), (5.0, 0.0), (5.0, 4.0), (0.0, 4.0)]), *room(lower)]
     walls[0], walls[6] = BELOW[0], BEHIND[0]
-    survey = survey_map(wall_map(walls, [*around(4), *around(4, 4)], path=[(2.5, -3.0), (2.5, 2.0)]))
-    assert len(survey.rooms) == 2
-    (door,) = survey.openings
+    measured = measure_all(wall_map(walls, [*around(4), *around(4, 4)], path=[(2.5, -3.0), (2.5, 2.0)]))
+    assert len(measured.rooms) == 2
+    (door,) = measured.openings
     assert door.rooms == (1, 2)
 
 

@@ -13,7 +13,7 @@ from .wall_map import WallMap
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Survey:
+class MeasuredMap:
     """Measurements, rooms and openings of a map."""
 
     measurements: Sequence[Measurement] = ()
@@ -21,11 +21,11 @@ class Survey:
     openings: Sequence[Opening] = ()
 
 
-NO_SURVEY = Survey()
+NOTHING_MEASURED = MeasuredMap()
 """Nothing: for drawings of walls, corners and path alone."""
 
 
-def survey_map(wall_map: WallMap) -> Survey:
+def measure_all(wall_map: WallMap) -> MeasuredMap:
     """Return the rooms, openings and all measurements of a map."""
     rooms = find_rooms(wall_map)
-    return Survey(measure_map(wall_map, rooms), rooms, find_openings(wall_map, rooms))
+    return MeasuredMap(measure_map(wall_map, rooms), rooms, find_openings(wall_map, rooms))
