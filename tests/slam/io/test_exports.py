@@ -12,10 +12,12 @@ import ezdxf
 import numpy as np
 import pytest
 
+from slam import extras
 from slam.config import Config
 from slam.events import Finished
 from slam.io.exports import write_dxf, write_geojson, write_svg
 from slam.io.exports.dimension_lines import dimension_lines
+from slam.io.exports.measurements_csv import measurements_csv
 from slam.io.keyframes_csv import read_keyframes
 from slam.io.output_dir import write_json, write_results
 from slam.io.run_results import RunResults, read_run_results
@@ -169,6 +171,11 @@ def test_svg_is_true_to_scale_with_y_up(results: RunResults, tmp_path: Path) -> 
     assert float(corners[0].attrib["rx"]) == pytest.approx(3 * np.sqrt(4.414e-5), abs=1e-4)
 
 
+def test_the_table_has_doors_without_a_standard_deviation(measured: MeasuredMap) -> None:
+    last = measurements_csv(measured).splitlines()[-1]
+    assert last == "1,door,10,1.00,,m,2.0000,0.0000,3.0000,0.0000"
+
+
 # Command
 
 
@@ -194,6 +201,13 @@ def test_existing_export_is_replaced_only_with_overwrite(wclm: Any, ran: Path, f
     wclm.refuses("map", ran, "--format", form, "--out", "a.b", because=["a.b: the name of a", f"end with .{form}"])
     assert wclm("run", "sim:room?duration=3", "--out", ran, "--no-review", "--overwrite").exit_code == 0
     assert not (ran / name).exists()  # it belonged to the older run
+
+
+def test_dxf_without_ezdxf_names_the_extra(wclm: Any, ran: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = {file.name for file in ran.iterdir()}
+    monkeypatch.setattr(extras, "find_spec", lambda name: None)
+    wclm.refuses("map", ran, "--format", "dxf", because=["needs the extra 'plans'"])
+    assert {file.name for file in ran.iterdir()} == before
 
 
 def test_no_picture_is_written_if_its_yaml_file_exists(wclm: Any, ran: Path) -> None:
