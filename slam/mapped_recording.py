@@ -29,6 +29,7 @@ from .io.tum import Trajectory
 from .io.wall_maps import settled_wall_map
 from .mapping.map_features import MapCorners, MapWalls
 from .measuring.map_measurements import measure_map
+from .measuring.measured_map import MeasuredMap
 from .measuring.measurement import Measurement
 from .measuring.rooms import Room, find_rooms
 from .measuring.wall_map import WallMap
@@ -115,7 +116,8 @@ class MappedRecording:
         keyframes = Keyframes(self.finished.keyframe_stamps, poses, covariance)
         summary = {"recording": self.name, "slam": self.summary}
         trajectory = Trajectory(self.stamps, self.path)
-        return svg_text(RunResults(Path(), self.walls, self.corners, trajectory, summary, keyframes), measurements)
+        results = RunResults(Path(), self.walls, self.corners, trajectory, summary, keyframes)
+        return svg_text(results, MeasuredMap(measurements))
 
     def _repr_svg_(self) -> str:
         """Return the drawing, for notebooks."""

@@ -167,15 +167,15 @@ def _bridge_cost(wall_map: WallMap, edges: Edges, before: int, after: int) -> fl
 def _crosses(edges: Edges, bridge: Floats, without: tuple[int, int]) -> bool:
     """Return True if a polyline (k, 2) crosses an edge other than two."""
     others = np.delete(edges.ends, without, axis=0)
-    return any(_crossing(a, b, others[:, 0], others[:, 1]).any() for a, b in pairwise(bridge))
+    return any(crossing(a, b, others[:, 0], others[:, 1]).any() for a, b in pairwise(bridge))
 
 
 def _meets(bridge: Floats, path: Floats) -> bool:
     """Return True if a polyline (k, 2) crosses another one (m, 2)."""
-    return any(_crossing(a, b, path[:-1], path[1:]).any() for a, b in pairwise(bridge))
+    return any(crossing(a, b, path[:-1], path[1:]).any() for a, b in pairwise(bridge))
 
 
-def _crossing(a: Floats, b: Floats, starts: Floats, ends: Floats) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def crossing(a: Floats, b: Floats, starts: Floats, ends: Floats) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     """Return (n,) which of the segments from `starts` (n, 2) to `ends` (n, 2) cross the segment from a to b."""
 
     def side(p: Floats, q: Floats, r: Floats) -> Floats:

@@ -12,6 +12,11 @@ from .measurement import Kind, Measurement, are_parallel, interior_angle, side_l
 from .outlines import Stretch, find_outlines
 from .wall_map import WallMap
 
+LABEL_LEVELS = 40
+"""Heights in a room at which a place for its label is looked for."""
+LABEL_ASPECT = 6.0
+"""Ratio of a label's width to its height."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outline:
@@ -105,12 +110,47 @@ class Room:
     observed: float
 
     @property
+    def name(self) -> str:
+        """Name in drawings and tables."""
+        return f"room {self.number}"
+
+    def contains(self, points: Floats) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Return (k,) which points (k, 2) are inside, and in no island."""
+        inside = self.outline.contains(points)
+        for island in self.islands:
+            inside &= ~island.contains(points)
+        return inside
+
+    @property
     def label_place(self) -> Floats:
-        """Point (2,) for a label: the centre of the area."""
+        """Point (2,) for a label: the centre of the area, or if that is outside, the middle of a wide part."""
         x, y = self.outline.vertices.T
         cross = x * np.roll(y, -1) - np.roll(x, -1) * y
         sums = np.stack([x + np.roll(x, -1), y + np.roll(y, -1)])
-        return np.asarray(sums @ cross / (3.0 * cross.sum()))
+        centre = np.asarray(sums @ cross / (3.0 * cross.sum()))
+        if self.contains(centre[None])[0]:
+            return centre
+        levels = y.min() + np.ptp(y) * (np.arange(LABEL_LEVELS) + 0.5) / LABEL_LEVELS
+        middles = [(0.5 * (a + b), level, b - a) for level in levels for a, b in self._stretches_along(0, level)]
+
+        def space(candidate: tuple[float, float, float]) -> float:
+            place, level, width = candidate
+            above_below = min(min(level - a, b - level) for a, b in self._stretches_along(1, place) if a <= level <= b)
+            return min(0.5 * width / LABEL_ASPECT, above_below)
+
+        return np.array(max(middles, key=space)[:2])
+
+    def _stretches_along(self, axis: int, level: float) -> list[tuple[float, float]]:
+        """Return where a line parallel to an axis (0: x, 1: y) is inside, as begins and ends in metres."""
+        places: list[float] = []
+        for part in (self.outline, *self.islands):
+            starts, ends = part.vertices, np.roll(part.vertices, -1, axis=0)
+            across = (starts[:, 1 - axis] > level) != (ends[:, 1 - axis] > level)
+            first, last = starts[across], ends[across]
+            share = (level - first[:, 1 - axis]) / (last[:, 1 - axis] - first[:, 1 - axis])
+            places += (first[:, axis] + share * (last[:, axis] - first[:, axis])).tolist()
+        places.sort()
+        return list(zip(places[::2], places[1::2], strict=True))
 
 
 def find_rooms(wall_map: WallMap) -> list[Room]:

@@ -13,10 +13,8 @@ from ..console import print_if_slow, print_message
 from ..options import OverwriteOption, RegularOption
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
+    from ...measuring.measured_map import MeasuredMap
     from ...measuring.measurement import Measurement
-    from ...measuring.rooms import Room
 
 
 class Format(StrEnum):
@@ -26,6 +24,7 @@ class Format(StrEnum):
     CSV = "csv"
     SVG = "svg"
     DXF = "dxf"
+    GEOJSON = "geojson"
 
 
 def measure(
@@ -36,11 +35,16 @@ def measure(
     ] = None,
     form: Annotated[
         Format,
-        typer.Option("--format", help="text; csv: table; svg, dxf: drawing with dimension lines."),
+        typer.Option(
+            "--format",
+            help="text; csv: table; svg, dxf: drawing with rooms, doors and dimension lines; geojson: rooms and doors.",
+        ),
     ] = Format.TEXT,
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="FILE", help="Output file; for svg and dxf by default measurements.FORMAT."),
+        typer.Option(
+            "--out", metavar="FILE", help="Output file; of drawings and geojson by default measurements.FORMAT."
+        ),
     ] = None,
     regular: RegularOption = False,
     overwrite: OverwriteOption = False,
@@ -48,23 +52,24 @@ def measure(
     """Measure a map: distances between walls, lengths, angles, and areas of rooms, with standard deviations.
 
     Of the whole map: rooms with their areas, sides and angles; lengths of other walls between two corners; widths
-    between walls that face each other, and thicknesses of walls. With identities of walls: their lengths, and the
-    distance or angle of each two of them. Standard deviations follow from the joint covariance of all walls.
+    between walls that face each other, and thicknesses of walls; doors and passages. With identities of walls: their
+    lengths, and the distance or angle of each two of them. Standard deviations follow from the joint covariance of all
+    walls.
 
     Example: [bold]wclm measure results/office 12 17[/bold]
     """
     from ...errors import OutputError
-    from ...io.exports import write_dxf, write_svg
+    from ...io.exports import write_dxf, write_geojson, write_svg
     from ...io.exports.measurements_csv import measurements_csv
     from ...io.output_dir import MEASURED, unfinished_file
     from ...io.run_results import read_run_results
     from ...io.wall_maps import read_wall_map
-    from ...measuring.map_measurements import measure_map, measure_walls
+    from ...measuring.map_measurements import measure_walls
+    from ...measuring.measured_map import MeasuredMap, measure_all
     from ...measuring.regularity import regularise
-    from ...measuring.rooms import find_rooms
     from ..slam_run import READING_SESSION
 
-    drawn = form in (Format.SVG, Format.DXF)
+    drawn = form in (Format.SVG, Format.DXF, Format.GEOJSON)
     target = out or (session / f"{MEASURED}.{form}" if drawn else None)
     if target is not None and target.suffix != f".{form}":
         raise OutputError(f"{target}: the name of a {form} file must end with .{form}")
@@ -74,10 +79,9 @@ def measure(
         found = regularise(wall_map)
         print_message(found.text)
         wall_map = found.wall_map
-    rooms = [] if walls else find_rooms(wall_map)
-    measurements = measure_walls(wall_map, walls) if walls else measure_map(wall_map, rooms)
+    measured = MeasuredMap(measure_walls(wall_map, walls)) if walls else measure_all(wall_map)
     if target is None:
-        text = measurements_csv(measurements) if form is Format.CSV else _as_text(measurements, rooms)
+        text = measurements_csv(measured) if form is Format.CSV else _as_text(measured)
         typer.echo(text.rstrip("\n"))
         return
     with unfinished_file(target, overwrite) as unfinished:
@@ -85,21 +89,27 @@ def measure(
             results = read_run_results(session)
             if regular:
                 results = replace(results, walls=wall_map.walls, corners=wall_map.corners)
-            {Format.SVG: write_svg, Format.DXF: write_dxf}[form](unfinished, results, measurements)
+            write = {Format.SVG: write_svg, Format.DXF: write_dxf, Format.GEOJSON: write_geojson}[form]
+            write(unfinished, results, measured)
         else:
-            unfinished.write_text(measurements_csv(measurements), encoding="utf-8", newline="\n")
-    typer.echo(f"{target}: {len(rooms)} rooms, {len(measurements)} measurements")
+            unfinished.write_text(measurements_csv(measured), encoding="utf-8", newline="\n")
+    counts = f"{len(measured.rooms)} rooms, {len(measured.openings)} doors and passages"
+    typer.echo(f"{target}: {counts}, {len(measured.measurements)} measurements")
 
 
-def _as_text(measurements: Sequence[Measurement], rooms: Sequence[Room]) -> str:
-    """Return one line per measurement, below a line per room."""
+def _as_text(measured: MeasuredMap) -> str:
+    """Return one line per measurement, below a line per room, then one per door or passage."""
     lines, room = [], None
-    for one in measurements:
+    for one in measured.measurements:
         if one.room != room and one.room is not None:
-            lines.append(f"room {one.room}: {rooms[one.room - 1].observed:.0%} of the outline was seen")
+            lines.append(f"room {one.room}: {measured.rooms[one.room - 1].observed:.0%} of the outline was seen")
         room = one.room
         walls = "" if one.unit == "m2" or one.kind == "perimeter" else " " + " and ".join(map(str, one.walls))
         lines.append(f"{'  ' if room is not None else ''}{one.kind}{walls}: {_with_deviation(one)}")
+    for opening in measured.openings:
+        walls = ", ".join(map(str, opening.walls))
+        rooms = " and ".join(f"room {number}" for number in opening.rooms)
+        lines.append(f"{opening.name} in {walls}: {opening.width:.1f} m" + (f", to {rooms}" if rooms else ""))
     return "\n".join(lines) or "nothing to measure: no room is closed, and no walls are opposite each other"
 
 

@@ -1,4 +1,4 @@
-"""Measurements as dimension lines of a drawing."""
+"""Measurements as dimension lines of a drawing, and the texts of rooms and openings."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from ...geometry.segments import Floats
 from ...measuring.measurement import Kind, Measurement
+from ...measuring.openings import Opening
 
 SIDE_DISTANCE = 0.2
 """Metres between the wall and the dimension line of a room's side, which is inside the room."""
@@ -64,10 +65,16 @@ def dimension_lines(measurements: Iterable[Measurement]) -> list[DimensionLine]:
 def area_texts(measurements: Iterable[Measurement]) -> list[tuple[Floats, str]]:
     """Return place (2,) and text of each room's area."""
     return [
-        (one.ends[0], f"room {one.room}: {one.value:.2f} ± {one.sigma:.2f} m²")
+        (one.ends[0], f"room {one.room}: {one.value:.2f} ± {max(one.sigma, 0.01):.2f} m²")
         for one in measurements
         if one.kind is Kind.AREA
     ]
+
+
+def opening_text(opening: Opening) -> tuple[Floats, str, float]:
+    """Return place (2,), text and direction (radians, not upside down) of the name and width of a door or passage."""
+    line = DimensionLine(opening.ends, opening.ends, f"{opening.name}: {opening.width:.1f} m", opening.name)
+    return line.middle, line.text, line.angle
 
 
 def format_value(measurement: Measurement) -> str:

@@ -1,118 +1,154 @@
-"""Write the map as a DXF drawing of AutoCAD Release 12, which all CAD programs read.
+"""Write the map as a DXF drawing of AutoCAD 2000 with ezdxf.
 
-One drawing unit is a metre. Each observed piece of a wall is a LINE on the layer WALLS, each corner a POINT on the
-layer CORNERS, and the driven path a POLYLINE on the layer PATH. Measurements are aligned DIMENSIONs on the layer
-DIMENSIONS, each with a block of its lines and its text, and TEXTs of areas.
+One drawing unit is a metre, as $INSUNITS states. Each observed piece of a wall is a LINE on the layer WALLS, each
+corner a POINT on CORNERS, and the driven path an LWPOLYLINE on PATH. Of a measured map, outlines and islands of rooms
+are closed LWPOLYLINEs on ROOMS with a TEXT of name and area, doors and passages LINEs on OPENINGS with a TEXT of name
+and width, and measurements aligned DIMENSIONs on DIMENSIONS, in the dimension style METRES.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...extras import require_extra
 from ...geometry.segments import Floats
-from ...measuring.measurement import Measurement
+from ...measuring.measured_map import NOTHING_MEASURED, MeasuredMap
 from ..run_results import RunResults
-from .dimension_lines import TEXT_HEIGHT, DimensionLine, area_texts, dimension_lines
+from .dimension_lines import TEXT_HEIGHT, DimensionLine, area_texts, dimension_lines, opening_text
 from .path_thinning import thin_path
 
-Group: TypeAlias = tuple[int, object]
-"""Group code and value, on two consecutive lines of the file."""
+if TYPE_CHECKING:
+    from ezdxf.document import Drawing
+    from ezdxf.layouts import Modelspace
 
 LAYERS = {"WALLS": 7, "CORNERS": 1, "PATH": 5}
 """Layers and their colour numbers: black or white, red, blue."""
-DIMENSIONS = "DIMENSIONS"
-"""Layer of the measurements, in grey."""
+MEASURED_LAYERS = {"ROOMS": 3, "OPENINGS": 4, "DIMENSIONS": 8}
+"""Layers of a measured map: green, cyan, grey."""
+OWN_APPLICATION = "WCLM_SLAM"
+"""Registered application (APPID) by which drawings of this project are recognised if they are read as plans."""
+DIMENSION_STYLE = "METRES"
+DIMENSIONS = {
+    "dimtxt": TEXT_HEIGHT,
+    "dimtsz": 0.06,  # oblique strokes instead of arrows
+    "dimasz": 0.06,
+    "dimgap": 0.03,
+    "dimexo": 0.0,
+    "dimexe": 0.0,
+    "dimtad": 1,  # text above the line
+    "dimtih": 0,  # text along the line
+    "dimtoh": 0,
+    "dimlunit": 2,  # decimal
+    "dimdec": 3,
+    "dimzin": 0,  # all three decimals
+    "dimdsep": ord("."),
+    "dimscale": 1.0,
+}
+"""Variables of the dimension style; lengths in metres."""
 
 
-def write_dxf(path: Path, results: RunResults, measurements: Sequence[Measurement] = ()) -> None:
-    """Write walls, corners and path, and dimensions of measurements."""
-    lines = dimension_lines(measurements)
-    layers = LAYERS | ({DIMENSIONS: 8} if measurements else {})
-    groups = [*_header(results), *_tables(layers), *_blocks(lines), *_entities(results)]
-    groups += [*_dimensions(lines), *_area_texts(measurements), (0, "ENDSEC"), (0, "EOF")]
-    text = "".join(f"{code:>3}\n{value}\n" for code, value in groups)
-    path.write_text(text, encoding="ascii", newline="\r\n")
+def write_dxf(path: Path, results: RunResults, measured: MeasuredMap = NOTHING_MEASURED) -> None:
+    """Write walls, corners and path, and rooms, openings and dimensions of a measured map.
+
+    Raises MissingExtraError without ezdxf.
+    """
+    require_extra("plans")
+    import ezdxf
+    from ezdxf import units
+
+    with _same_output():
+        document = ezdxf.new("R2000", units=units.M)
+        document.appids.add(OWN_APPLICATION)
+        for name, colour in (LAYERS | (MEASURED_LAYERS if measured is not NOTHING_MEASURED else {})).items():
+            document.layers.add(name, color=colour)
+        style = document.dimstyles.new(DIMENSION_STYLE, dxfattribs=DIMENSIONS)
+        style.copy_to_header(document)  # for programs without dimension styles, and as the current style
+        _set_view(document, results)
+        space = document.modelspace()
+        _add_rooms(space, measured)
+        _add_map(space, results)
+        _add_openings(space, measured)
+        for line in dimension_lines(measured.measurements):
+            _add_dimension(space, line)
+        document.saveas(path)
 
 
-def _header(results: RunResults) -> Iterator[Group]:
+@contextmanager
+def _same_output() -> Iterator[None]:
+    """Let ezdxf write fixed dates and identifiers, so that the same map gives the same file."""
+    import ezdxf
+
+    before = ezdxf.options.write_fixed_meta_data_for_testing
+    ezdxf.options.write_fixed_meta_data_for_testing = True
+    try:
+        yield
+    finally:
+        ezdxf.options.write_fixed_meta_data_for_testing = before
+
+
+def _set_view(document: Drawing, results: RunResults) -> None:
+    """Show the whole map if the drawing is opened."""
     drawn = np.concatenate([results.walls.end_points().reshape(-1, 2), results.trajectory.poses[:, :2]])
-    yield from [(999, "1 unit = 1 m"), (0, "SECTION"), (2, "HEADER"), (9, "$ACADVER"), (1, "AC1009")]
-    for name, corner in (("$EXTMIN", drawn.min(axis=0)), ("$EXTMAX", drawn.max(axis=0))):
-        yield 9, name
-        yield from _point(corner)
-    yield 0, "ENDSEC"
+    low, high = drawn.min(axis=0), drawn.max(axis=0)
+    document.modelspace().reset_extents((*low.tolist(), 0.0), (*high.tolist(), 0.0))
+    width, height = (high - low).tolist()
+    document.set_modelspace_vport(1.1 * max(height, 0.5 * width, 1.0), (0.5 * (low + high)).tolist())
 
 
-def _tables(layers: dict[str, int]) -> Iterator[Group]:
-    yield from [(0, "SECTION"), (2, "TABLES")]
-    yield from [(0, "TABLE"), (2, "LTYPE"), (70, 1), (0, "LTYPE"), (2, "CONTINUOUS"), (70, 0)]
-    yield from [(3, "Solid line"), (72, 65), (73, 0), (40, "0.0"), (0, "ENDTAB")]
-    yield from [(0, "TABLE"), (2, "LAYER"), (70, len(layers))]
-    for name, colour in layers.items():
-        yield from [(0, "LAYER"), (2, name), (70, 0), (62, colour), (6, "CONTINUOUS")]
-    yield from [(0, "ENDTAB"), (0, "ENDSEC")]
-
-
-def _entities(results: RunResults) -> Iterator[Group]:
-    yield from [(0, "SECTION"), (2, "ENTITIES")]
+def _add_map(space: Modelspace, results: RunResults) -> None:
     for start, end in results.walls.piece_points()[0]:
-        yield from [(0, "LINE"), (8, "WALLS"), *_point(start), *_point(end, 1)]
+        space.add_line(_point(start), _point(end), {"layer": "WALLS"})
     for position in results.corners.position:
-        yield from [(0, "POINT"), (8, "CORNERS"), *_point(position)]
+        space.add_point(_point(position), {"layer": "CORNERS"})
     poses = results.trajectory.poses
-    yield from [(0, "POLYLINE"), (8, "PATH"), (66, 1), *_point(np.zeros(2)), (70, 0)]
-    for position in poses[thin_path(poses), :2]:
-        yield from [(0, "VERTEX"), (8, "PATH"), *_point(position)]
-    yield from [(0, "SEQEND"), (8, "PATH")]
+    space.add_lwpolyline([_point(p) for p in poses[thin_path(poses), :2]], dxfattribs={"layer": "PATH"})
 
 
-def _blocks(lines: Sequence[DimensionLine]) -> Iterator[Group]:
-    """Yield the section of blocks: the picture of each dimension, which programs show without computing it."""
-    if not lines:
-        return
-    yield from [(0, "SECTION"), (2, "BLOCKS")]
-    for number, line in enumerate(lines, start=1):
-        yield from [(0, "BLOCK"), (8, "0"), (2, f"*D{number}"), (70, 1), *_point(np.zeros(2)), (3, f"*D{number}")]
-        for start, end in [line.line, *np.stack([line.measured, line.line], axis=1)]:
-            yield from [(0, "LINE"), (8, "0"), *_point(start), *_point(end, 1)]
-        yield from _text("0", line.middle, line.text, TEXT_HEIGHT, float(np.degrees(line.angle)))
-        yield from [(0, "ENDBLK"), (8, "0")]
-    yield 0, "ENDSEC"
+def _add_rooms(space: Modelspace, measured: MeasuredMap) -> None:
+    for room in measured.rooms:
+        for part in (room.outline, *room.islands):
+            space.add_lwpolyline([_point(p) for p in part.vertices], close=True, dxfattribs={"layer": "ROOMS"})
+    for place, text in area_texts(measured.measurements):
+        _add_text(space, "ROOMS", place, text, 2.0 * TEXT_HEIGHT)
 
 
-def _dimensions(lines: Sequence[DimensionLine]) -> Iterator[Group]:
-    for number, line in enumerate(lines, start=1):
-        yield from [
-            (0, "DIMENSION"),
-            (8, DIMENSIONS),
-            (2, f"*D{number}"),
-            *_point(line.line[1]),
-            *_point(line.middle, 1),
-        ]
-        yield from [(70, 1), (1, _ascii(line.text)), *_point(line.measured[0], 3), *_point(line.measured[1], 4)]
+def _add_openings(space: Modelspace, measured: MeasuredMap) -> None:
+    for opening in measured.openings:
+        space.add_line(_point(opening.ends[0]), _point(opening.ends[1]), {"layer": "OPENINGS"})
+        place, text, angle = opening_text(opening)
+        _add_text(space, "OPENINGS", place, text, TEXT_HEIGHT, angle)
 
 
-def _area_texts(measurements: Sequence[Measurement]) -> Iterator[Group]:
-    for place, text in area_texts(measurements):
-        yield from _text(DIMENSIONS, place, text, 2.0 * TEXT_HEIGHT)
+def _add_dimension(space: Modelspace, line: DimensionLine) -> None:
+    """Add an aligned dimension with its picture, which programs show without computing it."""
+    direction = np.array([np.cos(line.angle), np.sin(line.angle)])
+    start, end = sorted(line.measured, key=lambda point: float(point @ direction))  # else the text is upside down
+    left = np.array([-direction[1], direction[0]])
+    space.add_aligned_dim(
+        _point(start),
+        _point(end),
+        distance=float(left @ (line.line[0] - line.measured[0])),
+        text=line.text,
+        dimstyle=DIMENSION_STYLE,
+        dxfattribs={"layer": "DIMENSIONS"},
+    ).render()
 
 
-def _text(layer: str, middle: Floats, text: str, height: float, turn: float = 0.0) -> list[Group]:
-    """Return a TEXT centred at a place and turned by some degrees."""
-    size = [(40, f"{height:.3f}"), (1, _ascii(text)), (50, f"{turn:.4f}"), (72, 1)]
-    return [(0, "TEXT"), (8, layer), *_point(middle), *size, *_point(middle, 1)]
+def _add_text(space: Modelspace, layer: str, middle: Floats, text: str, height: float, angle: float = 0.0) -> None:
+    """Add a text centred above a place, in a direction in radians."""
+    from ezdxf.enums import TextEntityAlignment
+
+    attributes = {"layer": layer, "rotation": float(np.degrees(angle))}
+    entity = space.add_text(text, height=height, dxfattribs=attributes)
+    entity.set_placement(_point(middle), align=TextEntityAlignment.BOTTOM_CENTER)
 
 
-def _ascii(text: str) -> str:
-    """Return a text with the characters that Release 12 has no encoding for replaced."""
-    return text.replace("±", "%%p").replace("²", "2")
-
-
-def _point(position: Floats, number: int = 0) -> list[Group]:
-    """Return the groups of an entity's point `number`, rounded to micrometres."""
-    x, y = position.tolist()
-    return [(10 + number, f"{x:z.6f}"), (20 + number, f"{y:z.6f}"), (30 + number, "0.0")]
+def _point(position: Floats) -> tuple[float, float]:
+    """Return a point (2,), rounded to micrometres; adding zero turns -0.0 into 0.0."""
+    x, y = (np.round(position, 6) + 0.0).tolist()
+    return x, y

@@ -1,4 +1,4 @@
-"""Write the map as GeoJSON: walls and corners with their standard deviations, and the driven path.
+"""Write the map as GeoJSON: walls, corners and rooms with their standard deviations, openings, and the driven path.
 
 Coordinates are metres in the map's frame, x before y, not the degrees of RFC 7946: the map's position on Earth is
 unknown. The collection's members `frame` and `units` state this.
@@ -16,13 +16,17 @@ from numpy.typing import NDArray
 
 from ...geometry.segments import Floats
 from ...mapping.map_features import MapCorners, MapWalls
+from ...measuring.measured_map import NOTHING_MEASURED, MeasuredMap
+from ...measuring.openings import Opening
+from ...measuring.rooms import Room
 from ..run_results import RunResults
 from .path_thinning import thin_path
 
 
-def write_geojson(path: Path, results: RunResults) -> None:
-    """Write the map with one feature per line, for readability."""
+def write_geojson(path: Path, results: RunResults, measured: MeasuredMap = NOTHING_MEASURED) -> None:
+    """Write the map, and the rooms and openings of a measured map, with one feature per line, for readability."""
     features = [*_walls(results.walls), *_corners(results.corners), _path(results.trajectory.poses)]
+    features += [*map(_room, measured.rooms), *map(_opening, measured.openings)]
     rows = ",\n".join(json.dumps(feature, allow_nan=False) for feature in features)
     head = '"type": "FeatureCollection", "frame": "map", "units": "m"'
     path.write_text(f'{{{head}, "features": [\n{rows}\n]}}\n', encoding="utf-8", newline="\n")
@@ -67,6 +71,35 @@ def _path(poses: Floats) -> dict[str, Any]:
     return _feature("LineString", points if len(points) > 1 else points * 2, kind="path")
 
 
+def _room(room: Room) -> dict[str, Any]:
+    """Return a polygon, whose holes are the islands."""
+    rings = [np.concatenate([part.vertices, part.vertices[:1]]) for part in (room.outline, *room.islands)]
+    return _feature(
+        "Polygon",
+        [_rounded(ring) for ring in rings],
+        kind="room",
+        name=room.name,
+        area=round(room.area, 4),
+        sigma_area=_rounded_sigma(room.area_sigma),
+        perimeter=round(room.perimeter, 4),
+        sigma_perimeter=_rounded_sigma(room.perimeter_sigma),
+        observed=round(room.observed, 3),
+    )
+
+
+def _opening(opening: Opening) -> dict[str, Any]:
+    return _feature(
+        "LineString",
+        _rounded(opening.ends),
+        kind=opening.kind.value,
+        name=opening.name,
+        width=round(opening.width, 2),
+        walls=list(opening.walls),
+        rooms=list(opening.rooms),
+        driven=opening.driven,
+    )
+
+
 def _feature(geometry_type: str, coordinates: Any, **properties: Any) -> dict[str, Any]:
     geometry = {"type": geometry_type, "coordinates": coordinates}
     return {"type": "Feature", "geometry": geometry, "properties": properties}
@@ -79,4 +112,8 @@ def _rounded(points: Floats) -> Any:
 
 def _sigma(variance: NDArray[np.float64]) -> float | None:
     """Return the standard deviation with three significant digits; None if the variance is unknown."""
-    return float(f"{math.sqrt(variance):.3g}") if np.isfinite(variance) else None
+    return _rounded_sigma(math.sqrt(variance)) if np.isfinite(variance) else None
+
+
+def _rounded_sigma(sigma: float) -> float:
+    return float(f"{sigma:.3g}")

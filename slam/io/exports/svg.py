@@ -8,9 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ...measuring.measurement import Measurement
+from ...geometry.segments import Floats
+from ...measuring.measured_map import NOTHING_MEASURED, MeasuredMap
+from ...measuring.openings import Opening
+from ...measuring.rooms import Room
 from ..run_results import RunResults
-from .dimension_lines import TEXT_HEIGHT, area_texts, dimension_lines
+from .dimension_lines import TEXT_HEIGHT, area_texts, dimension_lines, opening_text
 from .svg_drawing import PATH_CLASSES, UNKNOWN_CLASS, draw_map
 
 MILLIMETRES_PER_METRE = 10
@@ -25,23 +28,26 @@ STYLE = """
 .loops .retracted { stroke: #d55e00; stroke-dasharray: .2 .2 }
 .ends .start { fill: white; stroke: #0072b2; stroke-width: .06 }
 .ends .end { fill: #0072b2 }
+.rooms path { fill: #f0e442; fill-opacity: .15; fill-rule: evenodd }
+.openings path { stroke: #0072b2; stroke-width: .03; stroke-dasharray: .08 .06 }
 .dimensions path { stroke: #4d4d4d; stroke-width: .012; fill: none }
-.dimensions text { fill: #1f2933; stroke: white; stroke-width: .03; paint-order: stroke; text-anchor: middle;
-  font-family: sans-serif }
+.dimensions text, .openings text { fill: #1f2933; stroke: white; stroke-width: .03; paint-order: stroke;
+  text-anchor: middle; font-family: sans-serif }
 """
 TICK = 0.06
 """Half the length of the strokes at the ends of a dimension line, metres."""
 
 
-def write_svg(path: Path, results: RunResults, measurements: Sequence[Measurement] = ()) -> None:
-    """Write the drawing, with dimension lines of measurements."""
-    path.write_text(svg_text(results, measurements), encoding="utf-8", newline="\n")
+def write_svg(path: Path, results: RunResults, measured: MeasuredMap = NOTHING_MEASURED) -> None:
+    """Write the drawing, with the rooms, openings and dimension lines of a measured map."""
+    path.write_text(svg_text(results, measured), encoding="utf-8", newline="\n")
 
 
-def svg_text(results: RunResults, measurements: Sequence[Measurement] = ()) -> str:
-    """Return the drawing, with dimension lines of measurements, as the text of an SVG file."""
+def svg_text(results: RunResults, measured: MeasuredMap = NOTHING_MEASURED) -> str:
+    """Return the drawing as the text of an SVG file."""
     drawing = draw_map(results)
-    elements = "\n".join([drawing.elements, *_dimensions(measurements)])
+    above = [*_openings(measured.openings), *_dimensions(measured)]
+    elements = "\n".join([*_rooms(measured.rooms), drawing.elements, *above])
     colours = "".join(f".{c.name} {{ stroke: {c.colour} }}\n" for c in (*PATH_CLASSES, UNKNOWN_CLASS))
     width, height = MILLIMETRES_PER_METRE * drawing.width, MILLIMETRES_PER_METRE * drawing.height
     return (
@@ -52,12 +58,41 @@ def svg_text(results: RunResults, measurements: Sequence[Measurement] = ()) -> s
     )
 
 
-def _dimensions(measurements: Sequence[Measurement]) -> Iterator[str]:
+def _rooms(rooms: Sequence[Room]) -> Iterator[str]:
+    """Yield a group with the area of each room, without its islands."""
+    if not rooms:
+        return
+    yield '<g class="rooms">'
+    for room in rooms:
+        rings = "".join(f"M{_points(part.vertices)}Z" for part in (room.outline, *room.islands))
+        yield f'<path d="{rings}"><title>{room.name}: {room.observed:.0%} of the outline was seen</title></path>'
+    yield "</g>"
+
+
+def _openings(openings: Sequence[Opening]) -> Iterator[str]:
+    """Yield a group with a line and a text for each door and passage."""
+    if not openings:
+        return
+    yield '<g class="openings">'
+    for opening in openings:
+        walls = " and ".join(str(wall) for wall in opening.walls)
+        yield f'<path d="M{_points(opening.ends)}"><title>{opening.name} in wall {walls}</title></path>'
+        (x, y), text, angle = opening_text(opening)
+        yield _text(x, -y, text, TEXT_HEIGHT, -float(np.degrees(angle)))
+    yield "</g>"
+
+
+def _points(points: Floats) -> str:
+    """Return points (k, 2) of a path in SVG's axes."""
+    return "L".join(f"{x:z.3f},{y:z.3f}" for x, y in points * [1.0, -1.0])
+
+
+def _dimensions(measured: MeasuredMap) -> Iterator[str]:
     """Yield a group with a line with strokes at its ends for each length, and a text for each area."""
-    if not measurements:
+    if not measured.measurements:
         return
     yield '<g class="dimensions">'
-    for one in dimension_lines(measurements):
+    for one in dimension_lines(measured.measurements):
         (x0, y0), (x1, y1) = one.line * [1.0, -1.0]
         (u0, v0), (u1, v1) = one.measured * [1.0, -1.0]
         dx, dy = TICK * np.array([y0 - y1, x1 - x0]) / np.hypot(x1 - x0, y1 - y0)
@@ -65,7 +100,7 @@ def _dimensions(measurements: Sequence[Measurement]) -> Iterator[str]:
         extensions = f"M{u0:.3f},{v0:.3f}L{x0:.3f},{y0:.3f}M{u1:.3f},{v1:.3f}L{x1:.3f},{y1:.3f}"
         yield f'<path d="M{x0:.3f},{y0:.3f}L{x1:.3f},{y1:.3f}{ticks}{extensions}"><title>{one.identity}</title></path>'
         yield _text(one.middle[0], -one.middle[1], one.text, TEXT_HEIGHT, -float(np.degrees(one.angle)))
-    for (x, y), text in area_texts(measurements):
+    for (x, y), text in area_texts(measured.measurements):
         yield _text(x, -y, text, 2.0 * TEXT_HEIGHT)
     yield "</g>"
 

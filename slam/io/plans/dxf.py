@@ -10,18 +10,15 @@ from typing import TYPE_CHECKING
 from ...errors import MapError, first_line
 from ...extras import require_extra
 from ...geometry.segments import Floats
+from ..exports.dxf import OWN_APPLICATION
 from .drawing import Drawing, polyline
 
 if TYPE_CHECKING:
     from ezdxf.document import Drawing as Document
     from ezdxf.entities import DXFEntity
 
-OWN_COMMENT = "1 unit = 1 m"
-"""Comment at the beginning of the drawings that `wclm map` writes: Release 12 has no variable for the unit."""
 OWN_LAYER = "WALLS"
-"""Their layer of walls."""
-HEAD = 200
-"""Bytes at the beginning of a file in which the comment is."""
+"""Layer of walls in the drawings that `wclm map` and `wclm measure` write."""
 
 
 def read_dxf(path: Path, layers: Sequence[str] = ()) -> Drawing:
@@ -30,7 +27,8 @@ def read_dxf(path: Path, layers: Sequence[str] = ()) -> Drawing:
     Raises MapError naming the file and the problem, and MissingExtraError without ezdxf.
     """
     require_extra("plans")
-    document, own = _open(path)
+    document = _open(path)
+    own = OWN_APPLICATION in document.appids
     names = {layer.dxf.name.lower(): layer for layer in document.layers}
     unknown = [name for name in layers if name.lower() not in names]
     if unknown:
@@ -49,17 +47,14 @@ def read_dxf(path: Path, layers: Sequence[str] = ()) -> Drawing:
             left_out[entity.dxftype()] += 1
         else:
             lines.append(line)
-    return Drawing(lines, own, 1.0 if own else _unit_of(document), dict(left_out))
+    return Drawing(lines, own, _unit_of(document), dict(left_out))
 
 
-def _open(path: Path) -> tuple[Document, bool]:
-    """Open a drawing; return it, and true if `wclm map` has written it."""
+def _open(path: Path) -> Document:
     import ezdxf
 
     try:
-        with path.open("rb") as file:
-            own = OWN_COMMENT.encode() in file.read(HEAD)
-        return ezdxf.readfile(path), own
+        return ezdxf.readfile(path)
     except OSError as error:
         raise MapError(f"{path}: {error.strerror or 'is not a DXF file'}") from error
     except (ezdxf.DXFError, ValueError, LookupError, AttributeError) as error:

@@ -4,20 +4,26 @@ import json
 import re
 import struct
 from collections import defaultdict
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import ezdxf
 import numpy as np
 import pytest
 
+from slam import extras
 from slam.config import Config
 from slam.events import Finished
 from slam.io.exports import write_dxf, write_geojson, write_svg
+from slam.io.exports.dimension_lines import dimension_lines
+from slam.io.exports.measurements_csv import measurements_csv
 from slam.io.keyframes_csv import read_keyframes
 from slam.io.output_dir import write_json, write_results
 from slam.io.run_results import RunResults, read_run_results
+from slam.measuring.measured_map import MeasuredMap, measure_all
+
+from ..measuring.plans import around, room, wall_map
 
 FORMATS = ("pgm", "geojson", "svg", "dxf", "ply")
 
@@ -34,61 +40,97 @@ def results(tmp_path: Path, finished: Finished) -> RunResults:
 # Formats
 
 
-def read_dxf(path: Path) -> tuple[set[str], dict[str, list[dict[int, list[str]]]]]:
-    """Return the layers, and the entities by kind as values by group code; assert the structure of R12."""
-    lines = path.read_bytes().decode("ascii").split("\r\n")
-    assert lines.pop() == ""
-    assert len(lines) % 2 == 0
-    pairs = [(int(code), value) for code, value in zip(lines[::2], lines[1::2], strict=True) if int(code) != 999]
-    assert pairs[-1] == (0, "EOF")
-    sections: dict[str, list[tuple[int, str]]] = {}
-    inside: list[tuple[int, str]] | None = None
-    for k, pair in enumerate(pairs[:-1]):
-        if pair == (0, "SECTION"):
-            assert inside is None
-            assert pairs[k + 1][0] == 2
-            inside = sections[pairs[k + 1][1]] = []
-        elif pair == (0, "ENDSEC"):
-            inside = None
-        else:
-            assert inside is not None
-            inside.append(pair)
-    assert list(sections) == ["HEADER", "TABLES", "ENTITIES"]
-    assert (1, "AC1009") in sections["HEADER"]
-    layers = {record[2][0] for kind, record in records(sections["TABLES"]) if kind == "LAYER"}
-    entities = defaultdict(list)
-    for kind, record in records(sections["ENTITIES"][1:]):
-        entities[kind].append(record)
-    return layers, entities
-
-
-def records(pairs: list[tuple[int, str]]) -> Iterator[tuple[str, dict[int, list[str]]]]:
-    starts = [k for k, (code, _) in enumerate(pairs) if code == 0]
-    for start, end in zip(starts, [*starts[1:], len(pairs)], strict=True):
-        values = defaultdict(list)
-        for code, value in pairs[start + 1 : end]:
-            values[code].append(value)
-        yield pairs[start][1], values
-
-
-def point(entity: dict[int, list[str]], number: int = 0) -> list[float]:
-    return [float(entity[code + number][0]) for code in (10, 20)]
-
-
 def test_dxf_has_walls_as_lines_on_layers(results: RunResults, tmp_path: Path) -> None:
     write_dxf(tmp_path / "a.dxf", results)
-    layers, entities = read_dxf(tmp_path / "a.dxf")
-    assert layers == {"WALLS", "CORNERS", "PATH"}
-    assert set(entities) == {"LINE", "POINT", "POLYLINE", "VERTEX", "SEQEND"}
-    assert {e[8][0] for e in entities["LINE"]} == {"WALLS"}
-    walls = np.array([[point(e), point(e, 1)] for e in entities["LINE"]])
+    document = ezdxf.readfile(tmp_path / "a.dxf")
+    audit = document.audit()
+    assert not [*audit.errors, *audit.fixes]
+    assert (document.dxfversion, document.header["$INSUNITS"], document.header["$MEASUREMENT"]) == ("AC1015", 6, 1)
+    assert {layer.dxf.name for layer in document.layers} == {"0", "Defpoints", "WALLS", "CORNERS", "PATH"}
+    space = document.modelspace()
+    assert {(entity.dxftype(), entity.dxf.layer) for entity in space} == {
+        ("LINE", "WALLS"),
+        ("POINT", "CORNERS"),
+        ("LWPOLYLINE", "PATH"),
+    }
+    walls = np.array([[line.dxf.start, line.dxf.end] for line in space.query("LINE")])[..., :2]
     np.testing.assert_allclose(walls, results.walls.piece_points()[0], atol=1e-6)
     assert len(walls) == 5  # four walls, one with a door
-    corners = [point(e) for e in entities["POINT"]]
+    corners = np.array([point.dxf.location for point in space.query("POINT")])[:, :2]
     np.testing.assert_allclose(corners, results.corners.position, atol=1e-6)
-    path = np.array([point(e) for e in entities["VERTEX"]])
-    np.testing.assert_allclose(path[[0, -1]], results.trajectory.poses[[0, -1], :2], atol=1e-6)
-    assert len(entities["POLYLINE"]) == len(entities["SEQEND"]) == 1
+    (path,) = space.query("LWPOLYLINE")
+    ends = np.array(path.get_points("xy"))[[0, -1]]
+    np.testing.assert_allclose(ends, results.trajectory.poses[[0, -1], :2], atol=1e-6)
+    low, high = np.array(document.header["$EXTMIN"])[:2], np.array(document.header["$EXTMAX"])[:2]
+    assert (low <= walls.min(axis=(0, 1)) + 1e-6).all()
+    assert (high >= walls.max(axis=(0, 1)) - 1e-6).all()
+
+
+def test_dxf_is_the_same_if_written_twice(results: RunResults, tmp_path: Path) -> None:
+    for name in ("a.dxf", "b.dxf"):
+        write_dxf(tmp_path / name, results)
+    assert (tmp_path / "a.dxf").read_bytes() == (tmp_path / "b.dxf").read_bytes()
+    assert not ezdxf.options.write_fixed_meta_data_for_testing
+
+
+@pytest.fixture
+def measured() -> MeasuredMap:
+    """Return the measurements, rooms and doors of a room with a pillar and a door, through which the robot came."""
+    pillar = [(1.0, 2.0), (1.0, 3.0), (2.0, 3.0), (2.0, 2.0)]
+    walls = [*room([(0.0, 0.0), (5.0, 0.0), (5.0, 4.0), (0.0, 4.0)]), *room(pillar)]
+    walls[0] = [(0.0, 0.0), (2.0, 0.0), (3.0, 0.0), (5.0, 0.0)]
+    return measure_all(wall_map(walls, [*around(4), *around(4, 4)], path=[(2.5, -2.0), (2.5, 1.5)]))
+
+
+def test_dxf_has_rooms_doors_and_dimensions(results: RunResults, measured: MeasuredMap, tmp_path: Path) -> None:
+    write_dxf(tmp_path / "a.dxf", results, measured)
+    document = ezdxf.readfile(tmp_path / "a.dxf")
+    audit = document.audit()
+    assert not [*audit.errors, *audit.fixes]
+    space = document.modelspace()
+    outlines = [np.array(line.get_points("xy")) for line in space.query('LWPOLYLINE[layer=="ROOMS"]') if line.closed]
+    assert [np.ptp(outline, axis=0).tolist() for outline in outlines] == [[5.0, 4.0], [1.0, 1.0]]
+    (door,) = space.query('LINE[layer=="OPENINGS"]')
+    assert sorted([door.dxf.start.x, door.dxf.end.x]) == pytest.approx([2.0, 3.0])
+    texts = {text.dxf.layer: text.dxf.text for text in space.query("TEXT")}
+    assert texts == {"ROOMS": "room 1: 19.00 ± 0.01 m²", "OPENINGS": "door 1: 1.0 m"}
+    lines = dimension_lines(measured.measurements)
+    dimensions = list(space.query("DIMENSION"))
+    assert len(dimensions) == len(lines) > 4
+    for dimension, line in zip(dimensions, lines, strict=True):
+        assert (dimension.dxf.layer, dimension.dxf.dimstyle) == ("DIMENSIONS", "METRES")
+        assert dimension.dxf.text == line.text
+        assert dimension.get_measurement() == pytest.approx(np.hypot(*(line.measured[1] - line.measured[0])), abs=1e-5)
+        (text,) = (entity for entity in dimension.get_geometry_block() if entity.dxftype() == "MTEXT")
+        assert -90.0 <= text.get_rotation() <= 90.0  # not upside down
+
+
+def test_svg_has_rooms_without_their_islands_and_doors(
+    results: RunResults, measured: MeasuredMap, tmp_path: Path
+) -> None:
+    write_svg(tmp_path / "a.svg", results, measured)
+    root, space = ElementTree.parse(tmp_path / "a.svg").getroot(), {"s": "http://www.w3.org/2000/svg"}
+    (area,) = root.findall("s:g[@class='rooms']/s:path", space)
+    assert area.attrib["d"].count("M") == area.attrib["d"].count("Z") == 2
+    assert area[0].text == "room 1: 94% of the outline was seen"
+    (door,) = root.findall("s:g[@class='openings']/s:text", space)
+    assert door.text == "door 1: 1.0 m"
+
+
+def test_geojson_has_rooms_and_doors(results: RunResults, measured: MeasuredMap, tmp_path: Path) -> None:
+    write_geojson(tmp_path / "a.geojson", results, measured)
+    features = json.loads((tmp_path / "a.geojson").read_text())["features"]
+    found, door = features[-2:]
+    outline, island = (np.array(ring) for ring in found["geometry"]["coordinates"])
+    assert (found["properties"]["name"], found["properties"]["area"]) == ("room 1", 19.0)
+    assert 0.0 < found["properties"]["sigma_area"] < 0.1
+    for ring, turn in ((outline, 1.0), (island, -1.0)):  # counter-clockwise outline, clockwise hole, both closed
+        assert ring[0].tolist() == ring[-1].tolist()
+        x, y = ring.T
+        assert np.sign(x[:-1] @ y[1:] - x[1:] @ y[:-1]) == turn
+    assert door["geometry"]["type"] == "LineString"
+    expected = {"kind": "door", "name": "door 1", "width": 1.0, "walls": [10], "rooms": [1], "driven": True}
+    assert door["properties"] == expected
 
 
 def test_geojson_has_pieces_of_walls_and_standard_deviations(results: RunResults, tmp_path: Path) -> None:
@@ -129,6 +171,11 @@ def test_svg_is_true_to_scale_with_y_up(results: RunResults, tmp_path: Path) -> 
     assert float(corners[0].attrib["rx"]) == pytest.approx(3 * np.sqrt(4.414e-5), abs=1e-4)
 
 
+def test_the_table_has_doors_without_a_standard_deviation(measured: MeasuredMap) -> None:
+    last = measurements_csv(measured).splitlines()[-1]
+    assert last == "1,door,10,1.00,,m,2.0000,0.0000,3.0000,0.0000"
+
+
 # Command
 
 
@@ -154,6 +201,13 @@ def test_existing_export_is_replaced_only_with_overwrite(wclm: Any, ran: Path, f
     wclm.refuses("map", ran, "--format", form, "--out", "a.b", because=["a.b: the name of a", f"end with .{form}"])
     assert wclm("run", "sim:room?duration=3", "--out", ran, "--no-review", "--overwrite").exit_code == 0
     assert not (ran / name).exists()  # it belonged to the older run
+
+
+def test_dxf_without_ezdxf_names_the_extra(wclm: Any, ran: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = {file.name for file in ran.iterdir()}
+    monkeypatch.setattr(extras, "find_spec", lambda name: None)
+    wclm.refuses("map", ran, "--format", "dxf", because=["needs the extra 'plans'"])
+    assert {file.name for file in ran.iterdir()} == before
 
 
 def test_no_picture_is_written_if_its_yaml_file_exists(wclm: Any, ran: Path) -> None:
