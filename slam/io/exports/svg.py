@@ -16,6 +16,9 @@ from .svg_drawing import PATH_CLASSES, UNKNOWN_CLASS, draw_map
 MILLIMETRES_PER_METRE = 10
 """Millimetres of paper per metre of the map."""
 STYLE = """
+.confidence path { fill: none; stroke-width: .3; stroke-opacity: .4 }
+.weak circle { fill: none; stroke: #d55e00; stroke-width: .06 }
+.weak .drive { fill: none; stroke: #d55e00; stroke-width: .06; stroke-dasharray: .3 .2 }
 .walls path { fill: none; stroke: #1f2933; stroke-width: .05; stroke-linecap: round }
 .seen path { fill: #56b4e9; fill-opacity: .35 }
 .corners ellipse { fill: #d55e00; fill-opacity: .2; stroke: #d55e00; stroke-width: .01 }
@@ -34,13 +37,13 @@ TICK = 0.06
 
 
 def write_svg(path: Path, results: RunResults, measurements: Sequence[Measurement] = ()) -> None:
-    """Write the drawing, with dimension lines of measurements."""
+    """Write the drawing with the confidence map, or with dimension lines if there are measurements."""
     path.write_text(svg_text(results, measurements), encoding="utf-8", newline="\n")
 
 
 def svg_text(results: RunResults, measurements: Sequence[Measurement] = ()) -> str:
-    """Return the drawing, with dimension lines of measurements, as the text of an SVG file."""
-    drawing = draw_map(results)
+    """Return the drawing with the confidence map, or with dimension lines if there are measurements, as SVG text."""
+    drawing = draw_map(results, confidence=not measurements)
     elements = "\n".join([drawing.elements, *_dimensions(measurements)])
     colours = "".join(f".{c.name} {{ stroke: {c.colour} }}\n" for c in (*PATH_CLASSES, UNKNOWN_CLASS))
     width, height = MILLIMETRES_PER_METRE * drawing.width, MILLIMETRES_PER_METRE * drawing.height

@@ -152,6 +152,14 @@
   slider.addEventListener("input", () => setTime(slider.value));
   setTime(slider.max);
 
+  // The layer of the confidence map
+  const layer = document.querySelector(".layer input");
+  const setConfidence = (shown) => {
+    layer.checked = shown;
+    svg.classList.toggle("confident", shown);
+  };
+  layer?.addEventListener("change", () => setConfidence(layer.checked));
+
   /** Show the map around a point, `size` metres wide, or all of it if that is less. */
   const showAround = (x, y, size) => {
     const share = Math.max(0.25, Math.min(1, size / all.width));
@@ -182,6 +190,7 @@
   }
   for (const place of document.querySelectorAll(".place")) {
     place.addEventListener("click", () => {
+      if (place.closest("#confidence")) setConfidence(true);
       setTime(place.dataset.time);
       showAround(Number(place.dataset.x), Number(place.dataset.y), 0);
     });

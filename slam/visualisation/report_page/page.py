@@ -14,6 +14,7 @@ from ...io.exports.svg_drawing import PATH_CLASSES, SIGMAS, UNKNOWN_CLASS, Drawi
 from ...io.output_dir import CONFIG
 from ...io.run_results import RunResults
 from . import sections
+from .confidence import SWITCH, confidence_section
 from .findings import findings
 
 
@@ -27,7 +28,9 @@ def write_page(path: Path, session: RunResults) -> None:
 
 
 def _page(session: RunResults) -> str:
-    summary, drawing = session.summary, draw_map(session, timed=True)
+    summary, drawing = session.summary, draw_map(session, timed=True, confidence=True)
+    extent = max(drawing.width, drawing.height)
+    confidence = confidence_section(session, extent)
     run_findings = findings(summary, session.trajectory)
     settings = session.path / CONFIG
     colours = "".join(
@@ -44,7 +47,9 @@ def _page(session: RunResults) -> str:
         map=drawing.elements,
         legend=_legend(drawing),
         successes=sections.successes(summary, run_findings),
-        findings=sections.findings_list(run_findings, session.trajectory, max(drawing.width, drawing.height)),
+        findings=sections.findings_list(run_findings, session.trajectory, extent),
+        switch=SWITCH if confidence else "",
+        confidence=confidence,
         duration=f"{session.trajectory.duration:.1f}",
         loops=sections.loops(summary.get("slam") or {}, float(session.trajectory.stamps[0])),
         corrections=sections.corrections(summary.get("corrections") or []),
@@ -72,7 +77,7 @@ def _legend(drawing: Drawing) -> str:
         path_entries.append((UNKNOWN_CLASS.name, "path"))
     entries = "".join(f'<span><i class="{name}"></i>{text}</span>' for name, text in path_entries)
     if drawing.classes != (UNKNOWN_CLASS,):
-        entries = f'</div><div class="legend"><span>path, position σ:</span>{entries}'
+        entries = f'</div><div class="legend"><span>σ of path and walls:</span>{entries}'
     marks = '<span><i class="wall"></i>wall</span><span><i class="band"></i>seen side</span>'
     marks += f'<span><i class="corner"></i>corner, {SIGMAS:.0f}σ</span>'
     if "data-loop" in drawing.elements:

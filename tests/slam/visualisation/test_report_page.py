@@ -130,6 +130,22 @@ def test_the_page_references_no_other_file(tmp_path: Path, finished: Finished) -
     assert not re.search(r"https?:|//[a-z]|@import|url\(", text.replace("data:,", ""))
 
 
+def test_the_page_names_the_places_where_the_map_is_poorly_known(tmp_path: Path, finished: Finished) -> None:
+    text = page(tmp_path / "out", finished)
+    assert "100 % of the length of the walls is known to 2 cm, 100 % to 5 cm." in words(text)
+    assert "3 m of the path are known to 15 cm only" in words(text)
+    assert len(re.findall(r'<circle class="stretch"', text)) == 1
+    known = replace(finished, keyframe_covariance=np.tile(1e-6 * np.eye(3), (len(finished.keyframes), 1, 1)))
+    write_results(tmp_path / "out", known, Config(), SUMMARY)
+    write_page(tmp_path / "known.html", read_run_results(tmp_path / "out"))
+    assert "No place would need another drive." in words((tmp_path / "known.html").read_text(encoding="utf-8"))
+    (tmp_path / "out" / "keyframes.csv").unlink()
+    write_page(tmp_path / "without.html", read_run_results(tmp_path / "out"))
+    without = (tmp_path / "without.html").read_text(encoding="utf-8")
+    assert "poorly known" not in without
+    assert 'class="layer"' not in without
+
+
 def test_names_and_reasons_are_escaped(tmp_path: Path, finished: Finished) -> None:
     nasty = '<script>alert("1")</script>&$title.mcap'
     summary = SUMMARY | {"recording": nasty, "warnings": [f"{nasty} (at 3.00 s)"]}
@@ -352,6 +368,15 @@ told.end = drawn().length;
 const place = document.querySelector("button.place");
 place.click();
 told.place = [slider.value, ...box()];
+const weak = () => getComputedStyle(svg.querySelector(".weak")).display;
+told.layers = [weak()];
+document.querySelector(".layer input").click();
+told.layers.push(weak());
+document.querySelector(".layer input").click();
+told.layers.push(weak());
+document.querySelector("#confidence button.place").click();
+told.layers.push(weak());
+told.checked = document.querySelector(".layer input").checked;
 told.wide = document.documentElement.scrollWidth <= window.innerWidth;
 document.documentElement.dataset.told = JSON.stringify(told);
 </script>
@@ -384,6 +409,8 @@ def test_the_map_can_be_zoomed_dragged_and_queried(tmp_path: Path, finished: Fin
     assert told["key"].startswith("loop 7, rejected")
     assert told["place"][0] == "5"
     assert told["place"][3] == pytest.approx(0.25 * told["all"][2], rel=1e-3)
+    assert told["layers"] == ["none", "inline", "none", "inline"]
+    assert told["checked"]
     assert told["wide"]  # no horizontal overflow
 
 
