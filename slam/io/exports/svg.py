@@ -16,7 +16,7 @@ from .svg_drawing import PATH_CLASSES, UNKNOWN_CLASS, draw_map
 MILLIMETRES_PER_METRE = 10
 """Millimetres of paper per metre of the map."""
 STYLE = """
-.confidence path { fill: none; stroke-width: .3; stroke-opacity: .4 }
+.confidence path { fill: currentColor; fill-opacity: .8; stroke: none }
 .weak circle { fill: none; stroke: #d55e00; stroke-width: .06 }
 .weak .drive { fill: none; stroke: #d55e00; stroke-width: .06; stroke-dasharray: .3 .2 }
 .walls path { fill: none; stroke: #1f2933; stroke-width: .05; stroke-linecap: round }
@@ -45,7 +45,9 @@ def svg_text(results: RunResults, measurements: Sequence[Measurement] = ()) -> s
     """Return the drawing with the confidence map, or with dimension lines if there are measurements, as SVG text."""
     drawing = draw_map(results, confidence=not measurements)
     elements = "\n".join([drawing.elements, *_dimensions(measurements)])
-    colours = "".join(f".{c.name} {{ stroke: {c.colour} }}\n" for c in (*PATH_CLASSES, UNKNOWN_CLASS))
+    colours = "".join(
+        f".{c.name} {{ stroke: {c.colour}; color: {c.colour} }}\n" for c in (*PATH_CLASSES, UNKNOWN_CLASS)
+    )
     width, height = MILLIMETRES_PER_METRE * drawing.width, MILLIMETRES_PER_METRE * drawing.height
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.1f}mm" height="{height:.1f}mm" '

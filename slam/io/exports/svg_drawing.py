@@ -76,7 +76,7 @@ def draw_map(results: RunResults, *, timed: bool = False, confidence: bool = Fal
 
     timed       add the seconds since the start to the path and to loop closures, a marker for the robot, and rejected
                 loops
-    confidence  add the confidence map: bands along walls in the colours of their classes, and weak places
+    confidence  add the confidence map: bands behind walls in the colours of their classes, and weak places
     """
     points = np.concatenate([results.walls.end_points().reshape(-1, 2), results.trajectory.poses[:, :2]])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -87,8 +87,8 @@ def draw_map(results: RunResults, *, timed: bool = False, confidence: bool = Fal
     stretches = wall_stretches(results) if confidence else []
     used |= {PATH_CLASSES[stretch.level].name for stretch in stretches}
     groups = [
-        *([("confidence", map(_confidence_band, stretches))] if confidence else []),
         ("seen", _bands(results.walls, SVG_BAND_WIDTH * extent)),
+        *([("confidence", _confidence_bands(stretches, SVG_BAND_WIDTH * extent))] if confidence else []),
         ("path", (_polyline(run_class.name, run, times if timed else None) for run_class, run, times in runs)),
         ("walls", _walls(results.walls)),
         ("loops", _loop_closures(results, timed=timed)),
@@ -116,12 +116,18 @@ def _walls(lines: MapWalls) -> Iterator[str]:
         yield f'<path d="{pieces}"><title>{escape(text)}</title></path>'
 
 
-def _confidence_band(stretch: WallStretch) -> str:
-    """Return a line along a stretch of a wall, with a tooltip."""
-    start, end = stretch.points
-    text = f"wall {stretch.identity}: standard deviation {1e3 * stretch.sigma:.0f} mm across, relative to the origin"
-    name = PATH_CLASSES[stretch.level].name
-    return f'<path class="{name}" d="M{_xy(start)}L{_xy(end)}"><title>{escape(text)}</title></path>'
+def _confidence_bands(stretches: list[WallStretch], width: float) -> Iterator[str]:
+    """Yield a band along each stretch of a wall, on the side that it is not seen from, with a tooltip."""
+    for stretch in stretches:
+        start, end = stretch.points
+        dx, dy = (end - start) / np.hypot(*(end - start))
+        behind = width * np.array([dy, -dx])
+        corners = "L".join(_xy(corner) for corner in (start, end, end + behind, start + behind))
+        text = (
+            f"wall {stretch.identity}: standard deviation {1e3 * stretch.sigma:.0f} mm across, relative to the origin"
+        )
+        name = PATH_CLASSES[stretch.level].name
+        yield f'<path class="{name}" d="M{corners}Z"><title>{escape(text)}</title></path>'
 
 
 def _weak_places(results: RunResults, size: float) -> Iterator[str]:

@@ -34,7 +34,8 @@ def _page(session: RunResults) -> str:
     run_findings = findings(summary, session.trajectory)
     settings = session.path / CONFIG
     colours = "".join(
-        f".{c.name} {{ stroke: {c.colour}; background: {c.colour} }}\n" for c in (*PATH_CLASSES, UNKNOWN_CLASS)
+        f".{c.name} {{ stroke: {c.colour}; color: {c.colour}; background: {c.colour} }}\n"
+        for c in (*PATH_CLASSES, UNKNOWN_CLASS)
     )
     return Template(_part("page.html")).substitute(
         title=escape(str(summary["recording"])),
