@@ -113,7 +113,7 @@ def _walls(lines: MapWalls) -> Iterator[str]:
         if np.isfinite(variances).all():
             offset, heading = 1e3 * np.sqrt(variances[0]), np.degrees(np.sqrt(variances[1]))
             text += f", standard deviation {offset:.1f} mm across and {heading:.2f}°"
-        yield f'<path d="{pieces}"><title>{escape(text)}</title></path>'
+        yield f'<path data-wall="{lines.identity[k]}" d="{pieces}"><title>{escape(text)}</title></path>'
 
 
 def _confidence_bands(stretches: list[WallStretch], width: float) -> Iterator[str]:

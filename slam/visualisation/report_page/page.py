@@ -13,21 +13,29 @@ from ...errors import MapError, first_line
 from ...io.exports.svg_drawing import PATH_CLASSES, SIGMAS, UNKNOWN_CLASS, Drawing, draw_map
 from ...io.output_dir import CONFIG
 from ...io.run_results import RunResults
+from ...measuring.wall_map import WallMap
 from . import sections
 from .confidence import SWITCH, confidence_section
 from .findings import findings
+from .joint import joint_element
+
+HINT = "Click or touch a wall or corner to see its uncertainty."
+HINT_TWO = "After two walls, their distance and angle are shown."
 
 
-def write_page(path: Path, session: RunResults) -> None:
-    """Write the page of a run. Raises MapError if its summary lacks entries that every run writes."""
+def write_page(path: Path, session: RunResults, wall_map: WallMap | None = None) -> None:
+    """Write the page of a run. Raises MapError if its summary lacks entries that every run writes.
+
+    wall_map  walls with their joint covariance: two walls that are chosen are measured
+    """
     try:
-        text = _page(session)
+        text = _page(session, wall_map)
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise MapError(f"{session.path}: not the summary of a run: {first_line(error)}") from error
     path.write_text(text, encoding="utf-8", newline="\n")
 
 
-def _page(session: RunResults) -> str:
+def _page(session: RunResults, wall_map: WallMap | None) -> str:
     summary, drawing = session.summary, draw_map(session, timed=True, confidence=True)
     extent = max(drawing.width, drawing.height)
     confidence = confidence_section(session, extent)
@@ -51,6 +59,8 @@ def _page(session: RunResults) -> str:
         findings=sections.findings_list(run_findings, session.trajectory, extent),
         switch=SWITCH if confidence else "",
         confidence=confidence,
+        joint=joint_element(wall_map),
+        hint=HINT if wall_map is None else f"{HINT} {HINT_TWO}",
         duration=f"{session.trajectory.duration:.1f}",
         loops=sections.loops(summary.get("slam") or {}, float(session.trajectory.stamps[0])),
         corrections=sections.corrections(summary.get("corrections") or []),
