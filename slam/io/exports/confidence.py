@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...checks.weak_places import KeyframePath, WeakPlace, find_weak_places, sigma_across
+from ...errors import MapError
 from ...geometry.segments import Floats
+from ..output_dir import SUMMARY
 from ..run_results import RunResults
 
 CLASS_LIMITS = (0.02, 0.05, 0.1, 0.2)
@@ -55,11 +57,14 @@ def wall_stretches(results: RunResults) -> list[WallStretch]:
 
 
 def weak_places(results: RunResults) -> list[WeakPlace]:
-    """Return the weak places of a run; none if its keyframes are unknown."""
+    """Return the weak places of a run; none if its keyframes are unknown. Raises MapError if its summary is damaged."""
     keyframes = results.keyframes
     if keyframes is None:
         return []
-    parts = (results.summary.get("slam") or {}).get("parts") or []
-    apart = [int(part["keyframe"]) for part in parts if not part["joined"]]
+    try:
+        parts = (results.summary.get("slam") or {}).get("parts") or []
+        apart = [int(part["keyframe"]) for part in parts if not part["joined"]]
+    except (LookupError, TypeError, ValueError) as error:
+        raise MapError(f"{results.path / SUMMARY}: slam.parts has an entry that is not a part of a map") from error
     path = KeyframePath(keyframes.stamps, keyframes.poses[:, :2], keyframes.position_sigma())
     return find_weak_places(results.walls, path, apart)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from slam.config import Config
+from slam.errors import MapError
 from slam.events import Finished
 from slam.io.exports import write_dxf, write_geojson, write_svg
 from slam.io.keyframes_csv import read_keyframes
@@ -178,6 +179,22 @@ def test_svg_has_the_confidence_map_in_groups_of_its_own(uncertain: RunResults, 
     stretch, wall = root.findall("s:g[@class='weak']/s:circle", space)
     assert "known to 20 cm only" in stretch[0].text
     assert (wall.attrib["cx"], wall.attrib["cy"]) == ("0.000", "0.000")
+
+
+@pytest.mark.parametrize("parts", [5, ["a"], [{"joined": False}], [{"keyframe": "x", "joined": False}]])
+def test_damaged_parts_are_refused(uncertain: RunResults, tmp_path: Path, parts: object) -> None:
+    damaged = replace(uncertain, summary={"slam": {"parts": parts}})
+    with pytest.raises(MapError, match=r"summary\.json: slam\.parts"):
+        write_geojson(tmp_path / "a.geojson", damaged)
+
+
+def test_a_part_that_is_not_joined_is_a_weak_place(uncertain: RunResults, tmp_path: Path) -> None:
+    parts = [{"keyframe": 0, "joined": True}, {"keyframe": 3, "joined": False}]
+    write_geojson(tmp_path / "a.geojson", replace(uncertain, summary={"slam": {"parts": parts}}))
+    features = json.loads((tmp_path / "a.geojson").read_text())["features"]
+    (place,) = (one for one in features if one["properties"].get("of") == "part")
+    assert uncertain.keyframes is not None
+    np.testing.assert_allclose(place["geometry"]["coordinates"], uncertain.keyframes.poses[3, :2], atol=1e-6)
 
 
 @pytest.mark.parametrize("suffix", [".svg", ".geojson"])
