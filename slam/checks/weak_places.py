@@ -210,7 +210,9 @@ def _walls(walls: MapWalls, path: KeyframePath) -> list[WeakPlace]:
         if not np.isfinite(sigma).all():
             continue
         beside = [path.nearest(end) for end in ends[row]]
-        own = np.sqrt(np.maximum(sigma**2 - np.nan_to_num(path.sigma[beside]) ** 2, 0.0))
+        shared = np.nan_to_num(path.sigma[beside])
+        own = np.sqrt(np.maximum(sigma**2 - shared**2, 0.0))
+        own[own < shared] = 0.0  # it is mainly the path that is poorly known
         end = int(np.argmax(own))
         count, length = int(walls.observations[row]), float(walls.high[row] - walls.low[row])
         name = f"Wall {walls.identity[row]} ({length:.1f} m)"

@@ -117,7 +117,7 @@ def test_walls_are_weak_if_they_are_less_known_than_the_path_or_rarely_observed(
     np.testing.assert_allclose(places[0].position, [6.0, 0.0])
     assert places[0].sigma == pytest.approx(0.07)
     assert places[1].text == "Wall 7 (4.0 m) was observed by 2 keyframes only"
-    as_weak_as_the_path = path_of(positions, np.full(len(positions), 0.045 * np.sqrt(2)))
+    as_weak_as_the_path = path_of(positions, np.full(len(positions), 0.06))
     walls = replace(walls, observations=np.full(4, 9))
     assert all(place.kind is not WeakKind.WALL for place in find_weak_places(walls, as_weak_as_the_path))
 
