@@ -1,4 +1,4 @@
-"""Write the map as GeoJSON: walls, corners and rooms with their standard deviations, openings, and the driven path.
+"""Write the map as GeoJSON: walls, corners, rooms, openings and the driven path, with the confidence map.
 
 Coordinates are metres in the map's frame, x before y, not the degrees of RFC 7946: the map's position on Earth is
 unknown. The collection's members `frame` and `units` state this.
@@ -20,12 +20,14 @@ from ...measuring.measured_map import NOTHING_MEASURED, MeasuredMap
 from ...measuring.openings import Opening
 from ...measuring.rooms import Room
 from ..run_results import RunResults
+from .confidence import CLASS_LIMITS, wall_stretches, weak_places
 from .path_thinning import thin_path
 
 
 def write_geojson(path: Path, results: RunResults, measured: MeasuredMap = NOTHING_MEASURED) -> None:
     """Write the map, and the rooms and openings of a measured map, with one feature per line, for readability."""
     features = [*_walls(results.walls), *_corners(results.corners), _path(results.trajectory.poses)]
+    features += [*_confidence(results), *_weak_places(results)]
     features += [*map(_room, measured.rooms), *map(_opening, measured.openings)]
     rows = ",\n".join(json.dumps(feature, allow_nan=False) for feature in features)
     head = '"type": "FeatureCollection", "frame": "map", "units": "m"'
@@ -100,6 +102,41 @@ def _opening(opening: Opening) -> dict[str, Any]:
     )
 
 
+def _confidence(results: RunResults) -> list[dict[str, Any]]:
+    """Return a feature for each stretch of a wall with one class of uncertainty."""
+    return [
+        _feature(
+            "LineString",
+            _rounded(stretch.points),
+            kind="confidence",
+            wall=stretch.identity,
+            sigma=_sigma(np.square(stretch.sigma)),
+            under=CLASS_LIMITS[stretch.level] if stretch.level < len(CLASS_LIMITS) else None,
+        )
+        for stretch in wall_stretches(results)
+    ]
+
+
+def _weak_places(results: RunResults) -> list[dict[str, Any]]:
+    """Return a feature for each weak place: a point, or a line to the place that a drive should lead to."""
+    features = []
+    for place in weak_places(results):
+        here = _rounded(place.position)
+        coordinates = here if place.target is None else [here, _rounded(place.target)]
+        features.append(
+            _feature(
+                "Point" if place.target is None else "LineString",
+                coordinates,
+                kind="weak_place",
+                of=str(place.kind),
+                sigma=_sigma(np.square(place.sigma)),
+                text=place.text,
+                drive=place.drive,
+            )
+        )
+    return features
+
+
 def _feature(geometry_type: str, coordinates: Any, **properties: Any) -> dict[str, Any]:
     geometry = {"type": geometry_type, "coordinates": coordinates}
     return {"type": "Feature", "geometry": geometry, "properties": properties}
@@ -110,7 +147,7 @@ def _rounded(points: Floats) -> Any:
     return (np.round(points, 6) + 0.0).tolist()
 
 
-def _sigma(variance: NDArray[np.float64]) -> float | None:
+def _sigma(variance: float | NDArray[np.float64]) -> float | None:
     """Return the standard deviation with three significant digits; None if the variance is unknown."""
     return _rounded_sigma(math.sqrt(variance)) if np.isfinite(variance) else None
 

@@ -19,6 +19,9 @@ from .svg_drawing import PATH_CLASSES, UNKNOWN_CLASS, draw_map
 MILLIMETRES_PER_METRE = 10
 """Millimetres of paper per metre of the map."""
 STYLE = """
+.confidence path { fill: currentColor; fill-opacity: .8; stroke: none }
+.weak circle { fill: none; stroke: #d55e00; stroke-width: .06 }
+.weak .drive { fill: none; stroke: #d55e00; stroke-width: .06; stroke-dasharray: .3 .2 }
 .walls path { fill: none; stroke: #1f2933; stroke-width: .05; stroke-linecap: round }
 .seen path { fill: #56b4e9; fill-opacity: .35 }
 .corners ellipse { fill: #d55e00; fill-opacity: .2; stroke: #d55e00; stroke-width: .01 }
@@ -39,16 +42,18 @@ TICK = 0.06
 
 
 def write_svg(path: Path, results: RunResults, measured: MeasuredMap = NOTHING_MEASURED) -> None:
-    """Write the drawing, with the rooms, openings and dimension lines of a measured map."""
+    """Write the drawing with the confidence map, or with rooms, openings and dimension lines of a measured map."""
     path.write_text(svg_text(results, measured), encoding="utf-8", newline="\n")
 
 
 def svg_text(results: RunResults, measured: MeasuredMap = NOTHING_MEASURED) -> str:
-    """Return the drawing as the text of an SVG file."""
-    drawing = draw_map(results)
+    """Return the drawing as the text of an SVG file; see `write_svg`."""
+    drawing = draw_map(results, confidence=measured is NOTHING_MEASURED)
     above = [*_openings(measured.openings), *_dimensions(measured)]
     elements = "\n".join([*_rooms(measured.rooms), drawing.elements, *above])
-    colours = "".join(f".{c.name} {{ stroke: {c.colour} }}\n" for c in (*PATH_CLASSES, UNKNOWN_CLASS))
+    colours = "".join(
+        f".{c.name} {{ stroke: {c.colour}; color: {c.colour} }}\n" for c in (*PATH_CLASSES, UNKNOWN_CLASS)
+    )
     width, height = MILLIMETRES_PER_METRE * drawing.width, MILLIMETRES_PER_METRE * drawing.height
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.1f}mm" height="{height:.1f}mm" '

@@ -13,12 +13,14 @@ from html import escape
 
 import numpy as np
 
+from ...checks.weak_places import WeakKind
 from ...geometry.segments import Floats
 from ...loop_closure.loop_status import LoopStatus
 from ...mapping.map_features import MapCorners, MapWalls
 from ..keyframes_csv import Keyframes
 from ..run_results import RunResults
 from ..tum import Trajectory
+from .confidence import CLASS_LIMITS, WallStretch, wall_stretches, weak_places
 from .path_thinning import thin_path
 
 MARGIN = 0.04
@@ -33,19 +35,17 @@ MARKER_SIZE = 0.008
 
 @dataclass(frozen=True, slots=True)
 class PathClass:
-    """Class of the path's uncertainty: standard deviations below `below` metres, drawn in `colour`."""
+    """Class of uncertainty of path and walls: standard deviations below `below` metres, drawn in `colour`."""
 
     name: str
     below: float
     colour: str
 
 
-PATH_CLASSES = (
-    PathClass("p0", 0.02, "#0d0887"),
-    PathClass("p1", 0.05, "#6a00a8"),
-    PathClass("p2", 0.1, "#b12a90"),
-    PathClass("p3", 0.2, "#e16462"),
-    PathClass("p4", np.inf, "#f89540"),
+COLOURS = ("#0d0887", "#6a00a8", "#b12a90", "#e16462", "#f89540")
+PATH_CLASSES = tuple(
+    PathClass(f"p{k}", below, colour)
+    for k, (below, colour) in enumerate(zip((*CLASS_LIMITS, np.inf), COLOURS, strict=True))
 )
 """Brighter for larger uncertainty, after matplotlib's plasma: distinguishable by lightness and if colour-blind."""
 UNKNOWN_CLASS = PathClass("p", np.nan, "#0072b2")
@@ -55,7 +55,7 @@ UNKNOWN_CLASS = PathClass("p", np.nan, "#0072b2")
 class Drawing:
     """SVG elements and their view box in SVG's axes, metres.
 
-    classes  classes of the path's uncertainty that occur
+    classes  classes of uncertainty that occur
     """
 
     elements: str
@@ -71,10 +71,12 @@ class Drawing:
         return f"{self.left:.3f} {self.top:.3f} {self.width:.3f} {self.height:.3f}"
 
 
-def draw_map(results: RunResults, *, timed: bool = False) -> Drawing:
+def draw_map(results: RunResults, *, timed: bool = False, confidence: bool = False) -> Drawing:
     """Draw walls with the side they are seen from, corners with ellipses, loop closures, and the path with its ends.
 
-    timed  add the seconds since the start to the path and to loop closures, a marker for the robot, and rejected loops
+    timed       add the seconds since the start to the path and to loop closures, a marker for the robot, and rejected
+                loops
+    confidence  add the confidence map: bands behind walls in the colours of their classes, and weak places
     """
     points = np.concatenate([results.walls.end_points().reshape(-1, 2), results.trajectory.poses[:, :2]])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -82,13 +84,17 @@ def draw_map(results: RunResults, *, timed: bool = False) -> Drawing:
     middle, size = (low + high) / 2, np.maximum(high - low, extent / 4) + 2 * MARGIN * extent
     runs = list(_path_runs(results.trajectory, results.keyframes))
     used = {run_class.name for run_class, *_ in runs}
+    stretches = wall_stretches(results) if confidence else []
+    used |= {PATH_CLASSES[stretch.level].name for stretch in stretches}
     groups = [
         ("seen", _bands(results.walls, SVG_BAND_WIDTH * extent)),
+        *([("confidence", _confidence_bands(stretches, SVG_BAND_WIDTH * extent))] if confidence else []),
         ("path", (_polyline(run_class.name, run, times if timed else None) for run_class, run, times in runs)),
         ("walls", _walls(results.walls)),
         ("loops", _loop_closures(results, timed=timed)),
         ("corners", _corners(results.corners)),
         ("ends", _end_markers(results.trajectory.poses, MARKER_SIZE * extent, robot=timed)),
+        *([("weak", _weak_places(results, MARKER_SIZE * extent))] if confidence else []),
     ]
     elements = "\n".join(f'<g class="{name}">\n' + "\n".join(group) + "\n</g>" for name, group in groups)
     left, top = middle[0] - size[0] / 2, -middle[1] - size[1] / 2
@@ -107,7 +113,32 @@ def _walls(lines: MapWalls) -> Iterator[str]:
         if np.isfinite(variances).all():
             offset, heading = 1e3 * np.sqrt(variances[0]), np.degrees(np.sqrt(variances[1]))
             text += f", standard deviation {offset:.1f} mm across and {heading:.2f}°"
-        yield f'<path d="{pieces}"><title>{escape(text)}</title></path>'
+        yield f'<path data-wall="{lines.identity[k]}" d="{pieces}"><title>{escape(text)}</title></path>'
+
+
+def _confidence_bands(stretches: list[WallStretch], width: float) -> Iterator[str]:
+    """Yield a band along each stretch of a wall, on the side that it is not seen from, with a tooltip."""
+    for stretch in stretches:
+        start, end = stretch.points
+        dx, dy = (end - start) / np.hypot(*(end - start))
+        behind = width * np.array([dy, -dx])
+        corners = "L".join(_xy(corner) for corner in (start, end, end + behind, start + behind))
+        text = (
+            f"wall {stretch.identity}: standard deviation {1e3 * stretch.sigma:.0f} mm across, relative to the origin"
+        )
+        name = PATH_CLASSES[stretch.level].name
+        yield f'<path class="{name}" d="M{corners}Z"><title>{escape(text)}</title></path>'
+
+
+def _weak_places(results: RunResults, size: float) -> Iterator[str]:
+    """Yield a ring for each weak place, and a line to the place that a drive should lead to."""
+    for place in weak_places(results):
+        x, y = _xy(place.position).split(",")
+        title = f"<title>{escape(f'{place.text}. {place.drive}.')}</title>"
+        if place.target is not None:
+            yield f'<path class="drive" d="M{_xy(place.position)}L{_xy(place.target)}">{title}</path>'
+        radius = size if place.kind is WeakKind.WALL else 2 * size
+        yield f'<circle class="{place.kind}" cx="{x}" cy="{y}" r="{radius:.3f}">{title}</circle>'
 
 
 def _bands(lines: MapWalls, width: float) -> Iterator[str]:

@@ -110,11 +110,74 @@
   svg.addEventListener("pointercancel", up);
   svg.addEventListener("lostpointercapture", up);
 
+  // Measurements of two walls, as in slam/measuring/measurement.py
+  const joint = JSON.parse(document.getElementById("joint")?.textContent ?? "null");
+  let chosenWall = -1;
+  if (joint) joint.covariance = new DataView(Uint8Array.from(atob(joint.covariance), (c) => c.charCodeAt(0)).buffer);
+  /** Return the covariance of two of the 2 n values: offset and heading of each wall. */
+  const covariance = (one, other) => {
+    const row = Math.min(one, other), column = Math.max(one, other), size = 2 * joint.identity.length;
+    return joint.covariance.getFloat32(4 * (row * size - (row * (row - 1)) / 2 + column - row), true);
+  };
+  /** Return the standard deviation of a quantity with a gradient, by index of the value. */
+  const deviation = (gradient) => {
+    let variance = 0;
+    for (const [one, a] of gradient) for (const [other, b] of gradient) variance += a * b * covariance(one, other);
+    return Math.sqrt(Math.max(variance, 0));
+  };
+  const alongWall = (wall, [x, y]) => {
+    const [x0, y0, heading] = joint.frame[wall];
+    return Math.cos(heading) * (x - x0) + Math.sin(heading) * (y - y0);
+  };
+  const onWall = (wall, along) => {
+    const [x, y, heading] = joint.frame[wall];
+    return [x + along * Math.cos(heading), y + along * Math.sin(heading)];
+  };
+  /** Return distance and standard deviation, metres, of two parallel walls in the middle of what they share. */
+  const distance = (first, second) => {
+    const dot = ([a, b], [c, d]) => a * c + b * d;
+    const normal = (wall) => [-Math.sin(joint.frame[wall][2]), Math.cos(joint.frame[wall][2])];
+    const one = normal(first), other = normal(second), sign = dot(one, other) > 0 ? 1 : -1;
+    const length = Math.hypot(one[0] + sign * other[0], one[1] + sign * other[1]);
+    const across = [(one[0] + sign * other[0]) / length, (one[1] + sign * other[1]) / length];
+    const ends = [joint.low[second], joint.high[second]].map((end) => alongWall(first, onWall(second, end)));
+    const along = (Math.max(joint.low[first], Math.min(...ends)) + Math.min(joint.high[first], Math.max(...ends))) / 2;
+    const start = onWall(first, along), at = joint.frame[second];
+    const cosine = dot(other, across), sine = dot(other, [-across[1], across[0]]);
+    const reach = dot(other, [at[0] - start[0], at[1] - start[1]]) / cosine;
+    const end = [start[0] + reach * across[0], start[1] + reach * across[1]];
+    const turn = (reach * sine) / 2; // the bisector turns with the walls
+    const gradient = [
+      [2 * second, 1], [2 * second + 1, alongWall(second, end) - turn],
+      [2 * first, -dot(other, one)], [2 * first + 1, -dot(other, one) * along - turn],
+    ].map(([value, slope]) => [value, slope / cosine]);
+    return [Math.abs(reach), deviation(gradient)];
+  };
+  const measure = (first, second) => {
+    const turn = joint.frame[second][2] - joint.frame[first][2];
+    const angle = Math.abs(Math.atan2(Math.sin(turn), Math.cos(turn)));
+    const sigma = deviation([[2 * first + 1, -1], [2 * second + 1, 1]]);
+    const degrees = (radians) => `${((radians * 180) / Math.PI).toFixed(2)}°`;
+    let text = `walls ${joint.identity[first]} and ${joint.identity[second]}: `;
+    if (Math.abs(Math.sin(turn)) <= joint.minSine) {
+      const [metres, error] = distance(first, second);
+      text += `distance ${metres.toFixed(4)} m, standard deviation ${(1e3 * error).toFixed(1)} mm; `;
+    }
+    return `${text}angle ${degrees(angle)}, standard deviation ${degrees(sigma)}`;
+  };
+
   // Describe the element nearest to a click or touch
   const choose = (element) => {
     for (const old of svg.querySelectorAll(".chosen")) old.classList.remove("chosen");
     element.classList.add("chosen");
     about.textContent = element.querySelector("title").textContent;
+    if (!joint || !element.dataset.wall) return;
+    const wall = joint.identity.indexOf(Number(element.dataset.wall));
+    if (wall >= 0 && chosenWall >= 0 && wall !== chosenWall) {
+      about.textContent = measure(chosenWall, wall);
+      svg.querySelector(`.walls [data-wall="${joint.identity[chosenWall]}"]`)?.classList.add("chosen");
+    }
+    chosenWall = wall;
   };
   svg.addEventListener("click", (event) => {
     if (dragged > 4) return;
@@ -152,6 +215,14 @@
   slider.addEventListener("input", () => setTime(slider.value));
   setTime(slider.max);
 
+  // The layer of the confidence map
+  const layer = document.querySelector(".layer input");
+  const setConfidence = (shown) => {
+    layer.checked = shown;
+    svg.classList.toggle("confident", shown);
+  };
+  layer?.addEventListener("change", () => setConfidence(layer.checked));
+
   /** Show the map around a point, `size` metres wide, or all of it if that is less. */
   const showAround = (x, y, size) => {
     const share = Math.max(0.25, Math.min(1, size / all.width));
@@ -182,6 +253,7 @@
   }
   for (const place of document.querySelectorAll(".place")) {
     place.addEventListener("click", () => {
+      if (place.closest("#confidence")) setConfidence(true);
       setTime(place.dataset.time);
       showAround(Number(place.dataset.x), Number(place.dataset.y), 0);
     });

@@ -13,25 +13,37 @@ from ...errors import MapError, first_line
 from ...io.exports.svg_drawing import PATH_CLASSES, SIGMAS, UNKNOWN_CLASS, Drawing, draw_map
 from ...io.output_dir import CONFIG
 from ...io.run_results import RunResults
+from ...measuring.wall_map import WallMap
 from . import sections
+from .confidence import SWITCH, confidence_section
 from .findings import findings
+from .joint import joint_element
+
+HINT = "Click or touch a wall or corner to see its uncertainty."
+HINT_TWO = "After two walls, their distance and angle are shown."
 
 
-def write_page(path: Path, session: RunResults) -> None:
-    """Write the page of a run. Raises MapError if its summary lacks entries that every run writes."""
+def write_page(path: Path, session: RunResults, wall_map: WallMap | None = None) -> None:
+    """Write the page of a run. Raises MapError if its summary lacks entries that every run writes.
+
+    wall_map  walls with their joint covariance: two walls that are chosen are measured
+    """
     try:
-        text = _page(session)
+        text = _page(session, wall_map)
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise MapError(f"{session.path}: not the summary of a run: {first_line(error)}") from error
     path.write_text(text, encoding="utf-8", newline="\n")
 
 
-def _page(session: RunResults) -> str:
-    summary, drawing = session.summary, draw_map(session, timed=True)
+def _page(session: RunResults, wall_map: WallMap | None) -> str:
+    summary, drawing = session.summary, draw_map(session, timed=True, confidence=True)
+    extent = max(drawing.width, drawing.height)
+    confidence = confidence_section(session, extent)
     run_findings = findings(summary, session.trajectory)
     settings = session.path / CONFIG
     colours = "".join(
-        f".{c.name} {{ stroke: {c.colour}; background: {c.colour} }}\n" for c in (*PATH_CLASSES, UNKNOWN_CLASS)
+        f".{c.name} {{ stroke: {c.colour}; color: {c.colour}; background: {c.colour} }}\n"
+        for c in (*PATH_CLASSES, UNKNOWN_CLASS)
     )
     return Template(_part("page.html")).substitute(
         title=escape(str(summary["recording"])),
@@ -44,7 +56,11 @@ def _page(session: RunResults) -> str:
         map=drawing.elements,
         legend=_legend(drawing),
         successes=sections.successes(summary, run_findings),
-        findings=sections.findings_list(run_findings, session.trajectory, max(drawing.width, drawing.height)),
+        findings=sections.findings_list(run_findings, session.trajectory, extent),
+        switch=SWITCH if confidence else "",
+        confidence=confidence,
+        joint=joint_element(wall_map),
+        hint=HINT if wall_map is None else f"{HINT} {HINT_TWO}",
         duration=f"{session.trajectory.duration:.1f}",
         loops=sections.loops(summary.get("slam") or {}, float(session.trajectory.stamps[0])),
         corrections=sections.corrections(summary.get("corrections") or []),
@@ -72,7 +88,7 @@ def _legend(drawing: Drawing) -> str:
         path_entries.append((UNKNOWN_CLASS.name, "path"))
     entries = "".join(f'<span><i class="{name}"></i>{text}</span>' for name, text in path_entries)
     if drawing.classes != (UNKNOWN_CLASS,):
-        entries = f'</div><div class="legend"><span>path, position σ:</span>{entries}'
+        entries = f'</div><div class="legend"><span>σ of path and walls:</span>{entries}'
     marks = '<span><i class="wall"></i>wall</span><span><i class="band"></i>seen side</span>'
     marks += f'<span><i class="corner"></i>corner, {SIGMAS:.0f}σ</span>'
     if "data-loop" in drawing.elements:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from html import escape
 from typing import Any
 
+from ...geometry.segments import Floats
 from ...io.tum import Trajectory
 from ...loop_closure.loop_status import LoopStatus
 from .correction_text import outcome_lines
@@ -79,17 +80,24 @@ def findings_list(findings: list[Finding], trajectory: Trajectory, extent: float
 
 def _item(finding: Finding, trajectory: Trajectory, extent: float) -> str:
     weight = "grave" if finding.grave else "minor"
-    picture = "" if finding.stamp is None else _picture(finding.stamp, trajectory, extent)
+    picture = ""
+    if finding.stamp is not None:
+        position = trajectory.poses[int(trajectory.nearest([finding.stamp])[0]), :2]
+        picture = place_button(position, finding.stamp - trajectory.stamps[0], extent)
     return f'<li class="{weight}">{picture}<span><b>{escape(finding.text)}</b> {escape(finding.detail)}</span></li>'
 
 
-def _picture(stamp: float, trajectory: Trajectory, extent: float) -> str:
-    """Return a button with the part of the map around the robot at a stamp, which shows it on the map."""
-    x, y = trajectory.poses[int(trajectory.nearest([stamp])[0]), :2]
+def place_button(position: Floats, time: float, extent: float) -> str:
+    """Return a button with the part of the map around a place, which shows it on the map.
+
+    position  (2,) in the map, metres
+    time      seconds since the start at which the robot was there
+    extent    larger side of the drawing, metres
+    """
+    x, y = position
     half = min(PICTURE_SIZE, extent) / 2
-    time = f"{stamp - trajectory.stamps[0]:.1f}"
     return (
-        f'<button type="button" class="place" data-time="{time}" data-x="{x:.2f}" data-y="{-y:.2f}" '
+        f'<button type="button" class="place" data-time="{time:.1f}" data-x="{x:.2f}" data-y="{-y:.2f}" '
         f'aria-label="Show on the map"><svg viewBox="{x - half:.2f} {-y - half:.2f} {2 * half:.2f} {2 * half:.2f}" '
         f'aria-hidden="true"><use href="#drawing"/><circle class="here" cx="{x:.2f}" cy="{-y:.2f}" r="{half / 6:.2f}"/>'
         "</svg></button>"

@@ -4,6 +4,7 @@ import json
 import re
 import struct
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -14,12 +15,15 @@ import pytest
 
 from slam import extras
 from slam.config import Config
+from slam.errors import MapError
 from slam.events import Finished
 from slam.io.exports import write_dxf, write_geojson, write_svg
 from slam.io.exports.dimension_lines import dimension_lines
 from slam.io.exports.measurements_csv import measurements_csv
 from slam.io.keyframes_csv import read_keyframes
 from slam.io.output_dir import write_json, write_results
+from slam.io.plans.geojson import read_geojson
+from slam.io.plans.svg import read_svg
 from slam.io.run_results import RunResults, read_run_results
 from slam.measuring.measured_map import MeasuredMap, measure_all
 
@@ -174,6 +178,78 @@ def test_svg_is_true_to_scale_with_y_up(results: RunResults, tmp_path: Path) -> 
 def test_the_table_has_doors_without_a_standard_deviation(measured: MeasuredMap) -> None:
     last = measurements_csv(measured).splitlines()[-1]
     assert last == "1,door,10,1.00,,m,2.0000,0.0000,3.0000,0.0000"
+
+
+@pytest.fixture
+def uncertain(tmp_path: Path, finished: Finished) -> RunResults:
+    """Return the results of a run whose path becomes ever less certain, and one wall at one end."""
+    covariance = finished.walls.covariance.copy()
+    covariance[0] = [[1e-4, 2e-4], [2e-4, 4e-4]]  # standard deviation across |0.01 + 0.02 d| at d metres
+    sigma = np.linspace(0.0, 0.2, len(finished.keyframes))
+    run = replace(
+        finished,
+        walls=replace(finished.walls, covariance=covariance),
+        keyframe_covariance=np.eye(3) * np.square(sigma)[:, None, None],
+    )
+    folder = tmp_path / "uncertain"
+    folder.mkdir()
+    write_results(folder, run, Config(), {"recording": "room.mcap"})
+    return read_run_results(folder)
+
+
+def test_geojson_has_the_confidence_of_walls_and_weak_places(uncertain: RunResults, tmp_path: Path) -> None:
+    write_geojson(tmp_path / "a.geojson", uncertain)
+    features = json.loads((tmp_path / "a.geojson").read_text())["features"]
+    of_wall = [one for one in features if one["properties"]["kind"] == "confidence" and one["properties"]["wall"] == 0]
+    ends = np.array([one["geometry"]["coordinates"] for one in of_wall])
+    np.testing.assert_allclose(ends[1:, 0], ends[:-1, 1])  # the stretches make up the wall
+    np.testing.assert_allclose([ends[0, 0], ends[-1, 1]], [[0, 0], [6, 0]], atol=1e-6)
+    for one, (start, end) in zip(of_wall, ends, strict=True):
+        sigma = max(abs(0.01 + 0.02 * (x - 3.0)) for x in (start[0], end[0]))
+        assert one["properties"]["sigma"] == pytest.approx(sigma, rel=1e-2)
+        assert sigma <= one["properties"]["under"]
+    assert {one["properties"]["under"] for one in of_wall} == {0.02, 0.05, 0.1}
+    assert not any(one["properties"].get("wall") == 7 for one in features)  # its covariance is unknown
+    stretch, wall = (one for one in features if one["properties"]["kind"] == "weak_place")
+    assert [weak["properties"]["of"] for weak in (stretch, wall)] == ["stretch", "wall"]
+    assert stretch["properties"]["sigma"] == pytest.approx(0.2)
+    assert wall["geometry"] == {"type": "Point", "coordinates": [0.0, 0.0]}  # the path beside the other end is as weak
+
+
+def test_svg_has_the_confidence_map_in_groups_of_its_own(uncertain: RunResults, tmp_path: Path) -> None:
+    write_svg(tmp_path / "a.svg", uncertain)
+    root = ElementTree.parse(tmp_path / "a.svg").getroot()
+    space = {"s": "http://www.w3.org/2000/svg"}
+    bands = root.findall("s:g[@class='confidence']/s:path", space)
+    assert {"p0", "p1", "p2"} <= {band.attrib["class"] for band in bands}
+    assert "relative to the origin" in bands[0][0].text
+    stretch, wall = root.findall("s:g[@class='weak']/s:circle", space)
+    assert "known to 20 cm only" in stretch[0].text
+    assert (wall.attrib["cx"], wall.attrib["cy"]) == ("0.000", "0.000")
+
+
+@pytest.mark.parametrize("parts", [5, ["a"], [{"joined": False}], [{"keyframe": "x", "joined": False}]])
+def test_damaged_parts_are_refused(uncertain: RunResults, tmp_path: Path, parts: object) -> None:
+    damaged = replace(uncertain, summary={"slam": {"parts": parts}})
+    with pytest.raises(MapError, match=r"summary\.json: slam\.parts"):
+        write_geojson(tmp_path / "a.geojson", damaged)
+
+
+def test_a_part_that_is_not_joined_is_a_weak_place(uncertain: RunResults, tmp_path: Path) -> None:
+    parts = [{"keyframe": 0, "joined": True}, {"keyframe": 3, "joined": False}]
+    write_geojson(tmp_path / "a.geojson", replace(uncertain, summary={"slam": {"parts": parts}}))
+    features = json.loads((tmp_path / "a.geojson").read_text())["features"]
+    (place,) = (one for one in features if one["properties"].get("of") == "part")
+    assert uncertain.keyframes is not None
+    np.testing.assert_allclose(place["geometry"]["coordinates"], uncertain.keyframes.poses[3, :2], atol=1e-6)
+
+
+@pytest.mark.parametrize("suffix", [".svg", ".geojson"])
+def test_the_confidence_map_is_no_wall_of_a_plan(uncertain: RunResults, tmp_path: Path, suffix: str) -> None:
+    file = tmp_path / f"a{suffix}"
+    {".svg": write_svg, ".geojson": write_geojson}[suffix](file, uncertain)
+    lines = {".svg": read_svg, ".geojson": read_geojson}[suffix](file).lines
+    assert sum(len(line) > 0 for line in lines) == sum(map(len, uncertain.walls.pieces))
 
 
 # Command

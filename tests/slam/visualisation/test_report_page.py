@@ -21,6 +21,8 @@ from slam.errors import MapError
 from slam.events import Finished
 from slam.io.output_dir import write_json, write_results
 from slam.io.run_results import RunResults, read_run_results
+from slam.measuring.map_measurements import measure_walls
+from slam.measuring.wall_map import WallMap
 from slam.visualisation.report_page import write_page
 from slam.visualisation.report_page.findings import findings, reason_without_walls
 
@@ -128,6 +130,22 @@ def test_the_page_references_no_other_file(tmp_path: Path, finished: Finished) -
     links.feed(text)
     assert set(links.found) <= {"data:,", "#drawing"}
     assert not re.search(r"https?:|//[a-z]|@import|url\(", text.replace("data:,", ""))
+
+
+def test_the_page_names_the_places_where_the_map_is_poorly_known(tmp_path: Path, finished: Finished) -> None:
+    text = page(tmp_path / "out", finished)
+    assert "100 % of the length of the walls is known to 2 cm, 100 % to 5 cm." in words(text)
+    assert "3 m of the path are known to 15 cm only" in words(text)
+    assert len(re.findall(r'<circle class="stretch"', text)) == 1
+    known = replace(finished, keyframe_covariance=np.tile(1e-6 * np.eye(3), (len(finished.keyframes), 1, 1)))
+    write_results(tmp_path / "out", known, Config(), SUMMARY)
+    write_page(tmp_path / "known.html", read_run_results(tmp_path / "out"))
+    assert "No place would need another drive." in words((tmp_path / "known.html").read_text(encoding="utf-8"))
+    (tmp_path / "out" / "keyframes.csv").unlink()
+    write_page(tmp_path / "without.html", read_run_results(tmp_path / "out"))
+    without = (tmp_path / "without.html").read_text(encoding="utf-8")
+    assert "poorly known" not in without
+    assert 'class="layer"' not in without
 
 
 def test_names_and_reasons_are_escaped(tmp_path: Path, finished: Finished) -> None:
@@ -245,6 +263,7 @@ def test_the_report_command_writes_the_page_of_an_older_session(wclm: Any, fake_
     assert Path("out/report.html").read_text() == written
     wclm.refuses("report", "out", because=["out/report.html: exists already", "--overwrite"])
     assert wclm("report", "out", "--overwrite").exit_code == 0
+    wclm.refuses("report", "out", "--measure", "--overwrite", because=["out: has no keyframe, so it has no walls"])
     assert wclm("report", "out", "--out", "a.html").exit_code == 0
     assert Path("a.html").read_text() == written
     write_json(Path("out/summary.json"), {"recording": "a"})
@@ -352,6 +371,15 @@ told.end = drawn().length;
 const place = document.querySelector("button.place");
 place.click();
 told.place = [slider.value, ...box()];
+const weak = () => getComputedStyle(svg.querySelector(".weak")).display;
+told.layers = [weak()];
+document.querySelector(".layer input").click();
+told.layers.push(weak());
+document.querySelector(".layer input").click();
+told.layers.push(weak());
+document.querySelector("#confidence button.place").click();
+told.layers.push(weak());
+told.checked = document.querySelector(".layer input").checked;
 told.wide = document.documentElement.scrollWidth <= window.innerWidth;
 document.documentElement.dataset.told = JSON.stringify(told);
 </script>
@@ -384,7 +412,50 @@ def test_the_map_can_be_zoomed_dragged_and_queried(tmp_path: Path, finished: Fin
     assert told["key"].startswith("loop 7, rejected")
     assert told["place"][0] == "5"
     assert told["place"][3] == pytest.approx(0.25 * told["all"][2], rel=1e-3)
+    assert told["layers"] == ["none", "inline", "none", "inline"]
+    assert told["checked"]
     assert told["wide"]  # no horizontal overflow
+
+
+CHOOSE = """
+<script>
+const told = [];
+const svg = document.querySelector("#map svg");
+svg.scrollIntoView({block: "center"});
+for (const wall of [0, 3, 1]) {
+  const box = svg.querySelector(`.walls [data-wall="${wall}"]`).getBoundingClientRect();
+  const x = box.left + box.width / 2, y = box.top + box.height / 2;
+  svg.dispatchEvent(new MouseEvent("click", {clientX: x, clientY: y, bubbles: true}));
+  told.push(document.getElementById("about").textContent);
+}
+document.documentElement.dataset.told = JSON.stringify(told);
+</script>
+"""
+
+
+@in_a_browser
+def test_two_chosen_walls_are_measured_as_by_the_command(tmp_path: Path, finished: Finished) -> None:
+    random = np.random.default_rng(3)
+    root = random.normal(size=(8, 8)) * np.tile([2e-3, 5e-4], 4)[:, None]
+    frames = finished.walls.frame + random.normal(size=(4, 3)) * [0.01, 0.01, 0.02]  # not quite parallel
+    walls = replace(finished.walls, frame=frames)
+    wall_map = WallMap(walls, finished.corners, root @ root.T, finished.poses[:, :2])
+    write_page(tmp_path / "a.html", make(tmp_path / "out", replace(finished, walls=walls)), wall_map)
+    text = re.sub("'sha256-[^']*'", "'unsafe-inline'", (tmp_path / "a.html").read_text(encoding="utf-8"))
+    (tmp_path / "probe.html").write_text(text.replace("</body>", CHOOSE + "</body>"), encoding="utf-8")
+    document, console = render(tmp_path / "probe.html")
+    assert console == []
+    one, parallel, across = json.loads(html.unescape(re.search(r'data-told="(.*?)"', document).group(1)))
+    assert one.startswith("wall 0: ")
+    distance, angle = measure_walls(wall_map, [0, 3])[-2:]
+    turn, turn_sigma = np.degrees([angle.value, angle.sigma])
+    assert parallel == (
+        f"walls 0 and 3: distance {distance.value:.4f} m, standard deviation {1e3 * distance.sigma:.1f} mm; "
+        f"angle {turn:.2f}°, standard deviation {turn_sigma:.2f}°"
+    )
+    angle = measure_walls(wall_map, [3, 1])[-1]
+    turn, turn_sigma = np.degrees([angle.value, angle.sigma])
+    assert across == f"walls 3 and 1: angle {turn:.2f}°, standard deviation {turn_sigma:.2f}°"
 
 
 def hostile(value: Any) -> Iterator[Any]:
