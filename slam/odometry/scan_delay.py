@@ -25,8 +25,8 @@ from ..geometry.segments import Floats
 from .error_model import OdometryModel
 from .history import OdometryHistory
 
-# Seconds to either side for the derivative. Origin: chosen, a few readings of odometry; the motors of robots need
-# longer than the whole 0.3 s of j and z to change their speed.
+# Seconds to either side for the derivative, or the interval of odometry's readings if that is longer: j and z must not
+# share readings. Origin: chosen, the motors of robots need longer than the 0.3 s of j and z to change their speed.
 STEP = 0.05
 # Gauss-Newton steps; the second one changes a delay of 0.1 s by a hundredth. Origin: numerical.
 ITERATIONS = 4
@@ -65,13 +65,14 @@ def estimate_scan_delay(stamps: Floats, poses: Floats, history: OdometryHistory,
     unknown = ScanDelay(0.0, PRIOR_SIGMA)
     if len(stamps) < 2 or len(history) < 2:
         return unknown
+    step = max(STEP, float(np.median(np.diff(history.stamps))))
     registered = se2.between(poses[:-1], poses[1:])
     seconds, curvature, score = 0.0, 0.0, np.zeros(0)
     for _ in range(ITERATIONS):
-        shifts = STEP * np.array([-3.0, -1.0, 0.0, 1.0, 3.0])
+        shifts = step * np.array([-3.0, -1.0, 0.0, 1.0, 3.0])
         first, before, at, after, last = _motions(stamps - seconds - shifts[:, None], history, model)
-        slope = se2.between(before, after) / (2.0 * STEP)
-        instrument = (se2.between(first, before) + se2.between(after, last)) / (4.0 * STEP)
+        slope = se2.between(before, after) / (2.0 * step)
+        instrument = (se2.between(first, before) + se2.between(after, last)) / (4.0 * step)
         error = se2.between(at, registered)
         weights = np.linalg.inv(np.array([model.covariance(motion) for motion in at]))
         squared = np.einsum("ki,kij,kj->k", error, weights, error)

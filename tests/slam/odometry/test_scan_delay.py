@@ -19,8 +19,12 @@ TURN_NOISE = 0.01
 """Radians of random error of odometry per root of a second."""
 
 
-def drive(delay: float, random: np.random.Generator, *, turning: float = 1.0) -> ScanDelay:
-    """Drive with turns that begin and end, and return the estimate for scans that are stamped late by `delay`."""
+def drive(delay: float, random: np.random.Generator, *, turning: float = 1.0, every: int = 1) -> ScanDelay:
+    """Drive with turns that begin and end, and return the estimate for scans that are stamped late by `delay`.
+
+    turning  factor of the rate of turning
+    every    number of the readings of which odometry has one
+    """
     times = np.arange(0.0, DURATION, 1.0 / RATE)
     rate = turning * np.sin(0.9 * times) * (np.sin(0.31 * times) > 0.0)
     walk = TURN_NOISE * np.sqrt(1.0 / RATE) * random.standard_normal(len(times))
@@ -29,7 +33,7 @@ def drive(delay: float, random: np.random.Generator, *, turning: float = 1.0) ->
     path = OdometryHistory.from_arrays(times, true)
     poses = path.at_each(stamps - delay) + REGISTRATION_SIGMAS * random.standard_normal((len(stamps), 3))
     model = OdometryModel(OdometryConfig())
-    return estimate_scan_delay(stamps, poses, OdometryHistory.from_arrays(times, measured), model)
+    return estimate_scan_delay(stamps, poses, OdometryHistory.from_arrays(times[::every], measured[::every]), model)
 
 
 def integrate(speed: float, rates: Floats) -> Floats:
@@ -50,6 +54,12 @@ def test_the_standard_deviation_is_right() -> None:
     drives = [drive(0.05, np.random.default_rng(seed)) for seed in range(60)]
     squares = [((found.seconds - 0.05) / found.sigma) ** 2 for found in drives]
     assert np.mean(squares) == pytest.approx(1.0, abs=0.5)
+
+
+def test_rare_readings_of_odometry_suffice() -> None:
+    found = drive(0.1, np.random.default_rng(3), every=10)  # five a second
+    assert found.sigma < 0.02
+    assert abs(found.seconds - 0.1) < 3.0 * found.sigma
 
 
 def test_a_straight_drive_at_constant_speed_says_nothing() -> None:
