@@ -21,13 +21,16 @@ MICROSECONDS = 1e6
 
 def as_recorded(stamps: Floats, summary: dict[str, Any]) -> Floats:
     """Return the stamps (n,) of a path, seconds, as they are in the recordings that a run's summary lists."""
-    return _replaced(stamps, ((read, recorded) for read, recorded in _pairs(summary))) - _own_shift(summary)
+    replaced = _replaced(stamps, ((read, recorded) for read, recorded in _pairs(summary)))
+    shift = _own_shift(summary)
+    return np.asarray(replaced - shift) if shift else replaced
 
 
 def as_read(stamps: Floats, summary: dict[str, Any]) -> Floats:
     """Return the stamps (n,) of the path in `trajectory.tum`, seconds, as they were read: inverse of `as_recorded`."""
-    pairs = ((recorded, read) for read, recorded in _pairs(summary))
-    return _replaced(np.asarray(stamps + _own_shift(summary)), pairs)
+    shift = _own_shift(summary)
+    shifted = np.asarray(stamps + shift) if shift else stamps
+    return _replaced(shifted, ((recorded, read) for read, recorded in _pairs(summary)))
 
 
 def _own_shift(summary: dict[str, Any]) -> float:
