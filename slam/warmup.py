@@ -93,6 +93,7 @@ def compile_estimation() -> None:
             scans.append(_seen_features(message, odometry))
             estimator.process(scans[-1])
     state = estimator.state
+    relocalise(submap_of(state.mapper), index_map(state.mapper))
     converge(state.mapper)
     history = build_scan_history(scans, state.trajectory, state.keyframe_stamps, ())
     state.trajectory = match_trajectory(state.mapper, history, state.odometry_model)
