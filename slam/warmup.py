@@ -156,7 +156,9 @@ def _update_free_space() -> None:
     """Update free-space evidence with a point behind a wall."""
     landmarks = Landmarks()
     landmarks.add_wall(np.zeros(3), 1.0, 0)
-    FreeSpaceEvidence().update(landmarks, np.array([0.0, -1.0, 0.0]), np.array([[0.0, 2.0]]), [0.0], [np.zeros((3, 3))])
+    FreeSpaceEvidence().update(
+        landmarks, np.array([0.0, -1.0, 0.0]), np.array([[0.0, 2.0]]), [0.0], np.zeros((1, 3, 3))
+    )
 
 
 def _search_submap() -> None:

@@ -250,9 +250,9 @@ def _build(place: OldPlace, local_field: LocalField) -> Submap:
     return build_submap(place.poses, [local_field.points(int(k)) for k in place.keyframes], SUBMAP_HALF_WIDTH)
 
 
-def _position_sigmas(covariances: Sequence[Floats]) -> Floats:
-    """Return the standard deviation (n,) in the worst direction of positions with covariances (3, 3)."""
-    return np.asarray(np.sqrt(np.linalg.eigvalsh(np.asarray(covariances)[:, :2, :2])[:, -1]))
+def _position_sigmas(covariances: Floats) -> Floats:
+    """Return the standard deviation (n,) in the worst direction of positions with covariances (n, 3, 3)."""
+    return np.asarray(np.sqrt(np.linalg.eigvalsh(covariances[:, :2, :2])[:, -1]))
 
 
 def _squared(pose: se2.Pose, other: se2.Pose, covariance: Floats) -> float:

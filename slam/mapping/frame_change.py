@@ -12,7 +12,6 @@ from drivers import se2
 from ..geometry.segments import Floats
 from ..graph.factors import Factor, FactorKind
 from ..graph.rebuilding import RigidMotion, rebuild
-from ..odometry.correlated_drift import rotate_covariance
 
 if TYPE_CHECKING:
     from .mapper import Mapper
@@ -38,9 +37,8 @@ def change_frame(mapper: Mapper, motion: se2.Pose, first_covariance: Floats) -> 
     for name in ("covariance", "covariance_in_map"):
         rows[name] = _rotated(rows[name], motion[2])
     mapper.correlated_drift = _rotated(mapper.correlated_drift, motion[2])
-    mapper.pose_covariances = [rotate_covariance(covariance, motion[2]) for covariance in mapper.pose_covariances]
     mapper.read_back_all()
-    mapper.pose_covariances = [mapper.pose_covariances[-1]] * mapper.keyframe_count
+    mapper.pose_covariances[:] = mapper.pose_covariances[-1]
 
 
 def _is_pose_prior(factor: Factor) -> bool:

@@ -47,7 +47,7 @@ class KeyframeRecords:
     keyframe_poses: Floats
     travelled: Sequence[float]
     landmark_ids: Sequence[LandmarkIds]
-    covariances: Sequence[Floats]
+    covariances: Floats
     correlated_drift: Floats
 
 

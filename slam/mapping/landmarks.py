@@ -18,10 +18,8 @@ from drivers import se2
 from ..geometry.segments import Floats, Integers
 from .landmark_table import CORNER_DTYPE, NEVER_REMOVED, UNOBSERVED, WALL_DTYPE, LandmarkTable
 from .map_parts import MapParts
+from .near_landmarks import NO_KEYFRAME, near_corners, near_walls
 
-# Metres by which the robot may be behind a wall's line and still be about to see the wall: covers drift, and the far
-# ends of long walls. Origin: chosen, more than the drift within a local map; not measured.
-BEHIND_MARGIN = 0.5
 # Metres of wall per cell of coverage. Origin: chosen, finer than a door or a pillar; not measured.
 WALL_CELL = 0.1
 # Metres between two observed stretches of a wall from which on they are separate pieces: a door or a passage.
@@ -238,16 +236,10 @@ class Landmarks:
         """Return the opened cells of a wall that have not been observed again."""
         return frozenset(self.opened.get(wall, ())) - self.covered[wall]
 
-    def active(self, walls: NDArray[np.int64] | None = None, *, keyframe: int | None = None) -> NDArray[np.bool_]:
-        """Return (n,) which walls, of all or of the given ids, are neither merged nor removed.
-
-        With `keyframe`, a wall removed at that keyframe or later counts as active.
-        """
+    def active(self, walls: NDArray[np.int64] | None = None) -> NDArray[np.bool_]:
+        """Return (n,) which walls, of all or of the given ids, are neither merged nor removed."""
         rows, walls = self.walls.rows, np.arange(len(self.walls)) if walls is None else walls
-        removed_at = rows["removed_at"][walls]
-        there = removed_at == NEVER_REMOVED
-        if keyframe is not None:
-            there |= removed_at >= keyframe
+        there = rows["removed_at"][walls] == NEVER_REMOVED
         return np.asarray(there & (rows["merged_into"][walls] == walls))
 
     def connected(self, *, keyframe: int | None = None) -> NDArray[np.bool_]:
@@ -262,17 +254,14 @@ class Landmarks:
         walls = self.walls.rows
         return np.flatnonzero(walls["in_graph"] & (walls["removed_at"] != NEVER_REMOVED))
 
-    def active_corners(self, corners: NDArray[np.int64], keyframe: int | None = None) -> NDArray[np.bool_]:
-        """Return (m,) which corners have no removed wall among their known walls; `keyframe` as in `active`."""
+    def active_corners(self, corners: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return (m,) which corners have no removed wall among their known walls."""
         walls, of_corners = self.walls.rows, self.corners.rows["walls"][corners]
         if not len(walls):
             return np.ones(len(corners), dtype=bool)
         kept = np.where(of_corners >= 0, walls["merged_into"][of_corners], -1)
         removed_at = np.where(kept >= 0, walls["removed_at"][kept], NEVER_REMOVED)
-        gone = removed_at != NEVER_REMOVED
-        if keyframe is not None:
-            gone &= removed_at < keyframe
-        return np.asarray(~gone.any(axis=1))
+        return np.asarray((removed_at == NEVER_REMOVED).all(axis=1))
 
     def is_covered(self, wall: int, along: float) -> bool:
         """True if a wall was observed `along` metres from its frame."""
@@ -293,25 +282,28 @@ class Landmarks:
     def walls_near(self, pose: se2.Pose, radius: float, *, keyframe: int | None = None) -> NDArray[np.int64]:
         """Return the ids of the active walls with a part within `radius` metres of a pose on their visible side.
 
-        `keyframe` as in `active`; only walls that are connected with it, see `connected`.
+        With `keyframe`, walls that were removed at that keyframe or later count as active. Only walls that are
+        connected with it, see `connected`.
         """
-        walls = self.walls.rows
-        if not len(walls):
-            return np.zeros(0, dtype=np.int64)
-        x, y, heading = walls["frame"].T
-        x, y, c, s = pose[0] - x, pose[1] - y, np.cos(heading), np.sin(heading)
-        along, ahead = c * x + s * y, c * y - s * x  # the pose as seen from the walls' frames
-        beyond = np.maximum(0.0, np.maximum(walls["low"] - along, along - walls["high"]))
-        near = np.flatnonzero((np.hypot(beyond, ahead) < radius) & (ahead > -BEHIND_MARGIN))
-        near = near[self.parts.connected(walls["last_seen"][near], keyframe)]
-        return near[self.active(near, keyframe=keyframe)]
+        rows = self.walls.rows
+        near = near_walls(
+            rows["frame"], rows["low"], rows["high"], rows["merged_into"], rows["removed_at"],
+            pose[0], pose[1], radius, NO_KEYFRAME if keyframe is None else keyframe,
+        )  # fmt: skip
+        return self._connected(near, rows["last_seen"], keyframe)
 
     def corners_near(self, pose: se2.Pose, radius: float, *, keyframe: int | None = None) -> NDArray[np.int64]:
-        """Return the ids of the active corners within `radius` metres of a pose; `keyframe` as in `walls_near`."""
-        offset = self.corners.rows["position"] - pose[:2]
-        near = np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) < radius)
-        near = near[self.parts.connected(self.corners.rows["last_seen"][near], keyframe)]
-        return near[self.active_corners(near, keyframe)]
+        """Return the ids of the active corners within `radius` metres of a pose; `keyframe` as for walls."""
+        rows, walls = self.corners.rows, self.walls.rows
+        near = near_corners(
+            rows["position"], rows["walls"], walls["merged_into"], walls["removed_at"],
+            pose[0], pose[1], radius, NO_KEYFRAME if keyframe is None else keyframe,
+        )  # fmt: skip
+        return self._connected(near, rows["last_seen"], keyframe)
+
+    def _connected(self, near: Integers, last_seen: Integers, keyframe: int | None) -> Integers:
+        """Return those of some landmarks that are connected with a keyframe; see `connected`."""
+        return near[self.parts.connected(last_seen[near], keyframe)] if len(self.parts) > 1 else near
 
 
 def cells_between(low: float, high: float) -> frozenset[int]:

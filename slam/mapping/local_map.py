@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers import se2
+from drivers.compiled import compiled
 
 from ..geometry.segments import Floats, Integers
 from .landmarks import Landmarks
@@ -67,69 +67,98 @@ def landmarks_around(landmarks: Landmarks, pose: se2.Pose, radius: float, *, key
     """
     near_walls = landmarks.walls_near(pose, radius, keyframe=keyframe)
     near_corners = landmarks.corners_near(pose, radius, keyframe=keyframe)
-    walls, corners = landmarks.walls.rows[near_walls], landmarks.corners.rows[near_corners]
+    return _local_map(landmarks, near_walls, near_corners)
+
+
+def _local_map(landmarks: Landmarks, near_walls: Integers, near_corners: Integers) -> LocalMap:
+    """Return the given landmarks, with the covariances of their last observation."""
+    # an index array makes contiguous columns: functions would be compiled again for strided ones
+    walls, corners = landmarks.walls.rows, landmarks.corners.rows
     return LocalMap(
         walls=near_walls,
-        frame=_column(walls, "frame"),
-        low=_column(walls, "low"),
-        high=_column(walls, "high"),
-        wall_covariance=_column(walls, "covariance"),
-        observations=walls["observations"],
+        frame=walls["frame"][near_walls],
+        low=walls["low"][near_walls],
+        high=walls["high"][near_walls],
+        wall_covariance=walls["covariance"][near_walls],
+        observations=walls["observations"][near_walls],
         corners=near_corners,
-        position=_column(corners, "position"),
-        headings=_column(corners, "headings"),
-        corner_covariance=_column(corners, "covariance"),
+        position=corners["position"][near_corners],
+        headings=corners["headings"][near_corners],
+        corner_covariance=corners["covariance"][near_corners],
     )
 
 
-def _column(rows: NDArray[np.void], name: str) -> Floats:
-    """Return a field of landmarks as a contiguous array: functions would be compiled again for a strided one."""
-    return np.ascontiguousarray(rows[name])
-
-
-def local_map_around(landmarks: Landmarks, pose: se2.Pose, radius: float, pose_covariances: list[Floats]) -> LocalMap:
+def local_map_around(landmarks: Landmarks, pose: se2.Pose, radius: float, pose_covariances: Floats) -> LocalMap:
     """Return the landmarks within `radius` metres of a pose whose place relative to the last keyframe is well known.
 
     Others may be recognised by closing a loop only. A landmark's covariance is the sum of that at its last observation
-    and of the drift of the robot's pose since then. `pose_covariances` are those of all keyframes (3, 3), in the map's
-    axes.
+    and of the drift of the robot's pose since then. `pose_covariances` (k, 3, 3) are those of all keyframes, in the
+    map's axes.
+
+    The error of a later pose is that of an earlier one plus what was added in between, so the covariance of their
+    difference, the drift, is about the difference of their covariances. Negative eigenvalues, after a loop closure, are
+    clamped to zero.
     """
-    around = landmarks_around(landmarks, pose, radius)
-    last_seen = (landmarks.walls.rows["last_seen"][around.walls], landmarks.corners.rows["last_seen"][around.corners])
-    drift = _drift_since(np.concatenate(last_seen), pose_covariances)
-    lever = around.frame[:, :2] - pose[:2]
-    c, s = np.cos(around.frame[:, 2]), np.sin(around.frame[:, 2])
-    jacobian = np.zeros((len(around.walls), 2, 3))
-    jacobian[:, 0] = np.column_stack([-s, c, c * lever[:, 0] + s * lever[:, 1]])
-    jacobian[:, 1, 2] = 1.0
-    wall_drift = jacobian @ drift[: len(around.walls)] @ jacobian.transpose(0, 2, 1)
-    corner_drift = drift[len(around.walls) :, :2, :2]
-    along = np.clip(-(c * lever[:, 0] + s * lever[:, 1]), around.low, around.high)  # the point nearest to the robot
-    offset = wall_drift[:, 0, 0] + 2 * along * wall_drift[:, 0, 1] + along**2 * wall_drift[:, 1, 1]
-    known = (offset < MAX_PREDICTED_VARIANCE) & (wall_drift[:, 1, 1] < MAX_PREDICTED_TURN_VARIANCE)
-    known_corners = np.maximum(corner_drift[:, 0, 0], corner_drift[:, 1, 1]) < MAX_PREDICTED_VARIANCE
-    return LocalMap(
-        walls=around.walls[known],
-        frame=around.frame[known],
-        low=around.low[known],
-        high=around.high[known],
-        wall_covariance=(around.wall_covariance + wall_drift)[known],
-        observations=around.observations[known],
-        corners=around.corners[known_corners],
-        position=around.position[known_corners],
-        headings=around.headings[known_corners],
-        corner_covariance=(around.corner_covariance + corner_drift)[known_corners],
+    walls, corners = landmarks.walls.rows, landmarks.corners.rows
+    near_walls, near_corners = landmarks.walls_near(pose, radius), landmarks.corners_near(pose, radius)
+    known_walls, wall_drift = _wall_drifts(
+        near_walls, walls["frame"], walls["low"], walls["high"], walls["last_seen"], pose, pose_covariances
+    )
+    known_corners, corner_drift = _corner_drifts(near_corners, corners["last_seen"], pose_covariances)
+    local_map = _local_map(landmarks, known_walls, known_corners)
+    return replace(
+        local_map,
+        wall_covariance=local_map.wall_covariance + wall_drift,
+        corner_covariance=local_map.corner_covariance + corner_drift,
     )
 
 
-def _drift_since(keyframes: Integers, pose_covariances: list[Floats]) -> Floats:
-    """Return (n, 3, 3) the growth of the pose covariance since each of `keyframes`, in the map's axes.
+@compiled
+def _wall_drifts(near, frame, low, high, last_seen, pose, covariances):  # type: ignore[no-untyped-def]
+    """Return which of the walls `near` (n,) have a well known place, m of them, and the drift (m, 2, 2) of each.
 
-    The error of a later pose is that of an earlier one plus what was added in between, so the covariance of the
-    difference is about the difference of the covariances. Negative eigenvalues, after a loop closure, are clamped to
-    zero.
+    That is the covariance of the wall's offset and heading at its frame by the drift of the robot's pose.
     """
-    distinct, inverse = np.unique(keyframes, return_inverse=True)  # many landmarks share their last keyframe
-    covariances = np.array([pose_covariances[k] for k in distinct]).reshape(-1, 3, 3)
-    values, vectors = np.linalg.eigh(pose_covariances[-1] - covariances)
-    return np.asarray((vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1))[inverse]
+    count, rows, drifts = 0, np.empty(len(near), np.int64), np.empty((len(near), 2, 2))
+    keyframe, drift = -1, np.zeros((3, 3))
+    for wall in near:
+        if last_seen[wall] != keyframe:  # many walls share their last keyframe
+            keyframe = last_seen[wall]
+            drift = _drift_since(keyframe, covariances)
+        x, y = frame[wall, 0] - pose[0], frame[wall, 1] - pose[1]
+        c, s = math.cos(frame[wall, 2]), math.sin(frame[wall, 2])
+        across = np.array([-s, c, c * x + s * y])  # derivative of the offset by the pose; that of the heading is 0 0 1
+        product = drift @ across
+        offset, mixed, turn = across @ product, product[2], drift[2, 2]
+        along = min(max(-(c * x + s * y), low[wall]), high[wall])  # the point nearest to the robot
+        at_robot = offset + 2.0 * along * mixed + along * along * turn
+        if at_robot < MAX_PREDICTED_VARIANCE and turn < MAX_PREDICTED_TURN_VARIANCE:
+            rows[count] = wall
+            drifts[count, 0, 0], drifts[count, 1, 1] = offset, turn
+            drifts[count, 0, 1] = drifts[count, 1, 0] = mixed
+            count += 1
+    return rows[:count], drifts[:count]
+
+
+@compiled
+def _corner_drifts(near, last_seen, covariances):  # type: ignore[no-untyped-def]
+    """Return which of the corners `near` (n,) have a well known place, m of them, and the drift (m, 2, 2) of each."""
+    count, rows, drifts = 0, np.empty(len(near), np.int64), np.empty((len(near), 2, 2))
+    keyframe, drift = -1, np.zeros((3, 3))
+    for corner in near:
+        if last_seen[corner] != keyframe:
+            keyframe = last_seen[corner]
+            drift = _drift_since(keyframe, covariances)
+        if max(drift[0, 0], drift[1, 1]) < MAX_PREDICTED_VARIANCE:
+            rows[count], drifts[count] = corner, drift[:2, :2]
+            count += 1
+    return rows[:count], drifts[:count]
+
+
+@compiled
+def _drift_since(keyframe, covariances):  # type: ignore[no-untyped-def]
+    """Return (3, 3) the growth of the pose covariance since a keyframe, see `local_map_around`."""
+    if keyframe == len(covariances) - 1:
+        return np.zeros((3, 3))
+    values, vectors = np.linalg.eigh(covariances[-1] - covariances[keyframe])
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T

@@ -10,6 +10,7 @@ import numpy as np
 
 from drivers import se2
 
+from ..geometry.growing_array import GrowingArray
 from ..geometry.segments import CornerPoints, Floats, Integers, Segments
 from ..graph.factor_graph import FactorGraph
 from ..graph.factors import Factor, GraphState
@@ -51,13 +52,9 @@ class Mapper:
     roughness            estimate of the wall roughness
     free_space_evidence  evidence against walls that may no longer exist
     keyframe_count       number of keyframes, k
-    keyframe_poses       (k, 3) in the map, as last read back: older ones only every FULL_READ_BACK_INTERVAL keyframes,
-                         and as tracked for those that the graph has not been solved with yet
     travelled            metres driven up to each keyframe; [0.0] before the first
     recent_segments      index and segments of the last MAX_RECENT_SEGMENTS keyframes
     landmark_ids         of each keyframe, as assigned when it was added
-    pose_covariances     (3, 3) of each keyframe when it was added, in the map's axes, correlated drift included
-    correlated_drift     (k, 2, 2) accumulated up to each keyframe, in the map's axes; see `slam.odometry`
     gauge                what holds the group of the last part of the map while it is not connected
     """
 
@@ -72,12 +69,11 @@ class Mapper:
         self.roughness = roughness or WallRoughness()
         self.free_space_evidence = free_space_evidence or FreeSpaceEvidence()
         self.keyframe_count = 0
-        self.keyframe_poses: Floats = np.zeros((0, 3))
         self.travelled = [0.0]
         self.recent_segments: deque[tuple[int, Segments]] = deque(maxlen=MAX_RECENT_SEGMENTS)
         self.landmark_ids: list[LandmarkIds] = []
-        self.pose_covariances: list[Floats] = []
-        self.correlated_drift: Floats = np.zeros((0, 2, 2))
+        self._poses, self._pose_covariances = GrowingArray((3,)), GrowingArray((3, 3))
+        self._correlated_drift = GrowingArray((2, 2))
         self.gauge = PartGauge()
         self._unconfirmed = UnconfirmedObservations()
         self._waiting = WaitingKeyframes()
@@ -109,7 +105,7 @@ class Mapper:
         mapper.graph = restore_graph(graph)
         mapper.keyframe_count, mapper.keyframe_poses = len(keyframes.keyframe_poses), keyframes.keyframe_poses
         mapper.travelled, mapper.landmark_ids = list(keyframes.travelled), list(keyframes.landmark_ids)
-        mapper.pose_covariances, mapper.correlated_drift = list(keyframes.covariances), keyframes.correlated_drift
+        mapper.pose_covariances, mapper.correlated_drift = keyframes.covariances, keyframes.correlated_drift
         mapper.recent_segments.extend((k, segments) for k, (segments, _) in enumerate(views))
         mapper._waiting = WaitingKeyframes(
             WaitingKeyframe(segments, ids, points)
@@ -132,6 +128,34 @@ class Mapper:
         )
 
     # --- poses
+
+    @property
+    def keyframe_poses(self) -> Floats:
+        """Poses (k, 3) of the keyframes in the map, as last read back: older ones only every FULL_READ_BACK_INTERVAL
+        keyframes, and as tracked for those that the graph has not been solved with yet."""
+        return self._poses.rows
+
+    @keyframe_poses.setter
+    def keyframe_poses(self, poses: Floats) -> None:
+        self._poses.replace(poses)
+
+    @property
+    def pose_covariances(self) -> Floats:
+        """Covariances (k, 3, 3) of each keyframe when it was added, in the map's axes, correlated drift included."""
+        return self._pose_covariances.rows
+
+    @pose_covariances.setter
+    def pose_covariances(self, covariances: Floats) -> None:
+        self._pose_covariances.replace(covariances)
+
+    @property
+    def correlated_drift(self) -> Floats:
+        """Drift (k, 2, 2) accumulated up to each keyframe, in the map's axes; see `slam.odometry`."""
+        return self._correlated_drift.rows
+
+    @correlated_drift.setter
+    def correlated_drift(self, drift: Floats) -> None:
+        self._correlated_drift.replace(drift)
 
     @property
     def pose(self) -> se2.Pose:
@@ -186,7 +210,7 @@ class Mapper:
         )
         self._waiting.append(WaitingKeyframe(segments, landmark_ids, points))
         # until then as uncertain as the keyframe before: local maps add the uncertainty of tracking
-        self.pose_covariances.append(self.pose_covariances[-1] if keyframe else np.zeros((3, 3)))
+        self._pose_covariances.append(self.pose_covariances[-1] if keyframe else np.zeros((3, 3)))
         # while the map has unconnected parts, decisions to join them need the covariances of each keyframe
         apart = self.landmarks.parts.apart
         if keyframe == 0 or apart or self._waiting.has_moved_on(self.keyframe_poses, self.travelled):
@@ -221,8 +245,8 @@ class Mapper:
                 correlated_drift = correlated_drift + own_drift
                 self.graph.add_keyframe(keyframe, pose, motion.start, motion.motion, motion.covariance)
             self.travelled.append(self.travelled[-1] + float(np.hypot(motion.motion[0], motion.motion[1])))
-        self.keyframe_poses = np.vstack([self.keyframe_poses, pose])
-        self.correlated_drift = np.concatenate([self.correlated_drift, correlated_drift[None]])
+        self._poses.append(pose)
+        self._correlated_drift.append(correlated_drift)
         self.recent_segments.append((keyframe, segments))
         self.landmark_ids.append(landmark_ids)
         self._unconfirmed.add(keyframe, segments, corners, landmark_ids, self.roughness.variance)
@@ -325,10 +349,11 @@ class Mapper:
 
     def recompute_pose_covariances(self) -> None:
         """Compute `pose_covariances` of all keyframes from the graph, as needed after `solve`."""
-        self.pose_covariances = [
+        covariances = [
             self.graph.relative_covariances([k], [], []).poses[0] + embed_position_covariance(self.correlated_drift[k])
             for k in range(self.keyframe_count)
         ]
+        self.pose_covariances = np.array(covariances).reshape(-1, 3, 3)
 
     def read_back_all(self) -> None:
         """Read all poses and landmarks, and the last keyframe's covariance, back from the graph."""

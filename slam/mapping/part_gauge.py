@@ -126,5 +126,4 @@ def _rebuild(
     mapper.graph = rebuild(mapper.graph, RigidMotion(motion, keyframes, walls, corners), remove, add)
     landmarks.move(walls, corners, motion)
     mapper.read_back_all()
-    for moved in keyframes.tolist():
-        mapper.pose_covariances[moved] = mapper.pose_covariances[-1]
+    mapper.pose_covariances[keyframes] = mapper.pose_covariances[-1]

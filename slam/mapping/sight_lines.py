@@ -9,7 +9,6 @@ nearer one.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -154,7 +153,7 @@ def _three_cross(across, p, eye):  # type: ignore[no-untyped-def]
 
 
 def cells_seen_through(
-    view: WallsInView, landmarks: Landmarks, pose: se2.Pose, pose_covariances: Sequence[Floats]
+    view: WallsInView, landmarks: Landmarks, pose: se2.Pose, pose_covariances: Floats
 ) -> dict[int, list[int]]:
     """Return for each row of `view` the covered cells that are seen through with certainty.
 

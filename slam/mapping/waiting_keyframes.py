@@ -88,7 +88,7 @@ class WaitingKeyframes:
             mapper.landmarks, mapper.graph, last, [keyframe.landmark_ids for keyframe in waiting]
         )
         correlated = [embed_position_covariance(drift) for drift in mapper.correlated_drift[first:]]
-        mapper.pose_covariances[first:] = list(independent + correlated)
+        mapper.pose_covariances[first:] = independent + correlated
         for pose, keyframe in zip(mapper.keyframe_poses[first:], waiting, strict=True):
             mapper.roughness.add_observations(
                 mapper.landmarks.walls.rows, pose, keyframe.segments, keyframe.landmark_ids.walls

@@ -87,13 +87,13 @@ class FreeSpaceEvidence:
         pose: se2.Pose,
         points: Floats,
         travelled: Sequence[float],
-        pose_covariances: Sequence[Floats],
+        pose_covariances: Floats,
     ) -> bool:
         """Add the evidence of a scan, and remove or open the walls with sufficient evidence. Return True if any.
 
         points            (p, 2) of the scan, in the frame of its pose
         travelled         metres driven up to each keyframe
-        pose_covariances  (3, 3) of each keyframe, in the map's axes
+        pose_covariances  (k, 3, 3) of all keyframes, in the map's axes
         """
         if travelled[-1] - self._suspended_at < SUSPENSION_DISTANCE:
             return False

@@ -19,8 +19,7 @@ CORRELATED_DRIFT = {"correlated_drift_xx": (0, 0), "correlated_drift_xy": (0, 1)
 
 def write_keyframes(file: Path, stamps: Sequence[float], records: KeyframeRecords) -> None:
     """Write the table. Raises OSError."""
-    covariances = np.array(records.covariances).reshape(-1, 3, 3)
-    upper = covariances[:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]]
+    upper = records.covariances[:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]]
     columns = {"stamp": np.array(stamps)}
     columns |= {name: records.keyframe_poses[:, k] for k, name in enumerate(POSE_COLUMNS)}
     columns["travelled"] = np.array(records.travelled[: len(stamps)])
@@ -45,5 +44,5 @@ def read_keyframes(file: Path, scans: ScanRecords) -> KeyframeRecords:
     for name, (row, column) in CORRELATED_DRIFT.items():
         correlated_drift[:, row, column] = correlated_drift[:, column, row] = table.floats(name)
     return KeyframeRecords(
-        table.floats(*POSE_COLUMNS), travelled or [0.0], scans.landmark_ids, list(covariances), correlated_drift
+        table.floats(*POSE_COLUMNS), travelled or [0.0], scans.landmark_ids, covariances, correlated_drift
     )

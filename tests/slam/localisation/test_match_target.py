@@ -39,7 +39,7 @@ def room_target() -> MatchTarget:
     for frame, half in zip(WALLS, HALVES, strict=True):
         landmarks.add_wall(frame, half, 0)
     landmarks.walls.rows["covariance"][:] = 1e-6 * np.eye(2)
-    return MatchTarget(local_map_around(landmarks, TRUTH, 20.0, [np.zeros((3, 3))]), FIELD, 0.0)
+    return MatchTarget(local_map_around(landmarks, TRUTH, 20.0, np.zeros((1, 3, 3))), FIELD, 0.0)
 
 
 def test_scan_of_a_known_room_is_matched_with_walls_and_points() -> None:

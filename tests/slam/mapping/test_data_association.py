@@ -23,7 +23,7 @@ def local_map_of(*walls: tuple[float, float, float], half: float = 2.0, observat
     landmarks.walls.rows["covariance"][:] = np.diag([0.002, 0.001]) ** 2
     for wall, count in enumerate(observations):
         landmarks.walls.rows["observations"][wall] = count
-    return local_map_around(landmarks, np.zeros(3), 50.0, [np.zeros((3, 3))])
+    return local_map_around(landmarks, np.zeros(3), 50.0, np.zeros((1, 3, 3)))
 
 
 def seen(*frames: tuple[float, float, float], sigma: float = 0.003) -> Segments:
@@ -117,7 +117,7 @@ def test_corners_are_matched_by_position_and_headings() -> None:
     for position in ([4.0, 0.0], [4.0, 3.0]):
         landmarks.add_corner(np.array(position), np.array([0.0, 1.57]), np.array([-1, -1]), 0)
     landmarks.corners.rows["covariance"][:] = 1e-5 * np.eye(2)
-    local_map = local_map_around(landmarks, np.zeros(3), 50.0, [np.zeros((3, 3))])
+    local_map = local_map_around(landmarks, np.zeros(3), 50.0, np.zeros((1, 3, 3)))
     corners = corners_seen(
         ((4.0, 3.005), (0.0, 1.57)),  # the second
         ((4.0, 0.0), (1.57, 3.14)),  # at the first, but of other walls
@@ -133,7 +133,7 @@ def test_a_corner_is_matched_once() -> None:
     landmarks = Landmarks()
     landmarks.add_corner(np.array([4.0, 0.0]), np.array([0.0, 1.57]), np.array([-1, -1]), 0)
     landmarks.corners.rows["covariance"][:] = 1e-5 * np.eye(2)
-    local_map = local_map_around(landmarks, np.zeros(3), 50.0, [np.zeros((3, 3))])
+    local_map = local_map_around(landmarks, np.zeros(3), 50.0, np.zeros((1, 3, 3)))
     twice = corners_seen(((4.004, 0.0), (0.0, 1.57)), ((4.0, 0.0), (0.0, 1.57)))
     found = associate(POSE, CERTAIN, NO_SEGMENTS, twice, local_map, 1e-6)
     np.testing.assert_array_equal(found.corners, [AMBIGUOUS, 0])

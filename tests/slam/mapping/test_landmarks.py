@@ -64,7 +64,7 @@ def test_landmarks_not_observed_recently_are_less_certain() -> None:
         landmarks.add_wall(np.array([0.0, -3.0, 0.0]), 1.0, keyframe)
     landmarks.set_wall_covariances(np.arange(2), 1e-6 * np.eye(2))
     grown = [np.zeros((3, 3)), np.zeros((3, 3)), np.diag([0.05, 0.08, 0.01]) ** 2]
-    local_map = local_map_around(landmarks, np.zeros(3), 9.0, grown)
+    local_map = local_map_around(landmarks, np.zeros(3), 9.0, np.array(grown))
     sigma = np.sqrt(np.diagonal(local_map.wall_covariance, axis1=1, axis2=2))
     np.testing.assert_allclose(sigma, [[0.08, 0.01], [0.001, 0.001]], rtol=0.02)
     assert len(empty_local_map().walls) == 0
@@ -77,7 +77,7 @@ def test_landmarks_whose_place_is_not_known_are_left_out_of_the_local_map() -> N
         landmarks.add_wall(np.array([0.0, -3.0, 0.0]), 1.0, keyframe)
     for sigmas in ([0.0, 0.11, 0.0], [0.0, 0.0, np.radians(2.7)]):
         grown = [np.zeros((3, 3)), np.zeros((3, 3)), np.diag(sigmas) ** 2]
-        np.testing.assert_array_equal(local_map_around(landmarks, np.zeros(3), 9.0, grown).walls, [1])
+        np.testing.assert_array_equal(local_map_around(landmarks, np.zeros(3), 9.0, np.array(grown)).walls, [1])
 
 
 def test_a_door_divides_a_wall_into_pieces() -> None:

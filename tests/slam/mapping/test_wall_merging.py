@@ -14,7 +14,7 @@ def pair(second: tuple[float, float, float], sigma: float = 0.003, half: float =
     landmarks.add_wall(np.array([0.0, 0.0, 0.0]), 1.0, keyframe=0)
     landmarks.add_wall(np.array(second), half, keyframe=0)
     landmarks.walls.rows["covariance"][:] = sigma**2 * np.eye(2)
-    return local_map_around(landmarks, np.zeros(3), 50.0, [np.zeros((3, 3))])
+    return local_map_around(landmarks, np.zeros(3), 50.0, np.zeros((1, 3, 3)))
 
 
 def duplicate(local_map: LocalMap, mature: bool = True, observed: bool = True) -> Duplicate | None:

@@ -135,8 +135,10 @@ def test_merged_sessions_keep_their_removed_and_opened_walls() -> None:
     assert joined.walls.rows["removed_at"].tolist() == [7, NEVER_REMOVED, NEVER_REMOVED, 57]
     assert joined.opened == {1: {2: 9, 3: 9}, 2: {2: 59, 3: 59}}
     assert joined.active().tolist() == [False, True, True, False]
-    assert joined.active(keyframe=7).tolist() == [True, True, True, True]
-    assert joined.active(keyframe=57).tolist() == [False, True, True, True]
+    in_front_of_all = se2.compose(MIDDLE, [0.0, 20.0, 0.0])
+    assert joined.walls_near(in_front_of_all, 50.0).tolist() == [1, 2]
+    assert joined.walls_near(in_front_of_all, 50.0, keyframe=7).tolist() == [0, 1, 2, 3]
+    assert joined.walls_near(in_front_of_all, 50.0, keyframe=57).tolist() == [1, 2, 3]
 
 
 def test_a_wall_keeps_its_opening_when_it_is_merged() -> None:

@@ -32,7 +32,7 @@ def build_local_map(frames: np.ndarray, halves: np.ndarray) -> LocalMap:
     for frame, half in zip(frames, halves, strict=True):
         landmarks.add_wall(frame, half, 0)
     landmarks.walls.rows["covariance"][:] = 1e-6 * np.eye(2)
-    return local_map_around(landmarks, np.zeros(3), 20.0, [np.zeros((3, 3))])
+    return local_map_around(landmarks, np.zeros(3), 20.0, np.zeros((1, 3, 3)))
 
 
 def simulate_scan(pose: np.ndarray, frames: np.ndarray, halves: np.ndarray, seed: int = 0) -> ScanFeatures:
@@ -106,7 +106,7 @@ def test_corners_determine_position_along_bare_corridor() -> None:
     ):
         landmarks.add_corner(np.array(position), np.array(headings), np.array([-1, -1]), 0)
     landmarks.corners.rows["covariance"][:] = 1e-6 * np.eye(2)
-    local_map = local_map_around(landmarks, np.zeros(3), 20.0, [np.zeros((3, 3))])
+    local_map = local_map_around(landmarks, np.zeros(3), 20.0, np.zeros((1, 3, 3)))
     corners = landmarks.corners.rows
     seen = CornerPoints(
         se2.transform(se2.inverse(truth), corners["position"]),

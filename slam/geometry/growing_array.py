@@ -1,0 +1,44 @@
+"""Array that grows row by row without being copied at each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .segments import Floats
+
+# Rows for which memory is reserved at first; it doubles as needed. Origin: numerical.
+_INITIAL_CAPACITY = 64
+
+
+class GrowingArray:
+    """Rows of floats, all of one shape."""
+
+    def __init__(self, shape: Sequence[int], rows: ArrayLike = ()) -> None:
+        """Create an array with rows of a shape."""
+        self._shape = tuple(shape)
+        self.replace(rows)
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def rows(self) -> Floats:
+        """(n, ...) the rows, as a view: they may be changed in it until the next one is appended."""
+        return self._storage[: self._count]
+
+    def replace(self, rows: ArrayLike) -> None:
+        """Replace all rows by (n, ...) others, which are copied."""
+        new = np.asarray(rows, dtype=np.float64).reshape(-1, *self._shape)
+        self._count = len(new)
+        self._storage: Floats = np.zeros((max(_INITIAL_CAPACITY, len(new)), *self._shape))
+        self._storage[: len(new)] = new
+
+    def append(self, row: ArrayLike) -> None:
+        """Append a row."""
+        if self._count == len(self._storage):
+            self._storage = np.concatenate([self._storage, np.zeros_like(self._storage)])
+        self._storage[self._count] = row
+        self._count += 1

@@ -1,0 +1,62 @@
+"""Landmarks within some distance of a position, in compiled code: they are selected several times at each keyframe.
+
+Both functions take columns of the tables of walls and corners (see `landmark_table`).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from drivers.compiled import compiled, inlined
+
+from .landmark_table import NEVER_REMOVED
+
+# Metres by which the robot may be behind a wall's line and still be about to see the wall: covers drift, and the far
+# ends of long walls. Origin: chosen, more than the drift within a local map; not measured.
+BEHIND_MARGIN = 0.5
+# In place of a keyframe if walls count as removed at whichever keyframe they were. Origin: definition.
+NO_KEYFRAME = np.iinfo(np.int64).max
+
+
+@compiled
+def near_walls(frame, low, high, merged_into, removed_at, x, y, radius, keyframe):  # type: ignore[no-untyped-def]
+    """Return the rows of the active walls with a part near (x, y) on their visible side, in ascending order."""
+    near, count = np.empty(len(frame), np.int64), 0
+    for j in range(len(frame)):
+        if merged_into[j] != j or _is_gone(removed_at[j], keyframe):
+            continue
+        c, s = math.cos(frame[j, 2]), math.sin(frame[j, 2])
+        dx, dy = x - frame[j, 0], y - frame[j, 1]
+        along, ahead = c * dx + s * dy, c * dy - s * dx  # the pose as seen from the wall's frame
+        beyond = max(0.0, low[j] - along, along - high[j])
+        if ahead > -BEHIND_MARGIN and beyond * beyond + ahead * ahead < radius * radius:
+            near[count] = j
+            count += 1
+    return near[:count]
+
+
+@compiled
+def near_corners(position, walls, merged_into, removed_at, x, y, radius, keyframe):  # type: ignore[no-untyped-def]
+    """Return the rows of the active corners within `radius` metres of (x, y), in ascending order."""
+    near, count = np.empty(len(position), np.int64), 0
+    for j in range(len(position)):
+        dx, dy = position[j, 0] - x, position[j, 1] - y
+        if not dx * dx + dy * dy < radius * radius:  # a dropped corner is at NaN
+            continue
+        there = True
+        for k in range(2):
+            wall = walls[j, k]
+            kept = merged_into[wall] if wall >= 0 else -1
+            there = there and not (kept >= 0 and _is_gone(removed_at[kept], keyframe))
+        if there:
+            near[count] = j
+            count += 1
+    return near[:count]
+
+
+@inlined
+def _is_gone(removed_at, keyframe):  # type: ignore[no-untyped-def]
+    """True if a wall was removed before a keyframe; NO_KEYFRAME is after all."""
+    return removed_at != NEVER_REMOVED and removed_at < keyframe
