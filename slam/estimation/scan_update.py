@@ -16,6 +16,7 @@ from drivers import se2
 from ..geometry.degeneracy import weakest_direction
 from ..geometry.pose_covariance import covariance_after
 from ..geometry.segments import Floats
+from ..geometry.small_matrices import inverse
 from ..localisation.match_target import MatchTarget
 from ..localisation.tracker import TrackingResult, TrackingStatus
 from ..loop_closure.decision import LoopDecision
@@ -201,7 +202,7 @@ def _undetermined_share(tracking: TrackingResult) -> float:
     there say nothing about it in later scans either.
     """
     unknown = np.diag(UNMEASURED_MOTION_SIGMAS**-2.0)
-    by_scan = np.linalg.inv(tracking.registration.total_information + unknown)
+    by_scan = inverse(tracking.registration.total_information + unknown)
     across = float(np.linalg.eigvalsh(by_scan[:2, :2])[0])
     turn, share = float(by_scan[2, 2]), 0.0
     if across > MAX_LINK_SIGMA**2:
@@ -227,7 +228,7 @@ def _point_motion(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
 
 def _covariance_of(information: Floats) -> Floats:
     """Return the covariance (3, 3) of a motion with some information, if nothing else has measured it."""
-    return np.asarray(np.linalg.inv(information + np.diag(UNMEASURED_MOTION_SIGMAS**-2.0)), dtype=np.float64)
+    return np.asarray(inverse(information + np.diag(UNMEASURED_MOTION_SIGMAS**-2.0)))
 
 
 def _motion_since(state: SlamState, anchor: Anchor, odometry: se2.Pose, registration: Registration) -> KeyframeMotion:

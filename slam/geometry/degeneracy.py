@@ -9,6 +9,7 @@ import numpy as np
 from drivers import se2
 
 from .segments import Floats
+from .small_matrices import inverse
 
 # Information (per square metre and square radian) added in all directions, so that its inverse exists: corresponds to
 # a standard deviation of 1 km. Origin: numerical.
@@ -21,10 +22,8 @@ def weakest_direction(pose: se2.Pose, information: Floats, sigma: float) -> floa
     None if its standard deviation is at most `sigma` metres in every direction. `information` (3, 3) is that of the
     pose, in its own frame.
     """
-    covariance = np.linalg.inv(information + _MIN_INFORMATION)[:2, :2]
-    if covariance[0, 0] + covariance[1, 1] <= sigma**2:  # the sum of both variances
+    (xx, xy, _), (_, yy, _), _ = inverse(information + _MIN_INFORMATION).tolist()
+    half_difference, middle = math.hypot(0.5 * (xx - yy), xy), 0.5 * (xx + yy)
+    if middle + half_difference <= sigma**2:  # the larger of the variances along the principal axes
         return None
-    variances, directions = np.linalg.eigh(covariance)
-    if variances[-1] <= sigma**2:
-        return None
-    return float((pose[2] + math.atan2(directions[1, -1], directions[0, -1])) % math.pi)
+    return float((pose[2] + 0.5 * math.atan2(2.0 * xy, xx - yy)) % math.pi)

@@ -10,6 +10,7 @@ import numpy as np
 from drivers import se2
 from drivers.compiled import compiled
 
+from .angles import wrap_angle
 from .segments import CornerPoints, Segments
 
 if TYPE_CHECKING:
@@ -29,20 +30,35 @@ def segments_from_lines(lines: Lines, mount: se2.Pose) -> Segments:
     a change of (u, v) moves the wall at its centre c by d (c . d(u, v)) to its left and turns it by
     d^2 (-v du + u dv).
     """
-    uv = lines.uv
-    distance = 1.0 / np.hypot(uv[:, 0], uv[:, 1])
-    centre = 0.5 * (lines.start + lines.end)
-    along = lines.end - lines.start
-    heading = np.arctan2(uv[:, 1], uv[:, 0]) + np.pi / 2
-    jacobian = np.empty((len(uv), 2, 2))
-    jacobian[:, 0] = distance[:, None] * centre
-    jacobian[:, 1, 0] = -(distance**2) * uv[:, 1]
-    jacobian[:, 1, 1] = distance**2 * uv[:, 0]
-    covariance = jacobian @ lines.covariance @ jacobian.transpose(0, 2, 1)
-    frame = se2.compose(mount, np.column_stack([centre, heading]))
-    half_length = 0.5 * np.hypot(along[:, 0], along[:, 1])
-    in_lidar_frame = np.column_stack([centre, heading]).reshape(-1, 3)
-    return Segments(frame.reshape(-1, 3), half_length, covariance, _bias_slopes(in_lidar_frame, half_length))
+    frame, half_length, covariance, in_lidar_frame = _segments(
+        lines.uv, lines.start, lines.end, lines.covariance, np.asarray(mount, dtype=np.float64)
+    )
+    return Segments(frame, half_length, covariance, _bias_slopes(in_lidar_frame, half_length))
+
+
+@compiled
+def _segments(uv, starts, ends, covariances, mount):  # type: ignore[no-untyped-def]
+    """Return frames, half lengths and covariances of segments, and their frames in the lidar's frame."""
+    count = len(uv)
+    frame, in_lidar_frame = np.empty((count, 3)), np.empty((count, 3))
+    half_length, covariance = np.empty(count), np.empty((count, 2, 2))
+    c, s = math.cos(mount[2]), math.sin(mount[2])
+    for k in range(count):
+        u, v = uv[k]
+        distance = 1.0 / math.hypot(u, v)
+        x, y = 0.5 * (starts[k, 0] + ends[k, 0]), 0.5 * (starts[k, 1] + ends[k, 1])
+        heading = math.atan2(v, u) + 0.5 * math.pi
+        half_length[k] = 0.5 * math.hypot(ends[k, 0] - starts[k, 0], ends[k, 1] - starts[k, 1])
+        in_lidar_frame[k, 0], in_lidar_frame[k, 1], in_lidar_frame[k, 2] = x, y, heading
+        frame[k, 0], frame[k, 1] = mount[0] + c * x - s * y, mount[1] + s * x + c * y
+        frame[k, 2] = wrap_angle(mount[2] + heading)
+        of_u, of_v, turn_u, turn_v = distance * x, distance * y, -(distance**2) * v, distance**2 * u
+        uu, mixed, vv = covariances[k, 0, 0], covariances[k, 0, 1], covariances[k, 1, 1]
+        covariance[k, 0, 0] = of_u * of_u * uu + 2.0 * of_u * of_v * mixed + of_v * of_v * vv
+        covariance[k, 1, 1] = turn_u * turn_u * uu + 2.0 * turn_u * turn_v * mixed + turn_v * turn_v * vv
+        both = of_u * turn_u * uu + (of_u * turn_v + of_v * turn_u) * mixed + of_v * turn_v * vv
+        covariance[k, 0, 1] = covariance[k, 1, 0] = both
+    return frame, half_length, covariance, in_lidar_frame
 
 
 @compiled

@@ -16,6 +16,7 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.segments import Floats
+from ..geometry.small_matrices import inverse
 from ..matching.line_matcher import Registration, ScanFeatures
 from ..matching.point_matcher import KERNEL, PointMatch, Prediction
 from ..odometry.error_model import OdometryModel
@@ -305,7 +306,7 @@ class Tracker:
     def _result(
         self, match: ScanMatch, status: TrackingStatus, prior: Floats, *, slipped: bool = False
     ) -> TrackingResult:
-        covariance = np.asarray(np.linalg.inv(match.registration.total_information + prior))
+        covariance = np.asarray(inverse(match.registration.total_information + prior))
         abrupt = status is TrackingStatus.TRACKED and match.score < self._last_score - ABRUPT_DROP
         if status is TrackingStatus.TRACKED:
             self._last_score = match.score
@@ -317,7 +318,7 @@ class Tracker:
     def _information(self, reference: PoseFix, odometry: se2.Pose) -> Floats:
         """Return the information (3, 3) of the pose predicted from the reference, in the base's frame."""
         covariance = self._model.covariance(reference.odometry_motion(odometry)) + PREDICTION_COVARIANCE
-        return np.asarray(np.linalg.inv(covariance))
+        return np.asarray(inverse(covariance))
 
 
 def _too_few_features(scan: ScanFeatures) -> bool:

@@ -12,6 +12,7 @@ import numpy as np
 from drivers.compiled import compiled, inlined
 
 from ..geometry.segments import Floats
+from ..geometry.small_matrices import quadratic_form
 from .distance_field import ALL_POINTS, DistanceField, facing_grid, is_seen, nearest_distance
 from .offset_tiles import FIELD_CELL, MAX_DISTANCE
 
@@ -89,7 +90,7 @@ def search_grid(field, points, share, prediction, prior, kernel, shift, turn):  
             for j in range(2 * steps + 1):
                 x, y = _outwards(i) * SEARCH_STEP, _outwards(j) * SEARCH_STEP
                 ahead, left = math.cos(angle) * x + math.sin(angle) * y, math.cos(angle) * y - math.sin(angle) * x
-                cost = 0.5 * kernel**2 * math.log(1.0 + _quadratic_form(prior, ahead, left, angle) / kernel**2)
+                cost = 0.5 * kernel**2 * math.log(1.0 + quadratic_form(prior, ahead, left, angle) / kernel**2)
                 if cost >= lowest:
                     continue
                 pose[0] = prediction[0] + c * x - s * y
@@ -105,13 +106,6 @@ def search_grid(field, points, share, prediction, prior, kernel, shift, turn):  
 def _outwards(number):  # type: ignore[no-untyped-def]
     """Return 0, 1, -1, 2, -2, ... for the numbers from 0 on."""
     return (number + 1) // 2 if number % 2 == 1 else -(number // 2)
-
-
-@inlined
-def _quadratic_form(matrix, x, y, z):  # type: ignore[no-untyped-def]
-    """Return v' M v of a symmetric matrix (3, 3) and the vector (x, y, z)."""
-    squares = matrix[0, 0] * x * x + matrix[1, 1] * y * y + matrix[2, 2] * z * z
-    return squares + 2.0 * (matrix[0, 1] * x * y + matrix[0, 2] * x * z + matrix[1, 2] * y * z)
 
 
 @compiled

@@ -30,6 +30,7 @@ from drivers.compiled import compiled
 
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import Floats
+from ..geometry.small_matrices import inverse, log_determinant, quadratic_form, solution
 from .distance_field import DistanceField, add_points
 from .offset_tiles import FIELD_CELL
 from .point_costs import COARSE_SIGMA, points_cost, search_grid
@@ -86,7 +87,7 @@ class Prediction:
     @property
     def least_cost(self) -> float:
         """Cost of the predicted pose: a wide prediction gives each pose a lower density than a narrow one."""
-        return self.cost - 0.5 * float(np.linalg.slogdet(self.information)[1])
+        return self.cost - 0.5 * float(log_determinant(self.information))
 
     def cost_of(self, pose: se2.Pose) -> float:
         """Return the cost of a pose."""
@@ -103,8 +104,7 @@ class Prediction:
 
     def squared_distance(self, pose: se2.Pose) -> float:
         """Return the squared Mahalanobis distance of a pose."""
-        error = se2.between(self.pose, pose)
-        return float(error @ self.information @ error)
+        return float(_squared_distance(self.pose, self.information, pose))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,7 +165,7 @@ def match_points(
 
 def _search_around(field: DistanceField, points: Floats, share: float, prediction: Prediction) -> se2.Pose:
     """Return the pose with the lowest cost within the uncertainty of a prediction."""
-    covariance = np.linalg.inv(prediction.information)
+    covariance = inverse(prediction.information)
     shift = min(MAX_SEARCH_SHIFT, SEARCH_DEVIATIONS * math.sqrt(covariance[:2, :2].diagonal().max()))
     turn = min(MAX_SEARCH_TURN, SEARCH_DEVIATIONS * math.sqrt(covariance[2, 2]))
     return np.asarray(
@@ -230,13 +230,20 @@ def _match_from(field, points, start, prediction, prior, kernel, sigmas):  # typ
         for _ in range(MAX_STEPS):
             add_points(pose, points, field, sigma, information, gradient)
             error = pose_error(prediction, pose)
-            robust = prior / (1.0 + error @ (prior @ error) / kernel**2)
-            move = np.linalg.solve(information + robust + conditioning, gradient + robust @ error)
+            robust = prior / (1.0 + quadratic_form(prior, error[0], error[1], error[2]) / kernel**2)
+            move = solution(information + robust + conditioning, gradient + robust @ error)
             move_back(pose, move)
             if abs(move[0]) < LAST_STEP and abs(move[1]) < LAST_STEP and abs(move[2]) < LAST_STEP:
                 break
     cost, fit, known = points_cost(field, points, pose)
     return pose, information, cost, fit, known
+
+
+@compiled
+def _squared_distance(prediction, information, pose):  # type: ignore[no-untyped-def]
+    c, s = math.cos(prediction[2]), math.sin(prediction[2])
+    x, y = pose[0] - prediction[0], pose[1] - prediction[1]
+    return quadratic_form(information, c * x + s * y, c * y - s * x, wrap_angle(pose[2] - prediction[2]))
 
 
 @compiled

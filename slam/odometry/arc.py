@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from drivers import se2
@@ -14,6 +16,11 @@ def with_turn(motion: se2.Pose, turn: float | Floats) -> se2.Pose:
 
     The chord of an arc points ahead by half its turn, so the direction changes by half the difference.
     """
+    if motion.ndim == 1:
+        ahead, left, before = motion.tolist()
+        half = 0.5 * (float(turn) - before)
+        cosine, sine = math.cos(half), math.sin(half)
+        return np.array([cosine * ahead - sine * left, sine * ahead + cosine * left, float(se2.wrap(turn))])
     bend = 0.5 * (turn - motion[..., 2])
     x, y = motion[..., 0], motion[..., 1]
     c, s = np.cos(bend), np.sin(bend)

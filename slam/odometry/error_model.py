@@ -11,6 +11,7 @@ from drivers import se2
 from ..config import OdometryConfig
 from ..geometry.degeneracy import weakest_direction
 from ..geometry.segments import Floats
+from ..geometry.small_matrices import inverse
 from .arc import with_turn
 from .history import wheel_travel
 
@@ -207,7 +208,7 @@ class OdometryModel:
             return information
         translation, rotation = self.variances(np.array(travel))
         precision = np.diag(6.0 / np.array([translation, translation, rotation]))
-        return np.asarray(information - information @ np.linalg.inv(information + precision) @ information)
+        return np.asarray(information - information @ inverse(information + precision) @ information)
 
     def correlated_drift(self, motion: se2.Pose, information: Floats) -> Floats:
         """Return (2, 2) the position covariance that a motion adds by errors shared with neighbouring motions.

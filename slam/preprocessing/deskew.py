@@ -8,21 +8,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from drivers import se2
-from drivers.compiled import compiled, inlined
 from drivers.messages import Scan
 
 from ..config import LidarConfig
 from ..geometry.segments import Floats
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import OdometryHistory, wheel_travel
-
-if TYPE_CHECKING:
-    from features.types import Lines
 
 # Seconds between the poses along the sweep between which the motion is interpolated: shorter than the interval of
 # odometry readings. Origin: measured at 2 revolutions per second, relative NEES 2.32 with 70 ms, 0.76 with 13 ms.
@@ -41,11 +36,6 @@ JITTER = np.array([2e-4, 2e-4, 8e-4])
 FIT_DEVIATIONS = 3.0
 # Origin: definition.
 PARABOLA_PARAMETERS = 3
-# Metres from the continuation of a line within which a point may belong to the same wall. Origin: chosen; not measured.
-LINE_DISTANCE = 0.05
-# Half lengths of a line, from its middle, up to which its continuation reaches: as much again on either side.
-# Origin: chosen; not measured.
-CONTINUATION = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,43 +54,6 @@ class DeskewedScan:
     bearings: Floats
     travel: Floats
     fitted: float = 0.0
-
-    def points(self, lines: Lines) -> tuple[Floats, Floats]:
-        """Return the valid returns (p, 2) in the lidar's frame, and those (q, 2) on no line or continuation of one.
-
-        The last returns from a corridor's walls move with the robot, so they must not count as loose points.
-        """
-        points = np.column_stack([self.ranges * np.cos(self.bearings), self.ranges * np.sin(self.bearings)])
-        valid = np.asarray(np.isfinite(points).all(axis=1))
-        return points[valid], points[valid & _is_loose(points, lines.first, lines.last, lines.start, lines.end)]
-
-
-@compiled
-def _is_loose(points, first, last, start, end):  # type: ignore[no-untyped-def]
-    """Return which points (p, 2) are on no line and no continuation of one."""
-    loose = np.ones(len(points), np.bool_)
-    for j in range(len(first)):
-        if first[j] <= last[j]:
-            loose[first[j] : last[j] + 1] = False
-        else:  # over the end of a full revolution
-            loose[first[j] :] = False
-            loose[: last[j] + 1] = False
-    for k in range(len(points)):
-        loose[k] = loose[k] and not _is_on_continuation(points[k, 0], points[k, 1], start, end)
-    return loose
-
-
-@inlined
-def _is_on_continuation(x, y, start, end):  # type: ignore[no-untyped-def]
-    """True if a point lies on the continuation of a line, which is as long again on either side."""
-    for j in range(len(start)):
-        half_x, half_y = 0.5 * (end[j, 0] - start[j, 0]), 0.5 * (end[j, 1] - start[j, 1])
-        dx, dy = x - 0.5 * (start[j, 0] + end[j, 0]), y - 0.5 * (start[j, 1] + end[j, 1])
-        length = math.hypot(half_x, half_y)
-        along, across = (dx * half_x + dy * half_y) / length, (half_x * dy - half_y * dx) / length
-        if abs(across) < LINE_DISTANCE and abs(along) < CONTINUATION * length:
-            return True
-    return False
 
 
 def sweep_middle(scan: Scan) -> float:

@@ -14,12 +14,13 @@ from ..config import FeatureConfig, LidarConfig
 from ..geometry.line_segments import corner_points, segments_from_lines
 from ..geometry.segments import CornerPoints, Segments
 from ..matching.line_matcher import ScanFeatures
-from ..matching.scan_points import MAX_SCAN_POINTS, ScanPoints, rounded, subsample
+from ..matching.scan_points import ScanPoints
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import OdometryHistory, wheel_travel
 from .deskew import DeskewedScan, deskew, lidar_mount
 from .extraction import build_extractor
 from .motion_uncertainty import add_motion_uncertainty
+from .scan_returns import scan_returns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,10 +37,7 @@ class ExtractedScan:
         segments = segments_from_lines(lines, mount)
         corners = corner_points(self.features.corners, segments, mount)
         segments, corners = add_motion_uncertainty(segments, corners, lines, self.deskewed, model)
-        points = (
-            rounded(subsample(se2.transform(mount, some), MAX_SCAN_POINTS)) for some in self.deskewed.points(lines)
-        )
-        return ScanFeatures(segments, corners, ScanPoints(*points))
+        return ScanFeatures(segments, corners, scan_returns(self.deskewed, lines, mount))
 
     def moved_to(self, reference: DeskewedScan, model: OdometryModel) -> ExtractedScan:
         """Return the scan as if it belonged to the stamp of another one; odometry says how the base has moved.

@@ -1,0 +1,65 @@
+"""Symmetric positive definite matrices (3, 3) in compiled code, by Cholesky's decomposition M = L L'.
+
+NumPy takes some microseconds for each call, which adds up at several calls for each scan.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from drivers.compiled import compiled, inlined
+
+
+@inlined
+def _cholesky(matrix):  # type: ignore[no-untyped-def]
+    """Return the elements of L, row by row."""
+    l00 = math.sqrt(matrix[0, 0])
+    l10, l20 = matrix[1, 0] / l00, matrix[2, 0] / l00
+    l11 = math.sqrt(matrix[1, 1] - l10 * l10)
+    l21 = (matrix[2, 1] - l20 * l10) / l11
+    return l00, l10, l11, l20, l21, math.sqrt(matrix[2, 2] - l20 * l20 - l21 * l21)
+
+
+@compiled
+def solution(matrix, vector):  # type: ignore[no-untyped-def]
+    """Return x (3,) of M x = v; NaN if the matrix is not positive definite."""
+    l00, l10, l11, l20, l21, l22 = _cholesky(matrix)
+    y0 = vector[0] / l00
+    y1 = (vector[1] - l10 * y0) / l11
+    y2 = (vector[2] - l20 * y0 - l21 * y1) / l22
+    result = np.empty(3)
+    result[2] = y2 / l22
+    result[1] = (y1 - l21 * result[2]) / l11
+    result[0] = (y0 - l10 * result[1] - l20 * result[2]) / l00
+    return result
+
+
+@compiled
+def inverse(matrix):  # type: ignore[no-untyped-def]
+    """Return the inverse (3, 3) of a matrix; NaN if it is not positive definite."""
+    l00, l10, l11, l20, l21, l22 = _cholesky(matrix)
+    i00, i11, i22 = 1.0 / l00, 1.0 / l11, 1.0 / l22  # the inverse of L
+    i10, i21 = -l10 * i00 * i11, -l21 * i11 * i22
+    i20 = -(l20 * i00 + l21 * i10) * i22
+    result = np.empty((3, 3))
+    result[0, 0], result[1, 1], result[2, 2] = i00 * i00 + i10 * i10 + i20 * i20, i11 * i11 + i21 * i21, i22 * i22
+    result[0, 1] = result[1, 0] = i10 * i11 + i20 * i21
+    result[0, 2] = result[2, 0] = i20 * i22
+    result[1, 2] = result[2, 1] = i21 * i22
+    return result
+
+
+@compiled
+def log_determinant(matrix):  # type: ignore[no-untyped-def]
+    """Return the logarithm of the determinant; NaN if the matrix is not positive definite."""
+    l00, _, l11, _, _, l22 = _cholesky(matrix)
+    return 2.0 * math.log(l00 * l11 * l22)
+
+
+@inlined
+def quadratic_form(matrix, x, y, z):  # type: ignore[no-untyped-def]
+    """Return v' M v with the vector v = (x, y, z)."""
+    squares = matrix[0, 0] * x * x + matrix[1, 1] * y * y + matrix[2, 2] * z * z
+    return squares + 2.0 * (matrix[0, 1] * x * y + matrix[0, 2] * x * z + matrix[1, 2] * y * z)
