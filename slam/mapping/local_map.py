@@ -119,10 +119,11 @@ def _wall_drifts(near, frame, low, high, last_seen, pose, covariances):  # type:
 
     That is the covariance of the wall's offset and heading at its frame by the drift of the robot's pose.
     """
-    count, rows, drifts = 0, np.empty(len(near), np.int64), np.empty((len(near), 2, 2))
+    known, drifts = np.zeros(len(near), np.bool_), np.empty((len(near), 2, 2))
     keyframe, drift = -1, np.zeros((3, 3))
-    for wall in near:
-        if last_seen[wall] != keyframe:  # many walls share their last keyframe
+    for k in np.argsort(last_seen[near]):  # many walls share their last keyframe
+        wall = near[k]
+        if last_seen[wall] != keyframe:
             keyframe = last_seen[wall]
             drift = _drift_since(keyframe, covariances)
         x, y = frame[wall, 0] - pose[0], frame[wall, 1] - pose[1]
@@ -132,27 +133,23 @@ def _wall_drifts(near, frame, low, high, last_seen, pose, covariances):  # type:
         offset, mixed, turn = across @ product, product[2], drift[2, 2]
         along = min(max(-(c * x + s * y), low[wall]), high[wall])  # the point nearest to the robot
         at_robot = offset + 2.0 * along * mixed + along * along * turn
-        if at_robot < MAX_PREDICTED_VARIANCE and turn < MAX_PREDICTED_TURN_VARIANCE:
-            rows[count] = wall
-            drifts[count, 0, 0], drifts[count, 1, 1] = offset, turn
-            drifts[count, 0, 1] = drifts[count, 1, 0] = mixed
-            count += 1
-    return rows[:count], drifts[:count]
+        known[k] = at_robot < MAX_PREDICTED_VARIANCE and turn < MAX_PREDICTED_TURN_VARIANCE
+        drifts[k, 0, 0], drifts[k, 1, 1] = offset, turn
+        drifts[k, 0, 1] = drifts[k, 1, 0] = mixed
+    return near[known], drifts[known]
 
 
 @compiled
 def _corner_drifts(near, last_seen, covariances):  # type: ignore[no-untyped-def]
     """Return which of the corners `near` (n,) have a well known place, m of them, and the drift (m, 2, 2) of each."""
-    count, rows, drifts = 0, np.empty(len(near), np.int64), np.empty((len(near), 2, 2))
+    known, drifts = np.zeros(len(near), np.bool_), np.empty((len(near), 2, 2))
     keyframe, drift = -1, np.zeros((3, 3))
-    for corner in near:
-        if last_seen[corner] != keyframe:
-            keyframe = last_seen[corner]
+    for k in np.argsort(last_seen[near]):
+        if last_seen[near[k]] != keyframe:
+            keyframe = last_seen[near[k]]
             drift = _drift_since(keyframe, covariances)
-        if max(drift[0, 0], drift[1, 1]) < MAX_PREDICTED_VARIANCE:
-            rows[count], drifts[count] = corner, drift[:2, :2]
-            count += 1
-    return rows[:count], drifts[:count]
+        known[k], drifts[k] = max(drift[0, 0], drift[1, 1]) < MAX_PREDICTED_VARIANCE, drift[:2, :2]
+    return near[known], drifts[known]
 
 
 @compiled
