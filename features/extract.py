@@ -9,7 +9,8 @@ import numpy as np
 
 from . import line_tracking, rays, segmentation, segments
 from .estimators import ESTIMATORS
-from .kernel import FeatureBuffers, extract_features
+from .feature_buffers import FeatureBuffers
+from .kernel import extract_features
 from .settings import Settings
 from .types import Corners, Features, Floats, Lines, Noise
 

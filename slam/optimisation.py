@@ -16,7 +16,7 @@ from .estimation.refinement import refine
 from .estimation.wall_bends import settle_wall_bends
 from .events import Finished, Sink
 from .io.sessions import StoredSession
-from .localisation.tracker import PoseFix
+from .localisation.tracking import PoseFix
 from .mapping.convergence import converge
 from .mapping.mapper import Mapper
 from .mapping.odometry_segments import OdometrySegments

@@ -34,7 +34,7 @@ from .events import (
     WallsRemoved,
 )
 from .localisation.state import LocalisationState
-from .localisation.tracker import TrackingResult, TrackingStatus
+from .localisation.tracking import TrackingResult, TrackingStatus
 from .loop_closure.decision import LoopDecision
 from .loop_closure.loop_status import LoopStatus
 from .mapping.mapper import Mapper

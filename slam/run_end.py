@@ -13,7 +13,7 @@ from .estimation.journal import Journal
 from .estimation.refinement import match_trajectory, refine
 from .estimation.slam_state import SlamState
 from .events import Notice
-from .localisation.tracker import PoseFix
+from .localisation.tracking import PoseFix
 from .odometry.scan_delay import ScanDelay, estimate_scan_delay
 from .publisher import Publisher
 from .run_statistics import RunStatistics

@@ -12,7 +12,7 @@ from .estimation.slam_state import SlamState
 from .estimation.stage_timer import StageTimer
 from .graph.range_bias import RangeBias
 from .localisation.state import LocalisationState, LocalisationStatus
-from .localisation.tracker import TrackingResult, TrackingStatus
+from .localisation.tracking import TrackingResult, TrackingStatus
 from .loop_closure.decision import LoopDecision
 from .loop_closure.loop_status import LoopStatus
 from .loop_closure.returns import summarise

@@ -14,7 +14,7 @@ import numpy as np
 
 from drivers import se2
 
-from ..localisation.tracker import TrackingResult
+from ..localisation.tracking import TrackingResult
 from ..loop_closure.decision import LoopDecision
 from ..loop_closure.loop_status import LoopStatus
 from ..mapping.mapper import Mapper

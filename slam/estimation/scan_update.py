@@ -18,7 +18,7 @@ from ..geometry.pose_covariance import covariance_after
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
 from ..localisation.match_target import MatchTarget
-from ..localisation.tracker import TrackingResult, TrackingStatus
+from ..localisation.tracking import TrackingResult, TrackingStatus
 from ..loop_closure.decision import LoopDecision
 from ..mapping.data_association import associate
 from ..mapping.keyframes import KeyframeMotion, KeyframeObservations, PointMotion, WallMerge

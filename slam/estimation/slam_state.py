@@ -18,7 +18,8 @@ from ..config import Config
 from ..geometry.segments import Floats
 from ..localisation.local_field import LocalField, LocalFieldState
 from ..localisation.match_target import MatchTarget
-from ..localisation.tracker import PoseFix, Tracker, TrackerState
+from ..localisation.tracker import Tracker
+from ..localisation.tracking import PoseFix, TrackerState
 from ..loop_closure.agreement import LoopAgreement
 from ..loop_closure.join_search import JoinSearch
 from ..loop_closure.loop_hypothesis import LoopAgreementState

@@ -7,7 +7,7 @@ from enum import Enum, StrEnum, auto
 
 from ..geometry.degeneracy import weakest_direction
 from ..odometry.error_model import UNOBSERVED_SIGMA
-from .tracker import TrackingResult, TrackingStatus
+from .tracking import TrackingResult, TrackingStatus
 
 # Scans in a row that must agree before the status changes between OK and DEGENERATE.
 # Origin: chosen, to suppress single scans; not measured.

@@ -15,7 +15,7 @@ from ...estimation.slam_state import Anchor, TrackingCheckpoint
 from ...geometry.segments import Floats
 from ...graph.factors import GraphState
 from ...localisation.local_field import LocalFieldState
-from ...localisation.tracker import PoseFix, TrackerState
+from ...localisation.tracking import PoseFix, TrackerState
 from ...loop_closure.loop_hypothesis import LoopAgreementState
 from ...mapping.map_parts import MapParts
 from .agreement import AgreementRecord, agreement_record

@@ -12,7 +12,7 @@ from ...estimation.slam_state import Anchor, SlamState, TrackingCheckpoint
 from ...geometry.segments import Floats
 from ...graph.factor_graph import FIRST_POSE_SIGMAS
 from ...localisation.local_field import REFERENCE_DISTANCE, LocalFieldState
-from ...localisation.tracker import PoseFix, TrackerState
+from ...localisation.tracking import PoseFix, TrackerState
 from ...loop_closure.loop_hypothesis import LoopAgreementState
 from ...mapping.plan_map import PlanMap, PlanView
 from ...mapping.plan_mapper import plan_mapper

@@ -17,7 +17,7 @@ from ...io.sessions import StoredSession
 from ...io.sessions.corrections import Correction, PinSet, WallDeletion, WallTie
 from ...io.tum import Trajectory
 from ...io.wall_maps import settled_wall_map
-from ...localisation.tracker import PoseFix
+from ...localisation.tracking import PoseFix
 from ...mapping.convergence import converge
 from ...mapping.manual_changes import delete_wall, tie_walls
 from ...measuring.measurement import are_parallel

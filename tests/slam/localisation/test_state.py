@@ -16,7 +16,7 @@ from slam.localisation.state import (
     LocalisationStateMachine,
     LocalisationStatus,
 )
-from slam.localisation.tracker import TrackingResult, TrackingStatus
+from slam.localisation.tracking import TrackingResult, TrackingStatus
 from slam.matching.line_matcher import Registration
 
 CERTAIN = np.diag([1e6, 1e6, 1e6])

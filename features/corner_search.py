@@ -1,0 +1,78 @@
+"""Corners of a scan: intersections of neighbouring lines that lie between the rays of both."""
+
+from __future__ import annotations
+
+import math
+
+from .compiled import compiled
+from .corner import intersect, parallel
+from .curves import curve_evidence
+from .feature_buffers import FeatureBuffers
+from .rays import MAX_BEARING_GAP, TURN, Rays, wrap_index
+from .settings import Settings
+
+# Beam steps by which a corner may lie outside the rays next to it.
+# Origin: tuned on simulated scans, confirmed on others.
+CORNER_STEPS = 1.5
+# Standard deviations of bearing that are added to that. Origin: as CORNER_STEPS.
+CORNER_SIGMAS = 3.0
+# Maximum range of a corner relative to the farther ray next to it. Origin: chosen; not measured.
+CORNER_RANGE = 1.3
+# Standard deviations of range that are added to that. Origin: chosen; not measured.
+CORNER_RANGE_SIGMAS = 6.0
+# Maximum number of rays between the two lines of a corner. Origin: chosen; not measured.
+MAX_CORNER_RAYS = 8
+# Metres. Maximum standard deviation of a corner's position; less certain corners are useless as landmarks.
+# Origin: chosen; not measured.
+MAX_CORNER_SIGMA = 0.3
+
+
+@compiled
+def find_corner(
+    rays: Rays,
+    count: int,
+    step: float,
+    output: FeatureBuffers,
+    before: int,
+    after: int,
+    settings: Settings,
+    corners: int,
+) -> bool:
+    """Intersect line `before` with the next line `after`, and write row `corners`; return False if there is no corner.
+
+    The corner must lie between the last ray of the one and the first ray of the other line in bearing, and not much
+    farther than these. Occlusion acts in bearing, so this test accepts more corners than one on end point distances.
+    """
+    first, second = output.lines[before], output.lines[after]
+    if parallel(first[0], first[1], second[0], second[1]):
+        return False
+    last, following = wrap_index(output.spans[before, 4], count), wrap_index(output.spans[after, 3], count)
+    between = following - last - 1
+    if between < 0:
+        between += count
+    if between > MAX_CORNER_RAYS:
+        return False
+    x, y, cxx, cxy, cyy = intersect(
+        first[0], first[1], first[2:6].reshape(2, 2), second[0], second[1], second[2:6].reshape(2, 2)
+    )
+    distance = math.hypot(x, y)
+    reach = max(rays.range[last], rays.range[following])
+    if not distance < CORNER_RANGE * reach + CORNER_RANGE_SIGMAS * settings.sigma_range:
+        return False
+    across = (y * y * cxx - 2.0 * x * y * cxy + x * x * cyy) / distance**4
+    margin = CORNER_STEPS * step + CORNER_SIGMAS * (settings.sigma_bearing + math.sqrt(across + first[11]))
+    gap = (rays.bearing[following] - rays.bearing[last]) % TURN
+    bearing = (math.atan2(y, x) - rays.bearing[last] + math.pi) % TURN - math.pi
+    if gap > MAX_BEARING_GAP + step or not -margin <= bearing <= gap + margin:
+        return False
+    if cxx + cyy > MAX_CORNER_SIGMA**2:
+        return False
+    begin, end = output.spans[before, 3], output.spans[before, 4] + 1
+    start, stop = output.spans[after, 3], output.spans[after, 4] + 1
+    if start < begin:
+        start, stop = start + count, stop + count
+    row = output.corners[corners]
+    row[0], row[1], row[2], row[3], row[4], row[5] = x, y, cxx, cxy, cxy, cyy
+    row[6] = curve_evidence(rays, count, first, second, begin, end, start, stop, settings)
+    output.pairs[corners, 0], output.pairs[corners, 1] = before, after
+    return True

@@ -1,0 +1,90 @@
+"""Results and stored state of tracking."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from drivers import se2
+
+from ..geometry.segments import Floats
+from ..matching.line_matcher import Registration
+from ..odometry.velocity import VelocityFilter
+
+
+class TrackingStatus(Enum):
+    """Outcome of tracking one scan."""
+
+    TRACKED = "tracked"  # matched
+    TENTATIVE = "tentative"  # matched far from odometry: the next scans decide
+    FAILED = "failed"  # fits nowhere near
+    NO_FEATURES = "no features"  # too little wall and too few points
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackingResult:
+    """Pose of a scan.
+
+    covariance  (3, 3) of the pose in the map as it stands, in the base's frame
+    slipped     True if odometry's motion since the reference contradicts the pose
+    abrupt      True if the scan fits far worse than the one before and the view changed recently: the robot may have
+                been kidnapped
+    """
+
+    registration: Registration
+    status: TrackingStatus
+    covariance: Floats
+    slipped: bool
+    abrupt: bool
+
+    @property
+    def pose(self) -> se2.Pose:
+        """Pose of the base in the map."""
+        return self.registration.pose
+
+    def motion_since(self, before: se2.Pose | None) -> se2.Pose | None:
+        """Return the motion from the pose of the scan `before`; None if one of the scans was not matched."""
+        matched = self.status in (TrackingStatus.TRACKED, TrackingStatus.TENTATIVE)
+        return se2.between(before, self.pose) if before is not None and matched else None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseFix:
+    """Pose of the base in the map, and the odometry pose at the same time."""
+
+    pose: se2.Pose
+    odometry: se2.Pose
+
+    def odometry_motion(self, odometry: se2.Pose) -> se2.Pose:
+        """Return the motion [x, y, heading] since then according to odometry."""
+        return se2.between(self.odometry, odometry)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackerState:
+    """State of tracking that a session stores.
+
+    fix         last pose fix
+    reference   from which odometry predicts
+    since_fix   seconds from the last fix to the last scan; None if no slip is possible before the next fix
+    scan_stamp  seconds, of the last scan; None before the first
+    intervals   seconds between the latest scans, see `ScanClock`
+    velocity    (3,) see `VelocityFilter`
+    velocity_variances  (3,)
+    last_score  match score of the last tracked scan
+    """
+
+    fix: PoseFix
+    reference: PoseFix
+    since_fix: float | None
+    scan_stamp: float | None
+    intervals: tuple[float, ...]
+    velocity: Floats
+    velocity_variances: Floats
+    last_score: float
+
+    @classmethod
+    def placed(cls, fix: PoseFix) -> TrackerState:
+        """Return the state of a robot of which nothing but the pose is known."""
+        velocity = VelocityFilter()
+        return cls(fix, fix, None, None, (), velocity.velocity, velocity.variances, 0.0)
