@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import copy
-from collections import deque
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from drivers import se2
 
-from ..geometry.growing_array import GrowingArray
 from ..geometry.segments import CornerPoints, Floats, Integers, Segments
 from ..graph.factor_graph import FactorGraph
 from ..graph.factors import Factor, GraphState
@@ -30,6 +28,7 @@ from .keyframes import (
 from .landmark_ids import assign_landmark_ids
 from .landmarks import Landmarks
 from .local_map import LOCAL_MAP_MARGIN, LocalMap, local_map_around
+from .mapped_keyframes import MappedKeyframes
 from .part_gauge import PartGauge
 from .read_back import observed_landmarks, read_back_landmarks
 from .unconfirmed_observations import UnconfirmedObservations
@@ -40,21 +39,15 @@ from .wall_roughness import WallRoughness
 
 # Points of a keyframe without a scan. Origin: definition.
 NO_POINTS = np.zeros((0, 2))
-# Keyframes whose segments are kept for verifying loop closures. Origin: chosen, some 8 m of driving; not measured.
-MAX_RECENT_SEGMENTS = 25
 
 
-class Mapper:
+class Mapper(MappedKeyframes):
     """The map under construction. All attributes are read-only to other packages.
 
     graph                the factor graph
     landmarks            walls and corners as last read back from the graph
     roughness            estimate of the wall roughness
     free_space_evidence  evidence against walls that may no longer exist
-    keyframe_count       number of keyframes, k
-    travelled            metres driven up to each keyframe; [0.0] before the first
-    recent_segments      index and segments of the last MAX_RECENT_SEGMENTS keyframes
-    landmark_ids         of each keyframe, as assigned when it was added
     gauge                what holds the group of the last part of the map while it is not connected
     """
 
@@ -64,16 +57,11 @@ class Mapper:
         roughness: WallRoughness | None = None,
         free_space_evidence: FreeSpaceEvidence | None = None,
     ) -> None:
+        super().__init__()
         self.graph = FactorGraph()
         self.landmarks = landmarks or Landmarks()
         self.roughness = roughness or WallRoughness()
         self.free_space_evidence = free_space_evidence or FreeSpaceEvidence()
-        self.keyframe_count = 0
-        self.travelled = [0.0]
-        self.recent_segments: deque[tuple[int, Segments]] = deque(maxlen=MAX_RECENT_SEGMENTS)
-        self.landmark_ids: list[LandmarkIds] = []
-        self._poses, self._pose_covariances = GrowingArray((3,)), GrowingArray((3, 3))
-        self._correlated_drift = GrowingArray((2, 2))
         self.gauge = PartGauge()
         self._unconfirmed = UnconfirmedObservations()
         self._waiting = WaitingKeyframes()
@@ -103,10 +91,7 @@ class Mapper:
         """
         mapper = cls(landmarks, roughness, free_space_evidence)
         mapper.graph = restore_graph(graph)
-        mapper.keyframe_count, mapper.keyframe_poses = len(keyframes.keyframe_poses), keyframes.keyframe_poses
-        mapper.travelled, mapper.landmark_ids = list(keyframes.travelled), list(keyframes.landmark_ids)
-        mapper.pose_covariances, mapper.correlated_drift = keyframes.covariances, keyframes.correlated_drift
-        mapper.recent_segments.extend((k, segments) for k, (segments, _) in enumerate(views))
+        mapper.restore_keyframes(keyframes, [segments for segments, _ in views])
         mapper._waiting = WaitingKeyframes(
             WaitingKeyframe(segments, ids, points)
             for k, ((segments, points), ids) in enumerate(zip(views, mapper.landmark_ids, strict=True))
@@ -120,47 +105,7 @@ class Mapper:
         """Observations of landmarks that are not in the graph yet, as factors of kind WALL and CORNER."""
         return self._unconfirmed.factors
 
-    @property
-    def keyframe_records(self) -> KeyframeRecords:
-        """Data of the keyframes that must be saved besides the graph."""
-        return KeyframeRecords(
-            self.keyframe_poses, self.travelled, self.landmark_ids, self.pose_covariances, self.correlated_drift
-        )
-
     # --- poses
-
-    @property
-    def keyframe_poses(self) -> Floats:
-        """Poses (k, 3) of the keyframes in the map, as last read back: older ones only every FULL_READ_BACK_INTERVAL
-        keyframes, and as tracked for those that the graph has not been solved with yet."""
-        return self._poses.rows
-
-    @keyframe_poses.setter
-    def keyframe_poses(self, poses: Floats) -> None:
-        self._poses.replace(poses)
-
-    @property
-    def pose_covariances(self) -> Floats:
-        """Covariances (k, 3, 3) of each keyframe when it was added, in the map's axes, correlated drift included."""
-        return self._pose_covariances.rows
-
-    @pose_covariances.setter
-    def pose_covariances(self, covariances: Floats) -> None:
-        self._pose_covariances.replace(covariances)
-
-    @property
-    def correlated_drift(self) -> Floats:
-        """Drift (k, 2, 2) accumulated up to each keyframe, in the map's axes; see `slam.odometry`."""
-        return self._correlated_drift.rows
-
-    @correlated_drift.setter
-    def correlated_drift(self, drift: Floats) -> None:
-        self._correlated_drift.replace(drift)
-
-    @property
-    def pose(self) -> se2.Pose:
-        """Pose of the last keyframe in the map; zero before the first."""
-        return np.zeros(3) if not len(self.keyframe_poses) else self.keyframe_poses[-1]
 
     @property
     def covariances(self) -> KeyframeCovariances:
@@ -209,8 +154,7 @@ class Mapper:
             landmark_ids.walls[landmark_ids.walls >= wall_count],
         )
         self._waiting.append(WaitingKeyframe(segments, landmark_ids, points))
-        # until then as uncertain as the keyframe before: local maps add the uncertainty of tracking
-        self._pose_covariances.append(self.pose_covariances[-1] if keyframe else np.zeros((3, 3)))
+        self.append_covariance()
         # while the map has unconnected parts, decisions to join them need the covariances of each keyframe
         apart = self.landmarks.parts.apart
         if keyframe == 0 or apart or self._waiting.has_moved_on(self.keyframe_poses, self.travelled):
@@ -231,9 +175,7 @@ class Mapper:
 
         If `apart`, it is the first one of a part of the map that is not connected; `motion` is kept for later.
         """
-        keyframe = self.keyframe_count
-        self.keyframe_count += 1
-        correlated_drift = np.zeros((2, 2))
+        keyframe, correlated_drift = self.keyframe_count, np.zeros((2, 2))
         if motion is None:
             self.graph.add_first_keyframe(pose)
         else:
@@ -244,11 +186,7 @@ class Mapper:
                 own_drift = rotate_covariance(embed_position_covariance(motion.correlated_drift), pose[2])[:2, :2]
                 correlated_drift = correlated_drift + own_drift
                 self.graph.add_keyframe(keyframe, pose, motion.start, motion.motion, motion.covariance)
-            self.travelled.append(self.travelled[-1] + float(np.hypot(motion.motion[0], motion.motion[1])))
-        self._poses.append(pose)
-        self._correlated_drift.append(correlated_drift)
-        self.recent_segments.append((keyframe, segments))
-        self.landmark_ids.append(landmark_ids)
+        self.append_keyframe(pose, motion, segments, landmark_ids, correlated_drift)
         self._unconfirmed.add(keyframe, segments, corners, landmark_ids, self.roughness.variance)
         self._unconfirmed.move_confirmed(self.graph, self.landmarks, landmark_ids, keyframe, pose)
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...errors import MapError
 from ...geometry.segments import Floats, Integers
 from ...mapping.keyframes import LandmarkIds
-from ...mapping.mapper import MAX_RECENT_SEGMENTS
+from ...mapping.mapped_keyframes import MAX_RECENT_SEGMENTS
 from ...mapping.trajectory_builder import TrajectoryBuilder
 from ...preprocessing.preprocessor import NO_FEATURES, ProcessedScan
 from .scan_features import feature_columns, read_features, split_rows

@@ -13,7 +13,8 @@ from ...estimation.refinement.scan_history import ScanHistory
 from ...loop_closure.map_descriptor import describe_map
 from ...loop_closure.relocalisation import Submap
 from ...mapping.keyframes import LandmarkIds
-from ...mapping.mapper import MAX_RECENT_SEGMENTS, Mapper
+from ...mapping.mapped_keyframes import MAX_RECENT_SEGMENTS
+from ...mapping.mapper import Mapper
 from ...mapping.unconfirmed_observations import CONFIRMING_KEYFRAMES
 
 SUBMAP_DISTANCE = 6.0

@@ -45,8 +45,8 @@ class StubMap:
         return len(self.keyframe_poses)
 
     @property
-    def pose_covariances(self) -> list[Floats]:
-        return [self.covariance] * self.keyframe_count
+    def pose_covariances(self) -> Floats:
+        return np.tile(self.covariance, (self.keyframe_count, 1, 1))
 
     @property
     def covariances(self) -> StubMap:
