@@ -33,18 +33,12 @@ def smooth_trajectory(
     informations = history.informations.copy()
     overlap_ratio = np.full(len(history), np.nan)
     for row in np.flatnonzero(history.has_features).tolist():
-        match = matcher.match(row, matched, matcher.local_map(row, matched[row]))
+        match = matcher.match(row, matched, matcher.settled_local_map(row, matched[row]))
         overlap_ratio[row] = match.registration.overlap_ratio
         informations[row] = 0.0
         if match.plausible:
             matched[row] = match.registration.pose
             informations[row] = match.registration.total_information
         odometry_wrong[row] |= match.odometry_wrong
-    motions = [history.motion(row, row + 1, model, odometry_wrong) for row in range(len(history) - 1)]
-    smoothed = smooth_chain(
-        matched,
-        INFORMATION_SCALE * informations,
-        np.array([motion for motion, _ in motions]).reshape(-1, 3),
-        np.array([covariance for _, covariance in motions]).reshape(-1, 3, 3),
-    )
+    smoothed = smooth_chain(matched, INFORMATION_SCALE * informations, *matcher.motions.known(odometry_wrong))
     return smoothed, overlap_ratio
