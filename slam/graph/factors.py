@@ -195,18 +195,23 @@ def by_kind(factors: Sequence[Factor]) -> list[FactorsOfKind]:
     result = []
     for kind, rows in rows_of_kind.items():
         chosen = [factors[row] for row in rows]
-        numbers = np.array([(f.first, f.second) for f in chosen], dtype=np.uint64)
+        numbers = np.array([[f.first for f in chosen], [f.second for f in chosen]], dtype=np.uint64).T
         result.append(
             FactorsOfKind(
                 kind,
                 np.array(rows),
                 numbers + np.array(_FIRST_KEYS.get(kind, (X(0), L(0))), dtype=np.uint64),
-                np.array([f.measured for f in chosen]),
-                np.array([f.covariance for f in chosen]),
-                np.array([f.bias_slope for f in chosen]),
+                _stacked([f.measured for f in chosen]),
+                _stacked([f.covariance for f in chosen]),
+                _stacked([f.bias_slope for f in chosen]),
             )
         )
     return result
+
+
+def _stacked(arrays: Sequence[Floats]) -> Floats:
+    """Return small arrays of one shape as one array, in a third of the time of `np.array`."""
+    return np.concatenate(arrays).reshape(len(arrays), *arrays[0].shape)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,7 +14,6 @@ from ...localisation.match_target import MatchTarget
 from ...localisation.tracker import SLIP_COST
 from ...mapping.landmarks import Landmarks
 from ...mapping.local_map import LOCAL_MAP_MARGIN, LocalMap, landmarks_around
-from ...mapping.settled_landmarks import SettledLandmarks
 from ...matching.bias_correction import correct_range_bias_of_scans
 from ...matching.distance_field import DistanceField
 from ...matching.line_matcher import Registration, ScanFeatures
@@ -84,17 +83,12 @@ class FullMapMatcher:
         self._unmatched = np.diag(WRONG_ODOMETRY_SIGMAS**-2)
         self._reach = [LOCAL_MAP_MARGIN + scan.features.segments.reach() for scan in history.scans]
         self._last_keyframe = (np.searchsorted(history.keyframes, np.arange(len(history)), side="right") - 1).tolist()
-        self._settled = SettledLandmarks(landmarks)
         clock = ScanClock()
         self._intervals = [clock.interval(stamp) for stamp in history.stamps.tolist()]  # to each scan
 
     def local_map(self, row: int, pose: se2.Pose) -> LocalMap:
         """Return the landmarks that a scan may observe from `pose`: those that existed at that time."""
         return landmarks_around(self._landmarks, pose, self._reach[row], keyframe=self._last_keyframe[row])
-
-    def settled_local_map(self, row: int, pose: se2.Pose) -> LocalMap:
-        """Return the same as `local_map`, if the landmarks have not been changed since the matcher was made."""
-        return self._settled.around(pose, self._reach[row], self._last_keyframe[row])
 
     def features(self, row: int) -> ScanFeatures:
         """Return the features of a scan without the range bias."""

@@ -33,7 +33,7 @@ def smooth_trajectory(
     informations = history.informations.copy()
     overlap_ratio = np.full(len(history), np.nan)
     for row in np.flatnonzero(history.has_features).tolist():
-        match = matcher.match(row, matched, matcher.settled_local_map(row, matched[row]))
+        match = matcher.match(row, matched, matcher.local_map(row, matched[row]))
         overlap_ratio[row] = match.registration.overlap_ratio
         informations[row] = 0.0
         if match.plausible:

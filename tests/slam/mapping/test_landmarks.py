@@ -5,8 +5,7 @@ import pytest
 
 from slam.mapping.landmark_table import UNOBSERVED
 from slam.mapping.landmarks import Landmarks
-from slam.mapping.local_map import LocalMap, empty_local_map, landmarks_around, local_map_around
-from slam.mapping.settled_landmarks import SettledLandmarks
+from slam.mapping.local_map import empty_local_map, local_map_around
 
 
 def test_observations_extend_a_wall() -> None:
@@ -113,24 +112,3 @@ def test_observing_again_keeps_ids_and_drops_unobserved_landmarks() -> None:
     assert not walls["in_graph"].any()
     np.testing.assert_array_equal(np.isnan(corners["position"]).any(axis=1), [False, True, True])
     assert list(landmarks.corners_near(np.zeros(3), 9.0)) == [0]
-
-
-def test_local_maps_of_settled_landmarks_are_those_of_all_landmarks() -> None:
-    random, landmarks = np.random.default_rng(5), Landmarks()
-    for keyframe in range(40):
-        frame = np.array([*random.uniform(-5.0, 5.0, 2), random.uniform(-3.0, 3.0)])
-        wall = landmarks.add_wall(frame, random.uniform(0.2, 2.0), keyframe)
-        landmarks.add_corner(frame[:2], np.zeros(2), np.array([wall, wall - 1]), keyframe)
-    landmarks.merge_walls(3, 8)
-    for wall, keyframe in ((3, 20), (12, 30), (30, 35)):
-        landmarks.remove_wall(wall, keyframe)
-    landmarks.parts.begin(25, measured=True)
-    settled = SettledLandmarks(landmarks)
-    for keyframe in (2, 20, 24, 25, 31, 39):
-        pose, radius = np.array([*random.uniform(-4.0, 4.0, 2), 0.0]), random.uniform(1.0, 8.0)
-        expected = landmarks_around(landmarks, pose, radius, keyframe=keyframe)
-        found = settled.around(pose, radius, keyframe)
-        assert len(expected.walls)
-        assert len(expected.corners)
-        for name in LocalMap.__dataclass_fields__:
-            np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
