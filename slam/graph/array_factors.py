@@ -72,8 +72,7 @@ def _jacobians(form, first, second, axis, other_axis, error, of_first, of_second
     dx, dy = second[0] - first[0], second[1] - first[1]
     of_first[:], of_second[:] = 0.0, 0.0
     if form == PRIOR:
-        for r in range(3):
-            of_first[r, r] = 1.0
+        _invert_right_jacobian(error, of_first)
         return
     c, s = axis[0], axis[1]
     if form == POINT:
@@ -84,13 +83,7 @@ def _jacobians(form, first, second, axis, other_axis, error, of_first, of_second
             of_first[r, 0], of_first[r, 1], of_first[r, 2] = -u, -v, u * y - v * x
             of_second[r, 0], of_second[r, 1] = u * c - v * s, u * s + v * c
         return
-    # the inverse of the right Jacobian of SE(2) at the error
-    turn, half = error[2], 0.5 * error[2]
-    a = half / math.tan(half) if abs(turn) > MIN_ANGLE else 1.0
-    b = (1.0 - a) / turn if abs(turn) > MIN_ANGLE else 0.0
-    of_second[0, 0], of_second[0, 1], of_second[0, 2] = a, -half, error[0] * b + 0.5 * error[1]
-    of_second[1, 0], of_second[1, 1], of_second[1, 2] = half, a, error[1] * b - 0.5 * error[0]
-    of_second[2, 2] = 1.0
+    _invert_right_jacobian(error, of_second)
     # times minus the adjoint of the first variable as seen from the second one
     cs, ss = other_axis[0], other_axis[1]
     c, s = cs * axis[0] + ss * axis[1], ss * axis[0] - cs * axis[1]
@@ -98,6 +91,17 @@ def _jacobians(form, first, second, axis, other_axis, error, of_first, of_second
     for r in range(3):
         u, v, w = of_second[r, 0], of_second[r, 1], of_second[r, 2]
         of_first[r, 0], of_first[r, 1], of_first[r, 2] = s * v - c * u, -s * u - c * v, v * x - u * y - w
+
+
+@inlined
+def _invert_right_jacobian(error, inverse):  # type: ignore[no-untyped-def]
+    """Compute the inverse (3, 3) of the right Jacobian of SE(2) at an error."""
+    turn, half = error[2], 0.5 * error[2]
+    a = half / math.tan(half) if abs(turn) > MIN_ANGLE else 1.0
+    b = (1.0 - a) / turn if abs(turn) > MIN_ANGLE else 0.0
+    inverse[0, 0], inverse[0, 1], inverse[0, 2] = a, -half, error[0] * b + 0.5 * error[1]
+    inverse[1, 0], inverse[1, 1], inverse[1, 2] = half, a, error[1] * b - 0.5 * error[0]
+    inverse[2, 2] = 1.0
 
 
 @inlined
