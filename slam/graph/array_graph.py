@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -68,18 +68,42 @@ class ArrayGraph:
         self._form = np.full(len(factors), BETWEEN)
         self._measured, self._direction = np.zeros((len(factors), 3)), np.zeros((len(factors), 3))
         self._information, self._scale = np.zeros((len(factors), 3, 3)), np.full(len(factors), np.inf)
-        self._corner_factors: FactorsOfKind | None = None
+        self._corner_factors: list[FactorsOfKind] = []
         ends = np.zeros((len(factors), 2), dtype=np.uint64)
         for group in by_kind(factors):
             ends[group.rows] = group.keys
             self._convert(group)
-        keys, index = np.unique(ends, return_inverse=True)
-        self.keys: list[int] = keys.tolist()
-        self._ends = index.reshape(-1, 2)
-        self.corners = np.zeros(len(keys), dtype=bool)
-        self.corners[self._ends[self._form == POINT, 1]] = True
+        self._set_variables(ends)
         self._set_noise_of_corners(bias)
         self._set_pattern(groups)
+
+    def with_factors(self, removed: Integers, new: Sequence[Factor], bias: float) -> ArrayGraph:
+        """Return the graph without the factors in some rows, and with new ones after the others.
+
+        `bias` is the range bias (metres) without which the noise of new corners is converted.
+        """
+        if not len(removed) and not len(new):
+            return self
+        kept, other = np.ones(len(self._form), dtype=bool), copy(self)
+        kept[removed] = False
+        added = ArrayGraph(new, bias) if len(new) else None
+        parts = [(self, kept), *([] if added is None else [(added, np.ones(len(new), dtype=bool))])]
+        for name in ("_form", "_measured", "_direction", "_information", "_scale"):
+            setattr(other, name, np.concatenate([getattr(graph, name)[rows] for graph, rows in parts]))
+        ends = [np.array(graph.keys, dtype=np.uint64)[graph._ends[rows]] for graph, rows in parts]
+        other._set_variables(np.concatenate(ends))
+        other._corner_factors = [group.where(kept) for group in self._corner_factors]
+        if added is not None:
+            first = int(kept.sum())
+            other._corner_factors += [replace(group, rows=first + group.rows) for group in added._corner_factors]
+        other._set_pattern(())
+        return other
+
+    def with_divided_information(self, divisors: Floats) -> ArrayGraph:
+        """Return the graph with the information of each factor, except of corners, divided by a number (f,)."""
+        other = copy(self)
+        other._information = self._information / divisors[:, None, None]
+        return other
 
     def at_bias(self, bias: float) -> ArrayGraph:
         """Return the graph with the noise of corners as without another range bias (metres)."""
@@ -94,10 +118,17 @@ class ArrayGraph:
         other._set_pattern(groups)
         return other
 
+    def _set_variables(self, ends: NDArray[np.uint64]) -> None:
+        """Number the variables, given the keys (f, 2) of those of each factor."""
+        keys, index = np.unique(ends, return_inverse=True)
+        self.keys: list[int] = keys.tolist()
+        self._ends = index.reshape(-1, 2)
+        self.corners = np.zeros(len(keys), dtype=bool)
+        self.corners[self._ends[self._form == POINT, 1]] = True
+
     def _set_noise_of_corners(self, bias: float) -> None:
-        if self._corner_factors is not None:
-            polar = self._corner_factors.covariances_in_polar(bias)
-            self._information[self._corner_factors.rows, :2, :2] = np.linalg.inv(polar)
+        for group in self._corner_factors:
+            self._information[group.rows, :2, :2] = np.linalg.inv(group.covariances_in_polar(bias))
 
     def _set_pattern(self, groups: Sequence[Sequence[int]]) -> None:
         """Find the order of elimination and the blocks that are not zero."""
@@ -121,7 +152,7 @@ class ArrayGraph:
         self._form[rows] = POINT if kind is FactorKind.CORNER else PRIOR if kind in PRIOR_KINDS else BETWEEN
         match kind:
             case FactorKind.CORNER:
-                self._corner_factors = group
+                self._corner_factors.append(group)
             case _ if kind in WALL_KINDS:
                 root = group.roots_of_information()
                 self._information[rows] = root.transpose(0, 2, 1) @ root

@@ -148,6 +148,18 @@ class FactorsOfKind:
     covariances: Floats
     bias_slopes: Floats
 
+    def where(self, kept: NDArray[np.bool_]) -> FactorsOfKind:
+        """Return those of the factors that are kept of all kinds (f,), with their rows among the kept ones."""
+        own, numbers = kept[self.rows], np.cumsum(kept) - 1
+        return FactorsOfKind(
+            self.kind,
+            numbers[self.rows[own]],
+            self.keys[own],
+            self.measured[own],
+            self.covariances[own],
+            self.bias_slopes[own],
+        )
+
     def bias_directions(self) -> Floats:
         """Return the change (n, d) of `measured` per metre of range bias; zero if it does not depend on it."""
         result, slopes = np.zeros_like(self.measured), self.bias_slopes

@@ -10,7 +10,7 @@ from .batch_solution import BatchSolution
 from .factor_graph import Additions, FactorGraph
 from .factors import Factor, FactorKind, from_pose2
 from .range_bias import estimate_range_bias
-from .wall_correlation import with_correlated_errors
+from .wall_correlation import divisors_of_information, with_correlated_errors
 
 # Gauss-Newton steps of a solution. Origin: chosen; not measured.
 BATCH_STEPS = 3
@@ -24,22 +24,22 @@ def solve_with_range_bias(graph: FactorGraph, *, correlate: bool = False) -> Non
     residuals are those of the new factors.
     """
     solver = graph.solver
-    factors = _with_correlated_errors(graph) if correlate else solver.sorted_factors()
-    arrays = ArrayGraph(factors, solver.range_bias.metres) if correlate else solver.arrays()
+    factors, arrays = solver.sorted_factors(), solver.arrays()
+    if correlate:
+        divisors = _divisors_of_information(graph, factors)
+        factors, arrays = with_correlated_errors(factors, divisors), arrays.with_divided_information(divisors)
     values = arrays.values_of(solver.estimate())
     solver.range_bias = estimate_range_bias(arrays, values, solver.range_bias) or solver.range_bias
     _solve_at_once(graph, factors, arrays.at_bias(solver.range_bias.metres), values)
 
 
-def _with_correlated_errors(graph: FactorGraph) -> list[Factor]:
-    """Return the factors with the information of walls divided, see `wall_correlation`."""
-    values, factors = graph.solver.estimate(), graph.solver.factors
-    keyframes = {f.first for f in factors.values() if f.kind is FactorKind.WALL_HEADING}
-    walls = {f.second for f in factors.values() if f.kind is FactorKind.WALL_HEADING}
-    return with_correlated_errors(
+def _divisors_of_information(graph: FactorGraph, factors: list[Factor]) -> Floats:
+    values = graph.solver.estimate()
+    observations = [factor for factor in factors if factor.kind is FactorKind.WALL_HEADING]
+    return divisors_of_information(
         factors,
-        {k: from_pose2(values.atPose2(X(k))) for k in keyframes},
-        {j: from_pose2(values.atPose2(L(j))) for j in walls},
+        {k: from_pose2(values.atPose2(X(k))) for k in {factor.first for factor in observations}},
+        {j: from_pose2(values.atPose2(L(j))) for j in {factor.second for factor in observations}},
         graph.solver.range_bias.metres,
     )
 

@@ -190,14 +190,13 @@ class IncrementalSolver:
 
         As in iSAM2, the variables are linearised where they were, unless they have moved by more than a threshold.
         """
-        factors, following = self.sorted_factors(), batch.relinearised(THRESHOLDS)
-        if new or remove:
-            removed = set(remove)
-            factors = [self.factors[number] for number in sorted(self.factors) if number not in removed]
-            factors += new
+        numbers, following = sorted(self.factors), batch.relinearised(THRESHOLDS)
+        removed = np.searchsorted(numbers, sorted(remove))
+        factors = [self.factors[number] for number in np.delete(numbers, removed).tolist()] + list(new)
+        arrays = batch.arrays.with_factors(removed, new, batch.bias)
+        if arrays is not batch.arrays:
             known = batch.arrays.to_values(following.linearised)
             known.insert(values)
-            arrays = ArrayGraph(factors, batch.bias)
             following = BatchSolution(arrays, arrays.values_of(known), batch.bias)
         if not following.is_determined:
             return False

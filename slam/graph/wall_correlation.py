@@ -13,7 +13,7 @@ noise.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -34,29 +34,36 @@ EQUAL_WEIGHT_COUNT = 4.0 / 3.0 * (MAX_LAG + 1)
 WEIGHTED_VARIANCE = 0.593
 
 
-def with_correlated_errors(
-    factors: Mapping[int, Factor], poses: Mapping[int, se2.Pose], frames: Mapping[int, se2.Pose], bias: float
-) -> list[Factor]:
-    """Return all factors in order, with the information of walls divided by the long-run variance of their residuals.
+def with_correlated_errors(factors: Sequence[Factor], divisors: Floats) -> list[Factor]:
+    """Return factors with their information divided by numbers (f,), see `divisors_of_information`."""
+    return [
+        # `dataclasses.replace` would take three times as long
+        f if divisor == 1.0 else Factor(f.kind, f.first, f.second, f.measured, f.covariance * divisor, f.bias_slope)
+        for f, divisor in zip(factors, divisors.tolist(), strict=True)
+    ]
 
-    factors  by their numbers
+
+def divisors_of_information(
+    factors: Sequence[Factor], poses: Mapping[int, se2.Pose], frames: Mapping[int, se2.Pose], bias: float
+) -> Floats:
+    """Return (f,) the long-run variances of the residuals of walls, for each of their factors; one for other factors.
+
+    factors  in their order
     poses    of the keyframes, [x, y, heading]
     frames   of the walls
     bias     range bias without which the graph was solved, metres
 
     Long-run variances below one are taken as one: estimating poses and walls has made residuals smaller than errors.
     """
-    result = [factors[number] for number in sorted(factors)]
+    result = np.ones(len(factors))
     for kind in (FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET):
-        rows = [row for row, factor in enumerate(result) if factor.kind is kind]
-        if not rows:
-            continue
-        chosen = [result[row] for row in rows]
-        influence = _weighted_residuals(chosen, poses, frames, bias)
-        variance = _variances_of_walls(np.array([factor.second for factor in chosen]), influence)
-        for row, f in zip(rows, chosen, strict=True):
-            if (scale := variance[f.second]) > 1.0:  # `dataclasses.replace` would take three times as long
-                result[row] = Factor(f.kind, f.first, f.second, f.measured, f.covariance * scale, f.bias_slope)
+        rows = [row for row, factor in enumerate(factors) if factor.kind is kind]
+        if rows:
+            chosen = [factors[row] for row in rows]
+            influence = _weighted_residuals(chosen, poses, frames, bias)
+            walls = np.array([factor.second for factor in chosen])
+            variance = _variances_of_walls(walls, influence)
+            result[rows] = [max(1.0, variance[wall]) for wall in walls.tolist()]
     return result
 
 
