@@ -11,9 +11,7 @@ import numpy as np
 from ..errors import MapError
 from ..geometry.segments import Floats
 from .array_graph import ArrayGraph, LinearGraph
-
-# Bits of a key for the number of its variable; above them is its character. Origin: definition, of GTSAM.
-KEY_INDEX_BITS = 56
+from .factors import KEY_INDEX_BITS
 
 
 class BatchSolution:

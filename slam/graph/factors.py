@@ -76,6 +76,8 @@ CAUCHY_SCALES = {
 }
 
 
+# Bits of a key for the number of its variable; above them is its character. Origin: definition, of GTSAM.
+KEY_INDEX_BITS = 56
 # GTSAM's kernels of the same scales.
 KERNELS = {kind: gtsam.noiseModel.mEstimator.Cauchy.Create(scale) for kind, scale in CAUCHY_SCALES.items()}
 # Kinds that measure a wall's frame only in some directions.
@@ -147,6 +149,11 @@ class FactorsOfKind:
     measured: Floats
     covariances: Floats
     bias_slopes: Floats
+
+    @property
+    def numbers(self) -> Integers:
+        """(n, 2) numbers `first` and `second` of their keyframes and landmarks."""
+        return (self.keys & np.uint64((1 << KEY_INDEX_BITS) - 1)).astype(np.int64)
 
     def where(self, kept: NDArray[np.bool_]) -> FactorsOfKind:
         """Return those of the factors that are kept of all kinds (f,), with their rows among the kept ones."""
