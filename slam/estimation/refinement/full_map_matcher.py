@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
+from drivers.compiled import compiled
 
+from ...geometry.angles import wrap_angle
 from ...geometry.segments import Floats
 from ...localisation.match_target import MatchTarget
 from ...localisation.tracker import SLIP_COST
@@ -75,12 +78,14 @@ class FullMapMatcher:
     ) -> None:
         self._history, self._landmarks, self._poses, self._roughness = history, landmarks, poses, roughness
         self._odometry_wrong, self.motions = odometry_wrong, history.motions(model)
-        self._known_motions, covariances = self.motions.known(odometry_wrong)
-        self._motion_informations = np.linalg.inv(covariances)
+        motions, covariances = self.motions.known(odometry_wrong)
+        self._motions_to = np.concatenate([np.zeros((1, 3)), motions])  # to each scan, from the one before
+        self._motion_informations = np.concatenate([np.zeros((1, 3, 3)), np.linalg.inv(covariances)])
+        self._unmatched = np.diag(WRONG_ODOMETRY_SIGMAS**-2)
+        self._informations = history.informations + self._unmatched
         self._features = correct_range_bias_of_scans([scan.features for scan in history.scans], range_bias)
         self._groups = landmarks.parts.groups_of(np.arange(len(poses)))
         self._fields: dict[tuple[int, int, int, int], DistanceField] = {}  # the one used last is the last
-        self._unmatched = np.diag(WRONG_ODOMETRY_SIGMAS**-2)
         self._reach = [LOCAL_MAP_MARGIN + scan.features.segments.reach() for scan in history.scans]
         self._last_keyframe = (np.searchsorted(history.keyframes, np.arange(len(history)), side="right") - 1).tolist()
         clock = ScanClock()
@@ -117,12 +122,10 @@ class FullMapMatcher:
         since the scan before, as far as odometry leads to the present pose. A scan that was not matched and to which
         odometry does not lead has the uncertainty of wrong odometry in all directions.
         """
-        information = self._history.informations[row] + self._unmatched
-        if row:
-            predicted = se2.compose(poses[row - 1], self._known_motions[row - 1])
-            by_odometry = Prediction(predicted, self._motion_informations[row - 1])
-            information = information + by_odometry.weight(poses[row]) * by_odometry.information
-        return np.asarray(np.linalg.inv(np.linalg.inv(information) + np.diag(TRACKED_SIGMAS**2)))
+        before, information = poses[max(row - 1, 0)], self._informations[row]
+        return np.asarray(
+            _prior(before, poses[row], self._motions_to[row], self._motion_informations[row], information)
+        )
 
     def covariance(self, registration: Registration) -> Floats:
         """Return the covariance (3, 3) of a matched pose, in the base's frame."""
@@ -165,3 +168,25 @@ class FullMapMatcher:
             self._poses[near], [surface_points(scan.points.all, scan.segments, POINT_SPACING) for scan in scans]
         )
         return field
+
+
+@compiled
+def _prior(before, present, motion, motion_information, information):  # type: ignore[no-untyped-def]
+    """Return the information (3, 3) of the pose `present`; see `FullMapMatcher._prior`.
+
+    before              (3,) pose of the scan before
+    motion              (3,) of odometry from there
+    motion_information  (3, 3), zero for the first scan
+    information         (3, 3) of the match while driving, and that of wrong odometry
+    """
+    heading = before[2] + motion[2]
+    c, s = math.cos(before[2]), math.sin(before[2])
+    x, y = before[0] + c * motion[0] - s * motion[1], before[1] + s * motion[0] + c * motion[1]
+    c, s = math.cos(heading), math.sin(heading)
+    x, y = present[0] - x, present[1] - y
+    error = np.array([c * x + s * y, c * y - s * x, wrap_angle(present[2] - heading)])
+    weight = 1.0 / (1.0 + error @ (motion_information @ error) / KERNEL**2)
+    covariance = np.linalg.inv(information + weight * motion_information)
+    for k in range(3):
+        covariance[k, k] += TRACKED_SIGMAS[k] ** 2
+    return np.linalg.inv(covariance)
