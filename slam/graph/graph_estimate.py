@@ -63,8 +63,8 @@ class GraphEstimate:
 
     def keyframe_poses(self, count: int) -> Floats:
         """Return the poses (count, 3) of the first `count` keyframes."""
-        values = self.solver.estimate()
-        return _as_array(values.atPose2(X(k)) for k in range(count))
+        poses = gtsam.utilities.extractPose2(self.solver.estimate())
+        return np.asarray(poses[len(poses) - count :])  # in the order of the symbols, of which x is the last
 
     def keyframe_poses_of(self, keyframes: Sequence[int]) -> Floats:
         """Return the poses (n, 3) of the given keyframes."""
