@@ -334,6 +334,7 @@ class Slam:
         resumed, journal = self._resumed, self._journal
         if release:
             state.mapper.gauge.release(state.mapper)
+            state.mapper.graph.solver.dismiss_isam()
         return StoredSession(
             config=self.config,
             slam_state=state,

@@ -68,18 +68,22 @@ def compared_points(points: Floats) -> Floats:
 @compiled
 def _enter(counts, points, pose, step):  # type: ignore[no-untyped-def]
     c, s = math.cos(pose[2]), math.sin(pose[2])
-    span = RINGS  # a ring is one cell wide
     for p in range(len(points)):
         if points[p, 0] ** 2 + points[p, 1] ** 2 > MAX_RANGE**2:
             continue
         x = (pose[0] + c * points[p, 0] - s * points[p, 1]) / CELL
         y = (pose[1] + s * points[p, 0] + c * points[p, 1]) / CELL
         row, column = math.floor(x), math.floor(y)
-        for i in range(row - span, row + span + 1):
-            for j in range(column - span, column + span + 1):
-                ring = int(math.hypot(i + 0.5 - x, j + 0.5 - y) * CELL * RINGS / REACH)
-                if ring < RINGS:
-                    counts[ring, i % CELLS, j % CELLS] += step
+        first, last = (row - RINGS) % CELLS, (column - RINGS) % CELLS  # a ring is one cell wide
+        for i in range(2 * RINGS + 1):
+            dx = row - RINGS + i + 0.5 - x
+            in_row = first + i if first + i < CELLS else first + i - CELLS
+            for j in range(2 * RINGS + 1):
+                dy = column - RINGS + j + 0.5 - y
+                squared = dx * dx + dy * dy
+                if squared < RINGS * RINGS:
+                    in_column = last + j if last + j < CELLS else last + j - CELLS
+                    counts[int(math.sqrt(squared)), in_row, in_column] += step
 
 
 @compiled

@@ -78,8 +78,9 @@ class KeyframePath:
 
     def nearest(self, point: Floats, rows: Integers | None = None) -> int:
         """Return the keyframe nearest to a point (2,), of all or of some rows."""
-        among = np.arange(len(self.positions)) if rows is None else rows
-        return int(among[np.argmin(np.hypot(*(self.positions[among] - point).T))])
+        x, y = (self.positions if rows is None else self.positions[rows]).T
+        nearest = int(np.argmin((x - point[0]) ** 2 + (y - point[1]) ** 2))
+        return nearest if rows is None else int(rows[nearest])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -27,8 +27,8 @@ MAX_INTERSECTION_DISTANCE = 0.1
 def final_result(state: SlamState, trajectory: tuple[Floats, Floats], summary: dict[str, object]) -> Finished:
     """Return the result of a settled estimate with all covariances; `trajectory` is stamps (m,) and poses (m, 3)."""
     mapper = state.mapper
-    marginals = mapper.graph.marginals()
-    walls, corners = map_features(mapper, marginals)
+    marginals, drift = mapper.graph.marginals(), DriftCovariance(mapper)
+    walls, corners = _features(mapper, marginals, drift)
     return Finished(
         walls=walls,
         corners=corners,
@@ -37,7 +37,7 @@ def final_result(state: SlamState, trajectory: tuple[Floats, Floats], summary: d
         stamps=trajectory[0],
         poses=trajectory[1],
         summary=summary,
-        keyframe_covariance=mapper.covariances.of_all(marginals),
+        keyframe_covariance=mapper.covariances.of_all(marginals, drift),
     )
 
 
@@ -46,8 +46,13 @@ def map_features(mapper: Mapper, marginals: Marginals | None = None) -> tuple[Ma
 
     Without `marginals`, those of the mapper's graph, covariances are NaN.
     """
+    return _features(mapper, marginals, None if marginals is None else DriftCovariance(mapper))
+
+
+def _features(
+    mapper: Mapper, marginals: Marginals | None, drift: DriftCovariance | None
+) -> tuple[MapWalls, MapCorners]:
     shown = suppress_overlapping_walls(mapper.landmarks)
-    drift = None if marginals is None else DriftCovariance(mapper)
     return _walls(shown, marginals, drift), _corners(mapper, shown, marginals, drift)
 
 

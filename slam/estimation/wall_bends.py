@@ -48,6 +48,8 @@ MAX_VIEWS = 20
 # Metres of a wall that are examined together, longer ones in stretches. Origin: numerical, twice MAX_DISTANCE; the time
 # grows with the cube.
 STRETCH = 4.0
+# Keyframes whose points are examined at once. Origin: numerical, so that their arrays take little memory.
+CHUNK = 256
 # Metres at the ends of segments that are left out: points of the surface around the corner are on the line as well.
 # Origin: geometry, for corners of up to 60 degrees from a right angle.
 END = 2.0 * LINE_DISTANCE
@@ -166,8 +168,8 @@ def _profiles(mapper: Mapper, scans: Sequence[ProcessedScan]) -> Iterator[_Profi
     order = np.argsort(walls, kind="stable")
     seen, starts = np.unique(walls[order], return_index=True)
     for wall, rows in zip(seen.tolist(), np.split(order, starts)[1:], strict=True):
-        views, view = np.unique(keyframes[rows], return_inverse=True)
-        cells, place = np.unique(all_cells[rows], return_inverse=True)
+        views, view = _distinct(keyframes[rows])
+        cells, place = _distinct(all_cells[rows])
         if len(cells) < 2:
             continue
         shape, at = (len(views), len(cells)), view * len(cells) + place
@@ -177,22 +179,54 @@ def _profiles(mapper: Mapper, scans: Sequence[ProcessedScan]) -> Iterator[_Profi
         yield _Profile(wall, np.asarray(CELL * (cells + 0.5), dtype=np.float64), count > 0, mean)
 
 
+def _distinct(values: Integers) -> tuple[Integers, Integers]:
+    """Return the distinct ones of values (n,), ascending, and the index (n,) of each value among these.
+
+    `np.unique` sorts; the values here are in a small range.
+    """
+    low = values.min()
+    present = np.bincount(values - low) > 0
+    return np.flatnonzero(present) + low, (np.cumsum(present) - 1)[values - low]
+
+
 def _points_on_walls(mapper: Mapper, scans: Sequence[ProcessedScan]) -> tuple[Integers, Integers, Floats, Floats]:
     """Return the wall, the keyframe, and the metres along the wall and across it, of all points on walls."""
-    rows = mapper.landmarks.walls.rows
-    walls, keyframes, places = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)], [np.zeros((0, 3))]
-    for keyframe, (scan, ids) in enumerate(zip(scans, mapper.landmark_ids, strict=True)):
-        points, segments = scan.features.points.all, scan.features.segments
-        if not len(points) or not len(segments):
-            continue
-        segment = segments_of(points, segments)
-        place = np.column_stack([points, np.zeros(len(points))])
-        inner = np.abs(se2.between(segments.frame[segment], place)[:, 0]) < segments.half_length[segment] - END
-        used = (segment >= 0) & inner & (ids.walls[segment] >= 0)
-        wall = rows["merged_into"][ids.walls[segment[used]]]
-        walls.append(wall)
-        keyframes.append(np.full(len(wall), keyframe))
-        in_map = se2.compose(mapper.keyframe_poses[keyframe], place[used])
-        places.append(se2.between(rows["frame"][wall], in_map).reshape(-1, 3))
+    none = np.zeros(0, dtype=np.int64)
+    parts = [
+        _points_of_keyframes(mapper, range(first, min(first + CHUNK, len(scans))), scans[first : first + CHUNK])
+        for first in range(0, len(scans), CHUNK)
+    ]
+    walls, keyframes, places = zip((none, none, np.zeros((0, 2))), *parts, strict=True)
     place = np.concatenate(places)
     return np.concatenate(walls), np.concatenate(keyframes), place[:, 0], place[:, 1]
+
+
+def _points_of_keyframes(
+    mapper: Mapper, keyframes: Sequence[int], scans: Sequence[ProcessedScan]
+) -> tuple[Integers, Integers, Floats]:
+    """Return the wall, the keyframe, and the place (n, 2), along the wall and across it, of points of some keyframes.
+
+    `scans` are those of the keyframes.
+    """
+    rows = mapper.landmarks.walls.rows
+    points = [scan.features.points.all for scan in scans]
+    segment = [segments_of(scan.features.points.all, scan.features.segments) for scan in scans]
+    first = np.cumsum([0, *(len(scan.features.segments) for scan in scans)])[:-1]
+    keyframe = np.repeat(keyframes, [len(one) for one in points])
+    number = np.concatenate([np.where(one >= 0, one + start, -1) for one, start in zip(segment, first, strict=True)])
+    on_segment = np.flatnonzero(number >= 0)
+    keyframe, number, point = keyframe[on_segment], number[on_segment], np.concatenate(points)[on_segment]
+    walls = np.concatenate([mapper.landmark_ids[k].walls for k in keyframes])[number]
+    frame = np.concatenate([scan.features.segments.frame for scan in scans])[number]
+    half_length = np.concatenate([scan.features.segments.half_length for scan in scans])[number]
+    used = (np.abs(_in_frame(frame, point)[:, 0]) < half_length - END) & (walls >= 0)
+    keyframe, wall = keyframe[used], rows["merged_into"][walls[used]]
+    in_map = se2.transform(mapper.keyframe_poses[keyframe], point[used])
+    return wall, keyframe, _in_frame(rows["frame"][wall], in_map)
+
+
+def _in_frame(frames: Floats, points: Floats) -> Floats:
+    """Return points (n, 2) as seen from frames (n, 3)."""
+    c, s = np.cos(frames[:, 2]), np.sin(frames[:, 2])
+    x, y = points[:, 0] - frames[:, 0], points[:, 1] - frames[:, 1]
+    return np.column_stack([c * x + s * y, c * y - s * x])

@@ -18,7 +18,7 @@ import numpy as np
 
 from drivers.compiled import compiled, inlined
 
-from ..geometry.angles import wrap_angle
+from ..geometry.angles import axes_of, wrap_angle
 
 # The measurements of factors: a pose, a pose relative to another one, and bearing and range of a point.
 # Origin: definition.
@@ -28,14 +28,17 @@ MIN_ANGLE = 1e-9
 
 
 @inlined
-def _error(form, measured, first, second, error):  # type: ignore[no-untyped-def]
-    """Compute the error (3,) of a factor: of a pose, the logarithm of the estimate as seen from the measurement."""
+def _error(form, measured, first, second, axis, error):  # type: ignore[no-untyped-def]
+    """Compute the error (3,) of a factor: of a pose, the logarithm of the estimate as seen from the measurement.
+
+    `axis` (2,) is the unit vector along the heading of `first`.
+    """
     if form == PRIOR:
         x, y, turn = second[0] - measured[0], second[1] - measured[1], wrap_angle(second[2] - measured[2])
         c, s = math.cos(measured[2]), math.sin(measured[2])
         x, y = c * x + s * y, c * y - s * x
     else:
-        x, y, c, s = second[0] - first[0], second[1] - first[1], math.cos(first[2]), math.sin(first[2])
+        x, y, c, s = second[0] - first[0], second[1] - first[1], axis[0], axis[1]
         x, y = c * x + s * y, c * y - s * x
         if form == POINT:
             error[0], error[1], error[2] = (
@@ -63,15 +66,15 @@ def _squared(error, information):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _jacobians(form, first, second, error, of_first, of_second):  # type: ignore[no-untyped-def]
-    """Compute the Jacobians (3, 3) of an error by both variables."""
+def _jacobians(form, first, second, axis, other_axis, error, of_first, of_second):  # type: ignore[no-untyped-def]
+    """Compute the Jacobians (3, 3) of an error by both variables, whose headings have the unit vectors `axis` and
+    `other_axis` (2,)."""
     dx, dy = second[0] - first[0], second[1] - first[1]
     of_first[:], of_second[:] = 0.0, 0.0
     if form == PRIOR:
-        for r in range(3):
-            of_first[r, r] = 1.0
+        _invert_right_jacobian(error, of_first)
         return
-    c, s = math.cos(first[2]), math.sin(first[2])
+    c, s = axis[0], axis[1]
     if form == POINT:
         x, y = c * dx + s * dy, c * dy - s * dx
         distance = math.hypot(x, y)
@@ -80,28 +83,59 @@ def _jacobians(form, first, second, error, of_first, of_second):  # type: ignore
             of_first[r, 0], of_first[r, 1], of_first[r, 2] = -u, -v, u * y - v * x
             of_second[r, 0], of_second[r, 1] = u * c - v * s, u * s + v * c
         return
-    # the inverse of the right Jacobian of SE(2) at the error
-    turn, half = error[2], 0.5 * error[2]
-    a = half / math.tan(half) if abs(turn) > MIN_ANGLE else 1.0
-    b = (1.0 - a) / turn if abs(turn) > MIN_ANGLE else 0.0
-    of_second[0, 0], of_second[0, 1], of_second[0, 2] = a, -half, error[0] * b + 0.5 * error[1]
-    of_second[1, 0], of_second[1, 1], of_second[1, 2] = half, a, error[1] * b - 0.5 * error[0]
-    of_second[2, 2] = 1.0
+    _invert_right_jacobian(error, of_second)
     # times minus the adjoint of the first variable as seen from the second one
-    c, s = math.cos(second[2] - first[2]), math.sin(second[2] - first[2])
-    cs, ss = math.cos(second[2]), math.sin(second[2])
+    cs, ss = other_axis[0], other_axis[1]
+    c, s = cs * axis[0] + ss * axis[1], ss * axis[0] - cs * axis[1]
     x, y = -cs * dx - ss * dy, ss * dx - cs * dy
     for r in range(3):
         u, v, w = of_second[r, 0], of_second[r, 1], of_second[r, 2]
         of_first[r, 0], of_first[r, 1], of_first[r, 2] = s * v - c * u, -s * u - c * v, v * x - u * y - w
 
 
+@inlined
+def _invert_right_jacobian(error, inverse):  # type: ignore[no-untyped-def]
+    """Compute the inverse (3, 3) of the right Jacobian of SE(2) at an error."""
+    turn, half = error[2], 0.5 * error[2]
+    a = half / math.tan(half) if abs(turn) > MIN_ANGLE else 1.0
+    b = (1.0 - a) / turn if abs(turn) > MIN_ANGLE else 0.0
+    inverse[0, 0], inverse[0, 1], inverse[0, 2] = a, -half, error[0] * b + 0.5 * error[1]
+    inverse[1, 0], inverse[1, 1], inverse[1, 2] = half, a, error[1] * b - 0.5 * error[0]
+    inverse[2, 2] = 1.0
+
+
+@inlined
+def _weigh(weight, information, jacobian, result):  # type: ignore[no-untyped-def]
+    """Compute the product of a weight, an information and a Jacobian, each (3, 3)."""
+    for r in range(3):
+        x, y, z = weight * information[r, 0], weight * information[r, 1], weight * information[r, 2]
+        for c in range(3):
+            result[r, c] = x * jacobian[0, c] + y * jacobian[1, c] + z * jacobian[2, c]
+
+
+@inlined
+def _add_product_of_transposed(target, a, b):  # type: ignore[no-untyped-def]
+    """Add a' b to a block (3, 3)."""
+    for r in range(3):
+        x, y, z = a[0, r], a[1, r], a[2, r]
+        for c in range(3):
+            target[r, c] += x * b[0, c] + y * b[1, c] + z * b[2, c]
+
+
+@inlined
+def _subtract_product_with_error(target, weighted, error):  # type: ignore[no-untyped-def]
+    """Subtract the product of a transposed weighted Jacobian with an error from a right side (3,)."""
+    for c in range(3):
+        target[c] -= weighted[0, c] * error[0] + weighted[1, c] * error[1] + weighted[2, c] * error[2]
+
+
 @compiled
 def robust_cost(forms, ends, measured, information, scales, values):  # type: ignore[no-untyped-def]
     """Return twice the robust cost."""
-    total, error = 0.0, np.zeros(3)
+    total, error, axes = 0.0, np.zeros(3), axes_of(values)
     for k in range(len(forms)):
-        _error(forms[k], measured[k], values[ends[k, 0]], values[ends[k, 1]], error)
+        first, second = ends[k]
+        _error(forms[k], measured[k], values[first], values[second], axes[first], error)
         squared = _squared(error, information[k])
         scale = scales[k] ** 2
         total += squared if scale == np.inf else scale * math.log1p(squared / scale)
@@ -120,36 +154,25 @@ def add_normal_equations(  # type: ignore[no-untyped-def]
     right            (n, 3)
     """
     error, of_first, of_second = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
-    weighted_first, weighted_second = np.zeros((3, 3)), np.zeros((3, 3))
+    weighted_first, weighted_second, axes = np.zeros((3, 3)), np.zeros((3, 3)), axes_of(values)
     for k in range(len(forms)):
         first, second = ends[k]
-        _error(forms[k], measured[k], values[first], values[second], error)
-        _jacobians(forms[k], values[first], values[second], error, of_first, of_second)
+        _error(forms[k], measured[k], values[first], values[second], axes[first], error)
+        _jacobians(forms[k], values[first], values[second], axes[first], axes[second], error, of_first, of_second)
         weight = 1.0 / (1.0 + _squared(error, information[k]) / scales[k] ** 2)
-        for r in range(3):
-            for c in range(3):
-                one = other = 0.0
-                for i in range(3):
-                    one += information[k, r, i] * of_first[i, c]
-                    other += information[k, r, i] * of_second[i, c]
-                weighted_first[r, c], weighted_second[r, c] = weight * one, weight * other
+        _weigh(weight, information[k], of_first, weighted_first)
+        _weigh(weight, information[k], of_second, weighted_second)
         i, j = rank[first], rank[second]
-        for r in range(3):
-            for c in range(3):
-                for m in range(3):
-                    diagonal[i, r, c] += of_first[m, r] * weighted_first[m, c]
-                right[i, c] -= weighted_first[r, c] * error[r]
+        _add_product_of_transposed(diagonal[i], of_first, weighted_first)
+        _subtract_product_with_error(right[i], weighted_first, error)
         if forms[k] == PRIOR:
             continue
-        for r in range(3):
-            for c in range(3):
-                for m in range(3):
-                    diagonal[j, r, c] += of_second[m, r] * weighted_second[m, c]
-                    if i < j:
-                        below[slots[k], r, c] += of_second[m, r] * weighted_first[m, c]
-                    else:
-                        below[slots[k], r, c] += of_first[m, r] * weighted_second[m, c]
-                right[j, c] -= weighted_second[r, c] * error[r]
+        _add_product_of_transposed(diagonal[j], of_second, weighted_second)
+        _subtract_product_with_error(right[j], weighted_second, error)
+        if i < j:
+            _add_product_of_transposed(below[slots[k]], of_second, weighted_first)
+        else:
+            _add_product_of_transposed(below[slots[k]], of_first, weighted_second)
 
 
 @compiled

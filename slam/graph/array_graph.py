@@ -8,16 +8,48 @@ weights and the retraction of poses are those of GTSAM, so that both have the sa
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import MapError
-from ..geometry.segments import Floats
+from ..geometry.segments import Floats, Integers
 from .array_factors import BETWEEN, POINT, PRIOR, add_normal_equations, moved, robust_cost
 from .block_cholesky import Pattern, factorise, inverse_blocks, solve
 from .factors import CAUCHY_SCALES, PRIOR_KINDS, WALL_KINDS, Factor, FactorKind, FactorsOfKind, by_kind
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearGraph:
+    """A linearised graph, factorised.
+
+    step  (n, 3) Gauss-Newton step in the variables' tangent spaces
+    """
+
+    step: Floats
+    _pattern: Pattern
+    _diagonal: Floats
+    _below: Floats
+
+    def covariances(self) -> Floats:
+        """Return the marginal covariance (n, 3, 3) of each variable in its own tangent space."""
+        return inverse_blocks(self._pattern, self._diagonal, self._below)[0][self._pattern.rank]
+
+    def joint_covariance(self, rows: Integers) -> Floats:
+        """Return the joint covariance (3 k, 3 k) of k variables, with three components of each.
+
+        Each component takes as long as a step.
+        """
+        ranks, columns = self._pattern.rank[rows], []
+        for rank in ranks.tolist():
+            for axis in range(3):
+                unit = np.zeros_like(self.step)
+                unit[rank, axis] = 1.0
+                columns.append(solve(self._pattern, self._diagonal, self._below, unit)[ranks].ravel())
+        return np.array(columns)
 
 
 class ArrayGraph:
@@ -36,25 +68,83 @@ class ArrayGraph:
         self._form = np.full(len(factors), BETWEEN)
         self._measured, self._direction = np.zeros((len(factors), 3)), np.zeros((len(factors), 3))
         self._information, self._scale = np.zeros((len(factors), 3, 3)), np.full(len(factors), np.inf)
+        self._corner_factors: list[FactorsOfKind] = []
         ends = np.zeros((len(factors), 2), dtype=np.uint64)
         for group in by_kind(factors):
             ends[group.rows] = group.keys
-            self._convert(group, bias)
+            self._convert(group)
+        self._set_variables(ends)
+        self._set_noise_of_corners(bias)
+        self._set_pattern(groups)
+
+    def with_factors(self, removed: Integers, new: Sequence[Factor], bias: float) -> ArrayGraph:
+        """Return the graph without the factors in some rows, and with new ones after the others.
+
+        `bias` is the range bias (metres) without which the noise of new corners is converted.
+        """
+        if not len(removed) and not len(new):
+            return self
+        kept, other = np.ones(len(self._form), dtype=bool), copy(self)
+        kept[removed] = False
+        added = ArrayGraph(new, bias) if len(new) else None
+        parts = [(self, kept), *([] if added is None else [(added, np.ones(len(new), dtype=bool))])]
+        for name in ("_form", "_measured", "_direction", "_information", "_scale"):
+            setattr(other, name, np.concatenate([getattr(graph, name)[rows] for graph, rows in parts]))
+        ends = [np.array(graph.keys, dtype=np.uint64)[graph._ends[rows]] for graph, rows in parts]
+        other._set_variables(np.concatenate(ends))
+        other._corner_factors = [group.where(kept) for group in self._corner_factors]
+        if added is not None:
+            first = int(kept.sum())
+            other._corner_factors += [replace(group, rows=first + group.rows) for group in added._corner_factors]
+        other._set_pattern(())
+        return other
+
+    def with_divided_information(self, divisors: Floats) -> ArrayGraph:
+        """Return the graph with the information of each factor, except of corners, divided by a number (f,)."""
+        other = copy(self)
+        other._information = self._information / divisors[:, None, None]
+        return other
+
+    def at_bias(self, bias: float) -> ArrayGraph:
+        """Return the graph with the noise of corners as without another range bias (metres)."""
+        other = copy(self)
+        other._information = self._information.copy()
+        other._set_noise_of_corners(bias)
+        return other
+
+    def with_groups(self, groups: Sequence[Sequence[int]]) -> ArrayGraph:
+        """Return the graph with other groups of variables whose joint covariances are wanted."""
+        other = copy(self)
+        other._set_pattern(groups)
+        return other
+
+    def _set_variables(self, ends: NDArray[np.uint64]) -> None:
+        """Number the variables, given the keys (f, 2) of those of each factor."""
         keys, index = np.unique(ends, return_inverse=True)
         self.keys: list[int] = keys.tolist()
         self._ends = index.reshape(-1, 2)
         self.corners = np.zeros(len(keys), dtype=bool)
         self.corners[self._ends[self._form == POINT, 1]] = True
-        relative = self._form != PRIOR
+
+    def _set_noise_of_corners(self, bias: float) -> None:
+        for group in self._corner_factors:
+            self._information[group.rows, :2, :2] = np.linalg.inv(group.covariances_in_polar(bias))
+
+    def _set_pattern(self, groups: Sequence[Sequence[int]]) -> None:
+        """Find the order of elimination and the blocks that are not zero."""
+        relative, keys = self._form != PRIOR, np.array(self.keys, dtype=np.uint64)
         self._groups = [np.searchsorted(keys, np.array(group, dtype=np.uint64)) for group in groups]
         pairs = [np.stack(np.triu_indices(len(rows), 1), axis=1) for rows in self._groups]
         joint = [rows[pair] for rows, pair in zip(self._groups, pairs, strict=True)]
         self._pattern = Pattern.of_pairs(len(self.keys), np.concatenate([self._ends[relative], *joint]))
-        self._slots = np.zeros(len(factors), dtype=np.int64)
+        self._slots = np.zeros(len(self._form), dtype=np.int64)
         self._slots[relative] = self._pattern.slots[: relative.sum()]
 
-    def _convert(self, group: FactorsOfKind, bias: float) -> None:
-        """Fill in the rows of the factors of one kind; what they measure is described in FactorKind."""
+    def _convert(self, group: FactorsOfKind) -> None:
+        """Fill in the rows of the factors of one kind; what they measure is described in FactorKind.
+
+        The noise of corners is left out.
+        """
         kind, rows, size = group.kind, group.rows, 2 if group.kind is FactorKind.CORNER else 3
         self._measured[rows, :size] = group.measured[:, :size]
         self._direction[rows, :size] = group.bias_directions()[:, :size]
@@ -62,7 +152,7 @@ class ArrayGraph:
         self._form[rows] = POINT if kind is FactorKind.CORNER else PRIOR if kind in PRIOR_KINDS else BETWEEN
         match kind:
             case FactorKind.CORNER:
-                self._information[rows, :2, :2] = np.linalg.inv(group.covariances_in_polar(bias))
+                self._corner_factors.append(group)
             case _ if kind in WALL_KINDS:
                 root = group.roots_of_information()
                 self._information[rows] = root.transpose(0, 2, 1) @ root
@@ -106,8 +196,13 @@ class ArrayGraph:
 
         Raises MapError if it is not determined.
         """
+        return self.linearise(values, bias).step
+
+    def linearise(self, values: Floats, bias: float) -> LinearGraph:
+        """Linearise the graph at some values. Raises MapError if the step from there is not determined."""
         diagonal, below, gradient = self._factorised(values, bias)
-        return solve(self._pattern, diagonal, below, gradient)[self._pattern.rank]
+        step = solve(self._pattern, diagonal, below, gradient)[self._pattern.rank]
+        return LinearGraph(step, self._pattern, diagonal, below)
 
     def retract(self, values: Floats, step: Floats) -> Floats:
         """Return values moved by a step."""
@@ -116,14 +211,6 @@ class ArrayGraph:
     def cost(self, values: Floats, bias: float) -> float:
         """Return twice the robust cost."""
         return float(robust_cost(*self._arrays(bias), values))
-
-    def covariances(self, values: Floats, bias: float) -> Floats:
-        """Return the marginal covariance (n, 3, 3) of each variable in its own tangent space.
-
-        Raises MapError if it is not determined.
-        """
-        diagonal, below, _ = self._factorised(values, bias)
-        return inverse_blocks(self._pattern, diagonal, below)[0][self._pattern.rank]
 
     def joint_covariances(self, values: Floats, bias: float) -> list[Floats]:
         """Return the joint covariance (3 k, 3 k) of each group of k variables, with three components of each.

@@ -130,6 +130,25 @@ def _subtract_product(target, a, b):  # type: ignore[no-untyped-def]
             target[r, c] -= a[r, 0] * b[c, 0] + a[r, 1] * b[c, 1] + a[r, 2] * b[c, 2]
 
 
+@inlined
+def _subtract_products(column, rows, below, begin, end):  # type: ignore[no-untyped-def]
+    """Subtract the products of the blocks after `begin` with that block from the rows of a column.
+
+    The elements of that block are read once: as arrays may overlap, they would be read again for each product.
+    """
+    b = below[begin]
+    b00, b01, b02, b10, b11, b12 = b[0, 0], b[0, 1], b[0, 2], b[1, 0], b[1, 1], b[1, 2]
+    b20, b21, b22 = b[2, 0], b[2, 1], b[2, 2]
+    for p in range(begin + 1, end):
+        target, a = column[rows[p]], below[p]
+        for r in range(3):
+            x, y, z = a[r, 0], a[r, 1], a[r, 2]
+            u = target[r, 0] - (x * b00 + y * b01 + z * b02)
+            v = target[r, 1] - (x * b10 + y * b11 + z * b12)
+            w = target[r, 2] - (x * b20 + y * b21 + z * b22)
+            target[r, 0], target[r, 1], target[r, 2] = u, v, w
+
+
 @compiled
 def _factorise(starts, rows, diagonal, below):  # type: ignore[no-untyped-def]
     """Replace the blocks of a matrix by those of L, column by column, as `factorise` says."""
@@ -148,8 +167,7 @@ def _factorise(starts, rows, diagonal, below):  # type: ignore[no-untyped-def]
             next_column = following[k]
             begin, end = place[k], starts[k + 1]
             _subtract_product(diagonal[j], below[begin], below[begin])
-            for p in range(begin + 1, end):
-                _subtract_product(column[rows[p]], below[p], below[begin])
+            _subtract_products(column, rows, below, begin, end)
             if begin + 1 < end:
                 place[k] = begin + 1
                 following[k], first[rows[begin + 1]] = first[rows[begin + 1]], k
@@ -228,6 +246,37 @@ def _add_product_of_transposed(target, a, b):  # type: ignore[no-untyped-def]
             target[r, c] += a[0, r] * b[0, c] + a[1, r] * b[1, c] + a[2, r] * b[2, c]
 
 
+@inlined
+def _add_products(product, scaled, inverse, rows, begin, end, k, mark, j):  # type: ignore[no-untyped-def]
+    """Add the products of the inverse's blocks in the column k, in rows with the mark j, to those of Z l d^-1.
+
+    Elements of the row k are read and written once: as arrays may overlap, they would be for each product.
+    """
+    s = scaled[k]
+    s00, s01, s02, s10, s11, s12 = s[0, 0], s[0, 1], s[0, 2], s[1, 0], s[1, 1], s[1, 2]
+    s20, s21, s22 = s[2, 0], s[2, 1], s[2, 2]
+    p00 = p01 = p02 = p10 = p11 = p12 = p20 = p21 = p22 = 0.0
+    for q in range(begin, end):
+        row = rows[q]
+        if mark[row] != j:
+            continue
+        a, target, other = inverse[q], product[row], scaled[row]
+        for r in range(3):
+            x, y, z = a[r, 0], a[r, 1], a[r, 2]
+            u, v, w = other[r, 0], other[r, 1], other[r, 2]
+            p00, p01, p02 = p00 + x * u, p01 + x * v, p02 + x * w
+            p10, p11, p12 = p10 + y * u, p11 + y * v, p12 + y * w
+            p20, p21, p22 = p20 + z * u, p21 + z * v, p22 + z * w
+            t0 = target[r, 0] + x * s00 + y * s10 + z * s20
+            t1 = target[r, 1] + x * s01 + y * s11 + z * s21
+            t2 = target[r, 2] + x * s02 + y * s12 + z * s22
+            target[r, 0], target[r, 1], target[r, 2] = t0, t1, t2
+    own = product[k]
+    own[0, 0], own[0, 1], own[0, 2] = own[0, 0] + p00, own[0, 1] + p01, own[0, 2] + p02
+    own[1, 0], own[1, 1], own[1, 2] = own[1, 0] + p10, own[1, 1] + p11, own[1, 2] + p12
+    own[2, 0], own[2, 1], own[2, 2] = own[2, 0] + p20, own[2, 1] + p21, own[2, 2] + p22
+
+
 @compiled
 def _inverse_blocks(starts, rows, diagonal, below):  # type: ignore[no-untyped-def]
     """Return the blocks of the inverse on the diagonal and below it; see `inverse_blocks`.
@@ -247,10 +296,7 @@ def _inverse_blocks(starts, rows, diagonal, below):  # type: ignore[no-untyped-d
             _add_product(scaled[k], below[starts[j] + p], diagonal[j])
         for k in column:
             _add_product(product[k], on_diagonal[k], scaled[k])
-            for q in range(starts[k], starts[k + 1]):
-                if mark[rows[q]] == j:
-                    _add_product(product[rows[q]], inverse[q], scaled[k])
-                    _add_product_of_transposed(product[k], inverse[q], scaled[rows[q]])
+            _add_products(product, scaled, inverse, rows, starts[k], starts[k + 1], k, mark, j)
         _add_product_of_transposed(on_diagonal[j], diagonal[j], diagonal[j])
         for p, k in enumerate(column):
             for r in range(3):

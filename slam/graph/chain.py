@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import X
 
-from ..errors import MapError, first_line
+from ..errors import MapError
 from ..geometry.segments import Floats
-from .factors import KERNELS, FactorKind, from_pose2, to_pose2
+from .array_factors import BETWEEN, PRIOR, add_normal_equations, moved, robust_cost
+from .block_cholesky import Pattern, factorise, solve
+from .factors import ODOMETRY_CAUCHY_SCALE
 
 # Per square metre and square radian; added to every pose so that unmeasured directions are determined.
 # Origin: numerical.
 MIN_INFORMATION = 1e-6
+# Damping of the first step, per square metre and square radian; it is divided by DAMPING_FACTOR after a step that
+# lowers the cost, and multiplied otherwise, up to MAX_DAMPING. Origin: numerical, the defaults of GTSAM.
+FIRST_DAMPING, DAMPING_FACTOR, MAX_DAMPING = 1e-5, 10.0, 1e5
+# Decrease of the cost, also relative to the cost, below which a step is the last one. Origin: numerical, as before.
+LAST_DECREASE = 1e-5
+# Steps at most. Origin: numerical, as before.
+MAX_STEPS = 100
 
 
 def smooth_chain(poses: Floats, informations: Floats, motions: Floats, covariances: Floats) -> Floats:
@@ -25,16 +32,31 @@ def smooth_chain(poses: Floats, informations: Floats, motions: Floats, covarianc
 
     Raises MapError if the chain is undetermined.
     """
-    graph, values, kernel = gtsam.NonlinearFactorGraph(), gtsam.Values(), KERNELS[FactorKind.ODOMETRY]
-    for k, (pose, information) in enumerate(zip(poses, informations, strict=True)):
-        values.insert(X(k), to_pose2(pose))
-        noise = gtsam.noiseModel.Gaussian.Information(information + MIN_INFORMATION * np.eye(3))
-        graph.add(gtsam.PriorFactorPose2(X(k), to_pose2(pose), noise))
-    for k, (motion, covariance) in enumerate(zip(motions, covariances, strict=True)):
-        robust = gtsam.noiseModel.Robust.Create(kernel, gtsam.noiseModel.Gaussian.Covariance(covariance))
-        graph.add(gtsam.BetweenFactorPose2(X(k), X(k + 1), to_pose2(motion), robust))
-    try:
-        solved = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
-    except RuntimeError as error:
-        raise MapError(f"the trajectory cannot be estimated: {first_line(error)}") from error
-    return np.array([from_pose2(solved.atPose2(X(k))) for k in range(len(poses))]).reshape(-1, 3)
+    count, at = len(poses), np.arange(len(poses))
+    forms = np.repeat([PRIOR, BETWEEN], [count, count - 1])
+    ends = np.concatenate([np.column_stack([at, at]), np.column_stack([at[:-1], at[1:]])])
+    measured = np.concatenate([poses, motions])
+    information = np.concatenate([informations + MIN_INFORMATION * np.eye(3), np.linalg.inv(covariances)])
+    factors = forms, ends, measured, information, np.where(forms == PRIOR, np.inf, ODOMETRY_CAUCHY_SCALE)
+    # In the order of the chain, no elimination adds a block: that below the diagonal of column k is in row k + 1.
+    pattern = Pattern(at, np.minimum(np.arange(count + 1), count - 1), at[1:], at[:-1])
+    slots, corners = np.concatenate([np.zeros(count, dtype=np.int64), pattern.slots]), np.zeros(count, dtype=bool)
+    values, cost, damping = poses, 0.5 * float(robust_cost(*factors, poses)), FIRST_DAMPING
+    for _ in range(MAX_STEPS):
+        diagonal, below = np.tile(damping * np.eye(3), (count, 1, 1)), np.zeros((count - 1, 3, 3))
+        gradient = np.zeros((count, 3))
+        add_normal_equations(*factors, values, at, slots, diagonal, below, gradient)
+        following, lower = values, np.inf
+        if factorise(pattern, diagonal, below):
+            following = np.asarray(moved(values, solve(pattern, diagonal, below, gradient), corners))
+            lower = 0.5 * float(robust_cost(*factors, following))
+        least_decrease = LAST_DECREASE * max(1.0, cost)
+        if not lower < cost + least_decrease:
+            damping *= DAMPING_FACTOR
+            if damping > MAX_DAMPING:
+                raise MapError("the trajectory cannot be estimated: it is not determined by the measurements")
+            continue
+        if cost - lower < least_decrease:
+            return following if lower < cost else values
+        values, cost, damping = following, lower, damping / DAMPING_FACTOR
+    return values

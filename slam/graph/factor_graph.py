@@ -239,7 +239,7 @@ class FactorGraph(GraphEstimate):
         distance = np.inf  # from the estimate to the point at which its variables were linearised
         for _ in range(max_updates):
             self._update(relinearize=True)
-            before, distance = distance, self.solver.isam.getDelta().norm()
+            before, distance = distance, self.solver.step_length()
             if abs(distance - before) < CONVERGED_CHANGE:
                 return
 

@@ -76,6 +76,8 @@ CAUCHY_SCALES = {
 }
 
 
+# Bits of a key for the number of its variable; above them is its character. Origin: definition, of GTSAM.
+KEY_INDEX_BITS = 56
 # GTSAM's kernels of the same scales.
 KERNELS = {kind: gtsam.noiseModel.mEstimator.Cauchy.Create(scale) for kind, scale in CAUCHY_SCALES.items()}
 # Kinds that measure a wall's frame only in some directions.
@@ -148,6 +150,23 @@ class FactorsOfKind:
     covariances: Floats
     bias_slopes: Floats
 
+    @property
+    def numbers(self) -> Integers:
+        """(n, 2) numbers `first` and `second` of their keyframes and landmarks."""
+        return (self.keys & np.uint64((1 << KEY_INDEX_BITS) - 1)).astype(np.int64)
+
+    def where(self, kept: NDArray[np.bool_]) -> FactorsOfKind:
+        """Return those of the factors that are kept of all kinds (f,), with their rows among the kept ones."""
+        own, numbers = kept[self.rows], np.cumsum(kept) - 1
+        return FactorsOfKind(
+            self.kind,
+            numbers[self.rows[own]],
+            self.keys[own],
+            self.measured[own],
+            self.covariances[own],
+            self.bias_slopes[own],
+        )
+
     def bias_directions(self) -> Floats:
         """Return the change (n, d) of `measured` per metre of range bias; zero if it does not depend on it."""
         result, slopes = np.zeros_like(self.measured), self.bias_slopes
@@ -195,18 +214,23 @@ def by_kind(factors: Sequence[Factor]) -> list[FactorsOfKind]:
     result = []
     for kind, rows in rows_of_kind.items():
         chosen = [factors[row] for row in rows]
-        numbers = np.array([(f.first, f.second) for f in chosen], dtype=np.uint64)
+        numbers = np.array([[f.first for f in chosen], [f.second for f in chosen]], dtype=np.uint64).T
         result.append(
             FactorsOfKind(
                 kind,
                 np.array(rows),
                 numbers + np.array(_FIRST_KEYS.get(kind, (X(0), L(0))), dtype=np.uint64),
-                np.array([f.measured for f in chosen]),
-                np.array([f.covariance for f in chosen]),
-                np.array([f.bias_slope for f in chosen]),
+                _stacked([f.measured for f in chosen]),
+                _stacked([f.covariance for f in chosen]),
+                _stacked([f.bias_slope for f in chosen]),
             )
         )
     return result
+
+
+def _stacked(arrays: Sequence[Floats]) -> Floats:
+    """Return small arrays of one shape as one array, in a third of the time of `np.array`."""
+    return np.concatenate(arrays).reshape(len(arrays), *arrays[0].shape)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,49 +2,46 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
-
 from gtsam.symbol_shorthand import L, X
 
-from ..errors import MapError
+from ..geometry.segments import Floats
 from .array_graph import ArrayGraph
+from .batch_solution import BatchSolution
 from .factor_graph import Additions, FactorGraph
-from .factors import FactorKind, from_pose2
+from .factors import Factor, FactorKind, from_pose2
 from .range_bias import estimate_range_bias
-from .wall_correlation import with_correlated_errors
+from .wall_correlation import divisors_of_information, with_correlated_errors
 
-# Gauss-Newton steps of `relinearize_all`, the last one by the incremental solver. Origin: chosen; not measured.
+# Gauss-Newton steps of a solution. Origin: chosen; not measured.
 BATCH_STEPS = 3
 
 
-def solve_with_range_bias(graph: FactorGraph) -> None:
+def solve_with_range_bias(graph: FactorGraph, *, correlate: bool = False) -> None:
     """Estimate the range bias together with the graph, and solve everything again without it.
 
-    The estimate has converged. If no observation depends on the range bias, none is estimated.
-    """
-    solver = graph.solver
-    arrays = ArrayGraph(solver.sorted_factors(), solver.range_bias.metres)
-    values = arrays.values_of(solver.isam.calculateEstimate())
-    solver.range_bias = estimate_range_bias(arrays, values, solver.range_bias) or solver.range_bias
-    relinearize_all(graph)
-
-
-def correlate_wall_errors(graph: FactorGraph) -> None:
-    """Divide the information of walls whose errors repeat with every view.
-
-    Takes effect with `solve_with_range_bias`. The estimate has converged. Doing it again changes little, as the
+    The estimate has converged. If no observation depends on the range bias, none is estimated. If `correlate`, the
+    information of walls whose errors repeat with every view is divided first. Doing it again changes little, as the
     residuals are those of the new factors.
     """
-    values, factors = graph.solver.isam.calculateEstimate(), graph.solver.factors
-    keyframes = {f.first for f in factors.values() if f.kind is FactorKind.WALL_HEADING}
-    walls = {f.second for f in factors.values() if f.kind is FactorKind.WALL_HEADING}
-    correlated = with_correlated_errors(
+    solver = graph.solver
+    factors, arrays = solver.sorted_factors(), solver.arrays()
+    if correlate:
+        divisors = _divisors_of_information(graph, factors)
+        factors, arrays = with_correlated_errors(factors, divisors), arrays.with_divided_information(divisors)
+    values = arrays.values_of(solver.estimate())
+    solver.range_bias = estimate_range_bias(arrays, values, solver.range_bias) or solver.range_bias
+    _solve_at_once(graph, factors, arrays.at_bias(solver.range_bias.metres), values)
+
+
+def _divisors_of_information(graph: FactorGraph, factors: list[Factor]) -> Floats:
+    values = graph.solver.estimate()
+    observations = [factor for factor in factors if factor.kind is FactorKind.WALL_HEADING]
+    return divisors_of_information(
         factors,
-        {k: from_pose2(values.atPose2(X(k))) for k in keyframes},
-        {j: from_pose2(values.atPose2(L(j))) for j in walls},
+        {k: from_pose2(values.atPose2(X(k))) for k in {factor.first for factor in observations}},
+        {j: from_pose2(values.atPose2(L(j))) for j in {factor.second for factor in observations}},
         graph.solver.range_bias.metres,
     )
-    graph.solver.factors = dict(zip(sorted(factors), correlated, strict=True))
 
 
 def relinearize_all(graph: FactorGraph) -> None:
@@ -53,13 +50,24 @@ def relinearize_all(graph: FactorGraph) -> None:
     Incremental solving relinearises only variables that move by more than a threshold; robust weights of the others
     are those of their last linearisation.
     """
+    arrays = graph.solver.arrays()
+    _solve_at_once(graph, graph.solver.sorted_factors(), arrays, arrays.values_of(graph.solver.estimate()))
+
+
+def _solve_at_once(graph: FactorGraph, factors: list[Factor], arrays: ArrayGraph, values: Floats) -> None:
+    """Replace the solution of a graph by that of some Gauss-Newton steps from `values` (n, 3).
+
+    `arrays` are the `factors` as arrays.
+    """
     solver = graph.solver
-    factors, bias = solver.sorted_factors(), solver.range_bias.metres
-    arrays = ArrayGraph(factors, bias)
-    values = arrays.values_of(solver.isam.calculateEstimate())
-    with suppress(MapError):  # undetermined in this form; the incremental solver may still manage with QR
-        for _ in range(BATCH_STEPS - 1):
-            values = arrays.retract(values, arrays.step(values, bias))
-    graph.additions = Additions(factors, arrays.to_values(values))
+    solution = BatchSolution(arrays, values, solver.range_bias.metres)
+    for _ in range(BATCH_STEPS - 1):
+        if solution.is_determined:
+            solution = solution.again()
+    if solution.is_determined:
+        solver.replace_by_batch(factors, solution)
+        return
+    # undetermined in this form; the incremental solver may still manage with QR
+    graph.additions = Additions(factors, arrays.to_values(solution.linearised))
     solver.reset()
     graph.update()

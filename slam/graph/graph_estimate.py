@@ -59,11 +59,11 @@ class GraphEstimate:
 
     def keyframe_pose(self, index: int) -> se2.Pose:
         """Return a keyframe's pose in the map."""
-        return from_pose2(self.solver.isam.calculateEstimatePose2(X(index)))
+        return from_pose2(self.solver.pose(X(index)))
 
     def keyframe_poses(self, count: int) -> Floats:
         """Return the poses (count, 3) of the first `count` keyframes."""
-        poses = gtsam.utilities.extractPose2(self.solver.isam.calculateEstimate())
+        poses = gtsam.utilities.extractPose2(self.solver.estimate())
         return np.asarray(poses[len(poses) - count :])  # in the order of the symbols, of which x is the last
 
     def keyframe_poses_of(self, keyframes: Sequence[int]) -> Floats:
@@ -72,15 +72,15 @@ class GraphEstimate:
 
     def wall_frames(self, walls: Sequence[int]) -> Floats:
         """Return the frames (n, 3) of walls in the map."""
-        return _as_array(self.solver.isam.calculateEstimatePose2(L(j)) for j in walls)
+        return _as_array(self.solver.pose(L(j)) for j in walls)
 
     def point_map_poses(self, keyframes: Sequence[int]) -> Floats:
         """Return the poses (n, 3) of the points of some keyframes, which scans are matched with."""
-        return _as_array(self.solver.isam.calculateEstimatePose2(P(k)) for k in keyframes)
+        return _as_array(self.solver.pose(P(k)) for k in keyframes)
 
     def corner_positions(self, corners: Sequence[int]) -> Floats:
         """Return the positions (n, 2) of corners in the map."""
-        return np.array([self.solver.isam.calculateEstimatePoint2(C(j)) for j in corners]).reshape(-1, 2)
+        return np.array([self.solver.point(C(j)) for j in corners]).reshape(-1, 2)
 
     @property
     def range_bias(self) -> RangeBias:
@@ -123,11 +123,11 @@ class GraphEstimate:
         A wall's gauge prior counts as a measurement: it makes up for the direction that none determines.
         """
         measured = sum(len(factor.covariance) for factor in self.solver.factors.values())
-        return measured - int(self.solver.isam.calculateEstimate().dim())
+        return measured - int(self.solver.estimate().dim())
 
     def chi2_at(self, other: GraphEstimate) -> float:
         """Return twice the robust cost of this graph's factors at the estimate of a graph with the same variables."""
-        return 2.0 * float(self.solver.isam.getFactorsUnsafe().error(other.solver.isam.calculateEstimate()))
+        return self.solver.cost(other.solver.estimate())
 
     def residuals(self) -> Residuals:
         """Return the residuals of all factors; takes ten microseconds a factor."""

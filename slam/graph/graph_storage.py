@@ -15,7 +15,7 @@ from .range_bias import RangeBias
 def graph_state(graph: FactorGraph) -> GraphState:
     """Return everything a graph consists of as plain data, with what waits for its next update."""
     solver, additions = graph.solver, graph.additions
-    values = gtsam.Values(solver.isam.getLinearizationPoint())
+    values = gtsam.Values(solver.linearisation_point())
     values.insert(additions.values)
     keys: dict[str, list[int]] = {"x": [], "l": [], "c": [], "p": []}
     for key in sorted(values.keys()):

@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import MapError, first_line
 from ..geometry.segments import Floats
 from .array_graph import ArrayGraph
+from .batch_solution import BatchSolution
 from .factors import Factor, to_gtsam_graph
 from .range_bias import RangeBias
 
@@ -21,6 +22,8 @@ RELINEARIZE_POSE = np.array([0.2, 0.2, 0.02])
 RELINEARIZE_WALL = np.array([0.4, 0.2, 0.02])
 # Metres; the same for a corner. Origin: measured, as RELINEARIZE_POSE.
 RELINEARIZE_CORNER = np.array([0.2, 0.2])
+# The same by the characters of the variables' keys.
+THRESHOLDS = {"x": RELINEARIZE_POSE, "p": RELINEARIZE_POSE, "l": RELINEARIZE_WALL, "c": RELINEARIZE_CORNER}
 # Updates, each with some keyframes, from one relinearisation to the next. Origin: measured, on a recording of 1900
 # keyframes: with every tenth, online poses differ three times as much from those of solving at each keyframe, for 6 %
 # less time.
@@ -31,12 +34,7 @@ def _isam2(*, qr: bool) -> gtsam.ISAM2:
     """Return an empty iSAM2 with this module's parameters."""
     parameters = gtsam.ISAM2Params()
     thresholds = gtsam.ISAM2ThresholdMap()
-    for symbol, threshold in (
-        ("x", RELINEARIZE_POSE),
-        ("p", RELINEARIZE_POSE),
-        ("l", RELINEARIZE_WALL),
-        ("c", RELINEARIZE_CORNER),
-    ):
+    for symbol, threshold in THRESHOLDS.items():
         thresholds.insert((symbol, threshold))
     parameters.setRelinearizeThreshold(thresholds)
     parameters.relinearizeSkip = RELINEARIZE_SKIP
@@ -47,7 +45,8 @@ def _isam2(*, qr: bool) -> gtsam.ISAM2:
 class IncrementalSolver:
     """iSAM2 with the factors it holds as plain data.
 
-    isam     GTSAM's solver
+    isam     GTSAM's solver. It is built when it is needed, if there is a batch solution instead
+    batch    batch solution of the whole graph, which takes the place of iSAM2 at the end of a run; None while driving
     factors  by the numbers that iSAM2 has given them
     updates  number of updates: every RELINEARIZE_SKIP-th relinearises
     qr       True if factors are eliminated by QR. It takes twice the time of Cholesky, and solves some systems on
@@ -56,7 +55,9 @@ class IncrementalSolver:
     """
 
     def __init__(self, *, qr: bool = False) -> None:
-        self.isam = _isam2(qr=qr)
+        self._isam: gtsam.ISAM2 | None = _isam2(qr=qr)
+        self._dismissed: gtsam.Values | None = None  # linearisation point of an iSAM2 that was dismissed
+        self.batch: BatchSolution | None = None
         self.factors: dict[int, Factor] = {}
         self.updates = 0
         self.qr = qr
@@ -65,17 +66,87 @@ class IncrementalSolver:
     def copy(self) -> IncrementalSolver:
         """Return an independent solver with the same estimate."""
         other = IncrementalSolver(qr=self.qr)
-        other.isam, other.factors, other.updates = gtsam.ISAM2(self.isam), dict(self.factors), self.updates
-        other.range_bias = self.range_bias
+        other._isam = None if self._isam is None else gtsam.ISAM2(self._isam)
+        other._dismissed, other.batch = self._dismissed, self.batch
+        other.factors, other.updates, other.range_bias = dict(self.factors), self.updates, self.range_bias
         return other
 
     def reset(self) -> None:
         """Remove all factors and variables."""
-        self.isam, self.factors, self.updates = _isam2(qr=self.qr), {}, 0
+        self._isam, self._dismissed, self.batch = _isam2(qr=self.qr), None, None
+        self.factors, self.updates = {}, 0
+
+    @property
+    def isam(self) -> gtsam.ISAM2:
+        """GTSAM's solver, built if there is none. Raises MapError if the geometry leaves a variable undetermined."""
+        if self._isam is None:
+            factors, values, updates = self.sorted_factors(), self.linearisation_point(), self.updates
+            self.reset()
+            self.update(factors, values)
+            for _ in range((updates - 1) % RELINEARIZE_SKIP):  # so that the same later updates relinearise
+                self.update([], gtsam.Values())
+        assert self._isam is not None
+        return self._isam
+
+    @isam.setter
+    def isam(self, isam: gtsam.ISAM2) -> None:
+        self._isam, self._dismissed, self.batch = isam, None, None
+
+    def dismiss_isam(self) -> None:
+        """Free the memory of iSAM2, which is many times that of the factors. It is built again when it is needed."""
+        if self._isam is not None:
+            self._dismissed, self._isam = gtsam.Values(self._isam.getLinearizationPoint()), None
+
+    def replace_by_batch(self, factors: Sequence[Factor], solution: BatchSolution) -> None:
+        """Replace iSAM2 by a batch solution of `factors`, whose numbers are then their indices.
+
+        iSAM2 is built from it when it is needed: for additions of keyframes, not for queries.
+        """
+        self._isam, self._dismissed, self.batch = None, None, solution
+        self.factors, self.updates = dict(enumerate(factors)), 1
+
+    def arrays(self) -> ArrayGraph:
+        """Return all factors as arrays."""
+        bias = self.range_bias.metres
+        return ArrayGraph(self.sorted_factors(), bias) if self.batch is None else self.batch.arrays.at_bias(bias)
+
+    # --- estimate
+
+    def estimate(self) -> gtsam.Values:
+        """Return the estimate of all variables."""
+        return self.isam.calculateEstimate() if self.batch is None else self.batch.values
+
+    def linearisation_point(self) -> gtsam.Values:
+        """Return the values of all variables at which they are linearised."""
+        if self.batch is not None:
+            return self.batch.arrays.to_values(self.batch.linearised)
+        return self.isam.getLinearizationPoint() if self._dismissed is None else self._dismissed
+
+    def pose(self, key: int) -> gtsam.Pose2:
+        """Return the estimate of a pose or of the frame of a wall."""
+        return self.isam.calculateEstimatePose2(key) if self.batch is None else self.batch.values.atPose2(key)
+
+    def point(self, key: int) -> Floats:
+        """Return the estimate (2,) of a corner."""
+        if self.batch is None:
+            return np.asarray(self.isam.calculateEstimatePoint2(key))
+        return np.asarray(self.batch.values.atPoint2(key))
+
+    def step_length(self) -> float:
+        """Return the norm of the step from the linearisation point to the estimate, metres and radians."""
+        return float(self.isam.getDelta().norm()) if self.batch is None else self.batch.step_length
+
+    def cost(self, values: gtsam.Values) -> float:
+        """Return twice the robust cost of all factors at the values of the same variables."""
+        if self.batch is None:
+            return 2.0 * float(self.isam.getFactorsUnsafe().error(values))
+        return self.batch.arrays.cost(self.batch.arrays.values_of(values), self.batch.bias)
+
+    # --- solving
 
     def sorted_factors(self) -> list[Factor]:
         """Return the factors in the order in which they were added."""
-        return [factor for _, factor in sorted(self.factors.items())]
+        return [self.factors[number] for number in sorted(self.factors)]  # pairs would be collected as garbage
 
     def update(
         self,
@@ -90,8 +161,12 @@ class IncrementalSolver:
         relinearize  relinearise whatever has moved by more than its threshold, also if it is not its turn
         remove       numbers of factors to be removed
 
+        A batch solution stays one if `relinearize` is set, and its factors are numbered again.
         Raises MapError if the geometry leaves a variable undetermined.
         """
+        if self.batch is not None and relinearize and self._update_batch(self.batch, new, values, remove):
+            return list(range(len(self.factors) - len(new), len(self.factors)))
+        isam = self.isam
         parameters = gtsam.ISAM2UpdateParams()
         parameters.force_relinearize = relinearize
         parameters.removeFactorIndices = list(remove)
@@ -100,7 +175,7 @@ class IncrementalSolver:
         self.updates += 1
         added = to_gtsam_graph(new, self.range_bias.metres)
         try:
-            numbers = list(self.isam.update(added, values, parameters).getNewFactorsIndices())
+            numbers = list(isam.update(added, values, parameters).getNewFactorsIndices())
         except RuntimeError as error:
             self.switch_to_qr(error, list(values.keys()))
             slots = self.isam.getFactorsUnsafe().size()
@@ -108,8 +183,32 @@ class IncrementalSolver:
         self.factors.update(zip(numbers, new, strict=True))
         return numbers
 
+    def _update_batch(
+        self, batch: BatchSolution, new: Sequence[Factor], values: gtsam.Values, remove: Sequence[int]
+    ) -> bool:
+        """Solve a batch solution again with other factors; return False if that is not determined.
+
+        As in iSAM2, the variables are linearised where they were, unless they have moved by more than a threshold.
+        """
+        numbers, following = sorted(self.factors), batch.relinearised(THRESHOLDS)
+        removed = np.searchsorted(numbers, sorted(remove))
+        factors = [self.factors[number] for number in np.delete(numbers, removed).tolist()] + list(new)
+        arrays = batch.arrays.with_factors(removed, new, batch.bias)
+        if arrays is not batch.arrays:
+            known = batch.arrays.to_values(following.linearised)
+            known.insert(values)
+            following = BatchSolution(arrays, arrays.values_of(known), batch.bias)
+        if not following.is_determined:
+            return False
+        self.replace_by_batch(factors, following)
+        return True
+
+    # --- covariances
+
     def marginal_covariance(self, key: int) -> Floats:
         """Return the covariance of one variable in its own tangent space. Raises MapError as `update` does."""
+        if self.batch is not None:
+            return self.joint_covariance([key])
         return self._query(lambda isam: np.asarray(isam.marginalCovariance(key))) + self.range_bias.covariance([key])
 
     def marginal_covariances(self) -> dict[int, Floats]:
@@ -117,13 +216,12 @@ class IncrementalSolver:
 
         Raises MapError as `update` does.
         """
-        bias = self.range_bias
-        graph = ArrayGraph(self.sorted_factors(), bias.metres)
         try:
-            blocks = graph.covariances(graph.values_of(self.isam.getLinearizationPoint()), bias.metres)
+            covariances = self._as_batch().covariances()
         except MapError:  # undetermined in this form; QR may still manage
-            return {key: self.marginal_covariance(key) for key in graph.keys}
-        return {key: block + bias.covariance([key]) for key, block in graph.by_key(blocks).items()}
+            keys = self.estimate().keys()
+            return {key: self.marginal_covariance(key) for key in keys}
+        return {key: block + self.range_bias.covariance([key]) for key, block in covariances.items()}
 
     def joint_covariances(self, groups: Sequence[Sequence[int]]) -> list[Floats]:
         """Return the joint covariance of each group of poses or walls, by keys, in the time of some few alone.
@@ -132,17 +230,25 @@ class IncrementalSolver:
         """
         if not groups:
             return []
-        bias = self.range_bias
-        graph = ArrayGraph(self.sorted_factors(), bias.metres, groups)
         try:
-            joint = graph.joint_covariances(graph.values_of(self.isam.getLinearizationPoint()), bias.metres)
+            joint = self._as_batch().joint_covariances(groups)
         except MapError:  # undetermined in this form; QR may still manage
             return [self.joint_covariance(group) for group in groups]
-        return [covariance + bias.covariance(group) for covariance, group in zip(joint, groups, strict=True)]
+        return [covariance + self.range_bias.covariance(group) for covariance, group in zip(joint, groups, strict=True)]
+
+    def _as_batch(self) -> BatchSolution:
+        """Return the graph, linearised where it is, as a batch solution."""
+        if self.batch is not None:
+            return self.batch
+        arrays = self.arrays()
+        return BatchSolution(arrays, arrays.values_of(self.isam.getLinearizationPoint()), self.range_bias.metres)
 
     def joint_covariance(self, keys: Sequence[int]) -> Floats:
         """Return the joint covariance of variables, in the order of `keys`. Raises MapError as `update` does."""
-        joint = self._query(lambda isam: np.asarray(isam.jointMarginalCovariance(keys).fullMatrix()))
+        if self.batch is not None:
+            joint = self.batch.joint_covariance(keys)
+        else:
+            joint = self._query(lambda isam: np.asarray(isam.jointMarginalCovariance(keys).fullMatrix()))
         return joint + self.range_bias.covariance(keys)
 
     def _query(self, marginals: Callable[[gtsam.ISAM2], Floats]) -> Floats:
@@ -169,7 +275,7 @@ class IncrementalSolver:
             if slots.at(number) is not None:  # removed factors leave an empty slot
                 renumbered[number] = factors.size()
                 factors.add(slots.at(number))
-        self.isam, self.updates = _isam2(qr=True), 1
+        self._isam, self.updates = _isam2(qr=True), 1
         try:
             self.isam.update(factors, values)
         except RuntimeError as error:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,13 +35,15 @@ class WallSegment:
     numbers: tuple[int, int]
 
 
-def wall_segments(factors: Mapping[int, Factor]) -> list[WallSegment]:
-    """Return the observed segments of all walls, given the factors by their numbers.
+def wall_segments(factors: Mapping[int, Factor], walls: Container[int]) -> list[WallSegment]:
+    """Return the observed segments of some walls, given the factors by their numbers.
 
     Inverts `FactorGraph.add_wall_observation`, which adds the factor of the offset right after that of the heading.
     """
-    walls = (FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET)
-    numbers = [number for number in sorted(factors) if factors[number].kind in walls]
+    kinds = (FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET)
+    numbers = [
+        number for number in sorted(factors) if factors[number].kind in kinds and factors[number].second in walls
+    ]
     count: dict[tuple[int, int], int] = {}
     segments = []
     for first, second in zip(numbers[::2], numbers[1::2], strict=True):

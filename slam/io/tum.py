@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -170,7 +171,7 @@ def read_table(path: Path, columns: int, meaning: str) -> NumberTable:
             row = [float(word) for word in words]
         except ValueError as error:
             raise MapError(f"{path}:{number}: expected {columns} numbers ({meaning}): {error}") from error
-        if not np.isfinite(row).all():
+        if not all(map(math.isfinite, row)):
             raise MapError(f"{path}:{number}: not all values are finite")
         rows.append(row)
         lines.append(number)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..graph.final_solution import correlate_wall_errors, solve_with_range_bias
+from ..graph.final_solution import solve_with_range_bias
 from .mapper import Mapper
 from .wall_merging import merge_duplicate_walls
 from .wall_splitting import find_splits, split_landmark, with_new_walls
@@ -23,19 +23,20 @@ def converge(mapper: Mapper) -> int:
     settle_range_bias(mapper)  # before merging: iSAM2 leaves out small steps, and walls are merged where they are
     merged = merge_duplicate_walls(mapper.landmarks, mapper.graph, mapper.roughness.variance, mapper.merge_walls)
     if merged:
-        mapper.graph.update()
         mapper.graph.update_until_converged()
         mapper.read_back()
     split_walls(mapper)
-    correlate_wall_errors(mapper.graph)
-    settle_range_bias(mapper)
+    settle_range_bias(mapper, correlate=True)
     mapper.read_back_all()
     return merged
 
 
-def settle_range_bias(mapper: Mapper) -> None:
-    """Estimate the range bias together with the graph, which has converged, and read all back."""
-    solve_with_range_bias(mapper.graph)
+def settle_range_bias(mapper: Mapper, *, correlate: bool = False) -> None:
+    """Estimate the range bias together with the graph, which has converged, and read all back.
+
+    For `correlate` see `solve_with_range_bias`.
+    """
+    solve_with_range_bias(mapper.graph, correlate=correlate)
     mapper.read_back()
 
 

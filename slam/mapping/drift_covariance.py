@@ -15,15 +15,16 @@ has the covariance C - C H' (H C H' + R)^-1 H C.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from drivers import se2
+
 from ..geometry.segments import Floats, Integers
-from ..graph.factors import FactorKind
+from ..graph.factors import Factor, FactorKind, FactorsOfKind, by_kind
 
 if TYPE_CHECKING:
     from .mapper import Mapper
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
 # Conditions at most, evenly chosen of those that say anything; the time grows with the square of the number. Conditions
 # between the same places say the same. Origin: numerical.
 MAX_CONDITIONS = 150
+# Kinds of factors that state the place of a wall across it, and the place of a keyframe. Origin: definition.
+WALL_CONDITIONS = FactorKind.WALL_OFFSET, FactorKind.PLAN_WALL, FactorKind.PINNED_WALL
+RELATIVE = FactorKind.LOOP, FactorKind.SCAN_MATCH, FactorKind.PINNED_POSE  # Origin: as WALL_CONDITIONS.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,24 +131,38 @@ class DriftCovariance:
 
 
 def _conditions_of(mapper: Mapper) -> _Conditions:
-    """Return all conditions in the graph of a map."""
-    rows = list(_condition_rows(mapper))
-    old, new, x, y, variance = np.array(rows, dtype=np.float64).reshape(-1, 5).T
-    return _Conditions(old.astype(np.int64), new.astype(np.int64), np.column_stack([x, y]), variance)
+    """Return all conditions in the graph of a map, in the order of the factors."""
+    parts = [_conditions_of_kind(mapper, group) for group in by_kind(_conditional_factors(mapper))]
+    none = np.zeros(0, dtype=np.int64)
+    conditions = [_Conditions(none, none, np.zeros((0, 2)), np.zeros(0)), *(one for _, one in parts)]
+    joined = _Conditions(
+        np.concatenate([one.old for one in conditions]),
+        np.concatenate([one.new for one in conditions]),
+        np.concatenate([one.direction for one in conditions]),
+        np.concatenate([one.variance for one in conditions]),
+    )
+    return joined[np.argsort(np.concatenate([none, *(rows for rows, _ in parts)]), kind="stable")]
 
 
-def _condition_rows(mapper: Mapper) -> Iterator[tuple[int, int, float, float, float]]:
-    """Yield old and new keyframe, direction, and variance."""
-    walls, headings = mapper.landmarks.walls.rows, mapper.keyframe_poses[:, 2]
-    for factor in mapper.graph.solver.factors.values():
-        if factor.kind in (FactorKind.WALL_OFFSET, FactorKind.PLAN_WALL, FactorKind.PINNED_WALL):
-            heading, seen = float(walls["frame"][factor.second, 2]), walls["merged_into"][factor.second]
-            first = int(walls["first_seen"][seen])
-            old, new = (first, factor.first) if factor.kind is FactorKind.WALL_OFFSET else (0, first)
-            yield old, new, -np.sin(heading), np.cos(heading), float(factor.covariance[0, 0])
-        elif factor.kind in (FactorKind.LOOP, FactorKind.SCAN_MATCH, FactorKind.PINNED_POSE):
-            variances, axes = np.linalg.eigh(factor.covariance[:2, :2])
-            c, s = np.cos(headings[factor.second]), np.sin(headings[factor.second])
-            old = 0 if factor.kind is FactorKind.PINNED_POSE else factor.first
-            for variance, (x, y) in zip(variances.tolist(), axes.T.tolist(), strict=True):
-                yield old, factor.second, c * x - s * y, s * x + c * y, variance
+def _conditional_factors(mapper: Mapper) -> list[Factor]:
+    """Return the factors that state conditions."""
+    return [factor for factor in mapper.graph.solver.factors.values() if factor.kind in WALL_CONDITIONS + RELATIVE]
+
+
+def _conditions_of_kind(mapper: Mapper, group: FactorsOfKind) -> tuple[Integers, _Conditions]:
+    """Return the conditions of factors of one kind, and the row of the factor of each."""
+    first, second = group.numbers.T
+    if group.kind in WALL_CONDITIONS:
+        walls = mapper.landmarks.walls.rows
+        heading, seen = walls["frame"][second, 2], walls["first_seen"][walls["merged_into"][second]]
+        direction = np.column_stack([-np.sin(heading), np.cos(heading)])
+        of_observer = group.kind is FactorKind.WALL_OFFSET
+        old, new = (seen, first) if of_observer else (np.zeros_like(seen), seen)
+        return group.rows, _Conditions(old, new, direction, group.covariances[:, 0, 0])
+    variances, axes = np.linalg.eigh(group.covariances[:, :2, :2])
+    heading = np.repeat(mapper.keyframe_poses[second, 2], 2)
+    direction = se2.transform(
+        np.column_stack([np.zeros((len(heading), 2)), heading]), axes.transpose(0, 2, 1).reshape(-1, 2)
+    )
+    old = np.zeros_like(first) if group.kind is FactorKind.PINNED_POSE else first
+    return np.repeat(group.rows, 2), _Conditions(np.repeat(old, 2), np.repeat(second, 2), direction, variances.ravel())

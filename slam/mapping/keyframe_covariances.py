@@ -53,14 +53,17 @@ class KeyframeCovariances:
         heading = mapper.graph.keyframe_pose(keyframe)[2]
         return mapper.graph.keyframe_covariance(keyframe) + rotate_covariance(correlated, -heading)
 
-    def of_all(self, marginals: Marginals) -> Floats:
-        """Return (k, 3, 3) those of all keyframes, given the marginals of the graph."""
+    def of_all(self, marginals: Marginals, drift: DriftCovariance) -> Floats:
+        """Return (k, 3, 3) those of all keyframes, given the marginals of the graph and the drift."""
         mapper = self._mapper
-        drifts = DriftCovariance(mapper).of(np.arange(mapper.keyframe_count))
-        correlated = [embed_position_covariance(drift) for drift in drifts]
-        headings = mapper.graph.keyframe_poses(mapper.keyframe_count)[:, 2].tolist()
-        turned = [rotate_covariance(drift, -heading) for drift, heading in zip(correlated, headings, strict=True)]
-        return marginals.keyframes(range(mapper.keyframe_count)) + np.array(turned).reshape(-1, 3, 3)
+        headings = mapper.graph.keyframe_poses(mapper.keyframe_count)[:, 2]
+        c, s = np.cos(headings), np.sin(headings)
+        to_keyframe = np.stack([c, s, -s, c], axis=-1).reshape(-1, 2, 2)
+        covariances = marginals.keyframes(range(mapper.keyframe_count))
+        values, vectors = np.linalg.eigh(drift.of(np.arange(mapper.keyframe_count)))
+        axes = to_keyframe @ vectors
+        covariances[:, :2, :2] += (axes * np.maximum(values, 0.0)[:, None]) @ axes.transpose(0, 2, 1)
+        return covariances
 
     def relative(self, old: int, keyframe: int) -> Floats:
         """Return (3, 3) the covariance of a keyframe's pose relative to an older one, in its own frame."""

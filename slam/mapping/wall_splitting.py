@@ -176,17 +176,15 @@ def _stretches(landmarks: Landmarks, graph: FactorGraph, poses: Floats) -> list[
     Stretches that too few keyframes observed are left out.
     """
     rows = landmarks.walls.rows
+    pieces_of = {wall: landmarks.pieces(wall) for wall in np.flatnonzero(landmarks.active()).tolist()}
+    divided = [wall for wall, pieces in pieces_of.items() if len(pieces) > 1]
+    kept = rows["merged_into"].tolist()
     of_wall: dict[int, list[WallSegment]] = {}
-    for segment in wall_segments(graph.solver.factors):
-        of_wall.setdefault(int(rows["merged_into"][segment.wall]), []).append(segment)
-    active = landmarks.active()
+    for segment in wall_segments(graph.solver.factors, set(np.flatnonzero(np.isin(kept, divided)).tolist())):
+        of_wall.setdefault(kept[segment.wall], []).append(segment)
     result = []
     for wall, segments in sorted(of_wall.items()):
-        if wall < 0 or not active[wall]:
-            continue
-        pieces = landmarks.pieces(wall)
-        if len(pieces) < 2:
-            continue
+        pieces = pieces_of[wall]
         frames = se2.compose(poses[[s.keyframe for s in segments]], np.array([s.frame for s in segments]))
         relative = se2.between(rows["frame"][wall], frames).reshape(-1, 3)
         beyond = np.maximum(pieces[None, :, 0] - relative[:, :1], relative[:, :1] - pieces[None, :, 1])
@@ -218,12 +216,13 @@ def _fit(relative: Floats, segments: Sequence[WallSegment], along: float) -> tup
 
     With the covariance (2, 2) of its offset and heading.
     """
-    information, score = 1e-9 * np.eye(2), np.zeros(2)
-    for (x, y, turn), segment in zip(relative, segments, strict=True):
-        design = np.array([[1.0, x - along], [0.0, 1.0]])
-        weighted = design.T @ np.linalg.inv(segment.covariance)
-        information += weighted @ design
-        score += weighted @ np.array([y, turn])
+    design = np.tile(np.eye(2), (len(segments), 1, 1))
+    design[:, 0, 1] = relative[:, 0] - along
+    weighted = design.transpose(0, 2, 1) @ np.linalg.inv(
+        np.array([segment.covariance for segment in segments]).reshape(-1, 2, 2)
+    )
+    information = 1e-9 * np.eye(2) + (weighted @ design).sum(axis=0)
+    score = (weighted @ relative[:, 1:, None]).sum(axis=0)[:, 0]
     offset, turn = np.linalg.solve(information, score)
     return np.array([along, offset, turn]), np.asarray(np.linalg.inv(information))
 

@@ -63,7 +63,9 @@ class OffsetTiles:
     def grow(self, count: int) -> None:
         """Make room for `count` tiles in all."""
         if count > len(self.tiles):
-            self.tiles = np.concatenate([self.tiles, _empty_tiles(max(count, 2 * self.count) - len(self.tiles))])
+            tiles = np.empty((max(count, 2 * self.count), TILE, TILE), dtype=np.int32)
+            tiles[: self.count], tiles[self.count :] = self.tiles[: self.count], NO_OFFSET
+            self.tiles = tiles
         self.count = count
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...geometry.segments import Floats
-from ...graph.final_solution import correlate_wall_errors
 from ...mapping.convergence import settle_range_bias
 from ...mapping.mapper import Mapper
 from ...mapping.trajectory_builder import TrajectoryBuilder
@@ -59,8 +58,7 @@ def refine(mapper: Mapper, history: ScanHistory, model: OdometryModel) -> Refine
         mapper, poses, odometry_wrong = result.mapper, result.poses, result.odometry_wrong
         iterations, changed, merged = iterations + 1, changed + result.changed, merged + result.merged
         remaining -= 1
-    correlate_wall_errors(mapper.graph)
-    settle_range_bias(mapper)
+    settle_range_bias(mapper, correlate=True)
     poses = mapper.keyframe_poses
     scan_poses, overlap_ratio = smooth_trajectory(mapper, history, model, poses, odometry_wrong)
     moved = np.hypot(*(poses - initial)[:, :2].T)

@@ -22,6 +22,32 @@ WRONG_ODOMETRY_SIGMAS = np.array([0.5, 0.5, 0.3])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ScanMotions:
+    """Odometry's motions from each of n scans to the next one.
+
+    measured     (n - 1, 3)
+    corrected    (n - 1, 3) without systematic errors
+    covariances  (n - 1, 3, 3) of `corrected`, in the frames at the motions' ends
+    unmeasured   (n - 1,) true for motions that odometry does not lead along; see `ScanHistory.kidnapped`
+    """
+
+    measured: Floats
+    corrected: Floats
+    covariances: Floats
+    unmeasured: NDArray[np.bool_]
+
+    def known(self, odometry_wrong: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+        """Return motions (n - 1, 3) and covariances (n - 1, 3, 3), as `ScanHistory.motion` does for any two scans.
+
+        `odometry_wrong` (n,) is true for scans at which odometry was found to be wrong.
+        """
+        wrong = odometry_wrong[:-1] | odometry_wrong[1:]
+        motions = np.where((wrong | self.unmeasured)[:, None], self.measured, self.corrected)
+        covariances = np.where(wrong[:, None, None], np.diag(WRONG_ODOMETRY_SIGMAS**2), self.covariances)
+        return motions, np.where(self.unmeasured[:, None, None], np.diag(UNMEASURED_MOTION_SIGMAS**2), covariances)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ScanHistory:
     """n processed scans in time order, k of which are keyframes.
 
@@ -83,6 +109,15 @@ class ScanHistory:
             return motion, np.diag(WRONG_ODOMETRY_SIGMAS**2)
         motion = model.correct(motion)
         return motion, model.covariance(motion)
+
+    def motions(self, model: OdometryModel) -> ScanMotions:
+        """Return the motions from each scan to the next one."""
+        odometry, unmeasured = self.odometry, np.zeros(max(len(self) - 1, 0), dtype=bool)
+        unmeasured[[row - 1 for row in self.kidnapped if row]] = True
+        measured = se2.between(odometry[:-1], odometry[1:])
+        corrected = model.correct(measured)
+        covariances = np.array([model.covariance(motion) for motion in corrected]).reshape(-1, 3, 3)
+        return ScanMotions(measured, corrected, covariances, unmeasured)
 
     def correlated_drift(self, row: int, to: int, model: OdometryModel, odometry_wrong: NDArray[np.bool_]) -> Floats:
         """Return the covariance (2, 2) of the position, in the frame of the scan `to`, due to correlated drift.

@@ -40,11 +40,5 @@ def smooth_trajectory(
             matched[row] = match.registration.pose
             informations[row] = match.registration.total_information
         odometry_wrong[row] |= match.odometry_wrong
-    motions = [history.motion(row, row + 1, model, odometry_wrong) for row in range(len(history) - 1)]
-    smoothed = smooth_chain(
-        matched,
-        INFORMATION_SCALE * informations,
-        np.array([motion for motion, _ in motions]).reshape(-1, 3),
-        np.array([covariance for _, covariance in motions]).reshape(-1, 3, 3),
-    )
+    smoothed = smooth_chain(matched, INFORMATION_SCALE * informations, *matcher.motions.known(odometry_wrong))
     return smoothed, overlap_ratio

@@ -55,7 +55,7 @@ def write_factors(file: Path, factors: Sequence[Factor], unconfirmed: Sequence[F
 
 
 def _upper_triangle(matrix: Floats) -> Floats:
-    return np.asarray(matrix[UPPER_TRIANGLES[len(matrix)]])
+    return matrix[0] if len(matrix) == 1 else np.asarray(matrix[UPPER_TRIANGLES[len(matrix)]])
 
 
 def read_factors(file: Path) -> tuple[list[Factor], list[Factor]]:

@@ -36,27 +36,36 @@ def feature_columns(scans: Sequence[ScanFeatures], *, exact: bool) -> dict[str, 
     """Return the columns of features and points, with a row for each of the n scans."""
     dtype = np.float64 if exact else np.float32
     columns: dict[str, Ragged] = {}
-    segments = [
-        np.column_stack([s.frame, s.half_length, s.covariance[:, [0, 0, 1], [0, 1, 1]], s.bias_slope])
-        for s in (scan.segments for scan in scans)
-    ]
-    for k, name in enumerate(SEGMENT_COLUMNS):
-        columns[f"segment_{name}"] = to_ragged([values[:, k] for values in segments], dtype)
-    corners = [
-        np.column_stack([c.position, c.covariance[:, [0, 0, 1], [0, 1, 1]]]) for c in (scan.corners for scan in scans)
-    ]
-    for k, name in enumerate(CORNER_COLUMNS):
-        columns[f"corner_{name}"] = to_ragged([values[:, k] for values in corners], dtype)
+    segments, corners = [scan.segments for scan in scans], [scan.corners for scan in scans]
+    counts, corner_counts = (np.array([len(one) for one in of], dtype=np.int64) for of in (segments, corners))
+    frame, slope = _joined([s.frame for s in segments], (3,)), _joined([s.bias_slope for s in segments], (2,))
+    half_length = _joined([s.half_length for s in segments], ())
+    values = [*frame.T, half_length, *_upper_triangles([s.covariance for s in segments]), *slope.T]
+    for name, column in zip(SEGMENT_COLUMNS, values, strict=True):
+        columns[f"segment_{name}"] = Ragged(column.astype(dtype), counts)
+    values = [*_joined([c.position for c in corners], (2,)).T, *_upper_triangles([c.covariance for c in corners])]
+    for name, column in zip(CORNER_COLUMNS, values, strict=True):
+        columns[f"corner_{name}"] = Ragged(column.astype(dtype), corner_counts)
     for k, name in enumerate(("before", "after")):
         columns[f"corner_{name}"] = to_ragged([scan.corners.segments[:, k] for scan in scans], np.int32)
     columns |= _point_columns(ALL_POINTS, [scan.points.all for scan in scans], exact=exact)
     return columns | _point_columns(CLUTTER, [scan.points.clutter for scan in scans], exact=exact)
 
 
+def _joined(arrays: Sequence[Floats], shape: tuple[int, ...]) -> Floats:
+    """Return arrays (m, ...) with rows of a shape as one array; empty without arrays."""
+    return np.concatenate([np.zeros((0, *shape)), *arrays])
+
+
+def _upper_triangles(covariances: Sequence[Floats]) -> Floats:
+    """Return (3, n) the upper triangles of covariances (m, 2, 2), joined."""
+    return _joined(covariances, (2, 2))[:, [0, 0, 1], [0, 1, 1]].T
+
+
 def _point_columns(prefix: str, points: Sequence[Floats], *, exact: bool) -> dict[str, Ragged]:
-    columns = {}
+    lengths, columns = np.array([len(values) for values in points], dtype=np.int64), {}
     for k, name in enumerate(("x", "y")):
-        column = to_ragged([values[:, k] for values in points], np.float64)
+        column = Ragged(np.concatenate([np.zeros(0), *(values[:, k] for values in points)]), lengths)
         columns[f"{prefix}_{name}"] = column if exact else _to_point_units(column)
     return columns
 

@@ -29,6 +29,7 @@ from slam.localisation.tracker import SLIP_COST
 from slam.mapping.convergence import converge
 from slam.mapping.keyframes import KeyframeMotion, LandmarkIds
 from slam.mapping.mapper import Mapper
+from slam.matching.bias_correction import correct_range_bias, correct_range_bias_of_scans
 from slam.matching.line_matcher import ScanFeatures
 from slam.matching.point_matcher import Prediction
 from slam.matching.scan_points import ScanPoints
@@ -103,6 +104,26 @@ def test_history_contains_all_scans_at_their_tracked_poses(session: MappedSessio
     np.testing.assert_allclose(history.relative[history.keyframes], 0.0, atol=1e-12)
     np.testing.assert_array_equal(history.anchors[history.keyframes], np.arange(len(history.keyframes)))
     assert error(history.stamps, history.scan_poses(poses), session.messages) < 0.01
+
+
+def test_motions_from_scan_to_scan_are_those_between_any_two_scans(session: MappedSession) -> None:
+    history, model = replace(session.history, kidnapped=frozenset([0, 7])), session.odometry_model
+    wrong = np.arange(len(history)) == 20
+    motions, covariances = history.motions(model).known(wrong)
+    for row in (0, 6, 7, 19, 20, len(history) - 2):
+        motion, covariance = history.motion(row, row + 1, model, wrong)
+        np.testing.assert_allclose(motions[row], motion, atol=1e-12)
+        np.testing.assert_allclose(covariances[row], covariance, rtol=1e-12)
+
+
+def test_range_bias_is_corrected_in_all_scans_as_in_each(session: MappedSession) -> None:
+    scans = [scan.features for scan in session.history.scans[:10]]
+    for corrected, scan in zip(correct_range_bias_of_scans(scans, 0.02), scans, strict=True):
+        expected = correct_range_bias(scan, 0.02)
+        np.testing.assert_allclose(corrected.segments.frame, expected.segments.frame, atol=1e-12)
+        np.testing.assert_allclose(corrected.corners.position, expected.corners.position, atol=1e-12)
+        np.testing.assert_allclose(corrected.corners.headings, expected.corners.headings, atol=1e-12)
+        np.testing.assert_array_equal(corrected.corners.segments, expected.corners.segments)
 
 
 @pytest.mark.parametrize("known_wrong", [False, True])

@@ -1,6 +1,7 @@
 """Array that grows row by row."""
 
 import numpy as np
+
 from slam.geometry.growing_array import GrowingArray
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+
 from slam.geometry.small_matrices import inverse, log_determinant, solution
 
 

@@ -42,6 +42,9 @@ def graph_of_all_kinds(random: np.random.Generator) -> FactorGraph:
     graph.add_loop_match(0, 2, se2.between(poses[0], poses[2]), covariance)
     graph.add_point_map(0, covariance)
     graph.add_scan_match(0, 2, se2.compose(se2.between(poses[0], poses[2]), [0.2, 0.1, 0.1]), covariance)
+    graph.add_plan_wall(1, se2.compose(frames[1], [0.3, 0.2, 0.3]), covariance[:2, :2])
+    graph.add_pinned_wall(2, se2.compose(frames[2], [0.1, -0.2, -0.3]), covariance[:2, :2])
+    graph.add_pinned_pose(1, se2.compose(poses[1], [0.2, 0.3, -0.3]), covariance)
     graph.update()
     return graph
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slam.graph.factors import Factor, FactorKind
-from slam.graph.wall_correlation import with_correlated_errors
+from slam.graph.wall_correlation import divisors_of_information, with_correlated_errors
 
 SIGMA = 0.002
 
@@ -12,14 +12,14 @@ SIGMA = 0.002
 def inflation(kind: FactorKind, errors: np.ndarray) -> np.ndarray:
     """Return the factors by which the variances of observations with errors (w, n) of w walls are multiplied."""
     walls, count = errors.shape
-    factors, poses = {}, {k: np.zeros(3) for k in range(count)}
+    factors, poses = [], {k: np.zeros(3) for k in range(count)}
     for wall in range(walls):
         for k in range(count):
             error = errors[wall, k]
             measured = [1.0, 0.0, error] if kind is FactorKind.WALL_HEADING else [1.0, error, 0.0, 0.3]
-            factors[len(factors)] = Factor(kind, k, wall, np.array(measured), np.array([[SIGMA**2]]), np.zeros(1))
+            factors.append(Factor(kind, k, wall, np.array(measured), np.array([[SIGMA**2]]), np.zeros(1)))
     frames = {wall: np.array([1.0, 0.0, 0.0]) for wall in range(walls)}
-    result = with_correlated_errors(factors, poses, frames, 0.0)
+    result = with_correlated_errors(factors, divisors_of_information(factors, poses, frames, 0.0))
     return np.array([factor.covariance[0, 0] for factor in result]).reshape(walls, count)[:, 0] / SIGMA**2
 
 
