@@ -76,8 +76,19 @@ def write_table(path: Path, columns: Mapping[str, Array | Ragged | Sequence[str]
 
 def _to_arrow(column: Array | Ragged | Sequence[str]) -> pa.Array:
     if isinstance(column, Ragged):
-        return pa.ListArray.from_arrays(pa.array(column.ends, pa.int32()), pa.array(column.values))
-    return pa.array(column) if isinstance(column, np.ndarray) else pa.array(list(column), pa.string())
+        return pa.ListArray.from_arrays(_wrapped(column.ends.astype(np.int32)), _wrapped(column.values))
+    if isinstance(column, np.ndarray):
+        return _wrapped(column)
+    words = [word.encode() for word in column]
+    ends = np.cumsum([0, *map(len, words)]).astype(np.int32)
+    return pa.StringArray.from_buffers(len(words), pa.py_buffer(ends), pa.py_buffer(b"".join(words)))
+
+
+def _wrapped(values: Array) -> pa.Array:
+    """Return values (n,) as an Arrow array. `pa.array` does the same, but it imports pandas, if that is installed."""
+    kind = pa.from_numpy_dtype(values.dtype)
+    data = np.packbits(values, bitorder="little") if kind == pa.bool_() else np.ascontiguousarray(values)
+    return pa.Array.from_buffers(kind, len(values), [None, pa.py_buffer(data)])
 
 
 def are_covariances(matrices: Floats) -> bool:
