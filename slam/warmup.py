@@ -51,9 +51,14 @@ INTERVAL = 0.1
 """Time between scans, seconds."""
 
 
+def is_compiled() -> bool:
+    """Return False before the first compilation after an installation, when none of the functions is on disk."""
+    return is_cached(extract_features)
+
+
 def warm_up() -> None:
     """Compile, or load from disk, everything that a run with default settings calls."""
-    if not is_cached(extract_features):
+    if not is_compiled():
         parts = (compile_preprocessing, compile_estimation)
         code = "from slam.warmup import {0}; {0}()"
         processes = [subprocess.Popen([sys.executable, "-c", code.format(part.__name__)]) for part in parts]

@@ -12,13 +12,16 @@ likelihood of scale s admits points that only one of the scans has seen.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from .. import se2
 from ..messages import Floats, Scan
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 # Radians, width of a direction bin in the search for the rotation.
 # Origin: chosen, at 5 m it is 10 cm, from where iterated closest points converge; not measured.
@@ -100,6 +103,8 @@ def surface(points: Floats) -> Surface | None:
     smooth[:NORMAL_SPAN] = smooth[-NORMAL_SPAN:] = False
     if np.count_nonzero(smooth) < MIN_CORRESPONDENCES:
         return None
+    from scipy.spatial import cKDTree  # only here: recordings without turns need none
+
     return Surface(points[smooth], normals[smooth], cKDTree(points[smooth]))
 
 

@@ -1,0 +1,58 @@
+"""A command loads what it needs, when it needs it: start-up is most of the time that a short recording takes."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+RUN = """
+import sys
+import slam.cli
+import slam.pipeline
+
+HEAVY = {"scipy.stats", "scipy.optimize", "scipy.ndimage", "pandas", "matplotlib", "rosbags", "mcap", "rerun"}
+
+def loaded():
+    return sorted((HEAVY | {"pyarrow"}) & set(sys.modules))
+
+class Slam(slam.pipeline.Slam):
+    def finish(self):
+        print("before the end:", loaded(), file=sys.stderr)
+        return super().finish()
+
+slam.pipeline.Slam = Slam
+sys.argv = ["wclm", "run", RECORDING, "--out", OUT, "--no-review"]
+try:
+    slam.cli.main()
+finally:
+    print("at the end:", loaded(), file=sys.stderr)
+"""
+
+
+def write_log(path: Path) -> None:
+    """Write a drive of 2 m through a room of 8 m by 6 m as a CARMEN log."""
+    angles = np.radians(np.arange(-90, 90))
+    lines = []
+    for k, x in enumerate(np.arange(-1.0, 1.0, 0.05).tolist()):
+        ranges = np.minimum((4.0 - x) / np.cos(angles).clip(1e-9), 3.0 / np.abs(np.sin(angles)).clip(1e-9))
+        values = " ".join(f"{value:.3f}" for value in ranges)
+        lines.append(f"FLASER {len(angles)} {values} {x:.4f} 0 0 {x:.4f} 0 0 {0.1 * k:.3f} host 0.1\n")
+    path.write_text("".join(lines))
+
+
+@pytest.mark.parametrize("package", ["numpy", "pydantic"])
+def test_the_help_is_printed_without(package: str) -> None:
+    code = f"import sys\nimport slam.cli.app\nsys.exit({package!r} in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
+
+
+def test_a_run_of_a_log_loads_no_library_of_other_formats_and_tables_at_the_end(tmp_path: Path) -> None:
+    log, out = tmp_path / "log.clf", tmp_path / "out"
+    write_log(log)
+    constants = f"RECORDING, OUT = {str(log)!r}, {str(out)!r}\n"
+    answer = subprocess.run([sys.executable, "-c", constants + RUN], capture_output=True, text=True, timeout=250)
+    assert answer.returncode == 0, answer.stderr
+    lines = [line for line in answer.stderr.splitlines() if not line.startswith("wclm: compiling")]
+    assert lines == ["before the end: []", "at the end: ['pyarrow']"]
