@@ -19,7 +19,16 @@ import numpy as np
 from .. import se2
 from ..errors import RecordingError
 from ..messages import Floats, Message, Odometry, Scan
-from .carmen_lines import KINDS, LASERS, SICK_NO_RETURN, LaserLine, parse_laser, parse_odometry, written_stamps
+from .carmen_lines import (
+    KINDS,
+    LASERS,
+    SICK_NO_RETURN,
+    LaserLine,
+    no_offsets,
+    parse_laser,
+    parse_odometry,
+    written_stamps,
+)
 from .decompression import MAX_RATIO, allowed_size
 from .microseconds import restore_microseconds
 from .no_returns import find_no_return
@@ -184,7 +193,7 @@ def _scan(line: LaserLine, laser: LaserProperties) -> Scan:
     limit = min(_stated_limit(line), laser.no_return)
     valid = (line.readings > 0.0) & (line.readings < limit)  # false for nan
     ranges = np.where(valid, line.readings, np.nan)
-    return Scan(line.stamp, ranges, line.angles, np.zeros(len(ranges)), 0.0, limit, laser.mount)
+    return Scan(line.stamp, ranges, line.angles, no_offsets(len(ranges)), 0.0, limit, laser.mount)
 
 
 def _parsed(kind: bytes, lines: list[bytes]) -> Iterator[LaserLine]:
