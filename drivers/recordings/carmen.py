@@ -84,10 +84,11 @@ class CarmenReader(RecordingReader):
         """Return the number of lines with odometry or a scan."""
         if self._length is None:
             try:
-                content = b"\n" + _content(self.path)[0]
+                content = _content(self.path)[0]
             except (OSError, RecordingError):  # raised again when it is read
                 return 0
-            self._length = sum(content.count(b"\n" + kind + b" ") for kind in KINDS)
+            starts = [kind + b" " for kind in KINDS]
+            self._length = content.startswith(tuple(starts)) + sum(content.count(b"\n" + start) for start in starts)
         return self._length
 
     def _read(self) -> Iterator[tuple[int, Message]]:
@@ -95,6 +96,7 @@ class CarmenReader(RecordingReader):
         if not content.strip():
             raise RecordingError(self.path, None, damage or "is empty")
         lines = content.split(b"\n")
+        del content  # the lines are kept while they are read
         lasers = {kind: self._calibrate(kind, lines) for kind in LASERS}
         odometry = _OdometryFilter()
         stamps = self._restored_stamps(lines)
