@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..estimation.map_view import MIN_SINE
 from ..geometry.segments import Floats, Integers
+from ..geometry.wall_intersection import MIN_SINE
 from .wall_map import WallMap
 
 # Metres of an outline that may be unobserved between two walls. Origin: chosen, a double door, or a cupboard in a
