@@ -18,8 +18,8 @@ from drivers.compiled import is_cached
 from drivers.messages import Floats, Odometry, Scan
 from features.kernel import extract_features
 
-from .checks import find_suspects
 from .checks.adapter import drive_of
+from .checks.report import find_suspects
 from .config import Config
 from .estimation.estimator import Estimator
 from .estimation.map_view import final_result
