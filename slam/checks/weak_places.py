@@ -19,6 +19,7 @@ import numpy as np
 
 from ..geometry.segments import Floats, Integers
 from ..mapping.map_features import MapWalls
+from .row_groups import consecutive_groups
 
 # Metres: standard deviation from which on a place counts as poorly known. Origin: chosen, what a robot of the width of
 # most doors has to spare; not measured.
@@ -141,8 +142,6 @@ def _parts(path: KeyframePath, parts: Sequence[int]) -> list[WeakPlace]:
 
 def _stretches(path: KeyframePath) -> list[WeakPlace]:
     """Return the stretches of the path whose standard deviation is too large."""
-    from .drive import consecutive_groups  # only here: reports of finished runs start without numba
-
     weak = np.flatnonzero(path.sigma >= MAX_SIGMA)
     known = np.flatnonzero(path.sigma <= TARGET_SHARE * MAX_SIGMA)
     travelled = path.travelled()

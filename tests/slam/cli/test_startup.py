@@ -48,11 +48,31 @@ def test_the_help_is_printed_without(package: str) -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
 
 
-def test_a_run_of_a_log_loads_no_library_of_other_formats_and_tables_at_the_end(tmp_path: Path) -> None:
-    log, out = tmp_path / "log.clf", tmp_path / "out"
+@pytest.fixture(scope="module")
+def mapped(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
+    """Output directory of a run of a log in a process of its own, and what the process printed on stderr."""
+    folder = tmp_path_factory.mktemp("startup")
+    log, out = folder / "log.clf", folder / "out"
     write_log(log)
     constants = f"RECORDING, OUT = {str(log)!r}, {str(out)!r}\n"
     answer = subprocess.run([sys.executable, "-c", constants + RUN], capture_output=True, text=True, timeout=250)
     assert answer.returncode == 0, answer.stderr
-    lines = [line for line in answer.stderr.splitlines() if not line.startswith("wclm: compiling")]
-    assert lines == ["before the end: []", "at the end: ['pyarrow']"]
+    return out, [line for line in answer.stderr.splitlines() if not line.startswith("wclm: compiling")]
+
+
+def test_a_run_of_a_log_loads_no_library_of_other_formats_and_tables_at_the_end(mapped: tuple[Path, list[str]]) -> None:
+    assert mapped[1] == ["before the end: []", "at the end: ['pyarrow']"]
+
+
+@pytest.mark.parametrize("command", [["report", "--overwrite"], ["map", "--format", "svg"]])
+def test_reports_and_drawings_are_made_without_the_estimator(
+    mapped: tuple[Path, list[str]], command: list[str]
+) -> None:
+    name, *options = command
+    code = (
+        f"import sys; sys.argv = ['wclm', {name!r}, {str(mapped[0])!r}, *{options!r}]\nimport slam.cli\n"
+        "try: slam.cli.main()\nexcept SystemExit as end: assert not end.code\n"
+        "print(sorted({'gtsam', 'numba', 'scipy', 'pyarrow'} & set(sys.modules)), file=sys.stderr)"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert answer.stderr.strip() == "[]"
