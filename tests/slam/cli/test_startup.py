@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slam.cli.compilation import compile_for_recording
+
 RUN = """
 import sys
 import slam.cli
@@ -51,6 +53,7 @@ def test_the_help_is_printed_without(package: str) -> None:
 @pytest.fixture(scope="module")
 def mapped(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
     """Output directory of a run of a log in a process of its own, and what the process printed on stderr."""
+    compile_for_recording()  # the first time, the warm-up would map a drive in the process before the recording
     folder = tmp_path_factory.mktemp("startup")
     log, out = folder / "log.clf", folder / "out"
     write_log(log)
