@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol, TypeAlias
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
 
@@ -13,7 +13,9 @@ from .geometry.segments import CornerPoints, Floats, Integers, Segments
 from .graph.residuals import Residuals
 from .loop_closure.loop_status import LoopStatus
 from .mapping.map_features import MapCorners, MapWalls
-from .odometry.error_model import OdometryModel
+
+if TYPE_CHECKING:
+    from .odometry.error_model import OdometryModel
 
 
 @dataclass(frozen=True, slots=True, eq=False)

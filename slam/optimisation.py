@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from .checks import find_suspects
 from .checks.adapter import drive_of, unconnected_parts
+from .checks.report import find_suspects
 from .errors import MapError
 from .estimation.map_view import final_result
 from .estimation.refinement import refine

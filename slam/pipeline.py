@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,7 +23,6 @@ from .estimation.stage_timer import StageTimer
 from .estimation.wall_bends import settle_wall_bends
 from .events import Finished, GroundTruthReceived, Notice, Sink
 from .geometry.segments import Floats
-from .io.sessions import StoredSession
 from .localisation.state import LocalisationEvent, LocalisationState
 from .localisation_report import LocalisationReport
 from .loop_closure.agreement import LoopAgreement
@@ -36,6 +36,9 @@ from .publisher import Publisher
 from .run_end import check_run, find_scan_delay, is_unknown_place, map_alone, refine_or_match, settle_plan
 from .run_snapshot import RunSnapshot
 from .run_statistics import RunStatistics, run_summary
+
+if TYPE_CHECKING:
+    from .io.sessions import StoredSession
 
 
 class Slam:
@@ -331,6 +334,8 @@ class Slam:
         self._estimator = map_alone(self.config, self._journal, self._statistics, self._publisher)
 
     def _stored(self, state: SlamState, *, release: bool = True) -> StoredSession:
+        from .io.sessions import StoredSession  # only here: a recording is read without the libraries of tables
+
         resumed, journal = self._resumed, self._journal
         if release:
             state.mapper.gauge.release(state.mapper)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .checks import find_suspects
 from .checks.adapter import drive_of, unconnected_parts, unconstrained_stretches, unmatched_stretches
+from .checks.report import find_suspects
 from .config import Config
 from .errors import MapError
 from .estimation.estimator import Estimator

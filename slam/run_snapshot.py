@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .errors import MapError
 from .estimation.map_view import covariances_when_last_seen, map_features
 from .events import Finished
-from .io.sessions import StoredSession
 from .mapping.odometry_segments import OdometrySegments
+
+if TYPE_CHECKING:
+    from .io.sessions import StoredSession
 
 
 @dataclass(frozen=True, slots=True, eq=False)

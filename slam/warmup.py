@@ -18,8 +18,8 @@ from drivers.compiled import is_cached
 from drivers.messages import Floats, Odometry, Scan
 from features.kernel import extract_features
 
-from .checks import find_suspects
 from .checks.adapter import drive_of
+from .checks.report import find_suspects
 from .config import Config
 from .estimation.estimator import Estimator
 from .estimation.map_view import final_result
@@ -51,9 +51,14 @@ INTERVAL = 0.1
 """Time between scans, seconds."""
 
 
+def is_compiled() -> bool:
+    """Return False before the first compilation after an installation, when none of the functions is on disk."""
+    return is_cached(extract_features)
+
+
 def warm_up() -> None:
     """Compile, or load from disk, everything that a run with default settings calls."""
-    if not is_cached(extract_features):
+    if not is_compiled():
         parts = (compile_preprocessing, compile_estimation)
         code = "from slam.warmup import {0}; {0}()"
         processes = [subprocess.Popen([sys.executable, "-c", code.format(part.__name__)]) for part in parts]

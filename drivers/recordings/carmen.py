@@ -19,7 +19,16 @@ import numpy as np
 from .. import se2
 from ..errors import RecordingError
 from ..messages import Floats, Message, Odometry, Scan
-from .carmen_lines import KINDS, LASERS, SICK_NO_RETURN, LaserLine, parse_laser, parse_odometry, written_stamps
+from .carmen_lines import (
+    KINDS,
+    LASERS,
+    SICK_NO_RETURN,
+    LaserLine,
+    no_offsets,
+    parse_laser,
+    parse_odometry,
+    written_stamps,
+)
 from .decompression import MAX_RATIO, allowed_size
 from .microseconds import restore_microseconds
 from .no_returns import find_no_return
@@ -75,10 +84,11 @@ class CarmenReader(RecordingReader):
         """Return the number of lines with odometry or a scan."""
         if self._length is None:
             try:
-                content = b"\n" + _content(self.path)[0]
+                content = _content(self.path)[0]
             except (OSError, RecordingError):  # raised again when it is read
                 return 0
-            self._length = sum(content.count(b"\n" + kind + b" ") for kind in KINDS)
+            starts = [kind + b" " for kind in KINDS]
+            self._length = content.startswith(tuple(starts)) + sum(content.count(b"\n" + start) for start in starts)
         return self._length
 
     def _read(self) -> Iterator[tuple[int, Message]]:
@@ -86,6 +96,7 @@ class CarmenReader(RecordingReader):
         if not content.strip():
             raise RecordingError(self.path, None, damage or "is empty")
         lines = content.split(b"\n")
+        del content  # the lines are kept while they are read
         lasers = {kind: self._calibrate(kind, lines) for kind in LASERS}
         odometry = _OdometryFilter()
         stamps = self._restored_stamps(lines)
@@ -184,7 +195,7 @@ def _scan(line: LaserLine, laser: LaserProperties) -> Scan:
     limit = min(_stated_limit(line), laser.no_return)
     valid = (line.readings > 0.0) & (line.readings < limit)  # false for nan
     ranges = np.where(valid, line.readings, np.nan)
-    return Scan(line.stamp, ranges, line.angles, np.zeros(len(ranges)), 0.0, limit, laser.mount)
+    return Scan(line.stamp, ranges, line.angles, no_offsets(len(ranges)), 0.0, limit, laser.mount)
 
 
 def _parsed(kind: bytes, lines: list[bytes]) -> Iterator[LaserLine]:

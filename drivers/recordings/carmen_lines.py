@@ -32,6 +32,9 @@ KINDS = (b"ODOM", *LASERS)
 SICK_NO_RETURN = 81.83
 """Metres. A SICK LMS in centimetre mode reports codes 8183 to 8191 instead of a range: no echo, dazzled, etc."""
 
+MAX_NUMBERS = 1 << 16
+"""Different readings that are remembered. Origin: chosen; some megabytes, and ranges in millimetres up to 65 m."""
+
 _DECIMAL = re.compile(rb"\d+(\.\d+)?$")
 
 
@@ -44,6 +47,24 @@ class LaserLine:
     angles: Floats
     poses: Floats  # laser x y theta, robot x y theta
     limit: float | None
+
+
+class _Numbers(dict[bytes, float]):
+    """Numbers by their text. A log has few different readings, and to look one up is faster than to convert it."""
+
+    def __missing__(self, text: bytes) -> float:
+        if len(self) >= MAX_NUMBERS:
+            self.clear()
+        number = self[text] = float(text)
+        return number
+
+
+_NUMBERS = _Numbers()
+
+
+def _numbers(words: list[bytes]) -> Floats:
+    """Return the readings (n,) of a laser line."""
+    return np.fromiter(map(_NUMBERS.__getitem__, words), np.float64, len(words))
 
 
 def parse_odometry(line: bytes) -> tuple[float, float, float, float]:
@@ -65,9 +86,9 @@ def parse_laser(kind: bytes, line: bytes) -> LaserLine:
     readings, rest = words[2 : 2 + count], words[2 + count :]
     if not 8 <= len(rest) <= 9:
         raise ValueError("number of fields does not match the number of beams")
-    poses, stamp = np.array([float(word) for word in rest[:6]]), float(rest[6])
+    poses, stamp = [float(word) for word in rest[:6]], float(rest[6])
     _check(stamp, *poses)
-    return LaserLine(stamp, np.array([float(word) for word in readings]), half_turn_angles(count), poses, None)
+    return LaserLine(stamp, _numbers(readings), half_turn_angles(count), np.array(poses), None)
 
 
 def _robotlaser(words: list[bytes]) -> LaserLine:
@@ -81,11 +102,9 @@ def _robotlaser(words: list[bytes]) -> LaserLine:
     start, resolution, limit = float(words[2]), float(words[4]), float(words[5])
     if not (abs(start) < 10.0 and 0.0 < resolution < 7.0 and limit > 0.0):
         raise ValueError("start angle, resolution or maximum range is invalid")
-    poses, stamp = np.array([float(word) for word in rest[:6]]), float(rest[11])
+    poses, stamp = [float(word) for word in rest[:6]], float(rest[11])
     _check(stamp, *poses)
-    readings = np.array([float(word) for word in words[9 : 9 + count]])
-    angles = start + resolution * np.arange(count, dtype=np.float64)
-    return LaserLine(stamp, readings, angles, poses, limit)
+    return LaserLine(stamp, _numbers(words[9 : 9 + count]), _angles(start, resolution, count), np.array(poses), limit)
 
 
 def written_stamps(lines: Iterable[bytes]) -> Iterator[tuple[int, bytes]]:
@@ -112,8 +131,24 @@ def _count(words: list[bytes], index: int) -> int:
 def _check(stamp: float, *pose: float) -> None:
     if not 0.0 <= stamp < math.inf:
         raise ValueError("stamp is invalid")
-    if not np.all(np.abs(pose) < 1e9):
+    if not all(abs(value) < 1e9 for value in pose):  # false for nan
         raise ValueError("pose is not finite")
+
+
+@lru_cache(maxsize=64)
+def _angles(start: float, resolution: float, count: int) -> Floats:
+    """Return the angles (count,) of a laser that states the first one and their distance, radians, read-only."""
+    angles = start + resolution * np.arange(count, dtype=np.float64)
+    angles.flags.writeable = False
+    return angles
+
+
+@lru_cache(maxsize=64)
+def no_offsets(count: int) -> Floats:
+    """Return zeros (count,) as the times of the beams, which no line states; read-only."""
+    offsets = np.zeros(count)
+    offsets.flags.writeable = False
+    return offsets
 
 
 @lru_cache(maxsize=64)

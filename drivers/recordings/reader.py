@@ -42,24 +42,16 @@ class RecordingReader(ABC):
 
     def __iter__(self) -> Iterator[Message]:
         """Yield the messages from the beginning, with non-decreasing stamps."""
-        found = False
         frozen = FrozenOdometryDetector()
-        try:
-            beams_reversed = self.beams_reversed
-            self.report = report = SourceReport()
-            for message in self._messages():
-                report.messages += 1
-                frozen.add(message)
-                found = found or not isinstance(message, GroundTruth)
-                yield with_reversed_times(message) if beams_reversed and isinstance(message, Scan) else message
-        except OSError as error:
-            raise self._read_error(error) from error
+        beams_reversed = self.beams_reversed
+        self.report = report = SourceReport()
+        for message in self._messages():
+            report.messages += 1
+            frozen.add(message)
+            yield with_reversed_times(message) if beams_reversed and isinstance(message, Scan) else message
         frozen.finish()
         if (text := frozen.describe()) is not None:
             self.doubt(text)
-        if not found:
-            first = f" ({report.first})" if report.first else ""
-            raise RecordingError(self.path, None, f"{self._empty_reason()}{first}")
 
     def select_scans(self, topic: str, cut_height: float | None, cut_thickness: float) -> None:
         """Select the topic of scans or point clouds, empty for the best one, and the layer of clouds (see `HeightCut`).
@@ -87,6 +79,11 @@ class RecordingReader(ABC):
 
         return decide_beam_order(self._turns)
 
+    @property
+    def has_odometry(self) -> bool:
+        """True if the recording contains odometry."""
+        return len(self._turns.odometry) > 0
+
     @cached_property
     def delay(self) -> Delay | None:
         """Delay of the lidar's stamps against odometry's; None if the recording does not determine it."""
@@ -96,6 +93,7 @@ class RecordingReader(ABC):
 
     @cached_property
     def _turns(self) -> Turns:
+        """What is known of the whole recording before it is read: collected once, as that takes as long as reading."""
         from ..timing.turns import Turns
 
         return Turns(self._survey_messages())
@@ -105,13 +103,21 @@ class RecordingReader(ABC):
         report, self.report = self.report, SourceReport()
         try:
             yield from self._messages()
-        except OSError as error:
-            raise self._read_error(error) from error
         finally:
             self.report = report
 
     def _messages(self) -> Iterator[Message]:
-        return order_by_time(in_seconds(self._read(), self), self)
+        """Yield the messages as they are recorded. Raises RecordingError if there is neither a scan nor odometry."""
+        found = False
+        try:
+            for message in order_by_time(in_seconds(self._read(), self), self):
+                found = found or not isinstance(message, GroundTruth)
+                yield message
+        except OSError as error:
+            raise self._read_error(error) from error
+        if not found:
+            first = f" ({self.report.first})" if self.report.first else ""
+            raise RecordingError(self.path, None, f"{self._empty_reason()}{first}")
 
     def _read_error(self, error: OSError) -> RecordingError:
         return RecordingError(self.path, None, f"cannot be read: {error.strerror or error}")

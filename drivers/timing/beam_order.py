@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy import stats
 
 from .. import se2
 from ..messages import Floats, Scan
 from .scan_matching import match, middle_offset, scan_points, surface
+from .student import statistic, upper_limit
 from .turns import Run, Turns
 
 Order = Literal["forward", "reversed"]
@@ -65,20 +65,14 @@ def decide_beam_order(turns: Turns) -> BeamOrderTest:
     if len(costs) < MIN_PAIRS:
         return BeamOrderTest(None, len(costs), 0.0)
     stated, reversed_, none = np.array(costs).T
-    limit = float(stats.t.isf(ERROR_PROBABILITY, len(costs) - 1))
-    statistic = _statistic(reversed_ - stated)
+    limit = upper_limit(ERROR_PROBABILITY, len(costs) - 1)
+    preference = statistic(reversed_ - stated)
     order: Order | None = None
-    if statistic > limit:
+    if preference > limit:
         order = "forward"
-    elif statistic < -limit and _statistic(none - reversed_) > limit:
+    elif preference < -limit and statistic(none - reversed_) > limit:
         order = "reversed"
-    return BeamOrderTest(order, len(costs), statistic)
-
-
-def _statistic(differences: Floats) -> float:
-    """Return the mean of differences (n,) divided by its standard error."""
-    error = float(differences.std(ddof=1)) / np.sqrt(len(differences))
-    return float(differences.mean()) / max(float(error), 1e-12)
+    return BeamOrderTest(order, len(costs), preference)
 
 
 def _pairs(run: Run) -> list[tuple[float, Run, int, int]]:

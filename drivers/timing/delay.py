@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy import stats
 
 from ..messages import Floats
+from .student import statistic, upper_limit
 from .turns import MAX_SCAN_PERIOD, Run, Turns, deskewed
 
 # Seconds, step of the time grid and of the delays that are tried; the minimum is interpolated.
@@ -92,7 +92,7 @@ def estimate_delay(turns: Turns, direction: float = 1.0) -> Delay | None:
     seconds, sigma = _jackknife(blocks, weights)
     if not abs(seconds) < MAX_DELAY - STEP or not sigma > 0.0:
         return None
-    significant = abs(seconds) / sigma > float(stats.t.isf(ERROR_PROBABILITY / 2, len(weights) - 1))
+    significant = abs(seconds) / sigma > upper_limit(ERROR_PROBABILITY / 2, len(weights) - 1)
     objection = None if significant else "not significant"
     if significant and _predicts_worse(runs, turns.odometry, seconds):
         objection = "contradicted by the turns from scan to scan"
@@ -192,4 +192,4 @@ def _predicts_worse(runs: Sequence[Run], odometry: Floats, seconds: float) -> bo
     if np.median(np.abs(compensated)) >= scale:
         return True
     loss = np.log1p((compensated / scale) ** 2) - np.log1p((recorded / scale) ** 2)
-    return bool(stats.ttest_1samp(loss, 0.0, alternative="greater").pvalue < CONTRADICTION_PROBABILITY)
+    return statistic(loss) > upper_limit(CONTRADICTION_PROBABILITY, len(loss) - 1)

@@ -12,13 +12,15 @@ likelihood of scale s admits points that only one of the scans has seen.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from .. import se2
 from ..messages import Floats, Scan
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 # Radians, width of a direction bin in the search for the rotation.
 # Origin: chosen, at 5 m it is 10 cm, from where iterated closest points converge; not measured.
@@ -42,6 +44,8 @@ MAX_POINTS = 200
 MIN_CORRESPONDENCES = 20
 # Beams to either side from which the normal of a surface is determined. Origin: chosen; not measured.
 NORMAL_SPAN = 2
+# Added to the information of a match, so that it can be inverted if nothing determines a direction. Origin: numerical.
+REGULARISATION = 1e-9 * np.eye(3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,6 +104,8 @@ def surface(points: Floats) -> Surface | None:
     smooth[:NORMAL_SPAN] = smooth[-NORMAL_SPAN:] = False
     if np.count_nonzero(smooth) < MIN_CORRESPONDENCES:
         return None
+    from scipy.spatial import cKDTree  # only here: recordings without turns need none
+
     return Surface(points[smooth], normals[smooth], cKDTree(points[smooth]))
 
 
@@ -133,14 +139,18 @@ def match(points: Floats, reference: Surface, guess: se2.Pose) -> Match | None:
     for _ in range(MAX_ITERATIONS):
         placed = se2.transform(pose, points)
         distance, nearest = reference.tree.query(placed, distance_upper_bound=reach)
-        found: NDArray[np.bool_] = np.isfinite(distance)
-        if np.count_nonzero(found) < MIN_CORRESPONDENCES:
+        found = np.flatnonzero(np.isfinite(distance))
+        if len(found) < MIN_CORRESPONDENCES:
             return None
-        normals, lever = reference.normals[nearest[found]], placed[found] - pose[:2]
-        error = ((placed[found] - reference.points[nearest[found]]) * normals).sum(axis=1)
+        placed, nearest = placed[found], nearest[found]
+        normals, away, lever = reference.normals[nearest], placed - reference.points[nearest], placed - pose[:2]
+        # column by column, which takes half the time of sums and stacks over an axis of two
+        error = away[:, 0] * normals[:, 0] + away[:, 1] * normals[:, 1]
         weight = 1.0 / (1.0 + (error / SCALE) ** 2)
-        jacobian = np.column_stack([normals, normals[:, 1] * lever[:, 0] - normals[:, 0] * lever[:, 1]])
-        information = (jacobian * weight[:, None]).T @ jacobian + 1e-9 * np.eye(3)
+        jacobian = np.empty((len(found), 3))
+        jacobian[:, :2] = normals
+        jacobian[:, 2] = normals[:, 1] * lever[:, 0] - normals[:, 0] * lever[:, 1]
+        information = (jacobian * weight[:, None]).T @ jacobian + REGULARISATION
         step = np.linalg.solve(information, jacobian.T @ (weight * error))
         pose = pose - step
         if reach == LAST_REACH and np.abs(step).max() < CONVERGED:

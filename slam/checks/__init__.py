@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from .report import find_suspects
 from .suspect import Suspect
 
-__all__ = ["Suspect", "find_suspects"]
+__all__ = ["Suspect"]

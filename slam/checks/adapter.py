@@ -15,7 +15,8 @@ from ..mapping.trajectory_builder import TrajectoryBuilder
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
 from ..preprocessing.preprocessor import ProcessedScan
-from .drive import Drive, consecutive_groups
+from .drive import Drive
+from .row_groups import consecutive_groups
 from .suspect import PARTS, UNCONSTRAINED, Suspect
 
 # Metres of driving that are reported if nothing determines them: velocities hardly change before.

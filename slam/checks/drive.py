@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.compiled import compiled
@@ -105,8 +104,3 @@ def _sample(odometry, poses, counts):  # type: ignore[no-untyped-def]
             rows[count] = k
             count += 1
     return rows[:count]
-
-
-def consecutive_groups(rows: Integers, gap: int) -> list[NDArray[np.int64]]:
-    """Split increasing row numbers into groups whose neighbours differ by at most `gap`."""
-    return [group for group in np.split(rows, np.flatnonzero(np.diff(rows) > gap) + 1) if len(group)]

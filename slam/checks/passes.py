@@ -17,7 +17,8 @@ import numpy as np
 from drivers.compiled import compiled
 
 from ..geometry.segments import Floats, Integers
-from .drive import Drive, consecutive_groups
+from .drive import Drive
+from .row_groups import consecutive_groups
 from .suspect import MAP, Suspect
 
 # Metres of driving between two passes of a place. Origin: chosen, more than one room; not measured.

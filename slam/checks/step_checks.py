@@ -11,7 +11,8 @@ from drivers import se2
 
 from ..geometry.segments import Integers
 from ..odometry.history import wheel_travel
-from .drive import Drive, consecutive_groups
+from .drive import Drive
+from .row_groups import consecutive_groups
 from .steps import FIT_WEIGHT, GROSS_ERROR, Steps
 from .suspect import ODOMETRY, PLACEMENT, Suspect
 from .view_changes import MIN_RATIO, view_changes

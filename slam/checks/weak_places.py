@@ -19,7 +19,7 @@ import numpy as np
 
 from ..geometry.segments import Floats, Integers
 from ..mapping.map_features import MapWalls
-from .drive import consecutive_groups
+from .row_groups import consecutive_groups
 
 # Metres: standard deviation from which on a place counts as poorly known. Origin: chosen, what a robot of the width of
 # most doors has to spare; not measured.

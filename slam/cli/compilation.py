@@ -1,7 +1,8 @@
-"""Compilation before a run, with a message if it takes long."""
+"""Compilation for a run, with a message if it takes long."""
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from functools import cache
 
 from .console import print_if_slow
@@ -12,7 +13,32 @@ COMPILING = "compiling, once after an installation or update; takes about half a
 @cache
 def compile_all() -> None:
     """Compile everything that a run calls, or load it from disk; once in a process."""
-    from ..warmup import warm_up
+    from ..warmup import is_compiled, warm_up
 
-    with print_if_slow(COMPILING):
+    _announce_compilation()
+    with nullcontext() if is_compiled() else print_if_slow(COMPILING):  # the first time, other processes compile too
         warm_up()
+
+
+def compile_for_recording() -> None:
+    """Compile everything if nothing is on disk yet.
+
+    Otherwise a function is loaded from disk, or compiled, when it is called first: no measurement of a recording has
+    to wait for that, and functions that it does not need are not loaded.
+    """
+    from ..warmup import is_compiled
+
+    if is_compiled():
+        _announce_compilation()
+    else:
+        compile_all()
+
+
+@cache
+def _announce_compilation() -> None:
+    """Print a message if this process compiles for long, from now on."""
+    from numba.core.event import register
+
+    from .compilation_message import CompilationMessage
+
+    register("numba:compile", CompilationMessage(COMPILING))  # type: ignore[no-untyped-call]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from threading import Timer
@@ -46,15 +47,14 @@ def print_if_slow(text: str) -> Iterator[None]:
 
 def progress(items: Iterable[Item], total: int, label: str) -> Iterator[Item]:
     """Yield `items`, with a progress bar on stderr if that is a terminal; `total` is 0 if unknown."""
+    if not sys.stderr.isatty():
+        yield from items
+        return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield from items
-        return
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(label, total=total or None)
         for count, item in enumerate(items):
             if count % PROGRESS_STRIDE == 0:

@@ -22,7 +22,7 @@ from ..events import Event, Finished, Notice, Sink
 from ..io.host import versions
 from ..io.output_dir import CONFIG, REPORT, REVIEW, OutputDirectory, unfinished_file
 from .autosave import Autosave
-from .compilation import compile_all
+from .compilation import compile_all, compile_for_recording
 from .console import print_if_slow, print_message
 from .left_behind import print_left_behind
 from .options import parse_pose
@@ -157,7 +157,10 @@ def run_slam(
     with output as directory, ExitStack() as log, ExitStack() as saving:
         from ..pipeline import Slam
 
-        compile_all()
+        if run_input.finite:
+            compile_for_recording()
+        else:
+            compile_all()
         gc.freeze()  # otherwise a full collection over all imported modules delays a scan by 0.1 s
         notices, statistics = NoticeCollector(), InputStatistics()
         sinks: list[Sink] = [notices, *run_input.sinks]

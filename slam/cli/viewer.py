@@ -8,7 +8,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-from ..io.output_dir import REVIEW
 from .console import print_message
 
 LOCAL_ONLY = ("--bind", "127.0.0.1")
@@ -17,6 +16,8 @@ LOCAL_ONLY = ("--bind", "127.0.0.1")
 
 def viewer_command(out: Path) -> list[str]:
     """Return the command that opens the review log in the output directory `out`."""
+    from ..io.output_dir import REVIEW
+
     return [_viewer(), *LOCAL_ONLY, str(out / REVIEW)]
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import drivers
 from drivers.messages import Message, Odometry, Source, SourceReport
-from drivers.source_factory import LidarSelection
+from drivers.source_factory import LidarSelection, recording_of
 
 from ..config import Config, LidarConfig
 from ..errors import ConfigurationError, MapError
@@ -27,8 +27,9 @@ def absolute_recording(recording: str) -> str:
 
 
 def has_odometry(source: Source) -> bool:
-    """Return True if a recording contains odometry. All of it is read if there is none."""
-    return any(isinstance(message, Odometry) for message in source)
+    """Return True if a recording contains odometry. Raises RecordingError if it cannot be read."""
+    reader = recording_of(source)
+    return any(isinstance(message, Odometry) for message in source) if reader is None else reader.has_odometry
 
 
 def open_source(recording: str | Path, config: Config) -> Source:

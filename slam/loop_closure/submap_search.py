@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import minimum_filter
 
 from drivers import se2
 from drivers.compiled import compiled
@@ -105,6 +104,8 @@ def search_submap(submap: Submap, old: Submap, prediction: se2.Pose, reach: floa
     reach       metres that are searched ahead, behind and beside it
     turn        radians that are searched to either side
     """
+    from scipy.ndimage import minimum_filter  # only here: short drives search for nothing
+
     reach, turn = max(SEARCH_STEP, reach), min(math.pi, max(SEARCH_TURN_STEP, turn))
     few = np.ascontiguousarray(subsample(submap.points, MAX_SEARCH_POINTS))  # strided: compiled for separately
     costs = _grid_costs(old.field.arrays, few, prediction, reach, turn)

@@ -14,7 +14,6 @@ from enum import StrEnum
 from itertools import combinations
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
 from ..geometry.segments import Floats
 from .outlines import crossing
@@ -141,6 +140,8 @@ def _is_crossed(ends: Floats, pieces: Floats) -> bool:
 def _join_gaps(wall_map: WallMap, gaps: Sequence[_Gap]) -> list[_Gap]:
     """Return the gaps that are openings; those of both faces of a wall, or of two landmarks on one face, are joined."""
     shared = np.array([[_shared(wall_map, first, second) for second in gaps] for first in gaps])
+    from scipy.sparse.csgraph import connected_components  # only here: most maps are not measured
+
     count, group = connected_components(shared.reshape(len(gaps), len(gaps)) >= MIN_SHARED, directed=False)
     groups = [[gap for gap, number in zip(gaps, group, strict=True) if number == k] for k in range(count)]
     joined = [_joined(wall_map, members) for members in groups]

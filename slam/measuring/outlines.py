@@ -14,10 +14,9 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
-from ..estimation.map_view import MIN_SINE
 from ..geometry.segments import Floats, Integers
+from ..geometry.wall_intersection import MIN_SINE
 from .wall_map import WallMap
 
 # Metres of an outline that may be unobserved between two walls. Origin: chosen, a double door, or a cupboard in a
@@ -126,6 +125,8 @@ def _follow(wall_map: WallMap, edges: Edges) -> Integers:
     for i, before in enumerate(loose.tolist()):
         for j, after in enumerate(open_starts.tolist()):
             cost[i, j] = _bridge_cost(wall_map, edges, before, after)
+    from scipy.optimize import linear_sum_assignment  # only here: most runs measure no rooms
+
     chosen, columns = linear_sum_assignment(np.minimum(cost, 2.0 * MAX_BRIDGE))
     for i, j in zip(chosen, columns, strict=True):
         if j < len(open_starts) and cost[i, j] < MAX_BRIDGE:

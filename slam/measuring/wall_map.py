@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import MapError
-from ..estimation.map_view import intersect_walls
 from ..geometry.segments import Floats
+from ..geometry.wall_intersection import intersect_walls
 from ..mapping.map_features import MapCorners, MapWalls
 
 

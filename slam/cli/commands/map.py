@@ -15,7 +15,7 @@ from ..options import OverwriteOption, RegularOption
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from ...io.exports import PlacedScan, Thresholds
+    from ...io.exports import PlacedScan
     from ...io.run_results import RunResults
 
 
@@ -66,7 +66,7 @@ def export_map(
     Example: [bold]wclm map results/intel --format pgm[/bold]
     """
     from ...errors import OutputError
-    from ...io.exports import Thresholds, write_dxf, write_geojson, write_ply, write_svg
+    from ...io.exports import write_dxf, write_geojson, write_ply, write_svg
     from ...io.output_dir import EXPORTED, POINTS, unfinished_file
     from ...io.run_results import read_run_results
 
@@ -79,7 +79,7 @@ def export_map(
     if target.suffix != f".{form}":
         raise OutputError(f"{target}: the name of a {form} file must end with .{form}")
     if form is Format.PGM:
-        _write_pgm(target, read, recording, resolution, Thresholds(occupied, free), overwrite)
+        _write_pgm(target, read, recording, resolution, (occupied, free), overwrite)
         return
     with unfinished_file(target, overwrite) as unfinished:
         if form is Format.G2O:
@@ -105,16 +105,21 @@ def _regular(session: Path, results: RunResults) -> RunResults:
 
 
 def _write_pgm(
-    target: Path, session: RunResults, recording: str | None, resolution: float, thresholds: Thresholds, overwrite: bool
+    target: Path,
+    session: RunResults,
+    recording: str | None,
+    resolution: float,
+    thresholds: tuple[float, float],
+    overwrite: bool,
 ) -> None:
-    from ...io.exports import OccupancyGrid, write_pgm, write_pgm_yaml
+    from ...io.exports import OccupancyGrid, Thresholds, write_pgm, write_pgm_yaml
     from ...io.output_dir import unfinished_file
 
     settings = target.with_suffix(".yaml")
     with unfinished_file(target, overwrite) as picture, unfinished_file(settings, overwrite) as yaml:
         grid = OccupancyGrid(resolution)
         _check_overlap(grid.add_all(_scans(session, recording)), session, recording)
-        occupancy = grid.occupancy(thresholds)
+        occupancy = grid.occupancy(Thresholds(*thresholds))
         write_pgm(picture, occupancy)
         write_pgm_yaml(yaml, occupancy, image=target.name)
     rows, columns = occupancy.cells.shape

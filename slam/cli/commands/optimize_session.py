@@ -11,7 +11,7 @@ from ...config import Config, config_to_toml
 from ...io.host import peak_memory, versions
 from ...io.output_dir import PICTURE, REVIEW, OutputDirectory, write_results
 from ...io.recordings import absolute_recording, open_source
-from ..compilation import compile_all
+from ..compilation import compile_for_recording
 from ..console import print_if_slow
 from ..run_input import InputStatistics, RecordingInput
 from ..run_summary import RunResult, format_summary
@@ -74,7 +74,7 @@ def optimize_recording(
     with OutputDirectory(out, overwrite) as directory:
         from ...pipeline import Slam
 
-        compile_all()
+        compile_for_recording()
         run_input = RecordingInput(open_source(recording, config), reopen=absolute_recording(recording))
         notices, statistics = NoticeCollector(), InputStatistics()
         started = time.perf_counter()

@@ -15,7 +15,7 @@ own errors if that is less than the information matrices predict.
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtri
 
 from .initialisation import initialise
 from .least_squares import NormalEquations, edge_chi2, edge_errors
@@ -73,9 +73,7 @@ def solve_robustly(graph: PoseGraph, free: Flags) -> tuple[Floats, Flags]:
 
 def _gates(graph: PoseGraph, rate: float = FALSE_ALARM_RATE) -> Floats:
     """Return the chi2 (edge_count,) that this share of edges exceeds if the information matrices are correct."""
-    return np.concatenate(
-        [np.full(len(edges), chi2_distribution.isf(rate, edges.measured.shape[1])) for edges in graph.edges_by_kind]
-    )
+    return np.concatenate([np.full(len(edges), chdtri(edges.measured.shape[1], rate)) for edges in graph.edges_by_kind])
 
 
 def _scale(graph: PoseGraph, x: Floats, odometry: Flags, quantile: float, multiple: float) -> float:

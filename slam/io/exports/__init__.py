@@ -6,14 +6,18 @@ trajectory, and need the recording as well; without one they are made from the p
 
 from __future__ import annotations
 
-from .dxf import write_dxf
-from .geojson import write_geojson
-from .keyframe_points import place_keyframes
-from .occupancy import Occupancy, OccupancyGrid, Thresholds
-from .pgm import write_pgm, write_pgm_yaml
-from .ply import write_ply
-from .scan_placement import PlacedScan, place_scans
-from .svg import write_svg
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .dxf import write_dxf
+    from .geojson import write_geojson
+    from .keyframe_points import place_keyframes
+    from .occupancy import Occupancy, OccupancyGrid, Thresholds
+    from .pgm import write_pgm, write_pgm_yaml
+    from .ply import write_ply
+    from .scan_placement import PlacedScan, place_scans
+    from .svg import write_svg
 
 __all__ = [
     "Occupancy",
@@ -29,3 +33,25 @@ __all__ = [
     "write_ply",
     "write_svg",
 ]
+
+_MODULES = {
+    "Occupancy": "occupancy",
+    "OccupancyGrid": "occupancy",
+    "PlacedScan": "scan_placement",
+    "Thresholds": "occupancy",
+    "place_keyframes": "keyframe_points",
+    "place_scans": "scan_placement",
+    "write_dxf": "dxf",
+    "write_geojson": "geojson",
+    "write_pgm": "pgm",
+    "write_pgm_yaml": "pgm",
+    "write_ply": "ply",
+    "write_svg": "svg",
+}
+
+
+def __getattr__(name: str) -> Any:
+    # Imported on first use: grid maps need numba, whose import takes longer than to write a report page.
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f".{_MODULES[name]}", __name__), name)

@@ -13,7 +13,6 @@ from drivers.messages import Message, Odometry, Scan, on_clock_of_first
 from ...config import Config
 from ...geometry.segments import Floats
 from ...odometry.history import OdometryHistory
-from ...preprocessing.deskew import deskew, lidar_mount, sweep_middle
 from ..tum import STAMP_TOLERANCE, Trajectory
 
 
@@ -36,6 +35,8 @@ def place_scans(messages: Iterable[Message], trajectory: Trajectory, config: Con
 
     Ranges outside the limits of the lidar's settings and of the scan are left out, as during SLAM.
     """
+    from ...preprocessing.deskew import deskew, lidar_mount, sweep_middle  # only here: most exports place no scans
+
     path = OdometryHistory()  # the final trajectory takes the place of odometry
     for stamp, pose in zip(trajectory.stamps.tolist(), trajectory.poses, strict=True):
         path.add(Odometry(stamp, pose))

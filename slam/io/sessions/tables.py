@@ -76,8 +76,30 @@ def write_table(path: Path, columns: Mapping[str, Array | Ragged | Sequence[str]
 
 def _to_arrow(column: Array | Ragged | Sequence[str]) -> pa.Array:
     if isinstance(column, Ragged):
-        return pa.ListArray.from_arrays(pa.array(column.ends, pa.int32()), pa.array(column.values))
-    return pa.array(column) if isinstance(column, np.ndarray) else pa.array(list(column), pa.string())
+        return pa.ListArray.from_arrays(_wrapped(column.ends.astype(np.int32)), _wrapped(column.values))
+    if isinstance(column, np.ndarray):
+        return _wrapped(column)
+    words = [word.encode() for word in column]
+    ends = np.cumsum([0, *map(len, words)]).astype(np.int32)
+    return pa.StringArray.from_buffers(len(words), pa.py_buffer(ends), pa.py_buffer(b"".join(words)))
+
+
+def _wrapped(values: Array) -> pa.Array:
+    """Return values (n,) as an Arrow array. `pa.array` does the same, but it imports pandas, if that is installed."""
+    kind = pa.from_numpy_dtype(values.dtype)
+    data = np.packbits(values, bitorder="little") if kind == pa.bool_() else np.ascontiguousarray(values)
+    return pa.Array.from_buffers(kind, len(values), [None, pa.py_buffer(data)])
+
+
+def _unwrapped(array: pa.Array) -> Array:
+    """Return the values (n,) of an Arrow array without nulls; its own conversion imports pandas too."""
+    dtype, data = np.dtype(array.type.to_pandas_dtype()), array.buffers()[1]
+    if not len(array) or data is None:
+        return np.zeros(0, dtype)
+    if dtype == np.bool_:
+        bits = np.unpackbits(np.frombuffer(data, np.uint8), bitorder="little", count=array.offset + len(array))
+        return bits[array.offset :].astype(np.bool_)
+    return np.frombuffer(data, dtype, len(array), array.offset * dtype.itemsize)
 
 
 def are_covariances(matrices: Floats) -> bool:
@@ -101,8 +123,7 @@ class TableReader:
         """Read the file. Raises MapError naming it if it cannot be read or is another table."""
         self._path = path
         try:
-            self._check_size()
-            self._table = pq.read_table(path)
+            self._table = self._checked_file().read()
             self._names = self._table.column_names
             name = (self._table.schema.metadata or {}).get(TABLE_NAME, b"")
         except FileNotFoundError as error:
@@ -119,8 +140,8 @@ class TableReader:
         """Return True if the table has a column; later versions have added some."""
         return name in self._names
 
-    def _check_size(self) -> None:
-        """Raise MapError if the table would be far larger in memory than any that is written.
+    def _checked_file(self) -> pq.ParquetFile:
+        """Open the file. Raises MapError if the table would be far larger in memory than any that is written.
 
         Raises ValueError or ArrowException if the file is damaged.
         """
@@ -136,6 +157,7 @@ class TableReader:
         values = sum(group.column(k).num_values for group in groups for k in range(group.num_columns))
         if VALUE_SIZE * values > limit:
             raise MapError(f"{self._path}: has {values} values, which is more than {MAX_RATIO} times its size")
+        return file
 
     def floats(self, *names: str, finite: bool = True) -> Floats:
         """Return columns of floats: (n,) for one name, (n, d) for several.
@@ -158,7 +180,10 @@ class TableReader:
 
     def strings(self, name: str) -> list[str]:
         """Return a column of n strings."""
-        return [str(word) for word in self._column(name, pa.types.is_string).tolist()]
+        try:
+            return [str(word) for word in self._typed(name, pa.types.is_string).to_pylist()]
+        except UnicodeDecodeError as error:
+            raise MapError(f"{self._path}: the column {name} has text that is not UTF-8") from error
 
     def ragged_floats(self, *names: str, finite: bool = True) -> tuple[Floats, NDArray[np.int64]]:
         """Return ragged columns of equal lengths: the concatenated values (m, d) and the length of each row (n,).
@@ -183,25 +208,25 @@ class TableReader:
         return np.column_stack([column.values for column in columns]).astype(dtype), lengths
 
     def _column(self, name: str, has_type: Any) -> Array:
+        return _unwrapped(self._typed(name, has_type))
+
+    def _typed(self, name: str, has_type: Any) -> pa.Array:
         array = self._array(name)
         self._check(name, has_type(array.type) and not array.null_count, f"has values of another type: {array.type}")
-        try:
-            return np.asarray(array.to_numpy(zero_copy_only=False))
-        except (UnicodeDecodeError, pa.ArrowException) as error:  # pyarrow wraps some of these
-            raise MapError(f"{self._path}: the column {name} has text that is not UTF-8") from error
+        return array
 
     def _ragged(self, name: str, has_type: Any) -> Ragged:
         array = self._array(name)
         valid = pa.types.is_list(array.type) and has_type(array.type.value_type) and not array.null_count
         self._check(name, valid and not array.values.null_count, f"has values of another type: {array.type}")
-        lengths = np.diff(np.asarray(array.offsets)).astype(np.int64)
-        return Ragged(np.asarray(array.flatten().to_numpy(zero_copy_only=False)), lengths)
+        lengths = np.diff(_unwrapped(array.offsets)).astype(np.int64)
+        return Ragged(_unwrapped(array.flatten()), lengths)
 
     def _array(self, name: str) -> pa.Array:
         self._check(name, name in self._names, "is missing")
         column = self._table.column(name).combine_chunks()
         if isinstance(column, pa.ChunkedArray):  # of an empty table
-            return pa.array([], column.type)
+            return pa.nulls(0, column.type)
         return column
 
     def _check_values(self, name: str, values: Array, *, finite: bool) -> None:

@@ -9,8 +9,8 @@ import numpy as np
 
 from drivers import se2
 
-from ...estimation.map_view import MIN_SINE
 from ...geometry.segments import Floats
+from ...geometry.wall_intersection import MIN_SINE
 from ...measuring.wall_map import WallMap
 from .changes import Change, ChangeKind, MapDiff
 

@@ -8,12 +8,12 @@ hypergeometric distribution (Fisher's exact test).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import hypergeom
 
 from drivers import se2
 
@@ -45,8 +45,12 @@ class SeenThrough:
     @property
     def p_value(self) -> float:
         """Probability that so many scans of the other drive see through it, or more, if nothing has changed."""
-        through, votes = self.through + self.own[0], self.through + self.seen
-        return float(hypergeom.sf(self.through - 1, votes + sum(self.own), through, votes))
+        through, votes, own = int(self.through + self.own[0]), int(self.through + self.seen), int(sum(self.own))
+        ways, tail = math.comb(votes, self.through) * math.comb(own, int(self.own[0])), 0
+        for k in range(self.through, min(votes, through) + 1):
+            tail += ways
+            ways = ways * (votes - k) * (through - k) // ((k + 1) * (own - through + k + 1))
+        return tail / math.comb(votes + own, through)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,7 @@ from base64 import b64encode
 
 import numpy as np
 
-from ...estimation.map_view import MIN_SINE
+from ...geometry.wall_intersection import MIN_SINE
 from ...measuring.wall_map import WallMap
 
 

@@ -230,3 +230,15 @@ def test_damaged_logs_raise_only_recording_errors(tmp_path: Path, data: st.DataO
     stamps = [message.stamp for message in messages]
     assert stamps == sorted(stamps)
     assert source.report.messages == len(messages)
+
+
+def test_numbers_are_the_same_however_many_are_remembered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    texts = [f"{value:.4f}" for value in np.random.default_rng(1).uniform(0.1, 30.0, 60)]
+    log = "".join(flaser(0.1 * k, " ".join(texts[k : k + 30])) for k in range(30))
+    for remembered in (1 << 16, 7):
+        monkeypatch.setattr("drivers.recordings.carmen_lines.MAX_NUMBERS", remembered)
+        messages, _ = read(tmp_path, log)
+        scans = [message for message in messages if isinstance(message, Scan)]
+        for k, scan in enumerate(scans):
+            np.testing.assert_array_equal(scan.ranges, [float(text) for text in texts[k : k + 30]])
+        assert len(scans) == 30

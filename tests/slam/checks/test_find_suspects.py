@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from drivers import se2
-from slam.checks import Suspect, find_suspects
+from slam.checks import Suspect
 from slam.checks.drive import Drive
+from slam.checks.report import find_suspects
 from slam.checks.suspect import MAP, ODOMETRY, PLACEMENT
 
 from .drives import carried, moved_from, row_at, simulated_drive

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import drivers
-from drivers.messages import Scan, delay_odometry, with_reversed_times
+from drivers.messages import Message, Scan, delay_odometry, with_reversed_times
 from drivers.recordings.mcap import McapWriter
+from drivers.recordings.reader import RecordingReader
 from drivers.timing.delay import Delay
 from slam import Slam
 from slam.cli.run_input import RecordingInput
 from slam.config import Config, load_config
 from slam.io.recording_timing import RecordingTiming
+from slam.io.recordings import has_odometry
 
 from ...drivers.timing.drives import office_drive, with_late_scans
 
@@ -85,3 +88,23 @@ def test_lidars_have_one_delay_unless_they_clearly_differ(second: Delay | None, 
     first = RecordingTiming(delay=Delay(0.32, 0.02, None), used_delay=0.3)
     own = 0.0 if second is None or second.objection else second.seconds
     assert RecordingTiming(delay=second, used_delay=own).beside(first).used_delay == used
+
+
+def test_a_run_reads_all_of_a_recording_twice(monkeypatch: pytest.MonkeyPatch, wrong_recording: Path) -> None:
+    """Once for what has to be known before, and once for the map."""
+    ends: list[RecordingReader] = []
+    read = RecordingReader._messages
+
+    def counted(self: RecordingReader) -> Iterator[Message]:
+        yield from read(self)
+        ends.append(self)
+
+    monkeypatch.setattr(RecordingReader, "_messages", counted)
+    source = drivers.open(wrong_recording)
+    assert has_odometry(source)
+    run_input = RecordingInput(source, reopen=str(wrong_recording))
+    run_input.resolve(Config())
+    assert len(ends) == 1
+    with run_input.opened(lambda: None) as messages:
+        assert sum(1 for _ in messages) == len(source)
+    assert ends == [source, source]

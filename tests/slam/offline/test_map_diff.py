@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from scipy.stats import fisher_exact
 
 from drivers import se2
 from drivers.simulation.world import load_world
@@ -136,6 +137,14 @@ def test_a_wall_that_no_scan_has_looked_at_is_not_gone(random: np.random.Generat
 def test_glass_that_both_drives_see_through_now_and_then_has_not_gone() -> None:
     assert SeenThrough(0, (0.0, 1.0), through=9, seen=3, own=(8, 10)).p_value > 0.05
     assert SeenThrough(0, (0.0, 1.0), through=9, seen=3, own=(0, 18)).p_value < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("through", "seen", "own"), [(0, 5, (3, 4)), (9, 3, (8, 10)), (40, 0, (0, 70)), (7, 2, (0, 0))]
+)
+def test_p_values_of_stretches_are_those_of_the_exact_test(through: int, seen: int, own: tuple[int, int]) -> None:
+    expected = fisher_exact([[through, seen], list(own)], alternative="greater").pvalue
+    assert SeenThrough(0, (0.0, 1.0), through, seen, own).p_value == pytest.approx(expected, rel=1e-12)
 
 
 def test_false_discoveries_are_controlled(random: np.random.Generator) -> None:

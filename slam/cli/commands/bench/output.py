@@ -9,8 +9,6 @@ from typing import Annotated, Any, NamedTuple
 import typer
 
 from ....errors import ConfigurationError
-from ....io.host import describe_machine, versions
-from ....io.output_dir import to_json_types
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one line of JSON instead of text.")]
 JsonFileOption = Annotated[Path | None, typer.Option("--json", metavar="FILE.json", help="JSON file for all figures.")]
@@ -29,12 +27,16 @@ def check_conditions(names: Iterable[str] | None, known: Collection[str]) -> tup
 
 def provenance(seed: int | None) -> dict[str, Any]:
     """Return the machine, the versions and the seed, if there is one, for JSON."""
+    from ....io.host import describe_machine, versions
+
     content: dict[str, Any] = {"machine": describe_machine(), "versions": versions()}
     return content if seed is None else content | {"seed": seed}
 
 
 def heading(seed: int) -> list[str]:
     """Return the machine, the versions and the seed as lines of text."""
+    from ....io.host import describe_machine, versions
+
     return [
         "; ".join(f"{name}: {value}" for name, value in describe_machine().items()),
         ", ".join(f"{name} {version}" for name, version in versions().items()) + f"; seed {seed}",
@@ -43,4 +45,6 @@ def heading(seed: int) -> list[str]:
 
 def plain_rows(rows: Iterable[NamedTuple]) -> list[dict[str, Any]]:
     """Return rows as plain data for JSON, with null for NaN."""
+    from ....io.output_dir import to_json_types
+
     return [to_json_types(row._asdict()) for row in rows]

@@ -1,0 +1,33 @@
+"""The message that a command compiles: once, if that takes long."""
+
+import pytest
+from numba import njit
+from numba.core.event import install_listener
+
+from slam.cli.compilation_message import CompilationMessage
+
+from .test_console import wait_for_timers
+
+
+def test_compiling_for_long_prints_one_message(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slam.cli.compilation_message.SLOW_SECONDS", 1e-6)
+    inner = njit(lambda x: x + 1)
+    outer = njit(lambda x: 2 * inner(x))
+    with install_listener("numba:compile", CompilationMessage("compiling")):
+        assert outer(1) == 4
+        wait_for_timers()
+        assert outer(1.5) == 5.0  # compiled again, for another type
+    wait_for_timers()
+    assert capsys.readouterr().err == "wclm: compiling\n"
+
+
+def test_compiling_for_a_short_time_prints_nothing(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slam.cli.compilation_message.SLOW_SECONDS", 120.0)
+    with install_listener("numba:compile", CompilationMessage("compiling")):
+        assert njit(lambda x: x + 1)(1) == 2
+    wait_for_timers()
+    assert capsys.readouterr().err == ""
