@@ -111,11 +111,11 @@ class RunWriter:
         session.recordings.append(self.statistics.recording(self.run_input))
         recordings = session.recordings[-1:] if self.frozen else session.recordings
         return summary | {
-            "lidars": self._mounts(),
+            "lidars": self.mounts(),
             "recordings": [recording.model_dump() for recording in recordings],
         }
 
-    def _mounts(self) -> list[list[float]]:
+    def mounts(self) -> list[list[float]]:
         """Return the mount [x, y, heading] of each lidar that was used, by number."""
         unknown, mounts = np.zeros(3), []
         for number, recorded in sorted(self.statistics.mounts.items()):

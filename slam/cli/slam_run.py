@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from ..io.sessions import StoredSession
     from ..mapping.plan_map import PlanMap
     from ..pipeline import Slam
-    from ..visualisation.live_page import PageServer
+    from ..visualisation.live_page import GridLayer, PageServer
     from ..visualisation.rerun_log import ReviewLog, ViewerServer
 
 READING_SESSION = "reading the session"
@@ -171,7 +171,7 @@ def run_slam(
         keys = keys or TerminalKeys()
         autosave = Autosave(output, lambda: writer.snapshot(slam), keys)
         if page is not None:
-            sinks.append(page.state)
+            sinks += [page.state, log.enter_context(_grid_layer(page, writer, resumed))]
             _let_page_save(page, autosave)
         with run_input.opened(autosave.poll) as messages:
             with print_if_slow(FINDING_TIMING):
@@ -198,6 +198,13 @@ def run_slam(
             output.finish(write)
     write_report_page(out)
     return RunResult(summary, review)
+
+
+def _grid_layer(page: PageServer, writer: RunWriter, resumed: StoredSession | None) -> GridLayer:
+    """Return the occupancy grid of a run on its page."""
+    from ..visualisation.live_page import GridLayer
+
+    return GridLayer(page.state, lambda: np.array(writer.mounts())[:, :2], resumed)
 
 
 def _let_page_save(page: PageServer, autosave: Autosave) -> None:
