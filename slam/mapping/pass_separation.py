@@ -7,7 +7,7 @@ keyframes hold the pass where it is. Once it is separated, a loop can be closed 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -46,6 +46,7 @@ def separate_pass(
     segments: Sequence[Segments],
     *,
     ties: Collection[tuple[int, int]] = (),
+    merged: Collection[tuple[int, int]] = (),
     remove: Callable[[Factor], bool] = lambda _: False,
     add: Sequence[Factor] = (),
 ) -> NDArray[np.bool_]:
@@ -53,6 +54,9 @@ def separate_pass(
 
     segments     of each keyframe
     ties         walls (kept, absorbed) that stay one although they are of both
+    merged       walls (kept, absorbed) that were merged since the pass was mapped at a wrong pose: from a distance,
+                 keyframes just before the pass have seen the same place. They are separated if they are of neither, and
+                 were observed with a gap between them
     remove, add  other factors that are removed and added
 
     Older walls that scans of the pass have seen through are there again, as the scans were elsewhere. The graph has
@@ -61,7 +65,8 @@ def separate_pass(
     """
     landmarks, division = mapper.landmarks, _Division(mapper, one)
     factors = mapper.graph.solver.sorted_factors()
-    kept, copied = division.equalities((f for f in factors if f.kind is FactorKind.WALL_EQUALITY), ties)
+    equalities = [factor for factor in factors if factor.kind is FactorKind.WALL_EQUALITY]
+    kept, copied = division.equalities(equalities, set(ties), set(merged))
     pairs = {(factor.first, factor.second) for factor in kept}
     before = int(np.searchsorted(mapper.travelled, mapper.travelled[one.keyframes.start] - one.gap)) - 1
 
@@ -93,14 +98,14 @@ class _Division:
     """
 
     def __init__(self, mapper: Mapper, one: Pass) -> None:
-        self._keyframes = one.keyframes
+        self._keyframes, self._gap = one.keyframes, one.gap
         self._groups = dict(enumerate(mapper.landmarks.walls.rows["merged_into"].tolist()))
         self._seen = _observers(mapper, FactorKind.WALL_HEADING)
         together: dict[int, frozenset[int]] = {}  # by the walls into which they were merged
         for wall, seen in self._seen.items():
             together[self._groups[wall]] = together.get(self._groups[wall], frozenset()) | seen
         self._first = {root: min(seen) for root, seen in together.items()}
-        travelled = np.asarray(mapper.travelled)
+        self._travelled = travelled = np.asarray(mapper.travelled)
         self._again = {root: _seen_again(seen, one, travelled) for root, seen in together.items()}
         again = {wall: seen & self._again[self._groups[wall]] for wall, seen in self._seen.items()}
         self.walls = _copies(self._seen, again, len(mapper.landmarks.walls))
@@ -108,6 +113,7 @@ class _Division:
         again = {corner: _seen_again(seen, one, travelled) for corner, seen in corners.items()}
         self.corners = _copies(corners, again, len(mapper.landmarks.corners))
         self.older_walls = [wall for wall in self._seen if not self._is_of_pass(wall)]
+        self._unmerged = set[int]()  # walls of which others are separated that were merged into them
         self._copy = {one.original: one.copy for one in self.walls}
 
     def _is_of_pass(self, wall: int) -> bool:
@@ -115,18 +121,30 @@ class _Division:
         root = self._groups[wall]
         return wall in self._seen and (self._first[root] in self._keyframes or self._seen[wall] <= self._again[root])
 
+    def _are_apart(self, first: int, second: int) -> bool:
+        """Return True if the keyframes before the pass have observed two walls with a gap between them."""
+        one, other = (
+            self._travelled[[keyframe for keyframe in self._seen.get(wall, ()) if keyframe < self._keyframes.start]]
+            for wall in (first, second)
+        )
+        return bool(len(one) and len(other) and np.abs(one[:, None] - other[None]).min() > self._gap)
+
     def of_pass(self, wall: int) -> int | None:
         """Return the wall or its copy that is of the pass; None if there is none."""
         return self._copy.get(wall, wall if self._is_of_pass(wall) else None)
 
     def equalities(
-        self, factors: Iterable[Factor], ties: Collection[tuple[int, int]]
+        self, factors: Iterable[Factor], ties: Set[tuple[int, int]], merged: Set[tuple[int, int]]
     ) -> tuple[list[Factor], list[Factor]]:
         """Return the equalities of walls that stay, and those of copies; the others are across passes."""
         kept, copied = [], []
         for factor in factors:
             first, second = factor.first, factor.second
-            if (first, second) in ties or self._is_of_pass(first) == self._is_of_pass(second):
+            across = self._is_of_pass(first) != self._is_of_pass(second)
+            if (first, second) in merged and self._are_apart(first, second):
+                across = True
+                self._unmerged.add(self._groups[first])
+            if (first, second) in ties or not across:
                 kept.append(factor)
             one, other = self.of_pass(first), self.of_pass(second)
             if one is not None and other is not None and (one, other) != (first, second):
@@ -135,7 +153,8 @@ class _Division:
 
     def concerned(self, restored: Iterable[int]) -> NDArray[np.int64]:
         """Return the walls whose observations have changed, with all merged with them, and those `restored`."""
-        roots = {root for root, again in self._again.items() if again} | {self._groups[wall] for wall in restored}
+        roots = {root for root, again in self._again.items() if again} | self._unmerged
+        roots |= {self._groups[wall] for wall in restored}
         walls = [wall for wall, root in self._groups.items() if root in roots]
         return np.array([*walls, *self._copy.values()], dtype=np.int64)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -106,6 +106,7 @@ class LoopCorrector:
             one,
             self._segments,
             ties=ties,
+            merged=_merged_after(present, keyframe),
             remove=lambda factor: factor in factors or is_detour(factor, one.keyframes),
             add=direct_motions(present, self.history, self._state.odometry_model, one.keyframes),
         )
@@ -168,6 +169,16 @@ class LoopCorrector:
         count = self._state.mapper.keyframe_count
         later = self._loop_factors(after=keyframe, until=count)
         return Pass(range(since, min((f.second for f in later), default=count)), REVISIT_GAP)
+
+
+def _merged_after(factors: Sequence[Factor], keyframe: int) -> list[tuple[int, int]]:
+    """Return the walls (kept, absorbed) that were merged after a keyframe was added.
+
+    factors  of the graph, in the order in which they were added
+    """
+    to_keyframe = (factor.kind is FactorKind.ODOMETRY and factor.second == keyframe for factor in factors)
+    added = next((row for row, found in enumerate(to_keyframe) if found), 0)
+    return [(f.first, f.second) for f in factors[added:] if f.kind is FactorKind.WALL_EQUALITY]
 
 
 def _distance(pose: se2.Pose, other: se2.Pose) -> float:

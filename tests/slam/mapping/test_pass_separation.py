@@ -136,3 +136,18 @@ def test_walls_that_the_pass_has_removed_are_there_again(driven: tuple[Mapper, l
     assert {0, 1, 2} <= set(shown(mapper))
     assert mapper.landmarks.opened.get(1, {}) == {}
     assert mapper.landmarks.opened[2] == {3: AWAY - 2}
+
+
+def test_walls_merged_since_then_are_separated_if_a_gap_lies_between(driven: tuple[Mapper, list[Segments]]) -> None:
+    """Keyframes just before the pass have seen its place from a distance: their walls are those of the old place."""
+    mapper, segments = driven
+    separate_pass(mapper, second_pass(), segments)
+    for old, recent in ((0, 3), (1, 4)):
+        tie_walls(mapper, old, recent)
+    of_pass = separate_pass(mapper, Pass(range(AGAIN + 2, COUNT), GAP), segments, merged=[(0, 3)])
+    assert shown(mapper)[:3] == [0, 1, 2]
+    rows = mapper.landmarks.walls.rows
+    assert rows["merged_into"][3] == 3
+    assert rows["merged_into"][4] == 1
+    assert rows["observations"][0] == AWAY
+    assert not of_pass[:5].any()
