@@ -15,7 +15,7 @@ from ...io.sessions import read_session, write_session
 from ...io.sessions.corrections import UNCORRECTED, Correction, uncorrected, write_corrections
 from ...io.tum import Trajectory
 from ...offline.corrections import CorrectedSession, correct_session
-from ...run_statistics import loop_counts
+from ...run_statistics import loop_counts, part_rows
 from ..slam_run import write_report_page
 
 FILES = (TRAJECTORY, KEYFRAMES, MAP, CONFIG, SUMMARY)
@@ -72,7 +72,10 @@ def _summary(before: dict[str, Any], corrected: CorrectedSession) -> dict[str, A
         "corners": len(finished.corners),
         "path_length": float(Trajectory(finished.stamps, finished.poses).travelled[-1]),
         "truth": None,  # the error before the corrections no longer applies
-        "slam": slam | {"suspects": finished.summary["suspects"]} | _loops(slam, corrected.loops),
+        "slam": slam
+        | {"suspects": finished.summary["suspects"]}
+        | ({"parts": part_rows(corrected.session.slam_state)} if "parts" in slam else {})
+        | _loops(slam, corrected.loops),
         "corrections": corrected.outcomes,
         "versions": versions(),
     }

@@ -48,6 +48,7 @@ class LoopCorrector:
         state, mapper = self._state, self._state.mapper
         look, match = match_places(state, old, keyframe, motion)
         deviations = float(np.sqrt(look.squared_distance(old, match.pose)))
+        joins = mapper.landmarks.parts.group(old) != mapper.landmarks.parts.group(keyframe)
         correction_in_map, since = look.motion(old, match.pose), look.keyframe_at(look.travelled - SUBMAP_LENGTH)
         decision = LoopDecision(
             candidate=candidate,
@@ -63,8 +64,14 @@ class LoopCorrector:
             checks=(),
             since=since,
             compared=look.compared_points(old),
+            joins=joins,
         )
-        recent = separate_pass(mapper, self._pass(since, keyframe), self._segments, ties=ties)
+        if joins:
+            recent = mapper.landmarks.parts.connected(mapper.landmarks.walls.rows["last_seen"], keyframe)
+            mapper.join_groups(old, keyframe, correction_in_map)
+            state.joins.clear()
+        else:
+            recent = separate_pass(mapper, self._pass(since, keyframe), self._segments, ties=ties)
         closed = pull_together(mapper, decision, recent)
         if closed.status is not LoopStatus.ACCEPTED:
             raise MapError(f"keyframes {old} and {keyframe} are not one place by the other loop closures")

@@ -27,16 +27,17 @@ def match_places(state: SlamState, old: int, keyframe: int, motion: se2.Pose | N
     motion  [x, y, heading] by which the robot would move in its own frame if the closure was proposed; None if not:
             then all poses within REFERENCE_DISTANCE of the old keyframe are searched, with any heading
 
-    Returns the look at the old place, and the match. Raises MapError if the places are of one pass, or if the scans do
-    not fit, or fit at several poses of which the estimate's uncertainty admits none or several.
+    The keyframes may be in parts of the map that are not connected. Returns the look at the old place, and the match.
+    Raises MapError if the places are of one pass, or if the scans do not fit, or fit at several poses of which the
+    estimate's uncertainty admits none or several.
     """
     name, mapper = f"keyframes {old} and {keyframe}", state.mapper
+    apart = mapper.landmarks.parts.group(old) != mapper.landmarks.parts.group(keyframe)
     driven = mapper.travelled[keyframe] - mapper.travelled[old]
-    if driven <= REVISIT_GAP:
+    if driven <= REVISIT_GAP and not apart:
         raise MapError(f"{name}: only {driven:.1f} m of driving apart (more than {REVISIT_GAP:.0f} m needed)")
-    if mapper.landmarks.parts.group(old) != mapper.landmarks.parts.group(keyframe):
-        raise MapError(f"{name}: they are in parts of the map that are not connected, which cannot be joined by hand")
-    look = Look(mapper, state.local_field, Submaps(), keyframe=keyframe)
+    among = mapper.landmarks.parts.connected(np.arange(mapper.keyframe_count), old)
+    look = Look(mapper, state.local_field, Submaps(), among, apart=apart, keyframe=keyframe)
     here = look.relative(old, np.zeros(3))
     if motion is None:
         prediction, reach, turn = np.array([0.0, 0.0, here[2]]), REFERENCE_DISTANCE, np.pi

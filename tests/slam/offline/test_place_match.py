@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,9 @@ from drivers.simulation import Simulation
 from slam import Slam
 from slam.errors import MapError
 from slam.estimation.slam_state import SlamState
+from slam.io.sessions.corrections import Place, PlaceClosing
+from slam.io.tum import Trajectory
+from slam.offline.corrections import correct_session
 from slam.offline.corrections.place_match import match_places
 
 WORLD = """
@@ -62,14 +66,23 @@ turn = 10
 
 
 @pytest.fixture(scope="module")
-def state(tmp_path_factory: pytest.TempPathFactory) -> SlamState:
+def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = Path(tmp_path_factory.mktemp("world") / "rooms.toml")
+    path.write_text(WORLD)
+    return path
+
+
+def measurements(world: Path, seed: int, duration: float | None = None) -> list[Scan | Odometry]:
+    simulation = Simulation(world, seed=seed, duration=duration)
+    return [message for message in simulation if isinstance(message, Scan | Odometry)]
+
+
+@pytest.fixture(scope="module")
+def state(world: Path) -> SlamState:
     """State after a drive from one room into another one and back."""
-    world = Path(tmp_path_factory.mktemp("world") / "rooms.toml")
-    world.write_text(WORLD)
     slam = Slam()
-    for message in Simulation(world, seed=1):
-        if isinstance(message, Scan | Odometry):
-            slam.add(message)
+    for message in measurements(world, 1):
+        slam.add(message)
     slam.finish()
     return slam.slam_state
 
@@ -85,13 +98,43 @@ def test_one_place_is_matched_from_wherever_it_is_in_the_map(state: SlamState) -
 
 
 def test_other_places_are_refused_with_the_reason(state: SlamState) -> None:
-    mapper = state.mapper
-    last, travelled = mapper.keyframe_count - 1, np.array(mapper.travelled)
+    travelled = np.array(state.mapper.travelled)
     with pytest.raises(MapError, match=r"keyframes 0 and 5: only .* m of driving apart"):
         match_places(state, 0, 5, None)
     elsewhere = int(np.searchsorted(travelled, 14.0))
     with pytest.raises(MapError, match=rf"keyframes 0 and {elsewhere} are not one place: .*(fit|seen)"):
         match_places(state, 0, elsewhere, None)
-    mapper.landmarks.parts.begin(last, measured=False)
-    with pytest.raises(MapError, match="parts of the map that are not connected"):
-        match_places(state, 0, last, None)
+
+
+def test_a_part_of_the_map_that_was_not_recognised_is_joined_by_hand(world: Path) -> None:
+    """The robot is carried back to its start, and drives there for too short a way to be recognised."""
+    messages = measurements(world, 1, 8.0)
+    last, later = messages[-1], measurements(world, 2, 4.0)
+    odometry = next(message.pose for message in reversed(messages) if isinstance(message, Odometry))
+    start = next(message.pose for message in later if isinstance(message, Odometry))
+    slam = Slam()
+    for message in messages:
+        slam.add(message)
+    carried = slam.slam_state.mapper.keyframe_count
+    for message in later:
+        stamp = message.stamp + last.stamp + 1.0
+        if isinstance(message, Odometry):
+            message = replace(message, pose=se2.compose(odometry, se2.between(start, message.pose)))
+        slam.add(replace(message, stamp=stamp))
+    finished = slam.finish()
+    parts = slam.slam_state.mapper.landmarks.parts
+    assert parts.apart == [1]
+    first = parts.firsts[1]
+    assert first >= carried - 1
+    places = (Place(keyframe=0), Place(keyframe=len(finished.keyframes) - 1))
+    path = Trajectory(finished.stamps, finished.poses)
+    corrected = correct_session(slam.session, path, [PlaceClosing(places=places)])
+    mapper = corrected.session.slam_state.mapper
+    assert not mapper.landmarks.parts.apart
+    assert not [row for row in corrected.finished.summary["suspects"] if "unconnected" in row["sentence"]]
+    assert len(corrected.finished.walls) < len(finished.walls)
+    # Both drives begin at the same place, and are the same.
+    poses, stamps = mapper.keyframe_poses, np.array(corrected.session.slam_state.keyframe_stamps)
+    again = np.abs(stamps[:first, None] - (stamps[first:] - last.stamp - 1.0)).argmin(axis=0)
+    assert np.hypot(*(poses[again, :2] - poses[first:, :2]).T).max() < 0.3
+    assert np.hypot(*(finished.keyframes[again, :2] - finished.keyframes[first:, :2]).T).min() > 1.0
