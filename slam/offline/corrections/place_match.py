@@ -16,7 +16,7 @@ from ...loop_closure.look import Look, Submaps
 from ...loop_closure.submap_search import SubmapMatch, search_submap
 
 PROPOSED_REACH = 1.0
-"""Metres around the pose of a proposed closure that are searched: keyframes have moved since it was proposed."""
+"""Metres around the pose of a proposed closure that are searched first: keyframes have moved since it was proposed."""
 PROPOSED_TURN = 0.2
 """Radians, likewise."""
 
@@ -24,8 +24,9 @@ PROPOSED_TURN = 0.2
 def match_places(state: SlamState, old: int, keyframe: int, motion: se2.Pose | None) -> tuple[Look, SubmapMatch]:
     """Match the scans up to a keyframe with those around an old one.
 
-    motion  [x, y, heading] by which the robot would move in its own frame if the closure was proposed; None if not:
-            then all poses within REFERENCE_DISTANCE of the old keyframe are searched, with any heading
+    motion  [x, y, heading] by which the robot would have moved in its own frame if the closure was proposed; None if
+            not. If the scans do not fit there, as the map has been corrected since, or without a proposal, all poses
+            within REFERENCE_DISTANCE of the old keyframe are searched, with any heading
 
     The keyframes may be in parts of the map that are not connected. Returns the look at the old place, and the match.
     Raises MapError if the places are of one pass, or if the scans do not fit, or fit at several poses of which the
@@ -39,12 +40,14 @@ def match_places(state: SlamState, old: int, keyframe: int, motion: se2.Pose | N
     among = mapper.landmarks.parts.connected(np.arange(mapper.keyframe_count), old)
     look = Look(mapper, state.local_field, Submaps(), among, apart=apart, keyframe=keyframe)
     here = look.relative(old, np.zeros(3))
-    if motion is None:
-        prediction, reach, turn = np.array([0.0, 0.0, here[2]]), REFERENCE_DISTANCE, np.pi
-    else:
-        prediction, reach, turn = se2.compose(here, motion), PROPOSED_REACH, PROPOSED_TURN
-    found = search_submap(look.submap, look.reference(old), prediction, reach, turn)
-    matches = [match for match in found if fits(match) and is_determined(match)]
+    searches = [(np.array([0.0, 0.0, here[2]]), REFERENCE_DISTANCE, np.pi)]
+    if motion is not None:
+        searches.insert(0, (se2.compose(here, motion), PROPOSED_REACH, PROPOSED_TURN))
+    matches = list[SubmapMatch]()
+    for prediction, reach, turn in searches:
+        if not matches:
+            found = search_submap(look.submap, look.reference(old), prediction, reach, turn)
+            matches = [match for match in found if fits(match) and is_determined(match)]
     if not matches:
         raise MapError(f"{name} are not one place: {_misfit(found)}")
     rivals = [match for match in matches if match.quality >= RIVAL_QUALITY * matches[0].quality]

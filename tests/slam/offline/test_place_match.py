@@ -95,6 +95,8 @@ def test_one_place_is_matched_from_wherever_it_is_in_the_map(state: SlamState) -
     np.testing.assert_allclose(match.pose, se2.between(poses[old], poses[last]), atol=0.05)
     _, proposed = match_places(state, old, last, np.array([0.2, -0.1, 0.05]))
     np.testing.assert_allclose(proposed.pose, match.pose, atol=0.01)
+    _, outdated = match_places(state, old, last, np.array([8.0, -3.0, 0.5]))
+    np.testing.assert_allclose(outdated.pose, match.pose, atol=0.01)
 
 
 def test_other_places_are_refused_with_the_reason(state: SlamState) -> None:
