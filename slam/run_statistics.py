@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,6 +19,9 @@ from .loop_closure.loop_status import LoopStatus
 from .loop_closure.returns import summarise
 from .mapping.mapper import Mapper
 from .preprocessing.preprocessor import Preprocessor
+
+DECIDED = (LoopStatus.REJECTED, LoopStatus.ACCEPTED, LoopStatus.RETRACTED)
+"""Statuses of loops that a run counts."""
 
 
 @dataclass(slots=True)
@@ -66,12 +70,6 @@ class RunStatistics:
         """Add the row of a loop decision; the compared points are not kept."""
         self.loops.append(loop_row(stamp, decision))
 
-    def loop_counts(self) -> dict[str, int]:
-        """Return the number of loop hypotheses, in total and by status."""
-        decided = [row["status"] for row in self.loops]
-        by_status = {status.value: decided.count(status) for status in LoopStatus if status is not LoopStatus.CONFIRMED}
-        return {"proposed": len(decided), **by_status}
-
     def state_rows(self) -> list[dict[str, object]]:
         """Return the changes of the localisation state."""
         return [
@@ -109,6 +107,12 @@ class RunStatistics:
             "no_features": self.featureless_scans,
             "lost": self.lost_scans,
         }
+
+
+def loop_counts(rows: Sequence[Mapping[str, object]]) -> dict[str, int]:
+    """Return the number of loop decisions, in total and by status."""
+    decided = [row["status"] for row in rows]
+    return {"proposed": len(decided), **{status.value: decided.count(status) for status in DECIDED}}
 
 
 def part_rows(state: SlamState) -> list[dict[str, object]]:
@@ -170,7 +174,7 @@ def run_summary(
         "factors": mapper.graph.factor_count,
         "merged_walls": statistics.merged_walls,
         "removed_walls": len(mapper.landmarks.removed_walls()),
-        "loops": statistics.loop_counts(),
+        "loops": loop_counts(statistics.loops),
         "loop_decisions": statistics.loops,
         "returns": summarise(state.loops.returns),
         "states": statistics.state_rows(),

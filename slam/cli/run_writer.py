@@ -12,7 +12,6 @@ import numpy as np
 
 from drivers import se2
 
-from ..config import Config
 from ..errors import MapError
 from ..evaluation.metrics import ReferenceScore, score_reference
 from ..events import Finished
@@ -20,11 +19,11 @@ from ..io.output_dir import PICTURE, write_results
 from ..io.tum import Trajectory
 from .plan_input import report_on_plan
 from .run_input import InputStatistics, RunInput
+from .run_setup import RunSetup
 from .run_summary import summarise_run
 
 if TYPE_CHECKING:
     from ..io.sessions import StoredSession
-    from ..mapping.plan_map import PlanMap
     from ..pipeline import Slam
     from ..visualisation.plots.style import Floats
 
@@ -36,23 +35,20 @@ Write = Callable[[Path], None]
 class RunWriter:
     """Writer of the run of `run_input`.
 
+    setup    what the run begins with
     notices  texts, which are still added
-    frozen   True if the map is not changed, and therefore not stored
     picture  draw the final map
     seed     of the simulation, for the summary
     started  time of the first message, on the clock of time.perf_counter
-    plan     of the building, if the run maps with one
     """
 
     run_input: RunInput
-    config: Config
+    setup: RunSetup
     statistics: InputStatistics
     notices: list[str]
-    frozen: bool
     picture: bool
     seed: int | None
     started: float
-    plan: PlanMap | None = None
 
     def snapshot(self, slam: Slam) -> Write:
         """Return a function that writes the state of this moment. Raises MapError if there is no map yet."""
@@ -76,7 +72,7 @@ class RunWriter:
         score = score_against_truth(finished, self.statistics)
         took = time.perf_counter() - self.started
         summary = self._summarise(finished, slam.session, score, slam_seconds, took) | {"review": left_out}
-        on_plan = None if self.plan is None else report_on_plan(self.plan, slam)
+        on_plan = None if self.setup.plan is None else report_on_plan(self.setup.plan, slam)
         if on_plan is not None:
             summary["plan"] = on_plan.summary
 
@@ -109,17 +105,17 @@ class RunWriter:
             seconds=seconds,
         )
         session.recordings.append(self.statistics.recording(self.run_input))
-        recordings = session.recordings[-1:] if self.frozen else session.recordings
+        recordings = session.recordings[-1:] if self.setup.frozen else session.recordings
         return summary | {
-            "lidars": self._mounts(),
+            "lidars": self.mounts(),
             "recordings": [recording.model_dump() for recording in recordings],
         }
 
-    def _mounts(self) -> list[list[float]]:
+    def mounts(self) -> list[list[float]]:
         """Return the mount [x, y, heading] of each lidar that was used, by number."""
         unknown, mounts = np.zeros(3), []
         for number, recorded in sorted(self.statistics.mounts.items()):
-            configured = self.config.of_lidar(number).mount
+            configured = self.setup.config.of_lidar(number).mount
             used = recorded if configured is None else np.array(configured)
             mounts.append((unknown if used is None else used).tolist())
         return mounts
@@ -127,8 +123,8 @@ class RunWriter:
     def _write(self, place: Path, finished: Finished, summary: dict[str, Any], session: StoredSession) -> None:
         from ..io.sessions import write_session
 
-        write_results(place, finished, self.config, summary)
-        if not self.frozen:
+        write_results(place, finished, self.setup.config, summary)
+        if not self.setup.frozen:
             write_session(place, session)
 
 

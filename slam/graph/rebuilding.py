@@ -1,4 +1,4 @@
-"""Rebuild a factor graph with a part of it moved rigidly, or without some walls.
+"""Rebuild a factor graph with a part of it moved rigidly, without some walls, or with passes that share no landmark.
 
 Gauss-Newton moves variables along straight lines from where they were linearised: it does not turn a part of the map by
 a right angle. So the part is moved first. All of its factors are relative to its own variables and stay as they are.
@@ -6,7 +6,7 @@ a right angle. So the part is moved first. All of its factors are relative to it
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,8 +14,8 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.segments import Floats, Integers
-from .factor_graph import FactorGraph
-from .factors import Factor, walls_of
+from .factor_graph import GAUGE_PRIOR_SIGMA, FactorGraph
+from .factors import Factor, FactorKind, walls_of
 from .graph_storage import graph_state, restore_graph
 
 
@@ -68,6 +68,65 @@ def without_walls(graph: FactorGraph, walls: Iterable[int]) -> FactorGraph:
             frames=state.frames[kept],
         )
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LandmarkCopy:
+    """Landmark `copy` that gets the observations of the landmark `original` by some keyframes."""
+
+    original: int
+    copy: int
+    keyframes: frozenset[int]
+
+
+def with_copies(
+    graph: FactorGraph,
+    walls: Sequence[LandmarkCopy],
+    corners: Sequence[LandmarkCopy],
+    remove: Callable[[Factor], bool],
+    add: Sequence[Factor],
+) -> FactorGraph:
+    """Return the graph with copies of landmarks, without the factors for which `remove` is true, and with others.
+
+    The copies are where the originals are. Each original keeps at least one observation. Raises MapError if a variable
+    is left undetermined.
+    """
+    state = graph_state(graph)
+    of_walls = {(keyframe, one.original): one.copy for one in walls for keyframe in one.keyframes}
+    of_corners = {(keyframe, one.original): one.copy for one in corners for keyframe in one.keyframes}
+    frames = dict(zip(state.walls.tolist(), state.frames, strict=True))
+    positions = dict(zip(state.corners.tolist(), state.positions, strict=True))
+    poses = state.keyframes
+    gauge = [
+        _gauge_prior(first, one.copy, se2.between(poses[first], frames[one.original]))
+        for one in walls
+        for first in [min(one.keyframes)]
+    ]
+    factors = [_of_copy(factor, of_walls, of_corners) for factor in state.factors if not remove(factor)]
+    return restore_graph(
+        replace(
+            state,
+            factors=[*factors, *gauge, *add],
+            walls=np.array([*frames, *(one.copy for one in walls)], dtype=np.int64),
+            frames=np.array([*frames.values(), *(frames[one.original] for one in walls)]).reshape(-1, 3),
+            corners=np.array([*positions, *(one.copy for one in corners)], dtype=np.int64),
+            positions=np.array([*positions.values(), *(positions[one.original] for one in corners)]).reshape(-1, 2),
+        )
+    )
+
+
+def _gauge_prior(keyframe: int, wall: int, predicted: se2.Pose) -> Factor:
+    """Return the prior that fixes a wall weakly along itself at `predicted`, its frame as seen from a keyframe."""
+    return Factor(FactorKind.GAUGE_PRIOR, keyframe, wall, predicted, np.array([[GAUGE_PRIOR_SIGMA**2]]))
+
+
+def _of_copy(factor: Factor, walls: Mapping[tuple[int, int], int], corners: Mapping[tuple[int, int], int]) -> Factor:
+    """Return an observation of a landmark as one of its copy, if it is by one of the keyframes of that."""
+    if factor.kind in (FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET):
+        return replace(factor, second=walls.get((factor.first, factor.second), factor.second))
+    if factor.kind is FactorKind.CORNER:
+        return replace(factor, second=corners.get((factor.first, factor.second), factor.second))
+    return factor
 
 
 def _moved_poses(motion: se2.Pose, poses: Floats, which: np.ndarray) -> Floats:

@@ -130,6 +130,12 @@ class LocalField:
         self._links.append((keyframe, other))
         self._linked = True
 
+    def unlink(self, keyframes: range) -> None:
+        """Remove the links of consecutive keyframes with earlier ones. Takes effect when the field is built anew."""
+        first = keyframes.start
+        self._links = [(a, b) for a, b in self._links if min(a, b) >= first or max(a, b) not in keyframes]
+        self._outdated = True
+
     def reference(self, pose: se2.Pose) -> tuple[int, se2.Pose] | None:
         """Return the oldest keyframe near a pose whose points are in the field, and its pose in the field."""
         if not len(self._inserted):

@@ -49,6 +49,17 @@ def close_loop(mapper: Mapper, decision: LoopDecision) -> LoopDecision:
         mapper.join_part(decision.old, decision.correction)
     else:
         _separate_passes(mapper, decision.since)
+    closed = pull_together(mapper, decision, recent)
+    if closed.status is not LoopStatus.ACCEPTED:
+        return closed
+    return replace(closed, shift=float(np.hypot(*(mapper.pose - before)[:2])))
+
+
+def pull_together(mapper: Mapper, decision: LoopDecision, recent: NDArray[np.bool_]) -> LoopDecision:
+    """Move keyframes to their poses by a decision's matches, then merge walls that coincide, if one is `recent` (w,).
+
+    Nothing else may hold the keyframes in place. Returns the decision, accepted or rejected, as `close_loop` does.
+    """
     graph = mapper.graph
     for match in decision.matches:
         graph.add_loop(match.old, match.keyframe, match.relative, LOOP_FACTOR_SIGMAS)
@@ -66,8 +77,7 @@ def close_loop(mapper: Mapper, decision: LoopDecision) -> LoopDecision:
     graph.update()
     graph.update_until_converged(CLOSING_UPDATES)
     mapper.read_back_all()
-    shift = float(np.hypot(*(mapper.pose - before)[:2]))
-    return replace(decision, status=LoopStatus.ACCEPTED, merged=tuple(merged), shift=shift)
+    return replace(decision, status=LoopStatus.ACCEPTED, merged=tuple(merged))
 
 
 def _separate_passes(mapper: Mapper, since: int) -> None:

@@ -16,3 +16,5 @@ class LoopStatus(StrEnum):
     """The loop was closed."""
     RETRACTED = "retracted"
     """Accepted before, contradicted by later scans, undone."""
+    FORBIDDEN = "forbidden"
+    """Accepted before, undone by a person."""

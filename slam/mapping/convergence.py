@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from ..graph.final_solution import solve_with_range_bias
 from .mapper import Mapper
+from .read_back import recompute_covariances
 from .wall_merging import merge_duplicate_walls
 from .wall_splitting import find_splits, split_landmark, with_new_walls
 
@@ -53,10 +52,7 @@ def split_walls(mapper: Mapper) -> int:
     graph.move_wall_segments(moves)
     graph.update_until_converged()
     mapper.landmark_ids = with_new_walls(mapper.landmark_ids, moves)
-    for wall, _, _ in moves:
-        last_seen = int(landmarks.walls.rows["last_seen"][wall])
-        covariances = graph.relative_covariances([last_seen], [wall], [])
-        landmarks.set_wall_covariances(np.array([wall]), covariances.walls, covariances.walls_in_map)
+    recompute_covariances(landmarks, graph, [wall for wall, _, _ in moves])
     mapper.free_space_evidence.discard([split.wall for split in splits])
     mapper.read_back()
     return len(moves)

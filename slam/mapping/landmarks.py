@@ -143,6 +143,32 @@ class Landmarks:
         walls["first_seen"][unobserved] = walls["last_seen"][unobserved] = 0
         corners["position"][corners["observations"] == 0] = np.nan  # no distance to it is small
 
+    def forget_observations(self, walls: Integers) -> None:
+        """Clear the extents and observations of some walls (n,), and unmerge them; openings stay.
+
+        The caller then merges them again, observes them from every keyframe, and calls `drop_unobserved`.
+        """
+        rows = self.walls.rows
+        rows["observations"][walls], rows["last_seen"][walls] = 0, UNOBSERVED
+        rows["first_seen"][walls] = np.iinfo(np.int64).max
+        rows["low"][walls], rows["high"][walls], rows["merged_into"][walls] = np.inf, -np.inf, walls
+        for wall in walls.tolist():
+            self.covered[wall] = frozenset()
+
+    def restore_walls(self, walls: Iterable[int], keyframes: range) -> list[int]:
+        """Treat some walls as never removed or opened at some keyframes; return those that were."""
+        removed_at, restored = self.walls.rows["removed_at"], []
+        for wall in walls:
+            opened = self.opened.get(wall, {})
+            kept = {cell: keyframe for cell, keyframe in opened.items() if keyframe not in keyframes}
+            if removed_at[wall] in keyframes or kept != opened:
+                restored.append(wall)
+            if removed_at[wall] in keyframes:
+                removed_at[wall] = NEVER_REMOVED
+            if kept != opened:
+                self.opened[wall] = kept
+        return restored
+
     def set_wall_covariances(self, walls: Integers, covariance: Floats, in_map: Floats | None = None) -> None:
         """Set the covariances (n, 2, 2) of walls (n,) relative to their keyframe `last_seen`, and in the map."""
         rows = self.walls.rows

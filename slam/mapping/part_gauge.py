@@ -101,6 +101,11 @@ class PartGauge:
         _rebuild(mapper, first, np.zeros(3), lambda f: _leads_to(f, first), [prior])
 
 
+def move_group(mapper: Mapper, keyframe: int, motion: se2.Pose) -> None:
+    """Move the group of a keyframe by a `motion` [x, y, heading] in the map; only odometry connects it with others."""
+    _rebuild(mapper, keyframe, motion, lambda _: False, [])
+
+
 def _holds(factor: Factor, keyframe: int) -> bool:
     """Return True if a factor is the prior of a keyframe."""
     return factor.kind is FactorKind.POSE_PRIOR and factor.first == keyframe

@@ -45,6 +45,23 @@ def read_back_covariances(
     return covariances.poses
 
 
+def recompute_covariances(
+    landmarks: Landmarks, graph: FactorGraph, walls: Sequence[int], corners: Sequence[int] = ()
+) -> None:
+    """Store the covariances of confirmed landmarks relative to the keyframes that observed them last, and in the map.
+
+    Takes some milliseconds for each.
+    """
+    for wall in walls:
+        last_seen = int(landmarks.walls.rows["last_seen"][wall])
+        covariances = graph.relative_covariances([last_seen], [wall], [])
+        landmarks.set_wall_covariances(np.array([wall]), covariances.walls, covariances.walls_in_map)
+    for corner in corners:
+        last_seen = int(landmarks.corners.rows["last_seen"][corner])
+        covariances = graph.relative_covariances([last_seen], [], [corner])
+        landmarks.set_corner_covariances(np.array([corner]), covariances.corners, covariances.corners_in_map)
+
+
 def observed_landmarks(observed: Sequence[LandmarkIds]) -> tuple[Integers, Integers]:
     """Return the ids of the walls and of the corners that some keyframes observed, in ascending order."""
     walls = np.unique(np.concatenate([ids.walls for ids in observed]))

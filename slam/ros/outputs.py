@@ -28,10 +28,10 @@ from drivers.ros2.names import NodeNames
 from ..events import Event, Finished, KeyframeAdded, MapUpdated, Notice, ScanTracked, StateChanged, SuspectFound
 from ..geometry.segments import Floats
 from ..io.exports import Occupancy, OccupancyGrid, PlacedScan
+from ..io.exports.live_grid import LiveGrid
 from ..localisation.state import LocalisationStatus
 from ..mapping.map_features import MapCorners, MapWalls
 from ..pose_extrapolation import ExtrapolatedPose, PoseExtrapolator
-from .live_grid import LiveGrid
 from .parameters import NodeParameters
 
 if TYPE_CHECKING:
@@ -104,12 +104,8 @@ class NodeOutputs:
         self._grid = grid = LiveGrid(
             parameters.resolution, parameters.map_update_interval, parameters.max_laser_range, self._publish_grid
         )
-        if session is None:
-            return
-        poses = session.slam_state.mapper.keyframe_poses
-        for keyframe, row in enumerate(session.scan_history().keyframes.tolist()):
-            scan = session.scans[row]
-            grid.add(scan.stamp, scan.features.points.all, self._lidars, poses[keyframe])
+        if session is not None:
+            grid.add_session(session, self._lidars)
 
     def end(self) -> None:
         """End a run: no grid is drawn any more."""

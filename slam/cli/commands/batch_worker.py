@@ -18,6 +18,7 @@ from ...io.recordings import open_source
 from ...offline.batch import Job, Row, Status, fingerprint, make_row, read_completed_summary, remove_leftovers
 from ...offline.batch.jobs import FINGERPRINT
 from ..run_input import RecordingInput
+from ..run_setup import RunSetup
 from ..run_summary import format_summary
 from ..slam_run import run_slam
 
@@ -66,7 +67,7 @@ def _map(job: Job, log: TextIO) -> dict[str, Any]:
     options = job.options
     result = run_slam(
         _FingerprintedInput(job),
-        options.config,
+        RunSetup(options.config),
         job.directory,
         overwrite=True,
         review=options.review,

@@ -11,11 +11,26 @@ from ..console import print_if_slow
 from ..options import OverwriteOption
 
 if TYPE_CHECKING:
-    from ...io.sessions.corrections import Correction
+    from ...io.sessions.corrections import Correction, Place
 
 
 def correct(
     session: Annotated[Path, typer.Argument(help="Output directory of `wclm run`; changed unless --out is given.")],
+    close: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--close",
+            metavar="LOOP|PLACE,PLACE",
+            help="Close a loop of the report that was not closed, or where two places are one: keyframes (12,340) or "
+            "stamps (8.5s,96.2s). Refused if the scans do not fit. Repeatable.",
+        ),
+    ] = None,
+    forbid_loop: Annotated[
+        list[int] | None,
+        typer.Option(
+            "--forbid-loop", metavar="LOOP", min=0, help="Closed loop of the report that is wrong. Repeatable."
+        ),
+    ] = None,
     tie: Annotated[
         list[str] | None,
         typer.Option("--tie", metavar="WALL,WALL", help="Two walls are one; it keeps the first identity. Repeatable."),
@@ -35,7 +50,7 @@ def correct(
     ] = None,
     overwrite: OverwriteOption = False,
 ) -> None:
-    """Correct a session by hand: tie or delete walls, or pin poses and walls to surveyed coordinates.
+    """Correct a session by hand: close or forbid loops, tie or delete walls, or pin the map to surveyed coordinates.
 
     The graph is solved again, and all results are written anew. The session keeps the results before the first
     correction, so corrections can be undone, the last one first. Pins that contradict the others and the map are left
@@ -45,7 +60,7 @@ def correct(
     """
     from ...io.sessions.corrections import read_corrections
 
-    new = _stated(tie or (), delete_wall or (), pins)
+    new = [*_stated_loops(forbid_loop or (), close or ()), *_stated(tie or (), delete_wall or (), pins)]
     if listed + undo + bool(new) != 1:
         raise typer.BadParameter("state corrections, --list or --undo")
     present = read_corrections(session)
@@ -61,6 +76,37 @@ def correct(
     if undo:
         lines = [f"undone: {present[-1].text}", *lines]
     typer.echo("\n".join(lines))
+
+
+def _stated_loops(forbidden: list[int] | tuple[()], closings: list[str] | tuple[()]) -> list[Correction]:
+    """Return the corrections of loops that the options state."""
+    from ...io.sessions.corrections import LoopForbidding, PlaceClosing, ProposedClosing
+
+    corrections: list[Correction] = [LoopForbidding(loop=number) for number in forbidden]
+    for text in closings:
+        parts = [part.strip() for part in text.split(",")]
+        if len(parts) == 1 and parts[0].isdecimal():
+            corrections.append(ProposedClosing(loop=int(parts[0])))
+        elif len(parts) == 2:
+            corrections.append(PlaceClosing(places=(_place(parts[0], text), _place(parts[1], text))))
+        else:
+            raise _not_places(text)
+    return corrections
+
+
+def _place(part: str, text: str) -> Place:
+    """Return the place that a part of an option names; raises BadParameter if it is neither keyframe nor stamp."""
+    from ...io.sessions.corrections import Place
+
+    try:
+        return Place(stamp=float(part[:-1])) if part.endswith("s") else Place(keyframe=int(part))
+    except ValueError as error:
+        raise _not_places(text) from error
+
+
+def _not_places(text: str) -> typer.BadParameter:
+    message = "must be the number of a loop, two keyframes as 12,340, or two stamps as 8.5s,96.2s"
+    return typer.BadParameter(f"{text}: {message}", param_hint="--close")
 
 
 def _stated(ties: list[str] | tuple[()], deletions: list[int] | tuple[()], pins: Path | None) -> list[Correction]:

@@ -15,6 +15,7 @@ from ...io.sessions import read_session, write_session
 from ...io.sessions.corrections import UNCORRECTED, Correction, uncorrected, write_corrections
 from ...io.tum import Trajectory
 from ...offline.corrections import CorrectedSession, correct_session
+from ...run_statistics import loop_counts, part_rows
 from ..slam_run import write_report_page
 
 FILES = (TRAJECTORY, KEYFRAMES, MAP, CONFIG, SUMMARY)
@@ -64,17 +65,32 @@ def _copy_results(source: Path, directory: Path) -> None:
 
 def _summary(before: dict[str, Any], corrected: CorrectedSession) -> dict[str, Any]:
     """Return the summary of the run with the figures of the corrected map."""
-    finished = corrected.finished
+    finished, slam = corrected.finished, before.get("slam", {})
     return before | {
         "keyframes": len(finished.keyframes),
         "walls": len(finished.walls),
         "corners": len(finished.corners),
         "path_length": float(Trajectory(finished.stamps, finished.poses).travelled[-1]),
         "truth": None,  # the error before the corrections no longer applies
-        "slam": before.get("slam", {}) | {"suspects": finished.summary["suspects"]},
+        "slam": slam
+        | {"suspects": finished.summary["suspects"]}
+        | ({"parts": part_rows(corrected.session.slam_state)} if "parts" in slam else {})
+        | _loops(slam, corrected.loops),
         "corrections": corrected.outcomes,
         "versions": versions(),
     }
+
+
+def _loops(slam: dict[str, Any], decided: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return the loops of a summary's part `slam` with those that corrections decide; empty if there are none."""
+    if not decided:
+        return {}
+    before = slam.get("loop_decisions") or []
+    known, numbers = {row["candidate"]: row for row in before}, {row["candidate"] for row in decided}
+    rows = [row for row in before if row["candidate"] not in numbers]
+    rows += [known.get(row["candidate"], {}) | row for row in decided]
+    decisions = sorted(rows, key=lambda row: float(row["stamp"]))
+    return {"loop_decisions": decisions, "loops": loop_counts(decisions)}
 
 
 def _lines(outcomes: Sequence[dict[str, Any]]) -> list[str]:

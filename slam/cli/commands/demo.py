@@ -45,6 +45,7 @@ def demo(
     from ...config import Config
     from ...io.output_dir import CLOSURE_PICTURE, unfinished_file
     from ..run_input import RecordingInput
+    from ..run_setup import RunSetup
     from ..run_summary import format_summary
     from ..slam_run import run_slam
     from ..viewer import has_display, open_viewer, viewer_command
@@ -54,7 +55,7 @@ def demo(
     run_input = RecordingInput(simulation, reopen=f"sim:{WORLD}?lidar={LIDAR}&odometry={WHEELS}&seed={seed}")
     run_input.sinks = [closure := ClosureRecorder()]
     result = run_slam(
-        run_input, Config(), out, overwrite=overwrite, review=True, picture=True, refine=refine, seed=seed
+        run_input, RunSetup(Config()), out, overwrite=overwrite, review=True, picture=True, refine=refine, seed=seed
     )
     if closure.found:
         with unfinished_file(out / CLOSURE_PICTURE) as unfinished:

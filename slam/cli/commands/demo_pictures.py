@@ -243,10 +243,11 @@ def _map(
     from ...config import Config
     from ...io.recordings import absolute_recording
     from ..run_input import RecordingInput
+    from ..run_setup import RunSetup
     from ..slam_run import run_slam
 
     recorder = EventRecorder()
     run_input = RecordingInput(drivers.open(spec), reopen=absolute_recording(spec))
     run_input.name, run_input.sinks = title or run_input.name, [recorder, *sinks]
-    run_slam(run_input, Config.model_validate(settings), out, overwrite=False, review=False, picture=True)
+    run_slam(run_input, RunSetup(Config.model_validate(settings)), out, overwrite=False, review=False, picture=True)
     return recorder

@@ -59,7 +59,7 @@ def diff(
     from ...offline.map_diff.outputs import diff_text, write_diff_geojson, write_diff_svg
     from ...offline.map_diff.plan import survey_plan
     from ..plan_input import PlanOptions, is_plan, load_plan
-    from ..slam_run import READING_SESSION
+    from ..run_setup import READING_SESSION
 
     for path, suffix in ((svg, ".svg"), (geojson, ".geojson")):
         if path is not None and path.suffix != suffix:

@@ -67,7 +67,7 @@ def measure(
     from ...measuring.map_measurements import measure_walls
     from ...measuring.measured_map import MeasuredMap, measure_all
     from ...measuring.regularity import regularise
-    from ..slam_run import READING_SESSION
+    from ..run_setup import READING_SESSION
 
     drawn = form in (Format.SVG, Format.DXF, Format.GEOJSON)
     target = out or (session / f"{MEASURED}.{form}" if drawn else None)

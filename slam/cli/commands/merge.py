@@ -50,8 +50,9 @@ def merge(
 def _merge(paths: list[Path], out: Path, *, overwrite: bool, review: bool, picture: bool) -> RunResult:
     """Merge the sessions into a new one. Raises SlamError; then nothing is left behind."""
     from ...io.output_dir import PICTURE, OutputDirectory, write_results
+    from ..run_setup import READING_SESSION
     from ..run_summary import RunResult
-    from ..slam_run import READING_SESSION, review_log, write_report_page
+    from ..slam_run import review_log, write_report_page
 
     with OutputDirectory(out, overwrite) as directory, ExitStack() as log:
         from ...io.sessions import read_session, write_session

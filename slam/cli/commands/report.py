@@ -45,7 +45,7 @@ def report(
 
 def _read_walls(session: Path) -> WallMap:
     from ...io.wall_maps import read_wall_map
-    from ..slam_run import READING_SESSION
+    from ..run_setup import READING_SESSION
 
     with print_if_slow(READING_SESSION):
         return read_wall_map(session)

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from contextlib import closing, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import typer
-
-from drivers.ros2.selection import Backend
 
 from ..console import print_message
 from ..device_options import MaxSpeedOption, MaxTurnRateOption, parse_device_options, parse_drive_options
@@ -25,6 +23,17 @@ from ..options import (
     SetOption,
     StartOption,
 )
+from .ros_options import (
+    DriveOption,
+    LinkOption,
+    OutOption,
+    OwnBaseOption,
+    ParameterFileOption,
+    ParameterOption,
+    RemapOption,
+    ReviewOption,
+    RosArgsOption,
+)
 
 if TYPE_CHECKING:
     from drivers.devices.device_spec import DeviceSpec
@@ -36,7 +45,7 @@ if TYPE_CHECKING:
 
     from ...ros.parameters import NodeParameters
     from ..plan_input import PlanOptions
-    from ..slam_run import RunSetup
+    from ..run_setup import RunSetup
     from .ros_node import RosNode
 
 
@@ -48,33 +57,14 @@ class OwnBase(NamedTuple):
 
 
 def ros(
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="DIR", help="Output directory, as of `wclm run`; by default nothing is written."),
-    ] = None,
-    link: Annotated[
-        Backend | None,
-        typer.Option("--link", help="How to reach ROS 2; by default the one that is installed and fits the robot."),
-    ] = None,
-    params_file: Annotated[
-        list[Path] | None,
-        typer.Option("--params-file", metavar="FILE.yaml", help="Parameters, also those of slam_toolbox; repeatable."),
-    ] = None,
-    param: Annotated[
-        list[str] | None, typer.Option("--param", "-p", metavar="NAME:=VALUE", help="One parameter; repeatable.")
-    ] = None,
-    remap: Annotated[
-        list[str] | None,
-        typer.Option("--remap", "-r", metavar="FROM:=TO", help="Topic, service, __ns or __node; repeatable."),
-    ] = None,
-    ros_args: Annotated[
-        bool, typer.Option("--ros-args", help="No effect; launch files put it before the options above.")
-    ] = False,
-    base: Annotated[
-        list[str] | None,
-        typer.Option("--base", metavar="SPEC", help="Wheel base of the node, whose odometry is published and used."),
-    ] = None,
-    drive: Annotated[bool, typer.Option("--drive", help="Drive the base by the topic cmd_vel.")] = False,
+    out: OutOption = None,
+    link: LinkOption = None,
+    params_file: ParameterFileOption = None,
+    param: ParameterOption = None,
+    remap: RemapOption = None,
+    ros_args: RosArgsOption = False,
+    base: OwnBaseOption = None,
+    drive: DriveOption = False,
     max_speed: MaxSpeedOption = None,
     max_turn_rate: MaxTurnRateOption = None,
     duration: DurationOption = None,
@@ -88,7 +78,7 @@ def ros(
     start_pose: StartOption = None,
     config: ConfigOption = None,
     settings: SetOption = None,
-    review: Annotated[bool, typer.Option("--review/--no-review", help="With --out: write the review log.")] = True,
+    review: ReviewOption = True,
 ) -> None:
     """Map online as a node of ROS 2, with the topics, parameters and services of slam_toolbox.
 
@@ -100,7 +90,7 @@ def ros(
     from drivers.ros2.selection import open_link
 
     from ..plan_input import PlanOptions
-    from ..slam_run import without_odometry
+    from ..run_setup import without_odometry
 
     names = NodeNames.from_rules(remap or ())
     parameters = _load_parameters(params_file or [], param or [], names)
@@ -145,7 +135,7 @@ def _prepare(
     plan: PlanOptions,
 ) -> RunSetup:
     """Load the settings, and the session or the plan; options take precedence over parameters."""
-    from ..slam_run import prepare_run
+    from ..run_setup import prepare_run
 
     if parameters.map_file_name and continued is None and localized is None and plan.path is None:
         session = Path(parameters.map_file_name)

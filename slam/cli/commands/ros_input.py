@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ...events import Sink
     from ...ros.outputs import NodeOutputs
     from ...ros.run_control import RunControl
-    from ..slam_run import RunSetup
+    from ..run_setup import RunSetup
 
 STOP_MESSAGE = "stopping; Ctrl-C again discards the map"
 

@@ -15,8 +15,9 @@ from ...io.output_dir import OutputDirectory
 from ...io.sessions import read_session
 from ...ros.run_control import Restart, RestartRequestedError, RunControl, Save
 from ..console import print_message
+from ..run_setup import RunSetup
 from ..run_summary import format_summary
-from ..slam_run import RunSetup, run_slam
+from ..slam_run import run_slam
 from .live_dashboard import LiveDashboard
 from .ros_input import DiscardedError, RosInput
 
@@ -73,18 +74,7 @@ class RosNode:
             control=self.control,
             sinks=(LiveDashboard(),),
         )
-        result = run_slam(
-            run_input,
-            start.config,
-            target,
-            overwrite=overwrite,
-            review=review,
-            picture=False,
-            resumed=start.resumed,
-            frozen=start.frozen,
-            start=start.pose,
-            plan=start.plan,
-        )
+        result = run_slam(run_input, start, target, overwrite=overwrite, review=review, picture=False)
         return format_summary(result, target)
 
     def _restarted(self, start: RunSetup) -> RunSetup:

@@ -49,8 +49,9 @@ def run(
     from ...io.recordings import absolute_recording, has_odometry, open_source
     from ..plan_input import PlanOptions
     from ..run_input import RecordingInput
+    from ..run_setup import prepare_run, without_odometry
     from ..run_summary import format_summary
-    from ..slam_run import prepare_run, run_slam, without_odometry
+    from ..slam_run import run_slam
 
     start = prepare_run(
         continued, localized, config, settings, start_pose, PlanOptions(plan, plan_unit, plan_layer or ())
@@ -61,17 +62,5 @@ def run(
     elif start.config.odometry.source != "none" and not has_odometry(source):
         start = without_odometry(start, f"{source.name}: no odometry in it")
     run_input = RecordingInput(source, reopen=absolute_recording(recording))
-    result = run_slam(
-        run_input,
-        start.config,
-        out,
-        overwrite=overwrite,
-        review=review,
-        picture=plot,
-        refine=refine,
-        resumed=start.resumed,
-        frozen=start.frozen,
-        start=start.pose,
-        plan=start.plan,
-    )
+    result = run_slam(run_input, start, out, overwrite=overwrite, review=review, picture=plot, refine=refine)
     typer.echo("\n".join(format_summary(result, out)))

@@ -9,6 +9,7 @@ import numpy as np
 from ...checks.weak_places import KeyframePath, WeakPlace, find_weak_places, sigma_across
 from ...errors import MapError
 from ...geometry.segments import Floats
+from ...mapping.map_features import MapWalls
 from ..output_dir import SUMMARY
 from ..run_results import RunResults
 
@@ -34,9 +35,9 @@ class WallStretch:
     sigma: float
 
 
-def wall_stretches(results: RunResults) -> list[WallStretch]:
+def wall_stretches(walls: MapWalls) -> list[WallStretch]:
     """Return the observed pieces of all walls with a covariance, split where the class changes."""
-    walls, stretches = results.walls, []
+    stretches = []
     for row in range(len(walls)):
         if not np.isfinite(walls.covariance[row]).all():
             continue

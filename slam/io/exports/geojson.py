@@ -113,7 +113,7 @@ def _confidence(results: RunResults) -> list[dict[str, Any]]:
             sigma=_sigma(np.square(stretch.sigma)),
             under=CLASS_LIMITS[stretch.level] if stretch.level < len(CLASS_LIMITS) else None,
         )
-        for stretch in wall_stretches(results)
+        for stretch in wall_stretches(results.walls)
     ]
 
 

@@ -84,7 +84,7 @@ def draw_map(results: RunResults, *, timed: bool = False, confidence: bool = Fal
     middle, size = (low + high) / 2, np.maximum(high - low, extent / 4) + 2 * MARGIN * extent
     runs = list(_path_runs(results.trajectory, results.keyframes))
     used = {run_class.name for run_class, *_ in runs}
-    stretches = wall_stretches(results) if confidence else []
+    stretches = wall_stretches(results.walls) if confidence else []
     used |= {PATH_CLASSES[stretch.level].name for stretch in stretches}
     groups = [
         ("seen", _bands(results.walls, SVG_BAND_WIDTH * extent)),

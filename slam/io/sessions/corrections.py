@@ -10,7 +10,7 @@ import json
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from ...errors import MapError, first_line
 from ..output_dir import SESSION
@@ -85,7 +85,63 @@ class WallDeletion(Record):
         return f"wall {self.wall} is deleted"
 
 
-Correction = Annotated[PinSet | WallTie | WallDeletion, Field(discriminator="kind")]
+class Place(Record):
+    """Place of a drive: a keyframe, or the time at which the robot was there."""
+
+    keyframe: Identity | None = None
+    stamp: Finite | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Place:
+        if (self.keyframe is None) == (self.stamp is None):
+            raise ValueError("must be a keyframe or a stamp")
+        return self
+
+    @property
+    def text(self) -> str:
+        """The place, in words."""
+        return f"{self.stamp:.12g} s" if self.stamp is not None else f"keyframe {self.keyframe}"
+
+
+class ProposedClosing(Record):
+    """A loop that was proposed, and not closed, is closed."""
+
+    kind: Literal["closing"] = "closing"
+    loop: Identity
+
+    @property
+    def text(self) -> str:
+        """What was corrected, in words."""
+        return f"loop {self.loop} is closed"
+
+
+class PlaceClosing(Record):
+    """Two places are one."""
+
+    kind: Literal["places"] = "places"
+    places: tuple[Place, Place]
+
+    @property
+    def text(self) -> str:
+        """What was corrected, in words."""
+        return f"{self.places[0].text} and {self.places[1].text} are one place"
+
+
+class LoopForbidding(Record):
+    """A loop that was closed is not."""
+
+    kind: Literal["forbidding"] = "forbidding"
+    loop: Identity
+
+    @property
+    def text(self) -> str:
+        """What was corrected, in words."""
+        return f"loop {self.loop} is forbidden"
+
+
+Correction = Annotated[
+    PinSet | WallTie | WallDeletion | ProposedClosing | PlaceClosing | LoopForbidding, Field(discriminator="kind")
+]
 
 
 class _File(Record):

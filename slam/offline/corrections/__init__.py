@@ -1,4 +1,4 @@
-"""Manual corrections of a session: walls tied or deleted, poses and walls pinned to surveyed coordinates."""
+"""Manual corrections of a session: loops closed or forbidden, walls tied or deleted, pins to a survey."""
 
 from .apply import CorrectedSession, correct_session
 

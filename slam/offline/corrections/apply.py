@@ -14,7 +14,15 @@ from ...errors import MapError
 from ...estimation.refinement import match_trajectory
 from ...events import Finished
 from ...io.sessions import StoredSession
-from ...io.sessions.corrections import Correction, PinSet, WallDeletion, WallTie
+from ...io.sessions.corrections import (
+    Correction,
+    LoopForbidding,
+    PinSet,
+    PlaceClosing,
+    ProposedClosing,
+    WallDeletion,
+    WallTie,
+)
 from ...io.tum import Trajectory
 from ...io.wall_maps import settled_wall_map
 from ...localisation.tracking import PoseFix
@@ -24,6 +32,7 @@ from ...measuring.measurement import are_parallel
 from ...measuring.wall_map import WallMap
 from ...optimisation import summarise_session
 from ...publisher import Publisher
+from .loops import LoopCorrector
 from .pin_places import PinPlaces
 from .pins import apply_pins
 
@@ -35,11 +44,13 @@ class CorrectedSession:
     finished  the final map and trajectory
     session   the session to continue from
     outcomes  of each correction, with its `text`, for summary.json
+    loops     loop decisions by the corrections, as in summary.json
     """
 
     finished: Finished
     session: StoredSession
     outcomes: list[dict[str, Any]]
+    loops: list[dict[str, Any]]
 
 
 def correct_session(session: StoredSession, path: Trajectory, corrections: Sequence[Correction]) -> CorrectedSession:
@@ -47,27 +58,36 @@ def correct_session(session: StoredSession, path: Trajectory, corrections: Seque
 
     path  the path in the results of that session, by whose stamps poses are pinned
 
-    Identities of walls are those of its map. Raises MapError if a correction names a wall that the map does not have,
-    or if the graph cannot be solved with it.
+    Identities of walls are those of its map. Raises MapError if a correction names a wall or a loop that the session
+    does not have, or if the graph cannot be solved with it.
     """
     state, mapper = session.slam_state, session.slam_state.mapper
     if not mapper.keyframe_count:
         raise MapError("nothing to correct: the session has no keyframe")
     converge(mapper)
-    history = session.scan_history()
-    places = PinPlaces(session, path)
-    outcomes = [{"text": correction.text} | _apply(session, places, correction) for correction in corrections]
+    places, loops = PinPlaces(session, path), LoopCorrector(session)
+    outcomes = []
+    for k, correction in enumerate(corrections):
+        ties = [one.walls for one in corrections[:k] if isinstance(one, WallTie)]
+        outcomes.append({"text": correction.text} | _apply(session, places, loops, correction, ties))
     converge(mapper)
+    history = loops.history
     state.trajectory = match_trajectory(mapper, history, state.odometry_model)
     mapper.recompute_pose_covariances()
     last = session.scan_history().scan_poses(mapper.keyframe_poses)[-1]
     keyframes = {k: session.scans[row] for k, row in enumerate(history.keyframes.tolist())}
     state.replace_map(mapper, state.trajectory, PoseFix(last, session.scans[-1].odometry), keyframes)
-    return CorrectedSession(summarise_session(session, {}, Publisher(())), session, outcomes)
+    return CorrectedSession(summarise_session(session, {}, Publisher(())), session, outcomes, loops.decided)
 
 
-def _apply(session: StoredSession, places: PinPlaces, correction: Correction) -> dict[str, Any]:
-    """Apply one correction to a map that has converged; return its outcome."""
+def _apply(
+    session: StoredSession,
+    places: PinPlaces,
+    loops: LoopCorrector,
+    correction: Correction,
+    ties: Sequence[tuple[int, int]],
+) -> dict[str, Any]:
+    """Apply one correction to a map that has converged; return its outcome. `ties` are those applied before."""
     mapper, wall_map = session.slam_state.mapper, settled_wall_map(session.slam_state.mapper)
     match correction:
         case PinSet():
@@ -76,6 +96,10 @@ def _apply(session: StoredSession, places: PinPlaces, correction: Correction) ->
             wall_map.row(correction.wall)
             delete_wall(mapper, correction.wall)
             return {}
+        case ProposedClosing() | PlaceClosing():
+            return loops.close(correction, ties)
+        case LoopForbidding():
+            return loops.forbid(correction, ties)
         case WallTie():
             outcome = _tied(wall_map, *correction.walls)
             tie_walls(mapper, *correction.walls)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from .grid_layer import GridLayer
 from .live_state import LiveState
 from .requests import PageActions
 from .server import PageServer
 
-__all__ = ["LiveState", "PageActions", "PageServer"]
+__all__ = ["GridLayer", "LiveState", "PageActions", "PageServer"]

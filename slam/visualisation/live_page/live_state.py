@@ -58,7 +58,8 @@ class _Part:
 class LiveState:
     """Sink that keeps the newest state of a run; `frame` may be called from any thread.
 
-    Parts are `map` (walls and path), `recent` (segments and path since then), `scan`, `pose` and `status`.
+    Parts are `map` (walls and path), `recent` (segments and path since then), `scan`, `pose`, `status`, and the tiles
+    of the occupancy grid.
 
     poses_of_scans  True to show the poses of scans; False if `put_pose` is called more often
     changed  called when a part is new, in the thread of the event; to be set by the server
@@ -120,6 +121,12 @@ class LiveState:
     def put_pose(self, stamp: float, pose: Pose, covariance: Floats | None) -> None:
         """Show a pose [x, y, heading] in the map, with its covariance (3, 3) in its own frame if it is known."""
         self._put("pose", lambda: _pose(stamp, pose, covariance))
+
+    def put_tiles(self, tiles: Mapping[tuple[int, int], Payload]) -> None:
+        """Show tiles of the occupancy grid, by column and row, instead of those before; all in one frame."""
+        with self._lock:
+            for (column, row), build in tiles.items():
+                self._put(f"tile {column} {row}", build)
 
     def update(self, **entries: Any) -> None:
         """Replace entries of the status, which are numbers, texts, and lists or dictionaries of these."""

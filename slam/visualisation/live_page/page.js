@@ -19,6 +19,7 @@
     socket = new WebSocket(`ws://${location.host}/live${location.search}`);
     socket.onmessage = (message) => {
       Object.assign(parts, JSON.parse(message.data));
+      $("grid").hidden = !Object.keys(parts).some((name) => name.startsWith("tile "));
       dirty = answer = true;
     };
     socket.onopen = () => { document.body.classList.add("connected"); dirty = true; };
@@ -83,6 +84,31 @@
     list("closures", status.closures.toReversed().map(([time, name, text]) => [name, time, `${name}: ${text}`]));
     list("devices", (status.devices || []).map(([name, state, faults]) =>
       [faults || state !== "running" ? "fault" : "", null, `${name}: ${state}${faults ? `, ${faults}` : ""}`]));
+  };
+
+  // Occupancy grid: a small picture for each tile, drawn anew if the tile is
+
+  const COLOURS = [[0, 0, 0, 0], [226, 235, 243, 255], [132, 144, 156, 255]]; // unknown, free, occupied
+  const pictures = new Map();
+  const picture = (name, tile) => {
+    const before = pictures.get(name);
+    if (before && before.tile === tile) return before.canvas;
+    const codes = atob(tile.cells), shown = new OffscreenCanvas(tile.count, tile.count);
+    const image = new ImageData(tile.count, tile.count);
+    for (let k = 0; k < tile.count ** 2; k++) {
+      image.data.set(COLOURS[(codes.charCodeAt(k >> 2) >> (2 * (k & 3))) & 3], 4 * k);
+    }
+    shown.getContext("2d").putImageData(image, 0, 0);
+    pictures.set(name, { tile, canvas: shown });
+    return shown;
+  };
+  const drawGrid = (ratio) => {
+    if ($("grid").getAttribute("aria-pressed") !== "true") return;
+    for (const [name, tile] of Object.entries(parts)) {
+      if (!name.startsWith("tile ")) continue;
+      draw2d.imageSmoothingEnabled = ratio * view.scale * tile.size < tile.count; // only if cells are below a pixel
+      draw2d.drawImage(picture(name, tile), tile.x, tile.y, tile.size, tile.size);
+    }
   };
 
   // Map
@@ -153,6 +179,7 @@
     draw2d.clearRect(0, 0, canvas.width, canvas.height);
     const pixels = ratio * view.scale;
     draw2d.setTransform(pixels, 0, 0, -pixels, ratio * width / 2 - pixels * view.x, ratio * height / 2 + pixels * view.y);
+    drawGrid(ratio);
     draw2d.lineCap = draw2d.lineJoin = "round";
     const path = [...(parts.map ? parts.map.path : []), ...(parts.recent ? parts.recent.path : [])];
     draw2d.beginPath();
@@ -236,6 +263,10 @@
   }
   $("fit").addEventListener("click", () => setMode("fit"));
   $("follow").addEventListener("click", () => setMode("follow"));
+  $("grid").addEventListener("click", () => {
+    $("grid").setAttribute("aria-pressed", String($("grid").getAttribute("aria-pressed") !== "true"));
+    dirty = true;
+  });
   new ResizeObserver(() => { dirty = true; }).observe(canvas);
 
   // Buttons and driving

@@ -25,7 +25,7 @@ def confidence_section(results: RunResults, extent: float) -> str:
 
     extent  larger side of the drawing, metres
     """
-    stretches = wall_stretches(results)
+    stretches = wall_stretches(results.walls)
     if not stretches or results.keyframes is None:
         return ""
     lengths = np.array([float(np.hypot(*np.diff(one.points, axis=0)[0])) for one in stretches])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from .formatting import length
+from .formatting import counted, length, percent
 
 
 def outcome_lines(outcome: dict[str, Any]) -> list[str]:
@@ -13,6 +13,14 @@ def outcome_lines(outcome: dict[str, Any]) -> list[str]:
     if "pins" in outcome:
         fit = [f"chi-square of the pins used: {outcome['chi2']:.1f}, {outcome['dof']} degrees of freedom"]
         return [*(_pin_line(pin) for pin in outcome["pins"]), *(fit if outcome["dof"] else ())]
+    if "shift" in outcome:
+        moved = f"keyframe {outcome['keyframe']} moves by {length(outcome['shift'])}"
+        if "fit" not in outcome:
+            return [f"{moved}; it was at the place of keyframe {outcome['old']}"]
+        return [
+            f"{moved} to the place of keyframe {outcome['old']}: {outcome['deviations']:.1f} standard deviations; "
+            f"{percent(outcome['fit'])} of the points fit, {counted(outcome['merged'], 'wall')} merged"
+        ]
     if "offset" in outcome:
         turn = math.degrees(outcome["turn"])
         return [

@@ -25,7 +25,7 @@ def returns_text(slam: dict[str, Any]) -> str:
 
 
 def loops_text(slam: dict[str, Any]) -> str:
-    """Return how many loops were closed, retracted and rejected; empty if there were none."""
+    """Return how many loops were closed, retracted, forbidden and rejected; empty if there were none."""
     counts = slam.get("loops") or {}
     rows = slam.get("loop_decisions") or []
     parts = []
@@ -36,6 +36,8 @@ def loops_text(slam: dict[str, Any]) -> str:
         )
     if retracted := counts.get(LoopStatus.RETRACTED, 0):
         parts.append(f"{retracted} of them retracted, as later scans contradicted it")
+    if forbidden := sum(row["status"] == LoopStatus.FORBIDDEN for row in rows):
+        parts.append(f"{forbidden} forbidden by hand")
     if rejected := counts.get(LoopStatus.REJECTED, 0):
         parts.append(f"{rejected} rejected as unsafe")
     return "; ".join(parts)

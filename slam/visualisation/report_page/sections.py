@@ -13,9 +13,14 @@ from .findings import Finding
 from .formatting import clock, duration, length, percent
 from .loop_text import by_margin, loops_text, returns_text
 
-APPLIED = (LoopStatus.ACCEPTED, LoopStatus.RETRACTED)
-"""Decisions that changed the map; the others are in a collapsed table."""
+APPLIED = (LoopStatus.ACCEPTED, LoopStatus.RETRACTED, LoopStatus.FORBIDDEN)
+"""Decisions that changed the map; the others are in a table of their own."""
+BY_HAND = (
+    "If you know better: <code>wclm correct DIRECTORY --forbid-loop N</code> opens a closed loop, "
+    "<code>--close N</code> closes another one."
+)
 COLUMN_MEANINGS = {
+    "loop": "number N of the loop",
     "keyframes": "keyframe of the decision, and one that observed the place before",
     "overlap": "share of the recent points that fit the old place, of those in space seen before; higher is better",
     "looks": "number of looks at old places that agree with the closure",
@@ -118,7 +123,7 @@ def loops(slam: dict[str, Any], start: float) -> str:
             "Places that looked known. Closing these loops would not have been safe; the nearest to being closed first."
         )
         body += f"<h3>Rejected as unsafe</h3><p>{note}</p>{_decisions(others, start)}"
-    return body + (_column_meanings() if rows else "")
+    return body + (f"<p>{BY_HAND}</p>{_column_meanings()}" if rows else "")
 
 
 def _column_meanings() -> str:
@@ -128,6 +133,7 @@ def _column_meanings() -> str:
 
 def _decisions(rows: list[dict[str, Any]], start: float) -> str:
     columns = (
+        ("loop", lambda row: str(row["candidate"])),
         ("time", lambda row: clock(row["stamp"] - start)),
         ("status", lambda row: row["status"]),
         ("keyframes", lambda row: f"{row['keyframe']} → {row['old']}"),

@@ -106,18 +106,25 @@ class _Panels:
         self._root, self._extent, self._aspect = root, extent, aspect
 
     def maps(self, name: str = "Map") -> rrb.Tabs:
-        """Return the views of the whole map, alone and with all scans behind it."""
+        """Return the views of the whole map: alone, with all scans behind it, and with the confidence map."""
         # Bands would double every wall; the map before the correction and the factors would cover it.
         hidden = ["map/wall_sigma", "before/**", "shift", "factors/**", "features/gated_out", "last_scans/**"]
+        hidden += ["confidence/**"]
         alone = ["$origin/**", *(f"- $origin/{entity}" for entity in [*hidden, "scans/**"])]
-        with_scans = ["$origin/**", *(f"- $origin/{entity}" for entity in [*hidden, "map/corner_sigma"])]
-        views = self._from_above(name, alone), self._from_above(f"{name} and scans", with_scans)
+        with_scans = ["$origin/**", *(f"- $origin/{entity}" for entity in [*hidden, "map/corner_sigma", "grid"])]
+        confidence = ("confidence/**", "map/walls", "path/estimate", "grid")
+        views = (
+            self._from_above(name, alone),
+            self._from_above(f"{name} and scans", with_scans),
+            self._from_above("Confidence", [f"$origin/{entity}" for entity in confidence]),
+        )
         return rrb.Tabs(*views, active_tab=0)
 
     def close_up(self) -> rrb.Spatial3DView:
         """Return the view of the robot's surroundings."""
         # The origin moves with the robot without turning. An eye that tracks an entity would not stay above it.
-        hidden = ("odometry/**", "before/**", "shift", "factors/**", "loops/**", "path/keyframes", "scans/**")
+        below = ("odometry/**", "before/**", "shift", "factors/**", "loops/**", "path/keyframes")
+        hidden = (*below, "scans/**", "confidence/**", "grid")
         return rrb.Spatial3DView(
             origin=f"{self._root}world/here",
             contents=[f"/{self._root}world/**", *(f"- /{self._root}world/{name}" for name in hidden)],

@@ -32,6 +32,10 @@ DISTINCT_COLOURS: tuple[Colour, ...] = (
 WALL_NEW: Colour = (165, 165, 172)
 WALL_SIGMA: Colour = (105, 105, 115)
 BACKDROP: Colour = (117, 101, 136)  # scans of past keyframes: dim lavender
+FREE: Colour = (44, 46, 60)  # cells of the occupancy grid, dim as the map is drawn over them
+OCCUPIED: Colour = (96, 98, 112)
+CONFIDENCE: tuple[Colour, ...] = ((86, 180, 233), (0, 158, 115), (240, 228, 66), (230, 159, 0), (213, 94, 0))
+"""Bands of the confidence map, from the most certain on (limits: 2, 5, 10, 20 cm): Okabe and Ito (2008)."""
 ESTIMATE_SHADES: tuple[Colour, ...] = (ESTIMATE, (75, 105, 177), (48, 68, 114))  # darker: less certain
 
 # Series of one plot, in this order; the plot's legend names them.

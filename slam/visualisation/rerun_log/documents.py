@@ -27,6 +27,7 @@ _LEGEND: tuple[tuple[str, str], ...] = (
     ("pink", "new: not in the map before"),
     ("light green", "accepted loop; arrows: shift of each keyframe"),
     ("rust", "rejected by a gate: feature, loop; factor beyond 99.9 %; dashed: retracted loop; disc: suspect"),
+    ("dim areas", "of the final map: free space; grey dots in it are occupied"),
     ("deep blue", "before the last correction: walls and path; recent points before the loop's motion"),
 )
 _TIMELINES: tuple[tuple[str, str], ...] = (
@@ -46,6 +47,9 @@ def legend() -> str:
         "View from above: x to the right, y up, metres. Hover over an object for its label: `L12 n=7` is wall 12, "
         "observed by 7 keyframes; `x` is a keyframe, `C` a corner; `d²` is the squared Mahalanobis distance, and "
         "matches above 13.8 are rejected.\n\n"
+        "View of the confidence: bands behind the walls state how well the final map knows them: to 2 cm (light blue), "
+        "5 cm (green), 10 cm (yellow), 20 cm (orange), or worse (rust); discs are weak places, and dashed lines drives "
+        "that would improve them.\n\n"
         "Table of loop decisions: code A accepted, R rejected with the check that fails, X retracted; looks that "
         "support it; margin of the worst check, 1 if all are met; overlap, the share of the points that fit the old "
         "place; rival, the share of support for the strongest other place; shift of the robot in metres.\n\n"

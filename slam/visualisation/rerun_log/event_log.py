@@ -40,15 +40,17 @@ from ...loop_closure.loop_status import LoopStatus
 from ...mapping.map_features import MapCorners, MapWalls
 from . import documents
 from .blueprint import Extent, layout
+from .confidence_layer import log_confidence
 from .factor_graph_layer import FactorGraphLayer
+from .grid_layer import log_grid
 from .ground_truth_errors import GroundTruthErrors
 from .keyframe_layer import KeyframeLayer
 from .loop_layer import CorrectionLayer, DecisionLayer
 from .map_layer import MapLayer
 from .path_layer import PathLayer
 from .rrd_writer import CANDIDATE, CLOSURE, PART_SIZE, RrdWriter
-from .scan_layer import ScanLayer
-from .shapes import bounds
+from .scan_layer import CELL, ScanLayer
+from .shapes import bounds, largest_sigmas
 from .status_layer import StatusLayer
 from .time_series import TimeSeries
 from .viewer import ViewerServer
@@ -305,9 +307,10 @@ class EventLog:
         self._end_steps()
         self._at_last_keyframe(self._stamp)
         if event.keyframe_covariance is not None:
-            largest = np.linalg.eigvalsh(event.keyframe_covariance[:, :2, :2])[:, -1]
-            self._path_layer.set_sigmas(np.sqrt(np.maximum(largest, 0.0)))
+            self._path_layer.set_sigmas(largest_sigmas(event.keyframe_covariance[:, :2, :2]))
         path = event.poses if len(event.poses) else event.keyframes
         self._log_map(event.walls, event.corners, path, event.keyframes)
         self._path_layer.log_growing_paths()
+        log_grid(self._writer, self._scan_layer.placed(event.keyframes), CELL)
+        log_confidence(self._writer, event)
         self._log_document("summary", documents.summary(event.summary))

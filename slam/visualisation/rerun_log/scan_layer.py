@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import rerun as rr
 
 from drivers import se2
 
 from ...geometry.segments import Floats
+from ...io.exports import PlacedScan
 from . import colours
 from .rrd_writer import RrdWriter
 from .shapes import SCAN_STEPS, Float32s, Height, to_3d
@@ -43,6 +46,11 @@ class ScanLayer:
         self._last.pop(index - LAST_SCANS, None)
         positions = to_3d(se2.transform(pose, self._scans[index]), Height.BACKDROP, SCAN_STEPS)
         self._writer.log(f"world/last_scans/{index % LAST_SCANS}", rr.Points3D.from_fields(positions=positions))
+
+    def placed(self, keyframes: Floats) -> Iterator[PlacedScan]:
+        """Yield the thinned scans of keyframes at poses (k, 3), as if the lidar were in the middle of the base."""
+        for pose, scan in zip(keyframes, self._scans, strict=False):
+            yield PlacedScan(0.0, pose[:2], se2.transform(pose, scan.astype(np.float64)))
 
     def log_all(self, keyframes: Floats) -> None:
         """Draw the scans of the keyframes (k, 3) in blocks; those that have neither grown nor moved remain."""

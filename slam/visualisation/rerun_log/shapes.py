@@ -29,9 +29,11 @@ EMPTY_MAP_HALF_SIZE = 5.0  # metres shown around the origin before anything is m
 class Height(float, Enum):
     """Heights of the drawn layers, metres, from the bottom to the top."""
 
+    GRID = -0.010
     BACKDROP = -0.006
     ODOMETRY = -0.004
     SIGMA = -0.002
+    CONFIDENCE = -0.001
     WALL = 0.0
     CORNER = 0.002
     ESTIMATE = 0.004

@@ -8,13 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+import drivers
 from drivers import se2
 from drivers.messages import GroundTruth
 from drivers.simulation import Simulation
+from slam.evaluation.metrics import score_reference
 from slam.io.output_dir import KEYFRAMES, MAP, REPORT, SUMMARY, TRAJECTORY
 from slam.io.run_results import read_run_results
 from slam.io.sessions import read_session
-from slam.io.tum import read_tum
+from slam.io.tum import Trajectory, read_tum
 from slam.io.wall_maps import read_wall_map
 from slam.mapping.convergence import converge
 
@@ -146,6 +148,45 @@ def test_tied_walls_become_one_and_another_directory_can_be_written(wclm: Any, m
     wclm.refuses("optimize", "tied", "--out", "refined", because=["has manual corrections"])
 
 
+@pytest.mark.slow
+def test_loops_are_forbidden_and_closed_by_hand(wclm: Any, mapped: Path, tmp_path: Path) -> None:
+    """A drive with worn wheels closes two loops: the error grows without them, and is the same with them again."""
+    source = "sim:square?seed=2&lidar=short&odometry=bad"
+    session = copy_of_run(wclm, mapped, source, tmp_path / "out")
+    truth = [m for m in drivers.open(source) if isinstance(m, GroundTruth)]
+    true_path = Trajectory(np.array([m.stamp for m in truth]), np.array([m.pose for m in truth]))
+    rows = {row["candidate"]: row for row in read_run_results(session).summary["slam"]["loop_decisions"]}
+    assert [row["status"] for row in rows.values()] == ["accepted", "accepted"]
+
+    def error(path: Path) -> float:
+        return float(score_reference(read_tum(path / TRAJECTORY), true_path).figures()["ate_rmse"])
+
+    with_loops, walls = error(session), len(read_run_results(session).walls)
+    assert wclm("correct", session, "--forbid-loop", 1, "--forbid-loop", 2).exit_code == 0
+    opened = read_run_results(session)
+    assert error(session) > 3.0 * with_loops
+    assert len(opened.walls) > walls + 20
+    assert [row["status"] for row in opened.summary["slam"]["loop_decisions"]] == ["forbidden", "forbidden"]
+    assert opened.summary["slam"]["loops"]["accepted"] == 0
+    assert "2 forbidden by hand" in (session / REPORT).read_text()
+    files = {name: (session / name).read_bytes() for name in (TRAJECTORY, KEYFRAMES, MAP, SUMMARY)}
+    wclm.refuses("correct", session, "--forbid-loop", 1, because=["it is forbidden"])
+    wclm.refuses("correct", session, "--close", "10,100", because=["not one place", "points fit"])
+    assert {name: (session / name).read_bytes() for name in files} == files
+    assert opened.keyframes is not None
+    stamps = opened.keyframes.stamps[[rows[2]["old"], rows[2]["keyframe"]]].tolist()
+    result = wclm("correct", session, "--close", "1", "--close", f"{stamps[0]}s,{stamps[1]}s")
+    assert result.exit_code == 0, result.output
+    assert result.stdout.count("of the points fit") == 2
+    assert abs(error(session) - with_loops) < 0.05
+    closed = read_run_results(session)
+    assert abs(len(closed.walls) - walls) < 5
+    assert closed.summary["slam"]["loops"]["accepted"] == 2
+    assert wclm("correct", session, "--undo").exit_code == 0
+    assert wclm("correct", session, "--undo").exit_code == 0
+    assert {name: (session / name).read_bytes() for name in files} == files
+
+
 def test_mistakes_are_refused_and_change_nothing(wclm: Any, session: Path, tmp_path: Path) -> None:
     files = {file: file.read_bytes() for file in session.rglob("*") if file.is_file()}
     (tmp_path / "one.csv").write_text(HEADER + "pose,10,1,2,0.01\n")
@@ -156,6 +197,13 @@ def test_mistakes_are_refused_and_change_nothing(wclm: Any, session: Path, tmp_p
     wclm.refuses("correct", session, "--delete-wall", 999, because=["no wall 999"])
     wclm.refuses("correct", session, "--tie", "0,1", because=["cannot be one"])
     wclm.refuses("correct", session, "--tie", "0", because=["two identities"])
+    wclm.refuses("correct", session, "--close", "1", because=["no loop 1"])
+    wclm.refuses("correct", session, "--forbid-loop", 1, because=["no loop 1"])
+    wclm.refuses("correct", session, "--close", "0,40", because=["m of driving apart"])
+    wclm.refuses("correct", session, "--close", "0,4000", because=["no keyframe 4000"])
+    wclm.refuses("correct", session, "--close", "1s,4000s", because=["4000 s: there is no keyframe"])
+    wclm.refuses("correct", session, "--close", "1s,nans", because=["--close", "two stamps"])
+    wclm.refuses("correct", session, "--close", "0,1,2", because=["--close", "two keyframes"])
     wclm.refuses("correct", session, "--pins", tmp_path / "one.csv", because=["do not determine the place"])
     wclm.refuses("correct", session, "--pins", tmp_path / "late.csv", because=["there is no scan"])
     wclm.refuses("correct", session, "--pins", tmp_path / "unknown.csv", because=["no wall 999"])

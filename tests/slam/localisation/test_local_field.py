@@ -60,6 +60,18 @@ def test_old_keyframes_enter_by_a_link() -> None:
     assert 60 not in field.inserted
 
 
+def test_links_of_a_pass_with_earlier_keyframes_can_be_removed() -> None:
+    poses, field = straight_drive(120), LocalField()
+    drive(field, poses)
+    for one, other in ((10, 118), (105, 117), (10, 60)):
+        field.link(one, other)
+    field.unlink(range(100, 120))
+    assert field.state.links == ((105, 117), (10, 60))
+    field.update(119, poses, (STEP * np.arange(120)).tolist())
+    assert 10 not in field.inserted
+    assert 119 in field.inserted
+
+
 def test_field_is_built_anew_if_poses_have_changed() -> None:
     poses, field = straight_drive(10), LocalField()
     drive(field, poses)

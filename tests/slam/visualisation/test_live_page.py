@@ -8,6 +8,7 @@ import re
 import time
 import urllib.error
 import urllib.request
+from base64 import b64decode
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -19,9 +20,14 @@ import pytest
 from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import WebSocketClientConnection, websocket_connect
 
+from drivers.se2 import Pose
 from slam.errors import OutputError
-from slam.events import Finished, MapUpdated, Notice, ScanTracked, StateChanged, SuspectFound
-from slam.visualisation.live_page import LiveState, PageServer
+from slam.events import Finished, KeyframeAdded, MapUpdated, Notice, ScanTracked, StateChanged, SuspectFound
+from slam.geometry.segments import CornerPoints, Floats, Segments
+from slam.io.exports import Occupancy
+from slam.io.exports.occupancy import FREE, OCCUPIED, UNKNOWN
+from slam.visualisation.live_page import GridLayer, LiveState, PageServer
+from slam.visualisation.live_page.grid_layer import RESOLUTION, TILE, tiles
 from slam.visualisation.live_page.live_state import MAX_MESSAGES, MAX_POINTS
 from slam.visualisation.live_page.requests import MAX_COMMAND_DELAY
 
@@ -80,6 +86,16 @@ def run(test: Callable[[], Awaitable[None]]) -> None:
                     pass
 
     asyncio.run(limited())
+
+
+def keyframe(index: int, points: Floats, pose: Pose) -> KeyframeAdded:
+    segments = Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2)))
+    corners = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)))
+    ids, none = np.zeros(0, dtype=np.int64), np.zeros(0)
+    matches = (ids, none, ids, ids, none, ids, ids)
+    return KeyframeAdded(
+        index, float(index), pose, np.eye(3), pose, points, segments, corners, *matches, 0.01, {}, {"walls": 0}
+    )
 
 
 def refused(url: str, **headers: str) -> int:
@@ -254,6 +270,85 @@ def test_a_page_without_permission_to_drive_cannot() -> None:
             server.state.update(message="still there")
             assert (await frame(client))["status"]["message"] == "still there"
 
+        run(test)
+
+
+def test_only_the_tiles_of_the_grid_that_change_are_sent(finished: Finished) -> None:
+    """A wall 2 m ahead, then another one 12 m away; then the map is corrected by 1 m, which moves the first one."""
+    state, wall = LiveState(), np.column_stack([np.full(41, 2.0), np.linspace(-1.0, 1.0, 41)])
+
+    def occupied(frames: dict[str, Any]) -> set[tuple[float, float]]:
+        found = set()
+        for tile in (part for name, part in frames.items() if name.startswith("tile ")):
+            codes = np.frombuffer(b64decode(tile["cells"]), dtype=np.uint8)
+            cells = (codes[:, None] >> np.array([0, 2, 4, 6]) & 3).reshape(tile["count"], tile["count"])
+            for row, column in np.argwhere(cells == 2).tolist():
+                size = tile["size"] / tile["count"]
+                found.add((round(tile["x"] + size * (column + 0.5), 3), round(tile["y"] + size * (row + 0.5), 3)))
+        return found
+
+    async def received_tiles(client: WebSocketClientConnection) -> dict[str, Any]:
+        while True:
+            received = await frame(client)
+            if any(name.startswith("tile ") for name in received):
+                return received
+
+    async def test() -> None:
+        client = await connect(server)
+        with GridLayer(state, lambda: np.zeros((1, 2))) as layer:
+            layer.handle(keyframe(0, wall, np.zeros(3)))
+            first = await received_tiles(client)
+            assert {x for x, _ in occupied(first)} <= {1.975, 2.025}
+            layer.handle(keyframe(1, wall, np.array([12.0, 0.0, 0.0])))
+            second = await received_tiles(client)
+            names = {name for name in second if name.startswith("tile ")}
+            assert names
+            assert not names & first.keys()
+            poses = np.array([[1.0, 0.0, 0.0], [12.0, 0.0, 0.0]])
+            layer.handle(MapUpdated(1, 2.0, poses, finished.walls, finished.corners, 1.0, 0.0))
+            moved = await received_tiles(client)
+            assert {x for x, _ in occupied(moved)} <= {2.975, 3.025}
+            assert not names & moved.keys()
+
+    with served(state) as server:
+        run(test)
+
+
+@pytest.mark.parametrize("origin", [(0.0, 0.0), (-6.4, 6.4), (-0.05, -13.25)])
+def test_tiles_make_up_the_grid(origin: tuple[float, float]) -> None:
+    cells = np.random.default_rng(1).choice(np.array([FREE, UNKNOWN, OCCUPIED], dtype=np.int8), (130, 300))
+    occupancy = Occupancy(cells, np.array(origin), RESOLUTION)
+    found = set()
+    for (column, row), tile in tiles(occupancy):
+        corner = TILE * RESOLUTION * np.array([column, row])
+        found |= {tuple(place) for place in Occupancy(tile, corner, RESOLUTION).centres(OCCUPIED).round(3).tolist()}
+    assert found == {tuple(place) for place in occupancy.centres(OCCUPIED).round(3).tolist()}
+
+
+@in_a_browser
+def test_a_browser_shows_the_grid_if_it_is_switched_on(tmp_path: Path) -> None:
+    """The cell in the middle of the window is free, and the window is all unknown if the layer is switched off."""
+    state = LiveState()
+    state.handle(ScanTracked(10.0, np.zeros(3), np.zeros(3), 0.9, 4, np.zeros((0, 2))))
+    wall = np.column_stack([np.full(401, 4.0), np.linspace(-4.0, 4.0, 401)])
+    middle = (
+        "(() => { const map = document.getElementById('map');"
+        " return [...map.getContext('2d').getImageData(0.75 * map.width, 0.5 * map.height, 1, 1).data].join() })()"
+    )
+
+    async def test() -> None:
+        assert CHROMIUM is not None
+        async with browser(CHROMIUM, tmp_path / "profile") as tab:
+            await tab.open(server.url, 900, 700, mobile=False)
+            await tab.wait("!document.getElementById('grid').hidden")
+            await tab.wait(f"{middle} === '226,235,243,255'")
+            await tab.evaluate("document.getElementById('grid').click()")
+            await tab.wait(f"{middle} === '0,0,0,0'")
+            assert not [text for text in tab.console if "Multiple readback" not in text]  # a warning about this test
+
+    with served(state) as server:
+        with GridLayer(state, lambda: np.zeros((1, 2))) as layer:
+            layer.handle(keyframe(0, wall, np.zeros(3)))
         run(test)
 
 

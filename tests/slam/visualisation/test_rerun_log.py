@@ -28,9 +28,10 @@ from slam.events import (
     StateChanged,
     SuspectFound,
 )
+from slam.io.exports.confidence import wall_stretches
 from slam.loop_closure.loop_status import LoopStatus
 from slam.mapping.map_features import MapCorners, MapWalls
-from slam.visualisation.rerun_log import ReviewLog, review_log, rrd_writer
+from slam.visualisation.rerun_log import ReviewLog, colours, review_log, rrd_writer
 from slam.visualisation.rerun_log.event_log import EventLog
 from slam.visualisation.rerun_log.log_files import log_parts
 
@@ -83,6 +84,44 @@ def test_final_map_is_the_last_one_logged(corridor):
     (strip,) = last(path, "/world/path/estimate", "LineStrips3D:strips")
     np.testing.assert_allclose(np.array(strip)[:, :2], final.poses[:, :2], atol=1e-3)
     assert last(path, "/world/path/recent", "LineStrips3D:strips") == []
+
+
+def test_the_grid_of_the_final_map_is_one_picture_that_is_free_along_the_path(corridor):
+    path, events = corridor
+    keyframe, format_of = rows(path, "/world/grid", "GridMap:format")[-1]
+    assert len(rows(path, "/world/grid", "GridMap:format")) == 1
+    assert keyframe == of_kind(events, KeyframeAdded)[-1].index
+    size = last(path, "/world/grid", "GridMap:cell_size")[0]
+    corner = np.array(last(path, "/world/grid", "GridMap:translation")[0])[:2]
+    columns, lines = format_of[0]["width"], format_of[0]["height"]
+    data = np.asarray(last(path, "/world/grid", "GridMap:data")[0], dtype=np.uint8)
+    picture = data.reshape(lines, columns, 3)[::-1]
+    cells = np.floor((events[-1].keyframes[:, :2] - corner) / size).astype(int)
+    free = (picture[cells[:, 1], cells[:, 0]] == colours.FREE).all(axis=1)
+    assert free.mean() > 0.9
+    occupied = np.argwhere((picture == colours.OCCUPIED).all(axis=2))[:, ::-1]
+    scans = [se2.transform(event.pose, event.points) for event in of_kind(events, KeyframeAdded)]
+    gaps = cKDTree(np.concatenate(scans)).query(corner + size * (occupied + 0.5))[0]
+    assert len(occupied) > 50
+    assert gaps.max() < 1.5 * size
+
+
+def test_the_confidence_map_is_that_of_the_report(tmp_path):
+    path, events = tmp_path / "confidence.rrd", list(Corridor(step=4.0).events())
+    finished = events[-1]
+    variances = np.linspace(0.0, 0.5, len(finished.keyframes)) ** 2
+    events[-1] = replace(finished, keyframe_covariance=variances[:, None, None] * np.eye(3))
+    log_events(path, events)
+    stretches = wall_stretches(finished.walls)
+    weak = last(path, "/world/confidence/weak", "Points3D:labels")
+    assert any("m of the path are known to" in label for label in weak)
+    strips = np.array(last(path, "/world/confidence/walls", "LineStrips3D:strips"))
+    np.testing.assert_allclose(strips[..., :2], [one.points for one in stretches], atol=1e-3)
+    labels = last(path, "/world/confidence/walls", "LineStrips3D:labels")
+    assert [int(label.split(":")[0][1:]) for label in labels] == [one.identity for one in stretches]
+    shown = last(path, "/world/confidence/walls", "LineStrips3D:colors")
+    packed = [(r << 24) + (g << 16) + (b << 8) + 255 for r, g, b in colours.CONFIDENCE]
+    assert shown == [packed[one.level] for one in stretches]
 
 
 def test_corner_ellipses_are_three_sigma(corridor):

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from drivers import se2
-from slam.io.exports import Occupancy, OccupancyGrid, PlacedScan
+from slam.io.exports import Occupancy, OccupancyGrid, PlacedScan, live_grid
+from slam.io.exports.live_grid import LiveGrid
 from slam.io.exports.occupancy import FREE, OCCUPIED
-from slam.ros import live_grid
-from slam.ros.live_grid import LiveGrid
 
 WALL = np.column_stack([np.full(41, 2.0), np.linspace(-1.0, 1.0, 41)])
 PATIENCE = 60.0

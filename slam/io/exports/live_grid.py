@@ -10,15 +10,19 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from drivers import se2
 
-from ..errors import MapError
-from ..geometry.segments import Floats
-from ..io.exports import Occupancy, OccupancyGrid
-from ..io.exports.keyframe_points import KeyframePoints
+from ...errors import MapError
+from ...geometry.segments import Floats
+from .keyframe_points import KeyframePoints
+from .occupancy import Occupancy, OccupancyGrid
+
+if TYPE_CHECKING:
+    from ..sessions import StoredSession
 
 PAUSE_FACTOR = 9.0
 """Pause after an update, as a multiple of its duration: a tenth of one core at most."""
@@ -62,6 +66,13 @@ class LiveGrid:
                 self._poses = np.concatenate([self._poses, np.zeros_like(self._poses)])
             self._poses[count] = pose
             self._keyframes.append(keyframe)
+
+    def add_session(self, session: StoredSession, lidars: Floats) -> None:
+        """Add the keyframes of a session that the run continues; lidars (k, 2) in the base's frame."""
+        poses = session.slam_state.mapper.keyframe_poses
+        for keyframe, row in enumerate(session.scan_history().keyframes.tolist()):
+            scan = session.scans[row]
+            self.add(scan.stamp, scan.features.points.all, lidars, poses[keyframe])
 
     def move(self, poses: Floats) -> None:
         """Set the poses (k, 3) of the first k keyframes."""

@@ -1,0 +1,55 @@
+"""Events of a run as a whole: messages, doubts, and its end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from ..geometry.segments import Floats
+from ..mapping.map_features import MapCorners, MapWalls
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Notice:
+    """A message for the user, for example about a gap in the data, a jump of the odometry, or a lost pose."""
+
+    stamp: float
+    text: str
+    level: str = "WARN"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SuspectFound:
+    """A check of the finished run found a contradiction at `stamp`; published at the end of the run, worst first.
+
+    index     last keyframe at that time
+    text      sentence with the figures
+    position  (2,) in the final map, metres
+    """
+
+    index: int
+    stamp: float
+    text: str
+    position: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Finished:
+    """The run is over: final map and trajectory.
+
+    walls, corners       walls and corners with marginal covariances
+    keyframe_stamps      (k,) seconds
+    keyframes            (k, 3) poses
+    stamps               (m,) seconds of all odometry readings
+    poses                (m, 3) of the base in the map at these stamps
+    summary              counts, timings and learned values, as plain data
+    keyframe_covariance  (k, 3, 3) in each keyframe's own frame; None if they were not requested
+    """
+
+    walls: MapWalls
+    corners: MapCorners
+    keyframe_stamps: Floats
+    keyframes: Floats
+    stamps: Floats
+    poses: Floats
+    summary: dict[str, object] = field(default_factory=dict)
+    keyframe_covariance: Floats | None = None
