@@ -35,7 +35,7 @@ THINNED_SPACING = 0.1
 FIELD_MARGIN = 2.0
 """Metres from the outermost point to the border of a distance field."""
 MAX_RELATION_DISTANCE = 10.0
-"""Metres between two submaps whose relative pose is used: passes of one place are connected, as by closed loops."""
+"""Metres up to which the nearest earlier submap counts: passes of one place are connected, as by closed loops."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +87,7 @@ class ScannedMap:
     points     thinned, in the map's frame
     cells      number of cells
     submaps    in the order of driving
-    relations  pose of the second submap of a pair in the frame of the first, and its covariance (3, 3) there
+    relations  pose of the second submap of a pair in the frame of the first, and its covariance (3, 3) in its own frame
     """
 
     index: MapIndex
@@ -170,13 +170,14 @@ def _scan_submap(
 
 
 def _relations(mapper: Mapper, submaps: Sequence[ScannedSubmap]) -> dict[tuple[int, int], tuple[se2.Pose, Floats]]:
-    """Return the relative poses of successive and of near submaps, with covariances, in both directions."""
+    """Return the relative poses of submaps with the one before and the nearest earlier one, in both directions."""
     relations = {}
-    for i, one in enumerate(submaps):
-        for j in range(i + 1, len(submaps)):
+    for j in range(1, len(submaps)):
+        distances = [math.hypot(*se2.between(one.pose, submaps[j].pose)[:2]) for one in submaps[: j - 1]]
+        near = {int(np.argmin(distances))} if distances and min(distances) < MAX_RELATION_DISTANCE else set()
+        for i in sorted(near | {j - 1}):
+            one = submaps[i]
             relative = se2.between(one.pose, submaps[j].pose)
-            if j > i + 1 and math.hypot(relative[0], relative[1]) > MAX_RELATION_DISTANCE:
-                continue
             covariance = mapper.covariances.relative(one.keyframes[-1], submaps[j].keyframes[-1])
             covariance = covariance + np.diag(DISTORTION_SIGMAS**2)
             adjoint = se2.adjoint(relative)
