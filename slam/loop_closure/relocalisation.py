@@ -166,8 +166,6 @@ def submap_of(mapper: Mapper, observers: NDArray[np.bool_] | None = None) -> Sub
 def relocalise(submap: Submap, index: MapIndex) -> Relocalisation | None:
     """Find the pose of a submap in a map and decide on it; None if there are no candidates."""
     observed = express_in_frame(submap.pose, submap.descriptor)
-    if len(observed) < MIN_WALLS or len(index.descriptor) < MIN_WALLS:
-        return None
     views = [(se2.between(submap.pose, pose), segments) for pose, segments in submap.views]
     candidates = _find_candidates(observed, views, index)
     if not candidates:
@@ -189,15 +187,21 @@ def relocalise(submap: Submap, index: MapIndex) -> Relocalisation | None:
     )
 
 
+def align_candidates(observed: MapDescriptor, index: MapIndex) -> list[Alignment]:
+    """Return the distinct alignments of a submap with a map for which most votes were cast, most wall length first."""
+    if len(observed) < MIN_WALLS or len(index.descriptor) < MIN_WALLS:
+        return []
+    samples = sample_walls(observed)
+    starts = vote_for_poses(observed, index.descriptor, index.pairs, MAX_ALIGNED_POSES)
+    return _select_distinct([align_submap(start, observed, samples, index.descriptor) for start in starts])
+
+
 def _find_candidates(
     observed: MapDescriptor, views: Sequence[tuple[se2.Pose, Segments]], index: MapIndex
 ) -> list[_Candidate]:
     """Return distinct candidates, by descending score."""
-    samples = sample_walls(observed)
-    starts = vote_for_poses(observed, index.descriptor, index.pairs, MAX_ALIGNED_POSES)
-    aligned = [align_submap(start, observed, samples, index.descriptor) for start in starts]
     candidates = []
-    for alignment in _select_distinct(aligned):
+    for alignment in align_candidates(observed, index):
         visibility = compare_visibility(alignment.pose, views, index.descriptor)
         score = alignment.length * visibility.agreement * (1.0 - visibility.contradicted)
         candidates.append(_Candidate(alignment, visibility, score))

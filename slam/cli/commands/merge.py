@@ -32,8 +32,8 @@ def merge(
 ) -> None:
     """Merge sessions of one building into one map, in the frame of the first session.
 
-    Submaps of each session are relocalised in the map of the sessions before it. A session is merged if several
-    relocalisations agree, then the whole map is refined. An error if a session cannot be relocalised.
+    Each session is searched for in the map of the sessions before it. It is merged if it fits in one place only, then
+    the whole map is refined. An error if a session fits nowhere or in several places.
 
     Example: [bold]wclm merge maps/monday maps/tuesday --out maps/both[/bold]
     """
@@ -82,7 +82,7 @@ def _merge(paths: list[Path], out: Path, *, overwrite: bool, review: bool, pictu
 
 
 def _summarise(name: str, joined: MergedSession, finished: Finished, seconds: float) -> dict[str, Any]:
-    """Return the summary: entries as of a run, and how each session was relocalised."""
+    """Return the summary: entries as of a run, and how each session was located."""
     from ...io.host import peak_memory, versions
 
     session = joined.session
@@ -94,10 +94,10 @@ def _summarise(name: str, joined: MergedSession, finished: Finished, seconds: fl
         "joined": [
             {
                 "session": path,
-                "pieces": found.submaps,
-                "recognised": found.recognised,
-                "agree": len(found.members),
-                "independent": found.independent,
+                "submaps": found.submaps,
+                "placed": len(found.members),
+                "evidence": found.evidence,
+                "required": found.required,
                 "reason": found.reason,
             }
             for path, found in joined.added

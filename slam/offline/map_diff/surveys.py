@@ -14,10 +14,10 @@ from ...errors import MapError
 from ...geometry.segments import Floats
 from ...io.sessions import StoredSession
 from ...io.wall_maps import wall_map_of
-from ...loop_closure.relocalisation import index_map
 from ...mapping.wall_removal import MIN_STEP
 from ...measuring.wall_map import WallMap
-from ..map_merging.consensus import locate_session
+from ..map_merging.scanned_map import scan_map
+from ..map_merging.session_location import locate_session
 from ..wall_alignment import MIN_COMMON, align_maps
 
 
@@ -61,11 +61,10 @@ def locate(old: Survey, new: Survey, guess: se2.Pose | None = None) -> se2.Pose:
     recognised there, or if the maps have too few walls in common.
     """
     if guess is None:
-        mapper = new.session.slam_state.mapper
-        consensus = locate_session(mapper, new.session.scan_history(), index_map(old.session.slam_state.mapper))
-        if not consensus.accepted:
-            raise MapError(f"the maps cannot be aligned: the new one is not recognised: {consensus.reason}")
-        guess = consensus.members[0].relocalisation.motion
+        location = locate_session(scan_map(new.session), scan_map(old.session))
+        if not location.accepted:
+            raise MapError(f"the maps cannot be aligned: the new one is not recognised: {location.reason}")
+        guess = location.members[len(location.members) // 2].motion
     motion, pairs = align_maps(old.wall_map.walls, new.wall_map.walls, guess)
     if len(pairs) < MIN_COMMON:
         raise MapError(f"the maps cannot be aligned: they have only {len(pairs)} walls in common")

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 from ...errors import MapError
 from ...io.sessions import StoredSession
-from ...loop_closure.relocalisation import MapIndex, index_map
 from ...mapping.convergence import converge
-from .consensus import Consensus, locate_session
 from .pairwise_merge import merge_pair
+from .scanned_map import scan_map
+from .session_location import SessionLocation, locate_session
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -18,11 +18,11 @@ class MergedSession:
     """Session merged from several, before refinement.
 
     session  in the map frame of the first
-    added    name and consensus of the other sessions, in the order in which they were merged
+    added    name and location of the other sessions, in the order in which they were merged
     """
 
     session: StoredSession
-    added: Sequence[tuple[str, Consensus]]
+    added: Sequence[tuple[str, SessionLocation]]
 
 
 def merge_sessions(sessions: Sequence[tuple[str, StoredSession]]) -> MergedSession:
@@ -38,20 +38,21 @@ def merge_sessions(sessions: Sequence[tuple[str, StoredSession]]) -> MergedSessi
             raise MapError(f"{name}: has no keyframe, so it cannot be merged")
         converge(session.slam_state.mapper)
     (_, merged), *remaining = sessions
-    added: list[tuple[str, Consensus]] = []
+    added: list[tuple[str, SessionLocation]] = []
+    scanned = {name: scan_map(session) for name, session in remaining}
     while remaining:
-        index = index_map(merged.slam_state.mapper)
-        consensuses = [_locate(session, index) for _, session in remaining]
-        best = max(range(len(remaining)), key=lambda k: (consensuses[k].accepted, consensuses[k].independent))
-        (name, session), consensus = remaining.pop(best), consensuses[best]
-        if not consensus.accepted:
+        old = scan_map(merged)
+        locations = [locate_session(scanned[name], old) for name, _ in remaining]
+        best = max(range(len(remaining)), key=lambda k: (locations[k].accepted, locations[k].evidence))
+        (name, session), location = remaining.pop(best), locations[best]
+        if not location.accepted:
             merged_names = ", ".join([sessions[0][0], *(added_name for added_name, _ in added)])
-            raise MapError(f"{name}: is not recognised in {merged_names}: {consensus.reason}")
+            raise MapError(f"{name}: is not recognised in {merged_names}: {location.reason}")
         try:
-            merged = merge_pair(merged, session, consensus)
+            merged = merge_pair(merged, session, location.members)
         except MapError as error:
             raise MapError(f"{name}: {error}") from error
-        added.append((name, consensus))
+        added.append((name, location))
     return MergedSession(merged, added)
 
 
@@ -65,7 +66,3 @@ def _check_recordings(sessions: Sequence[tuple[str, StoredSession]]) -> None:
             if key in names:
                 raise MapError(f"{name}: contains the recording {recording.name}, and so does {names[key]}")
             names[key] = name
-
-
-def _locate(session: StoredSession, index: MapIndex) -> Consensus:
-    return locate_session(session.slam_state.mapper, session.scan_history(), index)

@@ -23,7 +23,7 @@ from ...loop_closure.loop_hypothesis import LoopAgreementState
 from ...mapping.convergence import converge
 from ...mapping.mapper import Mapper
 from ...odometry.error_model import OdometryModel
-from .consensus import Consensus
+from .session_location import PlacedSubmap
 from .transfer import (
     IndexOffsets,
     clock_shift,
@@ -35,11 +35,11 @@ from .transfer import (
 )
 
 
-def merge_pair(first: StoredSession, second: StoredSession, consensus: Consensus) -> StoredSession:
+def merge_pair(first: StoredSession, second: StoredSession, members: Sequence[PlacedSubmap]) -> StoredSession:
     """Return the session with the contents of both, in the map frame of the first.
 
-    `consensus` is that of the second's submaps in the first's map. Its members are loop closures, along which the
-    second map is deformed onto the first; walls that were matched are merged then. Other walls that both observed are
+    `members` are submaps of the second that were placed in the first's map. They are loop closures, along which the
+    second map is deformed onto the first; walls that coincide are merged then. Other walls that both observed are
     left to refinement. The second's clock is shifted if it does not start later than the first ends. Raises MapError if
     too few of the matched walls coincide.
     """
@@ -55,7 +55,7 @@ def merge_pair(first: StoredSession, second: StoredSession, consensus: Consensus
     kidnapped = [*state.kidnapped_keyframes, *(k + offsets.keyframes for k in other.kidnapped_keyframes)]
     starts = [*first.starts, *(row + offsets.scans for row in second.starts)]
     history = build_scan_history(scans, trajectory, stamps, kidnapped, starts)
-    mapper = _merge_maps(state.mapper, other.mapper, history, model, consensus)
+    mapper = _merge_maps(state.mapper, other.mapper, history, model, members)
     slam_state = SlamState.restored(
         first.config,
         samples,
@@ -81,13 +81,14 @@ def merge_pair(first: StoredSession, second: StoredSession, consensus: Consensus
 
 
 def _merge_maps(
-    first: Mapper, second: Mapper, history: ScanHistory, model: OdometryModel, consensus: Consensus
+    first: Mapper, second: Mapper, history: ScanHistory, model: OdometryModel, members: Sequence[PlacedSubmap]
 ) -> Mapper:
     """Return the solved map of both. Raises MapError if too few of the matched walls coincide.
 
-    The loop factors of the consensus only move the second map into place: they rest on the walls that are merged then.
+    Tight loop factors of the members only move the second map into place. They are replaced by the walls that are
+    merged then, and by the matches of the submaps with their own covariances.
     """
-    motion = consensus.members[0].relocalisation.motion
+    motion = members[0].motion
     mapper = Mapper(merge_landmarks(first, second, motion))
     mapper.roughness.add_samples(np.concatenate([first.roughness.samples, second.roughness.samples]))
     poses = np.concatenate([first.keyframe_poses, se2.compose(motion, second.keyframe_poses)])
@@ -97,27 +98,38 @@ def _merge_maps(
         odometry = None if k == 0 else motion_to_keyframe(k, history, model, odometry_wrong)
         mapper.add_keyframe_with_ids(poses[k], odometry, features.segments, features.corners, landmark_ids)
     mapper.graph.add_matches(merge_matches(first, second))
-    for member in consensus.members:
-        nearest = _nearest_keyframe(first.keyframe_poses, member.relocalisation.pose)
-        relative = se2.between(first.keyframe_poses[nearest], member.relocalisation.pose)
-        mapper.graph.add_loop(nearest, member.keyframes[-1] + first.keyframe_count, relative, LOOP_FACTOR_SIGMAS)
-    temporary = mapper.solve()[-len(consensus.members) :]
+    matches = [_match_of(member, first) for member in members]
+    for old, new, relative, _ in matches:
+        mapper.graph.add_loop(old, new, relative, LOOP_FACTOR_SIGMAS)
+    temporary = mapper.solve()[-len(members) :]
     mapper.recompute_pose_covariances()
-    _merge_matched_walls(mapper, consensus, len(first.landmarks.walls), temporary)
+    _merge_matched_walls(mapper, members, len(first.landmarks.walls))
+    mapper.graph.remove_factors(temporary)
+    for match in matches:
+        mapper.graph.add_loop_match(*match)
+    mapper.graph.update()
+    converge(mapper)
     return mapper
 
 
-def _nearest_keyframe(keyframe_poses: Floats, pose: se2.Pose) -> int:
-    return int(np.hypot(*(keyframe_poses[:, :2] - pose[:2]).T).argmin())
+def _match_of(member: PlacedSubmap, first: Mapper) -> tuple[int, int, se2.Pose, Floats]:
+    """Return the match of a submap with the nearest keyframe of the first map.
+
+    Returns the numbers of both keyframes in the merged map, the pose of the second in the frame of the first, and its
+    covariance (3, 3).
+    """
+    nearest = int(np.hypot(*(first.keyframe_poses[:, :2] - member.pose[:2]).T).argmin())
+    relative = se2.between(first.keyframe_poses[nearest], member.pose)
+    return nearest, member.keyframes[-1] + first.keyframe_count, relative, member.covariance
 
 
-def _merge_matched_walls(mapper: Mapper, consensus: Consensus, offset: int, temporary: Sequence[int]) -> None:
-    """Merge the walls that submaps were matched to, and remove the loop factors `temporary`, by their numbers.
+def _merge_matched_walls(mapper: Mapper, members: Sequence[PlacedSubmap], offset: int) -> None:
+    """Merge the walls that coincide with those of submaps; `offset` is that of the second map's walls.
 
-    `offset` is that of the second map's walls. Raises MapError.
+    Raises MapError.
     """
     rows = mapper.landmarks.walls.rows
-    matched = np.concatenate([member.relocalisation.pairs + np.array([0, offset]) for member in consensus.members])
+    matched = np.concatenate([member.walls + np.array([0, offset]) for member in members])
     pairs = list(dict.fromkeys((int(rows["merged_into"][old]), int(rows["merged_into"][new])) for old, new in matched))
     coinciding = [(old, new) for old, new in pairs if walls_coincide(rows[old], rows[new])]
     if len(coinciding) < MIN_COINCIDING_SHARE * len(pairs):
@@ -126,8 +138,6 @@ def _merge_matched_walls(mapper: Mapper, consensus: Consensus, offset: int, temp
         if old != new and rows["merged_into"][old] == old and rows["merged_into"][new] == new:
             mapper.merge_walls(old, new)
     mapper.graph.update()
-    mapper.graph.remove_factors(temporary)
-    converge(mapper)
 
 
 def _transfer_checkpoint(

@@ -23,13 +23,16 @@ from slam.config import config_to_toml
 from slam.errors import MapError
 from slam.evaluation.benchmarks.relocalisation import split_halves
 from slam.evaluation.metrics import read_relations, score_reference, score_relations
+from slam.geometry.segments import Floats
 from slam.io.map_json import read_map
 from slam.io.output_dir import CONFIG, RESULTS
 from slam.io.sessions import Recording, StoredSession, read_session, write_session
 from slam.io.tum import Trajectory, read_tum
-from slam.loop_closure.relocalisation import PlaceVerdict, Relocalisation
-from slam.offline.map_merging import Consensus, merge_sessions
-from slam.offline.map_merging.consensus import SubmapMatch, count_independent, find_largest_consensus
+from slam.mapping.convergence import converge
+from slam.offline.map_merging import SessionLocation, merge_sessions
+from slam.offline.map_merging.evidence import CellFits, chance_of_fit, evidence_of
+from slam.offline.map_merging.scanned_map import ScannedMap, scan_map
+from slam.offline.map_merging.session_location import ERROR_PROBABILITY, PlacedSubmap, locate_session
 from slam.offline.map_merging.transfer import clock_shift, shift_clock
 from slam.optimisation import optimise
 
@@ -116,7 +119,7 @@ def test_clock_of_the_second_session_is_shifted_after_the_first(both: Path) -> N
 def test_merged_session_is_complete(both: Path, sessions: dict[str, Path]) -> None:
     assert {entry.name for entry in both.iterdir()} == RESULTS - {"map.png", "review.rrd"}
     summary = json.loads((both / "summary.json").read_text())
-    assert summary["joined"][0]["independent"] >= 3
+    assert summary["joined"][0]["placed"] >= 3
     assert 60 < summary["path_length"] < 80
     (_, first), (_, second), (_, merged) = read(sessions | {"both": both}, "first", "second", "both")
     assert len(merged.odometry) == len(merged.starts) == 2
@@ -159,6 +162,8 @@ def test_session_without_keyframes_is_refused(sessions: dict[str, Path]) -> None
 
 # Order
 
+PLACED = PlacedSubmap(range(2), np.zeros(3), np.eye(3), np.zeros(3), np.zeros((0, 2), dtype=np.int64))
+
 
 @dataclass
 class FakeSession:
@@ -171,19 +176,17 @@ class FakeSession:
     def slam_state(self) -> SimpleNamespace:
         return SimpleNamespace(mapper=SimpleNamespace(keyframe_count=1, rooms=self.rooms))
 
-    def scan_history(self) -> None: ...
-
 
 @pytest.fixture
 def fake_sessions(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     module = import_module("slam.offline.map_merging.merge")
 
-    def locate(mapper: Any, history: None, index: Any) -> Consensus:
-        shared = len(mapper.rooms & index.rooms)
-        return Consensus(9, 3 * shared, [MATCHES[0]] * 3 * shared, 3 * shared)
+    def locate(new: FakeSession, old: FakeSession) -> SessionLocation:
+        shared = len(new.rooms & old.rooms)
+        return SessionLocation(9, [PLACED] * shared, 20.0 * shared, 15.0, f"they share {shared} rooms")
 
     monkeypatch.setattr(module, "converge", lambda mapper: 0)
-    monkeypatch.setattr(module, "index_map", lambda mapper: mapper)
+    monkeypatch.setattr(module, "scan_map", lambda session: session)
     monkeypatch.setattr(module, "locate_session", locate)
     monkeypatch.setattr(module, "merge_pair", lambda merged, session, _: FakeSession(merged.rooms | session.rooms))
     rooms = {"east": {1, 2}, "west": {4, 5}, "middle": {2, 3, 4}, "elsewhere": {9}}
@@ -197,78 +200,93 @@ def test_session_is_merged_by_way_of_another(fake_sessions: dict[str, Any]) -> N
 
 
 def test_session_that_overlaps_no_other_is_refused(fake_sessions: dict[str, Any]) -> None:
-    with pytest.raises(MapError, match="elsewhere: is not recognised in east, middle: none of its 9 submaps"):
+    with pytest.raises(MapError, match="elsewhere: is not recognised in east, middle: they share 0 rooms"):
         merge_sessions([(name, fake_sessions[name]) for name in ("east", "elsewhere", "middle")])
 
 
-# Consensus
+# Places that look alike
+
+LOOKALIKE = {
+    "there": ("sim:corridor?seed=2&lidar=short", 0.0, 54.0),
+    "back": ("sim:corridor?seed=3&lidar=short", 101.0, 155.0),
+    "one side": ("sim:square?seed=2&lidar=short&odometry=bad", 0.0, 62.0),
+    "another side": ("sim:square?seed=3&lidar=short&odometry=bad", 115.0, 176.0),
+}
+"""Drives through a corridor with doors in both directions, and through a building with four equal sides, and the time
+in seconds from and up to which each is used."""
 
 
-def submap_match(
-    pose: Sequence[float], motion: Sequence[float], walls: Sequence[int], score: float = 10.0
-) -> SubmapMatch:
-    verdict = PlaceVerdict(True, True, "", 1.0, 10.0, len(walls), 0, 1.0, 0.0, 0.01, 0.01, score, 0.0)
-    place = se2.compose(np.array(motion), np.array(pose))
-    pairs = np.column_stack([walls, walls])
-    return SubmapMatch(range(2), np.array(pose), Relocalisation(place, np.eye(3), np.array(motion), (), pairs, verdict))
+def scanned(name: str, directory: Path) -> tuple[ScannedMap, Floats]:
+    """Return the scanned map of a drive, and the pose of its frame in the world."""
+    spec, start, stop = LOOKALIKE[name]
+    messages = [message for message in drivers.open(spec) if start <= message.stamp <= stop]
+    session = read_session(mapped(messages, name, directory / name))
+    converge(session.slam_state.mapper)
+    return scan_map(session), next(message.pose for message in messages if isinstance(message, GroundTruth))
 
 
-def consensus_of(matches: Sequence[SubmapMatch]) -> Consensus:
-    members = find_largest_consensus(matches)
-    return Consensus(20, len(matches), members, count_independent(members))
+def test_corridor_is_recognised_although_each_of_its_places_looks_like_others(tmp_path: Path) -> None:
+    (old, start), (new, turned) = scanned("there", tmp_path), scanned("back", tmp_path)
+    for location, motion in (
+        (locate_session(new, old), se2.between(start, turned)),
+        (locate_session(old, new), se2.between(turned, start)),
+    ):
+        assert location.accepted, location.reason
+        assert "fit in one place only" in location.reason
+        errors = [se2.between(motion, member.motion) for member in location.members]
+        assert len(errors) >= 3
+        assert np.abs(errors).max() < 0.3
 
 
-RIGHT, WRONG = (4.0, -2.0, 1.0), (4.0, 1.0, 1.0)
-MATCHES = [submap_match((5.0 * k, 3.0, 0.5), RIGHT, range(10 * k, 10 * k + 8)) for k in range(5)]
+def test_building_with_four_equal_sides_is_refused_and_its_places_are_named(tmp_path: Path) -> None:
+    (old, _), (new, _) = scanned("one side", tmp_path), scanned("another side", tmp_path)
+    location = locate_session(new, old)
+    assert not location.accepted
+    assert location.reason.startswith("it fits in several places, x ")
+    assert location.reason.count("degrees") >= 2
 
 
-def test_submaps_with_separate_walls_that_agree_are_accepted() -> None:
-    consensus = consensus_of(MATCHES)
-    assert consensus.accepted
-    assert (len(consensus.members), consensus.independent) == (5, 5)
+# Evidence
 
 
-def test_one_dissenting_submap_among_many_is_left_out() -> None:
-    consensus = consensus_of([submap_match((0.0, 0.0, 0.0), WRONG, range(100, 108)), *MATCHES])
-    assert consensus.accepted
-    assert all(member in MATCHES for member in consensus.members)
+def fits_of(shares: Sequence[float], known: Sequence[bool] | None = None) -> CellFits:
+    return CellFits(np.array(shares), np.ones(len(shares), dtype=bool) if known is None else np.array(known))
 
 
-def test_two_submaps_are_too_few() -> None:
-    assert not consensus_of(MATCHES[:2]).accepted
+def test_cells_that_fit_everywhere_are_no_evidence() -> None:
+    alike = chance_of_fit([fits_of([1.0] * 40)] * 50)
+    assert evidence_of(fits_of([1.0] * 40), alike) < 0.5
+    distinctive = chance_of_fit([fits_of([0.0] * 40)] * 50)
+    assert evidence_of(fits_of([1.0] * 40), distinctive) > 100.0
 
 
-def test_submaps_with_the_same_walls_count_once() -> None:
-    consensus = consensus_of([submap_match((5.0, 3.0, 0.1 * k), RIGHT, range(k, k + 8)) for k in range(4)])
-    assert consensus.independent == 1
-    assert not consensus.accepted
+def test_cells_in_unseen_space_are_no_evidence() -> None:
+    chance = np.full(30, 0.4)
+    seen = evidence_of(fits_of([1.0] * 20), chance[:20])
+    assert evidence_of(fits_of([1.0] * 20 + [0.0] * 10, [True] * 20 + [False] * 10), chance) == pytest.approx(seen)
 
 
-def test_too_many_dissenting_submaps_are_not_accepted() -> None:
-    others = [submap_match((5.0 * k, 9.0, 0.0), WRONG, range(200 + 10 * k, 208 + 10 * k)) for k in range(3)]
-    consensus = consensus_of([*MATCHES, *others])
-    assert len(consensus.members) == 5
-    assert not consensus.accepted
-    assert "3 disagree" in consensus.reason
+def test_each_cell_that_misfits_lowers_the_evidence() -> None:
+    values = [evidence_of(fits_of([1.0] * (30 - k) + [0.0] * k), np.full(30, 0.4)) for k in range(30)]
+    assert (np.diff(values) <= 1e-9).all()
+    assert values[0] > 10.0
+    assert values[-1] < 0.0
 
 
-def test_submaps_of_a_map_with_drift_agree() -> None:
-    bent = [
-        submap_match((5.0 * k, 0.0, 0.0), (RIGHT[0], RIGHT[1] + 0.1 * k, RIGHT[2]), range(9 * k, 9 * k + 8))
-        for k in range(5)
-    ]
-    assert consensus_of(bent).accepted
+def test_a_place_that_only_looks_alike_rarely_has_much_evidence() -> None:
+    """By Markov's inequality, a likelihood ratio of 1 / p occurs with a probability of at most p."""
+    random = np.random.default_rng(1)
+    chance = random.uniform(0.2, 0.9, 60)
+    exceeded = 0
+    for _ in range(2000):
+        fit = (random.uniform(size=60) < chance).astype(float)
+        exceeded += evidence_of(fits_of(fit.tolist()), chance) > -np.log(ERROR_PROBABILITY)
+    assert exceeded <= 2000 * ERROR_PROBABILITY
 
 
-def test_no_recognised_submap_is_not_accepted() -> None:
-    consensus = consensus_of([])
-    assert not consensus.accepted
-    assert "none of its 20 submaps" in consensus.reason
-
-
-def test_reason_names_submaps_that_fit_in_several_places() -> None:
-    assert "as 6 fit in several places" in Consensus(8, 0, [], 0, ambiguous=6).reason
-    assert "several" not in Consensus(8, 0, [], 0).reason
+def test_chance_of_a_cell_is_the_share_of_the_places_where_it_fits() -> None:
+    others = [fits_of([1.0, 0.0, 1.0], [True, True, False]), fits_of([1.0, 1.0, 1.0], [True, True, False])]
+    np.testing.assert_allclose(chance_of_fit(others), [3 / 4, 2 / 4, 1 / 2])
 
 
 def test_later_session_keeps_its_clock(sessions: dict[str, Path]) -> None:

@@ -1,0 +1,112 @@
+"""Placements of a map in another one: candidates from the walls of its submaps, refined submap by submap.
+
+A match of one submap implies a placement of all of them. The others are refined from where they are predicted, by their
+poses relative to those that have been refined, within the covariance of that prediction: so a map can bend as far as
+its own drift, and no farther.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers import se2
+
+from ...geometry.segments import Floats, Integers
+from ...loop_closure.relocalisation import align_candidates
+from ...loop_closure.submap_alignment import align_submap, sample_walls
+from ...loop_closure.submap_search import are_distinct
+from ...matching.point_matcher import POINTS_PER_OBJECT, Prediction, match_from, match_points
+from .scanned_map import ScannedMap
+
+MAX_PLACEMENTS = 64
+"""Placements that are compared, those first in which a submap has most wall length on walls of the other map."""
+ALIGNMENT_SIGMAS = np.array([0.2, 0.2, 0.05])
+"""Metres, metres, radians: standard deviations of a candidate from walls, the last gates of `submap_alignment`."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placement:
+    """Placement of n submaps in another map.
+
+    poses         (n, 3) of their last keyframes in the other map
+    informations  (n, 3, 3) of these poses from the points of each submap alone, in their own frames
+    """
+
+    poses: Floats
+    informations: Floats
+
+    def differs(self, other: Placement) -> list[int]:
+        """Return the submaps that another placement has at a different place."""
+        pairs = enumerate(zip(self.poses, other.poses, strict=True))
+        return [submap for submap, (pose, rival) in pairs if are_distinct(pose, rival)]
+
+
+def find_placements(new: ScannedMap, old: ScannedMap) -> list[Placement]:
+    """Return the different placements of a map in another one that walls of its submaps suggest."""
+    placements: list[Placement] = []
+    for submap, pose in _candidates(new, old):
+        if any(not are_distinct(placement.poses[submap], pose) for placement in placements):
+            continue
+        placement = _refine(new, old, submap, pose)
+        if all(placement.differs(other) for other in placements):
+            placements.append(placement)
+        if len(placements) == MAX_PLACEMENTS:
+            break
+    return placements
+
+
+def _candidates(new: ScannedMap, old: ScannedMap) -> Iterator[tuple[int, se2.Pose]]:
+    """Yield submaps with their poses in the other map at which walls coincide, most wall length first."""
+    found = [
+        (alignment.length, row, alignment.pose)
+        for row, submap in enumerate(new.submaps)
+        for alignment in align_candidates(submap.descriptor, old.index)
+    ]
+    for _, row, pose in sorted(found, key=lambda candidate: -candidate[0]):
+        yield row, pose
+
+
+def _refine(new: ScannedMap, old: ScannedMap, first: int, pose: se2.Pose) -> Placement:
+    """Return the placement of all submaps if the `first` one is at `pose`: the best predicted one next."""
+    count = len(new.submaps)
+    poses, informations = np.zeros((count, 3)), np.zeros((count, 3, 3))
+    predicted = {first: (pose, np.diag(ALIGNMENT_SIGMAS**2))}
+    placed: set[int] = set()
+    while predicted:
+        row = min(predicted, key=lambda k: _size(predicted[k][1]))
+        pose, covariance = predicted.pop(row)
+        prediction, points = Prediction(pose, np.linalg.inv(covariance)), new.submaps[row].points.points
+        if row == first:
+            match = match_from(old.field, points, pose, prediction)
+        else:
+            match = match_points(old.field, points, [prediction], exhaustive=True)[0]
+        poses[row], informations[row] = match.pose, match.information / POINTS_PER_OBJECT
+        refined = np.linalg.inv(informations[row] + prediction.information)
+        placed.add(row)
+        for other in range(count):
+            if other in placed or (row, other) not in new.relations:
+                continue
+            relative, drift = new.relations[row, other]
+            adjoint = se2.adjoint(se2.inverse(relative))
+            covariance = adjoint @ refined @ adjoint.T + drift
+            if other not in predicted or _size(covariance) < _size(predicted[other][1]):
+                predicted[other] = se2.compose(match.pose, relative), covariance
+    return Placement(poses, informations)
+
+
+def _size(covariance: Floats) -> float:
+    """Return the variance of a position in its least certain direction."""
+    return float(np.linalg.eigvalsh(covariance[:2, :2])[-1])
+
+
+def matched_walls(new: ScannedMap, old: ScannedMap, submap: int, pose: se2.Pose) -> Integers:
+    """Return the landmark ids (n, 2) of walls, of the old and of the new map, that coincide with a submap at `pose`."""
+    descriptor = new.submaps[submap].descriptor
+    alignment = align_submap(pose, descriptor, sample_walls(descriptor), old.index.descriptor)
+    if are_distinct(alignment.pose, pose):
+        return np.zeros((0, 2), dtype=np.int64)
+    matched = np.flatnonzero(alignment.matches >= 0)
+    return np.column_stack([old.index.descriptor.walls[alignment.matches[matched]], descriptor.walls[matched]])
