@@ -14,7 +14,7 @@ _INITIAL_CAPACITY = 64
 
 
 class GrowingArray:
-    """Rows of floats, all of one shape."""
+    """Rows of floats, all of one shape. Rows that were read are never changed: other rows take their place."""
 
     def __init__(self, shape: Sequence[int], rows: ArrayLike = ()) -> None:
         """Create an array with rows of a shape."""
@@ -26,7 +26,7 @@ class GrowingArray:
 
     @property
     def rows(self) -> Floats:
-        """(n, ...) the rows, as a view: they may be changed in it until the next one is appended."""
+        """(n, ...) the rows; not to be changed."""
         return self._storage[: self._count]
 
     def replace(self, rows: ArrayLike) -> None:
@@ -35,6 +35,12 @@ class GrowingArray:
         self._count = len(new)
         self._storage: Floats = np.zeros((max(_INITIAL_CAPACITY, len(new)), *self._shape))
         self._storage[: len(new)] = new
+
+    def replace_last(self, rows: ArrayLike) -> None:
+        """Replace the last rows by (m, ...) others."""
+        new = np.asarray(rows, dtype=np.float64).reshape(-1, *self._shape)
+        self._storage = self._storage.copy()
+        self._storage[self._count - len(new) : self._count] = new
 
     def append(self, row: ArrayLike) -> None:
         """Append a row."""

@@ -31,7 +31,7 @@ def segments_from_lines(lines: Lines, mount: se2.Pose) -> Segments:
     d^2 (-v du + u dv).
     """
     frame, half_length, covariance, in_lidar_frame = _segments(
-        lines.uv, lines.start, lines.end, lines.covariance, np.asarray(mount, dtype=np.float64)
+        lines.uv, lines.start, lines.end, lines.covariance, tuple(mount.tolist())
     )
     return Segments(frame, half_length, covariance, _bias_slopes(in_lidar_frame, half_length))
 

@@ -131,13 +131,11 @@ class GraphEstimate:
 
     def residuals(self) -> Residuals:
         """Return the residuals of all factors; takes ten microseconds a factor."""
-        return residuals_of(self.solver.isam.getFactorsUnsafe(), self.solver.isam.calculateEstimate())
+        return residuals_of(self.solver.gtsam_factors(), self.solver.estimate())
 
     def factors_and_values(self) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
         """Return copies of GTSAM's graph and of the estimate: keyframes have the symbols x, walls l, corners c."""
-        return gtsam.NonlinearFactorGraph(self.solver.isam.getFactorsUnsafe()), gtsam.Values(
-            self.solver.isam.calculateEstimate()
-        )
+        return gtsam.NonlinearFactorGraph(self.solver.gtsam_factors()), gtsam.Values(self.solver.estimate())
 
     def marginals(self) -> Marginals:
         """Return the covariances of all variables: takes as long as that of some hundred alone."""

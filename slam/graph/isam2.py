@@ -110,6 +110,12 @@ class IncrementalSolver:
         bias = self.range_bias.metres
         return ArrayGraph(self.sorted_factors(), bias) if self.batch is None else self.batch.arrays.at_bias(bias)
 
+    def gtsam_factors(self) -> gtsam.NonlinearFactorGraph:
+        """Return all factors as GTSAM's, not to be changed. Removed ones may leave empty slots."""
+        if self.batch is None:
+            return self.isam.getFactorsUnsafe()
+        return to_gtsam_graph(self.sorted_factors(), self.batch.bias)
+
     # --- estimate
 
     def estimate(self) -> gtsam.Values:

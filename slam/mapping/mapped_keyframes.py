@@ -10,7 +10,7 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.growing_array import GrowingArray
-from ..geometry.segments import Floats, Segments
+from ..geometry.segments import Floats, Integers, Segments
 from .keyframes import KeyframeMotion, KeyframeRecords, LandmarkIds
 
 # Keyframes whose segments are kept for verifying loop closures. Origin: chosen, some 8 m of driving; not measured.
@@ -57,6 +57,23 @@ class MappedKeyframes:
         self.recent_segments.append((self.keyframe_count, segments))
         self.landmark_ids.append(landmark_ids)
         self.keyframe_count += 1
+
+    def replace_last_poses(self, poses: Floats) -> None:
+        """Replace the poses (n, 3) of the last keyframes."""
+        self._poses.replace_last(poses)
+
+    def replace_last_covariances(self, covariances: Floats) -> None:
+        """Replace the covariances (n, 3, 3) of the last keyframes."""
+        self._pose_covariances.replace_last(covariances)
+
+    def equal_covariances(self, keyframes: Integers | None = None) -> None:
+        """Set the covariances of some keyframes, or of all, to that of the last one.
+
+        They have their gauge in common then, and only differences of covariances are used.
+        """
+        covariances = self.pose_covariances.copy()
+        covariances[slice(None) if keyframes is None else keyframes] = covariances[-1]
+        self.pose_covariances = covariances
 
     def append_covariance(self) -> None:
         """Append the covariance of the last keyframe, that of the one before until the graph is solved.

@@ -307,7 +307,7 @@ class Mapper(MappedKeyframes):
     def read_back_all(self) -> None:
         """Read all poses and landmarks, and the last keyframe's covariance, back from the graph."""
         independent = self.graph.relative_covariances([self.keyframe_count - 1], [], []).poses[0]
-        self.pose_covariances[-1] = independent + embed_position_covariance(self.correlated_drift[-1])
+        self.replace_last_covariances((independent + embed_position_covariance(self.correlated_drift[-1]))[None])
         self.read_back()
 
     def read_back(self, radius: float | None = None) -> None:

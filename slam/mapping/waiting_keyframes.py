@@ -79,7 +79,7 @@ class WaitingKeyframes:
         """
         waiting, self._keyframes = self._keyframes, []
         last, first = mapper.keyframe_count - 1, mapper.keyframe_count - len(waiting)
-        mapper.keyframe_poses[first:] = mapper.graph.keyframe_poses_of(range(first, last + 1))
+        mapper.replace_last_poses(mapper.graph.keyframe_poses_of(range(first, last + 1)))
         everything = any(k % FULL_READ_BACK_INTERVAL == 0 for k in range(first, last + 1))
         mapper.read_back(
             None if everything else LOCAL_MAP_MARGIN + max(keyframe.segments.reach() for keyframe in waiting)
@@ -88,7 +88,7 @@ class WaitingKeyframes:
             mapper.landmarks, mapper.graph, last, [keyframe.landmark_ids for keyframe in waiting]
         )
         correlated = [embed_position_covariance(drift) for drift in mapper.correlated_drift[first:]]
-        mapper.pose_covariances[first:] = independent + correlated
+        mapper.replace_last_covariances(independent + correlated)
         for pose, keyframe in zip(mapper.keyframe_poses[first:], waiting, strict=True):
             mapper.roughness.add_observations(
                 mapper.landmarks.walls.rows, pose, keyframe.segments, keyframe.landmark_ids.walls

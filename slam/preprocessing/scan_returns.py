@@ -30,7 +30,9 @@ def scan_returns(scan: DeskewedScan, lines: Lines, mount: se2.Pose) -> ScanPoint
     many points, every k-th is returned, see MAX_SCAN_POINTS. The last returns from a corridor's walls move with the
     robot, so they must not count as loose points.
     """
-    return ScanPoints(*_returns(scan.ranges, scan.bearings, lines.first, lines.last, lines.start, lines.end, mount))
+    ranges, bearings = scan.ranges.copy(), scan.bearings.copy()  # read-only arrays would be compiled for separately
+    pose = tuple(mount.tolist())
+    return ScanPoints(*_returns(ranges, bearings, lines.first, lines.last, lines.start, lines.end, pose))
 
 
 @compiled

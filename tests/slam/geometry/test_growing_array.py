@@ -25,5 +25,15 @@ def test_replaced_rows_are_independent_of_the_given_ones() -> None:
     array, rows = GrowingArray((2,)), np.ones((5, 2))
     array.replace(rows)
     rows[:] = 0.0
-    array.rows[2] = 7.0
-    np.testing.assert_array_equal(array.rows, [[1, 1], [1, 1], [7, 7], [1, 1], [1, 1]])
+    np.testing.assert_array_equal(array.rows, np.ones((5, 2)))
+
+
+def test_rows_that_were_read_stay_as_they_were() -> None:
+    array = GrowingArray((1,), [[1.0], [2.0], [3.0]])
+    before, last = array.rows, array.rows[-1]
+    array.append([4.0])
+    array.replace_last([[5.0], [6.0]])
+    np.testing.assert_array_equal(array.rows, [[1.0], [2.0], [5.0], [6.0]])
+    array.replace(array.rows[::-1])
+    np.testing.assert_array_equal(before, [[1.0], [2.0], [3.0]])
+    np.testing.assert_array_equal(last, [3.0])

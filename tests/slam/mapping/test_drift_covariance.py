@@ -16,11 +16,12 @@ def driven(parents: list[int], *factors: Factor) -> Mapper:
     """Return a map whose keyframes k = 1, 2, ... follow their `parents`, with more factors in its graph."""
     mapper, count = Mapper(), len(parents) + 1
     mapper.keyframe_count, mapper.keyframe_poses = count, np.zeros((count, 3))
-    mapper.correlated_drift = np.zeros((count, 2, 2))
+    drift = np.zeros((count, 2, 2))
     odometry = []
     for keyframe, parent in enumerate(parents, start=1):
-        mapper.correlated_drift[keyframe] = mapper.correlated_drift[parent] + STEP
+        drift[keyframe] = drift[parent] + STEP
         odometry.append(Factor(FactorKind.ODOMETRY, parent, keyframe, np.zeros(3), np.eye(3), np.zeros(0)))
+    mapper.correlated_drift = drift
     mapper.graph.solver.factors = dict(enumerate([*odometry, *factors]))
     return mapper
 
