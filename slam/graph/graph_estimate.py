@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterable, Mapping, Sequence
 
 import gtsam
@@ -63,8 +64,10 @@ class GraphEstimate:
 
     def keyframe_poses(self, count: int) -> Floats:
         """Return the poses (count, 3) of the first `count` keyframes."""
-        poses = gtsam.utilities.extractPose2(self.solver.estimate())
-        return np.asarray(poses[len(poses) - count :])  # in the order of the symbols, of which x is the last
+        values = self.solver.estimate()
+        poses, keys = gtsam.utilities.extractPose2(values), values.keys()  # both in the order of the keys, X the last
+        first = len(poses) - (len(keys) - bisect_left(keys, X(0)))
+        return np.asarray(poses[first : first + count])
 
     def keyframe_poses_of(self, keyframes: Sequence[int]) -> Floats:
         """Return the poses (n, 3) of the given keyframes."""

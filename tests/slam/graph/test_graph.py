@@ -276,6 +276,7 @@ def test_wall_equality_aligns_frames() -> None:
 def test_converged_estimate_does_not_change_with_further_updates() -> None:
     graph = make_graph(make_world(5))
     poses, walls = graph.keyframe_poses(7), graph.wall_frames(range(5))
+    np.testing.assert_array_equal(graph.keyframe_poses(4), poses[:4])
     graph.update_until_converged()
     np.testing.assert_allclose(graph.keyframe_poses(7), poses, atol=2e-4)
     np.testing.assert_allclose(graph.wall_frames(range(5)), walls, atol=2e-4)
