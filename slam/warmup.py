@@ -16,6 +16,7 @@ import numpy as np
 from drivers import se2
 from drivers.compiled import is_cached
 from drivers.messages import Floats, Odometry, Scan
+from drivers.simulation import warm_up as warm_up_simulation
 from features.kernel import extract_features
 
 from .checks.adapter import drive_of
@@ -26,6 +27,8 @@ from .estimation.map_view import final_result
 from .estimation.refinement import build_scan_history, match_trajectory
 from .estimation.slam_state import SlamState
 from .geometry.segments import CornerPoints, Segments
+from .io.exports.occupancy import OccupancyGrid
+from .io.exports.scan_placement import PlacedScan
 from .loop_closure.occlusion import REFERENCE_DISTANCE, occluded_share, old_walls
 from .loop_closure.relocalisation import index_map, relocalise, submap_of
 from .loop_closure.submap_search import build_submap, search_submap
@@ -76,7 +79,8 @@ def warm_up() -> None:
 
 
 def compile_preprocessing() -> None:
-    """Compile what makes features of scans, and the closing of loops."""
+    """Compile what makes features of scans, the closing of loops, and what only some commands call: maps as images,
+    and simulations."""
     preprocessor = Preprocessor(Config())
     for message in _drive():
         preprocessor.add(message)
@@ -85,6 +89,8 @@ def compile_preprocessing() -> None:
     _search_submap()
     _update_free_space()
     _check_loop([])
+    _draw_grid()
+    warm_up_simulation()
 
 
 def compile_estimation() -> None:
@@ -164,6 +170,13 @@ def _update_free_space() -> None:
     FreeSpaceEvidence().update(
         landmarks, np.array([0.0, -1.0, 0.0]), np.array([[0.0, 2.0]]), [0.0], np.zeros((1, 3, 3))
     )
+
+
+def _draw_grid() -> None:
+    """Draw an occupancy grid with one point."""
+    grid = OccupancyGrid(0.05)
+    grid.add(PlacedScan(0.0, np.zeros(2), np.ones((1, 2))))
+    grid.occupancy()
 
 
 def _search_submap() -> None:
