@@ -179,23 +179,24 @@ class Extractor:
         self._settings = (sigma, *self._settings[1:])
 
     def _lines(self, count: int) -> Lines:
-        rows, spans = self._output.lines[:count], self._output.spans[:count]
-        return Lines(  # copies are contiguous: compiled functions would be compiled again for columns
-            rows[:, 0:2].copy(),  # uv
-            rows[:, 2:6].copy().reshape(count, 2, 2),  # covariance
-            rows[:, 6:8].copy(),  # start
-            rows[:, 8:10].copy(),  # end
-            spans[:, 0].copy(),  # first
-            spans[:, 1].copy(),  # last
-            spans[:, 2].copy(),  # count
-            rows[:, 10].copy(),  # chi2
+        rows = self._output.lines[:count].copy()
+        spans = self._output.spans[:count].copy()
+        return Lines(
+            rows[:, 0:2],  # uv
+            rows[:, 2:6].reshape(count, 2, 2),  # covariance
+            rows[:, 6:8],  # start
+            rows[:, 8:10],  # end
+            spans[:, 0],  # first
+            spans[:, 1],  # last
+            spans[:, 2],  # count
+            rows[:, 10],  # chi2
             self._output.curved[:count].copy(),
         )
 
     def _corners(self, count: int) -> Corners:
-        rows = self._output.corners[:count]
-        covariance = rows[:, 2:6].copy().reshape(count, 2, 2)
-        return Corners(rows[:, 0:2].copy(), covariance, self._output.pairs[:count].copy())
+        rows = self._output.corners[:count].copy()
+        covariance = rows[:, 2:6].reshape(count, 2, 2)
+        return Corners(rows[:, 0:2], covariance, self._output.pairs[:count].copy())
 
 
 def warm_up() -> None:

@@ -30,9 +30,9 @@ def segments_from_lines(lines: Lines, mount: se2.Pose) -> Segments:
     a change of (u, v) moves the wall at its centre c by d (c . d(u, v)) to its left and turns it by
     d^2 (-v du + u dv).
     """
-    frame, half_length, covariance, in_lidar_frame = _segments(
-        lines.uv, lines.start, lines.end, lines.covariance, tuple(mount.tolist())
-    )
+    # contiguous, as columns of a table would be compiled for separately
+    uv, start, end, of_uv = (array.copy() for array in (lines.uv, lines.start, lines.end, lines.covariance))
+    frame, half_length, covariance, in_lidar_frame = _segments(uv, start, end, of_uv, tuple(mount.tolist()))
     return Segments(frame, half_length, covariance, _bias_slopes(in_lidar_frame, half_length))
 
 

@@ -30,9 +30,10 @@ def scan_returns(scan: DeskewedScan, lines: Lines, mount: se2.Pose) -> ScanPoint
     many points, every k-th is returned, see MAX_SCAN_POINTS. The last returns from a corridor's walls move with the
     robot, so they must not count as loose points.
     """
-    ranges, bearings = scan.ranges.copy(), scan.bearings.copy()  # read-only arrays would be compiled for separately
-    pose = tuple(mount.tolist())
-    return ScanPoints(*_returns(ranges, bearings, lines.first, lines.last, lines.start, lines.end, pose))
+    # copies, as read-only arrays and columns of a table would be compiled for separately
+    ranges, bearings = scan.ranges.copy(), scan.bearings.copy()
+    first, last, start, end = (array.copy() for array in (lines.first, lines.last, lines.start, lines.end))
+    return ScanPoints(*_returns(ranges, bearings, first, last, start, end, tuple(mount.tolist())))
 
 
 @compiled
