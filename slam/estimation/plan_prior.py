@@ -220,7 +220,7 @@ class PlanPrior:
         mapper.graph.update()
         mapper.graph.update_until_converged()
         mapper.read_back_all()
-        mapper.equal_covariances()
+        mapper.equalise_covariances()
         self.recognised, self._anchored, self._observed = True, last, last
         return True
 

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from drivers import se2
 
 from .segments import Floats
-from .small_matrices import inverse
 
-# Information (per square metre and square radian) added in all directions, so that its inverse exists: corresponds to
+# Information (per square metre and square radian) added in all directions, so that it can be inverted: corresponds to
 # a standard deviation of 1 km. Origin: numerical.
-_MIN_INFORMATION = 1e-6 * np.eye(3)
+_MIN_INFORMATION = 1e-6
 
 
 def weakest_direction(pose: se2.Pose, information: Floats, sigma: float) -> float | None:
@@ -22,8 +19,10 @@ def weakest_direction(pose: se2.Pose, information: Floats, sigma: float) -> floa
     None if its standard deviation is at most `sigma` metres in every direction. `information` (3, 3) is that of the
     pose, in its own frame.
     """
-    (xx, xy, _), (_, yy, _), _ = inverse(information + _MIN_INFORMATION).tolist()
-    half_difference, middle = math.hypot(0.5 * (xx - yy), xy), 0.5 * (xx + yy)
-    if middle + half_difference <= sigma**2:  # the larger of the variances along the principal axes
+    (xx, xy, xt), (_, yy, yt), (_, _, tt) = information.tolist()
+    tt += _MIN_INFORMATION  # of the position alone, if the heading is not known: the Schur complement
+    xx, xy, yy = xx - xt * xt / tt, xy - xt * yt / tt, yy - yt * yt / tt
+    least = 0.5 * (xx + yy) - math.hypot(0.5 * (xx - yy), xy)  # the smaller eigenvalue; rounding may make it negative
+    if least + _MIN_INFORMATION >= sigma**-2:
         return None
-    return float((pose[2] + 0.5 * math.atan2(2.0 * xy, xx - yy)) % math.pi)
+    return float((pose[2] + 0.5 * math.atan2(2.0 * xy, xx - yy) + 0.5 * math.pi) % math.pi)

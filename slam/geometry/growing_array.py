@@ -1,4 +1,4 @@
-"""Array that grows row by row without being copied at each of them."""
+"""Array to which rows are appended without copying it each time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _INITIAL_CAPACITY = 64
 
 
 class GrowingArray:
-    """Rows of floats, all of one shape. Rows that were read are never changed: other rows take their place."""
+    """Rows of floats, all of one shape. A change leaves the rows that were read before as they were."""
 
     def __init__(self, shape: Sequence[int], rows: ArrayLike = ()) -> None:
         """Create an array with rows of a shape."""

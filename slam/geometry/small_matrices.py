@@ -1,6 +1,7 @@
 """Symmetric positive definite matrices (3, 3) in compiled code, by Cholesky's decomposition M = L L'.
 
-NumPy takes some microseconds for each call, which adds up at several calls for each scan.
+NumPy takes some microseconds for each call, which adds up at several calls for each scan. If a matrix is not positive
+definite, results are NaN, or ZeroDivisionError is raised.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ def _cholesky(matrix):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def solution(matrix, vector):  # type: ignore[no-untyped-def]
-    """Return x (3,) of M x = v; NaN if the matrix is not positive definite."""
+def solve(matrix, vector):  # type: ignore[no-untyped-def]
+    """Return x (3,) of M x = v."""
     l00, l10, l11, l20, l21, l22 = _cholesky(matrix)
     y0 = vector[0] / l00
     y1 = (vector[1] - l10 * y0) / l11
@@ -38,7 +39,7 @@ def solution(matrix, vector):  # type: ignore[no-untyped-def]
 
 @compiled
 def inverse(matrix):  # type: ignore[no-untyped-def]
-    """Return the inverse (3, 3) of a matrix; NaN if it is not positive definite."""
+    """Return the inverse (3, 3) of a matrix."""
     l00, l10, l11, l20, l21, l22 = _cholesky(matrix)
     i00, i11, i22 = 1.0 / l00, 1.0 / l11, 1.0 / l22  # the inverse of L
     i10, i21 = -l10 * i00 * i11, -l21 * i11 * i22
@@ -53,7 +54,7 @@ def inverse(matrix):  # type: ignore[no-untyped-def]
 
 @compiled
 def log_determinant(matrix):  # type: ignore[no-untyped-def]
-    """Return the logarithm of the determinant; NaN if the matrix is not positive definite."""
+    """Return the logarithm of the determinant."""
     l00, _, l11, _, _, l22 = _cholesky(matrix)
     return 2.0 * math.log(l00 * l11 * l22)
 

@@ -38,7 +38,7 @@ def change_frame(mapper: Mapper, motion: se2.Pose, first_covariance: Floats) -> 
         rows[name] = _rotated(rows[name], motion[2])
     mapper.correlated_drift = _rotated(mapper.correlated_drift, motion[2])
     mapper.read_back_all()
-    mapper.equal_covariances()
+    mapper.equalise_covariances()
 
 
 def _is_pose_prior(factor: Factor) -> bool:

@@ -66,7 +66,7 @@ class MappedKeyframes:
         """Replace the covariances (n, 3, 3) of the last keyframes."""
         self._pose_covariances.replace_last(covariances)
 
-    def equal_covariances(self, keyframes: Integers | None = None) -> None:
+    def equalise_covariances(self, keyframes: Integers | None = None) -> None:
         """Set the covariances of some keyframes, or of all, to that of the last one.
 
         They have their gauge in common then, and only differences of covariances are used.

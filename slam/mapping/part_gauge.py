@@ -131,4 +131,4 @@ def _rebuild(
     mapper.graph = rebuild(mapper.graph, RigidMotion(motion, keyframes, walls, corners), remove, add)
     landmarks.move(walls, corners, motion)
     mapper.read_back_all()
-    mapper.equal_covariances(keyframes)
+    mapper.equalise_covariances(keyframes)

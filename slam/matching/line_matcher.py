@@ -18,7 +18,7 @@ from drivers.compiled import compiled
 
 from ..geometry.angles import axes_of, wrap_angle
 from ..geometry.segments import CornerPoints, Floats, Segments
-from ..geometry.small_matrices import solution
+from ..geometry.small_matrices import solve
 from ..mapping.local_map import LocalMap
 from .distance_field import DistanceField, add_points
 from .point_matcher import FINE_SIGMA, move_back, pose_error
@@ -165,8 +165,8 @@ def _register(  # type: ignore[no-untyped-def]
         add_points(pose, others, field, FINE_SIGMA, point_information, point_gradient)
         total = information + point_information + prior
         point_pose[:] = pose
-        move_back(pose, solution(total, gradient + point_gradient + prior @ pose_error(prediction, pose)))
-    move_back(point_pose, solution(point_information + prior, point_gradient))  # from where it is linearised
+        move_back(pose, solve(total, gradient + point_gradient + prior @ pose_error(prediction, pose)))
+    move_back(point_pose, solve(point_information + prior, point_gradient))  # from where it is linearised
     return pose, information, point_information, point_pose, overlaps.sum()
 
 

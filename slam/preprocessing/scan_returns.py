@@ -10,7 +10,7 @@ import numpy as np
 from drivers import se2
 from drivers.compiled import compiled, inlined
 
-from ..matching.scan_points import MAX_SCAN_POINTS, POINT_UNIT, ScanPoints
+from ..matching.scan_points import MAX_SCAN_POINTS, ScanPoints, rounded, subsample
 from .deskew import DeskewedScan
 
 if TYPE_CHECKING:
@@ -33,11 +33,13 @@ def scan_returns(scan: DeskewedScan, lines: Lines, mount: se2.Pose) -> ScanPoint
     # copies, as read-only arrays and columns of a table would be compiled for separately
     ranges, bearings = scan.ranges.copy(), scan.bearings.copy()
     first, last, start, end = (array.copy() for array in (lines.first, lines.last, lines.start, lines.end))
-    return ScanPoints(*_returns(ranges, bearings, first, last, start, end, tuple(mount.tolist())))
+    returns = _returns(ranges, bearings, first, last, start, end, tuple(mount.tolist()))
+    return ScanPoints(*(rounded(subsample(points, MAX_SCAN_POINTS)) for points in returns))
 
 
 @compiled
 def _returns(ranges, bearings, first, last, start, end, mount):  # type: ignore[no-untyped-def]
+    """Return all points (p, 2) in the base's frame, and those on no line; for the arguments see `scan_returns`."""
     on_line = np.zeros(len(ranges), np.bool_)
     for j in range(len(first)):
         if first[j] <= last[j]:
@@ -51,24 +53,12 @@ def _returns(ranges, bearings, first, last, start, end, mount):  # type: ignore[
         if not np.isfinite(ranges[k]):
             continue
         x, y = ranges[k] * math.cos(bearings[k]), ranges[k] * math.sin(bearings[k])
-        every[count, 0] = _round(mount[0] + c * x - s * y)
-        every[count, 1] = _round(mount[1] + s * x + c * y)
+        every[count, 0], every[count, 1] = mount[0] + c * x - s * y, mount[1] + s * x + c * y
         if not on_line[k] and not _is_on_continuation(x, y, start, end):
             loose[loose_count] = every[count]
             loose_count += 1
         count += 1
-    return _thinned(every[:count]), _thinned(loose[:loose_count])
-
-
-@inlined
-def _round(coordinate):  # type: ignore[no-untyped-def]
-    return POINT_UNIT * np.rint(coordinate / POINT_UNIT)
-
-
-@inlined
-def _thinned(points):  # type: ignore[no-untyped-def]
-    """Return a copy of every k-th point, with the smallest k that leaves at most MAX_SCAN_POINTS."""
-    return points[:: max(1, -(-len(points) // MAX_SCAN_POINTS))].copy()
+    return every[:count], loose[:loose_count]
 
 
 @inlined
