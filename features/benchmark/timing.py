@@ -20,6 +20,9 @@ BEAMS = (180, 360, 920, 1100)
 SIZE = (7.0, 5.0)
 # Number of rays of the reference: the most of a line in the environments of the paper.
 REFERENCE_RAYS = 230
+# Rounds of the reference timed with one extractor. The position of its arrays in memory changes its speed by up to a
+# tenth, which no number of rounds averages out.
+ROUNDS_PER_EXTRACTOR = 250
 
 
 class Row(NamedTuple):
@@ -85,15 +88,17 @@ def relative(*, beams: int = 920, scans: int = 20, rounds: int = 2000, seed: int
     The reference is eq. (27) of the paper as printed, double sums over 230 rays: compiled scalar code, independent of
     the extractor. Both are timed alternately and the fastest of each counts, so that neither a slower processor nor
     its load changes the ratio much. All rounds together take more than a second: during a tenth of a second another
-    program may slow down every one of them.
+    program may slow down every one of them. Extractors with other positions in memory are timed in turn.
     """
     angles, ranges = scans_of(beams, scans, seed)
-    extractor = Extractor(NOISE, adapt_noise=False)
+    extractors = [Extractor(NOISE, adapt_noise=False) for _ in range(0, rounds, ROUNDS_PER_EXTRACTOR)]
     line = ray_arrays(ranges[0][:REFERENCE_RAYS], angles[:REFERENCE_RAYS])
     direction_by_double_sums(*line)
-    extractor.extract(ranges[0], angles)
+    for extractor in extractors:  # allocates its arrays
+        extractor.extract(ranges[0], angles)
     times, reference = np.empty((rounds, scans)), np.empty(rounds)
     for k in range(rounds):
+        extractor = extractors[k // ROUNDS_PER_EXTRACTOR]
         start = time.perf_counter()
         direction_by_double_sums(*line)
         reference[k] = time.perf_counter() - start
