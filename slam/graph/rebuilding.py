@@ -15,7 +15,7 @@ from drivers import se2
 
 from ..geometry.segments import Floats, Integers
 from .factor_graph import GAUGE_PRIOR_SIGMA, FactorGraph
-from .factors import Factor, FactorKind, walls_of
+from .factors import Factor, FactorKind, GraphState, walls_of
 from .graph_storage import graph_state, restore_graph
 
 
@@ -34,13 +34,13 @@ def rebuild(
 ) -> FactorGraph:
     """Return the graph with some variables moved, without the factors for which `remove` is true, and with others.
 
-    Raises MapError if this leaves a variable undetermined.
+    Keyframes that wait for the next update of the graph still do. Raises MapError if this leaves a variable
+    undetermined.
     """
     state = graph_state(graph)
     return restore_graph(
         replace(
-            state,
-            factors=[*(factor for factor in state.factors if not remove(factor)), *add],
+            _with_factors(state, lambda factor: None if remove(factor) else factor, add),
             keyframes=_moved_poses(
                 moved.motion, state.keyframes, np.isin(np.arange(len(state.keyframes)), moved.keyframes)
             ),
@@ -62,8 +62,7 @@ def without_walls(graph: FactorGraph, walls: Iterable[int]) -> FactorGraph:
     kept = np.array([wall not in gone for wall in state.walls.tolist()], dtype=bool)
     return restore_graph(
         replace(
-            state,
-            factors=[factor for factor in state.factors if gone.isdisjoint(walls_of(factor))],
+            _with_factors(state, lambda factor: factor if gone.isdisjoint(walls_of(factor)) else None),
             walls=state.walls[kept],
             frames=state.frames[kept],
         )
@@ -102,17 +101,33 @@ def with_copies(
         for one in walls
         for first in [min(one.keyframes)]
     ]
-    factors = [_of_copy(factor, of_walls, of_corners) for factor in state.factors if not remove(factor)]
+
+    def change(factor: Factor) -> Factor | None:
+        return None if remove(factor) else _of_copy(factor, of_walls, of_corners)
+
     return restore_graph(
         replace(
-            state,
-            factors=[*factors, *gauge, *add],
+            _with_factors(state, change, [*gauge, *add]),
             walls=np.array([*frames, *(one.copy for one in walls)], dtype=np.int64),
             frames=np.array([*frames.values(), *(frames[one.original] for one in walls)]).reshape(-1, 3),
             corners=np.array([*positions, *(one.copy for one in corners)], dtype=np.int64),
             positions=np.array([*positions.values(), *(positions[one.original] for one in corners)]).reshape(-1, 2),
         )
     )
+
+
+def _with_factors(
+    state: GraphState, change: Callable[[Factor], Factor | None], add: Sequence[Factor] = ()
+) -> GraphState:
+    """Return a state with changed factors, without those for which `change` returns None, and with others.
+
+    Factors that wait for the next update, the last ones, still do. The others and `add` do not.
+    """
+    changed = [change(factor) for factor in state.factors]
+    solved = len(changed) - state.waiting
+    waiting = [factor for factor in changed[solved:] if factor is not None]
+    known = [factor for factor in changed[:solved] if factor is not None]
+    return replace(state, factors=[*known, *add, *waiting], waiting=len(waiting))
 
 
 def _gauge_prior(keyframe: int, wall: int, predicted: se2.Pose) -> Factor:
