@@ -185,6 +185,8 @@ class McapWriter:
             return
         with self._truncating_on_error():
             self._writer.finish()  # type: ignore[no-untyped-call]
+            self._file.flush()
+            os.fsync(self._file.fileno())
             self._file.close()
 
     def _flush_periodically(self) -> None:

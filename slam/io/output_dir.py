@@ -194,16 +194,21 @@ class OutputDirectory:
             raise OutputError(f"{self.path}: contains {foreign[0]}, which is not a result of a run; not overwritten")
 
     def _replace_target(self, work: WorkDirectory) -> None:
-        """Exchange the target with the saved state; keep the results of an earlier run."""
-        earlier = self._target.exists() and self._target.stat().st_ino != self._own
+        """Exchange the target with the saved state; keep the results of an earlier run.
+
+        Those get the name `old` by the exchange itself, as recovery removes `saved` if the process is killed.
+        """
         identity = work.saved.stat().st_ino
-        exchange_directories(work.saved, self._target)
+        if self._target.exists() and self._target.stat().st_ino != self._own:
+            work.saved.rename(work.old)
+            try:
+                exchange_directories(work.old, self._target)
+            except OSError:
+                work.old.rename(work.saved)
+                raise
+        else:
+            exchange_directories(work.saved, self._target)
         self._own = identity
-        if work.saved.exists():
-            if earlier:
-                work.saved.rename(work.old)
-            else:
-                shutil.rmtree(work.saved, ignore_errors=True)
         sync_file(self._target.parent)
 
     def _discard(self, work: WorkDirectory) -> None:
@@ -219,12 +224,14 @@ class OutputDirectory:
     def _move_into_place(self, work: Path) -> None:
         """Rename the temporary directory to the target.
 
-        Older results are exchanged with the new ones atomically: whenever the process is killed, one of the two is in
-        place, complete.
+        Older results are exchanged with the new ones atomically, which are on the disk by then: whenever the process
+        is killed or the power fails, one of the two is in place, complete.
         """
         try:
             self._check_target()
+            sync_directory(work)
             exchange_directories(work, self._target)
+            sync_file(self._target.parent)
         except (OSError, OutputError) as error:
             reason = error.strerror if isinstance(error, OSError) else error
             raise OutputError(

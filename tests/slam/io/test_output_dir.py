@@ -12,6 +12,7 @@ import pytest
 from slam.config import Config, load_config
 from slam.errors import OutputError
 from slam.events import Finished
+from slam.io.atomic_swap import exchange_directories
 from slam.io.disk_reserve import MIN_RESERVE, directory_size
 from slam.io.map_json import read_map
 from slam.io.output_dir import (
@@ -323,6 +324,45 @@ def test_results_of_a_killed_run_are_recovered(tmp_path: Path) -> None:
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["out", "out-earlier-1"]
     with pytest.raises(OutputError, match="no killed run has left anything beside it"):
         recover_results(out)
+
+
+def test_a_run_killed_while_it_replaces_earlier_results_leaves_them(tmp_path: Path) -> None:
+    code = (
+        "import os, pathlib, sys; from slam.io import output_dir; exchange = output_dir.exchange_directories\n"
+        "output_dir.exchange_directories = lambda *pair: (exchange(*pair), os.kill(os.getpid(), 9))\n"
+        "output = output_dir.OutputDirectory(pathlib.Path(sys.argv[1]), True); output.__enter__()\n"
+        "output.save(lambda place: (place / output_dir.SUMMARY).write_text('saved'))"
+    )
+    out = earlier_results(tmp_path, True)
+    subprocess.run([sys.executable, "-c", code, out], check=False)
+    assert contents(out) == {SUMMARY: "saved"}
+    recover_results(out)
+    assert contents(out) == {SUMMARY: "saved"}
+    assert contents(tmp_path / "out-earlier-1") == {SUMMARY: "earlier"}
+
+
+def test_results_are_on_the_disk_before_they_replace_others(
+    tmp_path: Path, finished: Finished, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise a power failure after the end of a run leaves empty files in place of both."""
+    synchronised, replaced = set(), []
+    synchronise = os.fsync
+
+    def note(descriptor: int) -> None:
+        synchronised.add(os.fstat(descriptor).st_ino)
+        synchronise(descriptor)
+
+    def exchange(new: Path, target: Path) -> None:
+        replaced.extend(entry.stat().st_ino for entry in [new, *new.rglob("*")])
+        assert synchronised >= set(replaced)
+        exchange_directories(new, target)
+
+    monkeypatch.setattr("os.fsync", note)
+    monkeypatch.setattr("slam.io.output_dir.exchange_directories", exchange)
+    with OutputDirectory(earlier_results(tmp_path, True), overwrite=True) as directory:
+        write_results(directory, finished, Config(), {})
+    assert len(replaced) == 6
+    assert tmp_path.stat().st_ino in synchronised
 
 
 def earlier_results(folder: Path, present: bool) -> Path:
