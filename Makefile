@@ -3,14 +3,17 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+INPUTS ?= 1000
+SHARD ?= 1/1
 
-.PHONY: help env demo test test-slow coverage gate lint format docs reference gallery lock clean
+.PHONY: help env demo test test-slow coverage fuzz gate lint format docs reference gallery lock clean
 
 help:
 	@echo "make demo        simulate a robot in a museum, map it, write demo/, open the viewer on a desktop"
 	@echo "make test        run the tests"
 	@echo "make test-slow   run all tests, also the long ones"
 	@echo "make coverage    run the tests and report which lines they cover"
+	@echo "make fuzz        read damaged files of all kinds; INPUTS=100000 SHARD=1/4 sets their number and the part of them"
 	@echo "make gate        fail if accuracy or speed is worse than the stored limits"
 	@echo "make lint        ruff and mypy"
 	@echo "make format      format the code with ruff"
@@ -42,6 +45,9 @@ test-slow: $(READY)
 
 coverage: $(READY)
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow" --cov=slam --cov=features --cov=drivers --cov-report=term:skip-covered
+
+fuzz: $(READY)
+	$(BIN)/python -m tests.fuzzing --inputs $(INPUTS) --shard $(SHARD)
 
 gate: $(READY)
 	$(BIN)/wclm bench gate
