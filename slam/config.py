@@ -181,7 +181,7 @@ def load_config(path: Path | None = None, overrides: Iterable[str] = ()) -> Conf
             data = tomllib.loads(path.read_text(encoding="utf-8"))
         except OSError as error:
             raise ConfigurationError(f"{path}: {error.strerror or error}") from error
-        except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        except (ValueError, RecursionError) as error:
             raise ConfigurationError(f"{path}: invalid TOML: {error}") from error
     config = _validated(data, str(path))
     for override in overrides:
@@ -199,7 +199,7 @@ def load_config(path: Path | None = None, overrides: Iterable[str] = ()) -> Conf
 def _value(text: str) -> Any:
     try:
         return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         return text.strip()
 
 

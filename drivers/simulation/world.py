@@ -150,7 +150,7 @@ def load_world(name: str | Path) -> World:
     except ValidationError as error:
         first = error.errors()[0]
         raise RecordingError(path, None, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise RecordingError(path, None, f"is not a valid world file: {error}") from error
     if not (content.walls or content.boxes or content.columns):
         raise RecordingError(path, None, "has no walls, boxes or columns")

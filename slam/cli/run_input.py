@@ -14,6 +14,7 @@ from drivers.messages import GroundTruth, Message, Odometry, Scan, Source, Sourc
 
 from ..config import Config
 from ..events import Sink
+from ..geometry.growing_array import GrowingArray
 from ..io.recording_timing import RecordingTiming
 from .console import progress
 
@@ -119,7 +120,7 @@ class InputStatistics:
     shift: float = 0.0
     first: float = np.inf
     last: float = -np.inf
-    odometry: list[se2.Pose] = field(default_factory=list)
+    odometry: GrowingArray = field(default_factory=lambda: GrowingArray((3,)))
     truth_stamps: list[float] = field(default_factory=list)
     truth: list[se2.Pose] = field(default_factory=list)
 

@@ -16,6 +16,7 @@ Version 1 had no pieces: the wall is read as a single piece.
 from __future__ import annotations
 
 import json
+import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -127,13 +128,14 @@ def read_map(path: Path) -> MapFile:
         data = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise MapError(f"{path}: {error.strerror or error}") from error
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise MapError(f"{path}: is not JSON: {error}") from error
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise MapError(f'{path}: is not a map: its format is not "{FORMAT}"')
     if data.get("version") not in SUPPORTED_VERSIONS:
         supported = " and ".join(str(version) for version in SUPPORTED_VERSIONS)
-        raise MapError(f"{path}: has format version {data.get('version')}; this program reads versions {supported}")
+        version = reprlib.repr(data.get("version"))
+        raise MapError(f"{path}: has format version {version}; this program reads versions {supported}")
     try:
         document = _Map.model_validate(data)
     except ValidationError as error:

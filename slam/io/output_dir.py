@@ -258,7 +258,8 @@ def _write_elsewhere(write: Callable[[Path], None], name: str) -> Path | None:
 def unfinished_file(path: Path, overwrite: bool = False) -> Iterator[Path]:
     """Yield a temporary file beside `path`, renamed to it if the block ends without an error, else removed.
 
-    Raises OutputError if `path` exists and `overwrite` is not set, or if it cannot be written.
+    It is on the disk before it is renamed. Raises OutputError if `path` exists and `overwrite` is not set, or if it
+    cannot be written.
     """
     if path.is_dir():
         raise OutputError(f"{path}: is a directory")
@@ -269,6 +270,7 @@ def unfinished_file(path: Path, overwrite: bool = False) -> Iterator[Path]:
     work = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
     try:
         yield work
+        sync_file(work)
         work.replace(path)
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from error

@@ -71,6 +71,8 @@ def _pin(place: str, row: dict[str | None, str | None]) -> Pin:
     sigma = numbers.pop("sigma", None)
     if (sigma is not None) == any(name in numbers for name in ("xx", "xy", "yy")):
         raise MapError(f"{place}: must state either sigma or xx, xy and yy")
+    if sigma is not None and abs(sigma) > MAX_COORDINATE:
+        raise MapError(f"{place}: sigma is beyond {MAX_COORDINATE:.0f} m")
     if sigma is not None:
         numbers |= {"xx": sigma**2, "xy": 0.0, "yy": sigma**2}
     try:
@@ -78,7 +80,7 @@ def _pin(place: str, row: dict[str | None, str | None]) -> Pin:
     except ValidationError as error:
         first = error.errors()[0]
         raise MapError(f"{place}: {first['loc'][0]}: {first['msg'].lower()}") from error
-    if min(pin.xx, pin.yy) < MIN_SIGMA**2 or pin.xx * pin.yy - pin.xy**2 < MIN_SIGMA**4:
+    if min(pin.xx, pin.yy) < MIN_SIGMA**2 or pin.xx * pin.yy - pin.xy * pin.xy < MIN_SIGMA**4:
         raise MapError(f"{place}: is no covariance, or below {1e3 * MIN_SIGMA:g} mm")
     return pin
 
@@ -89,5 +91,5 @@ def _number(place: str, name: str, text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise MapError(f"{place}: {name} is no number: {text}")
+        raise MapError(f"{place}: {name} is no number: {text[:40]}")
     return value

@@ -73,5 +73,5 @@ def _is_meant(name: str, node: str) -> bool:
 def _parse(text: str, place: str) -> Any:
     try:
         return YAML(typ="safe").load(text)
-    except YAMLError as error:
+    except (YAMLError, ValueError, RecursionError) as error:
         raise ConfigurationError(f"{place}: invalid YAML: {' '.join(str(error).split())}") from error

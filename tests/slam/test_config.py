@@ -53,6 +53,8 @@ def test_a_wrong_override_is_named(override: str, message: str) -> None:
         (b"lidar = 3\n", "a.toml: lidar: must be a group of settings"),
         (b"[lidar\n", "a.toml: invalid TOML: "),
         (b"\xff\xfe", "a.toml: invalid TOML: "),
+        (b"lidar = " + 5000 * b"9", "a.toml: invalid TOML: "),
+        (b"lidar = " + 5000 * b"[", "a.toml: invalid TOML: "),
     ],
 )
 def test_a_wrong_file_is_named(tmp_path: Path, content: bytes, message: str) -> None:

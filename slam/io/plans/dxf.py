@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 OWN_LAYER = "WALLS"
 """Layer of walls in the drawings that `wclm map` and `wclm measure` write."""
+DAMAGE = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+"""Errors of ezdxf at damaged files, besides its own."""
 
 
 def read_dxf(path: Path, layers: Sequence[str] = ()) -> Drawing:
@@ -57,7 +59,7 @@ def _open(path: Path) -> Document:
         return ezdxf.readfile(path)
     except OSError as error:
         raise MapError(f"{path}: {error.strerror or 'is not a DXF file'}") from error
-    except (ezdxf.DXFError, ValueError, LookupError, AttributeError) as error:
+    except (ezdxf.DXFError, *DAMAGE) as error:
         raise MapError(f"{path}: is not a valid DXF file: {first_line(error)}") from error
 
 
@@ -68,7 +70,7 @@ def _entities(path: Path, document: Document) -> Iterator[DXFEntity]:
 
     try:
         yield from recursive_decompose(document.modelspace())
-    except (ezdxf.DXFError, ValueError, LookupError, AttributeError, RecursionError) as error:
+    except (ezdxf.DXFError, *DAMAGE) as error:
         raise MapError(f"{path}: is not a valid DXF file: {first_line(error)}") from error
 
 

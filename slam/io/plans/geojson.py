@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import reprlib
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -38,8 +39,8 @@ def read_geojson(path: Path) -> Drawing:
         except (TypeError, ValueError, KeyError, IndexError) as error:
             raise MapError(f"{path}: is not valid GeoJSON: a {geometry.get('type')} has wrong coordinates") from error
     unit = data.get("units")
-    if unit is not None and unit not in METRES:
-        raise MapError(f"{path}: units: {unit!r} is none of {', '.join(METRES)}")
+    if unit is not None and not (isinstance(unit, str) and unit in METRES):
+        raise MapError(f"{path}: units: {reprlib.repr(unit)} is none of {', '.join(METRES)}")
     return Drawing(lines, own, None if unit is None else METRES[Unit(unit)], dict(left_out))
 
 
@@ -47,7 +48,8 @@ def _geometries(data: dict[str, Any]) -> Iterator[tuple[dict[str, Any], dict[str
     """Yield all geometries with the properties of their features."""
     match data.get("type"):
         case "FeatureCollection":
-            for feature in data.get("features") or ():
+            features = data.get("features")
+            for feature in features if isinstance(features, list) else ():
                 if isinstance(feature, dict):
                     yield from _geometries(feature)
         case "Feature":

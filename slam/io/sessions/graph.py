@@ -6,6 +6,7 @@ too, marked as unconfirmed.
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -74,7 +75,7 @@ def read_factors(file: Path) -> tuple[list[Factor], list[Factor]]:
         try:
             kind = FactorKind(name)
         except ValueError as error:
-            raise MapError(f"{file}: unknown kind of factor: {name!r}") from error
+            raise MapError(f"{file}: unknown kind of factor: {reprlib.repr(name)}") from error
         numbers = measured[measured_ends[row] : measured_ends[row + 1], 0]
         upper = covariances[covariance_ends[row] : covariance_ends[row + 1], 0]
         slope = slopes[slope_ends[row] : slope_ends[row + 1], 0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import reprlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -283,9 +284,8 @@ def read_header(file: Path) -> SessionHeader:
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise MapError(f'{file}: is not a session: its format is not "{FORMAT}"')
     if data.get("version") != SESSION_VERSION:
-        raise MapError(
-            f"{file}: has format version {data.get('version')}; this program reads version {SESSION_VERSION} only"
-        )
+        version = reprlib.repr(data.get("version"))
+        raise MapError(f"{file}: has format version {version}; this program reads version {SESSION_VERSION} only")
     try:
         return SessionHeader.model_validate(data)
     except ValidationError as error:

@@ -149,7 +149,7 @@ def read_completed_summary(job: Job) -> dict[str, Any] | None:
     try:
         summary = json.loads((job.directory / SUMMARY).read_text(encoding="utf-8"))
         recording, found = summary["recording_path"], summary.get(FINGERPRINT)
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError, KeyError, TypeError):
+    except (OSError, ValueError, RecursionError, KeyError, TypeError):
         return None  # not complete; the run refuses to overwrite other files
     if recording != job.recording:
         raise OutputError(

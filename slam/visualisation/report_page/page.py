@@ -29,10 +29,10 @@ def write_page(path: Path, session: RunResults, wall_map: WallMap | None = None)
     wall_map  walls with their joint covariance: two walls that are chosen are measured
     """
     try:
-        text = _page(session, wall_map)
+        text = _page(session, wall_map).encode()
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise MapError(f"{session.path}: not the summary of a run: {first_line(error)}") from error
-    path.write_text(text, encoding="utf-8", newline="\n")
+    path.write_bytes(text)
 
 
 def _page(session: RunResults, wall_map: WallMap | None) -> str:

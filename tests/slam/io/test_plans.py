@@ -207,6 +207,8 @@ BAD_FILES = {
     "c.geojson": ('{"type": "Point", "coordinates": [0, 0]}', "has no straight line"),
     "d.geojson": ('{"type": "LineString", "coordinates": [[0, 0], [9000, 2]]}', "--plan-unit"),
     "e.geojson": ('{"type": "LineString", "coordinates": [[0, 0], [9, NaN]]}', "not finite"),
+    "features.geojson": ('{"type": "FeatureCollection", "features": true}', "has no straight line"),
+    "units.geojson": ('{"type": "LineString", "coordinates": [], "units": ["m"]}', "none of m, cm, mm"),
     "f.geojson": ('{"type": "LineString", "coordinates": [], "units": "yd"}', "none of m, cm, mm"),
     "a.yaml": ("image: [", "is not valid YAML"),
     "b.yaml": ("image: a.pgm", "it has no resolution"),

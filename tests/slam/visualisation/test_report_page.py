@@ -502,6 +502,13 @@ def test_a_recording_without_duration_has_a_page(tmp_path: Path, finished: Finis
     assert "0.0 s" in page(tmp_path, finished, SUMMARY | {"duration": 0.0, "real_time_factor": 0.0})
 
 
+def test_a_summary_that_is_no_text_is_refused(tmp_path: Path, finished: Finished) -> None:
+    make(tmp_path, finished)
+    (tmp_path / "summary.json").write_text(json.dumps(SUMMARY | {"recording": "\ud800"}))
+    with pytest.raises(MapError, match="not the summary of a run: 'utf-8' codec can't encode"):
+        write_page(tmp_path / "report.html", read_run_results(tmp_path))
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [("slam", 5), ("recordings", {"a": 1}), ("recordings", [5]), ("recordings", [{"shift": "x"}]), ("warnings", "x")],
