@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 OWN_LAYER = "WALLS"
 """Layer of walls in the drawings that `wclm map` and `wclm measure` write."""
-DAMAGE = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+DAMAGE = (ArithmeticError, AttributeError, LookupError, RecursionError, StopIteration, TypeError, ValueError)
 """Errors of ezdxf at damaged files, besides its own."""
 
 

@@ -198,6 +198,7 @@ def test_pieces_of_one_wall_are_joined_across_a_door(tmp_path: Path) -> None:
 
 BAD_FILES = {
     "a.dxf": ("nonsense", "is not a"),
+    "short.dxf": ("0\nSECTION\n", "is not a valid DXF file: StopIteration"),
     "a.svg": ("<svg><line", "is not XML"),
     "b.svg": ("<html/>", "is not SVG"),
     "c.svg": ('<svg><path d="M0 0 L5"/></svg>', "too few"),
