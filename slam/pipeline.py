@@ -271,6 +271,7 @@ class Slam:
         self._process_queue()
         self._leave_out_unknown_session()
         self._session = session or self._stored(self.slam_state.copy())
+        self.slam_state.local_field.begin_part()  # frees some megabytes: no scan is matched with it any more
         if not self._frozen:
             self._statistics.merged_walls += converge(self.slam_state.mapper)
             settle_plan(self.slam_state, self._journal, self._publisher)

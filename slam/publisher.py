@@ -81,6 +81,8 @@ class Publisher:
             self._publish_slip(scan, tracking)
         elif tracking.status is TrackingStatus.FAILED:
             self.publish(Notice(scan.stamp, "the scan fits nowhere near its predicted pose and is left out"))
+        if not self._is_received(ScanTracked):
+            return
         overlap_ratio, keyframe = tracking.registration.overlap_ratio, mapper.keyframe_count - 1
         self.publish(
             ScanTracked(

@@ -14,10 +14,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from drivers import se2
-from drivers.compiled import is_cached
 from drivers.messages import Floats, Odometry, Scan
 from drivers.simulation import warm_up as warm_up_simulation
-from features.kernel import extract_features
 
 from .checks.adapter import drive_of
 from .checks.report import find_suspects
@@ -40,6 +38,7 @@ from .matching.line_matcher import ScanFeatures
 from .matching.scan_points import ScanPoints, rounded
 from .odometry.error_model import OdometryModel
 from .pipeline import Slam
+from .preprocessing.extraction import is_compiled
 from .preprocessing.preprocessor import Preprocessor, ProcessedScan
 
 ROOM = 4.0, 3.0
@@ -52,11 +51,6 @@ STEP = 0.1
 """Distance between scans, metres."""
 INTERVAL = 0.1
 """Time between scans, seconds."""
-
-
-def is_compiled() -> bool:
-    """Return False before the first compilation after an installation, when none of the functions is on disk."""
-    return is_cached(extract_features)
 
 
 def warm_up() -> None:

@@ -13,7 +13,8 @@ COMPILING = "compiling, once after an installation or update; takes about half a
 @cache
 def compile_all() -> None:
     """Compile everything that a run calls, or load it from disk; once in a process."""
-    from ..warmup import is_compiled, warm_up
+    from ..preprocessing.extraction import is_compiled
+    from ..warmup import warm_up
 
     _announce_compilation()
     with nullcontext() if is_compiled() else print_if_slow(COMPILING):  # the first time, other processes compile too
@@ -26,7 +27,7 @@ def compile_for_recording() -> None:
     Otherwise a function is loaded from disk, or compiled, when it is called first: no measurement of a recording has
     to wait for that, and functions that it does not need are not loaded.
     """
-    from ..warmup import is_compiled
+    from ..preprocessing.extraction import is_compiled
 
     if is_compiled():
         _announce_compilation()

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -84,6 +85,7 @@ def run_slam(
             compile_for_recording()
         else:
             compile_all()
+        import_module("slam.pipeline")  # so that its modules are frozen, too
         gc.freeze()  # otherwise a full collection over all imported modules delays a scan by 0.1 s
         notices, statistics, reviewed = NoticeCollector(), InputStatistics(), None
         sinks: list[Sink] = [notices, *run_input.sinks]

@@ -101,61 +101,52 @@ def local_map_around(landmarks: Landmarks, pose: se2.Pose, radius: float, pose_c
     """
     walls, corners = landmarks.walls.rows, landmarks.corners.rows
     near_walls, near_corners = landmarks.walls_near(pose, radius), landmarks.corners_near(pose, radius)
-    known_walls, wall_drift = _wall_drifts(
-        near_walls, walls["frame"], walls["low"], walls["high"], walls["last_seen"], pose, pose_covariances
-    )
-    known_corners, corner_drift = _corner_drifts(near_corners, corners["last_seen"], pose_covariances)
-    local_map = _local_map(landmarks, known_walls, known_corners)
+    last_seen = np.concatenate([walls["last_seen"][near_walls], corners["last_seen"][near_corners]])
+    drifts = _drifts_since(last_seen, pose_covariances)
+    of_walls, of_corners = drifts[: len(near_walls)], drifts[len(near_walls) :, :2, :2]
+    frame, low, high = (walls[name][near_walls] for name in ("frame", "low", "high"))
+    known_walls, wall_drift = _wall_drifts(frame, low, high, pose, of_walls)
+    known_corners = np.maximum(of_corners[:, 0, 0], of_corners[:, 1, 1]) < MAX_PREDICTED_VARIANCE
+    local_map = _local_map(landmarks, near_walls[known_walls], near_corners[known_corners])
     return replace(
         local_map,
-        wall_covariance=local_map.wall_covariance + wall_drift,
-        corner_covariance=local_map.corner_covariance + corner_drift,
+        wall_covariance=local_map.wall_covariance + wall_drift[known_walls],
+        corner_covariance=local_map.corner_covariance + of_corners[known_corners],
     )
 
 
 @compiled
-def _wall_drifts(near, frame, low, high, last_seen, pose, covariances):  # type: ignore[no-untyped-def]
-    """Return which of the walls `near` (n,) have a well known place, m of them, and the drift (m, 2, 2) of each.
+def _wall_drifts(frame, low, high, pose, drifts):  # type: ignore[no-untyped-def]
+    """Return which of n walls have a well known place, and (n, 2, 2) the drift of each.
 
-    That is the covariance of the wall's offset and heading at its frame by the drift of the robot's pose.
+    That is the covariance of the wall's offset and heading at its frame by the drift (n, 3, 3) of the robot's pose.
     """
-    known, drifts = np.zeros(len(near), np.bool_), np.empty((len(near), 2, 2))
-    keyframe, drift = -1, np.zeros((3, 3))
-    for k in np.argsort(last_seen[near]):  # many walls share their last keyframe
-        wall = near[k]
-        if last_seen[wall] != keyframe:
-            keyframe = last_seen[wall]
-            drift = _drift_since(keyframe, covariances)
-        x, y = frame[wall, 0] - pose[0], frame[wall, 1] - pose[1]
-        c, s = math.cos(frame[wall, 2]), math.sin(frame[wall, 2])
+    known, of_walls = np.zeros(len(frame), np.bool_), np.empty((len(frame), 2, 2))
+    for k in range(len(frame)):
+        x, y = frame[k, 0] - pose[0], frame[k, 1] - pose[1]
+        c, s = math.cos(frame[k, 2]), math.sin(frame[k, 2])
         across = np.array([-s, c, c * x + s * y])  # derivative of the offset by the pose; that of the heading is 0 0 1
-        product = drift @ across
-        offset, mixed, turn = across @ product, product[2], drift[2, 2]
-        along = min(max(-(c * x + s * y), low[wall]), high[wall])  # the point nearest to the robot
+        product = drifts[k] @ across
+        offset, mixed, turn = across @ product, product[2], drifts[k, 2, 2]
+        along = min(max(-(c * x + s * y), low[k]), high[k])  # the point nearest to the robot
         at_robot = offset + 2.0 * along * mixed + along * along * turn
         known[k] = at_robot < MAX_PREDICTED_VARIANCE and turn < MAX_PREDICTED_TURN_VARIANCE
-        drifts[k, 0, 0], drifts[k, 1, 1] = offset, turn
-        drifts[k, 0, 1] = drifts[k, 1, 0] = mixed
-    return near[known], drifts[known]
+        of_walls[k, 0, 0], of_walls[k, 1, 1] = offset, turn
+        of_walls[k, 0, 1] = of_walls[k, 1, 0] = mixed
+    return known, of_walls
 
 
 @compiled
-def _corner_drifts(near, last_seen, covariances):  # type: ignore[no-untyped-def]
-    """Return which of the corners `near` (n,) have a well known place, m of them, and the drift (m, 2, 2) of each."""
-    known, drifts = np.zeros(len(near), np.bool_), np.empty((len(near), 2, 2))
-    keyframe, drift = -1, np.zeros((3, 3))
-    for k in np.argsort(last_seen[near]):
-        if last_seen[near[k]] != keyframe:
-            keyframe = last_seen[near[k]]
-            drift = _drift_since(keyframe, covariances)
-        known[k], drifts[k] = max(drift[0, 0], drift[1, 1]) < MAX_PREDICTED_VARIANCE, drift[:2, :2]
-    return near[known], drifts[known]
-
-
-@compiled
-def _drift_since(keyframe, covariances):  # type: ignore[no-untyped-def]
-    """Return (3, 3) the growth of the pose covariance since a keyframe, see `local_map_around`."""
-    if keyframe == len(covariances) - 1:
-        return np.zeros((3, 3))
-    values, vectors = np.linalg.eigh(covariances[-1] - covariances[keyframe])
-    return (vectors * np.maximum(values, 0.0)) @ vectors.T
+def _drifts_since(keyframes, covariances):  # type: ignore[no-untyped-def]
+    """Return (n, 3, 3) the growth of the pose covariance since each of some keyframes, see `local_map_around`."""
+    drifts, keyframe, drift = np.empty((len(keyframes), 3, 3)), -1, np.zeros((3, 3))
+    for k in np.argsort(keyframes):  # many landmarks share their last keyframe
+        if keyframes[k] != keyframe:
+            keyframe = keyframes[k]
+            if keyframe == len(covariances) - 1:
+                drift = np.zeros((3, 3))
+            else:
+                values, vectors = np.linalg.eigh(covariances[-1] - covariances[keyframe])
+                drift = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        drifts[k] = drift
+    return drifts

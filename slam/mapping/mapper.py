@@ -115,7 +115,8 @@ class Mapper(MappedKeyframes):
     def keyframes_near(self, pose: se2.Pose, distance: float, turn: float) -> Integers:
         """Return the connected keyframes within a distance (metres) and turn (radians) of a pose, nearest first."""
         distances = np.hypot(*(self.keyframe_poses[:, :2] - pose[:2]).T)
-        near = np.flatnonzero((distances < distance) & (np.abs(se2.wrap(self.keyframe_poses[:, 2] - pose[2])) < turn))
+        near = np.flatnonzero(distances < distance)
+        near = near[np.abs(se2.wrap(self.keyframe_poses[near, 2] - pose[2])) < turn]
         near = near[self.landmarks.parts.connected(near)]
         return near[np.argsort(distances[near], kind="stable")]
 

@@ -16,6 +16,8 @@ from .landmark_table import NEVER_REMOVED
 # Metres by which the robot may be behind a wall's line and still be about to see the wall: covers drift, and the far
 # ends of long walls. Origin: chosen, more than the drift within a local map; not measured.
 BEHIND_MARGIN = 0.5
+# Metres by which rounding may change a distance. Origin: numerical.
+ROUNDING = 1e-6
 # In place of a keyframe if walls count as removed at whichever keyframe they were. Origin: definition.
 NO_KEYFRAME = np.iinfo(np.int64).max
 
@@ -27,8 +29,10 @@ def near_walls(frame, low, high, merged_into, removed_at, x, y, radius, keyframe
     for j in range(len(frame)):
         if merged_into[j] != j or _is_gone(removed_at[j], keyframe):
             continue
-        c, s = math.cos(frame[j, 2]), math.sin(frame[j, 2])
         dx, dy = x - frame[j, 0], y - frame[j, 1]
+        if is_beyond_reach(dx, dy, low[j], high[j], radius):
+            continue
+        c, s = math.cos(frame[j, 2]), math.sin(frame[j, 2])
         along, ahead = c * dx + s * dy, c * dy - s * dx  # the pose as seen from the wall's frame
         beyond = max(0.0, low[j] - along, along - high[j])
         if ahead > -BEHIND_MARGIN and beyond * beyond + ahead * ahead < radius * radius:
@@ -54,6 +58,16 @@ def near_corners(position, walls, merged_into, removed_at, x, y, radius, keyfram
             near[count] = j
             count += 1
     return near[:count]
+
+
+@inlined
+def is_beyond_reach(dx, dy, low, high, radius):  # type: ignore[no-untyped-def]
+    """True if a wall from `low` to `high` (metres), whatever its direction, is farther than `radius` from (dx, dy).
+
+    (dx, dy) is relative to the wall's frame. Most walls are, and need no sine and cosine of their direction.
+    """
+    reach = radius + max(abs(low), abs(high)) + ROUNDING
+    return dx * dx + dy * dy > reach * reach
 
 
 @inlined

@@ -19,6 +19,7 @@ from drivers.compiled import compiled, inlined
 
 from ..geometry.segments import Floats, Integers
 from .landmarks import WALL_CELL, Landmarks
+from .near_landmarks import is_beyond_reach
 
 # Metres from a wall's line, on either side, that both ends of a sight line must be away for the wall to be seen
 # through: anything nearer may be the wall itself, or something on it. Origin: chosen; not measured.
@@ -86,8 +87,10 @@ def _within_reach(frames, lows, highs, pose, reach):  # type: ignore[no-untyped-
     """Return (n,) which walls have a part within `reach` metres of a pose."""
     within = np.zeros(len(frames), dtype=np.bool_)
     for wall in range(len(frames)):
-        c, s = math.cos(frames[wall, 2]), math.sin(frames[wall, 2])
         dx, dy = pose[0] - frames[wall, 0], pose[1] - frames[wall, 1]
+        if is_beyond_reach(dx, dy, lows[wall], highs[wall], reach):
+            continue
+        c, s = math.cos(frames[wall, 2]), math.sin(frames[wall, 2])
         along, across = c * dx + s * dy, c * dy - s * dx
         beyond = max(0.0, lows[wall] - along, along - highs[wall])
         within[wall] = beyond * beyond + across * across < reach * reach

@@ -6,7 +6,6 @@ tiles. Cells near each other are also near each other in memory.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -100,10 +99,10 @@ def metres(offset):  # type: ignore[no-untyped-def]
 @inlined
 def enter_point(tile_of, tiles, grid, x, y):  # type: ignore[no-untyped-def]
     """Enter the offsets from a point at (x, y), in cells, into the cells around it. Their tiles must be numbered."""
-    row, column = math.floor(x), math.floor(y)
-    for i in range((row - SPAN) >> TILE_BITS, ((row + SPAN) >> TILE_BITS) + 1):
-        first, last = max(0, row - SPAN - i * TILE), min(TILE, row + SPAN + 1 - i * TILE)
-        for j in range((column - SPAN) >> TILE_BITS, ((column + SPAN) >> TILE_BITS) + 1):
+    top, left = round(x) - SPAN, round(y) - SPAN  # cells before, and 2 SPAN cells on, are all beyond MAX_DISTANCE
+    for i in range(top >> TILE_BITS, ((top + 2 * SPAN - 1) >> TILE_BITS) + 1):
+        first, last = max(0, top - i * TILE), min(TILE, top + 2 * SPAN - i * TILE)
+        for j in range(left >> TILE_BITS, ((left + 2 * SPAN - 1) >> TILE_BITS) + 1):
             _enter_into_tile(tiles, tile_of[grid, i, j], first, last, x - i * TILE, y - j * TILE)
 
 

@@ -20,9 +20,10 @@ def embed_position_covariance(position: Floats) -> Floats:
 
     Negative eigenvalues are clamped to zero.
     """
-    values, vectors = np.linalg.eigh(position)
     covariance = np.zeros((3, 3))
-    covariance[:2, :2] = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    if position.any():  # mostly it is zero
+        values, vectors = np.linalg.eigh(position)
+        covariance[:2, :2] = (vectors * np.maximum(values, 0.0)) @ vectors.T
     return covariance
 
 

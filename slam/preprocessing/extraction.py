@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from drivers.compiled import is_cached
 from features import Extractor, Noise
 from features.extract import MIN_GAIN, PRIOR_SCANS
+from features.kernel import extract_features
 
 from ..config import FeatureConfig, LidarConfig
 
@@ -23,3 +25,8 @@ def build_extractor(lidar: LidarConfig, features: FeatureConfig, sigma_range: fl
         range_min=lidar.range_min,
         range_max=lidar.range_max,
     )
+
+
+def is_compiled() -> bool:
+    """Return False before the first compilation after an installation, when no compiled function is on disk."""
+    return is_cached(extract_features)

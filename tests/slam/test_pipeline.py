@@ -145,6 +145,20 @@ def test_sinks_receive_what_they_handle_and_the_rest_is_not_built(
     assert {type(event) for event in listener.events} == {ScanTracked}
 
 
+def test_events_of_scans_are_not_built_if_no_sink_receives_them(
+    drive: list[Message], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Notices(EventCollector):
+        handled = (Notice,)
+
+    class Unwanted(ScanTracked):
+        def __new__(cls, *_: object, **__: object) -> NoReturn:
+            raise AssertionError("an event was built that no sink receives")
+
+    monkeypatch.setattr("slam.publisher.ScanTracked", Unwanted)
+    assert len(run(drive[:60], listener=Notices()).poses)
+
+
 def test_ground_truth_is_not_used(drive: list[Message], drive_result: Finished) -> None:
     assert run(without_ground_truth(drive)).poses.tobytes() == drive_result.poses.tobytes()
 

@@ -189,4 +189,4 @@ def _prior(before, present, motion, motion_information, information):  # type: i
     covariance = np.linalg.inv(information + weight * motion_information)
     for k in range(3):
         covariance[k, k] += TRACKED_SIGMAS[k] ** 2
-    return np.linalg.inv(covariance)
+    return np.ascontiguousarray(np.linalg.inv(covariance))  # functions would be compiled again for a transposed one

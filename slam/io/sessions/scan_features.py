@@ -71,7 +71,10 @@ def _point_columns(prefix: str, points: Sequence[Floats], *, exact: bool) -> dic
 
 
 def _to_point_units(column: Ragged) -> Ragged:
-    counts = np.rint(column.values / POINT_UNIT).clip(-MAX_POINT_UNITS, MAX_POINT_UNITS)
+    """Return coordinates (metres) as numbers of POINT_UNIT; those of the column are overwritten, to save memory."""
+    counts = np.divide(column.values, POINT_UNIT, out=column.values)
+    np.rint(counts, out=counts)
+    np.clip(counts, -MAX_POINT_UNITS, MAX_POINT_UNITS, out=counts)
     return Ragged(counts.astype(np.int32), column.lengths)
 
 

@@ -71,7 +71,14 @@ def write_table(path: Path, columns: Mapping[str, Array | Ragged | Sequence[str]
             encodings[leaf] = "BYTE_STREAM_SPLIT"
         else:
             dictionaries.append(leaf)
-    pq.write_table(table, path, compression="zstd", column_encoding=encodings, use_dictionary=dictionaries)
+    pq.write_table(
+        table,
+        path,
+        compression="zstd",
+        column_encoding=encodings,
+        use_dictionary=dictionaries,
+        memory_pool=pa.system_memory_pool(),  # reuses what the run has freed; Arrow's own pool would add some 10 MB
+    )
 
 
 def _to_arrow(column: Array | Ragged | Sequence[str]) -> pa.Array:

@@ -17,7 +17,7 @@ import slam.pipeline
 HEAVY = {"scipy.stats", "scipy.optimize", "scipy.ndimage", "pandas", "matplotlib", "rosbags", "mcap", "rerun"}
 
 def loaded():
-    return sorted((HEAVY | {"pyarrow"}) & set(sys.modules))
+    return sorted((HEAVY | {"drivers.simulation", "pyarrow"}) & set(sys.modules))
 
 class Slam(slam.pipeline.Slam):
     def finish(self):

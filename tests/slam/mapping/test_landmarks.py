@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+from drivers import se2
 from slam.mapping.landmark_table import UNOBSERVED
 from slam.mapping.landmarks import Landmarks
 from slam.mapping.local_map import empty_local_map, local_map_around
+from slam.mapping.near_landmarks import BEHIND_MARGIN
+from slam.mapping.sight_lines import walls_in_view
 
 
 def test_observations_extend_a_wall() -> None:
@@ -50,6 +53,22 @@ def test_walls_are_near_on_their_visible_side_only() -> None:
     assert list(landmarks.walls_near(np.array([0.0, 2.0, 0.0]), 9.0)) == [0, 2]
 
 
+@pytest.mark.parametrize("radius", [0.5, 3.0, 12.0])
+def test_walls_are_near_if_a_part_of_them_is(radius: float) -> None:
+    random, landmarks = np.random.default_rng(3), Landmarks()
+    for frame in random.uniform([-15.0, -15.0, -np.pi], [15.0, 15.0, np.pi], (300, 3)):
+        wall = landmarks.add_wall(frame, random.uniform(0.2, 4.0), keyframe=0)
+        landmarks.observe_wall(wall, se2.compose(frame, [random.uniform(-20.0, 20.0), 0.0, 0.0]), 0.5, keyframe=1)
+    rows, pose = landmarks.walls.rows, np.array([2.0, 1.0, 0.3])
+    along, ahead = se2.transform(se2.inverse(rows["frame"]), pose[:2]).T
+    distances = np.hypot(along - along.clip(rows["low"], rows["high"]), ahead)
+    expected = np.flatnonzero((distances < radius) & (ahead > -BEHIND_MARGIN))
+    np.testing.assert_array_equal(landmarks.walls_near(pose, radius), expected)
+    points = radius * np.array([[1.0, 0.0], [0.0, 1.0]])  # from either side a wall may be seen through
+    in_view = walls_in_view(landmarks, pose, points).walls
+    np.testing.assert_array_equal(in_view, np.flatnonzero(distances < radius))
+
+
 def test_landmarks_keep_their_values_when_the_table_grows() -> None:
     landmarks = Landmarks()
     for k in range(600):
@@ -68,6 +87,17 @@ def test_landmarks_not_observed_recently_are_less_certain() -> None:
     sigma = np.sqrt(np.diagonal(local_map.wall_covariance, axis1=1, axis2=2))
     np.testing.assert_allclose(sigma, [[0.08, 0.01], [0.001, 0.001]], rtol=0.02)
     assert len(empty_local_map().walls) == 0
+
+
+def test_corners_are_as_uncertain_as_the_drift_since_they_were_observed() -> None:
+    landmarks, grown = Landmarks(), np.array([0.2, 0.1, 0.04, 0.01])[:, None, None] * np.diag([0.05, 0.03, 0.001])
+    for keyframe in (3, 1, 2, 0, 1):
+        landmarks.add_wall(np.array([0.0, -3.0, 0.0]), 1.0, keyframe)
+        landmarks.add_corner(np.array([keyframe, 1.0]), np.zeros(2), np.array([-1, -1]), keyframe)
+    local_map = local_map_around(landmarks, np.zeros(3), 9.0, grown[::-1])
+    np.testing.assert_array_equal(local_map.corners, [0, 1, 2, 3, 4])
+    drift = (grown[0] - grown[::-1])[[3, 1, 2, 0, 1], :2, :2]
+    np.testing.assert_allclose(local_map.corner_covariance, drift, atol=1e-12)
 
 
 def test_landmarks_whose_place_is_not_known_are_left_out_of_the_local_map() -> None:
