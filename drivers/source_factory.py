@@ -24,6 +24,10 @@ SUPPORTED = (
     "(replay:FILE), devices (rplidar:/dev/ttyUSB0 + create2:/dev/ttyUSB1)"
 )
 CARMEN_SUFFIXES = (".clf", ".log", ".carmen", ".gz", ".txt")
+RECORDING_SUFFIXES = (".clf", ".carmen", ".mcap", ".bag", ".db3")
+"""Suffixes of files that contain nothing but recordings."""
+MAX_NAMED = 5
+"""Recordings of a directory that an error names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,9 +139,16 @@ def _directory(path: Path) -> Source:
     files = sorted(file for file in path.iterdir() if file.suffix in (".mcap", ".db3"))
     if len(files) == 1:
         return _open(files[0])
-    raise RecordingError(
-        path, None, f"the directory is not a ROS 2 bag: it has no metadata.yaml; supported: {SUPPORTED}"
-    )
+    raise RecordingError(path, None, f"the directory is not a ROS 2 bag: it has no metadata.yaml; {_contents(path)}")
+
+
+def _contents(path: Path) -> str:
+    """Return the recordings in a directory, of which one can be read, or what is supported, as text."""
+    names = sorted(file.name for file in path.iterdir() if file.suffix in RECORDING_SUFFIXES)
+    if not names:
+        return f"supported: {SUPPORTED}"
+    more = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
+    return f"name one of the recordings in it: {', '.join(names[:MAX_NAMED])}{more}"
 
 
 def _replay(spec: str) -> Source:

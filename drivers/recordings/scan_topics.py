@@ -67,4 +67,4 @@ def choose_scan_topic(topics: Sequence[ScanTopic]) -> tuple[str, str]:
     """
     chosen = max(topics, key=lambda topic: topic.quality)
     others = "; ".join(f"{topic.name}: {topic.describe()}" for topic in topics if topic is not chosen)
-    return chosen.name, f"scans of {chosen.name}: {chosen.describe()} ({others})"
+    return chosen.name, f"scans of {chosen.name}: {chosen.describe()} ({others}); lidar.topic names another topic"

@@ -77,10 +77,12 @@ def summarise_run(
 def format_summary(result: RunResult, out: Path) -> list[str]:
     """Return the summary as lines of text; `out` is the output directory."""
     from ..visualisation.report_page.findings import group_warnings, reason_without_walls
+    from ..visualisation.report_page.formatting import counted
 
     summary = result.summary
+    walls, corners, keyframes = (counted(summary[f"{noun}s"], noun) for noun in ("wall", "corner", "keyframe"))
     rows = [
-        ("map", f"{summary['walls']} walls, {summary['corners']} corners, from {summary['keyframes']} keyframes"),
+        ("map", f"{walls}, {corners}, from {keyframes}"),
         ("time", _time(summary)),
     ]
     if truth := summary["truth"]:
@@ -169,10 +171,12 @@ def _lost(summary: dict[str, Any]) -> list[tuple[str, str]]:
 
 def _suspects(summary: dict[str, Any]) -> list[str]:
     """Return a line for each of the worst suspects."""
+    from ..visualisation.report_page.formatting import counted
+
     rows = (summary.get("slam") or {}).get("suspects") or []
     lines = [f"  SUSPECT {row['sentence']}" for row in rows[:SHOWN_SUSPECTS]]
     if (more := len(rows) - SHOWN_SUSPECTS) > 0:
-        lines.append(f"  and {more} more suspects in summary.json")
+        lines.append(f"  and {counted(more, 'more suspect')} in summary.json")
     return lines
 
 

@@ -1,10 +1,12 @@
 """Outlines of rooms: walls followed from corner to corner, with the room on their left.
 
 A wall is seen from the left of its frame, so a robot in a room sees the walls around it in counter-clockwise order. A
-corner of the map states which wall follows another one. Where furniture hides a corner, or a door is open, the outline
-is continued along the lines of the walls: of all ways to connect loose ends, those are chosen that need the least
-length that was not seen (linear assignment, Kuhn 1955). Such a bridge crosses no wall, and around a corner not the path
-of the robot.
+corner of the map states which wall follows another one. A wall is also divided where another one runs into the side
+that it is seen from: the walls of two rooms may be on one line. Where furniture hides a corner, or a door is open, the
+outline is continued along the lines of the walls: of all ways to connect loose ends, those are chosen that need the
+least length that was not seen (linear assignment, Kuhn 1955). Such a bridge crosses no wall, and around a corner the
+path of the robot only if all that was not seen of it is in one wall: a door beside the corner. If the lines do not meet
+between two ends that are near each other, the outline steps from one to the other: at an open door leaf, for example.
 """
 
 from __future__ import annotations
@@ -24,6 +26,17 @@ from .wall_map import WallMap
 MAX_BRIDGE = 2.0
 # Metres by which a wall may reach beyond a corner, or end before it. Origin: chosen, three cells of a wall's coverage.
 CORNER_MARGIN = 0.3
+# Metres of the longest step between two walls whose lines do not meet there. Origin: chosen, the depth of furniture
+# and the distance of an open door leaf from the wall beside it; not measured.
+MAX_STEP = 0.6
+# Metres that a step counts in excess of its length, so that walls are rather continued to where they meet. Origin:
+# chosen, as CORNER_MARGIN; not measured.
+STEP_COST = 0.3
+# Sine of the least angle at which one wall divides another one. Origin: chosen, 30 degrees; not measured.
+MIN_JUNCTION_SINE = 0.5
+# Metres between two places at which a wall is divided. Origin: geometry, half a cell of a wall's coverage; less
+# than the thickness of a wall between two rooms.
+MIN_CUT_SPACING = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,17 +57,21 @@ class Edges:
 
 
 class Stretch(NamedTuple):
-    """Stretch of a wall (row) in an outline: where its observed part begins and ends along the wall, metres."""
+    """Stretch of a wall (row) in an outline: where its observed part begins and ends along the wall, metres.
+
+    stepped  True if the outline goes straight from the end of the stretch before to the begin of this one
+    """
 
     wall: int
     low: float
     high: float
+    stepped: bool = False
 
 
 def find_outlines(wall_map: WallMap) -> list[list[Stretch]]:
     """Return all closed outlines, as stretches in their order; one that continues beyond a door is one stretch."""
     edges = wall_edges(wall_map)
-    following = _follow(wall_map, edges)
+    following, stepped = _follow(wall_map, edges)
     outlines, done = [], np.zeros(len(edges), dtype=bool)
     for start in range(len(edges)):
         chain: list[int] = []
@@ -64,7 +81,12 @@ def find_outlines(wall_map: WallMap) -> list[list[Stretch]]:
             chain.append(edge)
             edge = int(following[edge])
         if chain and edge == start:
-            outlines.append(_joined([Stretch(int(edges.wall[k]), *edges.span[k].tolist()) for k in chain]))
+            ends = [(float(low), float(high)) for low, high in edges.span[chain]]
+            walls = edges.wall[chain].tolist()
+            steps = stepped[chain].tolist()
+            outlines.append(
+                _joined([Stretch(wall, *span, step) for wall, span, step in zip(walls, ends, steps, strict=True)])
+            )
     return outlines
 
 
@@ -74,17 +96,20 @@ def _joined(chain: list[Stretch]) -> list[Stretch]:
     joined: list[Stretch] = []
     for stretch in [*chain[first:], *chain[:first]]:
         if joined and joined[-1].wall == stretch.wall:
-            joined[-1] = Stretch(stretch.wall, joined[-1].low, stretch.high)
+            joined[-1] = joined[-1]._replace(high=stretch.high)
         else:
             joined.append(stretch)
     return joined
 
 
 def wall_edges(wall_map: WallMap) -> Edges:
-    """Return the observed pieces of the walls, cut at the corners."""
+    """Return the observed pieces of the walls, cut at the corners, and where other walls run into them."""
     rows: list[int] = []
     spans: list[tuple[float, float]] = []
     cuts = _corner_places(wall_map)
+    for row, along in _junctions(wall_map):
+        if all(abs(along - other) > MIN_CUT_SPACING for other in cuts.setdefault(row, [])):
+            cuts[row].append(along)
     for row, pieces in enumerate(wall_map.walls.pieces):
         for low, high in pieces.tolist():
             inside = sorted(c for c in cuts.get(row, []) if low + CORNER_MARGIN < c < high - CORNER_MARGIN)
@@ -111,8 +136,33 @@ def _corner_places(wall_map: WallMap) -> dict[int, list[float]]:
     return places
 
 
-def _follow(wall_map: WallMap, edges: Edges) -> Integers:
-    """Return for each edge (n,) the one that follows it, -1 if unknown."""
+def _junctions(wall_map: WallMap) -> list[tuple[int, float]]:
+    """Return the walls, and the metres along them, where a piece of another wall ends at the side they are seen from.
+
+    The end may be farther away by the tolerance of a corner, and the junction must be on an observed piece.
+    """
+    points, rows = wall_map.walls.piece_points()
+    heading = wall_map.walls.frame[rows, 2]
+    along = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=-1)
+    found = set()
+    for k in range(len(rows)):
+        for end, outward in ((points[k, 0], -along[k]), (points[k, 1], along[k])):
+            against = -(normal @ outward)
+            steep = np.where(against > MIN_JUNCTION_SINE, against, np.nan)  # comparisons with NaN are false
+            reach = np.einsum("ij,ij->i", end - points[:, 0], normal) / steep
+            place = np.einsum("ij,ij->i", end + reach[:, None] * outward - points[:, 0], along)
+            length = np.einsum("ij,ij->i", points[:, 1] - points[:, 0], along)
+            near = (reach >= -CORNER_MARGIN) & (reach <= 2.0 * CORNER_MARGIN)
+            for other in np.flatnonzero(near & (place > CORNER_MARGIN) & (place < length - CORNER_MARGIN)).tolist():
+                row = int(rows[other])
+                found.add((row, wall_map.along(row, points[other, 0]) + float(place[other])))
+    return sorted(found)
+
+
+def _follow(wall_map: WallMap, edges: Edges) -> tuple[Integers, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
+    """Return for each edge (n,) the one that follows it, -1 if unknown, and whether a step leads to it (n,)."""
+    stepped = np.zeros(len(edges), dtype=bool)
     following = np.full(len(edges), -1)
     for first, second, position in _known_corners(wall_map):
         before = _nearest(edges, first, 1, wall_map.along(first, position))
@@ -124,14 +174,16 @@ def _follow(wall_map: WallMap, edges: Edges) -> Integers:
     cost = np.full((len(loose), len(open_starts) + len(loose)), MAX_BRIDGE)  # the last columns: nothing follows
     for i, before in enumerate(loose.tolist()):
         for j, after in enumerate(open_starts.tolist()):
-            cost[i, j] = _bridge_cost(wall_map, edges, before, after)
+            cost[i, j] = min(_bridge_cost(wall_map, edges, before, after), _step_cost(wall_map, edges, before, after))
     from scipy.optimize import linear_sum_assignment  # only here: most runs measure no rooms
 
     chosen, columns = linear_sum_assignment(np.minimum(cost, 2.0 * MAX_BRIDGE))
     for i, j in zip(chosen, columns, strict=True):
         if j < len(open_starts) and cost[i, j] < MAX_BRIDGE:
-            following[loose[i]] = open_starts[j]
-    return following
+            before, after = int(loose[i]), int(open_starts[j])
+            following[before] = after
+            stepped[after] = cost[i, j] < _bridge_cost(wall_map, edges, before, after)
+    return following, stepped
 
 
 def _nearest(edges: Edges, wall: int, side: int, along: float) -> int:
@@ -160,9 +212,25 @@ def _bridge_cost(wall_map: WallMap, edges: Edges, before: int, after: int) -> fl
     if min(beyond, ahead) < -CORNER_MARGIN or cost > MAX_BRIDGE:
         return np.inf
     bridge = np.stack([end if beyond > 0.0 else corner, corner, start if ahead > 0.0 else corner])
-    if _crosses(edges, bridge, (before, after)) or _meets(bridge, wall_map.path):
+    is_door = min(beyond, ahead) <= CORNER_MARGIN
+    if _crosses(edges, bridge, (before, after)) or (not is_door and _meets(bridge, wall_map.path)):
         return np.inf
     return cost
+
+
+def _step_cost(wall_map: WallMap, edges: Edges, before: int, after: int) -> float:
+    """Return the cost, metres, of a straight step from one edge to another one, infinite if there can be none.
+
+    A step turns by less than a right angle: more would lead around the end of a wall, to its other side.
+    """
+    step = np.stack([edges.ends[before, 1], edges.ends[after, 0]])
+    length = float(np.hypot(*(step[1] - step[0])))
+    turn = wall_map.walls.frame[edges.wall[after], 2] - wall_map.walls.frame[edges.wall[before], 2]
+    if before == after or length > MAX_STEP or np.cos(turn) < 0.0:
+        return np.inf
+    if _crosses(edges, step, (before, after)) or _meets(step, wall_map.path):
+        return np.inf
+    return length + STEP_COST
 
 
 def _crosses(edges: Edges, bridge: Floats, without: tuple[int, int]) -> bool:

@@ -96,7 +96,7 @@ class Room:
     outline   counter-clockwise
     islands   clockwise outlines inside: pillars, or the core of a building that a corridor goes around
     area, area_sigma            square metres, without the islands
-    perimeter, perimeter_sigma  metres, of the sides on walls, without steps from one wall to a parallel one
+    perimeter, perimeter_sigma  metres, of the sides on walls, without steps from one wall to another one
     observed  share of the outline that was seen, 0 to 1; the rest is continued along the walls
     """
 
@@ -200,20 +200,22 @@ def build_outline(wall_map: WallMap, stretches: Sequence[Stretch]) -> Outline | 
 def outline_along(wall_map: WallMap, stretches: Sequence[Stretch]) -> Outline:
     """Return the outline along stretches of walls: they meet at their intersection, or parallel ones at a step.
 
-    A step is in the middle of the gap between two parallel walls, which is a place by definition.
+    A step is in the middle of the gap between two parallel walls, which is a place by definition. One to a stretch that
+    is marked as stepped leads from end to end.
     """
     rows: list[int] = []
     vertices: list[Floats] = []
     jacobian: list[Floats] = []
     for before, stretch in zip([stretches[-1], *stretches[:-1]], stretches, strict=True):
-        if not are_parallel(wall_map, before.wall, stretch.wall):
+        if not stretch.stepped and not are_parallel(wall_map, before.wall, stretch.wall):
             point, of_point = wall_map.intersection(before.wall, stretch.wall)
             rows, vertices, jacobian = [*rows, stretch.wall], [*vertices, point], [*jacobian, of_point]
             continue
-        start = wall_map.along(before.wall, wall_map.point(stretch.wall, stretch.low))
-        along = 0.5 * (before.high + start)
-        middle = wall_map.point(before.wall, along)
-        for row, place in ((before.wall, along), (stretch.wall, wall_map.along(stretch.wall, middle))):
+        along, low = before.high, stretch.low
+        if not stretch.stepped:
+            along = 0.5 * (along + wall_map.along(before.wall, wall_map.point(stretch.wall, low)))
+            low = wall_map.along(stretch.wall, wall_map.point(before.wall, along))
+        for row, place in ((before.wall, along), (stretch.wall, low)):
             vertices.append(wall_map.point(row, place))
             jacobian.append(np.outer(wall_map.normal(row), wall_map.shift(row, place)))
         rows += [-1, stretch.wall]

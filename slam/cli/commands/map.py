@@ -69,6 +69,7 @@ def export_map(
     from ...io.exports import write_dxf, write_geojson, write_ply, write_svg
     from ...io.output_dir import EXPORTED, POINTS, unfinished_file
     from ...io.run_results import read_run_results
+    from ...visualisation.report_page.formatting import counted
 
     if free >= occupied:
         raise typer.BadParameter("must be less than --occupied", param_hint="--free")
@@ -90,7 +91,7 @@ def export_map(
             size = f"{points} points"
         else:
             {Format.GEOJSON: write_geojson, Format.SVG: write_svg, Format.DXF: write_dxf}[form](unfinished, read)
-            size = f"{len(read.walls)} walls, {len(read.corners)} corners"
+            size = f"{counted(len(read.walls), 'wall')}, {counted(len(read.corners), 'corner')}"
     typer.echo(f"{target}: {size}")
 
 

@@ -67,6 +67,7 @@ def measure(
     from ...measuring.map_measurements import measure_walls
     from ...measuring.measured_map import MeasuredMap, measure_all
     from ...measuring.regularity import regularise
+    from ...visualisation.report_page.formatting import counted
     from ..run_setup import READING_SESSION
 
     drawn = form in (Format.SVG, Format.DXF, Format.GEOJSON)
@@ -93,8 +94,9 @@ def measure(
             write(unfinished, results, measured)
         else:
             unfinished.write_text(measurements_csv(measured), encoding="utf-8", newline="\n")
-    counts = f"{len(measured.rooms)} rooms, {len(measured.openings)} doors and passages"
-    typer.echo(f"{target}: {counts}, {len(measured.measurements)} measurements")
+    openings = f"{len(measured.openings)} doors and passages"
+    measurements = counted(len(measured.measurements), "measurement")
+    typer.echo(f"{target}: {counted(len(measured.rooms), 'room')}, {openings}, {measurements}")
 
 
 def _as_text(measured: MeasuredMap) -> str:

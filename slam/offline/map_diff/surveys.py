@@ -63,7 +63,8 @@ def locate(old: Survey, new: Survey, guess: se2.Pose | None = None) -> se2.Pose:
     if guess is None:
         location = locate_session(scan_map(new.session), scan_map(old.session))
         if not location.accepted:
-            raise MapError(f"the maps cannot be aligned: the new one is not recognised: {location.reason}")
+            reason = f"the new one is not recognised: {location.reason}; --at states its rough pose"
+            raise MapError(f"the maps cannot be aligned: {reason}")
         guess = location.members[len(location.members) // 2].motion
     motion, pairs = align_maps(old.wall_map.walls, new.wall_map.walls, guess)
     if len(pairs) < MIN_COMMON:

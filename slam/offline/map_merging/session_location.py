@@ -171,7 +171,8 @@ class _Comparison:
             return f"it fits in several places, {places}{more}; {only}"
         fits = self.fits[self.best]
         share = f"{fits.fit[fits.known].mean():.0%} of the {fits.known.sum()} cells" if fits.known.any() else "none"
-        return f"at its best place, {self._motion(self.best)}, {share} fit: {numbers}"
+        place = f"at its best place, {self._motion(self.best)}"
+        return f"{place}, {share} fit, as they may where it only looks alike: {numbers}"
 
     def _motion(self, row: int) -> str:
         """Return the pose of the session's map in the other one as text, that of the submap in its middle."""

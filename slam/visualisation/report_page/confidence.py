@@ -10,9 +10,9 @@ from ...checks.weak_places import MAX_SIGMA
 from ...io.exports.confidence import CLASS_LIMITS, wall_stretches, weak_places
 from ...io.run_results import RunResults
 from .formatting import counted, percent
-from .sections import place_button
+from .sections import item_list, place_button
 
-MAX_SHOWN = 8
+MAX_LISTED = 8
 SWITCH = (
     '<label class="layer"><input type="checkbox">confidence map: how well each wall is known, and which drive would '
     "improve the map</label>\n"
@@ -38,12 +38,12 @@ def confidence_section(results: RunResults, extent: float) -> str:
     shares = ", ".join([known[0].replace("to", "of the length of the walls is known to"), *known[1:]])
     places = weak_places(results)
     start = float(results.trajectory.stamps[0])
-    items = "".join(
+    items = [
         f'<li class="minor">{place_button(place.position, place.stamp - start, extent)}'
         f"<span><b>{escape(place.text)}.</b> {escape(place.drive)}.</span></li>"
-        for place in places[:MAX_SHOWN]
-    )
-    if (more := len(places) - MAX_SHOWN) > 0:
-        items += f"<li>{counted(more, 'more place')} in the layer of the map.</li>"
-    body = f"<ul>{items}</ul>" if items else '<p class="good">No place would need another drive.</p>'
+        for place in places[:MAX_LISTED]
+    ]
+    if (more := len(places) - MAX_LISTED) > 0:
+        items.append(f"<li>{counted(more, 'more place')} in the layer of the map.</li>")
+    body = item_list(items) if items else '<p class="good">No place would need another drive.</p>'
     return f'<section id="confidence"><h2>Where the map is poorly known</h2><p>{shares}. {NOTE}</p>{body}</section>'

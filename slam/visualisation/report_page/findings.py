@@ -27,6 +27,8 @@ SUSPECT_DETAILS = {
     ODOMETRY: "The scans were enough to correct it, or the path is wrong from there on.",
 }
 STAMPED = re.compile(r"(?P<text>.*) \(at (?P<stamp>-?\d+(\.\d+)?) s\)", re.DOTALL)
+STAMP_IN_TEXT = re.compile(r"(?<=around )(-?\d+(?:\.\d+)?) s")
+"""Stamp of earlier scans in the text of a check."""
 STATUS_FINDINGS = {
     "LOST": (
         "the robot was lost",
@@ -96,7 +98,7 @@ def _suspect_findings(rows: list[dict[str, Any]], trajectory: Trajectory) -> Ite
     """Yield the worst findings of the checks of the finished run, and the number of the others."""
     for row in rows[:MAX_SHOWN_SUSPECTS]:
         yield Finding(
-            f"Suspect {_times([row['stamp']], trajectory)}: {row['text']}.",
+            f"Suspect {_times([row['stamp']], trajectory)}: {_with_clock(row['text'], trajectory)}.",
             SUSPECT_DETAILS.get(row["check"], ""),
             grave=row["check"] != ODOMETRY,
             stamp=float(row["stamp"]),
@@ -176,6 +178,12 @@ def _source_findings(summary: dict[str, Any]) -> Iterator[Finding]:
     factor = summary.get("real_time_factor")
     if factor is not None and 0.0 < factor < 1.0:
         yield Finding(f"SLAM took {1 / factor:.1f} times as long as the recording.", "Live, it could not have kept up.")
+
+
+def _with_clock(text: str, trajectory: Trajectory) -> str:
+    """Return the text of a suspect with times since the start, as on the slider, instead of stamps."""
+    start = float(trajectory.stamps[0])
+    return STAMP_IN_TEXT.sub(lambda stamp: clock(float(stamp[1]) - start), text)
 
 
 def _times(stamps: list[float], trajectory: Trajectory) -> str:

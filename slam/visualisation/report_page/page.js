@@ -171,6 +171,7 @@
     for (const old of svg.querySelectorAll(".chosen")) old.classList.remove("chosen");
     element.classList.add("chosen");
     about.textContent = element.querySelector("title").textContent;
+    svg.dispatchEvent(new CustomEvent("chosen", { detail: element }));
     if (!joint || !element.dataset.wall) return;
     const wall = joint.identity.indexOf(Number(element.dataset.wall));
     if (wall >= 0 && chosenWall >= 0 && wall !== chosenWall) {

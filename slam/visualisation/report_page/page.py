@@ -16,6 +16,7 @@ from ...io.run_results import RunResults
 from ...measuring.wall_map import WallMap
 from . import sections
 from .confidence import SWITCH, confidence_section
+from .corrections import corrections_panel
 from .findings import findings
 from .joint import joint_element
 
@@ -48,7 +49,7 @@ def _page(session: RunResults, wall_map: WallMap | None) -> str:
     return Template(_part("page.html")).substitute(
         title=escape(str(summary["recording"])),
         style=_part("page.css") + colours,
-        script=(script := _part("page.js")),
+        script=(script := _part("page.js") + _part("corrections.js")),
         script_hash=b64encode(sha256(script.encode()).digest()).decode(),
         facts=sections.facts(summary),
         view_box=drawing.view_box,
@@ -61,6 +62,7 @@ def _page(session: RunResults, wall_map: WallMap | None) -> str:
         confidence=confidence,
         joint=joint_element(wall_map),
         hint=HINT if wall_map is None else f"{HINT} {HINT_TWO}",
+        correct=corrections_panel(session),
         duration=f"{session.trajectory.duration:.1f}",
         loops=sections.loops(summary.get("slam") or {}, float(session.trajectory.stamps[0])),
         corrections=sections.corrections(summary.get("corrections") or []),

@@ -16,8 +16,8 @@ from .loop_text import by_margin, loops_text, returns_text
 APPLIED = (LoopStatus.ACCEPTED, LoopStatus.RETRACTED, LoopStatus.FORBIDDEN)
 """Decisions that changed the map; the others are in a table of their own."""
 BY_HAND = (
-    "If you know better: <code>wclm correct DIRECTORY --forbid-loop N</code> opens a closed loop, "
-    "<code>--close N</code> closes another one."
+    "If you know better: choose a loop in the table, then state below the map whether it is right or wrong. "
+    "<code>wclm correct</code> forbids a closed loop, and closes another one."
 )
 COLUMN_MEANINGS = {
     "loop": "number N of the loop",
@@ -30,6 +30,8 @@ COLUMN_MEANINGS = {
     "moved by": "correction of the robot's position",
     "met": "share of its requirement that the worst check meets; 100 % would have closed the loop",
 }
+MAX_SHOWN = 4
+"""Items of a list with pictures that are shown at once."""
 PICTURE_SIZE = 12.0
 """Metres shown around the place of a finding."""
 ACCURACY = (
@@ -56,21 +58,23 @@ def facts(summary: dict[str, Any]) -> str:
 
 
 def successes(summary: dict[str, Any], found: list[Finding]) -> str:
-    """Return what went well, as a list."""
+    """Return the section on what went well; empty if nothing did."""
     slam = summary.get("slam") or {}
     health, truth = slam.get("health") or {}, summary.get("truth") or {}
     texts = [returns_text(slam)]
     if closed := (slam.get("loops") or {}).get(LoopStatus.ACCEPTED, 0):
         texts.append(loops_text({**slam, "loops": {LoopStatus.ACCEPTED: closed}}))
-    if "lost" in health and not health["lost"] and not health.get("failed"):
+    spoilt = any(finding.grave for finding in found)
+    if "lost" in health and not health["lost"] and not health.get("failed") and not spoilt:
         texts.append("every scan was placed in the map; the robot was never lost")
-    if health.get("overlap_ratio_median") is not None and not any(finding.grave for finding in found):
+    if health.get("overlap_ratio_median") is not None and not spoilt:
         texts.append(
             f"{percent(health['overlap_ratio_median'])} of the walls in a scan are on walls of the map (median)"
         )
     if truth.get("ate_rmse") is not None:
         texts.append(f"the path is within {length(truth['ate_rmse'])} of the true one (RMS)")
-    return "".join(f"<li>{escape(text[:1].upper() + text[1:])}.</li>" for text in texts if text)
+    items = "".join(f"<li>{escape(text[:1].upper() + text[1:])}.</li>" for text in texts if text)
+    return f'<section id="successes"><h2>What went well</h2><ul>{items}</ul></section>' if items else ""
 
 
 def findings_list(findings: list[Finding], trajectory: Trajectory, extent: float) -> str:
@@ -80,7 +84,14 @@ def findings_list(findings: list[Finding], trajectory: Trajectory, extent: float
     """
     if not findings:
         return '<p class="good">No problems found.</p>'
-    return f"<ul>{''.join(_item(finding, trajectory, extent) for finding in findings)}</ul>"
+    return item_list([_item(finding, trajectory, extent) for finding in findings])
+
+
+def item_list(items: list[str]) -> str:
+    """Return a list of which the first items are shown, and the others after a click."""
+    shown, more = "".join(items[:MAX_SHOWN]), items[MAX_SHOWN:]
+    rest = f"<details><summary>{len(more)} more</summary><ul>{''.join(more)}</ul></details>" if more else ""
+    return f"<ul>{shown}</ul>{rest}"
 
 
 def _item(finding: Finding, trajectory: Trajectory, extent: float) -> str:
@@ -114,7 +125,7 @@ def loops(slam: dict[str, Any], start: float) -> str:
     rows = slam.get("loop_decisions") or []
     text = loops_text(slam)
     if not text:
-        return "<p>No loop had to be closed.</p>"
+        return "<p>No loop was closed or rejected.</p>"
     applied = [row for row in rows if row["status"] in APPLIED]
     others = by_margin([row for row in rows if row["status"] not in APPLIED])
     body = f"<p>{escape(text[:1].upper() + text[1:])}.</p>" + (_decisions(applied, start) if applied else "")

@@ -46,6 +46,7 @@ class Extent:
 
     low, high     (2,) corners of the box around the map, metres
     truth         True if there is ground truth
+    decided       True if there are loop decisions; the viewer warns of a table without rows
     corrected     True if a loop was closed or a closure retracted
     typical_time  milliseconds that most keyframes take; the time plot shows twice that, because the first keyframe,
                   which waits for the compiler, would flatten all others
@@ -55,6 +56,7 @@ class Extent:
     high: Floats
     truth: bool = False
     typical_time: float | None = None
+    decided: bool = False
     corrected: bool = False
 
 
@@ -67,7 +69,8 @@ def layout(extent: Extent) -> rrb.Blueprint:
         rrb.Tabs(first, *views, active_tab=plot)
         for first, views in zip((panels.compared_points(), panels.histogram()), panels.plots(), strict=True)
     )
-    plots = rrb.Horizontal(left, right, panels.decisions(), column_shares=[3, 3, 4])
+    tables = panels.decisions()
+    plots = rrb.Horizontal(left, right, *tables, column_shares=[3, 3, *[4 for _ in tables]])
     top = rrb.Horizontal(panels.maps(), panels.details(), panels.texts(), column_shares=[4, 4, 3])
     timeline = CLOSURE if extent.corrected else KEYFRAME
     return _whole(rrb.Vertical(top, plots, row_shares=[5, 2]), timeline)
@@ -80,7 +83,7 @@ def side_by_side(extents: Mapping[str, Extent]) -> rrb.Blueprint:
         panels = _Panels(f"{root}/", extent, WIDE_ASPECT)
         views = [view for together in panels.plots() for view in together]
         views += [panels.compared_points(), panels.histogram()]
-        plots = rrb.Tabs(*views, panels.decisions(), active_tab=0)
+        plots = rrb.Tabs(*views, *panels.decisions(), active_tab=0)
         texts = rrb.Tabs(*panels.documents(), panels.log(), active_tab=0)
         columns.append(rrb.Vertical(panels.maps(root), panels.details(), texts, plots, row_shares=[5, 5, 3, 3]))
     return _whole(rrb.Horizontal(*columns), KEYFRAME)
@@ -207,12 +210,14 @@ class _Panels:
         legend = rrb.PlotLegend(rrb.Corner2D.RightTop)
         return rrb.BarChartView(origin=f"{self._root}residuals/histogram", name="Residuals [σ], %", plot_legend=legend)
 
-    def decisions(self) -> rrb.DataframeView:
-        """Return the table of all loop decisions."""
+    def decisions(self) -> list[rrb.DataframeView]:
+        """Return the table of all loop decisions; nothing if there is none."""
+        if not self._extent.decided:
+            return []
         entity = f"/{self._root}{TABLE}"
         columns: list[Any] = [CANDIDATE, *(f"{entity}:{column}" for column in TABLE_COLUMNS)]
         query = rrb.archetypes.DataframeQuery(timeline=CANDIDATE, select=columns)
-        return rrb.DataframeView(origin=entity, name="Loop decisions", query=query)
+        return [rrb.DataframeView(origin=entity, name="Loop decisions", query=query)]
 
     def _from_above(self, name: str, contents: list[str]) -> rrb.Spatial3DView:
         low, high = self._extent.low, self._extent.high

@@ -13,8 +13,9 @@ from rerun.chunk import Chunk
 
 from .blueprint import Extent, layout, side_by_side
 from .log_files import LogFiles
+from .loop_layer import TABLE
 from .rrd_reader import chunks_of, recording_id, rows
-from .rrd_writer import APPLICATION, CLOSURE, SENSOR_TIME
+from .rrd_writer import APPLICATION, CANDIDATE, CLOSURE, SENSOR_TIME
 from .shapes import bounds
 
 
@@ -44,8 +45,9 @@ def extent_of(chunks: Sequence[Chunk]) -> Extent:
     times = [row.values["Scalars:scalars"][0] for row in rows(chunks, "/metrics/time")]
     truth = any(chunk.entity_path == "/metrics/error" for chunk in chunks)
     typical = float(np.percentile(times, 98)) if times else None
+    decided = any(CANDIDATE in chunk.timeline_names for chunk in chunks if chunk.entity_path == f"/{TABLE}")
     corrected = any(chunk.entity_path == "/world/shift" for chunk in chunks if CLOSURE in chunk.timeline_names)
-    return Extent(*bounds(*points), truth=truth, typical_time=typical, corrected=corrected)
+    return Extent(*bounds(*points), truth=truth, typical_time=typical, decided=decided, corrected=corrected)
 
 
 def _write(target: Path, identity: str, chunks: Sequence[Chunk], blueprint: rrb.Blueprint) -> None:

@@ -152,7 +152,8 @@ class EventLog:
         """Fit the layout to the map, and finish the file."""
         self._end_steps()
         truth, typical = self._ground_truth.alignment is not None, self._time_series.typical_maximum("time")
-        extent = Extent(*self._extent, truth=truth, typical_time=typical, corrected=self._corrections > 0)
+        decided, corrected = self._decisions > 0, self._corrections > 0
+        extent = Extent(*self._extent, truth=truth, typical_time=typical, decided=decided, corrected=corrected)
         self._writer.set_layout(layout(extent))
         self._writer.close()
 
@@ -238,6 +239,8 @@ class EventLog:
             self._factor_graph_layer.unmerge(event.index)
         self._decision_layer.log(event, self._decisions, pose, self._fit)
         self._correction_layer.log(event)
+        if self._decisions == 1 and self._has_live_viewers:
+            self._set_live_layout()
         for old, recent in event.merged if event.status == LoopStatus.ACCEPTED else ():
             self._factor_graph_layer.merge(event.index, recent, old, loop=True)
 
@@ -286,7 +289,11 @@ class EventLog:
             return
         margin = GROWTH_MARGIN * float(np.max(high - low))
         self._shown_extent = low - margin, high + margin
-        self._writer.set_layout(layout(Extent(*self._shown_extent)))
+        self._set_live_layout()
+
+    def _set_live_layout(self) -> None:
+        """Show live viewers the map as far as it is shown, and the table of loop decisions if there are any."""
+        self._writer.set_layout(layout(Extent(*self._shown_extent, decided=self._decisions > 0)))
 
     def _write_true_pose(self, event: GroundTruthReceived) -> None:
         self._ground_truth.add_true_pose(event.stamp, event.pose)

@@ -44,6 +44,7 @@ def test_topic_with_more_returns_at_even_stamps_is_chosen(worse: ScanTopic, bett
     name, reason = choose_scan_topic([better, worse])
     assert name == better.name
     assert worse.name in reason
+    assert reason.endswith("; lidar.topic names another topic")
     assert "\n" not in reason
 
 

@@ -247,6 +247,15 @@ def test_an_empty_directory_is_refused_as_recording(wclm: Any, tmp_path: Path) -
     wclm.refuses("run", "bag", "--out", "out", because=["bag: the directory is not a ROS 2 bag"])
 
 
+def test_recordings_in_a_directory_are_named(wclm: Any, tmp_path: Path) -> None:
+    (tmp_path / "drives").mkdir()
+    for number in range(7):
+        (tmp_path / "drives" / f"{number}.bag").touch()
+    (tmp_path / "drives" / "README.txt").touch()
+    named = "name one of the recordings in it: 0.bag, 1.bag, 2.bag, 3.bag, 4.bag and 2 more"
+    wclm.refuses("run", "drives", "--out", "out", because=["drives: the directory is not a ROS 2 bag", named])
+
+
 def test_invalid_settings_are_one_line_errors(wclm: Any, tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text("[lidar]\nsigma_rang = 1\n")
     run = ("run", SHORT, "--out", "out")

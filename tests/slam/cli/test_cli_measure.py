@@ -81,7 +81,7 @@ def test_drawings_have_a_dimension_for_each_side_of_the_room(wclm: Any, session:
     for form in ("svg", "dxf"):
         result = wclm("measure", session, "--format", form)
         assert result.exit_code == 0, result.output
-        assert "1 rooms" in result.stdout
+        assert ": 1 room, " in result.stdout
     root = ElementTree.parse(session / "measurements.svg").getroot()
     group = next(child for child in root if child.attrib.get("class") == "dimensions")
     texts = [element.text or "" for element in group if element.tag.endswith("text")]

@@ -98,6 +98,42 @@ def test_no_room_is_made_up(path: list[tuple[float, float]], extra: list[list[tu
     assert not find_rooms(wall_map(walls, [(0, 1), (2, 3), (3, 0)], path=path))
 
 
+def test_walls_of_two_rooms_on_one_line_are_divided_by_the_partition() -> None:
+    walls = [
+        [(0.0, 0.0), (8.1, 0.0)],  # seen from both rooms
+        *room([(4.0, 0.0), (4.0, 3.0), (0.0, 3.0), (0.0, 0.0)])[:3],
+        *room([(8.1, 0.0), (8.1, 3.0), (4.1, 3.0), (4.1, 0.0)])[:3],
+    ]
+    walls[1], walls[6] = [(4.0, 0.2), (4.0, 3.0)], [(4.1, 3.0), (4.1, 0.2)]  # its foot was not seen
+    corners = [(1, 2), (2, 3), (3, 0), (0, 4), (4, 5), (5, 6)]
+    found = find_rooms(wall_map(walls, corners, path=[(1.0, 1.0), (2.0, 1.5), (6.0, 1.0)]))
+    assert [one.area for one in found] == [pytest.approx(12.0)] * 2
+
+
+def test_an_outline_is_closed_across_a_door_beside_a_corner() -> None:
+    walls = room([(0.0, 0.0), (5.0, 0.0), (5.0, 4.0), (0.0, 4.0)])
+    walls[2] = [(4.1, 4.0), (0.0, 4.0)]  # the robot came through the rest
+    (found,) = find_rooms(wall_map(walls, [(0, 1), (2, 3), (3, 0)], path=[(4.5, 6.0), (4.5, 2.0)]))
+    assert found.area == pytest.approx(20.0)
+    assert found.observed == pytest.approx(1.0 - 0.9 / 18.0)
+
+
+def test_an_outline_steps_to_an_open_door_leaf_and_from_it() -> None:
+    leaf = [(4.8, 3.9), (4.1, 3.6)]  # in front of a wall that is seen from x = 3.9 m on
+    walls = [*room([(0.0, 0.0), (5.0, 0.0), (5.0, 4.0), (0.0, 4.0)]), leaf]
+    walls[2] = [(3.9, 4.0), (0.0, 4.0)]
+    corners = [(0, 1), (2, 3), (3, 0)]
+    (found,) = find_rooms(wall_map(walls, corners))
+    assert 20.0 - 0.5 < found.area < 20.0
+    assert list(found.outline.walls).count(-1) == 1  # it continues along the leaf to the side wall
+    measured = measure_room(wall_map(walls, corners), found)
+    assert (Kind.LENGTH, (14,)) not in [
+        (one.kind, one.walls) for one in measured
+    ]  # where a step begins is not measured
+    walls[4] = [leaf[1], leaf[0]]  # seen from the other side, it is none of this room
+    assert 14 not in {wall for room in find_rooms(wall_map(walls, corners)) for wall in room.outline.walls}
+
+
 def test_a_wall_seen_beyond_a_corner_adds_nothing_to_the_outline() -> None:
     walls = room([(0.0, 0.0), (5.0, 0.0), (5.0, 4.0), (0.0, 4.0)])
     walls[0] = [(-1.5, 0.0), (7.0, 0.0)]  # the next rooms have their walls on the same line

@@ -166,7 +166,7 @@ def test_a_session_of_an_older_version_has_a_page(tmp_path: Path, finished: Fini
     write_page(tmp_path / "a.html", session)
     text = words((tmp_path / "a.html").read_text(encoding="utf-8"))
     assert "ground truth" not in text
-    assert "No loop had to be closed." in text
+    assert "No loop was closed or rejected." in text
 
 
 def test_a_map_without_walls_has_a_page(tmp_path: Path, finished: Finished) -> None:
@@ -227,14 +227,32 @@ def test_findings_describe_problems_grave_ones_first(tmp_path: Path, finished: F
 def test_suspects_are_findings_and_only_those_of_the_path_are_grave(tmp_path: Path, finished: Finished) -> None:
     rows = [
         {"check": check, "stamp": 5.0 + k, "first": 5.0, "last": 5.0, "position": [0.0, 0.0], "weight": 2.0,
-         "text": f"the {check} is wrong"}
+         "text": f"the {check} is wrong, as the scans around 72.5 s saw"}
         for k, check in enumerate(["map", "placement", "odometry"] + 9 * ["odometry"])
     ]  # fmt: skip
     summary = SUMMARY | {"slam": SUMMARY["slam"] | {"suspects": rows}}
     found = findings(summary, make(tmp_path / "out", finished, summary).trajectory)
     assert [finding.grave for finding in found] == [True, True] + 9 * [False]
-    assert found[0].text == "Suspect at 0:05: the map is wrong."
+    assert found[0].text == "Suspect at 0:05: the map is wrong, as the scans around 1:12 saw."
     assert found[-1].text == "2 more suspects in summary.json."
+
+
+def test_long_lists_of_doubts_are_folded_and_a_doubtful_map_is_not_praised(tmp_path: Path, finished: Finished) -> None:
+    row = {"check": "map", "stamp": 5.0, "first": 5.0, "last": 5.0, "position": [0.0, 0.0], "weight": 2.0, "text": "?"}
+    slam = SUMMARY["slam"] | {
+        "health": {"overlap_ratio_median": 0.95, "lost": 0, "failed": 0},
+        "returns": {},
+        "loops": {},
+    }
+    summary = {key: value for key, value in SUMMARY.items() if key != "truth"}
+    good = page(tmp_path / "good", finished, summary | {"slam": slam})
+    assert "the robot was never lost" in good
+    assert "95 % of the walls" in good
+    bad = page(tmp_path / "bad", finished, summary | {"slam": slam | {"suspects": 7 * [row]}})
+    assert "What went well" not in bad
+    folded = re.search(r"<details><summary>3 more</summary><ul>(.*?)</ul></details>", bad, re.DOTALL)
+    assert folded.group(1).count("<li ") == 3
+    assert bad.count("Suspect at") == 7
 
 
 @pytest.mark.parametrize(

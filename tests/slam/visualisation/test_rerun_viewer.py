@@ -119,6 +119,20 @@ def test_the_log_opens_at_the_closure_without_errors_in_a_window(
         assert pixels_of(right, colour) > 100, colour
 
 
+def test_the_table_of_loop_decisions_is_shown_if_there_are_any(
+    corridor: tuple[Path, list[Event]], tmp_path: Path
+) -> None:
+    without, decided = (
+        write(tmp_path / "without.rrd", corridor[1]),
+        write(tmp_path / "with.rrd", with_closure(corridor[1])),
+    )
+    write_combined_log([find_log(without)], ["one"], tmp_path / "reviewed.rrd")  # with the layout of this version
+    for log, expected in ((without, 0), (tmp_path / "reviewed.rrd", 0), (decided, 1)):
+        with viewer() as client:
+            load(client, log)
+            assert [view.name for view in client.get_state().views].count("Loop decisions") == expected, log
+
+
 def test_two_logs_are_shown_side_by_side(corridor: tuple[Path, list[Event]], tmp_path: Path) -> None:
     other = write(tmp_path / "other.rrd", list(Corridor(step=2.0, start=1.0e9).events()))  # stamps are times of day
     write_combined_log([find_log(corridor[0]), find_log(other)], ["one", "an other"], tmp_path / "both.rrd")
