@@ -99,12 +99,12 @@ def local_map_around(landmarks: Landmarks, pose: se2.Pose, radius: float, pose_c
     difference, the drift, is about the difference of their covariances. Negative eigenvalues, after a loop closure, are
     clamped to zero.
     """
-    walls, corners = landmarks.walls.rows, landmarks.corners.rows
     near_walls, near_corners = landmarks.walls_near(pose, radius), landmarks.corners_near(pose, radius)
+    column, last_seen = landmarks.walls.column, landmarks.corners.column("last_seen")
     known_walls, wall_drift = _wall_drifts(
-        near_walls, walls["frame"], walls["low"], walls["high"], walls["last_seen"], pose, pose_covariances
+        near_walls, column("frame"), column("low"), column("high"), column("last_seen"), pose, pose_covariances
     )
-    known_corners, corner_drift = _corner_drifts(near_corners, corners["last_seen"], pose_covariances)
+    known_corners, corner_drift = _corner_drifts(near_corners, last_seen, pose_covariances)
     local_map = _local_map(landmarks, known_walls, known_corners)
     return replace(
         local_map,
