@@ -1,0 +1,29 @@
+"""Settings of all tests: a busy machine makes no test fail, and everything is compiled before the first one."""
+
+from collections.abc import Iterator
+
+import pytest
+from hypothesis import settings
+
+from drivers.compiled import is_cached
+from features.kernel import extract_features
+
+settings.register_profile("no deadline", deadline=None)
+settings.load_profile("no deadline")
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile if nothing is on disk yet: beside other programs that can take longer than a test may."""
+    if not hasattr(session.config, "workerinput") and not is_cached(extract_features):
+        from slam import warm_up
+
+        warm_up()
+
+
+@pytest.fixture(autouse=True, scope="session")
+def no_messages_about_slowness() -> Iterator[None]:
+    """Let no command print on stderr that it takes long: the listener to compilations stays for all later tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("slam.cli.console.SLOW_SECONDS", 120.0)
+        patch.setattr("slam.cli.compilation_message.SLOW_SECONDS", 120.0)
+        yield
