@@ -2,9 +2,11 @@
 
 import gc
 from collections.abc import Iterator
+from functools import cache
 
 import pytest
 from hypothesis import settings
+from typer.main import get_command
 
 from drivers.compiled import is_cached
 from features.kernel import extract_features
@@ -29,4 +31,12 @@ def no_messages_about_slowness() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("slam.cli.console.SLOW_SECONDS", 120.0)
         patch.setattr("slam.cli.compilation_message.SLOW_SECONDS", 120.0)
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
+def command_line_is_built_once() -> Iterator[None]:
+    """Build the commands and options once and not at each call of CliRunner: most of the time of a short command."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("typer.testing._get_command", cache(get_command))
         yield
