@@ -39,6 +39,7 @@ def use_as_terminal() -> None:
     """Make standard input the controlling terminal of a new session."""
     os.setsid()
     fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored if the tests were started with nohup
 
 
 def names(folder: Path) -> set[str]:
@@ -113,8 +114,9 @@ LOST_IN_A_CALLBACK = """
 import ctypes, os, signal, sys, time
 from slam.cli.signals import exit_on_signals
 
-exit_on_signals()
 number = int(sys.argv[1])
+signal.signal(number, signal.SIG_DFL)  # SIGHUP is ignored if the tests were started with nohup
+exit_on_signals()
 callback = ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), number) or time.sleep(0.01))
 callback()
 while True:
