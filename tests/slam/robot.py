@@ -88,8 +88,13 @@ class LiveRun:
         return self.wait(timeout)
 
     def wait(self, timeout: float = 120.0) -> tuple[int, str, str]:
-        """Wait until it ends; return exit status, stdout and stderr."""
-        status = self.process.wait(timeout)
+        """Wait until it ends; return exit status, stdout and stderr. If it does not end, it is killed."""
+        try:
+            status = self.process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+            raise
         self.cpu_seconds = children_cpu_seconds() - self._before
         return status, self._stdout.read_text(), self._stderr.read_text()
 
