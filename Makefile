@@ -6,6 +6,9 @@ READY := $(VENV)/.ready
 INPUTS ?= 1000
 SHARD ?= 1/1
 
+# Python stores what it compiles, whatever the environment says: the tests start some hundred processes.
+export PYTHONDONTWRITEBYTECODE :=
+
 .PHONY: help env demo test test-slow coverage fuzz gate lint format docs reference gallery lock clean
 
 help:

@@ -2,6 +2,7 @@
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -30,8 +31,13 @@ LAYERS = (
 """Packages and modules of `slam`, from bottom to top: each may import those before it."""
 
 
-def imported(file: Path) -> Iterator[str]:
-    """The absolute dotted names that a file imports, wherever in it."""
+@cache
+def imported(file: Path) -> frozenset[str]:
+    """Return the absolute dotted names that a file imports, wherever in it."""
+    return frozenset(_imports(file))
+
+
+def _imports(file: Path) -> Iterator[str]:
     package = file.relative_to(ROOT).parent.parts
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -75,6 +81,6 @@ def test_libraries_stay_where_they_belong(file: Path) -> None:
 
 
 def test_relative_imports_are_resolved() -> None:
-    names = set(imported(ROOT / "slam" / "visualisation" / "plots" / "map.py"))
+    names = imported(ROOT / "slam" / "visualisation" / "plots" / "map.py")
     assert "slam.mapping.map_features" in names
     assert "slam.visualisation.plots.style" in names

@@ -57,7 +57,8 @@ def occluded_share(
     rows = landmarks.walls.rows[walls]
     low, high = rows["low"] + OCCLUSION_MARGIN, rows["high"] - OCCLUSION_MARGIN
     blocked = np.zeros(len(viewpoints), dtype=bool)
-    for ray, row, along in _find_crossings(viewpoints, targets, rows["frame"], low, high):
+    # a copy is contiguous: compiled for a column of several walls, the function would be compiled again for one wall
+    for ray, row, along in _find_crossings(viewpoints, targets, rows["frame"].copy(), low, high):
         blocked[ray] |= landmarks.is_covered(int(walls[row]), along)
     return float(weights[blocked].sum() / weights.sum())
 

@@ -99,8 +99,8 @@ def local_map_around(landmarks: Landmarks, pose: se2.Pose, radius: float, pose_c
     difference, the drift, is about the difference of their covariances. Negative eigenvalues, after a loop closure, are
     clamped to zero.
     """
-    walls, corners = landmarks.walls.rows, landmarks.corners.rows
     near_walls, near_corners = landmarks.walls_near(pose, radius), landmarks.corners_near(pose, radius)
+    walls, corners = landmarks.walls.rows, landmarks.corners.rows
     last_seen = np.concatenate([walls["last_seen"][near_walls], corners["last_seen"][near_corners]])
     drifts = _drifts_since(last_seen, pose_covariances)
     of_walls, of_corners = drifts[: len(near_walls)], drifts[len(near_walls) :, :2, :2]

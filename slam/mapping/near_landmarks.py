@@ -1,6 +1,6 @@
 """Landmarks within some distance of a position, in compiled code: they are selected several times at each keyframe.
 
-Both functions take columns of the tables of walls and corners (see `landmark_table`).
+Both functions take columns of the tables of walls and corners (`LandmarkTable.column`).
 """
 
 from __future__ import annotations

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +26,13 @@ OTHER_PROGRAMS = {"make", "pip", "python3", "sudo", ".", "rerun", "dask", "ros2"
 """Other commands; those of `make` must be targets."""
 SHORTER = {"--seeds": "1", "--runs": "2", "--count": "5", "--laps": "1"}
 """Smaller values for options that determine the duration of benchmarks."""
+command_line: Any = cache(get_command)
 WITH_BLOCKS = sorted({block.page for block in blocks()})
 
 
 def parse_command(words: list[str]) -> None:
     """Parse a command and its device specs without running it; raises the errors of the command line."""
-    command: Any = get_command(app)
+    command = command_line(app)
     context = typer.Context(command, info_name="wclm")
     while hasattr(command, "commands") and words:
         command = command.commands[words[0]]
@@ -66,7 +68,7 @@ def test_commands_in_blocks_exist(block: Block) -> None:
 
 @pytest.mark.parametrize(("page", "words"), mentions())
 def test_commands_in_sentences_exist(page: str, words: list[str]) -> None:
-    command: Any = get_command(app)
+    command = command_line(app)
     rest = words[1:]
     while hasattr(command, "commands") and rest:
         assert rest[0] in command.commands or rest[0] in PLACEHOLDERS, words

@@ -116,7 +116,6 @@ def wclm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Wclm:
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    monkeypatch.setattr("slam.cli.console.SLOW_SECONDS", 120.0)  # no further line on stderr on a busy machine
     return Wclm()
 
 

@@ -51,7 +51,7 @@ class Robot:
     def stop(self) -> dict[str, Any]:
         """End the emulator if it still runs; return its report."""
         self._process.terminate()
-        self._process.wait(60.0)
+        self._process.wait(120.0)
         report: dict[str, Any] = json.loads(self._report.read_text())
         return report
 
@@ -82,14 +82,19 @@ class LiveRun:
         wait_for(found, self.process)
         return found()[0]
 
-    def end(self, how: signal.Signals = signal.SIGINT, timeout: float = 60.0) -> tuple[int, str, str]:
+    def end(self, how: signal.Signals = signal.SIGINT, timeout: float = 120.0) -> tuple[int, str, str]:
         """Send a signal and wait; return exit status, stdout and stderr."""
         self.process.send_signal(how)
         return self.wait(timeout)
 
-    def wait(self, timeout: float = 60.0) -> tuple[int, str, str]:
-        """Wait until it ends; return exit status, stdout and stderr."""
-        status = self.process.wait(timeout)
+    def wait(self, timeout: float = 120.0) -> tuple[int, str, str]:
+        """Wait until it ends; return exit status, stdout and stderr. If it does not end, it is killed."""
+        try:
+            status = self.process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+            raise
         self.cpu_seconds = children_cpu_seconds() - self._before
         return status, self._stdout.read_text(), self._stderr.read_text()
 

@@ -31,7 +31,7 @@ def viewer() -> Any:
         client = ViewerClient.spawn(headless=True, port=port, hide_welcome_screen=True, executable_path=executable)
     except Exception as error:  # the viewer's client does not document its errors
         pytest.skip(f"the viewer does not start, perhaps for lack of a Vulkan driver: {error}")
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + 60
     while True:
         try:
             client.get_state()

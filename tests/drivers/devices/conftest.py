@@ -39,7 +39,7 @@ class Peer:
         self.process.stdin.write(command + "\n")
         self.process.stdin.flush()
 
-    def wait_for(self, name: str, times: int = 1, timeout: float = 20.0) -> dict[str, Any]:
+    def wait_for(self, name: str, times: int = 1, timeout: float = 120.0) -> dict[str, Any]:
         end = time.monotonic() + timeout
         while time.monotonic() < end:
             found = [event for event in list(self.events) if event["event"] == name]

@@ -65,7 +65,7 @@ def test_emulate_cleans_up_on_signals(tmp_path: Path, how: signal.Signals, statu
         time.sleep(0.05)
     time.sleep(0.3)
     running.send_signal(how)
-    _, errors = running.communicate(timeout=60.0)
+    _, errors = running.communicate(timeout=120.0)
     assert (running.returncode, errors.strip()) == (status, "")
     assert not list((tmp_path / "ports").iterdir())
     assert json.loads((tmp_path / "report.json").read_text())["lidar"]["restarts"] == 0

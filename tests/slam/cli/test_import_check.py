@@ -23,7 +23,7 @@ def start(directory: Path) -> subprocess.CompletedProcess[str]:
         env={**os.environ, "PYTHONPATH": os.pathsep.join(["", str(ROOT)])},
         capture_output=True,
         text=True,
-        timeout=100,
+        timeout=250,
     )
 
 

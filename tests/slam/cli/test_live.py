@@ -162,10 +162,9 @@ def test_no_drive_command_is_sent_without_the_option(live_session: LiveSession) 
 def test_mapping_the_recording_gives_the_same_path(live_session: LiveSession, wclm: Any) -> None:
     live = (live_session.run.out / TRAJECTORY).read_bytes()
     assert {type(message) for message in McapReader(live_session.recording)} == {Scan, Odometry}
-    for out in ("first", "second"):
-        result = wclm("run", live_session.recording, "--out", out, "--no-review")
-        assert result.exit_code == 0, result.output
-        assert Path(out, TRAJECTORY).read_bytes() == live
+    result = wclm("run", live_session.recording, "--out", "again", "--no-review")
+    assert result.exit_code == 0, result.output
+    assert Path("again", TRAJECTORY).read_bytes() == live
 
 
 def test_viewers_that_connect_late_get_all_keyframes(live_session: LiveSession) -> None:

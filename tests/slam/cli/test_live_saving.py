@@ -39,6 +39,7 @@ def use_as_terminal() -> None:
     """Make standard input the controlling terminal of a new session."""
     os.setsid()
     fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored if the tests were started with nohup
 
 
 def names(folder: Path) -> set[str]:
@@ -113,11 +114,12 @@ LOST_IN_A_CALLBACK = """
 import ctypes, os, signal, sys, time
 from slam.cli.signals import exit_on_signals
 
-exit_on_signals()
 number = int(sys.argv[1])
+signal.signal(number, signal.SIG_DFL)  # SIGHUP is ignored if the tests were started with nohup
+exit_on_signals()
 callback = ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), number) or time.sleep(0.01))
 callback()
-for _ in range(1000):
+while True:
     time.sleep(0.01)
 """
 
@@ -126,10 +128,8 @@ for _ in range(1000):
     ("number", "status"), [(signal.SIGTERM, 128 + signal.SIGTERM), (signal.SIGHUP, 128 + signal.SIGHUP)]
 )
 def test_a_signal_within_a_callback_of_a_compiler_is_not_lost(number: int, status: int) -> None:
-    started = time.monotonic()
-    ended = subprocess.run([sys.executable, "-c", LOST_IN_A_CALLBACK, f"{number}"], timeout=60.0, check=False)
+    ended = subprocess.run([sys.executable, "-c", LOST_IN_A_CALLBACK, f"{number}"], timeout=200.0, check=False)
     assert ended.returncode == status
-    assert time.monotonic() - started < 9.0  # it did not sleep to its end
 
 
 def test_a_command_started_with_nohup_ignores_a_lost_terminal() -> None:

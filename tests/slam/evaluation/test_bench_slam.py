@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -75,6 +76,34 @@ def test_a_version_may_lack_a_run(tmp_path: Path) -> None:
     one = {"name": "a", "error": 1.0, "by_reference": 2.0, "memory": 3.0}
     plot_versions(tmp_path / "x.png", {"1": [one], "2": [one | {"name": "b"}]})
     assert (tmp_path / "x.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(("program", "runs", "value"), [(10.0, 4, 10.0), (14.0, 16, 14.0)])
+def test_load_is_no_regression_and_a_slower_program_is(
+    monkeypatch: pytest.MonkeyPatch, program: float, runs: int, value: float
+) -> None:
+    """A run of 10 scans: its times in units of the reference, on a machine that delays one message at each run."""
+    made = []
+
+    def run_timed(_: RunSpec) -> Any:
+        timer = SimpleNamespace(message_times=[program] * 10, reference_times=[1.0, 1.5])
+        timer.message_times[len(made) % 10] *= 9.0
+        made.append(timer)
+        return SimpleNamespace(scans=10), timer
+
+    monkeypatch.setattr(regression_checks, "run_timed", run_timed)
+    assert regression_checks.time_by_reference(RunSpec("room"), 12.0) == pytest.approx(value)
+    assert len(made) == runs
+
+
+def test_load_that_delays_most_messages_needs_more_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    delayed = iter([*[[30.0] * 10] * 6, [10.0] * 10])
+    monkeypatch.setattr(
+        regression_checks,
+        "run_timed",
+        lambda _: (SimpleNamespace(scans=10), SimpleNamespace(message_times=next(delayed), reference_times=[1.0, 1.5])),
+    )
+    assert regression_checks.time_by_reference(RunSpec("room"), 12.0) == pytest.approx(10.0)
 
 
 def test_a_regression_is_an_exit_status(wclm: Any, monkeypatch: pytest.MonkeyPatch) -> None:

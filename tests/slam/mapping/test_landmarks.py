@@ -1,13 +1,15 @@
 """Landmarks: extents, ids, merging, the local map, and observing all landmarks again."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from drivers import se2
 from slam.mapping.landmark_table import UNOBSERVED
 from slam.mapping.landmarks import Landmarks
-from slam.mapping.local_map import empty_local_map, local_map_around
-from slam.mapping.near_landmarks import BEHIND_MARGIN
+from slam.mapping.local_map import _wall_drifts, empty_local_map, local_map_around
+from slam.mapping.near_landmarks import BEHIND_MARGIN, near_corners, near_walls
 from slam.mapping.sight_lines import walls_in_view
 
 
@@ -67,6 +69,19 @@ def test_walls_are_near_if_a_part_of_them_is(radius: float) -> None:
     points = radius * np.array([[1.0, 0.0], [0.0, 1.0]])  # from either side a wall may be seen through
     in_view = walls_in_view(landmarks, pose, points).walls
     np.testing.assert_array_equal(in_view, np.flatnonzero(distances < radius))
+
+
+def test_nothing_is_compiled_again_for_a_map_of_one_wall_or_corner() -> None:
+    """Numpy calls a column of a table of one row contiguous, and that of several rows not."""
+    landmarks = Landmarks()
+    functions: list[Any] = [near_walls, near_corners, _wall_drifts]
+    for k in range(3):
+        local_map_around(landmarks, np.zeros(3), 5.0, np.zeros((3, 3, 3)))
+        landmarks.add_wall(np.array([k, -1.0, 0.0]), 1.0, keyframe=0)
+        local_map_around(landmarks, np.zeros(3), 5.0, np.zeros((3, 3, 3)))
+        landmarks.add_corner(np.array([k, 0.0]), np.zeros(2), np.array([k, k]), keyframe=0)
+    assert len(local_map_around(landmarks, np.zeros(3), 5.0, np.zeros((3, 3, 3))).walls) == 3
+    assert [len(function.signatures) for function in functions] == [1, 1, 1]
 
 
 def test_landmarks_keep_their_values_when_the_table_grows() -> None:

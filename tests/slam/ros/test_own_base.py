@@ -33,7 +33,7 @@ def scan_of_a_room(stamp: float) -> Scan:
 
 
 def wait_until(condition: Callable[[], bool], each: Callable[[], None] = lambda: None) -> None:
-    end = time.monotonic() + 60.0
+    end = time.monotonic() + 120.0
     while not condition():
         assert time.monotonic() < end
         each()

@@ -58,7 +58,7 @@ async def connect(server: PageServer, **headers: str) -> WebSocketClientConnecti
 
 async def frame(client: WebSocketClientConnection) -> dict[str, Any]:
     """Receive a frame and ask for the next one."""
-    received = await asyncio.wait_for(client.read_message(), 20.0)
+    received = await asyncio.wait_for(client.read_message(), 120.0)
     assert received is not None
     await client.write_message('{"drawn": 1}')
     content: dict[str, Any] = json.loads(received)
@@ -66,7 +66,7 @@ async def frame(client: WebSocketClientConnection) -> dict[str, Any]:
 
 
 async def until(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + 20.0
+    end = time.monotonic() + 120.0
     while not condition():
         assert time.monotonic() < end
         await asyncio.sleep(0.01)

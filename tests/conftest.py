@@ -1,0 +1,42 @@
+"""Settings of all tests: a busy machine makes no test fail, and everything is compiled before the first one."""
+
+import gc
+from collections.abc import Iterator
+from functools import cache
+
+import pytest
+from hypothesis import settings
+from typer.main import get_command
+
+from drivers.compiled import is_cached
+from features.kernel import extract_features
+from slam.cli import COLLECTION_THRESHOLD
+
+gc.set_threshold(COLLECTION_THRESHOLD)  # as on the command line: a tenth of the time, with all modules and tests loaded
+settings.register_profile("no deadline", deadline=None)
+settings.load_profile("no deadline")
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile if nothing is on disk yet: beside other programs that can take longer than a test may."""
+    if not hasattr(session.config, "workerinput") and not is_cached(extract_features):
+        from slam import warm_up
+
+        warm_up()
+
+
+@pytest.fixture(autouse=True, scope="session")
+def no_messages_about_slowness() -> Iterator[None]:
+    """Let no command print on stderr that it takes long: the listener to compilations stays for all later tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("slam.cli.console.SLOW_SECONDS", 120.0)
+        patch.setattr("slam.cli.compilation_message.SLOW_SECONDS", 120.0)
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
+def command_line_is_built_once() -> Iterator[None]:
+    """Build the commands and options once and not at each call of CliRunner: most of the time of a short command."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("typer.testing._get_command", cache(get_command))
+        yield
