@@ -25,22 +25,24 @@ class TrackingStatus(Enum):
 class TrackingResult:
     """Pose of a scan.
 
-    covariance  (3, 3) of the pose in the map as it stands, in the base's frame
+    pose          [x, y, heading] of the base in the map, from the scan's points and the prediction
+    information   (3, 3) of the pose from the points alone, in the base's frame
+    covariance    (3, 3) of the pose in the map as it stands, in the base's frame
+    registration  of the scan's features with the landmarks
+    registered_covariance  (3, 3) of the registered pose, in the base's frame
     slipped     True if odometry's motion since the reference contradicts the pose
     abrupt      True if the scan fits far worse than the one before and the view changed recently: the robot may have
                 been kidnapped
     """
 
-    registration: Registration
-    status: TrackingStatus
+    pose: se2.Pose
+    information: Floats
     covariance: Floats
+    registration: Registration
+    registered_covariance: Floats
+    status: TrackingStatus
     slipped: bool
     abrupt: bool
-
-    @property
-    def pose(self) -> se2.Pose:
-        """Pose of the base in the map."""
-        return self.registration.pose
 
     def motion_since(self, before: se2.Pose | None) -> se2.Pose | None:
         """Return the motion from the pose of the scan `before`; None if one of the scans was not matched."""

@@ -37,8 +37,8 @@ def smooth_trajectory(
         overlap_ratio[row] = match.registration.overlap_ratio
         informations[row] = 0.0
         if match.plausible:
-            matched[row] = match.registration.pose
-            informations[row] = match.registration.total_information
+            matched[row] = match.points.pose
+            informations[row] = match.points.information
         odometry_wrong[row] |= match.odometry_wrong
     smoothed = smooth_chain(matched, INFORMATION_SCALE * informations, *matcher.motions.known(odometry_wrong))
     return smoothed, overlap_ratio
