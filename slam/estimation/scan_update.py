@@ -89,16 +89,15 @@ def update_map(
 
     Returns the changes of the map; None if the scan did not become a keyframe.
     """
-    update, information = None, tracking.information
+    update = None
     if tracking.status is TrackingStatus.TRACKED and _moved_enough(state):
-        state.pose, information = tracking.registration.pose, tracking.registration.total_information
+        state.pose = tracking.registration.pose
         familiar = _familiar_keyframe(state, tracking)
         if familiar is None:
             update = _add_keyframe(state, scan, tracking, timer)
         else:
             _pass_familiar_place(state, familiar, scan, tracking)
-    if tracking.status is TrackingStatus.TRACKED:
-        _extend_trajectory(state, scan.stamp, information)
+    _extend_trajectory(state, scan.stamp, tracking)
     return update
 
 
@@ -139,7 +138,7 @@ def _pass_familiar_place(state: SlamState, keyframe: int, scan: ProcessedScan, t
     """Set the anchor relative to a keyframe of a familiar place, without changing the map."""
     state.mapper.solve_waiting()
     relative = se2.between(state.mapper.keyframe_poses[keyframe], state.pose)
-    state.anchor = Anchor(keyframe, relative, tracking.registered_covariance, scan.odometry)
+    state.anchor = Anchor(keyframe, relative, tracking.covariance, scan.odometry)
     state.kidnapped = state.kidnapped and not state.frozen
     if not state.frozen:
         state.mapper.remove_walls_seen_through(state.pose, scan.features.points.all)
@@ -148,13 +147,13 @@ def _pass_familiar_place(state: SlamState, keyframe: int, scan: ProcessedScan, t
     state.update_local_field()
 
 
-def _extend_trajectory(state: SlamState, stamp: float, information: Floats) -> None:
-    """Append the pose of a tracked scan, with its information (3, 3) from the scan alone, to the trajectory."""
-    if state.anchor is None or state.at_part_begin:
+def _extend_trajectory(state: SlamState, stamp: float, tracking: TrackingResult) -> None:
+    """Append the pose of a tracked scan to the trajectory."""
+    if state.anchor is None or state.at_part_begin or tracking.status is not TrackingStatus.TRACKED:
         return
     keyframe = state.anchor.keyframe
     relative = se2.between(state.mapper.keyframe_poses[keyframe], state.pose)
-    state.trajectory.add(stamp, keyframe, relative, information)
+    state.trajectory.add(stamp, keyframe, relative, tracking.registration.total_information)
 
 
 def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResult, timer: StageTimer) -> KeyframeUpdate:
@@ -163,7 +162,7 @@ def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
     corrected = correct_range_bias(features, mapper.graph.range_bias.metres)
     association = associate(
         state.pose,
-        tracking.registered_covariance,
+        tracking.covariance,
         corrected.segments,
         corrected.corners,
         state.local_map,
@@ -206,11 +205,11 @@ def _undetermined_share(tracking: TrackingResult) -> float:
     unknown = np.diag(UNMEASURED_MOTION_SIGMAS**-2.0)
     by_scan = inverse(tracking.registration.total_information + unknown)
     across = float(np.linalg.eigvalsh(by_scan[:2, :2])[0])
-    covariance, turn, share = tracking.registered_covariance, float(by_scan[2, 2]), 0.0
+    turn, share = float(by_scan[2, 2]), 0.0
     if across > MAX_LINK_SIGMA**2:
-        share += float(np.linalg.eigvalsh(covariance[:2, :2])[0]) / MAX_LINK_SIGMA**2
+        share += float(np.linalg.eigvalsh(tracking.covariance[:2, :2])[0]) / MAX_LINK_SIGMA**2
     if turn > MAX_LINK_TURN_SIGMA**2:
-        share += float(covariance[2, 2]) / MAX_LINK_TURN_SIGMA**2
+        share += float(tracking.covariance[2, 2]) / MAX_LINK_TURN_SIGMA**2
     return share
 
 

@@ -228,15 +228,12 @@ class Tracker:
         return Prediction(se2.compose(pose, self._velocity.motion(seconds)), np.diag(sigmas**-2.0), cost)
 
     def _result(self, match: ScanMatch, status: TrackingStatus, *, slipped: bool = False) -> TrackingResult:
-        points, registration, prior = match.points, match.registration, match.points.prediction.information
-        covariance = np.asarray(inverse(points.information + prior))
-        registered = np.asarray(inverse(registration.total_information + prior))
+        prior = match.points.prediction.information
+        covariance = np.asarray(inverse(match.registration.total_information + prior))
         abrupt = status is TrackingStatus.TRACKED and match.score < self._last_score - ABRUPT_DROP
         if status is TrackingStatus.TRACKED:
             self._last_score = match.score
-        return TrackingResult(
-            points.pose, points.information, covariance, registration, registered, status, slipped, abrupt
-        )
+        return TrackingResult(match.points.pose, match.registration, status, covariance, slipped, abrupt)
 
     def _extrapolate(self, fix: PoseFix, odometry: se2.Pose) -> se2.Pose:
         return se2.compose(fix.pose, self._model.correct(fix.odometry_motion(odometry)))
