@@ -1,8 +1,8 @@
 """Update the state by one scan: track the pose, then extend trajectory and map.
 
 `track` finds the scan's pose. `update_map` appends it to the trajectory and, if the robot has moved far enough, makes
-the scan a keyframe: its features are associated with landmarks, the graph is solved, the map around the robot is read
-back, and loops are searched for.
+the scan a keyframe: its features are associated with landmarks at the pose that these determine, the graph is solved,
+the map around the robot is read back, and loops are searched for.
 """
 
 from __future__ import annotations
@@ -91,6 +91,7 @@ def update_map(
     """
     update = None
     if tracking.status is TrackingStatus.TRACKED and _moved_enough(state):
+        state.pose = tracking.registration.pose
         familiar = _familiar_keyframe(state, tracking)
         if familiar is None:
             update = _add_keyframe(state, scan, tracking, timer)

@@ -1,4 +1,9 @@
-"""Match one scan to the local map and score the result."""
+"""Match one scan to the map around the robot: all its points to the distance field, then its features to landmarks.
+
+The points determine the scan's pose. The landmarks determine the pose at which its features are associated with them,
+if the scan becomes a keyframe. Between keyframes, walls would not improve the pose: a line that is fitted to a rough or
+curved surface is off by centimetres, in all scans from nearby in the same way.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +17,8 @@ from ..matching.point_matcher import (
     MIN_FIT,
     MIN_KNOWN_POINTS,
     POINT_SPACING,
-    SEARCH_FIT,
     PointMatch,
     Prediction,
-    judge_pose,
     match_points,
 )
 from ..matching.scan_points import surface_points
@@ -23,36 +26,26 @@ from ..matching.scan_points import surface_points
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanMatch:
-    """Registration of a scan, and how well all its points fit the distance field at the registered pose.
+    """Match of a scan.
 
-    prediction  near which the scan was matched
-    others      matches near the other predictions, those with the lowest cost first
-    cost        see `point_matcher`
-    fit         0 to 1
-    known       number of points in space that was seen before
+    points        best match of its points
+    others        matches of its points near the other predictions, those with the lowest cost first
+    registration  of its features with the landmarks, from the best match on
     """
 
-    registration: Registration
-    prediction: Prediction
+    points: PointMatch
     others: Sequence[PointMatch]
-    cost: float
-    fit: float
-    known: int
+    registration: Registration
 
     @property
     def score(self) -> float:
         """Overlap ratio plus fit, 0 to 2."""
-        return self.registration.overlap_ratio + self.fit
-
-    @property
-    def poor(self) -> bool:
-        """True if a considerable part of what the scan shows of known space does not fit."""
-        return self.known >= MIN_KNOWN_POINTS and self.fit < SEARCH_FIT
+        return self.registration.overlap_ratio + self.points.fit
 
     @property
     def plausible(self) -> bool:
         """True unless the scan shows space that was seen before, and does not fit it."""
-        return self.known < MIN_KNOWN_POINTS or self.fit >= MIN_FIT
+        return self.points.known < MIN_KNOWN_POINTS or self.points.fit >= MIN_FIT
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +62,7 @@ class MatchTarget:
     roughness: float
 
     def match(self, scan: ScanFeatures, predictions: Sequence[Prediction], *, exhaustive: bool = False) -> ScanMatch:
-        """Match a scan near one of several predicted poses: first by all its points, then by walls too.
+        """Match a scan near one of several predicted poses.
 
         For `exhaustive` see `match_points`.
         """
@@ -80,5 +73,4 @@ class MatchTarget:
             match.pose, prediction.pose, prediction.information,
             scan, points, self.landmarks, self.field, self.roughness,
         )  # fmt: skip
-        cost, fit, known = judge_pose(self.field, points, registration.pose, prediction)
-        return ScanMatch(registration, prediction, others, cost, fit, known)
+        return ScanMatch(match, others, registration)

@@ -172,31 +172,33 @@ class Tracker:
             even = self._even_motion(self._tentative.pose, interval)
             predictions += [replace(self._by_odometry(self._tentative, odometry), inertia=even), even]
         match = target.match(scan, predictions)
-        prior, fix_pose = match.prediction.information, match.registration.pose
+        chosen, fix_pose = match.points.prediction, match.points.pose
         contradicts = usual.squared_distance(fix_pose) > KERNEL**2
         # Poses were searched around both motions, and the best one agrees with odometry: that has not failed.
         resolved = self._tentative is not None and not contradicts
-        confirmed = not resolved and match.prediction is not usual and match.prediction is not slip
+        confirmed = not resolved and chosen is not usual and chosen is not slip
         slipped = (
             not resolved
-            and match.prediction is slip
+            and chosen is slip
             and not any(other.prediction is usual and _same_place(match, other) for other in match.others)
         )
         self._tentative, self._usual_cost = None, 0.0
         if _too_few_features(scan) and len(target.landmarks.walls):
-            return self._result(match, TrackingStatus.NO_FEATURES, prior)
+            return self._result(match, TrackingStatus.NO_FEATURES)
         self._untracked_in_a_row += 1
         if not match.plausible or (slipped and slip.squared_distance(fix_pose) > MAX_SLIP**2):
-            return self._result(match, TrackingStatus.FAILED, prior)
+            return self._result(match, TrackingStatus.FAILED)
         fix = PoseFix(fix_pose, odometry)
         # The poses of the last scans agree with each other, and nothing suggests that the robot was carried.
         agree_for_long = self._untracked_in_a_row >= MAX_UNTRACKED_SCANS and not self.view_changed
-        if slipped or (confirmed and match.poor and not agree_for_long):
+        if slipped or (confirmed and match.points.poor and not agree_for_long):
             self._tentative = fix
-            self._usual_cost = min(other.cost for other in match.others if other.prediction is usual) - match.cost
-            return self._result(match, TrackingStatus.TENTATIVE, prior)
+            self._usual_cost = (
+                min(other.cost for other in match.others if other.prediction is usual) - match.points.cost
+            )
+            return self._result(match, TrackingStatus.TENTATIVE)
         slipped = confirmed or contradicts
-        result = self._result(match, TrackingStatus.TRACKED, prior, slipped=slipped)
+        result = self._result(match, TrackingStatus.TRACKED, slipped=slipped)
         if self._since_fix:
             self._velocity.correct(se2.between(self._fix.pose, fix.pose), result.covariance, self._since_fix)
         self._fix, self._since_fix, self._untracked_in_a_row = fix, 0.0, 0
@@ -225,14 +227,13 @@ class Tracker:
         sigmas = self._velocity.deviations(seconds) + PREDICTION_SIGMAS
         return Prediction(se2.compose(pose, self._velocity.motion(seconds)), np.diag(sigmas**-2.0), cost)
 
-    def _result(
-        self, match: ScanMatch, status: TrackingStatus, prior: Floats, *, slipped: bool = False
-    ) -> TrackingResult:
+    def _result(self, match: ScanMatch, status: TrackingStatus, *, slipped: bool = False) -> TrackingResult:
+        prior = match.points.prediction.information
         covariance = np.asarray(inverse(match.registration.total_information + prior))
         abrupt = status is TrackingStatus.TRACKED and match.score < self._last_score - ABRUPT_DROP
         if status is TrackingStatus.TRACKED:
             self._last_score = match.score
-        return TrackingResult(match.registration, status, covariance, slipped, abrupt)
+        return TrackingResult(match.points.pose, match.registration, status, covariance, slipped, abrupt)
 
     def _extrapolate(self, fix: PoseFix, odometry: se2.Pose) -> se2.Pose:
         return se2.compose(fix.pose, self._model.correct(fix.odometry_motion(odometry)))
@@ -249,4 +250,4 @@ def _too_few_features(scan: ScanFeatures) -> bool:
 
 def _same_place(match: ScanMatch, other: PointMatch) -> bool:
     """Return True if a match near another prediction has led to the same place: both predictions hold then."""
-    return bool(np.all(np.abs(se2.between(other.pose, match.registration.pose)) < PREDICTION_SIGMAS))
+    return bool(np.all(np.abs(se2.between(other.pose, match.points.pose)) < PREDICTION_SIGMAS))

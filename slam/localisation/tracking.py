@@ -25,22 +25,20 @@ class TrackingStatus(Enum):
 class TrackingResult:
     """Pose of a scan.
 
-    covariance  (3, 3) of the pose in the map as it stands, in the base's frame
+    pose          [x, y, heading] of the base in the map, from the scan's points and the prediction
+    registration  of the scan's features with the landmarks
+    covariance    (3, 3) of the registered pose in the map as it stands, in the base's frame
     slipped     True if odometry's motion since the reference contradicts the pose
     abrupt      True if the scan fits far worse than the one before and the view changed recently: the robot may have
                 been kidnapped
     """
 
+    pose: se2.Pose
     registration: Registration
     status: TrackingStatus
     covariance: Floats
     slipped: bool
     abrupt: bool
-
-    @property
-    def pose(self) -> se2.Pose:
-        """Pose of the base in the map."""
-        return self.registration.pose
 
     def motion_since(self, before: se2.Pose | None) -> se2.Pose | None:
         """Return the motion from the pose of the scan `before`; None if one of the scans was not matched."""

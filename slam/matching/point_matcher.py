@@ -195,14 +195,6 @@ def match_from(
     return PointMatch(pose, information, prediction, total, fit, known)
 
 
-def judge_pose(
-    field: DistanceField, points: Floats, pose: se2.Pose, prediction: Prediction
-) -> tuple[float, float, int]:
-    """Return cost, fit and known points of points (p, 4) at a pose; see `PointMatch`."""
-    cost, fit, known = point_cost(field, points, pose)
-    return cost / POINTS_PER_OBJECT + prediction.cost_of(pose), fit, known
-
-
 def point_cost(field: DistanceField, points: Floats, pose: se2.Pose) -> tuple[float, float, int]:
     """Return cost, fit and known points of points (p, 4), used as they are, at a pose; see `PointMatch`."""
     cost, fit, known = points_cost(field.arrays, points, pose)

@@ -20,7 +20,7 @@ from ...mapping.local_map import LOCAL_MAP_MARGIN, LocalMap, landmarks_around
 from ...matching.bias_correction import correct_range_bias_of_scans
 from ...matching.distance_field import DistanceField
 from ...matching.line_matcher import Registration, ScanFeatures
-from ...matching.point_matcher import KERNEL, POINT_SPACING, Prediction
+from ...matching.point_matcher import KERNEL, POINT_SPACING, PointMatch, Prediction
 from ...matching.scan_points import surface_points
 from ...odometry.error_model import OdometryModel
 from ...odometry.velocity import ScanClock
@@ -48,10 +48,13 @@ TRACKED_SIGMAS = np.array([0.02, 0.02, 0.01])
 class FullMapMatch:
     """Match of a scan to the whole map.
 
+    points          match of its points
+    registration    of its features with the landmarks
     plausible       False if the scan does not fit the map
     odometry_wrong  True if the scan fits better on an even motion between its neighbours than at its present pose
     """
 
+    points: PointMatch
     registration: Registration
     plausible: bool
     odometry_wrong: bool
@@ -112,8 +115,8 @@ class FullMapMatcher:
         even = Prediction(self._interpolate(row, poses), self._unmatched, cost)
         predictions = [present, even] if present.squared_distance(even.pose) > KERNEL**2 else [present]
         match = target.match(scan, predictions, exhaustive=True)
-        odometry_wrong = match.plausible and match.prediction is even
-        return FullMapMatch(match.registration, match.plausible, odometry_wrong)
+        odometry_wrong = match.plausible and match.points.prediction is even
+        return FullMapMatch(match.points, match.registration, match.plausible, odometry_wrong)
 
     def _prior(self, row: int, poses: Floats) -> Floats:
         """Return the information (3, 3) of a scan's present pose.

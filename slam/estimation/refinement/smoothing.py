@@ -12,10 +12,6 @@ from ...odometry.error_model import OdometryModel
 from .full_map_matcher import FullMapMatcher
 from .scan_history import ScanHistory
 
-# Factor of the information of a scan's match: neighbouring scans share the errors of the walls they are matched to.
-# Origin: measured, on recordings a third is slightly better than a tenth or all of it, which are equally good.
-INFORMATION_SCALE = 0.3
-
 
 def smooth_trajectory(
     mapper: Mapper, history: ScanHistory, model: OdometryModel, poses: Floats, odometry_wrong: NDArray[np.bool_]
@@ -37,8 +33,8 @@ def smooth_trajectory(
         overlap_ratio[row] = match.registration.overlap_ratio
         informations[row] = 0.0
         if match.plausible:
-            matched[row] = match.registration.pose
-            informations[row] = match.registration.total_information
+            matched[row] = match.points.pose
+            informations[row] = match.points.information
         odometry_wrong[row] |= match.odometry_wrong
-    smoothed = smooth_chain(matched, INFORMATION_SCALE * informations, *matcher.motions.known(odometry_wrong))
+    smoothed = smooth_chain(matched, informations, *matcher.motions.known(odometry_wrong))
     return smoothed, overlap_ratio

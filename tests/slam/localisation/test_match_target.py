@@ -44,15 +44,27 @@ def room_target() -> MatchTarget:
 
 def test_scan_of_a_known_room_is_matched_with_walls_and_points() -> None:
     match = room_target().match(scan_of(ROOM, TRUTH), [PREDICTION])
-    error = se2.between(TRUTH, match.registration.pose)
-    assert np.hypot(*error[:2]) < 0.004
-    assert abs(error[2]) < 0.002
-    assert match.prediction is PREDICTION
+    for pose in (match.points.pose, match.registration.pose):
+        error = se2.between(TRUTH, pose)
+        assert np.hypot(*error[:2]) < 0.004
+        assert abs(error[2]) < 0.002
+    assert match.points.prediction is PREDICTION
     assert match.registration.overlap_ratio > 0.9
-    assert match.fit > 0.95
+    assert match.points.fit > 0.95
     assert match.score > 1.8
     assert match.plausible
-    assert not match.poor
+    assert not match.points.poor
+
+
+def test_lines_fitted_to_a_rough_surface_do_not_move_the_pose() -> None:
+    scan = scan_of(ROOM, TRUTH)
+    off = se2.compose(scan.segments.frame, np.array([0.0, 0.03, 0.0]))  # all lines are 3 cm before their surfaces
+    match = room_target().match(replace(scan, segments=replace(scan.segments, frame=off)), [PREDICTION])
+    assert np.hypot(*se2.between(TRUTH, match.points.pose)[:2]) < 0.004
+    one = replace(scan.segments, frame=off[:2], half_length=HALVES[:2], covariance=scan.segments.covariance[:2])
+    match = room_target().match(replace(scan, segments=one), [PREDICTION])
+    assert np.hypot(*se2.between(TRUTH, match.points.pose)[:2]) < 0.004
+    assert np.hypot(*se2.between(TRUTH, match.registration.pose)[:2]) > 0.02  # where features are associated
 
 
 def test_points_replace_walls_that_are_not_known() -> None:
@@ -71,5 +83,5 @@ def test_scan_of_another_place_is_not_plausible() -> None:
     narrow = Prediction(TRUTH, 1e4 * np.eye(3))
     scan = replace(scan_of(other, TRUTH), segments=Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2))))
     match = room_target().match(scan, [narrow])
-    assert match.poor
+    assert match.points.poor
     assert not match.plausible

@@ -16,7 +16,6 @@ from slam.matching.point_matcher import (
     POINT_SPACING,
     POINTS_PER_OBJECT,
     Prediction,
-    judge_pose,
     match_points,
     point_cost,
 )
@@ -197,11 +196,11 @@ def test_pose_without_evidence_is_the_prediction(empty: str) -> None:
 
 
 def test_cost_is_lowest_at_the_true_pose() -> None:
-    points, prediction = scan_points(ROOM, INSIDE), Prediction(INSIDE, information(10.0, 90.0))
-    cost, fit, known = judge_pose(ROOM_FIELD, points, INSIDE, prediction)
+    points = scan_points(ROOM, INSIDE)
+    cost, fit, known = point_cost(ROOM_FIELD, points, INSIDE)
     assert fit > 0.95
     assert known == len(points)
     for off in ([0.1, 0.0, 0.0], [0.0, -0.1, 0.0], [0.0, 0.0, 0.1], [1.0, 1.0, 1.0]):
-        other, worse, _ = judge_pose(ROOM_FIELD, points, se2.compose(INSIDE, off), prediction)
+        other, worse, _ = point_cost(ROOM_FIELD, points, se2.compose(INSIDE, off))
         assert other > cost
         assert worse < fit
