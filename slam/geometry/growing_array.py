@@ -29,6 +29,10 @@ class GrowingArray:
         """(n, ...) the rows; not to be changed."""
         return self._storage[: self._count]
 
+    def copy(self) -> GrowingArray:
+        """Return a copy that later changes leave as it is."""
+        return GrowingArray(self._shape, self.rows)
+
     def replace(self, rows: ArrayLike) -> None:
         """Replace all rows by (n, ...) others, which are copied."""
         new = np.asarray(rows, dtype=np.float64).reshape(-1, *self._shape)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from array import array
+
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
 
+from ..geometry.growing_array import GrowingArray
 from ..geometry.segments import Floats
 from ..odometry.history import OdometryHistory
 
@@ -18,16 +21,14 @@ class TrajectoryBuilder:
     """Poses of the scans relative to their keyframes, so that they follow when the map is corrected."""
 
     def __init__(self) -> None:
-        self._stamps: list[float] = []
-        self._keyframes: list[int] = []
-        self._relative: list[se2.Pose] = []
-        self._informations: list[Floats] = []
+        self._stamps, self._keyframes = array("d"), array("q")
+        self._relative, self._informations = GrowingArray((3,)), GrowingArray((3, 3))
 
     def __deepcopy__(self, memo: dict[int, object]) -> TrajectoryBuilder:
-        """Return a copy that shares the arrays, which are never modified."""
+        """Return an independent copy."""
         other = TrajectoryBuilder()
-        other._stamps, other._keyframes = list(self._stamps), list(self._keyframes)
-        other._relative, other._informations = list(self._relative), list(self._informations)
+        other._stamps, other._keyframes = self._stamps[:], self._keyframes[:]
+        other._relative, other._informations = self._relative.copy(), self._informations.copy()
         return other
 
     def __len__(self) -> int:
@@ -45,20 +46,20 @@ class TrajectoryBuilder:
 
         The informations are (n, 3, 3), each in the scan's own frame.
         """
-        relative = np.array(self._relative).reshape(-1, 3)
-        informations = np.array(self._informations).reshape(-1, 3, 3)
-        return np.array(self._stamps), np.array(self._keyframes), relative, informations
+        stamps, keyframes = np.array(self._stamps), np.array(self._keyframes, dtype=np.int64)
+        return stamps, keyframes, self._relative.rows.copy(), self._informations.rows.copy()
 
     def at_scans(self, keyframe_poses: Floats) -> tuple[Floats, Floats]:
         """Return stamps (n,) and poses (n, 3) of the scans in the map, given the keyframes' poses (k, 3)."""
-        relative = np.array(self._relative).reshape(-1, 3)
-        return np.array(self._stamps), se2.compose(keyframe_poses[self._keyframes], relative).reshape(-1, 3)
+        stamps, keyframes, relative, _ = self.relative_poses()
+        return stamps, se2.compose(keyframe_poses[keyframes], relative).reshape(-1, 3)
 
     def clip(self, begin: float, end: float) -> TrajectoryBuilder:
         """Return the part with stamps in [begin, end) seconds."""
         part = TrajectoryBuilder()
         for row in np.flatnonzero((np.array(self._stamps) >= begin) & (np.array(self._stamps) < end)).tolist():
-            part.add(self._stamps[row], self._keyframes[row], self._relative[row], self._informations[row])
+            relative, information = self._relative.rows[row], self._informations.rows[row]
+            part.add(self._stamps[row], self._keyframes[row], relative, information)
         return part
 
     def path(self, keyframe_poses: Floats, odometry: OdometryHistory) -> tuple[Floats, Floats]:

@@ -1,5 +1,7 @@
 """Odometry history: interpolation and order of the readings."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -33,3 +35,28 @@ def test_a_reading_not_later_than_the_last_replaces_its_pose() -> None:
         history.add(Odometry(stamp, np.array([x, 0.0, 0.0])))
     np.testing.assert_array_equal(history.stamps, [0.0, 1.0])
     np.testing.assert_array_equal(history.poses[:, 0], [0.0, 3.0])
+
+
+def test_poses_at_several_stamps_are_those_at_each() -> None:
+    history = circle_history()
+    stamps = np.concatenate([history.stamps[::7], history.stamps[1::5] + 0.003, [-1.0, 99.0, 0.512]])
+    np.testing.assert_array_equal(history.at_each(stamps), [history.at(stamp) for stamp in stamps.tolist()])
+
+
+def test_a_copy_does_not_change_with_the_history() -> None:
+    history = circle_history()
+    other, poses = history.copy(), history.poses
+    history.add(Odometry(history.latest, np.zeros(3)))
+    history.add(Odometry(history.latest + 1.0, np.ones(3)))
+    assert len(other) == len(poses) == len(history) - 1
+    np.testing.assert_array_equal(other.poses, poses)
+
+
+def test_memory_of_a_reading_is_four_numbers() -> None:
+    history = OdometryHistory()
+    tracemalloc.start()
+    for k in range(10_000):
+        history.add(Odometry(float(k), np.array([k, 0.0, 0.0])))
+    used = tracemalloc.get_traced_memory()[0]
+    tracemalloc.stop()
+    assert used < 10_000 * 4 * 8 * 1.2
