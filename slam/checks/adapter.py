@@ -14,12 +14,14 @@ from ..mapping.mapper import Mapper
 from ..mapping.trajectory_builder import TrajectoryBuilder
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
+from ..odometry.velocity import MAX_VELOCITIES
 from ..preprocessing.preprocessor import ProcessedScan
 from .drive import Drive
 from .row_groups import consecutive_groups
 from .suspect import PARTS, UNCONSTRAINED, Suspect
 
-# Metres of driving that are reported if nothing determines them: velocities hardly change before.
+# Metres of driving that are reported if nothing determines them, and that a robot may have driven while its velocity
+# was not known: velocities hardly change before.
 # Origin: chosen, about two seconds; not measured.
 MIN_BLIND_LENGTH = 1.0
 # Scans within a stretch that may determine the motion by chance. Origin: chosen; not measured.
@@ -77,12 +79,15 @@ def unconstrained_stretches(
     for group in consecutive_groups(np.flatnonzero(blind), MAX_SEEING_SCANS):
         first, last = int(group[0]), int(group[-1])
         length = float(travelled[last] - travelled[first])
-        if length > MIN_BLIND_LENGTH:
+        seconds = float(stamps[last] - stamps[first])
+        possible = max(length, seconds * float(MAX_VELOCITIES[0]))
+        if possible > MIN_BLIND_LENGTH:
+            extent = f"{length:.1f} m" if length > MIN_BLIND_LENGTH else f"{seconds:.0f} s"
             text = (
-                f"for {length:.1f} m the scans do not determine the motion in one direction, and there is no odometry: "
+                f"for {extent} the scans do not determine the motion in one direction, and there is no odometry: "
                 "constant velocity is assumed, and the length may be wrong"
             )
-            weight, times = length / MIN_BLIND_LENGTH, (float(stamps[first]), float(stamps[last]))
+            weight, times = possible / MIN_BLIND_LENGTH, (float(stamps[first]), float(stamps[last]))
             suspects.append(Suspect(UNCONSTRAINED, times[0], *times, poses[first, :2].copy(), weight, text))
     return suspects
 

@@ -138,7 +138,7 @@ def _pass_familiar_place(state: SlamState, keyframe: int, scan: ProcessedScan, t
     """Set the anchor relative to a keyframe of a familiar place, without changing the map."""
     state.mapper.solve_waiting()
     relative = se2.between(state.mapper.keyframe_poses[keyframe], state.pose)
-    state.anchor = Anchor(keyframe, relative, tracking.covariance, scan.odometry)
+    state.anchor = Anchor(keyframe, relative, tracking.registered_covariance, scan.odometry)
     state.kidnapped = state.kidnapped and not state.frozen
     if not state.frozen:
         state.mapper.remove_walls_seen_through(state.pose, scan.features.points.all)
@@ -162,7 +162,7 @@ def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
     corrected = correct_range_bias(features, mapper.graph.range_bias.metres)
     association = associate(
         state.pose,
-        tracking.covariance,
+        tracking.registered_covariance,
         corrected.segments,
         corrected.corners,
         state.local_map,
@@ -207,9 +207,9 @@ def _undetermined_share(tracking: TrackingResult) -> float:
     across = float(np.linalg.eigvalsh(by_scan[:2, :2])[0])
     turn, share = float(by_scan[2, 2]), 0.0
     if across > MAX_LINK_SIGMA**2:
-        share += float(np.linalg.eigvalsh(tracking.covariance[:2, :2])[0]) / MAX_LINK_SIGMA**2
+        share += float(np.linalg.eigvalsh(tracking.registered_covariance[:2, :2])[0]) / MAX_LINK_SIGMA**2
     if turn > MAX_LINK_TURN_SIGMA**2:
-        share += float(tracking.covariance[2, 2]) / MAX_LINK_TURN_SIGMA**2
+        share += float(tracking.registered_covariance[2, 2]) / MAX_LINK_TURN_SIGMA**2
     return share
 
 

@@ -216,7 +216,7 @@ class SlamState:
         target = MatchTarget(self.local_map, self.local_field.field, self.mapper.roughness.variance)
         features = correct_range_bias(scan.features, self.mapper.graph.range_bias.metres)
         match = target.match(features, [Prediction(pose, np.linalg.inv(covariance))], exhaustive=True)
-        if match.points.known < MIN_KNOWN_POINTS or not match.plausible:
+        if match.known < MIN_KNOWN_POINTS or not match.plausible:
             return False
         found = match.points.pose
         relative = se2.between(self.mapper.keyframe_poses[keyframe], found)

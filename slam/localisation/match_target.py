@@ -17,9 +17,11 @@ from ..matching.point_matcher import (
     MIN_FIT,
     MIN_KNOWN_POINTS,
     POINT_SPACING,
+    SEARCH_FIT,
     PointMatch,
     Prediction,
     match_points,
+    point_cost,
 )
 from ..matching.scan_points import surface_points
 
@@ -31,21 +33,30 @@ class ScanMatch:
     points        best match of its points
     others        matches of its points near the other predictions, those with the lowest cost first
     registration  of its features with the landmarks, from the best match on
+    fit           0 to 1, of all points at the registered pose: points and landmarks must agree on a place
+    known         number of points in space that was seen before
     """
 
     points: PointMatch
     others: Sequence[PointMatch]
     registration: Registration
+    fit: float
+    known: int
 
     @property
     def score(self) -> float:
         """Overlap ratio plus fit, 0 to 2."""
-        return self.registration.overlap_ratio + self.points.fit
+        return self.registration.overlap_ratio + self.fit
+
+    @property
+    def poor(self) -> bool:
+        """True if a considerable part of what the scan shows of known space does not fit."""
+        return self.known >= MIN_KNOWN_POINTS and self.fit < SEARCH_FIT
 
     @property
     def plausible(self) -> bool:
         """True unless the scan shows space that was seen before, and does not fit it."""
-        return self.points.known < MIN_KNOWN_POINTS or self.points.fit >= MIN_FIT
+        return self.known < MIN_KNOWN_POINTS or self.fit >= MIN_FIT
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,4 +84,5 @@ class MatchTarget:
             match.pose, prediction.pose, prediction.information,
             scan, points, self.landmarks, self.field, self.roughness,
         )  # fmt: skip
-        return ScanMatch(match, others, registration)
+        _, fit, known = point_cost(self.field, points, registration.pose)
+        return ScanMatch(match, others, registration, fit, known)

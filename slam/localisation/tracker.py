@@ -191,16 +191,15 @@ class Tracker:
         fix = PoseFix(fix_pose, odometry)
         # The poses of the last scans agree with each other, and nothing suggests that the robot was carried.
         agree_for_long = self._untracked_in_a_row >= MAX_UNTRACKED_SCANS and not self.view_changed
-        if slipped or (confirmed and match.points.poor and not agree_for_long):
+        if slipped or ((confirmed or contradicts) and match.poor and not agree_for_long):
             self._tentative = fix
-            self._usual_cost = (
-                min(other.cost for other in match.others if other.prediction is usual) - match.points.cost
-            )
+            usual_costs = [other.cost for other in (match.points, *match.others) if other.prediction is usual]
+            self._usual_cost = min(usual_costs) - match.points.cost
             return self._result(match, TrackingStatus.TENTATIVE)
         slipped = confirmed or contradicts
         result = self._result(match, TrackingStatus.TRACKED, slipped=slipped)
         if self._since_fix:
-            self._velocity.correct(se2.between(self._fix.pose, fix.pose), result.covariance, self._since_fix)
+            self._velocity.correct(se2.between(self._fix.pose, fix.pose), result.registered_covariance, self._since_fix)
         self._fix, self._since_fix, self._untracked_in_a_row = fix, 0.0, 0
         if slipped or not self._model.measured:  # odometry continues from here
             self._reference = fix
@@ -229,11 +228,12 @@ class Tracker:
 
     def _result(self, match: ScanMatch, status: TrackingStatus, *, slipped: bool = False) -> TrackingResult:
         prior = match.points.prediction.information
-        covariance = np.asarray(inverse(match.registration.total_information + prior))
+        covariance = np.asarray(inverse(match.points.information + prior))
+        registered = np.asarray(inverse(match.registration.total_information + prior))
         abrupt = status is TrackingStatus.TRACKED and match.score < self._last_score - ABRUPT_DROP
         if status is TrackingStatus.TRACKED:
             self._last_score = match.score
-        return TrackingResult(match.points.pose, match.registration, status, covariance, slipped, abrupt)
+        return TrackingResult(match.points.pose, covariance, match.registration, registered, status, slipped, abrupt)
 
     def _extrapolate(self, fix: PoseFix, odometry: se2.Pose) -> se2.Pose:
         return se2.compose(fix.pose, self._model.correct(fix.odometry_motion(odometry)))

@@ -26,17 +26,19 @@ class TrackingResult:
     """Pose of a scan.
 
     pose          [x, y, heading] of the base in the map, from the scan's points and the prediction
+    covariance    (3, 3) of this pose in the map as it stands, in the base's frame
     registration  of the scan's features with the landmarks
-    covariance    (3, 3) of the registered pose in the map as it stands, in the base's frame
+    registered_covariance  (3, 3) of the registered pose, in the base's frame
     slipped     True if odometry's motion since the reference contradicts the pose
     abrupt      True if the scan fits far worse than the one before and the view changed recently: the robot may have
                 been kidnapped
     """
 
     pose: se2.Pose
-    registration: Registration
-    status: TrackingStatus
     covariance: Floats
+    registration: Registration
+    registered_covariance: Floats
+    status: TrackingStatus
     slipped: bool
     abrupt: bool
 

@@ -10,6 +10,7 @@ from ...graph.chain import smooth_chain
 from ...mapping.mapper import Mapper
 from ...odometry.error_model import OdometryModel
 from .full_map_matcher import FullMapMatcher
+from .pose_fusion import fuse_poses
 from .scan_history import ScanHistory
 
 
@@ -27,14 +28,19 @@ def smooth_trajectory(
     matcher = FullMapMatcher(history, mapper.landmarks, poses, mapper.roughness.variance, bias, model, odometry_wrong)
     matched, odometry_wrong = history.scan_poses(poses), odometry_wrong.copy()
     informations = history.informations.copy()
-    overlap_ratio = np.full(len(history), np.nan)
+    overlap_ratio, plausible = np.full(len(history), np.nan), np.zeros(len(history), dtype=bool)
+    registered, registered_informations = matched.copy(), np.zeros_like(informations)
     for row in np.flatnonzero(history.has_features).tolist():
         match = matcher.match(row, matched, matcher.local_map(row, matched[row]))
         overlap_ratio[row] = match.registration.overlap_ratio
-        informations[row] = 0.0
+        informations[row], plausible[row] = 0.0, match.plausible
         if match.plausible:
-            matched[row] = match.points.pose
-            informations[row] = match.points.information
+            matched[row], informations[row] = match.points.pose, match.points.information
+            registered[row] = match.registration.pose
+            registered_informations[row] = match.registration.total_information
         odometry_wrong[row] |= match.odometry_wrong
+    matched[plausible], informations[plausible] = fuse_poses(
+        matched[plausible], informations[plausible], registered[plausible], registered_informations[plausible]
+    )
     smoothed = smooth_chain(matched, informations, *matcher.motions.known(odometry_wrong))
     return smoothed, overlap_ratio

@@ -50,10 +50,10 @@ def test_scan_of_a_known_room_is_matched_with_walls_and_points() -> None:
         assert abs(error[2]) < 0.002
     assert match.points.prediction is PREDICTION
     assert match.registration.overlap_ratio > 0.9
-    assert match.points.fit > 0.95
+    assert match.fit > 0.95
     assert match.score > 1.8
     assert match.plausible
-    assert not match.points.poor
+    assert not match.poor
 
 
 def test_lines_fitted_to_a_rough_surface_do_not_move_the_pose() -> None:
@@ -83,5 +83,5 @@ def test_scan_of_another_place_is_not_plausible() -> None:
     narrow = Prediction(TRUTH, 1e4 * np.eye(3))
     scan = replace(scan_of(other, TRUTH), segments=Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2))))
     match = room_target().match(scan, [narrow])
-    assert match.points.poor
+    assert match.poor
     assert not match.plausible
