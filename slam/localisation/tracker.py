@@ -191,7 +191,7 @@ class Tracker:
         fix = PoseFix(fix_pose, odometry)
         # The poses of the last scans agree with each other, and nothing suggests that the robot was carried.
         agree_for_long = self._untracked_in_a_row >= MAX_UNTRACKED_SCANS and not self.view_changed
-        if slipped or ((confirmed or contradicts) and match.poor and not agree_for_long):
+        if slipped or (confirmed and match.poor and not agree_for_long):
             self._tentative = fix
             usual_costs = [other.cost for other in (match.points, *match.others) if other.prediction is usual]
             self._usual_cost = min(usual_costs) - match.points.cost
@@ -230,7 +230,8 @@ class Tracker:
         prior = match.points.prediction.information
         covariance = np.asarray(inverse(match.points.information + prior))
         registered = np.asarray(inverse(match.registration.total_information + prior))
-        abrupt = status is TrackingStatus.TRACKED and match.score < self._last_score - ABRUPT_DROP
+        fits_far_worse = match.score < self._last_score - ABRUPT_DROP or (slipped and match.poor)
+        abrupt = status is TrackingStatus.TRACKED and fits_far_worse
         if status is TrackingStatus.TRACKED:
             self._last_score = match.score
         return TrackingResult(match.points.pose, covariance, match.registration, registered, status, slipped, abrupt)

@@ -30,8 +30,8 @@ class TrackingResult:
     registration  of the scan's features with the landmarks
     registered_covariance  (3, 3) of the registered pose, in the base's frame
     slipped     True if odometry's motion since the reference contradicts the pose
-    abrupt      True if the scan fits far worse than the one before and the view changed recently: the robot may have
-                been kidnapped
+    abrupt        True if the scan fits far worse than the one before, or poorly and against odometry, and the view
+                  changed recently: the robot may have been kidnapped
     """
 
     pose: se2.Pose

@@ -13,6 +13,10 @@ from .full_map_matcher import FullMapMatcher
 from .pose_fusion import fuse_poses
 from .scan_history import ScanHistory
 
+# Factor of the information of a scan's match: neighbouring scans share the errors of the walls they are matched to.
+# Origin: measured, on recordings a third is slightly better than a tenth or all of it, which are equally good.
+INFORMATION_SCALE = 0.3
+
 
 def smooth_trajectory(
     mapper: Mapper, history: ScanHistory, model: OdometryModel, poses: Floats, odometry_wrong: NDArray[np.bool_]
@@ -37,10 +41,10 @@ def smooth_trajectory(
         if match.plausible:
             matched[row], informations[row] = match.points.pose, match.points.information
             registered[row] = match.registration.pose
-            registered_informations[row] = match.registration.total_information
+            registered_informations[row] = match.registration.information
         odometry_wrong[row] |= match.odometry_wrong
     matched[plausible], informations[plausible] = fuse_poses(
         matched[plausible], informations[plausible], registered[plausible], registered_informations[plausible]
     )
-    smoothed = smooth_chain(matched, informations, *matcher.motions.known(odometry_wrong))
+    smoothed = smooth_chain(matched, INFORMATION_SCALE * informations, *matcher.motions.known(odometry_wrong))
     return smoothed, overlap_ratio
