@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from ...io.output_dir import SESSION
 from ...io.run_results import RunResults
-from ...io.sessions.session import is_session
 
 
 def corrections_panel(results: RunResults) -> str:
     """Return the panel that offers corrections of what is chosen on the map; empty without a session to correct."""
-    if not is_session(results.path):
+    if not (results.path / SESSION).is_dir():
         return ""
     start = float(results.trajectory.stamps[0])
     return (

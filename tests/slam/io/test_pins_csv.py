@@ -40,7 +40,7 @@ def test_poses_and_walls_are_read(tmp_path: Path) -> None:
         (HEADER + "pose,1,2,3,0,,\n", "no covariance"),
         (HEADER + "pose,1,2,3,1e200,,\n", "sigma is beyond"),
         (HEADER + f"pose,1,2,3,{'x' * 5000},,\n", "sigma is no number: xxx"),
-        ("kind,id,x,y,xx,xy,yy\npose,1,2,3,1e-4,1e200,1e-4\n", "no covariance"),
+        ("kind,id,x,y,xx,xy,yy\npose,1,2,3,1e-4,1e200,1e-4\n", "xy: input should be less"),
         (HEADER + "pose,1,2,3,0.01,1,\n", "must be stated together"),
         ("kind,id,x,y,xx,xy,yy\npose,1,2,3,1e-4,2e-4,1e-4\n", "no covariance"),
     ],
