@@ -29,10 +29,8 @@ def fuse_poses(
     point_informations, registered_informations  (n, 3, 3) in the base's frame; they may be singular
     """
     unknown = np.diag(WRONG_ODOMETRY_SIGMAS**-2.0)
-    by_points, by_landmarks = (
-        np.linalg.inv(point_informations + unknown),
-        np.linalg.inv(registered_informations + unknown),
-    )
+    by_points = np.asarray(np.linalg.inv(point_informations + unknown), dtype=np.float64)
+    by_landmarks = np.asarray(np.linalg.inv(registered_informations + unknown), dtype=np.float64)
     difference = se2.between(points, registered)
     own = np.linalg.inv(by_landmarks + np.diag(_excess(difference, by_points, by_landmarks)))
     fused = point_informations + own
