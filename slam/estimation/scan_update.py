@@ -32,12 +32,13 @@ from .loop_update import MAX_LINK_SIGMA, MAX_LINK_TURN_SIGMA, link_revisited, se
 from .slam_state import RELOCALISED_RADIUS, Anchor, SlamState
 from .stage_timer import StageTimer
 
-# A place is familiar after this many visits with keyframes near the robot (metres, radians) if the overlap ratio is at
-# least this. Origin: chosen so that the graph does not grow while a robot patrols a known building; not measured.
+# A place is familiar after this many visits with keyframes near the robot (metres, radians) if the familiarity of the
+# scan is at least this. Origin: chosen so that the graph does not grow while a robot patrols a known building; not
+# measured.
 FAMILIAR_VISITS = 2
 FAMILIAR_DISTANCE = 0.3  # Origin: as FAMILIAR_VISITS.
 FAMILIAR_TURN = np.radians(10.0)  # Origin: as FAMILIAR_VISITS.
-FAMILIAR_OVERLAP = 0.8  # Origin: as FAMILIAR_VISITS.
+MIN_FAMILIARITY = 0.8  # Origin: as FAMILIAR_VISITS.
 # Metres: if the features leave the position less certain than this in one direction, as along a corridor, more visits
 # are needed: later scans can only improve the position of keyframes. Origin: chosen; not measured.
 FAMILIAR_SIGMA = 0.05
@@ -125,7 +126,7 @@ def _familiar_keyframe(state: SlamState, tracking: TrackingResult) -> int | None
     mapper = state.mapper
     if state.frozen:
         return int(mapper.keyframes_near(state.pose, np.inf, np.inf)[0])
-    if state.kidnapped or state.at_part_begin or tracking.registration.overlap_ratio < FAMILIAR_OVERLAP:
+    if state.kidnapped or state.at_part_begin or tracking.familiarity < MIN_FAMILIARITY:
         return None
     near = mapper.keyframes_near(state.pose, FAMILIAR_DISTANCE, FAMILIAR_TURN)
     before = np.sort(near[near < mapper.keyframe_count - VISIT_GAP])  # without those of the current visit

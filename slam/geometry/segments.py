@@ -41,6 +41,11 @@ class Segments:
     def __len__(self) -> int:
         return len(self.frame)
 
+    @property
+    def total_length(self) -> float:
+        """Metres of all segments together."""
+        return float(2 * self.half_length.sum())
+
     def reach(self) -> float:
         """Return an upper bound of the distance from the base to any point of a segment, metres; 0 without one."""
         return float(np.max(np.hypot(self.frame[:, 0], self.frame[:, 1]) + self.half_length, initial=0.0))

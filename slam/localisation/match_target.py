@@ -25,6 +25,9 @@ from ..matching.point_matcher import (
 )
 from ..matching.scan_points import surface_points
 
+# Metres of wall below which a scan is matched by its points alone. Origin: chosen; not measured.
+MIN_WALL_LENGTH = 0.5
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanMatch:
@@ -35,6 +38,8 @@ class ScanMatch:
     registration  of its features with the landmarks, from the best match on
     fit           0 to 1, of all points at the registered pose: points and landmarks must agree on a place
     known         number of points in space that was seen before
+    familiarity   0 to 1: share of the length of its walls that was known before, or, with hardly any walls, of its
+                  points that fit
     """
 
     points: PointMatch
@@ -42,6 +47,7 @@ class ScanMatch:
     registration: Registration
     fit: float
     known: int
+    familiarity: float
 
     @property
     def score(self) -> float:
@@ -85,4 +91,6 @@ class MatchTarget:
             scan, points, self.landmarks, self.field, self.roughness,
         )  # fmt: skip
         _, fit, known = point_cost(self.field, points, registration.pose)
-        return ScanMatch(match, others, registration, fit, known)
+        has_walls = scan.segments.total_length >= MIN_WALL_LENGTH
+        familiarity = registration.overlap_ratio if has_walls else fit * known / max(1, len(points))
+        return ScanMatch(match, others, registration, fit, known, familiarity)

@@ -21,7 +21,7 @@ from ..matching.point_matcher import KERNEL, PointMatch, Prediction
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
 from ..odometry.velocity import MAX_VELOCITIES, ScanClock, VelocityFilter
-from .match_target import MatchTarget, ScanMatch
+from .match_target import MIN_WALL_LENGTH, MatchTarget, ScanMatch
 from .tracking import PoseFix, TrackerState, TrackingResult, TrackingStatus
 from .view_change import View
 
@@ -49,8 +49,6 @@ VIEW_CHANGE_MEMORY = 10.0
 # with each other are accepted. Origin: measured, on recordings of fifteen drives indoors at most three in a row are
 # tentative before the next one decides.
 MAX_UNTRACKED_SCANS = 4
-# Metres of wall below which a scan with few points cannot be registered. Origin: chosen; not measured.
-MIN_WALL_LENGTH = 0.5
 
 
 class Tracker:
@@ -234,7 +232,16 @@ class Tracker:
         abrupt = status is TrackingStatus.TRACKED and fits_far_worse
         if status is TrackingStatus.TRACKED:
             self._last_score = match.score
-        return TrackingResult(match.points.pose, covariance, match.registration, registered, status, slipped, abrupt)
+        return TrackingResult(
+            match.points.pose,
+            covariance,
+            match.registration,
+            registered,
+            status,
+            match.familiarity,
+            slipped,
+            abrupt,
+        )
 
     def _extrapolate(self, fix: PoseFix, odometry: se2.Pose) -> se2.Pose:
         return se2.compose(fix.pose, self._model.correct(fix.odometry_motion(odometry)))
@@ -246,7 +253,7 @@ class Tracker:
 
 
 def _too_few_features(scan: ScanFeatures) -> bool:
-    return 2 * scan.segments.half_length.sum() < MIN_WALL_LENGTH and len(scan.points.all) < MIN_POINTS
+    return scan.segments.total_length < MIN_WALL_LENGTH and len(scan.points.all) < MIN_POINTS
 
 
 def _same_place(match: ScanMatch, other: PointMatch) -> bool:

@@ -29,6 +29,7 @@ class TrackingResult:
     covariance    (3, 3) of this pose in the map as it stands, in the base's frame
     registration  of the scan's features with the landmarks
     registered_covariance  (3, 3) of the registered pose, in the base's frame
+    familiarity   0 to 1, see `ScanMatch`
     slipped       True if odometry's motion since the reference contradicts the pose
     abrupt        True if the scan fits far worse than the one before, or poorly and against odometry, and the view
                   changed recently: the robot may have been kidnapped
@@ -39,6 +40,7 @@ class TrackingResult:
     registration: Registration
     registered_covariance: Floats
     status: TrackingStatus
+    familiarity: float
     slipped: bool
     abrupt: bool
 

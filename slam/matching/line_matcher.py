@@ -124,7 +124,7 @@ def register(
     roughness   variance of the wall roughness (metres squared)
     """
     segments, corners = scan.segments, scan.corners
-    total = float(2 * segments.half_length.sum())
+    total = segments.total_length
     # Plain tuples: numba unpacks them faster than named ones.
     pose, information, point_information, point_pose, matched = _register(
         start,
