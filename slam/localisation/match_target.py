@@ -1,8 +1,8 @@
 """Match one scan to the map around the robot: all its points to the distance field, then its features to landmarks.
 
-The points determine the scan's pose. The landmarks determine the pose at which its features are associated with them,
-if the scan becomes a keyframe. Between keyframes, walls would not improve the pose: a line that is fitted to a rough or
-curved surface is off by centimetres, in all scans from nearby in the same way.
+The points determine the scan's pose. If the scan becomes a keyframe, its features are associated with landmarks at the
+pose that these determine. Between keyframes landmarks do not count: a line that is fitted to a rough or curved surface
+is off by centimetres, and scans from nearby repeat this error.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ..matching.point_matcher import (
 )
 from ..matching.scan_points import surface_points
 
-# Metres of wall below which a scan is matched by its points alone. Origin: chosen; not measured.
+# Metres of all segments of a scan below which it counts as without walls. Origin: chosen; not measured.
 MIN_WALL_LENGTH = 0.5
 
 
@@ -38,8 +38,7 @@ class ScanMatch:
     registration  of its features with the landmarks, from the best match on
     fit           0 to 1, of all points at the registered pose: points and landmarks must agree on a place
     known         number of points in space that was seen before
-    familiarity   0 to 1: share of the length of its walls that was known before, or, with hardly any walls, of its
-                  points that fit
+    familiarity   0 to 1: share of its wall length that lies on known walls; without walls, share of its points that fit
     """
 
     points: PointMatch

@@ -191,8 +191,8 @@ class Tracker:
         agree_for_long = self._untracked_in_a_row >= MAX_UNTRACKED_SCANS and not self.view_changed
         if slipped or (confirmed and match.poor and not agree_for_long):
             self._tentative = fix
-            usual_costs = [other.cost for other in (match.points, *match.others) if other.prediction is usual]
-            self._usual_cost = min(usual_costs) - match.points.cost
+            usual_cost = min(other.cost for other in match.others if other.prediction is usual)
+            self._usual_cost = usual_cost - match.points.cost
             return self._result(match, TrackingStatus.TENTATIVE)
         slipped = confirmed or contradicts
         result = self._result(match, TrackingStatus.TRACKED, slipped=slipped)

@@ -51,8 +51,8 @@ class TrajectoryBuilder:
 
     def at_scans(self, keyframe_poses: Floats) -> tuple[Floats, Floats]:
         """Return stamps (n,) and poses (n, 3) of the scans in the map, given the keyframes' poses (k, 3)."""
-        stamps, keyframes, relative, _ = self.relative_poses()
-        return stamps, se2.compose(keyframe_poses[keyframes], relative).reshape(-1, 3)
+        keyframes = np.array(self._keyframes, dtype=np.int64)
+        return np.array(self._stamps), se2.compose(keyframe_poses[keyframes], self._relative.rows).reshape(-1, 3)
 
     def clip(self, begin: float, end: float) -> TrajectoryBuilder:
         """Return the part with stamps in [begin, end) seconds."""

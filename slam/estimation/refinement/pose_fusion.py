@@ -1,12 +1,15 @@
 """Fuse the poses of scans by their points and by their registration with the landmarks.
 
 Where walls are straight, a registered pose is the more accurate one: a wall averages over many points. Where they are
-rough or curved, the lines that are fitted to them are off by centimetres, in all scans from nearby alike. This error is
-not in the covariance of registration. So it is estimated for the drive as a whole, from the differences e of both
+rough or curved, fitted lines are off by centimetres, and scans from nearby repeat this error. It is not in the
+covariance of registration. So it is estimated for the drive as a whole, from the differences e of both
 poses: the variance m^2 by which e exceeds the covariances in the direction that registration determines best, and in
 heading. With the covariances C_p of the points and C_r of registration, the fused pose is that of the points moved by
 
     (C_p^-1 + D^-1)^-1 D^-1 e,    D = C_r + diag(m^2, m^2, m_heading^2).
+
+Both poses are computed from the same beams, so the sum of their information is too large. Smoothing, the only user,
+takes a share of it (see `smoothing`).
 """
 
 from __future__ import annotations
@@ -45,7 +48,7 @@ def _excess(difference: Floats, by_points: Floats, by_landmarks: Floats) -> Floa
     """
     if not len(difference):
         return np.zeros(3)
-    best = np.linalg.eigh(by_landmarks[:, :2, :2])[1][:, :, 0]  # of the smallest eigenvalue
+    best = np.linalg.eigh(by_landmarks[:, :2, :2])[1][:, :, 0]  # direction of the smallest variance
     expected = by_points + by_landmarks
     offset = np.einsum("ni,ni->n", best, difference[:, :2])
     variance = np.einsum("ni,nij,nj->n", best, expected[:, :2, :2], best)
