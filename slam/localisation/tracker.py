@@ -146,14 +146,14 @@ class Tracker:
         return replace(result, abrupt=result.abrupt and self.view_changed)
 
     def _view_differs(self, view: View) -> bool:
-        """Return True if a view shows another place than the last one, or if there is no last one.
+        """Return True if a view shows another place than the last one, or if it is the first one.
 
-        False without odometry, as the robot may have driven in between.
+        False without odometry, as the robot may have driven in between, and without enough points for a comparison.
         """
         if not self._model.measured:
             return False
         if self._view is None:
-            return True
+            return self._odometry is None
         motion = self._model.correct(se2.between(self._view.odometry, view.odometry))
         return self._view.differs_from(view, motion)
 

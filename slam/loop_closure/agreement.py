@@ -4,8 +4,9 @@ Every few metres the points of the last keyframes are matched with the old place
 uncertainty of the estimate (see `look`). Each match is a hypothesis: a motion that would move the robot onto the old
 map. One match may be wrong, as places look alike, so each later look tests all hypotheses again. A loop is closed if
 enough looks support its hypothesis, at least two of them without common points, and if few contradict it or support a
-rival. Mangelson et al. (2018) also accept sets of matches, by pairwise consistency. The estimate itself is the first
-hypothesis: if it fits, the robot has returned, and nothing is corrected.
+rival. Looks count only if they are pairwise consistent (Mangelson et al., 2018): the motion between two of them over
+the old map must be that of the estimate. The estimate itself is the first hypothesis: if it fits, the robot has
+returned, and nothing is corrected.
 
 Parts of the map that are not connected are joined in the same way. Then the estimate is no hypothesis: the parts are
 where odometry has put them, and a pose that fits there is one of the matches.
@@ -251,17 +252,26 @@ class LoopAgreement:
         for hypothesis in hypotheses:
             if not hypothesis.support or hypothesis.support[-1].keyframe != look.last:
                 continue
-            checks = self._checks(hypothesis, look)
+            consistent, checks = self._judged(hypothesis, look)
             rivals = [other for other in hypotheses if other is not hypothesis]
-            if all(check.passed for check in checks) and all(prevails(hypothesis, rival) for rival in rivals):
-                return self._decide(hypothesis, rivals, look, checks)
+            if all(check.passed for check in checks) and all(prevails(consistent, rival) for rival in rivals):
+                return self._decide(consistent, rivals, look, checks)
         return None
 
-    def _checks(self, hypothesis: LoopHypothesis, look: Look) -> tuple[Check, ...]:
+    def _judged(self, hypothesis: LoopHypothesis, look: Look) -> tuple[LoopHypothesis, tuple[Check, ...]]:
+        """Return a hypothesis with its checks; if it passes them, with the consistent part of its support only."""
+        corrects = hypothesis is not self._estimate
+        checks = self._checks(hypothesis, look, corrects=corrects)
+        if all(check.passed for check in checks):
+            hypothesis = replace(hypothesis, support=look.consistent(hypothesis.support))
+            checks = self._checks(hypothesis, look, corrects=corrects)
+        return hypothesis, checks
+
+    def _checks(self, hypothesis: LoopHypothesis, look: Look, *, corrects: bool) -> tuple[Check, ...]:
         """Return the checks of a hypothesis; looks that agree with the estimate contradict it too."""
         first = hypothesis.support[0].travelled
         against = max(hypothesis.contradictions_since(first), sum(at >= first for at in self._returns))
-        return support_checks(hypothesis, look, against, corrects=hypothesis is not self._estimate)
+        return support_checks(hypothesis, look, against, corrects=corrects)
 
     def _decide(
         self, hypothesis: LoopHypothesis, rivals: Sequence[LoopHypothesis], look: Look, checks: tuple[Check, ...]
@@ -286,7 +296,8 @@ class LoopAgreement:
             if len(hypothesis.support) < MIN_REPORTED_SUPPORT or hypothesis.support[-1].keyframe != look.last:
                 continue
             rivals = [other for other in self._all_hypotheses if other is not hypothesis]
-            decision = self._decide(hypothesis, rivals, look, self._checks(hypothesis, look))
-            equal = sum(not prevails(hypothesis, rival) for rival in rivals)
+            consistent, checks = self._judged(hypothesis, look)
+            decision = self._decide(consistent, rivals, look, checks)
+            equal = sum(not prevails(consistent, rival) for rival in rivals)
             was_retracted = not all(differ(look, hypothesis.motion, motion) for motion in self._retracted)
             hypothesis.rejection = rejected(decision, 1.0 / SUPPORT_RATIO, equal, was_retracted)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from drivers import se2
 
+from ..geometry.pose_covariance import covariance_after
 from ..geometry.segments import Floats, Integers
 from ..localisation.local_field import REFERENCE_DISTANCE, LocalField
 from ..mapping.mapper import Mapper
@@ -207,6 +208,24 @@ class Look:
     def agrees(self, old: int, match: SubmapMatch) -> bool:
         """True if the estimate agrees with a match: the robot is back, and nothing has to be corrected."""
         return _squared(self.relative(old, np.zeros(3)), match.pose, match.covariance) < MAX_SQUARED_DISTANCE
+
+    def consistent(self, matches: Sequence[LoopMatch]) -> list[LoopMatch]:
+        """Return the last of some matches, and the earlier ones that are consistent with all later ones."""
+        kept: list[LoopMatch] = []
+        for match in reversed(matches):
+            if all(self._are_consistent(match, later) for later in kept):
+                kept.insert(0, match)
+        return kept
+
+    def _are_consistent(self, match: LoopMatch, other: LoopMatch) -> bool:
+        """True if the motion from one match to another over the old map agrees with the estimate."""
+        poses = self._mapper.keyframe_poses
+        over_old = se2.between(*(se2.compose(poses[m.old], m.relative) for m in (match, other)))
+        covariance = self._mapper.covariances.relative(match.keyframe, other.keyframe) + np.diag(UNMODELLED_SIGMAS**2)
+        covariance += covariance_after(match.covariance, over_old) + other.covariance
+        return _squared(se2.between(poses[match.keyframe], poses[other.keyframe]), over_old, covariance) < (
+            MAX_SQUARED_DISTANCE
+        )
 
     def search(self, old: int) -> Sequence[SubmapMatch]:
         """Return the poses of the submap in that of an old place that the estimate's uncertainty admits."""

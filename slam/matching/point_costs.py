@@ -7,13 +7,10 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from drivers.compiled import compiled, inlined
 
-from ..geometry.segments import Floats
 from ..geometry.small_matrices import quadratic_form
-from .distance_field import ALL_POINTS, DistanceField, facing_grid, is_seen, nearest_distance
+from .distance_field import ALL_POINTS, facing_grid, is_seen, nearest_distance
 from .offset_tiles import FIELD_CELL, MAX_DISTANCE
 
 # Metres, scale of the wide kernel. Origin: chosen, a fifth of MAX_DISTANCE; not measured.
@@ -25,14 +22,6 @@ UNSEEN = 2.0  # Origin: as MISFIT.
 # Metres and radians between searched poses. Origin: chosen, Gauss-Newton reaches more than half a step.
 SEARCH_STEP = 0.15
 SEARCH_TURN_STEP = math.radians(3.0)  # Origin: as SEARCH_STEP.
-
-
-def likelihoods(field: DistanceField, points: Floats, poses: Floats) -> Floats:
-    """Return (n,) the mean of exp(-d^2 / (2 COARSE_SIGMA^2)) over a scan's points (p, 2) at each of the poses (n, 3).
-
-    d is the distance of a point to the nearest one of the field; points outside count 0.
-    """
-    return np.asarray(_likelihoods(field.arrays, points, poses))
 
 
 @compiled
@@ -106,19 +95,3 @@ def search_grid(field, points, share, prediction, prior, kernel, shift, turn):  
 def _outwards(number):  # type: ignore[no-untyped-def]
     """Return 0, 1, -1, 2, -2, ... for the numbers from 0 on."""
     return (number + 1) // 2 if number % 2 == 1 else -(number // 2)
-
-
-@compiled
-def _likelihoods(field, points, poses):  # type: ignore[no-untyped-def]
-    origin, result = field[0], np.zeros(len(poses))
-    for index in range(len(poses)):
-        pose = poses[index]
-        c, s = math.cos(pose[2]), math.sin(pose[2])
-        for k in range(len(points)):
-            x = (pose[0] + c * points[k, 0] - s * points[k, 1] - origin[0]) / FIELD_CELL
-            y = (pose[1] + s * points[k, 0] + c * points[k, 1] - origin[1]) / FIELD_CELL
-            value = nearest_distance(field, ALL_POINTS, x, y)
-            if value < MAX_DISTANCE:
-                result[index] += math.exp(-0.5 * (value / COARSE_SIGMA) ** 2)
-        result[index] /= max(1, len(points))
-    return result

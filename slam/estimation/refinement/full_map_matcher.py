@@ -12,7 +12,7 @@ from drivers import se2
 from drivers.compiled import compiled
 
 from ...geometry.angles import wrap_angle
-from ...geometry.segments import Floats
+from ...geometry.segments import Floats, Integers
 from ...localisation.match_target import MatchTarget
 from ...localisation.tracker import SLIP_COST
 from ...mapping.landmarks import Landmarks
@@ -81,9 +81,9 @@ class FullMapMatcher:
     ) -> None:
         self._history, self._landmarks, self._poses, self._roughness = history, landmarks, poses, roughness
         self._odometry_wrong, self.motions = odometry_wrong, history.motions(model)
-        motions, covariances = self.motions.known(odometry_wrong)
-        self._motions_to = np.concatenate([np.zeros((1, 3)), motions])  # to each scan, from the one before
-        self._motion_informations = np.concatenate([np.zeros((1, 3, 3)), np.linalg.inv(covariances)])
+        self._neighbours, self._motions_to, self._motion_informations = _from_neighbours(
+            *self.motions.known(odometry_wrong), self.motions.unmeasured
+        )
         self._unmatched = np.diag(WRONG_ODOMETRY_SIGMAS**-2)
         self._informations = history.informations + self._unmatched
         self._features = correct_range_bias_of_scans([scan.features for scan in history.scans], range_bias)
@@ -122,12 +122,12 @@ class FullMapMatcher:
         """Return the information (3, 3) of a scan's present pose.
 
         In directions that the match while driving did not determine, such as along a corridor, it is that of odometry
-        since the scan before, as far as odometry leads to the present pose. A scan that was not matched and to which
-        odometry does not lead has the uncertainty of wrong odometry in all directions.
+        since the neighbouring scan, as far as odometry leads to the present pose. A scan that was not matched and to
+        which odometry does not lead has the uncertainty of wrong odometry in all directions.
         """
-        before, information = poses[max(row - 1, 0)], self._informations[row]
+        neighbour, information = poses[self._neighbours[row]], self._informations[row]
         return np.asarray(
-            _prior(before, poses[row], self._motions_to[row], self._motion_informations[row], information)
+            _prior(neighbour, poses[row], self._motions_to[row], self._motion_informations[row], information)
         )
 
     def covariance(self, registration: Registration) -> Floats:
@@ -173,18 +173,39 @@ class FullMapMatcher:
         return field
 
 
+def _from_neighbours(
+    motions: Floats, covariances: Floats, unmeasured: NDArray[np.bool_]
+) -> tuple[Integers, Floats, Floats]:
+    """Return a neighbour (n,) of each scan, the motions (n, 3) from there by odometry, and their information (n, 3, 3).
+
+    The neighbour is the scan before. It is the one after if there is none before, or if odometry does not lead from
+    there, as after kidnapping.
+
+    motions, covariances  (n - 1, 3), (n - 1, 3, 3) by odometry from each scan to the next
+    unmeasured            (n - 1,) true for motions that odometry did not measure
+    """
+    count = len(motions) + 1
+    neighbours = np.arange(count) - 1
+    to_scan, informations = np.zeros((count, 3)), np.zeros((count, 3, 3))
+    to_scan[1:], informations[1:] = motions, np.linalg.inv(covariances)
+    first = np.concatenate([[True], unmeasured])[:-1]  # the last scan has no scan after it
+    neighbours[:-1][first] += 2
+    to_scan[:-1][first], informations[:-1][first] = se2.inverse(motions[first]), informations[1:][first]
+    return np.maximum(neighbours, 0), to_scan, informations
+
+
 @compiled
-def _prior(before, present, motion, motion_information, information):  # type: ignore[no-untyped-def]
+def _prior(neighbour, present, motion, motion_information, information):  # type: ignore[no-untyped-def]
     """Return the information (3, 3) of the pose `present`; see `FullMapMatcher._prior`.
 
-    before              (3,) pose of the scan before
+    neighbour           (3,) pose of a neighbouring scan
     motion              (3,) of odometry from there
-    motion_information  (3, 3), zero for the first scan
+    motion_information  (3, 3) of this motion
     information         (3, 3) of the match while driving, and that of wrong odometry
     """
-    heading = before[2] + motion[2]
-    c, s = math.cos(before[2]), math.sin(before[2])
-    x, y = before[0] + c * motion[0] - s * motion[1], before[1] + s * motion[0] + c * motion[1]
+    heading = neighbour[2] + motion[2]
+    c, s = math.cos(neighbour[2]), math.sin(neighbour[2])
+    x, y = neighbour[0] + c * motion[0] - s * motion[1], neighbour[1] + s * motion[0] + c * motion[1]
     c, s = math.cos(heading), math.sin(heading)
     x, y = present[0] - x, present[1] - y
     error = np.array([c * x + s * y, c * y - s * x, wrap_angle(present[2] - heading)])

@@ -126,6 +126,34 @@ def test_range_bias_is_corrected_in_all_scans_as_in_each(session: MappedSession)
         np.testing.assert_array_equal(corrected.corners.segments, expected.corners.segments)
 
 
+def test_the_first_scan_is_held_by_odometry_to_the_second(
+    session: MappedSession, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was not matched while driving. Where a few points fit elsewhere too, it must not be searched there."""
+    history, nowhere = session.history, np.zeros(len(session.history), dtype=bool)
+    matcher = FullMapMatcher(
+        history, session.mapper.landmarks, session.poses, 0.0, 0.0, session.odometry_model, nowhere
+    )
+    seen = predictions_of(monkeypatch)
+    poses = history.scan_poses(session.poses)
+    matcher.match(0, poses, matcher.local_map(0, poses[0]))
+    sigmas = np.sqrt(np.diag(np.linalg.inv(seen[0].information)))
+    assert np.all(sigmas < [0.05, 0.05, 0.05])
+
+
+def predictions_of(monkeypatch: pytest.MonkeyPatch) -> list[Prediction]:
+    """Collect the predictions near which scans are matched from now on."""
+    seen: list[Prediction] = []
+    match = MatchTarget.match
+
+    def spy(target: MatchTarget, scan: ScanFeatures, predictions: Sequence[Prediction], **options: bool) -> ScanMatch:
+        seen.extend(predictions)
+        return match(target, scan, predictions, **options)
+
+    monkeypatch.setattr(MatchTarget, "match", spy)
+    return seen
+
+
 @pytest.mark.parametrize("known_wrong", [False, True])
 def test_an_even_motion_costs_as_much_as_a_slip(
     session: MappedSession, monkeypatch: pytest.MonkeyPatch, known_wrong: bool
@@ -135,14 +163,7 @@ def test_an_even_motion_costs_as_much_as_a_slip(
     wrong[row], middle = known_wrong, poses[row].copy()
     poses[row] = se2.compose(middle, np.array([0.5, 0.0, 0.0]))  # away from the motion between its neighbours
     matcher = FullMapMatcher(history, mapper.landmarks, session.poses, 0.0, 0.0, session.odometry_model, wrong)
-    seen: list[Prediction] = []
-    match = MatchTarget.match
-
-    def spy(target: MatchTarget, scan: ScanFeatures, predictions: Sequence[Prediction], **options: bool) -> ScanMatch:
-        seen.extend(predictions)
-        return match(target, scan, predictions, **options)
-
-    monkeypatch.setattr(MatchTarget, "match", spy)
+    seen = predictions_of(monkeypatch)
     matcher.match(row, poses, matcher.local_map(row, poses[row]))
     present, even = seen
     assert (present.cost, even.cost) == (0.0, 0.0 if known_wrong else SLIP_COST)

@@ -16,7 +16,6 @@ from slam.evaluation.benchmarks.scenarios.world_variants import add_crowd
 from slam.events import Notice
 from slam.geometry.segments import Floats
 from slam.matching.offset_tiles import FIELD_CELL
-from slam.matching.point_costs import likelihoods
 from slam.matching.point_matcher import Prediction, match_points
 
 from ..listeners import EventCollector
@@ -25,18 +24,6 @@ from ..outlines import noisy_field, outline, scan_points
 ROOM = outline([(0, 0), (5, 0), (5, 2), (3.5, 2), (3.5, 4), (0, 4)])  # angular, without symmetry
 WIDE = np.diag(1 / np.array([0.6, 0.6, np.radians(25.0)]) ** 2)  # information of a prediction after odometry has failed
 ROOM_FIELD = noisy_field(ROOM, np.array([1.5, 1.5, 0.0]))
-
-
-def test_the_likelihood_is_high_only_at_the_true_pose() -> None:
-    pose = np.array([1.5, 1.5, 0.4])
-    points = se2.transform(se2.inverse(pose), ROOM)
-    at_pose, beside, far = likelihoods(
-        ROOM_FIELD, points, pose + np.array([[0, 0, 0], [0.5, 0.0, 0.3], [100.0, 0.0, 0.0]])
-    )
-    assert at_pose > 0.9
-    assert beside < 0.4
-    assert far == 0.0
-    assert likelihoods(ROOM_FIELD, np.zeros((0, 2)), pose[None]).tolist() == [0.0]
 
 
 @pytest.mark.parametrize("off", [[1.0, -0.8, 0.9], [-1.3, 0.2, -1.2], [0.0, 0.0, 0.0]])

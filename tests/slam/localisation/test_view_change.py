@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers import se2
 from slam.geometry.segments import Floats
 from slam.localisation.view_change import View
 
-from ..outlines import outline
+from ..outlines import outline, visible
 
 ORIGIN = np.zeros(3)
 
@@ -20,7 +19,7 @@ OTHER = outline([(-4, -2.5), (1.2, -2.5), (1.2, 5), (-0.5, 5), (-0.5, 2), (-4, 2
 
 def seen_from(pose: list[float], room: Floats = ROOM) -> View:
     """Return the view of a room from a pose in it, with odometry at the origin."""
-    return View(ORIGIN, se2.transform(se2.inverse(np.array(pose)), room))
+    return View(ORIGIN, visible(room, np.array(pose)))
 
 
 @pytest.mark.parametrize("motion", [[0.0, 0.0, 0.0], [0.02, 0.0, 0.1], [0.0, 0.0, -0.15]])
@@ -54,3 +53,13 @@ def test_points_out_of_range_are_no_evidence() -> None:
     """Outdoors nearly all returns may be far away, and others are in range at each scan."""
     far, farther = (np.column_stack([np.linspace(-r, r, 80), np.full(80, r)]) for r in (14.0, 20.0))
     assert not View(ORIGIN, far).differs_from(View(ORIGIN, farther), ORIGIN)
+
+
+@pytest.mark.parametrize("spacing", [1, 4, 16])
+def test_the_beams_may_be_far_apart(spacing: int) -> None:
+    """Between two beams the surface continues: points of the next scan may lie anywhere on it."""
+    before = View(ORIGIN, seen_from([0.0, 0.0, 0.0]).points[::spacing])
+    same = View(ORIGIN, seen_from([0.03, 0.0, 0.1]).points[spacing // 2 :: spacing])
+    other = View(ORIGIN, seen_from([0.0, 0.0, 0.0], OTHER).points[::spacing])
+    assert not before.differs_from(same, np.array([0.03, 0.0, 0.0]))
+    assert before.differs_from(other, ORIGIN)

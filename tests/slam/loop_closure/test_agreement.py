@@ -12,8 +12,8 @@ from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.localisation.local_field import LocalField
 from slam.loop_closure.agreement import LoopAgreement
 from slam.loop_closure.criteria import MIN_SUPPORT
-from slam.loop_closure.decision import LoopDecision
-from slam.loop_closure.look import SUBMAP_LENGTH
+from slam.loop_closure.decision import LoopDecision, LoopMatch
+from slam.loop_closure.look import SUBMAP_LENGTH, Look, Submaps
 from slam.loop_closure.loop_status import LoopStatus
 from slam.loop_closure.returns import summarise
 from slam.mapping.landmarks import Landmarks
@@ -157,3 +157,20 @@ def test_parts_are_joined_although_nothing_has_to_be_corrected() -> None:
 
 def test_part_in_a_similar_room_is_not_joined() -> None:
     assert drive_twice(np.zeros(3), np.array([0.0, 6.0, 0.0]), apart=True)[0] == []
+
+
+def test_looks_that_contradict_the_others_do_not_count() -> None:
+    """One match slid along a wall by 1.5 m, which odometry between the looks does not admit."""
+    state, local_field = StubMap(np.diag([0.05, 0.05, 0.01]) ** 2), LocalField()
+    nothing = ScanFeatures(NO_SEGMENTS, NO_CORNERS, ScanPoints(np.zeros((0, 2)), np.zeros((0, 2))))
+    for x in np.arange(0.0, 60.0, STEP):
+        state.keyframe_poses = np.vstack([state.keyframe_poses, [x, 0.0, 0.0]])
+        state.travelled.append(float(x))
+        local_field.add(nothing)
+    keyframes, shifts = range(80, 120, 8), [0.0, -1.5, 0.1, 0.0, 0.1]
+    matches = [
+        LoopMatch(k, 0, np.array([k * STEP + shift, 0.0, 0.0]), np.diag([0.05, 0.05, 0.01]) ** 2, k * STEP, 1.0, 1.0)
+        for k, shift in zip(keyframes, shifts, strict=True)
+    ]
+    consistent = Look(state, local_field, Submaps()).consistent(matches)  # type: ignore[arg-type]
+    assert [match.keyframe for match in consistent] == [80, 96, 104, 112]
