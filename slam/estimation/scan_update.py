@@ -169,6 +169,9 @@ def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
         state.local_map,
         mapper.roughness.variance,
     )
+    mapper.roughness.add_scan(
+        tracking.pose, tracking.covariance, corrected.segments, state.local_map, association.walls
+    )
     timer.lap("association")
     begins_part = state.at_part_begin
     motion = None if state.anchor is None else _motion_since(state, state.anchor, scan.odometry, tracking.registration)

@@ -75,7 +75,7 @@ class WaitingKeyframes:
     def read_back(self, mapper: Mapper) -> list[Floats]:
         """Read back the keyframes, with which the graph was solved, and the landmarks around them; none wait then.
 
-        Also updates the wall roughness. Returns the points of each of these keyframes.
+        Returns the points of each of these keyframes.
         """
         waiting, self._keyframes = self._keyframes, []
         last, first = mapper.keyframe_count - 1, mapper.keyframe_count - len(waiting)
@@ -89,8 +89,4 @@ class WaitingKeyframes:
         )
         correlated = [embed_position_covariance(drift) for drift in mapper.correlated_drift[first:]]
         mapper.replace_last_covariances(independent + correlated)
-        for pose, keyframe in zip(mapper.keyframe_poses[first:], waiting, strict=True):
-            mapper.roughness.add_observations(
-                mapper.landmarks.walls.rows, pose, keyframe.segments, keyframe.landmark_ids.walls
-            )
         return [keyframe.points for keyframe in waiting]

@@ -1,19 +1,24 @@
 """Wall roughness: deviation of real walls from a straight line, beyond the propagated noise of the rays.
 
-A line fitted to a hundred rays has a computed accuracy of a millimetre; plaster, skirting boards and systematic errors
-of the lidar are worse, in some buildings more than in others. So the scatter of observations about their walls is
-measured while driving, and what the propagated covariance does not explain is added to it. Roughness of variance f at
-either end of a segment of length l adds the variance f to its offset and 12 f / l^2 to its heading.
+A line fitted to a hundred rays has a computed accuracy of a millimetre; plaster, skirting boards, rock and systematic
+errors of the lidar are worse, in some buildings more than in others. So segments are compared with their walls while
+driving, at the pose that the scan's points determine: the pose by the walls themselves follows their errors. What the
+covariances of segment, wall and pose do not explain is added to the segments'. Roughness of variance f at either end
+of a segment of length l adds the variance f to its offset and 12 f / l^2 to its heading.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers import se2
+from drivers.compiled import compiled
 
+from ..geometry.angles import wrap_angle
 from ..geometry.segments import Floats, Integers, Segments
+from .local_map import LocalMap
 
 # Latest samples used, two per observation: some fifty keyframes. Origin: chosen, follows a change of building; not
 # measured.
@@ -63,19 +68,22 @@ class WallRoughness:
         excess[:, 1] *= half_lengths**2 / 3
         self.add_samples(excess.ravel())
 
-    def add_observations(self, walls: NDArray[np.void], pose: se2.Pose, segments: Segments, ids: Integers) -> None:
-        """Update the estimate with the residuals of a keyframe's segments about well-observed walls.
+    def add_scan(
+        self, pose: se2.Pose, covariance: Floats, segments: Segments, local_map: LocalMap, rows: Integers
+    ) -> None:
+        """Update the estimate with the segments of a scan, compared with well-observed walls.
 
-        walls  rows of all walls in the landmark table
-        pose   of the keyframe in the map
-        ids    (n,) walls that the segments belong to, -1 for none
+        pose        of the base in the map by the scan's points, with its `covariance` (3, 3) in the base's frame
+        rows        (n,) rows of the local map of the walls that the segments belong to, negative for none
         """
-        matched = np.flatnonzero(ids >= 0)
-        matched = matched[walls["observations"][ids[matched]] >= MIN_OBSERVATIONS_FOR_ROUGHNESS]
-        if not len(matched):
-            return
-        residuals = se2.between(walls["frame"][ids[matched]], se2.compose(pose, segments.frame[matched]))
-        self.add_residuals(residuals[:, 1:], segments.covariance[matched], segments.half_length[matched])
+        matched = np.flatnonzero(rows >= 0)
+        matched = matched[local_map.observations[rows[matched]] >= MIN_OBSERVATIONS_FOR_ROUGHNESS]
+        if len(matched):
+            frames, walls = segments.frame[matched], rows[matched]
+            residuals, expected = _residuals(
+                pose, covariance, frames, local_map.frame[walls], local_map.wall_covariance[walls]
+            )
+            self.add_residuals(residuals, segments.covariance[matched] + expected, segments.half_length[matched])
 
     def _estimate(self) -> None:
         if not len(self._samples):
@@ -83,6 +91,33 @@ class WallRoughness:
         observed = max(0.0, float(np.median(self._samples)))
         weight = min(1.0, len(self._samples) / FULL_WEIGHT_SAMPLES)
         self.variance = weight * observed + (1 - weight) * INITIAL_VARIANCE
+
+
+@compiled
+def _residuals(pose, covariance, frames, walls, wall_covariances):  # type: ignore[no-untyped-def]
+    """Return offsets and headings (n, 2) of segments at their walls, and their covariances (n, 2, 2) by pose and wall.
+
+    pose, covariance  (3,) of the base in the map, (3, 3) in its own frame
+    frames            (n, 3) of the segments in the base's frame
+    walls             (n, 3) in the map
+    wall_covariances  (n, 2, 2) of offset and heading at a wall's frame
+    """
+    count = len(frames)
+    residuals, expected = np.empty((count, 2)), np.empty((count, 2, 2))
+    jacobian, lever = np.zeros((2, 3)), np.eye(2)  # with respect to the pose, and to offset and heading of the wall
+    jacobian[1, 2] = 1.0
+    for k in range(count):
+        turn = pose[2] - walls[k, 2]
+        c, s = math.cos(walls[k, 2]), math.sin(walls[k, 2])
+        x, y = c * (pose[0] - walls[k, 0]) + s * (pose[1] - walls[k, 1]), c * (pose[1] - walls[k, 1])
+        y -= s * (pose[0] - walls[k, 0])
+        c, s = math.cos(turn), math.sin(turn)
+        along, across = c * frames[k, 0] - s * frames[k, 1], s * frames[k, 0] + c * frames[k, 1]
+        residuals[k, 0], residuals[k, 1] = y + across, wrap_angle(turn + frames[k, 2])
+        jacobian[0, 0], jacobian[0, 1], jacobian[0, 2] = s, c, along
+        lever[0, 1] = x + along
+        expected[k] = jacobian @ covariance @ jacobian.T + lever @ wall_covariances[k] @ lever.T
+    return residuals, expected
 
 
 def add_roughness(covariances: Floats, half_lengths: Floats, variance: float) -> Floats:
