@@ -37,10 +37,8 @@ SLIP_COST = 3.0
 MAX_SLIP = 3.7
 # Points that a scan without walls needs; few points fit nearly everywhere. Origin: chosen; not measured.
 MIN_POINTS = 30
-# Drop in score from one scan to the next that, together with a changed view, is due to a kidnapping.
-# Origin: chosen; no measurement recorded.
-ABRUPT_DROP = 1.0
-# Drop in score above which the view is compared with the previous one. Origin: chosen; no measurement recorded.
+# Drop in score from one scan to the next above which the view is compared with the previous one: if that differs as
+# well, the robot was kidnapped. Origin: chosen; no measurement recorded.
 SUSPICIOUS_DROP = 0.5
 # Metres of wheel travel for which a changed view counts as recent: look-alike places differ some way on.
 # Origin: chosen; no measurement recorded.
@@ -138,12 +136,15 @@ class Tracker:
         if self._odometry is not None:
             self._travel_since_view_change += float(wheel_travel(se2.between(self._odometry, odometry)))
         untracked = result.status in (TrackingStatus.FAILED, TrackingStatus.TENTATIVE)
-        if (untracked or self._last_score < score_before - SUSPICIOUS_DROP) and self._view_differs(view):
+        suspicious = untracked or self._last_score < score_before - SUSPICIOUS_DROP
+        changes = suspicious and self._view_differs(view)
+        if changes:
             self._travel_since_view_change = 0.0
         self._odometry = odometry
         if view.comparable:
             self._view = view
-        return replace(result, abrupt=result.abrupt and self.view_changed)
+        abrupt = (changes and not untracked) or (result.abrupt and self.view_changed)
+        return replace(result, abrupt=abrupt)
 
     def _view_differs(self, view: View) -> bool:
         """Return True if a view shows another place than the last one, or if it is the first one.
@@ -228,8 +229,7 @@ class Tracker:
         prior = match.points.prediction.information
         covariance = np.asarray(inverse(match.points.information + prior))
         registered = np.asarray(inverse(match.registration.total_information + prior))
-        fits_far_worse = match.score < self._last_score - ABRUPT_DROP or (slipped and match.poor)
-        abrupt = status is TrackingStatus.TRACKED and fits_far_worse
+        abrupt = status is TrackingStatus.TRACKED and slipped and match.poor
         if status is TrackingStatus.TRACKED:
             self._last_score = match.score
         return TrackingResult(

@@ -31,8 +31,8 @@ class TrackingResult:
     registered_covariance  (3, 3) of the registered pose, in the base's frame
     familiarity   0 to 1, see `ScanMatch`
     slipped       True if odometry's motion since the reference contradicts the pose
-    abrupt        True if the scan fits far worse than the one before, or poorly and against odometry, and the view
-                  changed recently: the robot may have been kidnapped
+    abrupt        True if the scan fits worse than the one before and shows another view, or if it fits poorly and
+                  against odometry and the view changed recently: the robot may have been kidnapped
     """
 
     pose: se2.Pose
