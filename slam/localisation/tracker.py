@@ -20,7 +20,7 @@ from ..matching.line_matcher import ScanFeatures
 from ..matching.point_matcher import KERNEL, PointMatch, Prediction
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
-from ..odometry.velocity import MAX_VELOCITIES, ScanClock, VelocityFilter
+from ..odometry.velocity import ACCELERATIONS, MAX_VELOCITIES, ScanClock, VelocityFilter
 from .match_target import MIN_WALL_LENGTH, MatchTarget, ScanMatch
 from .tracking import PoseFix, TrackerState, TrackingResult, TrackingStatus
 from .view_change import View
@@ -35,6 +35,9 @@ SLIP_COST = 3.0
 # Standard deviations of an even motion beyond which no robot moves, whatever odometry says.
 # Origin: chi-square, 3 dof, 99.7 %.
 MAX_SLIP = 3.7
+# Seconds for which the robot moves on evenly in this prediction: after that time it may have any velocity. Without
+# odometry, a steady motion is all that is known. Origin: definition, at ACCELERATIONS.
+STEADY_SECONDS = float((MAX_VELOCITIES / ACCELERATIONS).min())
 # Points that a scan without walls needs; few points fit nearly everywhere. Origin: chosen; not measured.
 MIN_POINTS = 30
 # Drop in score from one scan to the next above which the view is compared with the previous one: if that differs as
@@ -223,7 +226,8 @@ class Tracker:
     def _even_motion(self, pose: se2.Pose, seconds: float, cost: float = 0.0) -> Prediction:
         """Return the prediction some seconds after `pose` if the robot moves on as it did, whatever odometry says."""
         sigmas = self._velocity.deviations(seconds) + PREDICTION_SIGMAS
-        return Prediction(se2.compose(pose, self._velocity.motion(seconds)), np.diag(sigmas**-2.0), cost)
+        steady = min(seconds, STEADY_SECONDS) if self._model.measured else seconds
+        return Prediction(se2.compose(pose, self._velocity.motion(steady)), np.diag(sigmas**-2.0), cost)
 
     def _result(self, match: ScanMatch, status: TrackingStatus, *, slipped: bool = False) -> TrackingResult:
         prior = match.points.prediction.information

@@ -12,14 +12,21 @@ from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry
 from drivers.simulation import LidarModel, Simulation, load_world
 from slam import Finished, Slam
+from slam.config import OdometryConfig
 from slam.evaluation.benchmarks.scenarios.world_variants import add_crowd
 from slam.events import Notice
-from slam.geometry.segments import Floats
+from slam.geometry.segments import CornerPoints, Floats, Segments
+from slam.localisation.match_target import MatchTarget
+from slam.localisation.tracker import Tracker
+from slam.mapping.local_map import empty_local_map
+from slam.matching.line_matcher import ScanFeatures
 from slam.matching.offset_tiles import FIELD_CELL
 from slam.matching.point_matcher import Prediction, match_points
+from slam.matching.scan_points import ScanPoints
+from slam.odometry.error_model import OdometryModel
 
 from ..listeners import EventCollector
-from ..outlines import noisy_field, outline, scan_points
+from ..outlines import noisy_field, outline, scan_points, visible, with_noise
 
 ROOM = outline([(0, 0), (5, 0), (5, 2), (3.5, 2), (3.5, 4), (0, 4)])  # angular, without symmetry
 WIDE = np.diag(1 / np.array([0.6, 0.6, np.radians(25.0)]) ** 2)  # information of a prediction after odometry has failed
@@ -150,3 +157,25 @@ def test_no_notice_without_a_failure() -> None:
     _, errors, noticed = drive(FailingOdometry(1e6, 2e6, makes_up=False))
     assert errors[:, 0].max() < 0.03
     assert noticed == []
+
+
+def test_a_robot_that_drove_before_a_gap_is_found_where_it_stands() -> None:
+    """No scan came for ten seconds. Odometry is wrong, and the robot has not driven on as before the gap."""
+    tracker = Tracker(OdometryModel(OdometryConfig()))
+    target = MatchTarget(empty_local_map(), ROOM_FIELD, 0.0)
+    for k in range(12):
+        pose = np.array([1.0 + 0.05 * k, 1.5, 0.0])
+        if not k:
+            tracker.move_to(pose, pose)
+        tracker.track(0.1 * k, pose, seen_from(pose), target)
+    stands, odometry = np.array([1.8, 1.7, -0.35]), se2.compose(pose, np.array([0.8, 0.9, 0.8]))
+    poses = [tracker.track(t, odometry, seen_from(stands), target).pose for t in (11.1, 11.2)]
+    assert np.all(np.abs(se2.between(stands, poses[-1])) < [0.05, 0.05, 0.03])
+
+
+def seen_from(pose: Floats) -> ScanFeatures:
+    """Return a scan of the room without lines."""
+    points = with_noise(visible(ROOM, pose), np.random.default_rng(1))
+    segments = Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2)))
+    corners = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), int), np.zeros((0, 2)))
+    return ScanFeatures(segments, corners, ScanPoints(points, points))
