@@ -25,8 +25,9 @@ CONFINED = {
 LAYERS = (
     "errors", "extras", "config", "geometry", "graph", "odometry", "mapping", "matching", "preprocessing",
     "localisation", "loop_closure", "checks", "events", "estimation", "measuring", "run_statistics", "io",
-    "run_snapshot", "publisher", "localisation_report", "run_end", "pose_extrapolation", "pipeline", "optimisation",
-    "warmup", "offline", "evaluation", "visualisation", "mapped_recording", "ros", "cli",
+    "run_snapshot", "run_start", "run_session", "publisher", "scan_report", "localisation_report", "run_end",
+    "pose_extrapolation", "pipeline", "optimisation", "warmup", "offline", "evaluation",
+    "visualisation", "mapped_recording", "ros", "cli",
 )  # fmt: skip
 """Packages and modules of `slam`, from bottom to top: each may import those before it."""
 
