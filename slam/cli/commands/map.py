@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ...formatting import counted
 from ..console import print_message, progress
 from ..options import OverwriteOption, RegularOption
 
@@ -69,7 +70,6 @@ def export_map(
     from ...io.exports import write_dxf, write_geojson, write_ply, write_svg
     from ...io.output_dir import EXPORTED, POINTS, unfinished_file
     from ...io.run_results import read_run_results
-    from ...visualisation.report_page.formatting import counted
 
     if free >= occupied:
         raise typer.BadParameter("must be less than --occupied", param_hint="--free")

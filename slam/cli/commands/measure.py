@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ...formatting import counted
 from ..console import print_if_slow, print_message
 from ..options import OverwriteOption, RegularOption
 
@@ -67,7 +68,6 @@ def measure(
     from ...measuring.map_measurements import measure_walls
     from ...measuring.measured_map import MeasuredMap, measure_all
     from ...measuring.regularity import regularise
-    from ...visualisation.report_page.formatting import counted
     from ..run_setup import READING_SESSION
 
     drawn = form in (Format.SVG, Format.DXF, Format.GEOJSON)
