@@ -15,8 +15,8 @@ from slam.config import Config, config_to_toml
 from slam.errors import MapError
 from slam.evaluation.metrics import align
 from slam.events import Finished, Notice
-from slam.io.output_dir import CONFIG, write_results
-from slam.io.run_results import read_run_results
+from slam.io.output_dir import CONFIG
+from slam.io.run_results import read_run_results, write_results
 from slam.io.sessions import read_session, write_session
 from slam.io.tum import Trajectory
 

@@ -52,8 +52,9 @@ def diff(
     """
     from ...config import load_config
     from ...errors import MapError, OutputError
-    from ...io.output_dir import CONFIG, unfinished_file
+    from ...io.output_dir import CONFIG
     from ...io.sessions import read_session
+    from ...io.unfinished_file import unfinished_file
     from ...offline.map_diff import compare, survey_session
     from ...offline.map_diff.corners import corner_changes
     from ...offline.map_diff.outputs import diff_text, write_diff_geojson, write_diff_svg

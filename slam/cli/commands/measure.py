@@ -62,8 +62,9 @@ def measure(
     from ...errors import OutputError
     from ...io.exports import write_dxf, write_geojson, write_svg
     from ...io.exports.measurements_csv import measurements_csv
-    from ...io.output_dir import MEASURED, unfinished_file
+    from ...io.output_dir import MEASURED
     from ...io.run_results import read_run_results
+    from ...io.unfinished_file import unfinished_file
     from ...io.wall_maps import read_wall_map
     from ...measuring.map_measurements import measure_walls
     from ...measuring.measured_map import MeasuredMap, measure_all
