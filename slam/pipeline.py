@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from drivers import se2
 from drivers.messages import GroundTruth, InitialPose, Message, Odometry, delay_odometry, on_clock_of_first
@@ -15,12 +14,9 @@ from drivers.messages import GroundTruth, InitialPose, Message, Odometry, delay_
 from .config import Config
 from .errors import MapError, SlamError
 from .estimation.estimator import Estimator
-from .estimation.journal import Journal
 from .estimation.map_view import final_result, map_features
-from .estimation.plan_prior import PlanPrior
-from .estimation.slam_state import INITIAL_POSE_SIGMAS, SlamState
+from .estimation.slam_state import SlamState
 from .estimation.stage_timer import StageTimer
-from .estimation.wall_bends import settle_wall_bends
 from .events import Finished, GroundTruthReceived, Notice, Sink
 from .geometry.segments import Floats
 from .localisation.state import LocalisationEvent, LocalisationState
@@ -30,12 +26,15 @@ from .mapping.convergence import converge
 from .mapping.map_features import MapCorners, MapWalls
 from .mapping.plan_map import PlanMap
 from .odometry.motion_source import MotionSource
-from .preprocessing.preprocessor import Preprocessor, ProcessedScan
+from .preprocessing.preprocessor import ProcessedScan
 from .preprocessing.scan_queue import ScanPair
 from .publisher import Publisher
-from .run_end import check_run, find_scan_delay, is_unknown_place, map_alone, refine_or_match, settle_plan
+from .run_end import check_run, is_unknown_place, map_alone, settle_plan, settle_trajectory
+from .run_session import RunSession
 from .run_snapshot import RunSnapshot
+from .run_start import continued_state, new_state, start_journal, start_preprocessor
 from .run_statistics import RunStatistics, run_summary
+from .scan_report import ScanReport
 
 if TYPE_CHECKING:
     from .io.sessions import StoredSession
@@ -81,29 +80,19 @@ class Slam:
         self._initial_pose = start if plan is None else None
         self.config = config or Config()
         self._refine, self._frozen = refine, frozen
-        self._resumed = resumed
         self._publisher = Publisher(sinks)
         self._statistics = RunStatistics()
+        self._report = ScanReport(self._publisher, self._statistics)
         self._has_odometry = False
         self._session: StoredSession | None = None
         self._motions = MotionSource(self.config.odometry)
-        noise = (None, None) if resumed is None else (resumed.sigma_range, resumed.second_sigma_range)
-        self._preprocessor = Preprocessor(self.config, *noise)
-        keep = refine or keep_all_features
+        self._preprocessor = start_preprocessor(self.config, resumed)
         if resumed is None:
-            self._estimator = Estimator(SlamState(self.config, loops))
-            self._journal = Journal(keep_all_features=keep)
-            self.slam_state.plan = None if plan is None else PlanPrior(plan, start, np.diag(INITIAL_POSE_SIGMAS**2))
+            self._estimator = Estimator(new_state(self.config, loops, plan, start))
         else:
-            if resumed.config.odometry.source != self.config.odometry.source:
-                resumed.slam_state.replace_odometry(self.config)
-            mapper = resumed.slam_state.mapper
-            mapper.gauge.hold(mapper)
-            self._estimator = Estimator(resumed.slam_state)
-            self._journal = Journal(
-                resumed.scans, resumed.odometry, resumed.starts, resumed.latest, keep_all_features=keep
-            )
-            self._preprocessor.restore_queue(resumed.queued_scans)
+            self._estimator = Estimator(continued_state(self.config, resumed))
+        self._journal = start_journal(resumed, keep_all_features=refine or keep_all_features)
+        self._stored = RunSession(self.config, self._journal, self._preprocessor, self._statistics, resumed)
         self._localisation = LocalisationReport(
             self.slam_state.odometry_model.unobserved_sigma, self._publisher, self._statistics
         )
@@ -150,47 +139,23 @@ class Slam:
             result = replace(result, tracking=replace(result.tracking, slipped=False))  # there is nothing that can slip
         if self.slam_state.in_familiar_place and not self._frozen:
             self._journal.mark_last_familiar()
-        self._statistics.add_tracking(result.tracking)
         self._statistics.lost_scans += self._localisation.lost
-        state = self.slam_state
-        self._publisher.publish_tracking(processed, result.tracking, state.mapper, state.odometry_model)
-        if result.update is not None:
-            self._statistics.add_keyframe(processed.stamp, result.update, timer)
-            self._publisher.publish_keyframe(
-                processed, result.mapper, result.update, self._preprocessor.sigma_range, timer
-            )
-            self._report_rejected_loops(processed.stamp)
-        if result.in_plan:
-            self._report_plan(processed.stamp)
-        if result.retracted is not None:
-            self._statistics.add_loop(processed.stamp, result.retracted)
-            self._publisher.publish_loop(result.retracted, processed.stamp, self.slam_state.mapper, result.mapper)
+        self._report.add(processed, result, self.slam_state, self._preprocessor.sigma_range, timer)
         self._localisation.update(processed.stamp, result, self._estimator)
-
-    def _report_plan(self, stamp: float) -> None:
-        """Publish that the map was recognised in the plan, and the map in its new frame."""
-        self._publisher.publish(Notice(stamp, "recognised in the plan", "INFO"))
-        self._publisher.publish_map(stamp, self.slam_state.mapper)
-
-    def _report_rejected_loops(self, stamp: float, *, ended: bool = False) -> None:
-        """Count and publish the hypotheses of loops that were given up; if the run has `ended`, also all others."""
-        state = self.slam_state
-        for decision in state.loops.take_rejected(ended=ended):
-            self._statistics.add_loop(state.keyframe_stamps[decision.keyframe], decision)
-            self._publisher.publish_rejected_loop(decision, stamp, state.mapper)
 
     # --- start
 
     def _start(self, first: Odometry) -> None:
         """Start at the first odometry: it continues that of the session, or the robot may be anywhere in its map."""
         self._has_odometry = True
-        if self._resumed is None:
+        earlier = self._stored.earlier
+        if earlier is None:
             self._preprocessor.odometry = self._journal.start_odometry_segment()
             return
         self._publisher.publish_map(first.stamp, self.slam_state.mapper)
         self._preprocessor.odometry = self._journal.segments.histories[-1]
         if self._motions.predicted or not self._journal.segments.is_continued_by(first):
-            self._process_queue(sum(not scan.lidar for scan in self._resumed.queued_scans))
+            self._process_queue(sum(not scan.lidar for scan in earlier.queued_scans))
             self._preprocessor.odometry = self._journal.start_odometry_segment()
             self._estimator.begin_part(self.slam_state.pose, first.pose, kidnapped=True)
             self._localisation.handle(first.stamp, LocalisationEvent.STARTED_ANYWHERE)
@@ -242,15 +207,9 @@ class Slam:
 
     def snapshot(self) -> RunSnapshot:
         """Return a copy of the run, to be saved while it goes on. Raises MapError before the first keyframe."""
-        journal, state = self._journal, self.slam_state
-        if not journal.segments.starts or not state.mapper.keyframe_count:
+        if not self.slam_state.mapper.keyframe_count:
             raise MapError("nothing is mapped yet")
-        session = self._stored(state.copy(), release=False)
-        session.scans, session.queued_scans = list(journal.scans), self._preprocessor.queued
-        session.starts = list(journal.segments.starts)
-        session.odometry = [history.copy() for history in journal.segments.histories]
-        summary = self._summary(journal.scans[-1].stamp)
-        return RunSnapshot(session, summary, journal.resumed_at if self._frozen else -np.inf)
+        return self._stored.snapshot(self.slam_state, self._summary(self._journal.scans[-1].stamp), self._results_after)
 
     def keyframe_covariance(self, index: int) -> Floats:
         """Return the covariance (3, 3) of a keyframe's pose in its own frame (metres, metres, radians)."""
@@ -270,30 +229,31 @@ class Slam:
         session = self._session_with_queue()
         self._process_queue()
         self._leave_out_unknown_session()
-        self._session = session or self._stored(self.slam_state.copy())
+        self._session = session or self._stored.at_end(self.slam_state.copy())
         self.slam_state.local_field.begin_part()  # frees some megabytes: no scan is matched with it any more
         if not self._frozen:
             self._statistics.merged_walls += converge(self.slam_state.mapper)
             settle_plan(self.slam_state, self._journal, self._publisher)
         end = self._journal.scans[-1].stamp
-        self._report_rejected_loops(end, ended=True)
         state, journal = self.slam_state, self._journal
+        self._report.add_rejected_loops(state, end, ended=True)
         summary = self._summary(end)
-        summary |= refine_or_match(state, journal, self._publisher, wanted=self._refine and not self._frozen)
-        summary["wall_bends"] = settle_wall_bends(state.mapper, journal.history(state))
-        delay = find_scan_delay(state, journal)
-        summary["scan_delay"] = None if delay is None else delay.row()
+        summary |= settle_trajectory(state, journal, self._publisher, refined=self._refine and not self._frozen)
         if self._refine:
-            self._session = self._stored(state)
+            self._session = self._stored.at_end(state)
         stamps, poses = journal.segments.trajectory(state.trajectory, state.mapper.keyframe_poses)
-        if self._frozen:
-            stamps, poses = stamps[stamps > journal.resumed_at], poses[stamps > journal.resumed_at]
+        after = self._results_after
+        stamps, poses = stamps[stamps > after], poses[stamps > after]
         self._publisher.publish_residuals(float(stamps[-1]), state.mapper)
-        after = journal.resumed_at if self._frozen else -np.inf
         suspects = check_run(state, journal, self._publisher, after=after, predicted=self._motions.predicted)
         result = final_result(state, (stamps, poses), summary | {"suspects": suspects})
         self._publisher.publish(result)
         return result
+
+    @property
+    def _results_after(self) -> float:
+        """Stamp (seconds) after which poses are results: that of the end of an earlier session with a frozen map."""
+        return self._journal.resumed_at if self._frozen else -math.inf
 
     def _summary(self, end: float) -> dict[str, object]:
         """Return the summary of the run up to the stamp `end` as plain data."""
@@ -310,17 +270,16 @@ class Slam:
 
         None if no scan is queued, or if the robot was never recognised in an earlier session, which the end decides on.
         """
-        queued = self._preprocessor.queued
-        if self._is_unknown_place or not queued or not self.slam_state.mapper.keyframe_count:
+        if self._is_unknown_place or not self._preprocessor.queued or not self.slam_state.mapper.keyframe_count:
             return None
-        session = self._stored(self.slam_state.copy())
-        session.scans, session.queued_scans = list(self._journal.scans), queued
-        return session
+        return self._stored.with_queue(self.slam_state.copy())
 
     @property
     def _is_unknown_place(self) -> bool:
         """True if nothing of this run is in a place that is known to be in the map of the earlier session."""
-        return self._resumed is not None and is_unknown_place(self._estimator, self._journal, frozen=self._frozen)
+        if self._stored.earlier is None:
+            return False
+        return is_unknown_place(self._estimator, self._journal, frozen=self._frozen)
 
     def _leave_out_unknown_session(self) -> None:
         """Map this run alone if it was never recognised in the map of the earlier session.
@@ -331,24 +290,5 @@ class Slam:
             return
         if self._frozen:
             raise MapError("the robot was never relocalised in the map of the session")
-        self._resumed = None
+        self._stored.earlier = None
         self._estimator = map_alone(self.config, self._journal, self._statistics, self._publisher)
-
-    def _stored(self, state: SlamState, *, release: bool = True) -> StoredSession:
-        from .io.sessions import StoredSession  # only here: a recording is read without the libraries of tables
-
-        resumed, journal = self._resumed, self._journal
-        if release:
-            state.mapper.gauge.release(state.mapper)
-            state.mapper.graph.solver.dismiss_isam()
-        return StoredSession(
-            config=self.config,
-            slam_state=state,
-            scans=journal.scans,
-            odometry=journal.segments.histories,
-            starts=journal.segments.starts,
-            sigma_range=self._preprocessor.sigma_range,
-            second_sigma_range=self._preprocessor.second_sigma_range,
-            recordings=[] if resumed is None else list(resumed.recordings),
-            loop_decisions=[*(() if resumed is None else resumed.loop_decisions), *self._statistics.loops],
-        )

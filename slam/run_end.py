@@ -12,6 +12,7 @@ from .estimation.estimator import Estimator
 from .estimation.journal import Journal
 from .estimation.refinement import match_trajectory, refine
 from .estimation.slam_state import SlamState
+from .estimation.wall_bends import settle_wall_bends
 from .events import Notice
 from .localisation.tracking import PoseFix
 from .odometry.scan_delay import ScanDelay, estimate_scan_delay
@@ -63,30 +64,40 @@ def settle_plan(state: SlamState, journal: Journal, publisher: Publisher) -> Non
         publisher.publish(Notice(stamp, "the map is recognised in the plan", "INFO"))
 
 
-def refine_or_match(state: SlamState, journal: Journal, publisher: Publisher, *, wanted: bool) -> dict[str, object]:
-    """Match all scans to the final map, after refining the map if that is `wanted`; return the summary's part."""
+def settle_trajectory(state: SlamState, journal: Journal, publisher: Publisher, *, refined: bool) -> dict[str, object]:
+    """Match all scans to the final map, and estimate the bends of its walls and the delay of the scans.
+
+    The map is `refined` before if wanted. Returns the summary's part.
+    """
+    summary = _refine_or_match(state, journal, publisher, refined=refined)
+    bends, delay = settle_wall_bends(state.mapper, journal.history(state)), find_scan_delay(state, journal)
+    return summary | {"wall_bends": bends, "scan_delay": None if delay is None else delay.row()}
+
+
+def _refine_or_match(state: SlamState, journal: Journal, publisher: Publisher, *, refined: bool) -> dict[str, object]:
+    """Match all scans to the final map, which is `refined` before if wanted; return the summary's part."""
     stamp = journal.scans[-1].stamp
     if state.mapper.keyframe_count < 2:
         return {}
     history = journal.history(state)
     try:
-        if not wanted:
+        if not refined:
             history = journal.without_familiar_features(history)  # the result must not depend on what is kept
             state.trajectory = match_trajectory(state.mapper, history, state.odometry_model)
             return {}
-        refined = refine(state.mapper, history, state.odometry_model)
+        result = refine(state.mapper, history, state.odometry_model)
     except MapError as error:
         publisher.publish(Notice(stamp, f"the scans are not matched to the final map: {error}"))
         return {}
-    refined.mapper.recompute_pose_covariances()
+    result.mapper.recompute_pose_covariances()
     if state.plan is not None and state.plan.recognised:
-        state.plan.settle(refined.mapper)
+        state.plan.settle(result.mapper)
     keyframes = {k: journal.scans[row] for k, row in enumerate(history.keyframes.tolist())}
     state.replace_map(
-        refined.mapper, refined.trajectory, PoseFix(refined.poses[-1], journal.scans[-1].odometry), keyframes
+        result.mapper, result.trajectory, PoseFix(result.poses[-1], journal.scans[-1].odometry), keyframes
     )
     publisher.publish_map(stamp, state.mapper)
-    return {"refinement": refined.summary}
+    return {"refinement": result.summary}
 
 
 def find_scan_delay(state: SlamState, journal: Journal) -> ScanDelay | None:

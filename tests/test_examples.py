@@ -1,5 +1,6 @@
 """The examples run, print the expected results, and write no files."""
 
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -29,28 +30,47 @@ def test_every_example_is_tested() -> None:
     assert {file.name for file in EXAMPLES.glob("*.py")} == set(EXPECTED) | set(WITH_PICTURES)
 
 
+def run(name: str, *arguments: str) -> None:
+    """Run an example as a program, in this process: most of the time of its own process would be imports."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", [str(EXAMPLES / name), *arguments])
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+
+
 @pytest.mark.parametrize("name", EXPECTED)
-def test_example_prints_the_expected_results(name: str, tmp_path: Path) -> None:
-    result = subprocess.run(
-        [sys.executable, "-W", "error", EXAMPLES / name], capture_output=True, text=True, timeout=200, cwd=tmp_path
-    )
-    assert result.returncode == 0, result.stderr
-    assert result.stderr == ""
+def test_example_prints_the_expected_results(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run(name)
+    out, err = capfd.readouterr()
+    assert err == ""
     for text in EXPECTED[name]:
-        assert text in result.stdout
+        assert text in out
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("name", WITH_PICTURES)
-def test_example_prints_the_expected_results_and_draws_a_picture_if_one_is_named(name: str, tmp_path: Path) -> None:
+def test_example_prints_the_expected_results_and_draws_a_picture_if_one_is_named(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     arguments, expected, element = WITH_PICTURES[name]
-    command = [sys.executable, "-W", "error", EXAMPLES / name, *arguments, "picture.svg"]
-    result = subprocess.run(command, capture_output=True, text=True, timeout=200, cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    assert result.stderr == ""
+    monkeypatch.chdir(tmp_path)
+    run(name, *arguments, "picture.svg")
+    out, err = capfd.readouterr()
+    assert err == ""
     for text in expected:
-        assert text in result.stdout
+        assert text in out
     assert [file.name for file in tmp_path.iterdir()] == ["picture.svg"]
     picture = (tmp_path / "picture.svg").read_text()
     assert ElementTree.fromstring(picture).tag.endswith("svg")
     assert element in picture
+
+
+def test_an_example_runs_in_a_process_of_its_own(tmp_path: Path) -> None:
+    command = [sys.executable, "-W", "error", EXAMPLES / "own_sensors.py"]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=200, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert result.stderr == ""
+    for text in EXPECTED["own_sensors.py"]:
+        assert text in result.stdout

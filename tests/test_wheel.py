@@ -49,8 +49,9 @@ def test_mypy_uses_the_types_of_an_installed_wheel(wheel: Path, tmp_path: Path) 
     zipfile.ZipFile(wheel).extractall(packages)
     (packages / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
     (tmp_path / "use.py").write_text(TYPED_USE)
-    command = [sys.executable, "-m", "mypy", "--strict", "--python-executable", str(environment / "bin" / "python")]
-    result = subprocess.run([*command, "use.py"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    options = ["--strict", "--no-incremental", "--python-executable", str(environment / "bin" / "python")]
+    command = [sys.executable, "-m", "mypy", *options, "use.py"]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert "py.typed" not in result.stdout
     assert "numpy.ndarray" in result.stdout
     errors = [line for line in result.stdout.splitlines() if "error:" in line]

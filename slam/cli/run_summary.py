@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..formatting import counted
 from ..io.host import peak_memory, versions
 from ..io.output_dir import TRAJECTORY
 from .console import printable
@@ -77,7 +78,6 @@ def summarise_run(
 def format_summary(result: RunResult, out: Path) -> list[str]:
     """Return the summary as lines of text; `out` is the output directory."""
     from ..visualisation.report_page.findings import group_warnings, reason_without_walls
-    from ..visualisation.report_page.formatting import counted
 
     summary = result.summary
     walls, corners, keyframes = (counted(summary[f"{noun}s"], noun) for noun in ("wall", "corner", "keyframe"))
@@ -171,8 +171,6 @@ def _lost(summary: dict[str, Any]) -> list[tuple[str, str]]:
 
 def _suspects(summary: dict[str, Any]) -> list[str]:
     """Return a line for each of the worst suspects."""
-    from ..visualisation.report_page.formatting import counted
-
     rows = (summary.get("slam") or {}).get("suspects") or []
     lines = [f"  SUSPECT {row['sentence']}" for row in rows[:SHOWN_SUSPECTS]]
     if (more := len(rows) - SHOWN_SUSPECTS) > 0:

@@ -15,7 +15,8 @@ from drivers import se2
 from ..errors import MapError
 from ..evaluation.metrics import ReferenceScore, score_reference
 from ..events import Finished
-from ..io.output_dir import PICTURE, write_results
+from ..io.output_dir import PICTURE
+from ..io.run_results import write_results
 from ..io.tum import Trajectory
 from .plan_input import report_on_plan
 from .run_input import InputStatistics, RunInput

@@ -19,7 +19,8 @@ from ..config import Config, config_to_toml
 from ..errors import MapError
 from ..events import Event, Finished, Notice, Sink
 from ..io.host import versions
-from ..io.output_dir import REPORT, REVIEW, OutputDirectory, unfinished_file
+from ..io.output_dir import REPORT, REVIEW, OutputDirectory
+from ..io.unfinished_file import unfinished_file
 from .autosave import Autosave
 from .compilation import compile_all, compile_for_recording
 from .console import print_if_slow

@@ -28,6 +28,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..errors import MapError
 from ..mapping.map_features import MapCorners, MapWalls
+from .json_files import read_json
 
 FORMAT = "wclm-slam map"
 MAP_VERSION = 2
@@ -124,12 +125,7 @@ def write_map(path: Path, lines: MapWalls, corners: MapCorners) -> None:
 
 def read_map(path: Path) -> MapFile:
     """Read a map. Raises MapError naming the file and the problem: not JSON, another version, an invalid value."""
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise MapError(f"{path}: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
-        raise MapError(f"{path}: is not JSON: {error}") from error
+    data = read_json(path)
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise MapError(f'{path}: is not a map: its format is not "{FORMAT}"')
     if data.get("version") not in SUPPORTED_VERSIONS:

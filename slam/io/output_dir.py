@@ -3,29 +3,17 @@
 from __future__ import annotations
 
 import errno
-import json
-import math
-import os
 import re
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
-import numpy as np
-
-from ..config import Config, config_to_toml
 from ..errors import OutputError
-from ..events import Finished
 from .atomic_swap import exchange_directories, sync_directory, sync_file
 from .disk_reserve import MIN_RESERVE, directory_size, free_space
-from .keyframes_csv import Keyframes, write_keyframes
-from .map_json import write_map
-from .recorded_stamps import as_recorded
-from .tum import Trajectory, write_tum
 from .work_directory import WorkDirectory
 
 TRAJECTORY = "trajectory.tum"
@@ -252,64 +240,6 @@ def _write_elsewhere(write: Callable[[Path], None], name: str) -> Path | None:
                 raise
             return other
     return None
-
-
-@contextmanager
-def unfinished_file(path: Path, overwrite: bool = False) -> Iterator[Path]:
-    """Yield a temporary file beside `path`, renamed to it if the block ends without an error, else removed.
-
-    It is on the disk before it is renamed. Raises OutputError if `path` exists and `overwrite` is not set, or if it
-    cannot be written.
-    """
-    if path.is_dir():
-        raise OutputError(f"{path}: is a directory")
-    if not path.parent.is_dir():
-        raise OutputError(f"{path}: there is no directory {path.parent}")
-    if path.exists() and not overwrite:
-        raise OutputError(f"{path}: exists already; choose another name or add --overwrite")
-    work = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
-    try:
-        yield work
-        sync_file(work)
-        work.replace(path)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from error
-    finally:
-        work.unlink(missing_ok=True)
-
-
-def write_results(directory: Path, finished: Finished, config: Config, summary: dict[str, Any]) -> None:
-    """Write the files that are made from the estimate: trajectory, keyframes, map, settings and summary.
-
-    Raises MapError if the estimate has no pose or is not finite.
-    """
-    stamps = as_recorded(finished.stamps, summary)
-    write_tum(directory / TRAJECTORY, Trajectory(finished.stamps, finished.poses), stamps)
-    covariance = finished.keyframe_covariance
-    if covariance is None:
-        covariance = np.full((len(finished.keyframes), 3, 3), np.nan)
-    write_keyframes(directory / KEYFRAMES, Keyframes(finished.keyframe_stamps, finished.keyframes, covariance))
-    write_map(directory / MAP, finished.walls, finished.corners)
-    (directory / CONFIG).write_text(config_to_toml(config), encoding="utf-8")
-    write_json(directory / SUMMARY, summary)
-
-
-def write_json(path: Path, data: dict[str, Any]) -> None:
-    """Write `data` as standard JSON: NumPy numbers as plain ones, NaN and infinity as null."""
-    path.write_text(json.dumps(to_json_types(data), indent=2, allow_nan=False) + "\n", encoding="utf-8")
-
-
-def to_json_types(value: Any) -> Any:
-    """Return `value` made of JSON's types only; other objects become strings."""
-    if isinstance(value, dict):
-        return {str(name): to_json_types(item) for name, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return to_json_types(value.tolist())
-    if isinstance(value, list | tuple):
-        return [to_json_types(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value if isinstance(value, str | int | float | None) else str(value)
 
 
 def _is_log_part(name: str) -> bool:

@@ -1,23 +1,24 @@
-"""Read the results of a run back from its output directory."""
+"""Write the results of a run into its output directory, and read them back."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..config import Config, load_config
+from ..config import Config, config_to_toml, load_config
 from ..errors import MapError, first_line
+from ..events import Finished
 from ..geometry.segments import Floats
 from ..mapping.map_features import MapCorners, MapWalls
-from .keyframes_csv import Keyframes, read_keyframes
-from .map_json import read_map
+from .json_files import read_json, write_json
+from .keyframes_csv import Keyframes, read_keyframes, write_keyframes
+from .map_json import read_map, write_map
 from .output_dir import CONFIG, KEYFRAMES, MAP, SUMMARY, TRAJECTORY
-from .recorded_stamps import as_read
-from .tum import Trajectory, read_tum_poses
+from .recorded_stamps import as_read, as_recorded
+from .tum import Trajectory, read_tum_poses, write_tum
 
 TABLES = ("recordings", "devices")
 SUMMARY_TYPES: dict[str, type[dict[str, Any]] | type[list[Any]]] = {
@@ -56,6 +57,22 @@ class RunResults:
         return mounts
 
 
+def write_results(directory: Path, finished: Finished, config: Config, summary: dict[str, Any]) -> None:
+    """Write the files that are made from the estimate: trajectory, keyframes, map, settings and summary.
+
+    Raises MapError if the estimate has no pose or is not finite.
+    """
+    stamps = as_recorded(finished.stamps, summary)
+    write_tum(directory / TRAJECTORY, Trajectory(finished.stamps, finished.poses), stamps)
+    covariance = finished.keyframe_covariance
+    if covariance is None:
+        covariance = np.full((len(finished.keyframes), 3, 3), np.nan)
+    write_keyframes(directory / KEYFRAMES, Keyframes(finished.keyframe_stamps, finished.keyframes, covariance))
+    write_map(directory / MAP, finished.walls, finished.corners)
+    (directory / CONFIG).write_text(config_to_toml(config), encoding="utf-8")
+    write_json(directory / SUMMARY, summary)
+
+
 def read_run_results(path: Path) -> RunResults:
     """Read the results in the output directory of a run. Raises MapError naming the file that is missing or invalid."""
     if not path.is_dir():
@@ -81,12 +98,7 @@ def read_run_results(path: Path) -> RunResults:
 
 
 def _read_summary(path: Path) -> dict[str, Any]:
-    try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise MapError(f"{path}: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
-        raise MapError(f"{path}: is not JSON: {first_line(error)}") from error
+    summary = read_json(path)
     if not isinstance(summary, dict):
         raise MapError(f"{path}: is not the summary of a run")
     for name, kind in SUMMARY_TYPES.items():

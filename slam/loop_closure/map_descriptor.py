@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ..geometry.segments import Floats, Integers
-from ..mapping.landmarks import WALL_CELL, Landmarks
+from ..mapping.landmarks import Landmarks
+from ..mapping.wall_cells import WALL_CELL
 
 # Unobserved cells of a wall between two observed ones that do not divide a stretch: the ends of two segments, no door.
 # Origin: chosen, narrower than any door; not measured.

@@ -19,12 +19,7 @@ from ..geometry.segments import Floats, Integers
 from .landmark_table import CORNER_DTYPE, NEVER_REMOVED, UNOBSERVED, WALL_DTYPE, LandmarkTable
 from .map_parts import MapParts
 from .near_landmarks import NO_KEYFRAME, near_corners, near_walls
-
-# Metres of wall per cell of coverage. Origin: chosen, finer than a door or a pillar; not measured.
-WALL_CELL = 0.1
-# Metres between two observed stretches of a wall from which on they are separate pieces: a door or a passage.
-# Origin: chosen, less than the width of a door; not measured.
-MIN_GAP_BETWEEN_PIECES = 0.5
+from .wall_cells import WALL_CELL, cells_between, latest_openings, pieces_of, still_covered, trimmed
 
 
 class Landmarks:
@@ -104,8 +99,7 @@ class Landmarks:
         row["high"] = max(row["high"], along + half_length)
         cells = cells_between(along - half_length, along + half_length)
         if wall in self.opened:  # refinement observes old keyframes again: from before the opening, they do not undo it
-            opened = self.opened[wall]
-            cells = frozenset(cell for cell in cells if opened.get(cell, NEVER_REMOVED) < keyframe)
+            cells = still_covered(cells, self.opened[wall], keyframe)
         self.covered[wall] |= cells
         row["first_seen"] = min(row["first_seen"], keyframe)
         if row["last_seen"] != keyframe:
@@ -217,16 +211,11 @@ class Landmarks:
         last_seen = self.walls.rows["last_seen"]
         opened = self.opened.get(kept, {})
         also_opened = {cell + shift: keyframe for cell, keyframe in self.opened.get(absorbed, {}).items()}
-        own = {cell for cell in self.covered[kept] if also_opened.get(cell, NEVER_REMOVED) < last_seen[kept]}
         shifted = [cell + shift for cell in self.covered[absorbed]]
-        self.covered[kept] = frozenset(
-            own | {cell for cell in shifted if opened.get(cell, NEVER_REMOVED) < last_seen[absorbed]}
-        )
+        own = still_covered(self.covered[kept], also_opened, last_seen[kept])
+        self.covered[kept] = own | still_covered(shifted, opened, last_seen[absorbed])
         if opened or also_opened:
-            self.opened[kept] = {
-                cell: max(opened.get(cell, NEVER_REMOVED), also_opened.get(cell, NEVER_REMOVED))
-                for cell in opened.keys() | also_opened.keys()
-            }
+            self.opened[kept] = latest_openings(opened, also_opened)
 
     def move(self, walls: Integers, corners: Integers, motion: se2.Pose) -> None:
         """Move walls (n,) and corners (m,) rigidly by a motion [x, y, heading] in the map."""
@@ -252,9 +241,7 @@ class Landmarks:
     def trim_extent(self, wall: int) -> None:
         """Move the ends of a wall to within a cell of its outermost covered cells."""
         row, covered = self.walls.rows[wall], self.covered[wall]
-        if covered:
-            row["low"] = max(row["low"], WALL_CELL * (min(covered) - 1))
-            row["high"] = min(row["high"], WALL_CELL * (max(covered) + 2))
+        row["low"], row["high"] = trimmed(covered, row["low"], row["high"])
 
     # --- queries
 
@@ -299,11 +286,7 @@ class Landmarks:
         The outermost ends are `low` and `high`; gaps of up to MIN_GAP_BETWEEN_PIECES metres do not divide a wall.
         """
         row = self.walls.rows[wall]
-        cells = np.sort(np.fromiter(self.covered[wall], dtype=np.int64, count=len(self.covered[wall])))
-        breaks = np.flatnonzero(np.diff(cells) > MIN_GAP_BETWEEN_PIECES / WALL_CELL)
-        begin = np.concatenate([[row["low"]], WALL_CELL * cells[breaks + 1]])
-        end = np.concatenate([WALL_CELL * (cells[breaks] + 1), [row["high"]]])
-        return np.column_stack([begin, end])
+        return pieces_of(self.covered[wall], row["low"], row["high"])
 
     def walls_near(self, pose: se2.Pose, radius: float, *, keyframe: int | None = None) -> NDArray[np.int64]:
         """Return the ids of the active walls with a part within `radius` metres of a pose on their visible side.
@@ -330,8 +313,3 @@ class Landmarks:
     def _connected(self, near: Integers, last_seen: Integers, keyframe: int | None) -> Integers:
         """Return those of some landmarks that are connected with a keyframe; see `connected`."""
         return near[self.parts.connected(last_seen[near], keyframe)] if len(self.parts) > 1 else near
-
-
-def cells_between(low: float, high: float) -> frozenset[int]:
-    """Return the cells that lie entirely between two positions along a wall (metres)."""
-    return frozenset(range(math.ceil(low / WALL_CELL), math.floor(high / WALL_CELL)))

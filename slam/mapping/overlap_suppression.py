@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ..geometry.segments import Integers
-from .landmarks import WALL_CELL, Landmarks
+from .landmarks import Landmarks
+from .wall_cells import WALL_CELL
 
 # Metres between lines of one wall: the depth of its frames, pillars and ledges. The bays of a facade are deeper.
 # Origin: measured, on Intel, fr079 and CSAIL it leaves 5, 14 and 6 of 42, 104 and 49 pairs of close walls: bays.

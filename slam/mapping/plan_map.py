@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ..geometry.segments import Floats, Integers, Segments
-from .landmarks import Landmarks, cells_between
+from .landmarks import Landmarks
 from .map_features import MapWalls
 from .plan import Plan
 from .plan_views import Ray, cast_views, find_viewpoints
+from .wall_cells import cells_between
 
 # Standard deviations of a plan's precision within which pieces are on one line. Origin: chosen, 99.7 %.
 SAME_LINE_DEVIATIONS = 3.0

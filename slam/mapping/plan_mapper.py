@@ -14,10 +14,11 @@ from ..errors import MapError
 from ..geometry.segments import CornerPoints
 from ..graph.factor_graph import FIRST_POSE_SIGMAS
 from .keyframes import KeyframeMotion, LandmarkIds
-from .landmarks import Landmarks, cells_between
+from .landmarks import Landmarks
 from .mapper import Mapper
 from .plan_map import PlanMap
 from .unconfirmed_observations import CONFIRMING_KEYFRAMES
+from .wall_cells import cells_between
 
 # Views that a map consists of at least. Origin: definition, as many as confirm a wall.
 MIN_VIEWS = 2

@@ -18,8 +18,9 @@ from drivers import se2
 from drivers.compiled import compiled, inlined
 
 from ..geometry.segments import Floats, Integers
-from .landmarks import WALL_CELL, Landmarks
+from .landmarks import Landmarks
 from .near_landmarks import is_beyond_reach
+from .wall_cells import WALL_CELL
 
 # Metres from a wall's line, on either side, that both ends of a sight line must be away for the wall to be seen
 # through: anything nearer may be the wall itself, or something on it. Origin: chosen; not measured.

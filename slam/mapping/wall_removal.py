@@ -14,8 +14,9 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.segments import Floats, Integers
-from .landmarks import WALL_CELL, Landmarks
+from .landmarks import Landmarks
 from .sight_lines import END_MARGIN_CELLS, WallsInView, cells_seen_through, walls_in_view
+from .wall_cells import WALL_CELL
 
 # Metres of driving between two scans that count: an error of one scan is repeated at the same place.
 # Origin: chosen, less than the distance between keyframes; not measured.

@@ -26,8 +26,9 @@ from ..geometry.segments import Floats
 from ..graph.factor_graph import CLOSING_UPDATES, FactorGraph
 from ..graph.wall_segments import WallSegment, wall_segments
 from .keyframes import LandmarkIds
-from .landmarks import WALL_CELL, Landmarks
+from .landmarks import Landmarks
 from .unconfirmed_observations import CONFIRMING_KEYFRAMES
+from .wall_cells import WALL_CELL
 from .wall_roughness import add_roughness
 
 # Squared Mahalanobis distance between two stretches that may be one wall: the same test as for a new observation.

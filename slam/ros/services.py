@@ -16,7 +16,7 @@ from drivers.ros2.names import NodeNames
 from drivers.ros2.services import decode_request, encode_response
 
 from ..io.exports import Occupancy, write_pgm, write_pgm_yaml
-from ..io.output_dir import unfinished_file
+from ..io.unfinished_file import unfinished_file
 from .outputs import message_grid
 from .run_control import Restart, RunControl, Save
 

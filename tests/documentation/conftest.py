@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from typer.testing import CliRunner, Result
 
 from drivers import se2, simulation
 from drivers.messages import GroundTruth, Odometry, Scan, Source
+from drivers.timing.turns import Turns
 from slam.cli.app import app
 from slam.io.tum import Trajectory, read_tum, write_tum
 
@@ -79,6 +81,30 @@ def simulations_of(seconds: float) -> Iterator[None]:
         patch.delenv("DISPLAY", raising=False)
         patch.delenv("WAYLAND_DISPLAY", raising=False)
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def timing_is_estimated_once() -> Iterator[None]:
+    """Estimate the timing of a recording once: the recordings of the pages are copies of a few, under several names."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("beam_order.decide_beam_order", "delay.estimate_delay"):
+            module, _, function = name.partition(".")
+            place = f"drivers.timing.{module}"
+            patch.setattr(f"{place}.{function}", _cached(getattr(import_module(place), function)))
+        yield
+
+
+def _cached(estimate: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function of turns that computes its result once for turns with the same odometry."""
+    found: dict[tuple[Any, ...], Any] = {}
+
+    def cached(turns: Turns, *others: float) -> Any:
+        key = (turns.odometry.tobytes(), *others)
+        if key not in found:
+            found[key] = estimate(turns, *others)
+        return found[key]
+
+    return cached
 
 
 @pytest.fixture(scope="session")

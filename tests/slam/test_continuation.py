@@ -15,8 +15,8 @@ from slam.config import Config, config_to_toml
 from slam.errors import MapError
 from slam.evaluation.metrics import align
 from slam.events import Finished, Notice
-from slam.io.output_dir import CONFIG, write_results
-from slam.io.run_results import read_run_results
+from slam.io.output_dir import CONFIG
+from slam.io.run_results import read_run_results, write_results
 from slam.io.sessions import read_session, write_session
 from slam.io.tum import Trajectory
 
@@ -28,7 +28,7 @@ LATER = 1000.0  # seconds until the next
 
 def drive(world: str, seed: int, begin: float, end: float, shift: float = 0.0) -> list[Message]:
     """Return the messages between two times after the start of a simulated drive."""
-    messages = list(Simulation(world, seed=seed, duration=end, lidar=LidarModel(beams=360)))
+    messages = list(Simulation(world, seed=seed, duration=end, lidar=LidarModel(beams=360, rate=5.0)))
     return [
         replace(message, stamp=message.stamp + shift)
         for message in messages
@@ -128,7 +128,7 @@ def test_keeping_all_features_does_not_change_the_result() -> None:
     """`wclm run` keeps them, `wclm live` does not; the trajectories are identical."""
     runs, laps = (
         [],
-        list(Simulation("room", seed=1, duration=75.0, lidar=LidarModel(beams=360))),
+        list(Simulation("room", seed=1, duration=75.0, lidar=LidarModel(beams=360, rate=5.0))),
     )  # two of them, and some more
     for keep_all_features in (False, True):
         slam = Slam(keep_all_features=keep_all_features)

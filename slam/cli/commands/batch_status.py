@@ -12,8 +12,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from ...errors import OutputError
+from ...formatting import duration
 from ...offline.batch import Job, Row, Status, make_row, read_completed_summary, write_table
-from ...visualisation.report_page.formatting import duration
 
 FILE_WIDTH = 200
 """Width of the table if the output is not a terminal, columns."""

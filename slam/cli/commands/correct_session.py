@@ -9,8 +9,8 @@ from typing import Any
 
 from ...errors import MapError
 from ...io.host import versions
-from ...io.output_dir import CONFIG, KEYFRAMES, MAP, SESSION, SUMMARY, TRAJECTORY, OutputDirectory, write_results
-from ...io.run_results import read_run_results
+from ...io.output_dir import CONFIG, KEYFRAMES, MAP, SESSION, SUMMARY, TRAJECTORY, OutputDirectory
+from ...io.run_results import read_run_results, write_results
 from ...io.sessions import read_session, write_session
 from ...io.sessions.corrections import UNCORRECTED, Correction, uncorrected, write_corrections
 from ...io.tum import Trajectory

@@ -43,7 +43,8 @@ def demo(
     from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, Simulation
 
     from ...config import Config
-    from ...io.output_dir import CLOSURE_PICTURE, unfinished_file
+    from ...io.output_dir import CLOSURE_PICTURE
+    from ...io.unfinished_file import unfinished_file
     from ..run_input import RecordingInput
     from ..run_setup import RunSetup
     from ..run_summary import format_summary

@@ -12,7 +12,8 @@ from ..console import print_if_slow
 from ..options import OverwriteOption, PlanLayerOption, PlanUnitOption, parse_pose
 
 if TYPE_CHECKING:
-    pass
+    from ...offline.map_diff.surveys import Survey
+    from ..plan_input import PlanOptions
 
 EXIT_DIFFERENT = 1
 """Exit status if the maps are different, as of diff."""
@@ -50,28 +51,18 @@ def diff(
 
     Example: [bold]wclm diff monday tuesday --svg changes.svg[/bold]
     """
-    from ...config import load_config
     from ...errors import MapError, OutputError
-    from ...io.output_dir import CONFIG, unfinished_file
-    from ...io.sessions import read_session
-    from ...offline.map_diff import compare, survey_session
+    from ...io.unfinished_file import unfinished_file
+    from ...offline.map_diff import compare
     from ...offline.map_diff.corners import corner_changes
     from ...offline.map_diff.outputs import diff_text, write_diff_geojson, write_diff_svg
-    from ...offline.map_diff.plan import survey_plan
-    from ..plan_input import PlanOptions, is_plan, load_plan
-    from ..run_setup import READING_SESSION
+    from ..plan_input import PlanOptions
 
     for path, suffix in ((svg, ".svg"), (geojson, ".geojson")):
         if path is not None and path.suffix != suffix:
             raise OutputError(f"{path}: the name must end with {suffix}")
     guess = parse_pose(at, "--at")
-    with print_if_slow(READING_SESSION):
-        later = survey_session(new, read_session(new))
-        if is_plan(old):
-            config = load_config(new / CONFIG)
-            earlier = survey_plan(load_plan(old, PlanOptions(old, plan_unit, plan_layer or ()), config))
-        else:
-            earlier = survey_session(old, read_session(old))
+    earlier, later = _surveys(old, new, PlanOptions(old, plan_unit, plan_layer or ()))
     try:
         found = compare(earlier, later, false_discovery_rate, guess)
     except MapError as error:
@@ -86,3 +77,20 @@ def diff(
     typer.echo(diff_text(found, corners))
     if found.different:
         raise typer.Exit(EXIT_DIFFERENT)
+
+
+def _surveys(old: Path, new: Path, on_plan: PlanOptions) -> tuple[Survey, Survey]:
+    """Read the old map, which may be a plan, and the new one. Raises SlamError."""
+    from ...config import load_config
+    from ...io.output_dir import CONFIG
+    from ...io.sessions import read_session
+    from ...offline.map_diff import survey_session
+    from ...offline.map_diff.plan import survey_plan
+    from ..plan_input import is_plan, load_plan
+    from ..run_setup import READING_SESSION
+
+    with print_if_slow(READING_SESSION):
+        later = survey_session(new, read_session(new))
+        if is_plan(old):
+            return survey_plan(load_plan(old, on_plan, load_config(new / CONFIG))), later
+        return survey_session(old, read_session(old)), later

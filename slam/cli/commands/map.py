@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ...formatting import counted
 from ..console import print_message, progress
 from ..options import OverwriteOption, RegularOption
 
@@ -67,9 +68,9 @@ def export_map(
     """
     from ...errors import OutputError
     from ...io.exports import write_dxf, write_geojson, write_ply, write_svg
-    from ...io.output_dir import EXPORTED, POINTS, unfinished_file
+    from ...io.output_dir import EXPORTED, POINTS
     from ...io.run_results import read_run_results
-    from ...visualisation.report_page.formatting import counted
+    from ...io.unfinished_file import unfinished_file
 
     if free >= occupied:
         raise typer.BadParameter("must be less than --occupied", param_hint="--free")
@@ -114,7 +115,7 @@ def _write_pgm(
     overwrite: bool,
 ) -> None:
     from ...io.exports import OccupancyGrid, Thresholds, write_pgm, write_pgm_yaml
-    from ...io.output_dir import unfinished_file
+    from ...io.unfinished_file import unfinished_file
 
     settings = target.with_suffix(".yaml")
     with unfinished_file(target, overwrite) as picture, unfinished_file(settings, overwrite) as yaml:

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ...formatting import counted
 from ..console import print_if_slow, print_message
 from ..options import OverwriteOption, RegularOption
 
 if TYPE_CHECKING:
     from ...measuring.measured_map import MeasuredMap
     from ...measuring.measurement import Measurement
+    from ...measuring.wall_map import WallMap
 
 
 class Format(StrEnum):
@@ -59,15 +61,13 @@ def measure(
     Example: [bold]wclm measure results/office 12 17[/bold]
     """
     from ...errors import OutputError
-    from ...io.exports import write_dxf, write_geojson, write_svg
     from ...io.exports.measurements_csv import measurements_csv
-    from ...io.output_dir import MEASURED, unfinished_file
-    from ...io.run_results import read_run_results
+    from ...io.output_dir import MEASURED
+    from ...io.unfinished_file import unfinished_file
     from ...io.wall_maps import read_wall_map
     from ...measuring.map_measurements import measure_walls
     from ...measuring.measured_map import MeasuredMap, measure_all
     from ...measuring.regularity import regularise
-    from ...visualisation.report_page.formatting import counted
     from ..run_setup import READING_SESSION
 
     drawn = form in (Format.SVG, Format.DXF, Format.GEOJSON)
@@ -87,16 +87,24 @@ def measure(
         return
     with unfinished_file(target, overwrite) as unfinished:
         if drawn:
-            results = read_run_results(session)
-            if regular:
-                results = replace(results, walls=wall_map.walls, corners=wall_map.corners)
-            write = {Format.SVG: write_svg, Format.DXF: write_dxf, Format.GEOJSON: write_geojson}[form]
-            write(unfinished, results, measured)
+            _write_drawing(unfinished, form, session, measured, wall_map if regular else None)
         else:
             unfinished.write_text(measurements_csv(measured), encoding="utf-8", newline="\n")
     openings = f"{len(measured.openings)} doors and passages"
     measurements = counted(len(measured.measurements), "measurement")
     typer.echo(f"{target}: {counted(len(measured.rooms), 'room')}, {openings}, {measurements}")
+
+
+def _write_drawing(path: Path, form: Format, session: Path, measured: MeasuredMap, wall_map: WallMap | None) -> None:
+    """Write a map with its measurements as SVG, DXF or GeoJSON, with the walls of `wall_map` if there are others."""
+    from ...io.exports import write_dxf, write_geojson, write_svg
+    from ...io.run_results import read_run_results
+
+    results = read_run_results(session)
+    if wall_map is not None:
+        results = replace(results, walls=wall_map.walls, corners=wall_map.corners)
+    write = {Format.SVG: write_svg, Format.DXF: write_dxf, Format.GEOJSON: write_geojson}[form]
+    write(path, results, measured)
 
 
 def _as_text(measured: MeasuredMap) -> str:

@@ -49,7 +49,8 @@ def merge(
 
 def _merge(paths: list[Path], out: Path, *, overwrite: bool, review: bool, picture: bool) -> RunResult:
     """Merge the sessions into a new one. Raises SlamError; then nothing is left behind."""
-    from ...io.output_dir import PICTURE, OutputDirectory, write_results
+    from ...io.output_dir import PICTURE, OutputDirectory
+    from ...io.run_results import write_results
     from ..run_setup import READING_SESSION
     from ..run_summary import RunResult
     from ..slam_run import review_log, write_report_page

@@ -27,7 +27,8 @@ def optimize_graph(path: Path, out: Path, *, overwrite: bool, robust: bool, pict
     Raises SlamError; then nothing is left behind.
     """
     from ...graph.pose_graph import optimise, read_pose_graph, write_g2o
-    from ...io.output_dir import GRAPH, GRAPH_PICTURE, SUMMARY, OutputDirectory, write_json
+    from ...io.json_files import write_json
+    from ...io.output_dir import GRAPH, GRAPH_PICTURE, SUMMARY, OutputDirectory
 
     started = time.perf_counter()
     with OutputDirectory(out, overwrite) as directory:

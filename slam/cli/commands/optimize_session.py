@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from ...config import Config, config_to_toml
 from ...io.host import peak_memory, versions
-from ...io.output_dir import PICTURE, REVIEW, OutputDirectory, write_results
+from ...io.output_dir import PICTURE, REVIEW, OutputDirectory
 from ...io.recordings import absolute_recording, open_source
+from ...io.run_results import write_results
 from ..compilation import compile_for_recording
 from ..console import print_if_slow
 from ..run_input import InputStatistics, RecordingInput

@@ -31,8 +31,9 @@ def report(
 
     Example: [bold]wclm report results/intel --overwrite[/bold]
     """
-    from ...io.output_dir import REPORT, unfinished_file
+    from ...io.output_dir import REPORT
     from ...io.run_results import read_run_results
+    from ...io.unfinished_file import unfinished_file
     from ...visualisation.report_page import write_page
 
     read = read_run_results(session)

@@ -27,7 +27,7 @@ def simulate(
     from drivers.recordings.mcap import McapWriter
     from drivers.simulation import Simulation
 
-    from ...io.output_dir import unfinished_file
+    from ...io.unfinished_file import unfinished_file
 
     if file.suffix != ".mcap":
         raise typer.BadParameter(f"{file}: the name must end with .mcap", param_hint="FILE.mcap")

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import reprlib
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from ...errors import MapError, first_line
+from ...errors import MapError
 from ...geometry.segments import Floats
+from ..json_files import read_json
 from .drawing import Drawing, polyline
 from .units import METRES, Unit
 
@@ -20,12 +20,7 @@ def read_geojson(path: Path) -> Drawing:
 
     In files of `wclm map`, only the walls, which are seen from the left. Raises MapError.
     """
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise MapError(f"{path}: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
-        raise MapError(f"{path}: is not JSON: {first_line(error)}") from error
+    data = read_json(path)
     if not isinstance(data, dict) or not isinstance(data.get("type"), str):
         raise MapError(f"{path}: is not GeoJSON: it has no type")
     own = data.get("frame") == "map"

@@ -10,11 +10,11 @@ import json
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
-from ...errors import MapError, first_line
+from ..json_files import read_json
 from ..output_dir import SESSION
-from .records import Finite, Record
+from .records import Finite, Record, validated
 
 CORRECTIONS = "corrections.json"
 UNCORRECTED = "uncorrected"
@@ -160,16 +160,7 @@ def read_corrections(directory: Path) -> list[Correction]:
     file = directory / SESSION / CORRECTIONS
     if not file.is_file():
         return []
-    try:
-        return _File.model_validate(json.loads(file.read_text(encoding="utf-8"))).corrections
-    except OSError as error:
-        raise MapError(f"{file}: {error.strerror or error}") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise MapError(f"{file}: {key}: {first_line(ValueError(first['msg']))}") from error
-    except (ValueError, RecursionError) as error:
-        raise MapError(f"{file}: is not JSON: {first_line(error)}") from error
+    return validated(_File, read_json(file), file).corrections
 
 
 def uncorrected(directory: Path) -> Path:

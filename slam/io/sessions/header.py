@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, SerializerFunctionWrapHandler, ValidationError, model_serializer
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
-from ...errors import MapError, first_line
+from ...errors import MapError
 from ...estimation.slam_state import Anchor, TrackingCheckpoint
 from ...geometry.segments import Floats
 from ...graph.factors import GraphState
@@ -19,8 +19,9 @@ from ...localisation.local_field import LocalFieldState
 from ...localisation.tracking import PoseFix, TrackerState
 from ...loop_closure.loop_hypothesis import LoopAgreementState
 from ...mapping.map_parts import MapParts
+from ..json_files import read_json
 from .agreement import AgreementRecord, agreement_record
-from .records import Finite, Matrix, Pose, Record, to_matrix, to_pose
+from .records import Finite, Matrix, Pose, Record, to_matrix, to_pose, validated
 
 FORMAT = "wclm-slam session"
 SESSION_VERSION = 6
@@ -275,20 +276,10 @@ def write_header(file: Path, header: SessionHeader) -> None:
 
 def read_header(file: Path) -> SessionHeader:
     """Read `session.json`. Raises MapError naming the file and the problem, for example another version."""
-    try:
-        data = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise MapError(f"{file}: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
-        raise MapError(f"{file}: is not JSON: {first_line(error)}") from error
+    data = read_json(file)
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise MapError(f'{file}: is not a session: its format is not "{FORMAT}"')
     if data.get("version") != SESSION_VERSION:
         version = reprlib.repr(data.get("version"))
         raise MapError(f"{file}: has format version {version}; this program reads version {SESSION_VERSION} only")
-    try:
-        return SessionHeader.model_validate(data)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise MapError(f"{file}: {key}: {first_line(ValueError(first['msg']))}") from error
+    return validated(SessionHeader, data, file)

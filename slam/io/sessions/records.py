@@ -1,11 +1,13 @@
-"""Building blocks of the records in `session.json`: finite numbers, poses and matrices."""
+"""Building blocks of the records in a session: finite numbers, poses and matrices, and their validation."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from ...errors import MapError, first_line
 from ...geometry.segments import Floats
 from .tables import MAX_MAGNITUDE
 
@@ -15,9 +17,22 @@ Matrix = tuple[Pose, Pose, Pose]
 
 
 class Record(BaseModel):
-    """Part of `session.json`. Unknown keys are errors."""
+    """Part of a JSON file of a session. Unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+Kind = TypeVar("Kind", bound=Record)
+
+
+def validated(kind: type[Kind], data: Any, file: Path) -> Kind:
+    """Return the record in the content of a JSON file. Raises MapError naming the file and the first invalid value."""
+    try:
+        return kind.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise MapError(f"{file}: {key}: {first_line(ValueError(first['msg']))}") from error
 
 
 def to_pose(pose: Floats) -> Pose:

@@ -11,7 +11,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ...io.output_dir import unfinished_file
+from ...io.unfinished_file import unfinished_file
 from ...loop_closure.loop_status import LoopStatus
 from .jobs import Job
 

@@ -16,8 +16,9 @@ from ...io.sessions import StoredSession
 from ...io.sessions.corrections import LoopForbidding, Place, PlaceClosing, ProposedClosing
 from ...loop_closure.closing import REVISIT_GAP, pull_together
 from ...loop_closure.decision import LoopDecision
-from ...loop_closure.look import SUBMAP_LENGTH
+from ...loop_closure.look import SUBMAP_LENGTH, Look
 from ...loop_closure.loop_status import LoopStatus
+from ...loop_closure.submap_search import SubmapMatch
 from ...mapping.pass_separation import Pass, separate_pass
 from ...run_statistics import loop_row
 from .detours import direct_motions, is_detour, without_detours
@@ -48,30 +49,13 @@ class LoopCorrector:
         state, mapper = self._state, self._state.mapper
         look, match = match_places(state, old, keyframe, motion)
         deviations = float(np.sqrt(look.squared_distance(old, match.pose)))
-        joins = mapper.landmarks.parts.group(old) != mapper.landmarks.parts.group(keyframe)
-        correction_in_map, since = look.motion(old, match.pose), look.keyframe_at(look.travelled - SUBMAP_LENGTH)
-        decision = LoopDecision(
-            candidate=candidate,
-            keyframe=keyframe,
-            old=old,
-            motion=se2.between(look.pose, se2.compose(correction_in_map, look.pose)),
-            correction=correction_in_map,
-            status=LoopStatus.CONFIRMED,
-            reason="closed by hand",
-            matches=(look.loop_match(old, match),),
-            runner_up=0.0,
-            contradicted=0.0,
-            checks=(),
-            since=since,
-            compared=look.compared_points(old),
-            joins=joins,
-        )
-        if joins:
+        decision = self._confirmed(candidate, old, keyframe, look, match)
+        if decision.joins:
             recent = mapper.landmarks.parts.connected(mapper.landmarks.walls.rows["last_seen"], keyframe)
-            mapper.join_groups(old, keyframe, correction_in_map)
+            mapper.join_groups(old, keyframe, decision.correction)
             state.joins.clear()
         else:
-            recent = separate_pass(mapper, self._pass(since, keyframe), self._segments, ties=ties)
+            recent = separate_pass(mapper, self._pass(decision.since, keyframe), self._segments, ties=ties)
         closed = pull_together(mapper, decision, recent)
         if closed.status is not LoopStatus.ACCEPTED:
             raise MapError(f"keyframes {old} and {keyframe} are not one place by the other loop closures")
@@ -87,6 +71,26 @@ class LoopCorrector:
             "known": match.known,
             "merged": len(closed.merged),
         }
+
+    def _confirmed(self, candidate: int, old: int, keyframe: int, look: Look, match: SubmapMatch) -> LoopDecision:
+        """Return the decision that a loop is closed, as the look at the old place has matched it."""
+        parts, correction = self._state.mapper.landmarks.parts, look.motion(old, match.pose)
+        return LoopDecision(
+            candidate=candidate,
+            keyframe=keyframe,
+            old=old,
+            motion=se2.between(look.pose, se2.compose(correction, look.pose)),
+            correction=correction,
+            status=LoopStatus.CONFIRMED,
+            reason="closed by hand",
+            matches=(look.loop_match(old, match),),
+            runner_up=0.0,
+            contradicted=0.0,
+            checks=(),
+            since=look.keyframe_at(look.travelled - SUBMAP_LENGTH),
+            compared=look.compared_points(old),
+            joins=parts.group(old) != parts.group(keyframe),
+        )
 
     def forbid(self, correction: LoopForbidding, ties: Collection[tuple[int, int]]) -> dict[str, Any]:
         """Remove a closure and what rests on it; return how far the robot moves.

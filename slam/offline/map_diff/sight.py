@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ...geometry.segments import Floats, Integers
-from ...mapping.landmarks import WALL_CELL
 from ...mapping.sight_lines import END_MARGIN_CELLS, MIN_DEPTH, MIN_DEPTH_SIGMAS, trace_sight_lines
+from ...mapping.wall_cells import WALL_CELL
 from ...mapping.wall_removal import MAX_GAP_CELLS, MIN_OPENING
 from ...measuring.wall_map import WallMap
 from .surveys import Survey

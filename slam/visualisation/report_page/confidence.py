@@ -7,9 +7,9 @@ from html import escape
 import numpy as np
 
 from ...checks.weak_places import MAX_SIGMA
+from ...formatting import counted, percent
 from ...io.exports.confidence import CLASS_LIMITS, wall_stretches, weak_places
 from ...io.run_results import RunResults
-from .formatting import counted, percent
 from .sections import item_list, place_button
 
 MAX_LISTED = 8

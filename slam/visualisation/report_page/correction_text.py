@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from .formatting import counted, length, percent
+from ...formatting import counted, length, percent
 
 
 def outcome_lines(outcome: dict[str, Any]) -> list[str]:

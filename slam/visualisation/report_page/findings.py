@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from ...checks.suspect import MAP, ODOMETRY, PARTS, PLACEMENT, UNCONSTRAINED
+from ...formatting import clock, counted, percent
 from ...io.tum import Trajectory
 from ...loop_closure.loop_status import LoopStatus
-from .formatting import clock, counted, percent
 
 LOW_OVERLAP_RATIO = 0.75
 """Median overlap ratio below which the map is suspicious. Recordings of offices with people have 0.92 to 0.99."""

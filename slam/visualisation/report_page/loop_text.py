@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from ...formatting import counted, length
 from ...loop_closure.loop_status import LoopStatus
-from .formatting import counted, length
 
 
 def returns_text(slam: dict[str, Any]) -> str:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from html import escape
 from typing import Any
 
+from ...formatting import clock, duration, length, percent
 from ...geometry.segments import Floats
 from ...io.tum import Trajectory
 from ...loop_closure.loop_status import LoopStatus
 from .correction_text import outcome_lines
 from .findings import Finding
-from .formatting import clock, duration, length, percent
 from .loop_text import by_margin, loops_text, returns_text
 
 APPLIED = (LoopStatus.ACCEPTED, LoopStatus.RETRACTED, LoopStatus.FORBIDDEN)

@@ -10,7 +10,7 @@ import pytest
 
 from drivers import se2
 from drivers.recordings.mcap import McapWriter
-from drivers.simulation import Simulation
+from drivers.simulation import LidarModel, Simulation
 from slam.graph.pose_graph import optimise, read_pose_graph
 from slam.io.map_json import read_map
 from slam.io.output_dir import MAP, RESULTS, SESSION, SUMMARY, TRAJECTORY
@@ -29,7 +29,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Directory with recordings of the drives; the stamps of each start at the beginning of its simulation."""
     folder = tmp_path_factory.mktemp("recordings")
     for name, (seed, begin, end) in DRIVES.items():
-        messages = list(Simulation("office", seed=seed, duration=end))
+        messages = list(Simulation("office", seed=seed, duration=end, lidar=LidarModel(beams=360, rate=5.0)))
         with McapWriter(folder / f"{name}.mcap") as writer:
             for message in messages:
                 if message.stamp - messages[0].stamp >= begin:

@@ -20,11 +20,11 @@ from slam.events import Finished
 from slam.io.exports import write_dxf, write_geojson, write_svg
 from slam.io.exports.dimension_lines import dimension_lines
 from slam.io.exports.measurements_csv import measurements_csv
+from slam.io.json_files import write_json
 from slam.io.keyframes_csv import read_keyframes
-from slam.io.output_dir import write_json, write_results
 from slam.io.plans.geojson import read_geojson
 from slam.io.plans.svg import read_svg
-from slam.io.run_results import RunResults, read_run_results
+from slam.io.run_results import RunResults, read_run_results, write_results
 from slam.measuring.measured_map import MeasuredMap, measure_all
 
 from ..measuring.plans import around, room, wall_map

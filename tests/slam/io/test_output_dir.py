@@ -14,21 +14,13 @@ from slam.errors import OutputError
 from slam.events import Finished
 from slam.io.atomic_swap import exchange_directories
 from slam.io.disk_reserve import MIN_RESERVE, directory_size
+from slam.io.json_files import to_json_types
 from slam.io.map_json import read_map
-from slam.io.output_dir import (
-    CONFIG,
-    KEYFRAMES,
-    MAP,
-    REVIEW,
-    SUMMARY,
-    TRAJECTORY,
-    OutputDirectory,
-    to_json_types,
-    unfinished_file,
-    write_results,
-)
+from slam.io.output_dir import CONFIG, KEYFRAMES, MAP, REVIEW, SUMMARY, TRAJECTORY, OutputDirectory
 from slam.io.recovery import recover_results
+from slam.io.run_results import write_results
 from slam.io.tum import read_tum
+from slam.io.unfinished_file import unfinished_file
 from slam.io.work_directory import left_behind, running_process
 
 

@@ -14,10 +14,9 @@ from slam.errors import MapError
 from slam.events import Finished
 from slam.io.exports import write_dxf, write_geojson, write_pgm, write_pgm_yaml, write_svg
 from slam.io.exports.occupancy import Occupancy
-from slam.io.output_dir import write_results
 from slam.io.plans.reader import read_plan
 from slam.io.plans.units import Unit
-from slam.io.run_results import RunResults, read_run_results
+from slam.io.run_results import RunResults, read_run_results, write_results
 from slam.mapping.plan_map import PlanMap, build_plan_map
 
 ROOM = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]])

@@ -12,7 +12,7 @@ from typer.testing import Result
 
 from drivers import se2
 from drivers.messages import GroundTruth, Message
-from drivers.simulation import Simulation
+from drivers.simulation import LidarModel, Simulation
 from slam.geometry.segments import Floats, Segments
 from slam.loop_closure.map_descriptor import describe_map
 from slam.loop_closure.relocalisation import MapIndex, Relocalisation, Submap, index_map, relocalise, submap_of
@@ -22,6 +22,7 @@ from slam.mapping.landmarks import Landmarks
 from slam.pipeline import Slam
 
 ROUGHNESS = 1e-6
+LIDAR = LidarModel(beams=460)
 
 
 def room(x: float, y: float, width: float, depth: float, niche: float) -> Floats:
@@ -202,7 +203,7 @@ def mapped(messages: list[Message]) -> Slam:
 
 def map_parts(world: str, seed: int, seconds: float, starts: list[float]) -> Iterator[tuple[Slam, se2.Pose]]:
     """Map parts of a drive, each on its own; yield the map and the true pose at its last keyframe."""
-    messages = list(Simulation(world, seed=seed, duration=max(starts) + seconds + 1.0))
+    messages = list(Simulation(world, seed=seed, duration=max(starts) + seconds + 1.0, lidar=LIDAR))
     for start in starts:
         part = [message for message in messages if start <= message.stamp < start + seconds]
         slam = mapped(part)
@@ -214,7 +215,7 @@ def map_parts(world: str, seed: int, seconds: float, starts: list[float]) -> Ite
 @pytest.fixture(scope="module")
 def office() -> tuple[MapIndex, se2.Pose]:
     """Return the map of a drive through an office, and the drive's first pose in the world."""
-    messages = list(Simulation("office", seed=2, duration=60.0))
+    messages = list(Simulation("office", seed=2, duration=60.0, lidar=LIDAR))
     first = next(message for message in messages if isinstance(message, GroundTruth))
     slam = mapped(messages)
     slam.finish()

@@ -15,12 +15,12 @@ from slam.config import Config, config_to_toml
 from slam.events import Finished, WallsRemoved
 from slam.io.output_dir import CONFIG
 from slam.io.sessions import StoredSession, read_session, write_session
-from slam.mapping.landmarks import WALL_CELL
 from slam.mapping.map_features import MapWalls
+from slam.mapping.wall_cells import WALL_CELL
 
 from ..listeners import EventCollector
 
-LIDAR = LidarModel(beams=360)
+LIDAR = LidarModel(beams=360, rate=5.0)
 NOTHING = np.zeros((0, 4)), np.zeros((0, 3))
 PATH = np.array([[1.2, 1.2], [6.8, 1.2], [6.8, 4.8], [1.2, 4.8], [1.2, 1.4], [6.5, 1.4]])
 START = np.array([1.2, 1.2, 0.0])  # first pose on this path: the map's frame in the world

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from slam.geometry.segments import Floats
-from slam.mapping.landmarks import WALL_CELL, Landmarks
+from slam.mapping.landmarks import Landmarks
 from slam.mapping.overlap_suppression import MAX_DEPTH, MIN_RUN_CELLS, suppress_overlapping_walls
+from slam.mapping.wall_cells import WALL_CELL
 
 
 def landmarks_of(*walls: tuple[list[float], float, int]) -> Landmarks:

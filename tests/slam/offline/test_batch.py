@@ -219,7 +219,7 @@ def test_crash_of_a_worker_affects_only_its_recording(client: Client, tmp_path: 
 
 
 def test_local_workers_have_one_thread_and_are_reachable_from_this_computer_only(client: Client) -> None:
-    client.wait_for_workers(2, timeout=30)
+    client.wait_for_workers(2, timeout=300)
     info = client.scheduler_info(n_workers=-1)
     assert info["address"].startswith("wclm://127.0.0.1:")
     assert len(info["workers"]) == 2
@@ -233,7 +233,7 @@ def test_local_workers_have_one_thread_and_are_reachable_from_this_computer_only
 @pytest.mark.parametrize("greeting", [b"", b"\0" * 32, b"GET / HTTP/1.1\r\n" * 4])
 def test_other_programs_cannot_connect_to_local_workers(client: Client, greeting: bytes) -> None:
     """Neither the scheduler nor a worker says anything to a program that does not know the secret."""
-    client.wait_for_workers(2, timeout=30)
+    client.wait_for_workers(2, timeout=300)
     info = client.scheduler_info(n_workers=-1)
     for address in (info["address"], *info["workers"]):
         host, _, port = address.removeprefix("wclm://").partition(":")

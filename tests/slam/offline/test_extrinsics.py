@@ -77,7 +77,7 @@ def test_too_little_data_is_an_error() -> None:
 
 
 def test_command_prints_the_corrected_options(wclm: Any) -> None:
-    result = wclm("calibrate", "sim:room?duration=45&seed=1", "--wheel-radius", "0.033", "--track", "0.35")
+    result = wclm("calibrate", "sim:room?duration=45&seed=1&lidar=short", "--wheel-radius", "0.033", "--track", "0.35")
     assert result.exit_code == 0, result.output
     simulation = Simulation("room", seed=1, duration=45.0)
     options = re.search(r"wheel_radius=([\d.]+),([\d.]+)&track=([\d.]+)$", result.stdout.strip())

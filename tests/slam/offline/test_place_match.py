@@ -10,7 +10,7 @@ import pytest
 
 from drivers import se2
 from drivers.messages import Odometry, Scan
-from drivers.simulation import Simulation
+from drivers.simulation import LidarModel, Simulation
 from slam import Slam
 from slam.errors import MapError
 from slam.estimation.slam_state import SlamState
@@ -19,6 +19,7 @@ from slam.io.tum import Trajectory
 from slam.offline.corrections import correct_session
 from slam.offline.corrections.place_match import match_places
 
+LIDAR = LidarModel(beams=360, rate=5.0)
 WORLD = """
 title = "two rooms"
 speed = 0.8
@@ -73,7 +74,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def measurements(world: Path, seed: int, duration: float | None = None) -> list[Scan | Odometry]:
-    simulation = Simulation(world, seed=seed, duration=duration)
+    simulation = Simulation(world, seed=seed, duration=duration, lidar=LIDAR)
     return [message for message in simulation if isinstance(message, Scan | Odometry)]
 
 

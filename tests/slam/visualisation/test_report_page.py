@@ -19,8 +19,8 @@ import pytest
 from slam.config import Config
 from slam.errors import MapError
 from slam.events import Finished
-from slam.io.output_dir import write_json, write_results
-from slam.io.run_results import RunResults, read_run_results
+from slam.io.json_files import write_json
+from slam.io.run_results import RunResults, read_run_results, write_results
 from slam.measuring.map_measurements import measure_walls
 from slam.measuring.wall_map import WallMap
 from slam.visualisation.report_page import write_page

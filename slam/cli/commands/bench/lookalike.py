@@ -48,7 +48,7 @@ def bench_lookalike(
     """
     from ....evaluation.benchmarks.lookalike import VARIANTS, WORLDS, choose, run_worlds, summarise, summarise_worlds
     from ....io.host import versions
-    from ....io.output_dir import to_json_types
+    from ....io.json_files import to_json_types
 
     worlds, variants = choose(check_conditions(conditions, (*WORLDS, *VARIANTS)) if conditions else ())
     compile_all()

@@ -27,7 +27,7 @@ def bench_measure(
     Example: [bold]wclm bench measure --seeds 20 --duration 100[/bold]
     """
     from ....evaluation.benchmarks.measuring import coverage, coverage_table, measure_drives
-    from ....io.output_dir import to_json_types
+    from ....io.json_files import to_json_types
 
     compile_all()
     drives = measure_drives(range(first_seed, first_seed + seeds), world, duration)

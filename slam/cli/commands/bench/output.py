@@ -45,6 +45,6 @@ def heading(seed: int) -> list[str]:
 
 def plain_rows(rows: Iterable[NamedTuple]) -> list[dict[str, Any]]:
     """Return rows as plain data for JSON, with null for NaN."""
-    from ....io.output_dir import to_json_types
+    from ....io.json_files import to_json_types
 
     return [to_json_types(row._asdict()) for row in rows]

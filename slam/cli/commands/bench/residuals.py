@@ -28,7 +28,7 @@ def bench_residuals(
     import drivers
 
     from ....evaluation.benchmarks.residuals import examine, residual_table
-    from ....io.output_dir import to_json_types
+    from ....io.json_files import to_json_types
 
     compile_all()
     results = []

@@ -46,7 +46,7 @@ def bench_robust(
     """
     from ....evaluation.benchmarks.robust import TABLE_HEAD, run_jobs, select_jobs, table_row
     from ....evaluation.benchmarks.robust_drives import WORLDS, find_recordings
-    from ....io.output_dir import to_json_types
+    from ....io.json_files import to_json_types
 
     recordings = [] if folder is None else find_recordings(folder)
     chosen = check_conditions(conditions, (*(drive.name for drive in recordings), *WORLDS))

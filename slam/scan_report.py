@@ -1,0 +1,51 @@
+"""Report of what the scans of a run change: counted for its summary, and published."""
+
+from __future__ import annotations
+
+from .estimation.estimator import ScanResult
+from .estimation.slam_state import SlamState
+from .estimation.stage_timer import StageTimer
+from .events import Notice
+from .preprocessing.preprocessor import ProcessedScan
+from .publisher import Publisher
+from .run_statistics import RunStatistics
+
+
+class ScanReport:
+    """Counts and publishes the effects of scans."""
+
+    def __init__(self, publisher: Publisher, statistics: RunStatistics) -> None:
+        self._publisher, self._statistics = publisher, statistics
+
+    def add(
+        self, scan: ProcessedScan, result: ScanResult, state: SlamState, sigma_range: float, timer: StageTimer
+    ) -> None:
+        """Report the effects of a scan.
+
+        result       effects of the scan
+        state        with the results of the run, after the scan
+        sigma_range  standard deviation of a range, metres
+        timer        with the times of the scan's processing
+        """
+        statistics, publisher, mapper = self._statistics, self._publisher, state.mapper
+        statistics.add_tracking(result.tracking)
+        publisher.publish_tracking(scan, result.tracking, mapper, state.odometry_model)
+        if result.update is not None:
+            statistics.add_keyframe(scan.stamp, result.update, timer)
+            publisher.publish_keyframe(scan, result.mapper, result.update, sigma_range, timer)
+            self.add_rejected_loops(state, scan.stamp)
+        if result.in_plan:
+            publisher.publish(Notice(scan.stamp, "recognised in the plan", "INFO"))
+            publisher.publish_map(scan.stamp, mapper)
+        if result.retracted is not None:
+            statistics.add_loop(scan.stamp, result.retracted)
+            publisher.publish_loop(result.retracted, scan.stamp, mapper, result.mapper)
+
+    def add_rejected_loops(self, state: SlamState, stamp: float, *, ended: bool = False) -> None:
+        """Report the hypotheses of loops that were given up; if the run has `ended`, also all others.
+
+        stamp  of the scan at which this is reported, seconds
+        """
+        for decision in state.loops.take_rejected(ended=ended):
+            self._statistics.add_loop(state.keyframe_stamps[decision.keyframe], decision)
+            self._publisher.publish_rejected_loop(decision, stamp, state.mapper)
