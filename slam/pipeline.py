@@ -246,7 +246,7 @@ class Slam:
         if not journal.segments.starts or not state.mapper.keyframe_count:
             raise MapError("nothing is mapped yet")
         session = self._stored(state.copy(), release=False)
-        session.scans, session.queued_scans = list(journal.scans), self._preprocessor.queued
+        session.scans, session.queued_scans = journal.scans.copy(), self._preprocessor.queued
         session.starts = list(journal.segments.starts)
         session.odometry = [history.copy() for history in journal.segments.histories]
         summary = self._summary(journal.scans[-1].stamp)
@@ -314,7 +314,7 @@ class Slam:
         if self._is_unknown_place or not queued or not self.slam_state.mapper.keyframe_count:
             return None
         session = self._stored(self.slam_state.copy())
-        session.scans, session.queued_scans = list(self._journal.scans), queued
+        session.scans, session.queued_scans = self._journal.scans.copy(), queued
         return session
 
     @property

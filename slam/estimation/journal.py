@@ -11,6 +11,7 @@ from ..mapping.odometry_segments import OdometrySegments
 from ..mapping.trajectory_builder import TrajectoryBuilder
 from ..odometry.history import OdometryHistory
 from ..preprocessing.preprocessor import ProcessedScan
+from ..preprocessing.scan_sequence import ScanSequence
 from .refinement import ScanHistory, build_scan_history
 from .slam_state import SlamState
 
@@ -34,11 +35,11 @@ class Journal:
         keep_all_features: bool,
     ) -> None:
         """`keep_all_features` also keeps the features of scans in familiar places: memory then grows with time."""
-        self.scans = list(scans)
+        self.scans = ScanSequence(scans)
         self.segments = OdometrySegments(odometry, starts)
         self.first_row, self.resumed_at = len(self.scans), resumed_at
         self._keep_all_features = keep_all_features
-        self._in_familiar_place: set[int] = set()  # rows
+        self._in_familiar_place: set[int] = set()  # rows whose features are kept nevertheless
 
     def add(self, scan: ProcessedScan) -> None:
         """Append a scan."""
@@ -46,9 +47,11 @@ class Journal:
 
     def mark_last_familiar(self) -> None:
         """Mark the last scan as taken in a familiar place: its features did not enter the map."""
-        self._in_familiar_place.add(len(self.scans) - 1)
-        if not self._keep_all_features:
-            self.scans[-1] = self.scans[-1].without_features()
+        row = len(self.scans) - 1
+        if self._keep_all_features:
+            self._in_familiar_place.add(row)
+        else:
+            self.scans.drop_features([row])
 
     def start_odometry_segment(self) -> OdometryHistory:
         """Start a new odometry segment with the next scan, which is the first one of this run."""
@@ -85,6 +88,6 @@ class Journal:
 
     def without_familiar_features(self, history: ScanHistory) -> ScanHistory:
         """Return the history as if the features of scans in familiar places had not been kept."""
-        familiar = self._in_familiar_place
-        scans = [scan.without_features() if row in familiar else scan for row, scan in enumerate(self.scans)]
+        scans = self.scans.copy()
+        scans.drop_features(self._in_familiar_place)
         return replace(history, scans=scans)

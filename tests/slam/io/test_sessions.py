@@ -31,6 +31,7 @@ from slam.loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis
 from slam.mapping.convergence import converge
 from slam.mapping.mapper import Mapper
 from slam.preprocessing.preprocessor import NO_FEATURES
+from slam.preprocessing.scan_sequence import ScanSequence
 
 # Match of keyframes in `session.json`.
 MATCH = {
@@ -188,7 +189,9 @@ def test_scan_without_features_is_read_back_without_features(tmp_path: Path) -> 
     slam.finish()
     session = slam.session
     last = len(session.scans) - 1
-    session.scans = [*session.scans[:last], session.scans[last].without_features()]
+    scans = ScanSequence(session.scans)
+    scans.drop_features([last])
+    session.scans = scans
     write_directory(tmp_path, session)
     restored = read_session(tmp_path)
     assert restored.scans[last].features is NO_FEATURES
