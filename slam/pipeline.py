@@ -279,8 +279,9 @@ class Slam:
         self._report_rejected_loops(end, ended=True)
         state, journal = self.slam_state, self._journal
         summary = self._summary(end)
-        summary |= refine_or_match(state, journal, self._publisher, wanted=self._refine and not self._frozen)
-        summary["wall_bends"] = settle_wall_bends(state.mapper, journal.history(state))
+        history = journal.history(state)
+        summary |= refine_or_match(state, journal, history, self._publisher, wanted=self._refine and not self._frozen)
+        summary["wall_bends"] = settle_wall_bends(state.mapper, history)
         delay = find_scan_delay(state, journal)
         summary["scan_delay"] = None if delay is None else delay.row()
         if self._refine:

@@ -10,7 +10,7 @@ from .config import Config
 from .errors import MapError
 from .estimation.estimator import Estimator
 from .estimation.journal import Journal
-from .estimation.refinement import match_trajectory, refine
+from .estimation.refinement import ScanHistory, match_trajectory, refine
 from .estimation.slam_state import SlamState
 from .events import Notice
 from .localisation.tracking import PoseFix
@@ -63,16 +63,20 @@ def settle_plan(state: SlamState, journal: Journal, publisher: Publisher) -> Non
         publisher.publish(Notice(stamp, "the map is recognised in the plan", "INFO"))
 
 
-def refine_or_match(state: SlamState, journal: Journal, publisher: Publisher, *, wanted: bool) -> dict[str, object]:
-    """Match all scans to the final map, after refining the map if that is `wanted`; return the summary's part."""
+def refine_or_match(
+    state: SlamState, journal: Journal, history: ScanHistory, publisher: Publisher, *, wanted: bool
+) -> dict[str, object]:
+    """Match all scans to the final map, after refining the map if that is `wanted`; return the summary's part.
+
+    `history` is that of the journal.
+    """
     stamp = journal.scans[-1].stamp
     if state.mapper.keyframe_count < 2:
         return {}
-    history = journal.history(state)
     try:
         if not wanted:
-            history = journal.without_familiar_features(history)  # the result must not depend on what is kept
-            state.trajectory = match_trajectory(state.mapper, history, state.odometry_model)
+            known = journal.without_familiar_features(history)  # the result must not depend on what is kept
+            state.trajectory = match_trajectory(state.mapper, known, state.odometry_model)
             return {}
         refined = refine(state.mapper, history, state.odometry_model)
     except MapError as error:

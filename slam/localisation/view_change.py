@@ -67,5 +67,5 @@ class View:
             return False
         field = DistanceField.empty(np.zeros(2), FIELD_RADIUS + MAX_TRAVEL)
         field.insert(np.zeros(3), self.points)
-        points = subsample(other.near, MAX_COMPARED_POINTS)
+        points = np.ascontiguousarray(subsample(other.near, MAX_COMPARED_POINTS))  # strided ones: see `match_points`
         return bool(likelihoods(field, points, se2.compose(motion, ODOMETRY_ERRORS)).max() < SAME_PLACE_SCORE)
