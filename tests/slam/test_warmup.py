@@ -1,4 +1,4 @@
-"""After a warm-up nothing is compiled, neither by another one nor by a run; its two processes do most of it."""
+"""After a warm-up nothing is compiled, neither by another one nor by runs; its two processes do most of it."""
 
 import subprocess
 import sys
@@ -13,6 +13,7 @@ import slam
 from drivers.simulation import Simulation
 from slam.config import Config, config_to_toml
 from slam.io.sessions import read_session, write_session
+from tests.slam.estimation.test_map_parts import elsewhere
 
 def compiled():
     ours = [d for d in gc.get_objects() if isinstance(d, CPUDispatcher)
@@ -34,15 +35,16 @@ mapped = compiled()
 write_session(directory, mapper.session)
 for frozen in (False, True):
     continued = slam.Slam(resumed=read_session(directory), frozen=frozen)
-    for message in Simulation("office", seed=2, duration=15.0):
+    for message in elsewhere("office", "room", 6.0):
         continued.add(replace(message, stamp=message.stamp + 1000.0))
-    assert continued.state.status.value == "OK", continued.state
 print(len(before) > 5, sorted(again - before), sorted(mapped - again), sorted(compiled() - mapped))
 """
 
 
 def test_nothing_is_compiled_after_the_warm_up(tmp_path: Path) -> None:
-    """Neither by a second warm-up, nor by a run, nor by one that continues a session or localises in it."""
+    """Neither by a second warm-up, nor by a run, nor by one that continues a session or localises in it, and in which
+    the robot is carried to another place.
+    """
     command = [sys.executable, "-c", COMPILED + RUN, str(tmp_path)]
     answer = subprocess.run(command, capture_output=True, text=True, timeout=250)
     assert answer.stderr == ""
