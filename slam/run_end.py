@@ -75,7 +75,7 @@ def refine_or_match(
         return {}
     try:
         if not wanted:
-            known = journal.without_familiar_features(history)  # the result must not depend on what is kept
+            known = journal.without_dispensable_features(history)  # the result must not depend on what is kept
             state.trajectory = match_trajectory(state.mapper, known, state.odometry_model)
             return {}
         refined = refine(state.mapper, history, state.odometry_model)

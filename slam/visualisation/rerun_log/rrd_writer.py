@@ -28,7 +28,9 @@ FLUSH_PERIOD = 0.5  # seconds; shorter periods cost kilobytes per chunk with a l
 # as large as the rows if these are few in each chunk, as in familiar places.
 PART_SIZE = 50_000_000
 MAX_BATCH_ROWS = 64  # rows sent together
-MAX_BATCH_AGE = 0.5  # seconds that a row waits for further rows of its entity
+# Seconds that a row waits for further rows of its entity. In memory, every chunk takes 1 kB until the file ends, and
+# 2 kB more at the server.
+MAX_BATCH_AGE, MAX_BATCH_AGE_WITHOUT_VIEWERS = 1.0, 5.0
 MAX_STEP_TEXTS = 1000  # rows of the text log that a step of CANDIDATE or CLOSURE repeats; older ones are left out
 MAX_PARTS = 160  # files; then the oldest but the first is deleted, so that an endless run does not fill the disk
 
@@ -53,6 +55,7 @@ class RrdWriter:
         identity = str(uuid4())
         self._path, self._part_size = path, part_size
         self._part = 1
+        self._max_batch_age = MAX_BATCH_AGE_WITHOUT_VIEWERS if server is None else MAX_BATCH_AGE
         self._layout = layout
         self._static: dict[tuple[str, str], Archetype] = {}
         self._now: dict[str, int] = {}
@@ -101,7 +104,7 @@ class RrdWriter:
         batch.values.append(value)
         batch.times.append(self._now.copy())
         self._remember(entity, _LastRow(value, to_columns))
-        if len(batch.values) == MAX_BATCH_ROWS or time.monotonic() - batch.started > MAX_BATCH_AGE:
+        if len(batch.values) == MAX_BATCH_ROWS or time.monotonic() - batch.started > self._max_batch_age:
             self._send(entity, self._batches.pop(entity))
 
     def _remember(self, entity: str, row: _LastRow) -> None:
