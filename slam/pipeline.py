@@ -148,7 +148,9 @@ class Slam:
             self._motions.correct(processed.stamp, tracking.motion_since(before), tracking.covariance)
         if self._motions.predicted:
             result = replace(result, tracking=replace(result.tracking, slipped=False))  # there is nothing that can slip
-        if self.slam_state.in_familiar_place and not self._frozen:
+        if self._frozen:
+            self._journal.mark_localised()
+        elif self.slam_state.in_familiar_place:
             self._journal.mark_last_familiar()
         self._journal.mark_standing(self._estimator.state.keyframe_stamps)
         self._statistics.add_tracking(result.tracking)

@@ -26,6 +26,9 @@ STANDING_SCANS = 100
 # Scans until it is certain whether a scan has become a keyframe: a new part of the map may begin with it when the robot
 # is found to be lost. Origin: chosen, several times as many as tracking waits for that.
 UNDECIDED_SCANS = 20
+# Last scans whose features are kept if the map is not changed: older ones are not matched again at the end, as a robot
+# may be localised for weeks. Origin: chosen, half an hour of a common lidar, some 100 MB.
+LOCALISED_SCANS = 20_000
 
 
 class Journal:
@@ -79,6 +82,12 @@ class Journal:
         stamp = self.scans[row].stamp
         place = bisect.bisect_left(keyframe_stamps, stamp)
         if place == len(keyframe_stamps) or keyframe_stamps[place] != stamp:
+            self._mark_dispensable(row)
+
+    def mark_localised(self) -> None:
+        """Mark the scan before the last LOCALISED_SCANS of this run; to be called after each, if the map is frozen."""
+        row = len(self.scans) - 1 - LOCALISED_SCANS
+        if row >= self.first_row:
             self._mark_dispensable(row)
 
     def _mark_dispensable(self, row: int) -> None:
