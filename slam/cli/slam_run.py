@@ -25,6 +25,7 @@ from .autosave import Autosave
 from .compilation import compile_all, compile_for_recording
 from .console import print_if_slow
 from .left_behind import print_left_behind
+from .memory import return_large_blocks
 from .run_input import InputStatistics, RunInput
 from .run_setup import RunSetup
 from .run_summary import RunResult
@@ -93,6 +94,7 @@ def run_slam(
             compile_for_recording()
         else:
             compile_all()
+            return_large_blocks()
         import_module("slam.pipeline")  # so that its modules are frozen, too
         gc.freeze()  # otherwise a full collection over all imported modules delays a scan by 0.1 s
         notices, statistics, reviewed = NoticeCollector(), InputStatistics(keeps_odometry=picture), None
