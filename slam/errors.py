@@ -6,6 +6,9 @@ from pathlib import Path
 
 from drivers.errors import DriverError, RecordingError, SlamError
 
+MAX_LENGTH = 300
+"""Characters of an error of a library that are repeated: some contain the damaged file."""
+
 
 class ConfigurationError(SlamError):
     """A setting is unknown or its value is invalid."""
@@ -44,8 +47,9 @@ class PoseGraphError(SlamError):
 
 
 def first_line(error: BaseException) -> str:
-    """Return the first line of an error's text that is not empty, else the name of its type."""
-    return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
+    """Return the first line of an error's text that is not empty, cut to MAX_LENGTH, else the name of its type."""
+    text = next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
+    return text if len(text) <= MAX_LENGTH else text[: MAX_LENGTH - 1] + "…"
 
 
 __all__ = [

@@ -65,8 +65,8 @@ class Slam:
         """Create an empty map, or continue a session.
 
         refine             refine the whole map offline in `finish`
-        keep_all_features  keep the features of scans in familiar places too, so that the session can be refined later;
-                           memory then grows with time. Implied by `refine`
+        keep_all_features  keep the features of scans in familiar places too, and of a robot that stands, so that the
+                           session can be refined later; memory then grows with time. Implied by `refine`
         loops              search for loop closures in another way than the default
         resumed            session to continue: directly if odometry is continuous, else after relocalisation in its map
         frozen             keep the map of the session unchanged and only estimate the trajectory in it
@@ -137,8 +137,11 @@ class Slam:
             self._motions.correct(processed.stamp, tracking.motion_since(before), tracking.covariance)
         if self._motions.predicted:
             result = replace(result, tracking=replace(result.tracking, slipped=False))  # there is nothing that can slip
-        if self.slam_state.in_familiar_place and not self._frozen:
+        if self._frozen:
+            self._journal.mark_localised()
+        elif self.slam_state.in_familiar_place:
             self._journal.mark_last_familiar()
+        self._journal.mark_standing(self._estimator.state.keyframe_stamps)
         self._statistics.lost_scans += self._localisation.lost
         self._report.add(processed, result, self.slam_state, self._preprocessor.sigma_range, timer)
         self._localisation.update(processed.stamp, result, self._estimator)

@@ -10,7 +10,7 @@ from .config import Config
 from .errors import MapError
 from .estimation.estimator import Estimator
 from .estimation.journal import Journal
-from .estimation.refinement import match_trajectory, refine
+from .estimation.refinement import ScanHistory, match_trajectory, refine
 from .estimation.slam_state import SlamState
 from .estimation.wall_bends import settle_wall_bends
 from .events import Notice
@@ -69,21 +69,26 @@ def settle_trajectory(state: SlamState, journal: Journal, publisher: Publisher, 
 
     The map is `refined` before if wanted. Returns the summary's part.
     """
-    summary = _refine_or_match(state, journal, publisher, refined=refined)
-    bends, delay = settle_wall_bends(state.mapper, journal.history(state)), find_scan_delay(state, journal)
+    history = journal.history(state)
+    summary = _refine_or_match(state, journal, history, publisher, refined=refined)
+    bends, delay = settle_wall_bends(state.mapper, history), find_scan_delay(state, journal)
     return summary | {"wall_bends": bends, "scan_delay": None if delay is None else delay.row()}
 
 
-def _refine_or_match(state: SlamState, journal: Journal, publisher: Publisher, *, refined: bool) -> dict[str, object]:
-    """Match all scans to the final map, which is `refined` before if wanted; return the summary's part."""
+def _refine_or_match(
+    state: SlamState, journal: Journal, history: ScanHistory, publisher: Publisher, *, refined: bool
+) -> dict[str, object]:
+    """Match all scans to the final map, which is `refined` before if wanted; return the summary's part.
+
+    `history` is that of the journal.
+    """
     stamp = journal.scans[-1].stamp
     if state.mapper.keyframe_count < 2:
         return {}
-    history = journal.history(state)
     try:
         if not refined:
-            history = journal.without_familiar_features(history)  # the result must not depend on what is kept
-            state.trajectory = match_trajectory(state.mapper, history, state.odometry_model)
+            known = journal.without_dispensable_features(history)  # the result must not depend on what is kept
+            state.trajectory = match_trajectory(state.mapper, known, state.odometry_model)
             return {}
         result = refine(state.mapper, history, state.odometry_model)
     except MapError as error:

@@ -38,14 +38,14 @@ class RunSession:
     def with_queue(self, state: SlamState) -> StoredSession:
         """Return the session with the queued scans still in the queue, as if the run had not ended."""
         session = self.at_end(state)
-        session.scans, session.queued_scans = list(self.journal.scans), self.preprocessor.queued
+        session.scans, session.queued_scans = self.journal.scans.copy(), self.preprocessor.queued
         return session
 
     def snapshot(self, state: SlamState, summary: dict[str, Any], after: float) -> RunSnapshot:
         """Return a copy of the run while it goes on; for `summary` and `after` see `RunSnapshot`."""
         segments = self.journal.segments
         session = self._stored(state.copy())
-        session.scans, session.queued_scans = list(self.journal.scans), self.preprocessor.queued
+        session.scans, session.queued_scans = self.journal.scans.copy(), self.preprocessor.queued
         session.starts = list(segments.starts)
         session.odometry = [history.copy() for history in segments.histories]
         return RunSnapshot(session, summary, after)

@@ -10,7 +10,6 @@ import numpy as np
 from .errors import MapError
 from .estimation.map_view import covariances_when_last_seen, map_features
 from .events import Finished
-from .mapping.odometry_segments import OdometrySegments
 
 if TYPE_CHECKING:
     from .io.sessions import StoredSession
@@ -30,7 +29,7 @@ class RunSnapshot:
     after: float
 
     def finished(self) -> Finished:
-        """Return map and trajectory so far.
+        """Return map and trajectory so far. The trajectory has the poses of the scans, but none in between.
 
         Covariances of walls and corners are those from when each was last seen; those of keyframes are not computed,
         which would take seconds in a large map. Raises MapError if the trajectory has no pose yet.
@@ -40,8 +39,7 @@ class RunSnapshot:
         mapper.gauge.release(mapper)
         walls, corners = map_features(mapper)
         of_walls, of_corners = covariances_when_last_seen(mapper, walls, corners)
-        segments = OdometrySegments(self.session.odometry, self.session.starts)
-        stamps, poses = segments.trajectory(state.trajectory, mapper.keyframe_poses)
+        stamps, poses = state.trajectory.at_scans(mapper.keyframe_poses)
         later = stamps > self.after
         if not later.any():
             raise MapError("the robot was not relocalised in the map yet")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -46,7 +47,7 @@ class RunStatistics:
     states: list[tuple[float, LocalisationState]] = field(default_factory=list)
     merged_walls: int = 0
     loops: list[dict[str, object]] = field(default_factory=list)
-    overlap_ratios: list[float] = field(default_factory=list)
+    overlap_ratios: array[float] = field(default_factory=lambda: array("d"))  # of days: a list is four times as large
     keyframe_times: list[float] = field(default_factory=list)
     stage_times: dict[str, float] = field(default_factory=dict)
 
@@ -98,7 +99,7 @@ class RunStatistics:
 
     def health(self) -> dict[str, object]:
         """Return how well the scans fitted the map, and how many were not tracked normally."""
-        overlap_ratios = np.array(self.overlap_ratios or [0.0])
+        overlap_ratios = np.array(self.overlap_ratios or (0.0,))
         return {
             "overlap_ratio_median": round(float(np.median(overlap_ratios)), 3),
             "overlap_ratio_p05": round(float(np.percentile(overlap_ratios, 5)), 3),

@@ -27,6 +27,7 @@ from .estimation.slam_state import SlamState
 from .geometry.segments import CornerPoints, Segments
 from .io.exports.occupancy import OccupancyGrid
 from .io.exports.scan_placement import PlacedScan
+from .localisation.view_change import View
 from .loop_closure.occlusion import REFERENCE_DISTANCE, occluded_share, old_walls
 from .loop_closure.relocalisation import index_map, relocalise, submap_of
 from .loop_closure.submap_search import build_submap, search_submap
@@ -34,7 +35,9 @@ from .mapping.convergence import converge
 from .mapping.landmarks import Landmarks
 from .mapping.unconfirmed_observations import CONFIRMING_KEYFRAMES
 from .mapping.wall_removal import FreeSpaceEvidence
+from .matching.distance_field import DistanceField
 from .matching.line_matcher import ScanFeatures
+from .matching.point_matcher import Prediction, match_points
 from .matching.scan_points import ScanPoints, rounded
 from .odometry.error_model import OdometryModel
 from .pipeline import Slam
@@ -69,6 +72,8 @@ def warm_up() -> None:
     _check_loop([(mapper.graph.keyframe_pose(keyframe), segments) for keyframe, segments in mapper.recent_segments])
     _update_free_space()
     _search_submap()
+    _search_poses()
+    _draw_grid()
     slam.finish()
 
 
@@ -83,6 +88,7 @@ def compile_preprocessing() -> None:
     _search_submap()
     _update_free_space()
     _check_loop([])
+    _search_poses()
     _draw_grid()
     warm_up_simulation()
 
@@ -175,8 +181,22 @@ def _draw_grid() -> None:
 
 def _search_submap() -> None:
     """Search the submap of two walls in itself."""
+    submap = build_submap(np.zeros((1, 3)), [_two_walls()], 5.0)
+    search_submap(submap, submap, np.zeros(3), 0.3, 0.1)
+
+
+def _search_poses() -> None:
+    """Search for a robot that may be elsewhere, and compare two views, with points of two walls."""
+    points, field = _two_walls(), DistanceField.empty(np.zeros(2))
+    field.insert(np.zeros(3), points)
+    match_points(field, points, [Prediction(np.zeros(3), np.diag([100.0, 100.0, 1e3]))], exhaustive=True)
+    view = View(np.zeros(3), np.ascontiguousarray(points[:, :2]))
+    view.differs_from(view, np.zeros(3))
+
+
+def _two_walls() -> Floats:
+    """Return (p, 4) points with normals on two walls."""
     along = np.linspace(0.0, 2.0, 30)
     ones, zeros = np.ones(30), np.zeros(30)
     walls = [np.column_stack([along, -ones, zeros, ones]), np.column_stack([ones, along, -ones, zeros])]
-    submap = build_submap(np.zeros((1, 3)), [np.concatenate(walls)], 5.0)
-    search_submap(submap, submap, np.zeros(3), 0.3, 0.1)
+    return np.concatenate(walls)

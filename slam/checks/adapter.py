@@ -16,6 +16,7 @@ from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
 from ..odometry.velocity import MAX_VELOCITIES
 from ..preprocessing.preprocessor import ProcessedScan
+from ..preprocessing.scan_sequence import ScanSequence
 from .drive import Drive
 from .row_groups import consecutive_groups
 from .suspect import PARTS, UNCONSTRAINED, Suspect
@@ -43,18 +44,18 @@ def drive_of(
     starts  index in `scans` of the first scan of each odometry segment
     placed  stamps (m,) and final poses (m, 3) of the scans that have a pose, in time order; the others are left out
     """
+    scans = ScanSequence.of(scans)
     stamps, poses = placed
-    of_scans = np.array([scan.stamp for scan in scans])
+    of_scans = scans.stamps
     found = np.minimum(np.searchsorted(stamps, of_scans), max(len(stamps) - 1, 0))
     rows = np.flatnonzero(stamps[found] == of_scans) if len(stamps) else np.zeros(0, dtype=np.int64)
     segment = np.searchsorted(np.asarray(starts, dtype=np.int64), rows, side="right")
-    odometry = np.array([scans[row].odometry for row in rows.tolist()]).reshape(-1, 3)
     return Drive(
         stamps=of_scans[rows],
         poses=poses[found[rows]],
-        odometry=_corrected_path(odometry, odometry_model),
+        odometry=_corrected_path(scans.odometry[rows], odometry_model),
         segment=segment,
-        points=[scans[row].features.points.all for row in rows.tolist()],
+        points=[scans.features(row).points.all for row in rows.tolist()],
         deviations=odometry_model.deviations,
         floors=odometry_model.floors,
         measured=odometry_model.measured,

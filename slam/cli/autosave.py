@@ -17,11 +17,14 @@ from .terminal_keys import TerminalKeys
 
 PERIOD = 60.0
 """Seconds between two saves: the most that a power failure costs."""
+LARGEST_SHARE = 0.25
+"""Share of the time that is spent with saving, if a save takes so long that PERIOD is too short for it."""
 SAVE_KEY = b"s"
 
 
 class Autosave:
-    """Context in which the map is saved every PERIOD, on SIGUSR1, by `request`, and if the key `s` is pressed.
+    """Context in which the map is saved on SIGUSR1, by `request`, if the key `s` is pressed, and every PERIOD, or less
+    often if a save takes long.
 
     output   output directory of the run, entered
     prepare  called between two messages: returns a function that writes the state of that moment into a directory, in
@@ -64,6 +67,7 @@ class Autosave:
             return
         requested, self._requested = self._requested, False
         self._due = time.monotonic() + PERIOD
+        began = time.monotonic()
         try:
             write = self._prepare()
         except MapError as error:
@@ -73,7 +77,7 @@ class Autosave:
                 self.report(problem)
                 print_message(problem)
             return
-        self._thread = threading.Thread(target=self._save, args=(write, requested), name="autosave")
+        self._thread = threading.Thread(target=self._save, args=(write, requested, began), name="autosave")
         self._thread.start()
 
     def request(self) -> None:
@@ -84,7 +88,7 @@ class Autosave:
         if SAVE_KEY in keys.lower():
             self.request()
 
-    def _save(self, write: Callable[[Path], None], requested: bool) -> None:
+    def _save(self, write: Callable[[Path], None], requested: bool, began: float) -> None:
         before, self._problem = self._problem, ""
         try:
             self._output.save(write)
@@ -92,6 +96,8 @@ class Autosave:
             self._problem = str(error)
         except Exception as error:  # whatever it is, it must not end the run
             self._problem = f"{self._output.path}: not saved: {first_line(error)}"
+        took = time.monotonic() - began
+        self._due = began + max(PERIOD, took / LARGEST_SHARE)
         self._output.announce(self._problem)
         self.report(self._problem or f"saved at {time.strftime('%H:%M:%S')}")
         if self._problem and (requested or self._problem != before):

@@ -111,16 +111,19 @@ class RecordingInput:
 class InputStatistics:
     """Statistics of the messages of a run: counts, time span, odometry poses and true poses.
 
-    mounts  mount of each lidar in its first scan; None if that does not say it
-    shift  seconds that were added to all stamps
+    keeps_odometry  keep the odometry poses, to draw them: memory then grows with time
+    mounts          mount of each lidar in its first scan; None if that does not say it
+    shift           seconds that were added to all stamps
     """
 
+    keeps_odometry: bool = False
     scans: int = 0
+    odometry: int = 0
     mounts: dict[int, se2.Pose | None] = field(default_factory=dict)
     shift: float = 0.0
     first: float = np.inf
     last: float = -np.inf
-    odometry: GrowingArray = field(default_factory=lambda: GrowingArray((3,)))
+    odometry_poses: GrowingArray = field(default_factory=lambda: GrowingArray((3,)))
     truth_stamps: list[float] = field(default_factory=list)
     truth: list[se2.Pose] = field(default_factory=list)
 
@@ -132,7 +135,9 @@ class InputStatistics:
             return
         self.first, self.last = min(self.first, message.stamp), max(self.last, message.stamp)
         if isinstance(message, Odometry):
-            self.odometry.append(message.pose)
+            self.odometry += 1
+            if self.keeps_odometry:
+                self.odometry_poses.append(message.pose)
         elif isinstance(message, Scan):
             self.scans += 1
             self.mounts.setdefault(message.lidar, message.mount)

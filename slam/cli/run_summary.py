@@ -55,7 +55,7 @@ def summarise_run(
         "recording_path": run_input.reopen,
         "seed": seed,
         "scans": statistics.scans,
-        "odometry": len(statistics.odometry),
+        "odometry": statistics.odometry,
         "duration": statistics.duration,
         "keyframes": len(finished.keyframes),
         "walls": len(finished.walls),

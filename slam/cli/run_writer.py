@@ -147,7 +147,7 @@ def _draw(
     from ..visualisation.plots import plot_map
 
     odometry: Floats | None = None
-    if len(statistics.odometry):
-        odometry = odometry_path(finished, statistics.first, statistics.odometry.rows)
+    if statistics.odometry:
+        odometry = odometry_path(finished, statistics.first, statistics.odometry_poses.rows)
     truth = None if score is None else se2.compose(se2.inverse(score.alignment), score.reference)
     plot_map(path, finished.walls, finished.corners, finished.poses, title=title, odometry=odometry, truth=truth)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import time
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -25,6 +26,7 @@ from .autosave import Autosave
 from .compilation import compile_all, compile_for_recording
 from .console import print_if_slow
 from .left_behind import print_left_behind
+from .memory import return_large_blocks
 from .run_input import InputStatistics, RunInput
 from .run_setup import RunSetup
 from .run_summary import RunResult
@@ -37,20 +39,27 @@ if TYPE_CHECKING:
     from ..visualisation.live_page import GridLayer, PageServer
     from ..visualisation.rerun_log import ReviewLog, ViewerServer
 
+MAX_EQUAL_NOTICES = 1000
+"""Equal warnings that a run keeps: a robot that is lost for a day has one at each scan."""
 FINDING_TIMING = "estimating the timing of the lidar"
 
 
 @dataclass(slots=True)
 class NoticeCollector:
-    """Sink that collects the texts of notices that are warnings."""
+    """Sink that collects the texts of notices that are warnings, of equal ones the first MAX_EQUAL_NOTICES."""
 
     handled: ClassVar[tuple[type[Event], ...]] = (Notice,)
     texts: list[str] = field(default_factory=list)
+    _counts: Counter[str] = field(default_factory=Counter)
 
     def handle(self, event: Event) -> None:
         """Process one event."""
         if isinstance(event, Notice) and event.level == "WARN":
-            self.texts.append(f"{event.text} (at {event.stamp:.2f} s)")
+            self._counts[event.text] += 1
+            if self._counts[event.text] <= MAX_EQUAL_NOTICES:
+                self.texts.append(f"{event.text} (at {event.stamp:.2f} s)")
+            elif self._counts[event.text] == MAX_EQUAL_NOTICES + 1:
+                self.texts.append(f"more than {MAX_EQUAL_NOTICES} times: {event.text}")
 
 
 def run_slam(
@@ -86,9 +95,10 @@ def run_slam(
             compile_for_recording()
         else:
             compile_all()
+            return_large_blocks()
         import_module("slam.pipeline")  # so that its modules are frozen, too
         gc.freeze()  # otherwise a full collection over all imported modules delays a scan by 0.1 s
-        notices, statistics, reviewed = NoticeCollector(), InputStatistics(), None
+        notices, statistics, reviewed = NoticeCollector(), InputStatistics(keeps_odometry=picture), None
         sinks: list[Sink] = [notices, *run_input.sinks]
         if review:
             written = review_log(directory, setup.config, run_input.name, server, seed, complete=run_input.finite)

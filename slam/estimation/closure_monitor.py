@@ -26,6 +26,10 @@ MAX_ADDED_CONTRADICTION = 0.45
 # Checks in a row that must exceed it: single ones are caused by doors and people. Origin: chosen; not measured.
 CONFIRMING_CHECKS = 2
 
+# Scans for which a closure is monitored: keyframes measure the distance, and in familiar places there are none for
+# days. Origin: chosen, ten minutes of a common lidar; the distance takes some minutes.
+MONITORED_SCANS = 5000
+
 
 @dataclass(slots=True, eq=False)
 class MonitoredClosure:
@@ -69,7 +73,11 @@ class ClosureMonitor:
         `lost` is True if tracking was lost since. Later closures rest on it and are dropped too.
         """
         travelled = mapper.travelled[-1]
-        self._closures = [c for c in self._closures if travelled - c.travelled <= MONITORED_DISTANCE]
+        self._closures = [
+            c
+            for c in self._closures
+            if travelled - c.travelled <= MONITORED_DISTANCE and len(c.scans) <= MONITORED_SCANS
+        ]
         for position, closure in enumerate(self._closures):
             reason = "tracking was lost after it" if lost else _reason_to_retract(closure, mapper)
             if reason:

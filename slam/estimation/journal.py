@@ -2,17 +2,33 @@
 
 from __future__ import annotations
 
+import bisect
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from drivers import se2
+
 from ..mapping.odometry_segments import OdometrySegments
 from ..mapping.trajectory_builder import TrajectoryBuilder
-from ..odometry.history import OdometryHistory
+from ..odometry.history import OdometryHistory, wheel_travel
 from ..preprocessing.preprocessor import ProcessedScan
+from ..preprocessing.scan_sequence import ScanSequence
 from .refinement import ScanHistory, build_scan_history
 from .slam_state import SlamState
+
+# Metres of wheel travel within which the robot counts as standing. Origin: chosen, far below the distance of keyframes.
+STANDING_TRAVEL = 0.01
+# Scans at one place whose features are kept: more of a robot that stands show nothing new, and it may stand on its
+# charger for days. Origin: chosen, ten seconds of a common lidar; not measured.
+STANDING_SCANS = 100
+# Scans until it is certain whether a scan has become a keyframe: a new part of the map may begin with it when the robot
+# is found to be lost. Origin: chosen, several times as many as tracking waits for that.
+UNDECIDED_SCANS = 20
+# Last scans whose features are kept if the map is not changed: older ones are not matched again at the end, as a robot
+# may be localised for weeks. Origin: chosen, half an hour of a common lidar, some 100 MB.
+LOCALISED_SCANS = 20_000
 
 
 class Journal:
@@ -33,22 +49,52 @@ class Journal:
         *,
         keep_all_features: bool,
     ) -> None:
-        """`keep_all_features` also keeps the features of scans in familiar places: memory then grows with time."""
-        self.scans = list(scans)
+        """`keep_all_features` also keeps the features of scans in familiar places, and of a robot that stands: memory
+        then grows with time.
+        """
+        self.scans = ScanSequence(scans)
         self.segments = OdometrySegments(odometry, starts)
         self.first_row, self.resumed_at = len(self.scans), resumed_at
         self._keep_all_features = keep_all_features
-        self._in_familiar_place: set[int] = set()  # rows
+        self._dispensable: set[int] = set()  # rows whose features are kept nevertheless
+        self._standing_at: se2.Pose | None = None  # by odometry
+        self._standing_since = 0  # row
 
     def add(self, scan: ProcessedScan) -> None:
         """Append a scan."""
+        at = self._standing_at
+        if at is None or wheel_travel(se2.between(at, scan.odometry)) > STANDING_TRAVEL:
+            self._standing_at, self._standing_since = scan.odometry, len(self.scans)
         self.scans.append(scan)
 
     def mark_last_familiar(self) -> None:
         """Mark the last scan as taken in a familiar place: its features did not enter the map."""
-        self._in_familiar_place.add(len(self.scans) - 1)
-        if not self._keep_all_features:
-            self.scans[-1] = self.scans[-1].without_features()
+        self._mark_dispensable(len(self.scans) - 1)
+
+    def mark_standing(self, keyframe_stamps: Sequence[float]) -> None:
+        """Mark a scan of a robot that stands, after STANDING_SCANS others there, unless it is a keyframe.
+
+        To be called after each scan; `keyframe_stamps` are those of all keyframes so far, in time order.
+        """
+        row = len(self.scans) - 1 - UNDECIDED_SCANS
+        if row - self._standing_since < STANDING_SCANS:
+            return
+        stamp = self.scans[row].stamp
+        place = bisect.bisect_left(keyframe_stamps, stamp)
+        if place == len(keyframe_stamps) or keyframe_stamps[place] != stamp:
+            self._mark_dispensable(row)
+
+    def mark_localised(self) -> None:
+        """Mark the scan before the last LOCALISED_SCANS of this run; to be called after each, if the map is frozen."""
+        row = len(self.scans) - 1 - LOCALISED_SCANS
+        if row >= self.first_row:
+            self._mark_dispensable(row)
+
+    def _mark_dispensable(self, row: int) -> None:
+        if self._keep_all_features:
+            self._dispensable.add(row)
+        else:
+            self.scans.drop_features([row])
 
     def start_odometry_segment(self) -> OdometryHistory:
         """Start a new odometry segment with the next scan, which is the first one of this run."""
@@ -59,7 +105,8 @@ class Journal:
         """Keep only the scans and the odometry of this run."""
         self.segments.keep_last()
         self.scans = self.scans[self.first_row :]
-        self._in_familiar_place = {row - self.first_row for row in self._in_familiar_place if row >= self.first_row}
+        self._dispensable = {row - self.first_row for row in self._dispensable if row >= self.first_row}
+        self._standing_at = None
         self.first_row = 0
 
     @property
@@ -83,8 +130,8 @@ class Journal:
             self.scans, state.trajectory, state.keyframe_stamps, state.kidnapped_keyframes, self.segments.starts
         )
 
-    def without_familiar_features(self, history: ScanHistory) -> ScanHistory:
-        """Return the history as if the features of scans in familiar places had not been kept."""
-        familiar = self._in_familiar_place
-        scans = [scan.without_features() if row in familiar else scan for row, scan in enumerate(self.scans)]
+    def without_dispensable_features(self, history: ScanHistory) -> ScanHistory:
+        """Return the history as if only the features of scans that matter to the map had been kept."""
+        scans = self.scans.copy()
+        scans.drop_features(self._dispensable)
         return replace(history, scans=scans)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +18,8 @@ from ..geometry.segments import Floats
 STAMP_TOLERANCE = 1e-3
 """Seconds between a pose and a stamp that count as equal: recordings round their stamps to milliseconds."""
 COLUMNS = 8
+BLOCK = 10_000
+"""Poses that are written at once, so that a trajectory of days needs little memory."""
 QUATERNION_TOLERANCE = 0.01
 """Largest difference of a quaternion's length from one: files are often written with three decimals."""
 
@@ -107,14 +110,17 @@ def write_tum(path: Path, trajectory: Trajectory, stamps: Floats | None = None) 
     stamps  (n,) seconds, written instead of the trajectory's own; they may go back
     """
     stamps = trajectory.stamps if stamps is None else stamps
-    half = 0.5 * se2.wrap(trajectory.poses[:, 2])
-    columns = np.column_stack([trajectory.poses[:, :2], np.sin(half), np.cos(half)])
+    with path.open("w", encoding="ascii", newline="\n") as file:
+        for begin in range(0, len(stamps), BLOCK):
+            file.writelines(_lines(stamps[begin : begin + BLOCK], trajectory.poses[begin : begin + BLOCK]))
+
+
+def _lines(stamps: Floats, poses: Floats) -> Iterator[str]:
+    half = 0.5 * se2.wrap(poses[:, 2])
+    columns = np.column_stack([poses[:, :2], np.sin(half), np.cos(half)])
     columns = np.round(columns, 9) + 0.0  # turns -0.0 into 0.0
-    lines = [
-        f"{stamp:.6f} {x:z.6f} {y:z.6f} 0.000000 0 0 {qz:z.9f} {qw:z.9f}\n"
-        for stamp, (x, y, qz, qw) in zip(stamps.tolist(), columns.tolist(), strict=True)
-    ]
-    path.write_text("".join(lines), encoding="ascii", newline="\n")
+    for stamp, (x, y, qz, qw) in zip(stamps.tolist(), columns.tolist(), strict=True):
+        yield f"{stamp:.6f} {x:z.6f} {y:z.6f} 0.000000 0 0 {qz:z.9f} {qw:z.9f}\n"
 
 
 def read_tum(path: Path) -> Trajectory:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from array import array
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from drivers import se2
 
 from ..geometry.growing_array import GrowingArray
 from ..geometry.segments import Floats
-from ..odometry.history import OdometryHistory
+from ..odometry.history import BLOCK, OdometryHistory
 
 # Seconds below which two stamps are one: trajectories are written with microseconds. Origin: definition.
 SAME_STAMP = 1e-6
@@ -23,6 +24,17 @@ class TrajectoryBuilder:
     def __init__(self) -> None:
         self._stamps, self._keyframes = array("d"), array("q")
         self._relative, self._informations = GrowingArray((3,)), GrowingArray((3, 3))
+
+    @classmethod
+    def from_arrays(
+        cls, stamps: Floats, keyframes: NDArray[np.int64], relative: Floats, informations: Floats
+    ) -> TrajectoryBuilder:
+        """Build a trajectory from what `relative_poses` returns."""
+        trajectory = cls()
+        trajectory._stamps, trajectory._keyframes = array("d", stamps), array("q", keyframes)
+        trajectory._relative.replace(relative)
+        trajectory._informations.replace(informations)
+        return trajectory
 
     def __deepcopy__(self, memo: dict[int, object]) -> TrajectoryBuilder:
         """Return an independent copy."""
@@ -56,11 +68,10 @@ class TrajectoryBuilder:
 
     def clip(self, begin: float, end: float) -> TrajectoryBuilder:
         """Return the part with stamps in [begin, end) seconds."""
-        part = TrajectoryBuilder()
-        for row in np.flatnonzero((np.array(self._stamps) >= begin) & (np.array(self._stamps) < end)).tolist():
-            relative, information = self._relative.rows[row], self._informations.rows[row]
-            part.add(self._stamps[row], self._keyframes[row], relative, information)
-        return part
+        stamps, keyframes = np.array(self._stamps), np.array(self._keyframes, dtype=np.int64)
+        rows = (stamps >= begin) & (stamps < end)
+        relative, informations = self._relative.rows[rows], self._informations.rows[rows]
+        return TrajectoryBuilder.from_arrays(stamps[rows], keyframes[rows], relative, informations)
 
     def path(self, keyframe_poses: Floats, odometry: OdometryHistory) -> tuple[Floats, Floats]:
         """Return stamps (m,) and poses (m, 3) in the map at every odometry reading and scan; empty without any scan.
@@ -75,22 +86,50 @@ class TrajectoryBuilder:
         stamps, poses = self.at_scans(keyframe_poses)
         if not len(stamps):
             return np.zeros(0), np.zeros((0, 3))
-        at = _united(odometry.stamps, stamps)
-        readings = odometry.at_each(at)
-        scan_odometry = odometry.at_each(stamps)
-        before = np.clip(np.searchsorted(stamps, at, side="right") - 1, 0, len(stamps) - 1)
-        after = np.minimum(before + 1, len(stamps) - 1)
-        predicted = se2.compose(poses[before], se2.between(scan_odometry[before], readings))
-        predicted_next = se2.compose(poses[before], se2.between(scan_odometry[before], scan_odometry[after]))
-        error = poses[after] - predicted_next
+        known, travelled = odometry.stamps, odometry.travelled
+        scans = _Scans(stamps, poses, odometry.at_each(stamps), np.interp(stamps, known, travelled))
+        at = _united(known, stamps)
+        result = np.empty((len(at), 3))
+        for begin in range(0, len(at), BLOCK):
+            some = at[begin : begin + BLOCK]
+            result[begin : begin + BLOCK] = scans.between(
+                some, odometry.at_each(some), np.interp(some, known, travelled)
+            )
+        return at, result
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scans:
+    """n scans of a trajectory in one odometry segment.
+
+    stamps     (n,) seconds
+    poses      (n, 3) in the map
+    odometry   (n, 3) odometry poses
+    travelled  (n,) metres of wheel travel up to each
+    """
+
+    stamps: Floats
+    poses: Floats
+    odometry: Floats
+    travelled: Floats
+
+    def between(self, at: Floats, readings: Floats, travelled: Floats) -> Floats:
+        """Return poses (m, 3) in the map at stamps (m,), from odometry poses and wheel travel then.
+
+        For the method see `TrajectoryBuilder.path`.
+        """
+        before = np.clip(np.searchsorted(self.stamps, at, side="right") - 1, 0, len(self.stamps) - 1)
+        after = np.minimum(before + 1, len(self.stamps) - 1)
+        start, start_odometry = self.poses[before], self.odometry[before]
+        predicted = se2.compose(start, se2.between(start_odometry, readings))
+        predicted_next = se2.compose(start, se2.between(start_odometry, self.odometry[after]))
+        error = self.poses[after] - predicted_next
         error[:, 2] = se2.wrap(error[:, 2])
-        travelled = np.interp(at, odometry.stamps, odometry.travelled)
-        scan_travelled = np.interp(stamps, odometry.stamps, odometry.travelled)
-        span = scan_travelled[after] - scan_travelled[before]
-        part = np.clip((travelled - scan_travelled[before]) / np.where(span > 0, span, 1.0), 0.0, 1.0)
+        span = self.travelled[after] - self.travelled[before]
+        part = np.clip((travelled - self.travelled[before]) / np.where(span > 0, span, 1.0), 0.0, 1.0)
         result = predicted + part[:, None] * error
         result[:, 2] = se2.wrap(result[:, 2])
-        return at, result
+        return result
 
 
 def _united(readings: Floats, scans: Floats) -> Floats:

@@ -15,6 +15,8 @@ from ..geometry.segments import Floats
 # Metres of travel that one radian of turning counts for: about half the distance between a robot's wheels, and a bit.
 # Origin: geometry, wheels of small robots are 0.2 to 0.4 m apart.
 TRAVEL_PER_RADIAN = 0.25
+# Readings of a long run that are processed at once, so that it needs little memory. Origin: numerical.
+BLOCK = 1 << 16
 
 
 class OdometryHistory:
@@ -66,8 +68,11 @@ class OdometryHistory:
     @property
     def travelled(self) -> Floats:
         """(n,) metres of wheel travel up to each reading."""
-        poses = self.poses
-        return np.concatenate([[0.0], np.cumsum(wheel_travel(se2.between(poses[:-1], poses[1:])))])
+        travel = np.zeros(len(self))
+        for begin in range(0, len(self) - 1, BLOCK):
+            poses = np.array(self._poses[3 * begin : 3 * (begin + BLOCK + 1)]).reshape(-1, 3)
+            travel[begin + 1 : begin + len(poses)] = wheel_travel(se2.between(poses[:-1], poses[1:]))
+        return np.cumsum(travel)
 
     def at(self, stamp: float) -> se2.Pose:
         """Return the pose at a stamp, interpolated linearly in SE(2); constant before the first and after the last."""
@@ -85,11 +90,17 @@ class OdometryHistory:
         stamps = np.asarray(stamps, dtype=np.float64)
         if not len(stamps):
             return np.zeros((0, 3))
-        readings = self.stamps
+        # Only the readings around: a scan must not take longer the longer the robot has been driving.
+        begin = max(bisect.bisect_left(self._stamps, stamps.min()) - 1, 0)
+        end = bisect.bisect_left(self._stamps, stamps.max()) + 1
+        readings, poses = np.array(self._stamps[begin:end]), np.array(self._poses[3 * begin : 3 * end]).reshape(-1, 3)
         after = np.minimum(np.searchsorted(readings, stamps), len(readings) - 1)
-        result = self.poses[after]
-        for row in np.flatnonzero((readings[after] > stamps) & (after > 0)).tolist():
-            result[row] = self.at(float(stamps[row]))
+        result = poses[after]
+        rows = np.flatnonzero((readings[after] > stamps) & (after > 0))
+        before = after[rows] - 1
+        part = (stamps[rows] - readings[before]) / (readings[before + 1] - readings[before])
+        motion = se2.between(poses[before], poses[before + 1])
+        result[rows] = se2.compose(poses[before], part[:, None] * motion)
         return result
 
     def _pose(self, reading: int) -> se2.Pose:

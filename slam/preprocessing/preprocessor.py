@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -43,10 +43,6 @@ class ProcessedScan:
     odometry: se2.Pose
     features: ScanFeatures
     travel: float = 0.0
-
-    def without_features(self) -> ProcessedScan:
-        """Return the scan with its features dropped, to save memory."""
-        return replace(self, features=NO_FEATURES)
 
 
 class Preprocessor:

@@ -27,7 +27,7 @@ from drivers.ros2.names import NodeNames
 
 from ..events import Event, Finished, KeyframeAdded, MapUpdated, Notice, ScanTracked, StateChanged, SuspectFound
 from ..geometry.segments import Floats
-from ..io.exports import Occupancy, OccupancyGrid, PlacedScan
+from ..io.exports import Occupancy
 from ..io.exports.live_grid import LiveGrid
 from ..localisation.state import LocalisationStatus
 from ..mapping.map_features import MapCorners, MapWalls
@@ -207,10 +207,9 @@ class NodeOutputs:
 
 
 def warm_up() -> None:
-    """Draw a grid and encode a message of each type, which compiles or loads what that needs."""
-    drawn = OccupancyGrid(1.0)
-    drawn.add(PlacedScan(0.0, np.zeros(2), np.ones((1, 2))))
-    encoder, grid, pose = NodeEncoder(), message_grid(drawn.occupancy()), np.zeros(3)
+    """Encode a message of each type, which loads what that needs."""
+    drawn = Occupancy(np.zeros((1, 1), dtype=np.int8), np.zeros(2), 1.0)
+    encoder, grid, pose = NodeEncoder(), message_grid(drawn), np.zeros(3)
     encoder.grid(0.0, "", grid)
     encoder.grid_info(0.0, grid)
     encoder.pose(0.0, "", pose, np.zeros((3, 3)))

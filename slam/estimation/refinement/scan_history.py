@@ -13,7 +13,8 @@ from drivers import se2
 from ...geometry.segments import Floats, Integers
 from ...mapping.trajectory_builder import TrajectoryBuilder
 from ...odometry.error_model import OdometryModel
-from ...preprocessing.preprocessor import NO_FEATURES, ProcessedScan
+from ...preprocessing.preprocessor import ProcessedScan
+from ...preprocessing.scan_sequence import ScanSequence
 from ..scan_update import UNMEASURED_MOTION_SIGMAS
 
 # Metres, metres, radians: standard deviations of a motion for which odometry was found to be wrong.
@@ -71,25 +72,22 @@ class ScanHistory:
     @property
     def stamps(self) -> Floats:
         """Times of the scans (n,), seconds."""
-        return np.array([scan.stamp for scan in self.scans])
+        return ScanSequence.of(self.scans).stamps
 
     @property
     def odometry(self) -> Floats:
         """Odometry poses (n, 3) of the scans."""
-        return np.array([scan.odometry for scan in self.scans]).reshape(-1, 3)
+        return ScanSequence.of(self.scans).odometry
 
     @property
     def has_features(self) -> NDArray[np.bool_]:
         """Mask (n,) of the scans whose features were stored."""
-        return np.array([scan.features is not NO_FEATURES for scan in self.scans])
+        return ScanSequence.of(self.scans).has_features
 
     def trajectory(self, keyframe_poses: Floats, poses: Floats) -> TrajectoryBuilder:
         """Return the trajectory with the scans at `poses` (n, 3), relative to keyframes at their poses (k, 3)."""
-        trajectory = TrajectoryBuilder()
         relative = se2.between(keyframe_poses[self.anchors], poses).reshape(-1, 3)
-        for row, scan in enumerate(self.scans):
-            trajectory.add(scan.stamp, int(self.anchors[row]), relative[row], self.informations[row])
-        return trajectory
+        return TrajectoryBuilder.from_arrays(self.stamps, self.anchors, relative, self.informations)
 
     def scan_poses(self, keyframe_poses: Floats) -> Floats:
         """Return the poses (n, 3) of all scans, given those of the keyframes (k, 3)."""
@@ -159,29 +157,31 @@ def build_scan_history(
     A scan that is not on the trajectory is placed by odometry from the last scan that is, or, if there is none in its
     odometry segment, from the next one.
     """
+    scans = ScanSequence.of(scans)
+    odometry = scans.odometry
     stamps, anchors, relative, informations = trajectory.relative_poses()
     keyframes = np.zeros(len(keyframe_stamps), dtype=np.int64)
     all_anchors = np.zeros(len(scans), dtype=np.int64)
     all_relative, all_informations = np.zeros((len(scans), 3)), np.zeros((len(scans), 3, 3))
     tracked = keyframe = last = 0
     waiting: list[int] = []  # scans since the start of the odometry segment that have no pose yet
-    for row, scan in enumerate(scans):
+    for row, stamp in enumerate(scans.stamps.tolist()):
         if row in starts and row:
             waiting, last = [row], -1
-        if keyframe < len(keyframes) and scan.stamp == keyframe_stamps[keyframe]:
+        if keyframe < len(keyframes) and stamp == keyframe_stamps[keyframe]:
             keyframes[keyframe] = row
             keyframe += 1
-        if tracked < len(stamps) and scan.stamp == stamps[tracked]:
+        if tracked < len(stamps) and stamp == stamps[tracked]:
             all_anchors[row], all_relative[row] = anchors[tracked], relative[tracked]
             all_informations[row] = informations[tracked]
             for before in waiting if last < 0 else ():
-                motion = se2.between(scan.odometry, scans[before].odometry)
+                motion = se2.between(odometry[row], odometry[before])
                 all_anchors[before], all_relative[before] = anchors[tracked], se2.compose(relative[tracked], motion)
             tracked, last = tracked + 1, row
         elif last < 0:
             waiting.append(row)
         else:
-            motion = se2.between(scans[last].odometry, scan.odometry)
+            motion = se2.between(odometry[last], odometry[row])
             all_anchors[row], all_relative[row] = all_anchors[last], se2.compose(all_relative[last], motion)
     jumps = frozenset([*(int(keyframes[k]) for k in kidnapped), *(row for row in starts if row)])
     return ScanHistory(scans, keyframes, all_anchors, all_relative, all_informations, jumps)

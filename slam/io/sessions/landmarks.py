@@ -29,6 +29,9 @@ MAP_PREFIX = "map_"
 WALL_COVARIANCE = ("offset_offset", "offset_heading", "heading_heading")
 CORNER_COVARIANCE = ("xx", "xy", "yy")
 
+MAX_EXTENT = 1e5
+"""Metres from a wall's frame to its ends; the walls of buildings end some hundred metres from it."""
+
 COVERED_CELLS = "covered_cells"
 OPENED_CELLS = ("opened_cells", "opened_at")
 FREE_SPACE_EVIDENCE = ("free_space_cells", "free_space_counts")
@@ -116,6 +119,9 @@ def _read_walls(table: TableReader, file: Path) -> NDArray[np.void]:
     for name, prefix in zip(COVARIANCES, ("", MAP_PREFIX), strict=True):
         rows[name] = _to_symmetric(table.floats(*(f"{prefix}{entry}" for entry in WALL_COVARIANCE)))
     rows["in_graph"] = table.booleans("in_graph")
+    observed = (rows["low"] != np.inf) | (rows["high"] != -np.inf)
+    if not (np.maximum(np.abs(rows["low"]), np.abs(rows["high"]))[observed] < MAX_EXTENT).all():
+        raise MapError(f"{file}: a wall has an end that is not within {MAX_EXTENT:g} m")
     if (rows["merged_into"] >= len(rows)).any():
         raise MapError(f"{file}: a wall is merged into a wall that does not exist")
     return rows

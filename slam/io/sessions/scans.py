@@ -19,6 +19,7 @@ from ...mapping.keyframes import LandmarkIds
 from ...mapping.mapped_keyframes import MAX_RECENT_SEGMENTS
 from ...mapping.trajectory_builder import TrajectoryBuilder
 from ...preprocessing.preprocessor import NO_FEATURES, ProcessedScan
+from ...preprocessing.scan_sequence import ScanSequence
 from .scan_features import feature_columns, read_features, split_rows
 from .tables import Ragged, TableReader, to_ragged, write_table
 
@@ -38,7 +39,7 @@ class ScanRecords:
     landmark_ids     of each keyframe: landmarks that its segments and corners are associated with
     """
 
-    scans: list[ProcessedScan]
+    scans: ScanSequence
     trajectory: TrajectoryBuilder
     keyframe_stamps: list[float]
     landmark_ids: list[LandmarkIds]
@@ -47,14 +48,13 @@ class ScanRecords:
 def write_scans(file: Path, records: ScanRecords) -> None:
     """Write the table. Raises OSError."""
     scans, count = records.scans, len(records.scans)
-    stamps = np.array([scan.stamp for scan in scans])
+    stamps, odometry, has_features = scans.stamps, scans.odometry, scans.has_features
     tracked_stamps, anchors, relative, informations = records.trajectory.relative_poses()
     tracked = _rows_of(tracked_stamps, stamps)
     keyframes = _rows_of(np.array(records.keyframe_stamps), stamps)
     columns: dict[str, NDArray[np.generic] | Ragged] = {"stamp": stamps}
-    odometry = np.array([scan.odometry for scan in scans]).reshape(-1, 3)
     columns |= {f"odometry_{name}": odometry[:, k] for k, name in enumerate(("x", "y", "heading"))}
-    columns["sweep_travel"] = np.array([scan.travel for scan in scans], dtype=np.float64)
+    columns["sweep_travel"] = scans.travel
     columns["keyframe"] = _scatter(keyframes, np.arange(len(keyframes)), count, -1).astype(np.int32)
     columns["anchor"] = _scatter(tracked, anchors, count, -1).astype(np.int32)
     for k, name in enumerate(("x", "y", "heading")):
@@ -62,25 +62,29 @@ def write_scans(file: Path, records: ScanRecords) -> None:
     upper = informations[:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]]
     for k, name in enumerate(POSE_ENTRIES):
         columns[f"information_{name}"] = _scatter(tracked, upper[:, k], count, 0.0)
-    columns["has_features"] = np.array([scan.features is not NO_FEATURES for scan in scans], dtype=bool)
-    columns |= feature_columns([scan.features for scan in scans], exact=False)
-    none = np.zeros(0, dtype=np.int64)
-    walls, corners = [none] * count, [none] * count
-    for row, ids in zip(keyframes, records.landmark_ids, strict=True):
-        walls[row], corners[row] = ids.walls, ids.corners
-    columns[SEGMENT_IDS], columns[CORNER_IDS] = to_ragged(walls, np.int32), to_ragged(corners, np.int32)
+    columns["has_features"] = has_features
+    with_features = np.flatnonzero(has_features)
+    features = feature_columns([scans.features(row) for row in with_features.tolist()], exact=False)
+    columns |= {name: _spread(column, with_features, count) for name, column in features.items()}
+    for name, ids in (
+        (SEGMENT_IDS, [ids.walls for ids in records.landmark_ids]),
+        (CORNER_IDS, [ids.corners for ids in records.landmark_ids]),
+    ):
+        columns[name] = _spread(to_ragged(ids, np.int32), keyframes, count)
     write_table(file, columns)
+
+
+def _spread(column: Ragged, rows: Integers, count: int) -> Ragged:
+    """Return a column of `count` rows with the values of another one at `rows`, and no values elsewhere."""
+    lengths = np.zeros(count, dtype=np.int64)
+    lengths[rows] = column.lengths
+    return Ragged(column.values, lengths)
 
 
 def _rows_of(some: Floats, stamps: Floats) -> Integers:
     """Return the rows of `stamps` that hold `some`; both are sorted, and equal stamps are matched one to one."""
-    rows, row = np.zeros(len(some), dtype=np.int64), 0
-    for k, stamp in enumerate(some.tolist()):
-        while stamps[row] != stamp:
-            row += 1
-        rows[k] = row
-        row += 1
-    return rows
+    among_equal = np.arange(len(some)) - np.searchsorted(some, some)
+    return np.searchsorted(stamps, some) + among_equal
 
 
 def _scatter(rows: Integers, values: NDArray[np.generic], count: int, default: float) -> NDArray[np.generic]:
@@ -92,9 +96,8 @@ def _scatter(rows: Integers, values: NDArray[np.generic], count: int, default: f
 
 def write_recent_keyframes(file: Path, records: ScanRecords) -> None:
     """Write the exact features of the last keyframes. Raises OSError."""
-    stamps = np.array([scan.stamp for scan in records.scans])
-    rows = _rows_of(np.array(records.keyframe_stamps), stamps)[-EXACT_KEYFRAMES:]
-    features = [records.scans[row].features for row in rows.tolist()]
+    rows = _rows_of(np.array(records.keyframe_stamps), records.scans.stamps)[-EXACT_KEYFRAMES:]
+    features = [records.scans.features(row) for row in rows.tolist()]
     write_table(file, {"row": rows.astype(np.int32), **feature_columns(features, exact=True)})
 
 
@@ -112,7 +115,9 @@ def read_scans(file: Path, recent_keyframes: Path) -> ScanRecords:
     has_features = table.booleans("has_features")
     travel = table.floats("sweep_travel").tolist()
     features = [one if has_features[row] else NO_FEATURES for row, one in enumerate(features)]
-    scans = [ProcessedScan(float(stamps[row]), odometry[row], features[row], travel[row]) for row in range(len(table))]
+    scans = ScanSequence(
+        ProcessedScan(float(stamps[row]), odometry[row], features[row], travel[row]) for row in range(len(table))
+    )
     keyframe, anchor = table.integers("keyframe"), table.integers("anchor")
     rows = np.flatnonzero(keyframe >= 0)
     if not np.array_equal(keyframe[rows], np.arange(len(rows))) or (anchor >= len(rows)).any():
@@ -132,7 +137,5 @@ def _read_trajectory(table: TableReader, stamps: Floats, anchor: Integers) -> Tr
     informations = np.zeros((len(table), 3, 3))
     informations[:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]] = upper
     informations[:, UPPER_TRIANGLE[1], UPPER_TRIANGLE[0]] = upper
-    trajectory = TrajectoryBuilder()
-    for row in np.flatnonzero(anchor >= 0).tolist():
-        trajectory.add(float(stamps[row]), int(anchor[row]), relative[row], informations[row])
-    return trajectory
+    rows = anchor >= 0
+    return TrajectoryBuilder.from_arrays(stamps[rows], anchor[rows], relative[rows], informations[rows])

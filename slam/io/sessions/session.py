@@ -25,6 +25,7 @@ from ...mapping.mapper import Mapper
 from ...mapping.wall_roughness import WallRoughness
 from ...odometry.history import OdometryHistory
 from ...preprocessing.preprocessor import ProcessedScan
+from ...preprocessing.scan_sequence import ScanSequence
 from ..output_dir import CONFIG, SESSION
 from .agreement import agreement_state
 from .graph import read_factors, read_graph, write_factors, write_variables
@@ -101,7 +102,8 @@ def write_session(directory: Path, session: StoredSession) -> None:
     folder.mkdir()
     slam_state, mapper = session.slam_state, session.slam_state.mapper
     graph = graph_state(mapper.graph)
-    scans = ScanRecords(list(session.scans), slam_state.trajectory, slam_state.keyframe_stamps, mapper.landmark_ids)
+    records = ScanSequence.of(session.scans)
+    scans = ScanRecords(records, slam_state.trajectory, slam_state.keyframe_stamps, mapper.landmark_ids)
     write_scans(folder / SCANS, scans)
     write_recent_keyframes(folder / RECENT_KEYFRAMES, scans)
     write_queued_scans(folder / QUEUED_SCANS, session.queued_scans)

@@ -196,6 +196,7 @@ class EventLog:
 
     def _write_scan(self, event: ScanTracked) -> None:
         self._overlap_ratio = event.overlap_ratio
+        self._writer.begin_part_if_full()  # not only at keyframes: in familiar places there are none for days
         self._between_keyframes(event.stamp)
         self._keyframe_layer.move_robot(event.pose)
 

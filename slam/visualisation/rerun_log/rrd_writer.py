@@ -24,10 +24,15 @@ CANDIDATE, CLOSURE = "candidate", "closure"
 MIN_EPOCH_STAMP = 1e8  # larger stamps are seconds since 1970, smaller ones count from the start of the recording
 SERVER_MEMORY = "25%"  # of the computer's memory: rows kept for viewers that connect late; older ones are in the file
 FLUSH_PERIOD = 0.5  # seconds; shorter periods cost kilobytes per chunk with a live viewer and show nothing sooner
-PART_SIZE = 200_000_000  # bytes after which another file is started: hours of driving
+# Bytes after which another file is started: an hour of driving. Rerun keeps an index of the open file in memory, about
+# as large as the rows if these are few in each chunk, as in familiar places.
+PART_SIZE = 50_000_000
 MAX_BATCH_ROWS = 64  # rows sent together
-MAX_BATCH_AGE = 0.5  # seconds that a row waits for further rows of its entity
-MAX_PARTS = 40  # files; then the oldest but the first is deleted, so that an endless run does not fill the disk
+# Seconds that a row waits for further rows of its entity. In memory, every chunk takes 1 kB until the file ends, and
+# 2 kB more at the server.
+MAX_BATCH_AGE, MAX_BATCH_AGE_WITHOUT_VIEWERS = 1.0, 5.0
+MAX_STEP_TEXTS = 1000  # rows of the text log that a step of CANDIDATE or CLOSURE repeats; older ones are left out
+MAX_PARTS = 160  # files; then the oldest but the first is deleted, so that an endless run does not fill the disk
 
 Archetype: TypeAlias = Any  # Rerun has no common type for loggable values
 ToColumns: TypeAlias = Callable[[list[Any]], Iterable[Any]]
@@ -50,12 +55,13 @@ class RrdWriter:
         identity = str(uuid4())
         self._path, self._part_size = path, part_size
         self._part = 1
+        self._max_batch_age = MAX_BATCH_AGE_WITHOUT_VIEWERS if server is None else MAX_BATCH_AGE
         self._layout = layout
         self._static: dict[tuple[str, str], Archetype] = {}
         self._now: dict[str, int] = {}
         self._batches: dict[str, _Batch] = {}
         self._changed: dict[str, dict[tuple[str, ...], _LastRow]] = {CANDIDATE: {}, CLOSURE: {}}
-        self._texts = 0  # rows of text logs so far
+        self._texts = 0  # rows of text logs so far, modulo MAX_STEP_TEXTS
         self._file = _open_stream(identity)
         self._streams = [self._file]
         self._name = ""
@@ -98,7 +104,7 @@ class RrdWriter:
         batch.values.append(value)
         batch.times.append(self._now.copy())
         self._remember(entity, _LastRow(value, to_columns))
-        if len(batch.values) == MAX_BATCH_ROWS or time.monotonic() - batch.started > MAX_BATCH_AGE:
+        if len(batch.values) == MAX_BATCH_ROWS or time.monotonic() - batch.started > self._max_batch_age:
             self._send(entity, self._batches.pop(entity))
 
     def _remember(self, entity: str, row: _LastRow) -> None:
@@ -107,9 +113,10 @@ class RrdWriter:
             return
         key: tuple[str, ...] = entity, type(row.value).__name__
         if isinstance(row.value, rr.TextLog):
-            self._texts += 1
+            self._texts = (self._texts + 1) % MAX_STEP_TEXTS
             key = *key, str(self._texts)
         for changed in self._changed.values():
+            changed.pop(key, None)  # so that the rows are in the order in which they were logged
             changed[key] = row
 
     def log_step(self, timeline: str, number: int) -> None:

@@ -10,12 +10,13 @@ import subprocess
 import sys
 import termios
 import time
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from slam.cli.autosave import Autosave
+from slam.cli.autosave import LARGEST_SHARE, Autosave
 from slam.cli.terminal_keys import TerminalKeys
 from slam.io.output_dir import (
     CONFIG,
@@ -108,6 +109,22 @@ def test_a_failing_save_does_not_end_the_run(
     (message,) = capsys.readouterr().err.splitlines()  # the second one is equal
     assert message.startswith(f"wclm: {tmp_path / 'map'}: ")
     assert message.endswith("; the run goes on")
+
+
+def test_saves_that_take_long_are_made_less_often(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("slam.cli.autosave.PERIOD", 0.0)
+    began: list[float] = []
+
+    def write(place: Path) -> None:
+        (place / SUMMARY).write_text("{}")
+        began.append(time.monotonic())
+        time.sleep(0.1)
+
+    with (output := OutputDirectory(tmp_path / "map")), Autosave(output, lambda: write, TerminalKeys()) as autosave:
+        while len(began) < 3:
+            autosave.poll()
+            time.sleep(0.001)
+    assert min(after - before for before, after in pairwise(began)) >= 0.1 / LARGEST_SHARE - 0.05
 
 
 LOST_IN_A_CALLBACK = """

@@ -295,6 +295,16 @@ def test_optimize_writes_a_graph_and_a_summary(wclm: Any, tmp_path: Path) -> Non
     assert not (tmp_path / "out" / "graph.png").exists()
 
 
+@pytest.mark.parametrize(("x", "information"), [("1e200", "1"), ("1e300", "1"), ("1", "1e308")])
+def test_optimize_refuses_graphs_without_a_finite_optimum(wclm: Any, tmp_path: Path, x: str, information: str) -> None:
+    entries = f"{information} 0 0 {information} 0 {information}"
+    vertices = [f"VERTEX_SE2 {k} {k * float(x):g} 0 0" for k in range(3)]
+    edges = [f"EDGE_SE2 0 1 3 0 0 {entries}", f"EDGE_SE2 1 2 -{x} 0 0 {entries}", f"EDGE_SE2 0 2 -5 7 1 {entries}"]
+    (tmp_path / "a.g2o").write_text("\n".join([*vertices, *edges, ""]))
+    wclm.refuses("optimize", "a.g2o", "--out", "out", because=["a.g2o: its numbers are so large that it has no finite"])
+    assert not (tmp_path / "out").exists()
+
+
 def test_optimize_refuses_files_that_are_not_pose_graphs(wclm: Any, tmp_path: Path) -> None:
     (tmp_path / "a.graph").write_text("EDGE2 0 1 1 0 0 1 0 1 1 0 0\nEDGE2 1 2 x 0 0 1 0 1 1 0 0\n")
     wclm.refuses("optimize", "a.graph", "--out", "out", because=["a.graph:2: x is not a number"])

@@ -95,6 +95,13 @@ def test_layers_of_a_drawing_can_be_chosen(tmp_path: Path) -> None:
         read_plan(tmp_path / "plan.dxf", layers=["doors"])
 
 
+def test_errors_of_damaged_drawings_are_short(tmp_path: Path) -> None:
+    (tmp_path / "plan.dxf").write_text(f"0\nSECTION\n{'9' * 5000}\nx\n")
+    with pytest.raises(MapError, match=r"plan\.dxf: is not a valid DXF file: ") as caught:
+        read_plan(tmp_path / "plan.dxf")
+    assert len(str(caught.value)) < 500
+
+
 def test_transformations_of_svg_are_applied(tmp_path: Path) -> None:
     group = '<g transform="translate(1 -2) rotate(90)"><g transform="scale(2)">{}</g></g>'
     line = '<rect x="0" y="0" width="2" height="1"/><path d="M0 0C1 1 2 1 3 0L4 0"/>'

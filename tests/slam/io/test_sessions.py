@@ -31,6 +31,7 @@ from slam.loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis
 from slam.mapping.convergence import converge
 from slam.mapping.mapper import Mapper
 from slam.preprocessing.preprocessor import NO_FEATURES
+from slam.preprocessing.scan_sequence import ScanSequence
 
 # Match of keyframes in `session.json`.
 MATCH = {
@@ -188,7 +189,9 @@ def test_scan_without_features_is_read_back_without_features(tmp_path: Path) -> 
     slam.finish()
     session = slam.session
     last = len(session.scans) - 1
-    session.scans = [*session.scans[:last], session.scans[last].without_features()]
+    scans = ScanSequence(session.scans)
+    scans.drop_features([last])
+    session.scans = scans
     write_directory(tmp_path, session)
     restored = read_session(tmp_path)
     assert restored.scans[last].features is NO_FEATURES
@@ -303,6 +306,9 @@ CHANGES: list[tuple[str, str, Any, str]] = [
     (SCANS, "segment_offset_offset", -1.0, "the covariance of a segment is not positive definite"),
     (SCANS, "segment_offset_offset", 1e-300, "the covariance of a segment is not positive definite"),
     (WALLS, "x", 1e300, "the column x has values beyond 1e\\+15"),
+    (WALLS, "high", 1e15, "a wall has an end that is not within 100000 m"),
+    (WALLS, "low", float("-inf"), "a wall has an end that is not within 100000 m"),
+    (WALLS, "low", float("nan"), "a wall has an end that is not within 100000 m"),
 ]
 
 

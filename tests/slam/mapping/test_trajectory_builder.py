@@ -1,6 +1,7 @@
 """Trajectory: odometry between the scans, and the scans moving with their keyframes."""
 
 import numpy as np
+import pytest
 
 from drivers import se2
 from drivers.messages import Odometry
@@ -27,6 +28,18 @@ def test_the_trajectory_passes_through_the_scans_without_jumps() -> None:
     headings = np.unwrap(poses[:, 2])
     assert np.hypot(*np.diff(poses[:, :2], axis=0).T).max() < 1.5 * SPEED * 0.04
     assert np.abs(np.diff(headings)).max() < 1.5 * TURN_RATE * 0.04
+
+
+def test_the_path_does_not_depend_on_the_blocks_in_which_it_is_computed(monkeypatch: pytest.MonkeyPatch) -> None:
+    odometry, random, trajectory = circle_history(100, 0.04), np.random.default_rng(1), TrajectoryBuilder()
+    for k, stamp in enumerate(np.arange(0.111, 3.5, 0.25)):
+        trajectory.add(float(stamp), k, random.normal(0, 1, 3), np.eye(3))
+    keyframes = random.normal(0, 1, (20, 3))
+    at, poses = trajectory.path(keyframes, odometry)
+    monkeypatch.setattr("slam.mapping.trajectory_builder.BLOCK", 7)
+    in_blocks = trajectory.path(keyframes, odometry)
+    np.testing.assert_array_equal(in_blocks[0], at)
+    np.testing.assert_allclose(in_blocks[1], poses, atol=1e-12)
 
 
 def test_the_error_of_odometry_is_distributed_over_the_wheel_travel() -> None:

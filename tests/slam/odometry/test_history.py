@@ -60,3 +60,19 @@ def test_memory_of_a_reading_is_four_numbers() -> None:
     used = tracemalloc.get_traced_memory()[0]
     tracemalloc.stop()
     assert used < 10_000 * 4 * 8 * 1.2
+
+
+def test_poses_at_few_stamps_need_little_memory_whatever_the_length_of_the_history() -> None:
+    history = OdometryHistory.from_arrays(np.arange(100_000.0), np.zeros((100_000, 3)))
+    tracemalloc.start()
+    history.at_each(np.array([70_000.2, 70_001.5, 70_003.0]))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 20_000
+
+
+def test_travel_does_not_depend_on_the_blocks_in_which_it_is_summed(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = circle_history().travelled
+    monkeypatch.setattr("slam.odometry.history.BLOCK", 3)
+    np.testing.assert_array_equal(circle_history().travelled, whole)
+    assert not len(OdometryHistory().travelled)

@@ -11,6 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import rerun as rr
+import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 from scipy.spatial import cKDTree
 
@@ -429,3 +431,34 @@ def test_the_oldest_files_but_the_first_are_deleted(tmp_path, monkeypatch):
 def test_rerun_is_imported_only_when_a_log_is_created():
     code = "import sys, slam, slam.events, slam.visualisation.rerun_log; sys.exit('rerun' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_files_are_also_begun_where_there_are_no_keyframes(tmp_path, monkeypatch):
+    monkeypatch.setattr(rrd_writer, "MAX_BATCH_ROWS", 1)
+    path, scans = tmp_path / "review.rrd", 400
+    with ReviewLog(path, part_size=400_000) as review:
+        for k in range(scans):
+            review.handle(ScanTracked(0.1 * k, np.array([0.01 * k, 0.0, 0.0]), np.zeros(3), 1.0, 0))
+            if k % 100 == 99:
+                while review.waiting:
+                    time.sleep(0.01)
+                time.sleep(1.2 * rrd_writer.FLUSH_PERIOD)
+    files = log_parts(path)
+    assert len(files) > 1
+    assert sum(len(list(rows(file, "/world/robot", "Transform3D:translation"))) for file in files) == scans
+
+
+def test_a_step_repeats_the_last_texts_only(tmp_path, monkeypatch):
+    """Notices come for days without a loop decision."""
+    monkeypatch.setattr(rrd_writer, "MAX_STEP_TEXTS", 3)
+    path = tmp_path / "review.rrd"
+    writer = rrd_writer.RrdWriter(path, rrb.Blueprint())
+    for k in range(7):
+        writer.set_time(0.1 * k, 0)
+        writer.log("log", rr.TextLog(f"notice {k}"))
+    writer.log_step(rrd_writer.CANDIDATE, 1)
+    writer.close()
+    batches = [chunk.to_record_batch() for chunk in RrdReader(path).stream() if chunk.entity_path == "/log"]
+    steps = [batch for batch in batches if rrd_writer.CANDIDATE in batch.schema.names]
+    texts = [text for batch in steps for text in batch.column("TextLog:text").to_pylist()]
+    assert texts == [["notice 4"], ["notice 5"], ["notice 6"]]

@@ -1,0 +1,95 @@
+"""All processed scans of a session, with little memory for those whose features were dropped."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterable, Sequence
+from typing import overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..geometry.segments import Floats
+from ..matching.line_matcher import ScanFeatures
+from .preprocessor import NO_FEATURES, ProcessedScan
+
+
+class ScanSequence(Sequence[ProcessedScan]):
+    """Processed scans in time order; a scan without features takes 40 bytes.
+
+    Numbers are in arrays, as objects are eight times as large: a robot drives for days, mostly in familiar places,
+    where the features of scans are dropped.
+    """
+
+    def __init__(self, scans: Iterable[ProcessedScan] = ()) -> None:
+        self._stamps, self._odometry, self._travel = array("d"), array("d"), array("d")
+        self._features: dict[int, ScanFeatures] = {}  # by row; the other scans have none
+        for scan in scans:
+            self.append(scan)
+
+    @classmethod
+    def of(cls, scans: Sequence[ProcessedScan]) -> ScanSequence:
+        """Return the scans as a ScanSequence: themselves if they are one."""
+        return scans if isinstance(scans, ScanSequence) else cls(scans)
+
+    def copy(self) -> ScanSequence:
+        """Return a copy that later scans do not change."""
+        other = ScanSequence()
+        other._stamps, other._odometry, other._travel = self._stamps[:], self._odometry[:], self._travel[:]
+        other._features = dict(self._features)
+        return other
+
+    def append(self, scan: ProcessedScan) -> None:
+        """Append a scan."""
+        if scan.features is not NO_FEATURES:
+            self._features[len(self)] = scan.features
+        self._stamps.append(scan.stamp)
+        self._odometry.extend(scan.odometry.tolist())
+        self._travel.append(scan.travel)
+
+    def drop_features(self, rows: Iterable[int]) -> None:
+        """Drop the features of some scans."""
+        for row in rows:
+            self._features.pop(row, None)
+
+    def __len__(self) -> int:
+        return len(self._stamps)
+
+    @overload
+    def __getitem__(self, row: int) -> ProcessedScan: ...
+
+    @overload
+    def __getitem__(self, row: slice) -> ScanSequence: ...
+
+    def __getitem__(self, row: int | slice) -> ProcessedScan | ScanSequence:
+        if isinstance(row, slice):
+            return ScanSequence(self[k] for k in range(*row.indices(len(self))))
+        row = range(len(self))[row]
+        odometry = np.array(self._odometry[3 * row : 3 * row + 3])
+        return ProcessedScan(self._stamps[row], odometry, self._features.get(row, NO_FEATURES), self._travel[row])
+
+    @property
+    def stamps(self) -> Floats:
+        """(n,) seconds."""
+        return np.array(self._stamps)
+
+    @property
+    def odometry(self) -> Floats:
+        """(n, 3) odometry poses."""
+        return np.array(self._odometry).reshape(-1, 3)
+
+    @property
+    def travel(self) -> Floats:
+        """(n,) metres of wheel travel from the middle of the sweep to its ends."""
+        return np.array(self._travel)
+
+    @property
+    def has_features(self) -> NDArray[np.bool_]:
+        """(n,) True for scans whose features are there."""
+        mask = np.zeros(len(self), dtype=bool)
+        mask[list(self._features)] = True
+        return mask
+
+    def features(self, row: int) -> ScanFeatures:
+        """Return the features of a scan."""
+        return self._features.get(row, NO_FEATURES)

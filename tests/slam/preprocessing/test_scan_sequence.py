@@ -1,0 +1,79 @@
+"""Processed scans of a session: they are returned as they were added, and need little memory without features."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from slam.geometry.segments import CornerPoints, Segments
+from slam.matching.line_matcher import ScanFeatures
+from slam.matching.scan_points import ScanPoints
+from slam.preprocessing.preprocessor import NO_FEATURES, ProcessedScan
+from slam.preprocessing.scan_sequence import ScanSequence
+
+
+def features() -> ScanFeatures:
+    segments = Segments(np.zeros((1, 3)), np.ones(1), np.eye(2)[None])
+    corners = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)))
+    return ScanFeatures(segments, corners, ScanPoints(np.ones((3, 2)), np.zeros((0, 2))))
+
+
+def some_scans(count: int) -> list[ProcessedScan]:
+    """Return scans of which every other one has features."""
+    return [
+        ProcessedScan(0.1 * k, np.array([k, -k, 0.01 * k]), NO_FEATURES if k % 2 else features(), 0.001 * k)
+        for k in range(count)
+    ]
+
+
+def assert_equal(scan: ProcessedScan, expected: ProcessedScan) -> None:
+    assert (scan.stamp, scan.travel) == (expected.stamp, expected.travel)
+    assert scan.features is expected.features
+    np.testing.assert_array_equal(scan.odometry, expected.odometry)
+
+
+def test_scans_are_returned_as_they_were_added() -> None:
+    scans = some_scans(5)
+    sequence = ScanSequence(scans)
+    assert len(sequence) == 5
+    for scan, expected in zip(sequence, scans, strict=True):
+        assert_equal(scan, expected)
+    assert_equal(sequence[-1], scans[-1])
+    for scan, expected in zip(sequence[1:4], scans[1:4], strict=True):
+        assert_equal(scan, expected)
+    with pytest.raises(IndexError):
+        sequence[5]
+
+
+def test_arrays_are_those_of_the_scans() -> None:
+    scans = some_scans(6)
+    sequence = ScanSequence.of(scans)
+    assert ScanSequence.of(sequence) is sequence
+    np.testing.assert_array_equal(sequence.stamps, [scan.stamp for scan in scans])
+    np.testing.assert_array_equal(sequence.odometry, [scan.odometry for scan in scans])
+    np.testing.assert_array_equal(sequence.travel, [scan.travel for scan in scans])
+    np.testing.assert_array_equal(sequence.has_features, [True, False] * 3)
+    assert ScanSequence().odometry.shape == (0, 3)
+
+
+def test_dropped_features_are_gone_and_a_copy_keeps_them() -> None:
+    scans = some_scans(4)
+    sequence = ScanSequence(scans)
+    copy = sequence.copy()
+    sequence.drop_features([0, 1])
+    sequence.append(scans[0])
+    assert sequence[0].features is sequence.features(1) is NO_FEATURES
+    assert sequence.has_features.tolist() == [False, False, True, False, True]
+    assert copy.has_features.tolist() == [True, False, True, False]
+    assert len(copy) == 4
+
+
+def test_a_scan_without_features_takes_five_numbers() -> None:
+    scan = ProcessedScan(1.0, np.zeros(3), NO_FEATURES, 0.0)
+    tracemalloc.start()
+    sequence = ScanSequence()
+    for _ in range(10_000):
+        sequence.append(scan)
+    used = tracemalloc.get_traced_memory()[0]
+    tracemalloc.stop()
+    assert used < 10_000 * 5 * 8 * 1.2

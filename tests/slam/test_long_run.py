@@ -1,0 +1,99 @@
+"""A robot that runs for days: what is kept of it does not grow with time, apart from some numbers for each message."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.messages import Message, Odometry, Scan
+from drivers.simulation import LidarModel, Simulation
+from slam import Slam
+from slam.config import Config, config_to_toml
+from slam.estimation.journal import STANDING_SCANS, UNDECIDED_SCANS
+from slam.events import Finished
+from slam.io.output_dir import CONFIG
+from slam.io.sessions import read_session, write_session
+
+RATE = 5.0
+STANDING = 60.0
+"""Seconds for which the robot stands."""
+
+
+@pytest.fixture(scope="module")
+def messages() -> list[Message]:
+    """Return the messages of a robot that drives, stands for a while, and drives on."""
+    simulation = Simulation("room", seed=1, duration=16.0, lidar=LidarModel(beams=90, rate=RATE))
+    driven = [message for message in simulation if isinstance(message, Odometry | Scan)]
+    half = driven[0].stamp + 8.0
+    before, after = ([m for m in driven if (m.stamp < half) == early] for early in (True, False))
+    scan = next(m for m in reversed(before) if isinstance(m, Scan))
+    odometry = next(m for m in reversed(before) if isinstance(m, Odometry))
+    random, standing = np.random.default_rng(0), list[Message]()
+    for stamp in np.arange(half, half + STANDING, 1.0 / RATE).tolist():
+        standing += [replace(odometry, stamp=stamp + k / (5 * RATE)) for k in range(5)]
+        standing.append(replace(scan, stamp=stamp, ranges=scan.ranges + random.normal(0.0, 0.005, len(scan.ranges))))
+    return [*before, *standing, *(replace(m, stamp=m.stamp + STANDING) for m in after)]
+
+
+def run(messages: list[Message], *, keep_all_features: bool = False) -> tuple[Slam, Finished]:
+    slam = Slam(keep_all_features=keep_all_features)
+    for message in messages:
+        slam.add(message)
+    return slam, slam.finish()
+
+
+@pytest.fixture(scope="module")
+def live(messages: list[Message]) -> tuple[Slam, Finished]:
+    return run(messages)
+
+
+def test_features_of_a_robot_that_stands_are_not_kept(live: tuple[Slam, Finished], messages: list[Message]) -> None:
+    scans = live[0].snapshot().session.scans
+    begin = messages[0].stamp + 9.0
+    standing = [scan for scan in scans if begin < scan.stamp < begin + STANDING - 2.0]
+    kept = sum(len(scan.features.points.all) > 0 for scan in standing)
+    assert len(standing) > 2 * STANDING_SCANS
+    assert kept <= STANDING_SCANS + UNDECIDED_SCANS
+
+
+def test_the_result_does_not_depend_on_whether_they_are_kept(
+    live: tuple[Slam, Finished], messages: list[Message]
+) -> None:
+    """`wclm run` keeps them, `wclm live` does not."""
+    slam, finished = run(messages, keep_all_features=True)
+    assert all(len(scan.features.points.all) for scan in slam.session.scans)
+    np.testing.assert_array_equal(finished.poses, live[1].poses)
+
+
+def test_the_session_can_be_read(live: tuple[Slam, Finished], tmp_path: Path) -> None:
+    (tmp_path / CONFIG).write_text(config_to_toml(Config()))
+    write_session(tmp_path, live[0].session)
+    restored = read_session(tmp_path)
+    assert len(restored.scans) == len(live[0].session.scans)
+    restored.scan_history()
+
+
+def test_a_robot_that_stood_stays_where_it_was(live: tuple[Slam, Finished], messages: list[Message]) -> None:
+    finished, begin = live[1], messages[0].stamp + 9.0
+    there = (finished.stamps > begin) & (finished.stamps < begin + STANDING - 2.0)
+    assert np.ptp(finished.poses[there, :2], axis=0).max() < 0.02
+
+
+def test_features_of_old_scans_are_not_kept_while_the_robot_is_only_localised(
+    live: tuple[Slam, Finished], messages: list[Message], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slam.estimation.journal.LOCALISED_SCANS", 10)
+    (tmp_path / CONFIG).write_text(config_to_toml(Config()))
+    write_session(tmp_path, live[0].session)
+    session = read_session(tmp_path)
+    mapped = sum(len(scan.features.points.all) > 0 for scan in session.scans)
+    slam = Slam(resumed=session, frozen=True, start=np.zeros(3))
+    for message in messages[: len(messages) // 2]:
+        slam.add(replace(message, stamp=message.stamp + 1000.0))
+    scans = slam.snapshot().session.scans
+    assert len(scans) > len(session.scans) + 100
+    assert sum(len(scan.features.points.all) > 0 for scan in scans) <= mapped + 10
+    assert len(slam.finish().poses)
