@@ -321,4 +321,6 @@ class EventLog:
         self._path_layer.log_growing_paths()
         log_grid(self._writer, self._scan_layer.placed(event.keyframes), CELL)
         log_confidence(self._writer, event)
+        counts = f"{len(event.keyframes)} keyframes, {len(event.walls)} walls, {len(event.corners)} corners"
+        self._log_text(f"finished: {counts}", "INFO")
         self._log_document("summary", documents.summary(event.summary))
