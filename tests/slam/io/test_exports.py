@@ -379,6 +379,10 @@ def test_invalid_directory_is_refused(wclm: Any, ran: Path, command: str) -> Non
         (ran / name).write_bytes(content)
 
 
+def test_an_unknown_format_names_the_known_ones(wclm: Any, ran: Path) -> None:
+    wclm.refuses("map", "out", "--format", "xyz", because=["Invalid value for '--format': 'xyz' is not one of 'pgm', "])
+
+
 def test_contradictory_thresholds_are_a_usage_error(wclm: Any, ran: Path) -> None:
     result = wclm("map", ran, "--format", "pgm", "--free", "0.5", "--occupied", "0.4")
     assert result.exit_code == 2
